@@ -1,0 +1,1 @@
+"""What the paper compares against, one file a method."""

@@ -1,0 +1,1 @@
+"""Initial cameras and points for a reconstruction."""

@@ -1,0 +1,1 @@
+"""NOVA-GS, one file a section of the paper."""

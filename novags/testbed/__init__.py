@@ -1,0 +1,1 @@
+"""Stages from folder to folder, experiments, scores and reports."""

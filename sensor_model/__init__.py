@@ -1,0 +1,1 @@
+"""Physical camera model: radiance in, digital numbers out. Arrays only."""

@@ -1,0 +1,1 @@
+"""Simulated scenes: a Mitsuba scene in, a ground-truth multiview set out."""
