@@ -1,0 +1,133 @@
+"""Targeted blind-spot masking and its loss (paper, section 4.3.1 and 4.3.3; Noise2Void).
+
+Batches are [B, 3, H, W]. A mask is bool [B, H, W], True where the network is blinded: there its input is another pixel
+of the neighbourhood, and only there the loss looks.
+"""
+
+from dataclasses import dataclass
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+
+@dataclass(frozen=True, kw_only=True)
+class BlindSpotConfig:
+    """How many pixels are blinded and how they are chosen."""
+
+    mask_count: int | None = 60_000  # per whole view, the paper's number; None leaves only the fraction
+    mask_fraction: float = 0.06  # at most this share of a view: 60,000 px are 6 % of LLNeRF's views but 32 % of LOM's
+    laplacian_share: float = 0.5  # of the mask, drawn by high-frequency content; the rest is uniform
+    window: int = 5  # px, edge of the neighbourhood that replacements come from
+
+    def __post_init__(self) -> None:
+        if self.mask_count is not None and self.mask_count < 1:
+            raise ValueError(f"mask_count must be >= 1 or None, got {self.mask_count}")
+        if not 0 < self.mask_fraction < 1:
+            raise ValueError(f"mask_fraction must lie in (0, 1), got {self.mask_fraction}")
+        if not 0 <= self.laplacian_share <= 1:
+            raise ValueError(f"laplacian_share must lie in [0, 1], got {self.laplacian_share}")
+        if self.window < 3 or self.window % 2 == 0:
+            raise ValueError(f"window must be odd and >= 3 px, got {self.window}")
+
+    def fraction(self, view_pixels: int) -> float:
+        """Share of pixels to blind, for views of `view_pixels` pixels; the same share holds for crops of them."""
+        limit = 1.0 if self.mask_count is None else self.mask_count / view_pixels
+        return min(self.mask_fraction, limit)
+
+
+def laplacian_prior(images: Tensor) -> Tensor:
+    """P(u, v) = |lap| / sum |lap| of the grey image (equations 6 and 7).
+
+    Args:
+        images: [B, 3, H, W].
+
+    Returns:
+        [B, H, W], each summing to 1; uniform where an image is constant.
+    """
+    grey = images.mean(1, keepdim=True)
+    kernel = images.new_tensor([[0.0, 1.0, 0.0], [1.0, -4.0, 1.0], [0.0, 1.0, 0.0]])
+    magnitude = F.conv2d(F.pad(grey, (1, 1, 1, 1), mode="replicate"), kernel[None, None]).abs()[:, 0]
+    # Floor: a constant image would be divided by zero; with it every pixel is equally likely.
+    magnitude = magnitude + 1e-12
+    return magnitude / magnitude.sum((1, 2), keepdim=True)
+
+
+def _draw(weights: Tensor, count: int, generator: torch.Generator) -> Tensor:
+    """Indices [B, count] drawn without replacement with probability proportional to weights [B, N].
+
+    The count largest weight / Exp(1) are such a sample (exponential races); unlike torch.multinomial this takes
+    zero weights, which come last.
+    """
+    uniform = torch.rand(weights.shape, generator=generator, device=weights.device)
+    # Floor: rand() may return exactly 0, whose logarithm would make the race infinite.
+    return (weights / -torch.log(uniform.clamp_min(1e-30)).clamp_min(1e-30)).topk(count, dim=1).indices
+
+
+def sample_mask(images: Tensor, fraction: float, laplacian_share: float, generator: torch.Generator) -> Tensor:
+    """Blind spots from the mixture of the Laplacian prior and the uniform distribution, without repetition.
+
+    Args:
+        images: [B, 3, H, W], the noisy enhanced images.
+        fraction: Share of pixels to blind; at least one pixel is.
+        laplacian_share: Share of the blind spots that follow `laplacian_prior`.
+        generator: Source of randomness, on the images' device.
+
+    Returns:
+        bool [B, H, W] with round(fraction H W) True each.
+    """
+    batch, _, height, width = images.shape
+    count = max(1, round(fraction * height * width))
+    targeted = round(laplacian_share * count)
+    mask = torch.zeros(batch, height * width, dtype=torch.bool, device=images.device)
+    if targeted:
+        mask.scatter_(1, _draw(laplacian_prior(images).flatten(1), targeted, generator), True)
+    if count > targeted:
+        mask.scatter_(1, _draw((~mask).to(images.dtype), count - targeted, generator), True)
+    return mask.reshape(batch, height, width)
+
+
+def replace_masked(images: Tensor, mask: Tensor, window: int, generator: torch.Generator) -> Tensor:
+    """The network's input: each blinded pixel takes the colour of one random other pixel of its neighbourhood.
+
+    The window is shifted inwards at the border, so that it always holds the same number of candidates.
+
+    Args:
+        images: [B, 3, H, W].
+        mask: bool [B, H, W].
+        window: Edge of the neighbourhood, px; its centre pixel is excluded.
+        generator: Source of randomness.
+
+    Returns:
+        [B, 3, H, W], equal to `images` outside the mask.
+
+    Raises:
+        ValueError: If the image has a single pixel, hence no neighbour.
+    """
+    height, width = images.shape[-2:]
+    rows, columns = min(window, height), min(window, width)
+    if rows * columns < 2:
+        raise ValueError(f"blind spots need a neighbour, got images of {height} x {width} px")
+    view, y, x = mask.nonzero(as_tuple=True)
+    top, left = (y - window // 2).clamp(0, height - rows), (x - window // 2).clamp(0, width - columns)
+    pick = torch.randint(rows * columns - 1, y.shape, generator=generator, device=images.device)
+    # Skipping the pixel's own index leaves the others equally likely.
+    pick = pick + (pick >= (y - top) * columns + (x - left))
+    replaced = images.clone()
+    replaced[view, :, y, x] = images[view, :, top + pick // columns, left + pick % columns]
+    return replaced
+
+
+def n2v_loss(prediction: Tensor, noisy: Tensor, mask: Tensor) -> Tensor:
+    """Sum of squared colour differences over the blind spots divided by their number (equation 8).
+
+    Args:
+        prediction: [B, 3, H, W], the network's output for the blinded input.
+        noisy: [B, 3, H, W], the enhanced images themselves.
+        mask: bool [B, H, W], at least one True.
+
+    Returns:
+        Scalar.
+    """
+    squared = ((prediction - noisy) ** 2).sum(1)
+    return squared[mask].sum() / mask.sum()

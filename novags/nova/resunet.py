@@ -1,0 +1,122 @@
+"""Deep Attention-ResUNet, the denoiser's network (paper, section 4.3.2; supplement, section B.3).
+
+Images are [B, 3, H, W] of any size; the network works on sizes padded to a multiple of 2**levels.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResUNetConfig:
+    """Size and arithmetic of the network. The defaults are the paper's."""
+
+    widths: tuple[int, ...] = (32, 64, 128, 256)  # channels of the encoder levels
+    bottleneck: int = 512  # channels
+    se_reduction: int = 16
+    # Instance normalisation erases the absolute brightness of a view, which the decoder must then guess back.
+    normalization: Literal["instance", "none"] = "instance"
+    precision: Literal["float32", "bfloat16"] = "float32"  # of convolutions; weights stay float32
+
+    def __post_init__(self) -> None:
+        if not self.widths or min(*self.widths, self.bottleneck) < 1:
+            raise ValueError(f"widths and bottleneck must be >= 1 channel, got {self.widths} and {self.bottleneck}")
+        if self.se_reduction < 1:
+            raise ValueError(f"se_reduction must be >= 1, got {self.se_reduction}")
+
+
+def _norm(channels: int, kind: str) -> nn.Module:
+    return nn.InstanceNorm2d(channels) if kind == "instance" else nn.Identity()
+
+
+def _conv(channels_in: int, channels_out: int, kind: str) -> list[nn.Module]:
+    """Reflection padding, 3 x 3 convolution, normalisation."""
+    return [nn.Conv2d(channels_in, channels_out, 3, padding=1, padding_mode="reflect"), _norm(channels_out, kind)]
+
+
+class SqueezeExcite(nn.Module):
+    """Channel gate from global means: adaptive average pool, reduction, ReLU, sigmoid (Hu et al. 2018)."""
+
+    def __init__(self, channels: int, reduction: int) -> None:
+        super().__init__()
+        hidden = max(1, channels // reduction)
+        self.gate = nn.Sequential(
+            nn.AdaptiveAvgPool2d(1),
+            nn.Conv2d(channels, hidden, 1),
+            nn.ReLU(),
+            nn.Conv2d(hidden, channels, 1),
+            nn.Sigmoid(),
+        )
+
+    def forward(self, x: Tensor) -> Tensor:
+        """x: [B, D, H, W], returned scaled per channel."""
+        return x * self.gate(x)
+
+
+class Level(nn.Module):
+    """One encoder or decoder level: convolution with LeakyReLU(0.2), then a ResBlock gated before its addition."""
+
+    def __init__(self, channels_in: int, channels: int, config: ResUNetConfig) -> None:
+        super().__init__()
+        kind = config.normalization
+        self.enter = nn.Sequential(*_conv(channels_in, channels, kind), nn.LeakyReLU(0.2))
+        self.residual = nn.Sequential(
+            *_conv(channels, channels, kind), nn.LeakyReLU(0.2), *_conv(channels, channels, kind),
+            SqueezeExcite(channels, config.se_reduction),
+        )  # fmt: skip
+
+    def forward(self, x: Tensor) -> Tensor:
+        """x: [B, channels_in, H, W] to [B, channels, H, W]."""
+        x = self.enter(x)
+        return F.leaky_relu(x + self.residual(x), 0.2)
+
+
+class ResUNet(nn.Module):
+    """Encoder, bottleneck, and a symmetric decoder with concatenated skip connections."""
+
+    def __init__(self, config: ResUNetConfig | None = None) -> None:
+        super().__init__()
+        self.config = config or ResUNetConfig()
+        inputs = (3, *self.config.widths)
+        self.encoder = nn.ModuleList(Level(a, b, self.config) for a, b in zip(inputs[:-1], inputs[1:], strict=True))
+        self.bottleneck = Level(inputs[-1], self.config.bottleneck, self.config)
+        below = (*self.config.widths[1:], self.config.bottleneck)
+        self.reduce = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in zip(self.config.widths, below, strict=True))
+        self.decoder = nn.ModuleList(Level(2 * a, a, self.config) for a in self.config.widths)
+        self.head = nn.Conv2d(self.config.widths[0], 3, 1)
+
+    def forward(self, images: Tensor) -> Tensor:
+        """Denoise images.
+
+        Args:
+            images: [B, 3, H, W] float32, at least 1 px on each side.
+
+        Returns:
+            [B, 3, H, W] float32, not clipped.
+        """
+        height, width = images.shape[-2:]
+        multiple = 2 ** len(self.encoder)
+        # Two px at the bottleneck: reflection by one pixel does not exist in an image of one.
+        down = max(2 * multiple, -(-height // multiple) * multiple) - height
+        right = max(2 * multiple, -(-width // multiple) * multiple) - width
+        mode = "reflect" if down < height and right < width else "replicate"
+        x = F.pad(images, (0, right, 0, down), mode=mode) if down or right else images
+        with torch.autocast(images.device.type, torch.bfloat16, enabled=self.config.precision == "bfloat16"):
+            x = self._run(x)
+        return x[..., :height, :width].float()
+
+    def _run(self, x: Tensor) -> Tensor:
+        skips = []
+        for level in self.encoder:
+            x = level(x)
+            skips.append(x)
+            x = F.max_pool2d(x, 2)
+        x = self.bottleneck(x)
+        for i in reversed(range(len(skips))):
+            x = self.reduce[i](F.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False))
+            x = self.decoder[i](torch.cat([x, skips[i]], 1))
+        return self.head(x)
