@@ -1,0 +1,81 @@
+"""OpenEXR in and out: one file, named channels, each with its own number type."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+_DTYPES = (np.float16, np.float32, np.uint32)
+
+
+def write_exr(path: str | Path, channels: dict[str, NDArray[Any]], header: dict[str, Any] | None = None) -> None:
+    """Write named channels [h,w] to one scan-line EXR file, losslessly and atomically.
+
+    Args:
+        path: File to write; the folder must exist.
+        channels: Name (`R`, `N.X`, ...) -> [h,w] of float16, float32 or uint32; the type is kept per channel.
+        header: Extra attributes: str, int, float or float matrices [4,4].
+
+    Raises:
+        ValueError: If there is no channel, shapes differ, or a type is one EXR cannot hold.
+    """
+    import OpenEXR
+
+    path = Path(path)
+    shapes = {np.shape(a) for a in channels.values()}
+    if len(shapes) != 1 or len(next(iter(shapes))) != 2 or 0 in next(iter(shapes)):
+        raise ValueError(
+            f"write_exr: channels must be non-empty [h,w] of one shape, got {sorted(shapes)} for {path.name}"
+        )
+    for name, a in channels.items():
+        if a.dtype not in _DTYPES:
+            raise ValueError(f"write_exr: channel {name!r} of {path.name} must be float16, float32 or uint32, got "
+                             f"{a.dtype}; convert it (to_half refuses values that float16 cannot hold)")  # fmt: skip
+    attributes = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **(header or {})}
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp.exr")
+    try:
+        # OpenEXR.File replaces the arrays inside the dict it is given, so it gets its own.
+        with OpenEXR.File(attributes, {n: np.ascontiguousarray(a) for n, a in channels.items()}) as file:
+            file.write(str(temporary))
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def read_exr(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:
+    """Read an EXR file: channels by name, each [h,w] in its stored type, and the header attributes.
+
+    Raises:
+        ValueError: If the file is missing or is not a readable EXR file.
+    """
+    import OpenEXR
+
+    path = Path(path)
+    if not path.is_file():
+        raise ValueError(f"read_exr: no such file: {path}")
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
+            header = dict(file.header())
+    except Exception as error:  # OpenEXR raises RuntimeError, TypeError or OSError, depending on where the file is cut
+        raise ValueError(
+            f"read_exr: {path} is not a readable EXR file ({error}); delete it and write it again"
+        ) from error
+    return channels, header
+
+
+def to_half(values: NDArray[Any], name: str = "channel") -> NDArray[np.float16]:
+    """Convert to float16, refusing what float16 would silently turn into inf.
+
+    Raises:
+        ValueError: If a finite value exceeds 65504, the largest finite float16.
+    """
+    values = np.asarray(values)
+    largest = float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
+    if largest > np.finfo(np.float16).max:
+        raise ValueError(f"to_half: {name} reaches {largest:.6g}, float16 ends at 65504; store it as float32")
+    return values.astype(np.float16)

@@ -1,0 +1,147 @@
+"""The outer files of a set folder: cameras in the form COLMAP, nerfstudio, gsplat's trainer and nerfbaselines read.
+
+A set and a capture share these files; images are named `<image_dir>/<name>.png`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simscenes.rigs import Rig, opencv_to_opengl
+
+TEST_EVERY = 8  # gsplat, mip-NeRF 360 and LLFF loaders hold out every 8th sorted view, starting at the first
+
+Points = (
+    tuple[NDArray[np.float64], NDArray[np.uint8]] | tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.bool_]]
+)
+
+
+def is_test_view(index: int) -> bool:
+    """Whether the view at this place in sorted order is held out for testing."""
+    return index % TEST_EVERY == 0
+
+
+def write_atomic(path: Path, text: str) -> None:
+    """Write a text file under a temporary name in the same folder, then rename it into place."""
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary.write_text(text, encoding="utf-8")
+    os.replace(temporary, path)
+
+
+def write_json(path: Path, content: Any) -> None:
+    """Write JSON atomically; nan and inf are refused because other readers do not accept them."""
+    write_atomic(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+
+
+def write_cameras(
+    folder: str | Path, names: Sequence[str], rig: Rig, *, points: Points | None = None, image_dir: str = "images"
+) -> None:
+    """Write transforms.json, sparse/0/*.bin, train_list.txt, test_list.txt and nb-info.json into `folder`.
+
+    Args:
+        folder: Created if it is missing.
+        names: File stems in sorted order, one a camera.
+        rig: The cameras.
+        points: (xyz [P,3], rgb uint8 [P,3]) or the same with visible bool [C,P]. Tracks are made from `visible`;
+            without it a point counts as seen wherever it projects into the image. Points seen by nobody are dropped.
+        image_dir: Folder of the images, relative to `folder`.
+
+    Raises:
+        ValueError: If names are not sorted and unique, or do not match the rig.
+    """
+    folder = Path(folder)
+    if list(names) != sorted(set(names)) or len(names) != len(rig):
+        raise ValueError(f"write_cameras: names must be sorted, unique and one per camera, got {len(names)} names for "
+                         f"{len(rig)} cameras: {list(names)[:3]} ...")  # fmt: skip
+    folder.mkdir(parents=True, exist_ok=True)
+    files = [f"{name}.png" for name in names]
+    test = [f for i, f in enumerate(files) if is_test_view(i)]
+    train = [f for i, f in enumerate(files) if not is_test_view(i)]
+    _write_colmap(folder / "sparse" / "0", files, rig, points)
+    write_json(folder / "transforms.json", _transforms(rig, files, train, test, image_dir))
+    write_atomic(folder / "train_list.txt", "".join(f"{f}\n" for f in train))
+    write_atomic(folder / "test_list.txt", "".join(f"{f}\n" for f in test))
+    loader_args = {"images_path": image_dir, "colmap_path": "sparse/0"}
+    write_json(folder / "nb-info.json", {"loader": "colmap", "loader_kwargs": loader_args, "id": "novags"})
+
+
+def _transforms(rig: Rig, files: list[str], train: list[str], test: list[str], image_dir: str) -> dict[str, Any]:
+    """Camera file of nerfstudio; all distortion keys are there because nerfbaselines fails on a partial set."""
+    frames: list[dict[str, Any]] = [
+        {"file_path": f"{image_dir}/{f}", "transform_matrix": pose.tolist()}
+        for f, pose in zip(files, opencv_to_opengl(rig.viewmats), strict=True)
+    ]
+    shared: dict[str, Any] = {}
+    for i, frame in enumerate(frames):
+        K = rig.Ks[i]
+        camera = {"fl_x": K[0, 0], "fl_y": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
+        (shared if (rig.Ks == rig.Ks[0]).all() else frame).update({k: float(v) for k, v in camera.items()})
+    return {
+        "camera_model": "OPENCV",
+        "w": rig.width,
+        "h": rig.height,
+        **shared,
+        **dict.fromkeys(("k1", "k2", "k3", "k4", "p1", "p2"), 0.0),
+        "orientation_override": "none",
+        "train_filenames": [f"{image_dir}/{f}" for f in train],
+        "val_filenames": [f"{image_dir}/{f}" for f in test],
+        "test_filenames": [f"{image_dir}/{f}" for f in test],
+        "frames": frames,
+    }
+
+
+def _tracks(rig: Rig, points: Points | None) -> tuple[Any, Any, list[NDArray[np.intp]], NDArray[np.float64]]:
+    """Points somebody sees, the indices of the points each view sees, and where they project [C,P,2]."""
+    if points is None:
+        return (
+            np.zeros((0, 3)),
+            np.zeros((0, 3), np.uint8),
+            [np.zeros(0, np.intp)] * len(rig),
+            np.zeros((len(rig), 0, 2)),
+        )
+    xyz, rgb = np.asarray(points[0], np.float64), np.asarray(points[1], np.uint8)
+    pixels, depths = rig.project(xyz)
+    inside = (depths > 0) & (pixels >= 0).all(-1) & (pixels < (rig.width, rig.height)).all(-1)
+    visible = inside & points[2] if len(points) == 3 else inside
+    kept = visible.any(0)
+    visible = visible[:, kept]
+    return xyz[kept], rgb[kept], [np.flatnonzero(v) for v in visible], pixels[:, kept]
+
+
+def _write_colmap(folder: Path, files: list[str], rig: Rig, points: Points | None) -> None:
+    import pycolmap
+
+    reconstruction = pycolmap.Reconstruction()
+    cameras = {K.tobytes(): n + 1 for n, K in enumerate(np.unique(rig.Ks, axis=0))}
+    for K in np.unique(rig.Ks, axis=0):
+        params = [K[0, 0], K[1, 1], K[0, 2], K[1, 2]]
+        camera = pycolmap.Camera(
+            model="PINHOLE", width=rig.width, height=rig.height, params=params, camera_id=cameras[K.tobytes()]
+        )
+        reconstruction.add_camera_with_trivial_rig(camera)
+    xyz, rgb, seen, pixels = _tracks(rig, points)
+    tracks = [pycolmap.Track() for _ in xyz]
+    for c, file in enumerate(files):
+        pose = pycolmap.Rigid3d(rig.viewmats[c, :3, :4])
+        image = pycolmap.Image(
+            name=file, keypoints=pixels[c, seen[c]], camera_id=cameras[rig.Ks[c].tobytes()], image_id=c + 1
+        )
+        reconstruction.add_image_with_trivial_frame(image, pose)
+        for k, p in enumerate(seen[c]):
+            tracks[p].add_element(c + 1, k)
+    for position, color, track in zip(xyz, rgb, tracks, strict=True):
+        reconstruction.add_point3D(position, track, color)
+    temporary = folder.with_name(f".{folder.name}.{os.getpid()}.tmp")
+    shutil.rmtree(temporary, ignore_errors=True)
+    temporary.mkdir(parents=True)
+    reconstruction.write_binary(str(temporary))
+    shutil.rmtree(folder, ignore_errors=True)
+    os.replace(temporary, folder)
