@@ -1,0 +1,81 @@
+"""Raw frames as DNG files: a colour filter mosaic, or three full channels (LinearRaw), read by any raw converter."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensor_model.params import Exposure, Sensor, require
+
+# CIE XYZ -> linear sRGB, D65 (IEC 61966-2-1): our channels are linear sRGB times the response of the filters.
+XYZ_TO_SRGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
+
+
+def write_dng(path: str | os.PathLike[str], dn: NDArray[np.uint16], sensor: Sensor, exposure: Exposure) -> None:
+    """Write the codes of one frame, bit for bit, with levels, pattern, white balance and colour matrix.
+
+    Args:
+        path: File to write; appears whole or not at all.
+        dn: uint16, [h, w] for a mosaic, [h, w, 3] for three chips.
+        sensor: The camera; its black level must be a whole number, DNG readers take no other.
+        exposure: Its time goes into the file.
+
+    Raises:
+        ValueError: if the shape or dtype does not fit the sensor.
+    """
+    from pidng.core import RAW2DNG  # heavy for those who never write a DNG
+
+    fits = dn.ndim == (2 if sensor.cfa else 3) and (dn.ndim == 2 or dn.shape[2] == 3)
+    require(fits, "dn", "[h, w] with colour filter array, [h, w, 3] without", dn.shape)
+    require(dn.dtype == np.uint16, "dn", "uint16", dn.dtype)
+    require(sensor.black_level == int(sensor.black_level), "black_level", "whole for DNG", sensor.black_level)
+    converter = RAW2DNG()
+    converter.options(_tags(dn.shape, sensor, exposure), path="", compress=False)
+    target = Path(path)
+    partial = target.with_name(target.name + ".partial")
+    partial.write_bytes(converter.convert(np.ascontiguousarray(dn)))
+    partial.replace(target)
+
+
+def _tags(shape: tuple[int, ...], sensor: Sensor, exposure: Exposure):  # type: ignore[no-untyped-def]
+    from pidng.core import DNGTags, Tag
+    from pidng.defs import CalibrationIlluminant, CFAPattern, Orientation, PhotometricInterpretation
+
+    channels = 1 if sensor.cfa else 3
+    white = int(np.floor(sensor.white_dn))
+    response = np.asarray(sensor.rgb_response)
+    tags = DNGTags()
+    for tag, value in (
+        (Tag.ImageWidth, shape[1]),
+        (Tag.ImageLength, shape[0]),
+        (Tag.TileWidth, shape[1]),
+        (Tag.TileLength, shape[0]),
+        (Tag.Orientation, Orientation.Horizontal),
+        (Tag.SamplesPerPixel, channels),
+        (Tag.BitsPerSample, [16] * channels),
+        (Tag.BlackLevel, [int(sensor.black_level)] * channels),
+        (Tag.WhiteLevel, [white] * channels),
+        (Tag.ColorMatrix1, _rationals(response[:, None] * XYZ_TO_SRGB)),
+        (Tag.CalibrationIlluminant1, CalibrationIlluminant.D65),
+        (Tag.AsShotNeutral, _rationals(response / response.max())),
+        (Tag.ExposureTime, _rationals(np.array([exposure.time]))),
+        (Tag.Make, "novags"),
+        (Tag.Model, "sensor_model"),
+        (Tag.UniqueCameraModel, "novags sensor_model"),
+        (Tag.PreviewColorSpace, 2),
+    ):
+        tags.set(tag, value)
+    if sensor.cfa:
+        tags.set(Tag.PhotometricInterpretation, PhotometricInterpretation.Color_Filter_Array)
+        tags.set(Tag.CFARepeatPatternDim, [2, 2])
+        tags.set(Tag.CFAPattern, getattr(CFAPattern, sensor.cfa))
+    else:
+        tags.set(Tag.PhotometricInterpretation, PhotometricInterpretation.Linear_Raw)
+    return tags
+
+
+def _rationals(values: NDArray) -> list[list[int]]:
+    return [[round(float(v) * 1_000_000), 1_000_000] for v in values.ravel()]

@@ -1,0 +1,79 @@
+"""What a simulation includes, what it leaves out, and the bound on the error of leaving it out.
+
+Both planners (light transport and sensor) return this table; it prints, and is saved with every result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from sensor_model.params import require
+
+
+@dataclass(frozen=True, kw_only=True)
+class Effect:
+    """One effect, and the decision on it."""
+
+    name: str
+    on: bool  # is it simulated?
+    forced: bool  # did the user decide, not the planner?
+    contribution: float  # error of leaving it out, estimated or bounded, in `unit`
+    bound: float  # the most that may be left out, in `unit`
+    unit: str
+    reason: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Plan:
+    """The decisions on all effects, and the bound on the error of all that were left out together."""
+
+    effects: tuple[Effect, ...]
+    bound: float  # on the total error, in `unit`
+    unit: str
+
+    def __getitem__(self, name: str) -> Effect:
+        """The effect of that name. Raises ValueError, listing the names there are, if there is none."""
+        found = [effect for effect in self.effects if effect.name == name]
+        require(bool(found), "effect name", f"one of {self.names}", name)
+        return found[0]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all effects, in the order of the table."""
+        return tuple(effect.name for effect in self.effects)
+
+    def is_on(self, name: str) -> bool:
+        """Is this effect simulated?"""
+        return self[name].on
+
+    def force(self, on: Iterable[str] = (), off: Iterable[str] = ()) -> Plan:
+        """The same plan with some effects decided by hand. The total bound no longer holds for those forced off."""
+        wanted = {**dict.fromkeys(on, True), **dict.fromkeys(off, False)}
+        for name in wanted:
+            self[name]
+        effects = tuple(
+            replace(e, on=wanted[e.name], forced=True, reason="forced by name") if e.name in wanted else e
+            for e in self.effects
+        )
+        return replace(self, effects=effects)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, for JSON."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> Plan:
+        """Inverse of `to_dict`."""
+        return cls(effects=tuple(Effect(**e) for e in data["effects"]), bound=data["bound"], unit=data["unit"])
+
+    def __str__(self) -> str:
+        """A table."""
+        rows = [("effect", "", "left out costs", "allowed", "unit", "reason")]
+        for e in self.effects:
+            state = ("on" if e.on else "off") + ("*" if e.forced else "")
+            rows.append((e.name, state, f"{e.contribution:.3g}", f"{e.bound:.3g}", e.unit, e.reason))
+        widths = [max(len(row[i]) for row in rows) for i in range(5)]
+        lines = ["  ".join([*(c.ljust(n) for c, n in zip(row, widths, strict=False)), row[5]]) for row in rows]
+        return "\n".join([*lines, f"total bound {self.bound:.3g} {self.unit}   (* forced by name)"])
