@@ -1,0 +1,215 @@
+"""Stages as folders: content hashes, atomic writes, completion, resuming.
+
+A stage writes into one folder and puts its record there last (`set.json`, `capture.json`, `run.json`, ...), so a folder
+with a record is complete. The record's `stage` entry holds the key: a hash of the stage's name, the contents of its
+input folders and its resolved configuration. Same key: not run again. While a stage is under way, `unfinished.json`
+holds the key of the work in the folder; a later start with the same key continues it, another key clears it first.
+"""
+
+import hashlib
+import json
+import math
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from novags.testbed.console import Console
+from novags.testbed.provenance import PeakMemory, environment, package_version
+
+UNFINISHED = "unfinished.json"
+
+
+def jsonable(value: Any) -> Any:  # noqa: ANN401 - the border between Python objects and JSON
+    """Plain JSON types for dataclasses, paths, numpy numbers and containers; infinities and NaN become strings.
+
+    Raises:
+        TypeError: For a type that has no obvious JSON form.
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        return jsonable(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(k): jsonable(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [jsonable(v) for v in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return jsonable(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return repr(value)  # strict JSON has no inf or nan, and browsers and jq refuse them
+    if isinstance(value, Path):
+        return str(value)
+    if value is None or isinstance(value, str | int | float | bool):
+        return value
+    raise TypeError(f"{type(value).__name__} has no JSON form: {value!r}")
+
+
+@contextmanager
+def atomic(path: Path) -> Iterator[Path]:
+    """Yield a temporary name beside `path` (same suffix, so writers that look at it work) and rename it on success."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    temporary = path.with_name(f".{path.stem}.{os.getpid()}.partial{path.suffix}")
+    try:
+        yield temporary
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write UTF-8 text atomically."""
+    with atomic(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def write_json(path: Path, value: Any) -> None:  # noqa: ANN401
+    """Write `jsonable(value)` atomically, indented so that people can read and compare it."""
+    write_text(path, json.dumps(jsonable(value), indent=1, allow_nan=False) + "\n")
+
+
+def read_json(path: Path) -> dict[str, Any]:
+    """Read a JSON object.
+
+    Raises:
+        ValueError: If the file is missing, unreadable, not JSON, or not an object.
+    """
+    try:
+        value = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror or error}") from error
+    except ValueError as error:
+        raise ValueError(
+            f"{path} is not valid JSON ({error}): remove it and run the stage that makes it again"
+        ) from error
+    if not isinstance(value, dict):
+        raise ValueError(f"{path} must hold a JSON object, got {type(value).__name__}")
+    return value
+
+
+def digest(value: Any) -> str:  # noqa: ANN401
+    """Hash of a value's canonical JSON: equal configurations hash equally whatever their key order."""
+    text = json.dumps(jsonable(value), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def folder_digest(folder: Path, *, skip: Sequence[str] = ()) -> str:
+    """Hash of every file's relative name and content; hidden files and the names in `skip` are left out.
+
+    The `stage` entry of a record (seconds, memory, versions) is left out as well: work that is done again with the same
+    outcome does not make what builds on it stale.
+
+    Raises:
+        ValueError: If `folder` is not a folder.
+    """
+    if not folder.is_dir():
+        raise ValueError(f"{folder} is not a folder")
+    total = hashlib.blake2b(digest_size=16)
+    for path in sorted(p for p in folder.rglob("*") if p.is_file()):
+        relative = path.relative_to(folder)
+        if relative.parts[0] in {*skip, UNFINISHED} or any(part.startswith(".") for part in relative.parts):
+            continue
+        total.update(f"{relative.as_posix()}\0".encode())
+        total.update(_content_digest(path, is_record=path.suffix == ".json" and len(relative.parts) == 1))
+    return total.hexdigest()
+
+
+def _content_digest(path: Path, *, is_record: bool) -> bytes:
+    if is_record:
+        record = read_json(path)
+        record.pop("stage", None)
+        return digest(record).encode()
+    content = hashlib.blake2b()
+    with path.open("rb") as file:
+        while chunk := file.read(1 << 20):
+            content.update(chunk)
+    return content.digest()
+
+
+def run_stage(
+    name: str,
+    folder: Path,
+    record_name: str,
+    *,
+    inputs: Mapping[str, str],
+    config: Mapping[str, Any],
+    owns: Sequence[str],
+    work: Callable[[], Mapping[str, Any]],
+    console: Console,
+) -> dict[str, Any]:
+    """Do a stage's work unless its folder already holds the result of the same inputs and configuration.
+
+    Args:
+        name: What the stage is called in messages and records.
+        folder: Where it writes.
+        record_name: The record, written last.
+        inputs: Content hash of each input, by name.
+        config: The resolved configuration (JSON-able).
+        owns: Names in `folder` that the stage writes; nothing else is ever removed.
+        work: Fills the folder (picking up what is there) and returns the record's body.
+        console: Where progress goes.
+
+    Returns:
+        The record, as it stands in the folder.
+
+    Raises:
+        ValueError: If `folder` holds files that no stage of this kind has written, or the work itself raises one.
+    """
+    config = jsonable(config)
+    key = digest({"stage": name, "version": package_version("novags"), "inputs": inputs, "config": config})
+    record_path = folder / record_name
+    if record_path.exists() and (record := read_json(record_path)).get("stage", {}).get("key") == key:
+        console.note(f"{name}: unchanged, kept {folder}")
+        return record
+    earlier = _prepare(name, folder, record_name, key, owns, console)
+    start = time.perf_counter()
+    memory = PeakMemory()
+    try:
+        body = dict(work())
+    except BaseException:
+        spent = earlier + time.perf_counter() - start
+        write_json(folder / UNFINISHED, {"stage": name, "key": key, "seconds": spent})
+        raise
+    body["stage"] = {
+        "name": name,
+        "key": key,
+        "inputs": dict(inputs),
+        "config": config,
+        "seconds": earlier + time.perf_counter() - start,
+        "peak_bytes": memory.peak_bytes(),
+        **environment(),
+    }
+    write_json(record_path, body)
+    (folder / UNFINISHED).unlink(missing_ok=True)
+    return read_json(record_path)
+
+
+def _prepare(name: str, folder: Path, record_name: str, key: str, owns: Sequence[str], console: Console) -> float:
+    """Make the folder ready for work under `key`; return the seconds that interrupted attempts at it already took."""
+    folder.mkdir(parents=True, exist_ok=True)
+    unfinished = folder / UNFINISHED
+    if unfinished.exists():
+        state = read_json(unfinished)
+        if state.get("key") == key:
+            console.note(f"{name}: continuing in {folder}")
+            return float(state.get("seconds", 0.0))
+    elif (folder / record_name).exists():
+        if "stage" not in read_json(folder / record_name):
+            raise ValueError(f"{folder} holds a {record_name} that novags {name} did not write: choose another --out")
+        console.note(f"{name}: inputs or configuration changed, doing {folder} again")
+    elif taken := sorted(p.name for p in folder.iterdir() if p.name in owns):
+        raise ValueError(
+            f"{folder} already holds {', '.join(taken)}, and novags {name} did not write them: choose another --out"
+        )
+    for owned in owns:
+        target = folder / owned
+        if target.is_dir() and not target.is_symlink():
+            shutil.rmtree(target)
+        else:
+            target.unlink(missing_ok=True)
+    write_json(unfinished, {"stage": name, "key": key, "seconds": 0.0})
+    return 0.0

@@ -1,0 +1,120 @@
+"""Capture: photograph a multiview set in the dark, one exposure per view, view by view."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+
+from novags.testbed.capture_folder import has_view, write_view
+from novags.testbed.console import Console, Update
+from novags.testbed.source import Source
+from sensor_model import PRESETS, Exposure, Plan, Sensor, expose, mosaic, photons_for_electrons, plan_effects
+from sensor_model.isp import Demosaic
+from simscenes.multiview import write_cameras
+
+QUANTILES = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
+PIXELS_PER_VIEW = 4096  # kept for the quantiles of the signal: enough for the 1 % ones, little enough for any set
+ROW_LENGTH = 33  # px; the enhancement averages over such windows, so noise that rows share adds up in them
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaptureConfig:
+    """How to photograph a set in the dark."""
+
+    sensor: str = "a7s2-iso6400-3chip"  # a name of sensor_model.PRESETS
+    electrons: float = 20.0  # mean signal of the green channel over the set, e- per pixel and exposure
+    time: float = 1 / 30  # s; only the dark current depends on it, since `electrons` fixes the light
+    seed: int = 0
+    max_size: int | None = None  # px; scale larger images down to this longest side
+    demosaic: Demosaic = "menon"  # for sensors with a colour filter array
+    tolerance: float | None = 0.05  # leave out effects that change the noise by less; None simulates all
+
+    def __post_init__(self) -> None:
+        if self.sensor not in PRESETS:
+            raise ValueError(f"unknown sensor {self.sensor!r}; there are {', '.join(PRESETS)}")
+        if not (np.isfinite(self.electrons) and self.electrons > 0):
+            raise ValueError(f"electrons must be > 0 and finite, got {self.electrons}")
+        if self.demosaic not in get_args(Demosaic):
+            raise ValueError(f"demosaic must be one of {', '.join(get_args(Demosaic))}, got {self.demosaic!r}")
+        if self.seed < 0:
+            raise ValueError(f"seed must be >= 0, got {self.seed}")
+
+
+def capture_views(source: Source, folder: Path, config: CaptureConfig, console: Console) -> dict[str, Any]:
+    """Expose every view of the source and write it; views that are complete are kept.
+
+    One view is in memory at a time. Two passes: all views share one exposure, so the light has to be known first.
+
+    Returns:
+        The body of capture.json.
+
+    Raises:
+        ValueError: If the set is black or holds bad radiance.
+    """
+    sensor, exposure = PRESETS[config.sensor], Exposure(time=config.time)
+    with console.progress("capture: light") as progress:
+        mean_green, signal = measure_light(source, sensor, progress)
+    signal_e = signal * config.electrons / mean_green
+    plan = plan_capture(sensor, exposure, signal_e, config.tolerance)
+    names = source.views.names
+    with console.progress("capture") as progress:
+        for i, name in enumerate(names):
+            if not has_view(folder, name):
+                photons = photons_for_electrons(
+                    source.radiance(i), electrons=config.electrons, mean_green=mean_green, sensor=sensor
+                )
+                light = mosaic(photons, sensor.cfa) if sensor.cfa else photons
+                frame = expose(light, sensor, exposure, seed=config.seed, view=i, plan=plan)
+                write_view(folder, name, frame, sensor, exposure, config.demosaic)
+            progress(i + 1, len(names), f"view {name}")
+    write_cameras(folder, names, source.rig, points=source.views.points())
+    return {
+        "set": {
+            "path": os.path.relpath(source.views.path.resolve(), folder.resolve()),
+            "kind": source.views.kind,
+            "max_size": config.max_size,
+        },
+        "sensor_name": config.sensor,
+        "sensor": sensor,
+        "exposure": exposure,
+        "electrons": config.electrons,
+        "mean_green_radiance": mean_green,
+        "signal_quantiles_e": dict(zip(map(str, QUANTILES), signal_e.tolist(), strict=True)),
+        "demosaic": config.demosaic,
+        "seed": config.seed,
+        "views": len(names),
+        "width": source.rig.width,
+        "height": source.rig.height,
+        "plan": None if plan is None else plan.to_dict(),
+    }
+
+
+def plan_capture(sensor: Sensor, exposure: Exposure, signal_e: np.ndarray, tolerance: float | None) -> Plan | None:
+    """Which effects to simulate for these quantiles of the mean signal (e-); None: all of them."""
+    if tolerance is None:
+        return None
+    return plan_effects(sensor, exposure, signal_e, tolerance, row_length=ROW_LENGTH)
+
+
+def measure_light(source: Source, sensor: Sensor, progress: Update) -> tuple[float, np.ndarray]:
+    """Mean green radiance over the set, and `QUANTILES` of what the sensor's channels see, in the same unit.
+
+    Raises:
+        ValueError: If there is no green light at all.
+    """
+    total, samples, extremes = 0.0, [], []
+    count = len(source.views)
+    for i in range(count):
+        radiance = source.radiance(i)
+        total += float(radiance[..., 1].mean(dtype=np.float64)) / count
+        seen = radiance * np.asarray(sensor.rgb_response, np.float32)
+        samples.append(seen.reshape(-1)[:: max(1, seen.size // PIXELS_PER_VIEW)])
+        extremes += [seen.min(), seen.max()]
+        progress(i + 1, count, f"view {source.views.names[i]}")
+    if not total > 0:
+        raise ValueError(f"the set {source.views.path} is black in green: there is no light to scale to electrons")
+    quantiles = np.quantile(np.concatenate(samples).astype(np.float64), QUANTILES)
+    quantiles[0], quantiles[-1] = min(extremes), max(extremes)  # exact: saturation hangs on the brightest pixel
+    return total, quantiles

@@ -1,0 +1,85 @@
+"""Progress on the terminal: a live bar on a terminal, plain lines elsewhere. All of it on standard error."""
+
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from typing import TextIO
+
+from rich.console import Console as RichConsole
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+Update = Callable[[int, int, str], None]
+"""Steps done, steps in all, and what is going on (a view, a loss)."""
+
+PLAIN_INTERVAL = 5.0  # s between two plain lines of one stage: enough to see life, few enough for a log file
+
+
+class Console:
+    """Where stages say what they do."""
+
+    def __init__(self, *, quiet: bool = False, stream: TextIO | None = None) -> None:
+        self.quiet = quiet
+        self.stream = stream if stream is not None else sys.stderr
+        self._rich = RichConsole(file=self.stream, highlight=False, soft_wrap=True)
+        self.live = not quiet and self._rich.is_terminal
+        self._warned: set[str] = set()
+
+    def note(self, text: str) -> None:
+        """Say one line."""
+        if not self.quiet:
+            self._rich.print(text, markup=False)
+
+    def warn(self, text: str) -> None:
+        """Say one line, once: every stage opens the same folders and meets the same oddities."""
+        if text not in self._warned:
+            self._warned.add(text)
+            self.note(f"note: {text}")
+
+    @contextmanager
+    def progress(self, stage: str) -> Iterator[Update]:
+        """Show how far `stage` is; the yielded function takes (done, total, what)."""
+        if self.quiet:
+            yield lambda done, total, what: None
+        elif self.live:
+            with self._bar() as bar:
+                task = bar.add_task(stage, total=None, what="")
+                yield lambda done, total, what: bar.update(task, completed=done, total=total, what=what)
+        else:
+            yield self._lines(stage)
+
+    def _bar(self) -> Progress:
+        return Progress(
+            TextColumn("{task.description:<22}"),
+            BarColumn(bar_width=30),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[what]}"),
+            TimeElapsedColumn(),
+            TextColumn("left"),
+            TimeRemainingColumn(),
+            console=self._rich,
+        )
+
+    def _lines(self, stage: str) -> Update:
+        start = last = time.monotonic()
+        first: int | None = None
+
+        def update(done: int, total: int, what: str) -> None:
+            nonlocal last, first
+            now = time.monotonic()
+            if first is None:
+                first = done  # resumed work: only what this process did tells how fast it goes
+            if now - last < PLAIN_INTERVAL and done < total:
+                return
+            last = now
+            rate = (done - first) / (now - start) if now > start else 0.0
+            left = f"  {(total - done) / rate:.0f} s left" if rate > 0 and done < total else ""
+            self.note(f"{stage}: {done}/{total}  {what}{left}")
+
+        return update
+
+
+def losses_text(losses: Mapping[str, float]) -> str:
+    """Losses of one step in a few characters, the total first."""
+    ordered = sorted(losses.items(), key=lambda item: item[0] not in ("loss", "total"))
+    return "  ".join(f"{name} {value:.4f}" for name, value in ordered[:4])

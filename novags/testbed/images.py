@@ -1,0 +1,41 @@
+"""PNG files in and out, RGB [h,w,3]: whole codes (uint8, uint16) or float32 in 0..1."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from novags.testbed.cache import atomic
+
+
+def read_png(path: Path) -> np.ndarray:
+    """Read an RGB image as float32 [h,w,3] in 0..1 (code divided by the largest code).
+
+    Raises:
+        ValueError: If the file is missing, unreadable, or of another depth than 8 or 16 bits.
+    """
+    codes = read_codes(path)
+    return codes.astype(np.float32) / np.float32(np.iinfo(codes.dtype).max)
+
+
+def read_codes(path: Path) -> np.ndarray:
+    """Read an RGB image as it is stored, uint8 or uint16 [h,w,3].
+
+    Raises:
+        ValueError: If the file is missing, unreadable, or of another depth.
+    """
+    bgr = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    if bgr is None:
+        raise ValueError(f"{path} is missing or not a readable image: run the stage that makes it again")
+    if bgr.dtype not in (np.uint8, np.uint16):
+        raise ValueError(f"{path} must hold 8- or 16-bit codes, got {bgr.dtype}")
+    return np.ascontiguousarray(bgr[..., ::-1])
+
+
+def write_png(path: Path, image: np.ndarray) -> None:
+    """Write [h,w,3]: uint8 and uint16 codes as they are, floats in 0..1 as 8-bit codes (clipped, rounded)."""
+    if image.dtype.kind == "f":
+        image = np.round(np.clip(image, 0.0, 1.0) * 255).astype(np.uint8)
+    with atomic(path) as temporary:
+        if not cv2.imwrite(str(temporary), np.ascontiguousarray(image[..., ::-1])):
+            raise OSError(f"cannot write {path}")

@@ -1,0 +1,99 @@
+"""What a capture photographs: a multiview set, rendered or real, optionally scaled down.
+
+Radiance is float32 linear RGB [h,w,3]; lit images are float32 sRGB-encoded [h,w,3], 0..1.
+"""
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from novags.testbed.console import Console
+from sensor_model import linear_to_srgb
+from simscenes.multiview import MultiviewSet, load_set
+from simscenes.rigs import Rig
+
+
+@dataclass(frozen=True)
+class Source:
+    """A multiview set seen at the capture's image size."""
+
+    views: MultiviewSet
+    rig: Rig  # of the scaled images
+
+    @property
+    def scaled(self) -> bool:
+        """Whether images differ in size from the set's own."""
+        return (self.rig.width, self.rig.height) != (self.views.rig.width, self.views.rig.height)
+
+    def radiance(self, i: int) -> np.ndarray:
+        """Linear RGB of view `i`, averaged over each larger pixel where the source is scaled down.
+
+        Raises:
+            ValueError: If a value is negative or not finite, or the file cannot be read.
+        """
+        radiance = self.views.radiance(i)
+        bad = ~(np.isfinite(radiance) & (radiance >= 0))
+        if bad.any():
+            first = tuple(int(k) for k in np.argwhere(bad)[0])
+            raise ValueError(
+                f"radiance must be finite and >= 0, got {radiance[first]} at {first} in view {self.views.names[i]} of "
+                f"{self.views.path} ({int(bad.sum())} values): render the set again"
+            )
+        return self._fit(radiance)
+
+    def lit(self, i: int) -> np.ndarray:
+        """The well-lit image of view `i`: the set's own, or the photograph itself."""
+        if not self.scaled:
+            return self.views.image(i).astype(np.float32) / 255
+        exposure = float(self.views.meta.get("exposure_scale", 1.0))
+        return linear_to_srgb(np.clip(self.radiance(i) * exposure, 0.0, 1.0)).astype(np.float32)
+
+    def _fit(self, image: np.ndarray) -> np.ndarray:
+        if not self.scaled:
+            return image
+        import cv2
+
+        return cv2.resize(image, (self.rig.width, self.rig.height), interpolation=cv2.INTER_AREA)
+
+
+def open_source(path: Path, console: Console, max_size: int | None = None) -> Source:
+    """Open a multiview set, a folder of posed photographs, or a COLMAP model.
+
+    Args:
+        path: The folder.
+        console: Where warnings about the folder go.
+        max_size: Longest image side in pixels; larger images are scaled down to it. None keeps them.
+
+    Raises:
+        ValueError: If the folder holds no posed images, or `max_size` leaves no image.
+    """
+    if max_size is not None and max_size < 16:
+        raise ValueError(f"max_size must be at least 16 pixels, got {max_size}")
+    with warnings_as_notes(console):
+        views = load_set(path)
+    return Source(views=views, rig=scaled_rig(views.rig, max_size))
+
+
+def scaled_rig(rig: Rig, max_size: int | None) -> Rig:
+    """The same cameras with the longest image side at most `max_size` pixels (aspect kept to the nearest pixel)."""
+    longest = max(rig.width, rig.height)
+    if max_size is None or longest <= max_size:
+        return rig
+    width, height = (max(1, round(side * max_size / longest)) for side in (rig.width, rig.height))
+    # Pixel edges, not centres, are what scaling keeps in place, so with centres at +0.5 whole rows of K scale.
+    scale = np.array([width / rig.width, height / rig.height, 1.0])[:, None]
+    return Rig(viewmats=rig.viewmats, Ks=rig.Ks * scale, width=width, height=height)
+
+
+@contextmanager
+def warnings_as_notes(console: Console) -> Iterator[None]:
+    """Show warnings (say, images that a camera file names but nobody has) as plain lines."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        yield
+    for warning in caught:
+        console.warn(str(warning.message))

@@ -1,0 +1,164 @@
+"""Claims about stages as folders."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from novags.testbed.cache import UNFINISHED, atomic, digest, folder_digest, jsonable, read_json, run_stage, write_json
+from novags.testbed.console import Console
+
+QUIET = Console(quiet=True)
+
+
+def stage(folder: Path, work, *, config: dict | None = None, inputs: dict | None = None, owns=("a.txt", "record.json")):
+    return run_stage(
+        "toy",
+        folder,
+        "record.json",
+        inputs=inputs or {"in": "1"},
+        config=config or {},
+        owns=owns,
+        work=work,
+        console=QUIET,
+    )
+
+
+def writes(folder: Path, calls: list[str]):
+    def work():
+        calls.append("called")
+        (folder / "a.txt").write_text("a")
+        return {"answer": 42}
+
+    return work
+
+
+def test_a_finished_stage_is_not_run_again(tmp_path: Path) -> None:
+    calls: list[str] = []
+    first = stage(tmp_path, writes(tmp_path, calls))
+    second = stage(tmp_path, writes(tmp_path, calls))
+    assert calls == ["called"]
+    assert first == second
+    assert first["answer"] == 42
+
+
+@pytest.mark.parametrize("change", [{"config": {"x": 2}}, {"inputs": {"in": "2"}}])
+def test_a_changed_configuration_or_input_runs_the_stage_on_a_clean_folder(tmp_path: Path, change: dict) -> None:
+    calls: list[str] = []
+    stage(tmp_path, writes(tmp_path, calls))
+
+    def again():
+        assert not (tmp_path / "a.txt").exists()
+        return writes(tmp_path, calls)()
+
+    stage(tmp_path, again, **change)
+    assert calls == ["called", "called"]
+
+
+def test_an_interrupted_stage_finds_what_it_had_written(tmp_path: Path) -> None:
+    def interrupted():
+        (tmp_path / "a.txt").write_text("half")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stage(tmp_path, interrupted)
+    assert not (tmp_path / "record.json").exists()
+    assert (tmp_path / UNFINISHED).exists()
+
+    def resumed():
+        assert (tmp_path / "a.txt").read_text() == "half"
+        return {}
+
+    record = stage(tmp_path, resumed)
+    assert not (tmp_path / UNFINISHED).exists()
+    assert record["stage"]["seconds"] > 0
+
+
+def test_an_interrupted_stage_starts_afresh_under_another_configuration(tmp_path: Path) -> None:
+    def interrupted():
+        (tmp_path / "a.txt").write_text("half")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stage(tmp_path, interrupted)
+    stage(tmp_path, lambda: {"had": (tmp_path / "a.txt").exists()}, config={"x": 1})
+    assert read_json(tmp_path / "record.json")["had"] is False
+
+
+def test_files_of_other_origin_are_never_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "a.txt").write_text("precious")
+    with pytest.raises(ValueError, match="already holds a.txt"):
+        stage(tmp_path, writes(tmp_path, []))
+    assert (tmp_path / "a.txt").read_text() == "precious"
+
+
+def test_a_record_of_other_origin_is_never_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "record.json").write_text("{}")
+    with pytest.raises(ValueError, match="did not write"):
+        stage(tmp_path, writes(tmp_path, []))
+
+
+def test_files_beside_the_stages_own_survive_it(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    stage(tmp_path, writes(tmp_path, []))
+    stage(tmp_path, writes(tmp_path, []), config={"x": 3})
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+
+
+def test_a_record_says_what_it_cost_and_what_made_it(tmp_path: Path) -> None:
+    record = stage(tmp_path, writes(tmp_path, []), config={"x": 1})["stage"]
+    assert record["peak_bytes"] > 1 << 20
+    assert record["seconds"] >= 0
+    assert record["config"] == {"x": 1}
+    assert {"python", "numpy", "torch", "novags"} <= record["versions"].keys()
+    assert {"processor", "cores", "memory_bytes", "gpu"} <= record["hardware"].keys()
+
+
+def test_folder_digest_sees_content_and_names_but_not_costs(tmp_path: Path) -> None:
+    (tmp_path / "sub").mkdir()
+    (tmp_path / "sub" / "a.bin").write_bytes(b"1")
+    write_json(tmp_path / "record.json", {"x": 1, "stage": {"seconds": 1.0}})
+    before = folder_digest(tmp_path)
+    write_json(tmp_path / "record.json", {"x": 1, "stage": {"seconds": 2.0}})
+    (tmp_path / ".hidden").write_text("ignored")
+    assert folder_digest(tmp_path) == before
+    (tmp_path / "sub" / "a.bin").write_bytes(b"2")
+    changed = folder_digest(tmp_path)
+    (tmp_path / "sub" / "a.bin").rename(tmp_path / "sub" / "b.bin")
+    assert len({before, changed, folder_digest(tmp_path)}) == 3
+
+
+def test_digest_ignores_key_order_and_sees_values() -> None:
+    assert digest({"a": 1, "b": (2, 3)}) == digest({"b": [2, 3], "a": 1})
+    assert digest({"a": 1}) != digest({"a": 2})
+
+
+def test_jsonable_keeps_numbers_and_spells_out_what_json_lacks() -> None:
+    value = jsonable({"inf": math.inf, "array": np.arange(3), "path": Path("a/b"), "none": None, "f": np.float32(0.5)})
+    assert value == {"inf": "inf", "array": [0, 1, 2], "path": "a/b", "none": None, "f": 0.5}
+    with pytest.raises(TypeError, match="object"):
+        jsonable(object())
+
+
+def test_atomic_leaves_nothing_behind_on_failure(tmp_path: Path) -> None:
+    def fail() -> None:
+        with atomic(tmp_path / "a.png") as temporary:
+            assert temporary.suffix == ".png"
+            temporary.write_text("half")
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        fail()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [(None, "cannot read"), ("{", "not valid JSON"), (json.dumps([1]), "must hold a JSON object")],
+)
+def test_broken_records_give_one_clear_error(tmp_path: Path, content: str | None, message: str) -> None:
+    if content is not None:
+        (tmp_path / "r.json").write_text(content)
+    with pytest.raises(ValueError, match=message):
+        read_json(tmp_path / "r.json")

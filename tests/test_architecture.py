@@ -1,0 +1,116 @@
+"""The rules of the house that no type checker sees: who may import whom, and what tracked files must not contain."""
+
+import ast
+import re
+import subprocess
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("sensor_model", "simscenes", "novags")
+MITSUBA_PLACES = ("simscenes.backend", "simscenes.scenes", "simscenes.transport", "simscenes.render")
+NOVAGS_LAYERS = (("splats",), ("cameras",), ("nova", "baselines"), ("testbed",), ("cli", "__main__"))
+
+
+def module_name(path: Path) -> str:
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+@cache
+def modules() -> dict[str, Path]:
+    return {module_name(path): path for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))}
+
+
+@cache
+def imports(name: str) -> frozenset[str]:
+    """Every module that `name` imports, anywhere in the file, as absolute names."""
+    path = modules()[name]
+    package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+    found = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found.update(alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            base = node.module or ""
+            if node.level:
+                above = package.split(".")[: len(package.split(".")) - node.level + 1]
+                base = ".".join([*above, base]) if base else ".".join(above)
+            found |= {full if (full := f"{base}.{alias.name}") in modules() else base for alias in node.names}
+    return frozenset(found)
+
+
+def offenders(importers: list[str], forbidden: tuple[str, ...]) -> list[str]:
+    return [
+        f"{name} imports {target}"
+        for name in importers
+        for target in sorted(imports(name))
+        if any(target == top or target.startswith(f"{top}.") for top in forbidden)
+    ]
+
+
+def inside(prefix: str) -> list[str]:
+    return [name for name in modules() if name == prefix or name.startswith(f"{prefix}.")]
+
+
+def test_every_package_has_modules_to_check() -> None:
+    assert all(len(inside(package)) > 1 for package in PACKAGES)
+
+
+@pytest.mark.parametrize(
+    ("package", "forbidden"), [("sensor_model", ("simscenes", "novags")), ("simscenes", ("novags",))]
+)
+def test_packages_import_only_from_the_floors_below(package: str, forbidden: tuple[str, ...]) -> None:
+    assert offenders(inside(package), forbidden) == []
+
+
+def test_only_four_parts_of_simscenes_import_mitsuba() -> None:
+    allowed = {name for place in MITSUBA_PLACES for name in inside(place)}
+    assert offenders([name for name in modules() if name not in allowed], ("mitsuba", "drjit")) == []
+
+
+def test_layers_inside_novags_import_downwards_only() -> None:
+    for floor, layer in enumerate(NOVAGS_LAYERS):
+        above = tuple(f"novags.{name}" for higher in NOVAGS_LAYERS[floor + 1 :] for name in higher)
+        for name in layer:
+            assert offenders(inside(f"novags.{name}"), above) == []
+
+
+def test_every_part_of_novags_has_a_layer() -> None:
+    known = {name for layer in NOVAGS_LAYERS for name in layer}
+    assert {name.split(".")[1] for name in modules() if name.startswith("novags.")} <= known
+
+
+def test_there_are_no_import_cycles() -> None:
+    graph = {name: {target for target in imports(name) if target in modules()} - {name} for name in modules()}
+    while free := [name for name, targets in graph.items() if not targets & graph.keys()]:
+        for name in free:
+            del graph[name]
+    assert not graph, f"import cycle among {sorted(graph)}"
+
+
+def tracked_files() -> list[Path]:
+    listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=False)
+    if listed.returncode:
+        pytest.skip("not a git checkout")
+    return [path for name in listed.stdout.split("\0") if name and (path := ROOT / name).is_file()]
+
+
+def test_tracked_files_name_no_path_of_one_machine() -> None:
+    # Built from parts so that this file does not match itself.
+    pattern = re.compile("/" + r"(?:work|root|home|Users|tmp|var/folders)" + r"/[\w.-]+")
+    found = []
+    for path in tracked_files():
+        try:
+            text = path.read_text(encoding="utf-8")
+        except UnicodeDecodeError:
+            continue
+        found += [f"{path.relative_to(ROOT)}: {match.group()}" for match in pattern.finditer(text)]
+    assert found == []
+
+
+def test_python_files_stay_under_400_lines() -> None:
+    lengths = {name: len(path.read_text(encoding="utf-8").splitlines()) for name, path in modules().items()}
+    assert {name: length for name, length in lengths.items() if length > 400} == {}
