@@ -155,7 +155,7 @@ def test_atomic_leaves_nothing_behind_on_failure(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("content", "message"),
-    [(None, "cannot read"), ("{", "not valid JSON"), (json.dumps([1]), "must hold a JSON object")],
+    [(None, "cannot read"), ("{", "not valid JSON"), ("[1]", "must hold a JSON object")],
 )
 def test_broken_records_give_one_clear_error(tmp_path: Path, content: str | None, message: str) -> None:
     if content is not None:
