@@ -69,11 +69,11 @@ def test_a_constant_image_aligns_to_the_mean() -> None:
 def test_ssim_agrees_with_scikit_image() -> None:
     from skimage.metrics import structural_similarity
 
-    reference = picture(0, 64)
+    reference = picture(0, 256)
     image = np.clip(reference + np.random.default_rng(3).normal(0, 0.05, reference.shape), 0, 1).astype(np.float32)
     options = {"channel_axis": 2, "data_range": 1.0, "gaussian_weights": True, "sigma": 1.5}
     _, theirs = structural_similarity(image, reference, use_sample_covariance=False, full=True, **options)
-    assert ssim(image, reference) == pytest.approx(theirs.mean(), abs=1e-3)  # they mirror the border differently
+    assert ssim(image, reference) == pytest.approx(theirs.mean(), abs=2e-3)  # they mirror the border differently
 
 
 def test_flip_grows_with_the_error_and_stays_within_its_range() -> None:
