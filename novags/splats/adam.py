@@ -1,0 +1,101 @@
+"""Adam over the five tensors of a set of Gaussians, with a learning rate per tensor (and one for the SH rest)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from . import kernels_train as kt
+from .gaussians import Gaussians
+
+BETA1, BETA2 = 0.9, 0.999
+EPS = 1e-15  # 3DGS: gradients are tiny, torch's 1e-8 would damp them; without any, 0 / 0 for a Gaussian never seen
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearningRates:
+    """Learning rates of 3DGS (per iteration).
+
+    Attributes:
+        means: At the start, in units of the scene extent.
+        means_final: At the end of the schedule, same units; log-linear in between.
+        schedule: "original": `means_final` is reached after 30,000 iterations, however long the run (3DGS, 3DGS-MCMC);
+            "gsplat": at the end of the run.
+        quats: Rotation.
+        log_scales: Log scale.
+        logit_opacities: Logit opacity.
+        sh_dc: Constant colour.
+        sh_rest: Higher spherical harmonics.
+    """
+
+    means: float = 1.6e-4
+    means_final: float = 1.6e-6
+    schedule: str = "gsplat"
+    quats: float = 1e-3
+    log_scales: float = 5e-3
+    logit_opacities: float = 5e-2
+    sh_dc: float = 2.5e-3
+    sh_rest: float = 1.25e-4
+
+    def __post_init__(self) -> None:
+        if self.schedule not in ("original", "gsplat"):
+            raise ValueError(f"schedule must be 'original' or 'gsplat', got {self.schedule!r}")
+        for name in ("means", "means_final", "quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"learning rate {name} must be >= 0, got {getattr(self, name)}")
+
+    def means_at(self, iteration: int, iterations: int, extent: float) -> float:
+        """Learning rate of the means, world units, at `iteration` of a run of `iterations`."""
+        if self.means == 0 or self.means_final == 0:
+            return self.means * extent
+        progress = min(1.0, iteration / (30_000 if self.schedule == "original" else max(1, iterations)))
+        return extent * self.means * (self.means_final / self.means) ** progress
+
+
+class Adam:
+    """Adam moments of a set of Gaussians. Rows follow the Gaussians: `grow` and `reset` keep them in step."""
+
+    def __init__(self, gaussians: Gaussians) -> None:
+        self.count = 0
+        self.first = {name: torch.zeros_like(tensor) for name, tensor in gaussians.tensors().items()}
+        self.second = {name: torch.zeros_like(tensor) for name, tensor in gaussians.tensors().items()}
+
+    @torch.no_grad()
+    def step(self, gaussians: Gaussians, rates: LearningRates, means_rate: float) -> None:
+        """Update the Gaussians in place from their `.grad`; tensors without one are left alone."""
+        self.count += 1
+        for name, tensor in gaussians.tensors().items():
+            if tensor.grad is None:
+                continue
+            columns = torch.full(
+                (tensor[:1].numel() or 1,), means_rate if name == "means" else getattr(rates, name, 0.0)
+            )
+            if name == "sh":
+                columns[:3], columns[3:] = rates.sh_dc, rates.sh_rest
+            self._update(tensor.data, tensor.grad, self.first[name], self.second[name], columns)
+
+    def _update(self, value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rates: Tensor) -> None:
+        correction1, correction2 = 1 - BETA1**self.count, float(np.sqrt(1 - BETA2**self.count))
+        flat = [t.reshape(len(value), -1) for t in (value, gradient.contiguous(), first, second)]
+        if value.is_cuda:
+            rates = rates.to(value.device)
+            flat[2].lerp_(flat[1], 1 - BETA1)
+            flat[3].mul_(BETA2).addcmul_(flat[1], flat[1], value=1 - BETA2)
+            flat[0].sub_(rates / correction1 * flat[2] / (flat[3].sqrt() / correction2 + EPS))
+        else:
+            numbers = (np.float32(x) for x in (BETA1, BETA2, correction1, correction2, EPS))
+            kt.adam(*(t.numpy() for t in flat), rates.numpy(), *numbers)
+
+    def reset(self, rows: Tensor) -> None:
+        """Forget the moments of some Gaussians."""
+        for moments in (self.first, self.second):
+            for tensor in moments.values():
+                tensor[rows] = 0
+
+    def grow(self, gaussians: Gaussians) -> None:
+        """Append zero moments for Gaussians added at the end."""
+        for moments in (self.first, self.second):
+            for name, tensor in gaussians.tensors().items():
+                new = torch.zeros_like(tensor[len(moments[name]) :])
+                moments[name] = torch.cat([moments[name], new])

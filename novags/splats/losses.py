@@ -1,0 +1,57 @@
+"""Image losses for splat training."""
+
+from functools import lru_cache
+
+import torch
+from torch import Tensor
+
+WINDOW, SIGMA = 11, 1.5  # Wang et al. 2004, and every 3DGS code since
+C1, C2 = 0.01**2, 0.03**2
+
+
+@lru_cache
+def _kernel(dtype: torch.dtype) -> Tensor:
+    x = torch.arange(WINDOW, dtype=torch.float64) - WINDOW // 2
+    weights = torch.exp(-0.5 * (x / SIGMA) ** 2)
+    return (weights / weights.sum()).to(dtype)
+
+
+def _blur(images: Tensor) -> Tensor:
+    """Separable Gaussian over [B, H, W], zero outside."""
+    kernel = _kernel(images.dtype).to(images.device)
+    pad = WINDOW // 2
+    rows = torch.nn.functional.conv2d(images[:, None], kernel.reshape(1, 1, 1, -1), padding=(0, pad))
+    return torch.nn.functional.conv2d(rows, kernel.reshape(1, 1, -1, 1), padding=(pad, 0))[:, 0]
+
+
+def ssim(image: Tensor, target: Tensor) -> Tensor:
+    """Structural similarity of Wang et al. 2004: 11x11 window, sigma 1.5, data range 1, zeros outside as in 3DGS.
+
+    Args:
+        image: [H, W, C].
+        target: [H, W, C].
+
+    Returns:
+        Mean over pixels and channels, a scalar; 1 for equal images.
+
+    Raises:
+        ValueError: If the shapes differ.
+    """
+    if image.shape != target.shape or image.ndim != 3:
+        raise ValueError(f"image and target must both be [H, W, C], got {list(image.shape)} and {list(target.shape)}")
+    x, y = image.movedim(-1, 0), target.movedim(-1, 0)
+    n = len(x)
+    moments = _blur(torch.cat([x, y, x * x, y * y, x * y]))
+    mx, my, xx, yy, xy = (moments[i * n : (i + 1) * n] for i in range(5))
+    variance_sum = (xx - mx * mx) + (yy - my * my)
+    covariance = xy - mx * my
+    score = (2 * mx * my + C1) * (2 * covariance + C2) / ((mx * mx + my * my + C1) * (variance_sum + C2))
+    return score.mean()
+
+
+def photometric_loss(image: Tensor, target: Tensor, dssim_weight: float) -> Tensor:
+    """(1 - w) L1 + w (1 - SSIM), the 3DGS loss; w = 0 is plain L1."""
+    l1 = (image - target).abs().mean()
+    if dssim_weight == 0:
+        return l1
+    return (1 - dssim_weight) * l1 + dssim_weight * (1 - ssim(image, target))

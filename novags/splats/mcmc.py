@@ -1,0 +1,147 @@
+"""3DGS as Markov chain Monte Carlo (Kheradmand et al. 2024): relocation of dead Gaussians, growth, Langevin noise."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from .gaussians import Gaussians
+from .raster_torch import quat_to_rotmat
+
+DEAD_OPACITY = 0.005  # at or below, a Gaussian shows nothing and is moved
+NODES, REACH = 128, 7.0  # trapezoid rule of the relocation integral; exp(-7^2) is below one float64 step
+
+
+@dataclass(frozen=True, kw_only=True)
+class McmcConfig:
+    """When and how Gaussians move.
+
+    Attributes:
+        refine_start: First iteration that may relocate and grow.
+        refine_stop: Iteration after which the population stays; None is 5/6 of the run (25,000 of 30,000).
+        refine_every: Iterations between refinements.
+        growth: Factor of growth per refinement, until the cap.
+        noise_lr: Langevin noise in units of the learning rate of the means; None is no noise.
+    """
+
+    refine_start: int = 500
+    refine_stop: int | None = None
+    refine_every: int = 100
+    growth: float = 1.05
+    noise_lr: float | None = 5e5
+
+    def __post_init__(self) -> None:
+        if self.refine_start < 0 or self.refine_every < 1 or self.growth < 1:
+            raise ValueError(
+                "refine_start must be >= 0, refine_every >= 1 and growth >= 1, got "
+                f"{self.refine_start}, {self.refine_every} and {self.growth}"
+            )
+        if self.noise_lr is not None and self.noise_lr < 0:
+            raise ValueError(f"noise_lr must be >= 0 or None, got {self.noise_lr}")
+
+
+def relocation(opacities: Tensor, scales: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:
+    """Opacity and scale of each of N coinciding Gaussians that together look like one (eq. 9 of the paper).
+
+    The paper's scale factor is o / sum_i sum_k binom(i-1, k) (-1)^k o'^(k+1) / sqrt(k+1), with o' = 1 - (1 - o)^(1/N). Its
+    alternating sum overflows and cancels for large N. Summed over i it is the line integral
+
+        sum = 2 / sqrt(pi) * integral_0^inf 1 - (1 - o' exp(-x^2))^N dx
+
+    of the N-fold alpha, whose integrand is positive; the trapezoid rule converges to rounding for this smooth even function.
+
+    Args:
+        opacities: [M], 0 < o < 1.
+        scales: [M, 3], world units.
+        copies: N >= 1 [M], integer: the Gaussian itself and those moved onto it.
+
+    Returns:
+        New opacities [M] and scales [M, 3] in the input's dtype, opacities not yet clamped.
+    """
+    o, n = opacities.double(), copies.double()
+    log_left = torch.log1p(-o) / n  # ln(1 - o')
+    new = -torch.expm1(log_left)
+    x = torch.linspace(0, REACH, NODES, dtype=torch.float64, device=o.device)
+    integrand = -torch.expm1(n[:, None] * torch.log1p(-new[:, None] * torch.exp(-x * x)))
+    total = 2 / np.sqrt(np.pi) * torch.trapezoid(integrand, x, dim=-1)
+    factor = o / total
+    return new.to(opacities.dtype), (factor[:, None] * scales.double()).to(scales.dtype)
+
+
+def _draw(weights: Tensor, count: int, generator: torch.Generator) -> Tensor:
+    """Indices [count] drawn with replacement in proportion to weights [N] (float64: float32 sums lose small weights)."""
+    edges = torch.cumsum(weights.double(), 0)
+    u = torch.rand(count, generator=generator, dtype=torch.float64).to(weights.device) * edges[-1]
+    return torch.searchsorted(edges, u, right=True).clamp_max(len(weights) - 1)
+
+
+def _split(gaussians: Gaussians, sources: Tensor) -> None:
+    """Shrink the drawn Gaussians in place so that they and their copies together look like before."""
+    drawn, times = torch.unique(sources, return_counts=True)
+    opacities, scales = relocation(gaussians.opacities[drawn], gaussians.scales[drawn], times + 1)
+    # eps: an opacity of exactly 1 has an infinite logit
+    opacities = opacities.clamp(DEAD_OPACITY, 1 - torch.finfo(torch.float32).eps)
+    gaussians.logit_opacities[drawn] = torch.logit(opacities)
+    gaussians.log_scales[drawn] = torch.log(scales)
+
+
+@torch.no_grad()
+def relocate(gaussians: Gaussians, generator: torch.Generator) -> Tensor:
+    """Move dead Gaussians, in place, onto live ones drawn in proportion to opacity.
+
+    Returns:
+        Indices of the live Gaussians that were drawn; their Adam moments have to be reset. Empty if none is dead or all are.
+    """
+    dead = torch.nonzero(gaussians.opacities <= DEAD_OPACITY)[:, 0]
+    alive = torch.nonzero(gaussians.opacities > DEAD_OPACITY)[:, 0]
+    if len(dead) == 0 or len(alive) == 0:
+        return dead[:0]
+    sources = alive[_draw(gaussians.opacities[alive], len(dead), generator)]
+    _split(gaussians, sources)
+    for tensor in gaussians.tensors().values():
+        tensor[dead] = tensor[sources]
+    return torch.unique(sources)
+
+
+@torch.no_grad()
+def grow(gaussians: Gaussians, target: int, generator: torch.Generator) -> tuple[Gaussians, Tensor]:
+    """Add copies of Gaussians drawn in proportion to opacity until there are `target`.
+
+    Returns:
+        The grown Gaussians (new rows last; the same object if there is nothing to add), and the indices that were drawn.
+    """
+    count = target - len(gaussians)
+    if count <= 0 or len(gaussians) == 0:
+        return gaussians, torch.empty(0, dtype=torch.int64)
+    sources = _draw(gaussians.opacities, count, generator)
+    _split(gaussians, sources)
+    grown = {name: torch.cat([tensor, tensor[sources]]) for name, tensor in gaussians.tensors().items()}
+    return Gaussians(**grown), torch.unique(sources)
+
+
+@torch.no_grad()
+def prune_to_cap(gaussians: Gaussians, cap: int, generator: torch.Generator) -> Gaussians:
+    """The `cap` most opaque Gaussians in their old order, ties drawn at random; the same object if there are no more."""
+    if len(gaussians) <= cap:
+        return gaussians
+    shuffled = torch.randperm(len(gaussians), generator=generator)
+    ranking = torch.argsort(gaussians.opacities[shuffled], descending=True, stable=True)
+    keep = torch.sort(shuffled[ranking[:cap]]).values
+    return Gaussians(**{name: tensor[keep].clone() for name, tensor in gaussians.tensors().items()})
+
+
+@torch.no_grad()
+def add_noise(gaussians: Gaussians, amount: float, generator: torch.Generator) -> None:
+    """Langevin step, in place: means += Sigma xi amount sigmoid(100 (0.005 - o)), xi ~ N(0, 1): see-through ones explore.
+
+    Args:
+        gaussians: Changed in place.
+        amount: noise_lr times the current learning rate of the means.
+        generator: Source of xi, on the CPU.
+    """
+    xi = torch.randn(len(gaussians), 3, generator=generator).to(gaussians.means.device)
+    xi *= amount * torch.sigmoid(100 * (DEAD_OPACITY - gaussians.opacities))[:, None]
+    R = quat_to_rotmat(gaussians.quats)
+    local = (R.mT @ xi[..., None])[..., 0] * torch.exp(2 * gaussians.log_scales)
+    gaussians.means += (R @ local[..., None])[..., 0]

@@ -1,0 +1,117 @@
+"""Gaussians to and from the standard 3DGS PLY layout: binary little-endian, one vertex per Gaussian.
+
+Properties: x y z nx ny nz f_dc_0..2 f_rest_0..(3(K-1)-1) opacity (logit) scale_0..2 (log) rot_0..3 (wxyz).
+f_rest is channel-major: all red coefficients, then green, then blue.
+"""
+
+import os
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+import torch
+
+from .gaussians import Gaussians
+from .sh import n_coefficients
+
+_DTYPES = {
+    "float": "<f4", "float32": "<f4", "double": "<f8", "float64": "<f8", "uchar": "u1", "uint8": "u1", "char": "i1",
+    "int8": "i1", "short": "<i2", "int16": "<i2", "ushort": "<u2", "uint16": "<u2", "int": "<i4", "int32": "<i4",
+    "uint": "<u4", "uint32": "<u4",
+}  # fmt: skip
+
+
+def _names(k: int) -> list[str]:
+    names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2"]
+    names += [f"f_rest_{i}" for i in range(3 * (k - 1))]
+    return [*names, "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
+
+
+def write_ply(path: str | Path, gaussians: Gaussians) -> None:
+    """Write Gaussians as a 3DGS PLY that common viewers open; atomic (temporary name, then rename).
+
+    Args:
+        path: File to write; its folder must exist.
+        gaussians: Any size; quaternions are written normalised.
+    """
+    g = gaussians.detach()
+    n, k = g.sh.shape[:2]
+    rest = g.sh[:, 1:].mT.reshape(n, 3 * (k - 1))
+    quats = torch.nn.functional.normalize(g.quats, dim=-1)
+    columns = [g.means, torch.zeros(n, 3), g.sh[:, 0], rest, g.logit_opacities[:, None], g.log_scales, quats]
+    table = torch.cat([column.cpu().float() for column in columns], dim=1).numpy().astype("<f4")
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
+    header += [f"property float {name}" for name in _names(k)] + ["end_header"]
+    path = Path(path)
+    temporary = path.with_name(path.name + f".tmp{os.getpid()}")
+    with temporary.open("wb") as file:
+        file.write(("\n".join(header) + "\n").encode("ascii"))
+        file.write(table.tobytes())
+    temporary.replace(path)
+
+
+def _read_header(file: BinaryIO, path: Path) -> tuple[str, int, np.dtype]:
+    """Format, number of vertices and record type of the vertex element, leaving `file` at the first byte of data."""
+    kind, n, fields, element = "", -1, [], ""
+    while True:
+        words = file.readline(4096).decode("ascii", "replace").split()
+        if not words:
+            raise ValueError(f"{path} must be a PLY file with an end_header line, but its header ends early")
+        if words[0] == "end_header":
+            break
+        if words[0] == "format":
+            kind = words[1]
+        elif words[0] == "element":
+            if not element and words[1] != "vertex":
+                raise ValueError(f"{path}: the first PLY element must be vertex, got {words[1]}")
+            element = words[1]
+            n = int(words[2]) if element == "vertex" else n
+        elif words[0] == "property" and element == "vertex":
+            if words[1] not in _DTYPES:
+                raise ValueError(f"{path}: vertex properties must be plain numbers, got {' '.join(words)}")
+            fields.append((words[-1], _DTYPES[words[1]]))
+    return kind, n, np.dtype(fields)
+
+
+def read_ply(path: str | Path) -> Gaussians:
+    """Read a 3DGS PLY, binary little-endian; extra properties are ignored, any order is accepted.
+
+    Raises:
+        ValueError: If the file is no such PLY, is cut short, or lacks a property.
+    """
+    path = Path(path)
+    with path.open("rb") as file:
+        if file.readline(16).strip() != b"ply":
+            raise ValueError(f"{path} must start with the line 'ply'")
+        kind, n, record = _read_header(file, path)
+        if kind != "binary_little_endian":
+            raise ValueError(f"{path} must be binary_little_endian, got {kind or 'no format line'}; convert it first")
+        data = file.read(n * record.itemsize)
+    if n < 0 or len(data) < n * record.itemsize:
+        raise ValueError(
+            f"{path} must hold {n} vertices of {record.itemsize} bytes, but only {len(data)} bytes are there"
+        )
+    table = np.frombuffer(data, record, count=n)
+    n_rest = sum(name.startswith("f_rest_") for name in record.names or ())
+    degree = {3 * (n_coefficients(d) - 1): d for d in range(4)}.get(n_rest)
+    if degree is None:
+        raise ValueError(f"{path} must have 0, 9, 24 or 45 f_rest properties, got {n_rest}")
+    k = n_coefficients(degree)
+    missing = [name for name in _names(k) if name not in (record.names or ()) and name not in ("nx", "ny", "nz")]
+    if missing:
+        raise ValueError(f"{path} lacks the vertex properties {', '.join(missing)}: not a 3DGS PLY")
+
+    def columns(*names: str) -> torch.Tensor:
+        return torch.from_numpy(np.stack([table[name].astype(np.float32) for name in names], axis=-1))
+
+    sh = columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None]
+    if k > 1:
+        rest = columns(*(f"f_rest_{i}" for i in range(n_rest))).reshape(n, 3, k - 1).mT
+        sh = torch.cat([sh, rest], dim=1)
+    return Gaussians(
+        means=columns("x", "y", "z"),
+        quats=columns("rot_0", "rot_1", "rot_2", "rot_3"),
+        log_scales=columns("scale_0", "scale_1", "scale_2"),
+        logit_opacities=columns("opacity")[:, 0],
+        sh=sh.contiguous(),
+    )

@@ -1,0 +1,50 @@
+"""The CUDA rasteriser: gsplat behind the same call. The only file that imports gsplat."""
+
+from torch import Tensor
+
+try:
+    from gsplat import rasterization
+except ImportError as error:
+    raise ImportError(
+        "backend='gsplat' needs the gsplat package and a CUDA device: install it with `pip install 'novags[cuda]'`, "
+        "or use backend='numba' on CPU tensors"
+    ) from error
+
+
+def render(
+    means: Tensor,
+    quats: Tensor,
+    scales: Tensor,
+    opacities: Tensor,
+    colors: Tensor,
+    viewmat: Tensor,
+    K: Tensor,
+    width: int,
+    height: int,
+    *,
+    sh_degree: int | None,
+    near_plane: float,
+    far_plane: float,
+    eps2d: float,
+    with_color: bool,
+    with_depth: bool,
+) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
+    """One camera's image [H, W, D], alpha [H, W, 1] and info; arguments as in `novags.splats.rasterize`.
+
+    D is the number of colour channels (if `with_color`) plus one for accumulated depth (if `with_depth`).
+
+    Raises:
+        ValueError: If the tensors are not float32 on a CUDA device.
+    """
+    if not means.is_cuda:
+        raise ValueError(f"backend='gsplat' needs CUDA tensors, got {means.device}; use backend='numba' on the CPU")
+    mode = {(True, False): "RGB", (False, True): "D", (True, True): "RGB+D"}[with_color, with_depth]
+    image, alpha, meta = rasterization(
+        means, quats, scales, opacities, colors, viewmat[None], K[None], width, height,
+        sh_degree=sh_degree, near_plane=near_plane, far_plane=far_plane, eps2d=eps2d, render_mode=mode, packed=False,
+    )  # fmt: skip
+    radii = meta["radii"][0]
+    if radii.ndim == 2:  # gsplat 1.5 gives one radius per image axis
+        radii = radii.amax(-1)
+    info = {"means2d": meta["means2d"][0].detach(), "radii": radii, "depths": meta["depths"][0].detach()}
+    return image[0], alpha[0], info

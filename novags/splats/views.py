@@ -1,0 +1,46 @@
+"""A set of pinhole cameras with one image size."""
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Views:
+    """Cameras in OpenCV convention (x right, y down, z forward; pixel centres at +0.5).
+
+    Attributes:
+        viewmats: World to camera [C, 4, 4], float32.
+        Ks: Intrinsics in pixels [C, 3, 3], float32.
+        width: Pixels.
+        height: Pixels.
+    """
+
+    viewmats: Tensor
+    Ks: Tensor
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        c = len(self.viewmats)
+        if self.viewmats.shape != (c, 4, 4) or self.Ks.shape != (c, 3, 3):
+            raise ValueError(
+                f"viewmats, Ks must be [C, 4, 4], [C, 3, 3], got {list(self.viewmats.shape)}, {list(self.Ks.shape)}"
+            )
+        if self.viewmats.dtype != torch.float32 or self.Ks.dtype != torch.float32:
+            raise ValueError(f"viewmats and Ks must be float32, got {self.viewmats.dtype} and {self.Ks.dtype}")
+
+    def __len__(self) -> int:
+        return len(self.viewmats)
+
+    @property
+    def centers(self) -> Tensor:
+        """Camera centres in the world [C, 3]."""
+        return -(self.viewmats[:, :3, :3].mT @ self.viewmats[:, :3, 3:])[..., 0]
+
+    @property
+    def extent(self) -> float:
+        """Scene extent as in 3DGS: 1.1 times the largest distance of a camera from their mean; 1 for one camera."""
+        distance = float((self.centers - self.centers.mean(0)).norm(dim=-1).max())
+        return 1.1 * distance if distance > 0 else 1.0
