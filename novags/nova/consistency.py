@@ -4,12 +4,16 @@ The subscript `t` marks the target view, whose pixels are compared, `s` the sour
 Pixel coordinates are (x, y) with centres at +0.5; depths are z-depths in their own camera, 0 or less where unknown.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from novags.nova.checkpoint import pack, unpack
+from novags.splats.fit import Step
 from novags.splats.views import Views
 
 
@@ -175,3 +179,54 @@ def source_candidates(views: Views, config: ConsistencyConfig) -> list[list[int]
     fits = (angles < config.max_angle) & (distances > config.min_distance) & (distances < config.max_distance)
     order = distances.argsort(dim=1)
     return [[int(j) for j in row if fits[i, j]][: config.neighbours] for i, row in enumerate(order)]
+
+
+class ConsistencyLoss:
+    """L_geo as an extra loss of the fit: picks a source view, warps it, and trains the confidence network alongside."""
+
+    def __init__(
+        self, views: Views, images: Callable[[int], Tensor], config: ConsistencyConfig, *, iterations: int, seed: int
+    ) -> None:
+        """images: the pseudo-clean image [H, W, 3] of a view, as it stands when asked for."""
+        self.config, self.images, self.seed = config, images, seed
+        self.first = round(config.start * iterations)
+        self.candidates = source_candidates(views, config)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            self.network = ConfidenceNet().to(views.viewmats.device)
+        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
+
+    def __call__(self, step: Step) -> Tensor | None:
+        """Weighted L_geo of this iteration, or None where it is not due or the view has no partner."""
+        candidates = self.candidates[step.view]
+        if step.iteration < self.first or step.iteration % self.config.every or not candidates:
+            return None
+        # One stream per iteration: a resumed run picks the same partners.
+        source = candidates[int(np.random.default_rng([self.seed, step.iteration]).integers(len(candidates)))]
+        with torch.no_grad():
+            _, depth_s, alpha_s, _ = step.rasterize_view(source)
+        target, least = self.images(step.view), self.config.min_alpha
+        warped, mask = reproject(
+            self.images(source),
+            torch.where(step.alpha > least, step.depth, 0.0),
+            torch.where(alpha_s > least, depth_s, 0.0),
+            Camera.of(step.views, step.view),
+            Camera.of(step.views, source),
+            self.config.occlusion_tolerance,
+        )
+        confidence = self.network(warped, target)
+        return self.config.weight * consistency_loss(warped, target, confidence, mask, self.config.confidence_weight)
+
+    def update(self) -> None:
+        """Let the confidence network follow the gradients that the last backward pass left in it."""
+        if any(parameter.grad is not None for parameter in self.network.parameters()):
+            self.optimizer.step()
+            self.optimizer.zero_grad(set_to_none=True)
+
+    def state(self) -> dict[str, Tensor]:
+        """Weights and Adam moments of the confidence network."""
+        return pack("confidence", self.network, self.optimizer)
+
+    def restore(self, tensors: dict[str, Tensor]) -> None:
+        """Continue from `state`."""
+        unpack("confidence", tensors, self.network, self.optimizer)

@@ -1,0 +1,59 @@
+"""Networks in training on disk, as safetensors: weights, Adam moments and whatever else the next step depends on."""
+
+import os
+from pathlib import Path
+
+from safetensors.torch import load_file, save_file
+from torch import Tensor, nn
+from torch.optim import Adam
+
+_MOMENTS = ("step", "exp_avg", "exp_avg_sq")
+
+
+def pack(prefix: str, network: nn.Module, adam: Adam) -> dict[str, Tensor]:
+    """Weights and Adam moments by name, each name starting with `prefix`."""
+    tensors = {f"{prefix}.weights.{name}": value.detach() for name, value in network.state_dict().items()}
+    for name, parameter in network.named_parameters():
+        for key, value in adam.state.get(parameter, {}).items():
+            tensors[f"{prefix}.{key}.{name}"] = value
+    return tensors
+
+
+def unpack(prefix: str, tensors: dict[str, Tensor], network: nn.Module, adam: Adam) -> None:
+    """Put back what `pack` took out.
+
+    Raises:
+        ValueError: If the tensors belong to a network of another shape.
+    """
+    start = f"{prefix}.weights."
+    weights = {name.removeprefix(start): value for name, value in tensors.items() if name.startswith(start)}
+    own = network.state_dict()
+    if weights.keys() != own.keys() or any(weights[name].shape != own[name].shape for name in own):
+        raise ValueError(
+            f"the checkpoint's {prefix} has another shape than the configured one: delete it or restore it"
+        )
+    network.load_state_dict(weights)
+    for name, parameter in network.named_parameters():
+        if f"{prefix}.step.{name}" in tensors:
+            moments = {key: tensors[f"{prefix}.{key}.{name}"] for key in _MOMENTS}
+            # torch keeps Adam's step count on the CPU whatever the device of the weights.
+            adam.state[parameter] = {k: v if k == "step" else v.to(parameter) for k, v in moments.items()}
+
+
+def write(path: Path, tensors: dict[str, Tensor]) -> None:
+    """Save tensors; the file appears whole or not at all."""
+    temporary = path.with_name(path.name + f".tmp{os.getpid()}")
+    save_file({name: value.contiguous() for name, value in tensors.items()}, temporary)
+    temporary.replace(path)
+
+
+def read(path: Path) -> dict[str, Tensor]:
+    """The tensors `write` saved.
+
+    Raises:
+        ValueError: If the file is no safetensors file.
+    """
+    try:
+        return load_file(path)
+    except Exception as error:  # safetensors raises its own class, which it does not promise to keep
+        raise ValueError(f"{path} is damaged ({error}): delete it, the run then starts over") from error

@@ -1,0 +1,173 @@
+"""NOVA-GS as a whole: enhance, denoise, and fit with L_total = L_recon + L_geo + L_SH (paper, section 4.7)."""
+
+import dataclasses
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from novags.cameras.start import start_gaussians
+from novags.nova.checkpoint import read, write
+from novags.nova.consistency import ConsistencyConfig, ConsistencyLoss
+from novags.nova.denoiser import Denoiser, DenoiserConfig
+from novags.nova.enhance import EnhanceConfig, enhance
+from novags.nova.sh_penalty import noise_map, sh_penalty
+from novags.splats.fit import FitConfig, Step, fit
+from novags.splats.method import MethodInput, MethodResult
+
+Progress = Callable[[int, int, dict[str, float]], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class NovaConfig:
+    """The whole method. `fit.dssim_weight` is the paper's lambda; L_recon is the fit's own photometric loss."""
+
+    enhance: EnhanceConfig = field(default_factory=EnhanceConfig)
+    denoiser: DenoiserConfig = field(default_factory=DenoiserConfig)
+    consistency: ConsistencyConfig | None = field(default_factory=ConsistencyConfig)
+    sh_weight: float | None = 1.0  # of L_SH
+    # "The masked loss serves as the sole optimization objective for the denoiser" (section 4.3.3). False lets L_recon
+    # reach it too, which is how section 4.7 can be read ("jointly optimized in an end-to-end manner").
+    detach_target: bool = True
+    refresh_after: int = 1  # denoiser steps after which a view's pseudo-clean image is computed anew
+    init_scale: float = 0.7
+    fit: FitConfig = field(default_factory=FitConfig)
+
+    def __post_init__(self) -> None:
+        if self.sh_weight is not None and self.sh_weight < 0:
+            raise ValueError(f"sh_weight must be >= 0 or None, got {self.sh_weight}")
+        if self.refresh_after < 1:
+            raise ValueError(f"refresh_after must be >= 1, got {self.refresh_after}")
+
+
+class _PseudoClean:
+    """The denoised image of each view, computed when asked for and kept while the denoiser has not moved on."""
+
+    def __init__(self, denoiser: Denoiser, config: NovaConfig) -> None:
+        self.denoiser, self.config = denoiser, config
+        self.cached: dict[int, tuple[int, Tensor]] = {}
+
+    def __call__(self, view: int) -> Tensor:
+        """[H, W, 3] without gradient."""
+        step, image = self.cached.get(view, (-self.config.refresh_after, None))
+        if image is None or self.denoiser.step - step >= self.config.refresh_after:
+            with torch.no_grad():
+                image = self.denoiser.denoise(view)
+            self.cached[view] = (self.denoiser.step, image)
+        return image
+
+    def target(self, view: int) -> Tensor:
+        """[H, W, 3], with gradient into the denoiser if it takes part in L_recon."""
+        return self(view) if self.config.detach_target else self.denoiser.denoise(view)
+
+
+class _Training:
+    """Denoiser, confidence network and their schedule beside the splat iterations."""
+
+    def __init__(self, inputs: MethodInput, enhanced: Tensor, config: NovaConfig, checkpoint: Path | None) -> None:
+        iterations = config.fit.iterations
+        self.config, self.enhanced = config, enhanced
+        total = config.denoiser.total_steps(iterations)
+        self.denoiser = Denoiser(enhanced, config.denoiser, total_steps=total, seed=inputs.seed)
+        self.clean = _PseudoClean(self.denoiser, config)
+        self.geo: ConsistencyLoss | None = None
+        if config.consistency is not None and config.consistency.weight > 0:
+            self.geo = ConsistencyLoss(
+                inputs.views, self.clean, config.consistency, iterations=iterations, seed=inputs.seed
+            )
+        self.path = None if checkpoint is None else checkpoint.with_name(f"{checkpoint.stem}.denoiser.safetensors")
+        if self.path is not None and self.path.exists():
+            tensors = read(self.path)
+            self.denoiser.restore(tensors)
+            if self.geo is not None:
+                self.geo.restore(tensors)
+
+    def warm_up(self, progress: Progress | None) -> None:
+        """Train the denoiser alone until the splats may start."""
+        steps, every = self.config.denoiser.warmup_steps, self.config.fit.checkpoint_every
+        while self.denoiser.step < steps:
+            loss = self.denoiser.train_step()
+            if progress is not None:
+                progress(self.denoiser.step, steps + self.config.fit.iterations, {"denoiser": loss})
+            if self.denoiser.step % every == 0 or self.denoiser.step == steps:
+                self.save()
+
+    def before_step(self, iteration: int) -> None:
+        """Bring both networks up to a splat iteration, then save if the fit has just saved."""
+        if self.geo is not None:
+            self.geo.update()
+        due = self.config.denoiser.total_steps(iteration)
+        # More than one step only after a crash between the fit's checkpoint and this one's.
+        while self.denoiser.step < due:
+            self.denoiser.train_step()
+        if iteration and iteration % self.config.fit.checkpoint_every == 0:
+            self.save()
+
+    def noise_penalty(self, step: Step) -> Tensor | None:
+        """Weighted L_SH of this iteration."""
+        if not self.config.sh_weight:
+            return None
+        noise = noise_map(self.enhanced[step.view], self.clean(step.view))
+        return self.config.sh_weight * sh_penalty(step.gaussians.sh, step.info["means2d"], step.info["radii"], noise)
+
+    def save(self) -> None:
+        """Write the state of both networks beside the fit's checkpoint."""
+        if self.path is not None:
+            write(self.path, self.denoiser.state() | (self.geo.state() if self.geo is not None else {}))
+
+
+def train(
+    inputs: MethodInput,
+    config: NovaConfig,
+    *,
+    progress: Progress | None = None,
+    checkpoint: Path | None = None,
+) -> MethodResult:
+    """Reconstruct a scene from noisy dark views.
+
+    Args:
+        inputs: Views, dark images, initial points and seed.
+        config: All choices; `config.fit.seed` and `config.fit.extent` are overridden by `inputs`.
+        progress: Called with (steps done, of how many, losses); denoiser warm-up and splat iterations count alike.
+        checkpoint: The fit's checkpoint file. The networks' state lies beside it, `<stem>.denoiser.safetensors`. If the
+            files are there already, the run goes on from them.
+
+    Returns:
+        MethodResult; `targets` are the denoised images. Seconds: "enhance", "denoise" (warm-up), "fit" (with the
+        concurrent denoiser steps).
+    """
+    fit_config = dataclasses.replace(config.fit, seed=inputs.seed, extent=inputs.init.extent)
+    config = dataclasses.replace(config, fit=fit_config)
+    clock = [time.perf_counter()]
+    enhanced, _ = enhance(inputs.dark, config.enhance)
+    clock.append(time.perf_counter())
+    training = _Training(inputs, enhanced, config, checkpoint)
+    training.warm_up(progress)
+    start = start_gaussians(
+        inputs.init, inputs.dark, torch.stack([training.clean(i) for i in range(len(inputs.views))]),
+        sh_degree=fit_config.sh_degree, init_scale=config.init_scale,
+    )  # fmt: skip
+    clock.append(time.perf_counter())
+    warmup = config.denoiser.warmup_steps
+    result = fit(
+        start, inputs.views, training.clean.target, fit_config,
+        extra_losses=[loss for loss in (training.geo, training.noise_penalty) if loss is not None],
+        before_step=training.before_step, needs_depth=training.geo is not None, checkpoint=checkpoint,
+        progress=progress and (lambda done, total, entry: progress(warmup + done, warmup + total, entry)),
+    )  # fmt: skip
+    training.before_step(fit_config.iterations)
+    training.save()
+    clock.append(time.perf_counter())
+    return MethodResult(
+        gaussians=result.gaussians,
+        enhanced=enhanced,
+        targets=training.denoiser.denoise_all(),
+        losses=result.losses,
+        seconds=dict(
+            zip(("enhance", "denoise", "fit"), (b - a for a, b in zip(clock, clock[1:], strict=False)), strict=True)
+        ),
+        config=dataclasses.asdict(config),
+    )
