@@ -1,0 +1,100 @@
+"""What the ray through each pixel centre hits: depth, normals, albedo, ids.
+
+Mitsuba's AOVs are not used: their depth starts at the near plane, they average over the pixel, and their ids are
+process-wide numbers blended at edges.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simscenes.render.source import LoadedScene, unique_materials
+from simscenes.rigs import Rig, invert_rigid
+
+Channels = dict[str, NDArray[Any]]
+
+
+def pixel_rays(rig: Rig, i: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Camera centre [3] and unit directions [h*w,3], row by row, through the pixel centres of view `i`."""
+    c2w, K = invert_rigid(rig.viewmats[i]), rig.Ks[i]
+    y, x = np.mgrid[: rig.height, : rig.width] + 0.5
+    local = np.stack([(x - K[0, 2]) / K[0, 0], (y - K[1, 2]) / K[1, 1], np.ones_like(x)], -1).reshape(-1, 3)
+    directions = local @ c2w[:3, :3].T
+    return c2w[:3, 3], directions / np.linalg.norm(directions, axis=1, keepdims=True)
+
+
+def geometry_channels(mi: Any, loaded: LoadedScene, rig: Rig, i: int) -> Channels:
+    """Geometry buffers of view `i` as EXR channels, each [h,w].
+
+    Returns:
+        Z and distance (float32, inf where there is no surface), N.X/Y/Z (shading) and Ng.X/Y/Z (geometric) unit
+        normals in the world, facing the camera, albedo.R/G/B (what the surface reflects diffusely), id and material
+        (uint32, 0 where there is no surface). Normals and albedo are 0 there.
+    """
+    origin, directions = pixel_rays(rig, i)
+    find = _intersect_scalar if mi.variant().startswith("scalar") else _intersect_wide
+    hit, position, shading, geometric, albedo, shape, material = find(mi, loaded.scene, origin, directions)
+    facing = np.where(np.einsum("pj,pj->p", geometric, directions) > 0, -1.0, 1.0)[:, None]
+    offset = position - origin
+    z = offset @ rig.viewmats[i][2, :3]
+    image = (rig.height, rig.width)
+    channels: Channels = {
+        "Z": np.where(hit, z, np.inf).reshape(image).astype(np.float32),
+        "distance": np.where(hit, np.linalg.norm(offset, axis=1), np.inf).reshape(image).astype(np.float32),
+        "id": np.where(hit, shape, 0).reshape(image).astype(np.uint32),
+        "material": np.where(hit, material, 0).reshape(image).astype(np.uint32),
+    }
+    # A conductor or dielectric has no diffuse reflectance; some plugins then answer nan or a lobe's density.
+    albedo = np.where(np.isfinite(albedo), np.clip(albedo, 0, 1), 0)
+    for name, field, axes in (
+        ("N", facing * shading, "XYZ"),
+        ("Ng", facing * geometric, "XYZ"),
+        ("albedo", albedo, "RGB"),
+    ):
+        for k, axis in enumerate(axes):
+            channels[f"{name}.{axis}"] = np.where(hit, field[:, k], 0).reshape(image).astype(np.float32)
+    return channels
+
+
+def _intersect_wide(mi: Any, scene: Any, origin: NDArray[Any], directions: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    """All rays at once, in a JIT variant."""
+    import drjit as dr
+
+    direction = mi.Vector3f(np.ascontiguousarray(directions.T, dtype=np.float32))
+    # Opaque: as literals the origin would be compiled into the kernel, anew for every view.
+    ray = mi.Ray3f(mi.Point3f(*(dr.opaque(mi.Float, float(v)) for v in origin)), direction)
+    si = scene.ray_intersect(ray)
+    albedo = si.bsdf(ray).eval_diffuse_reflectance(si, si.is_valid())
+    columns = [np.array(v, dtype=np.float64).T for v in (si.p, si.sh_frame.n, si.n, mi.Color3f(albedo))]
+    shapes = _numbers(dr, mi.UInt32, [mi.ShapePtr(s) for s in scene.shapes()], si.shape)
+    materials = _numbers(dr, mi.UInt32, [mi.BSDFPtr(s.bsdf()) for s in unique_materials(scene)], si.bsdf(ray))
+    return np.array(si.is_valid()), *columns, shapes, materials
+
+
+def _numbers(dr: Any, uint32: Any, known: list[Any], pointers: Any) -> NDArray[np.uint32]:
+    """Replace process-wide registry numbers by 1 + place in `known`."""
+    registry = [int(dr.reinterpret_array(uint32, pointer)[0]) for pointer in known]
+    table = np.zeros(max(registry, default=0) + 1, dtype=np.uint32)
+    table[registry] = np.arange(1, len(registry) + 1)
+    return table[np.array(dr.reinterpret_array(uint32, pointers))]
+
+
+def _intersect_scalar(mi: Any, scene: Any, origin: NDArray[Any], directions: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    """Ray by ray, in a scalar variant."""
+    count = len(directions)
+    hit, vectors = np.zeros(count, dtype=bool), np.zeros((4, count, 3))
+    numbers = np.zeros((2, count), dtype=np.uint32)
+    shapes = {s: k + 1 for k, s in enumerate(scene.shapes())}
+    materials = {s.bsdf(): k + 1 for k, s in enumerate(unique_materials(scene))}
+    for p, direction in enumerate(directions.tolist()):
+        ray = mi.Ray3f(origin.tolist(), direction)
+        si = scene.ray_intersect(ray)
+        if not si.is_valid():
+            continue
+        hit[p], bsdf = True, si.bsdf(ray)
+        vectors[:, p] = si.p, si.sh_frame.n, si.n, bsdf.eval_diffuse_reflectance(si)
+        numbers[:, p] = shapes.get(si.shape, 0), materials.get(bsdf, 0)
+    return hit, *vectors, *numbers
