@@ -51,12 +51,12 @@ def twosided(bsdf: Dict) -> Dict:
 
 
 def place(
-    position: Sequence[float] = (0, 0, 0), yaw: float = 0, size: Sequence[float] | float = 1, tilt: float = 0
+    position: ArrayLike = (0, 0, 0), yaw: float = 0, size: Sequence[float] | float = 1, tilt: float = 0
 ) -> Any:
     """Transform: scale, tilt about x, turn about z, move."""
     import mitsuba as mi
 
-    transform = mi.ScalarTransform4f().translate(list(position)).rotate([0, 0, 1], yaw).rotate([1, 0, 0], tilt)
+    transform = mi.ScalarTransform4f().translate(np.asarray(position, dtype=np.float64)).rotate([0, 0, 1], yaw).rotate([1, 0, 0], tilt)
     return transform.scale([size] * 3 if isinstance(size, (int, float)) else list(size))
 
 
@@ -70,7 +70,7 @@ def quad(center: ArrayLike, half_u: ArrayLike, half_v: ArrayLike, bsdf: Dict, em
     return mesh(vertices, np.array([[0, 1, 2], [0, 2, 3]]), (corners + 1) / 2, bsdf, emitter=emitter)
 
 
-def box(center: Sequence[float], size: Sequence[float], bsdf: Dict, yaw: float = 0, tilt: float = 0) -> Dict:
+def box(center: ArrayLike, size: Sequence[float], bsdf: Dict, yaw: float = 0, tilt: float = 0) -> Dict:
     """Box of full edge lengths `size`; the texture covers each face once."""
     return {"type": "cube", "to_world": place(center, yaw, [s / 2 for s in size], tilt), "bsdf": bsdf}
 
