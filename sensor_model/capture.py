@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property, lru_cache
+from functools import cached_property
+from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sensor_model import effects, moments, streams
-from sensor_model.params import Exposure, Sensor, require
+from sensor_model import effects, streams
+from sensor_model.moments import frame_moments
+from sensor_model.params import Exposure, Sensor
 from sensor_model.plan import Plan
 from sensor_model.planner import simplify
+from sensor_model.prepare import Prepared, as_channels, checked, on_sensor, prepare
 from sensor_model.radiometry import check_light
 
 Array = NDArray[np.float64]
+Shot = Literal["poisson", "normal", "none"]
+Backend = Literal["numba", "numpy"]
 
 
 @dataclass(frozen=True)
@@ -26,11 +31,15 @@ class RawFrame:
     photons: NDArray  # the light it was taken of
     sensor: Sensor  # as simulated: without what the plan left out
     exposure: Exposure
+    shot: Shot = "poisson"
 
     @cached_property
     def _moments(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        mean, variance = expected(self.photons, self.sensor, self.exposure)
-        return mean.astype(np.float32), variance.astype(np.float32)
+        draws = streams.Draws(seed=0, origin=self.exposure.origin)
+        inputs = prepare(self.photons, self.sensor, self.exposure, draws, noise=False)
+        mean, variance = frame_moments(inputs, self.shot)
+        shape = self.photons.shape
+        return mean.reshape(shape).astype(np.float32), variance.reshape(shape).astype(np.float32)
 
     @property
     def mean_dn(self) -> NDArray[np.float32]:
@@ -46,10 +55,11 @@ class RawFrame:
     def clean_dn(self) -> NDArray[np.float32]:
         """What the same light gives without noise and without fixed pattern; saturates, is not rounded. DN."""
         s = self.sensor
-        charge = effects.collect(
-            np.asarray(self.photons, np.float64), eta=s.eta, response=1.0, dark_e=s.dark_current * self.exposure.time
-        )
-        return np.minimum(s.gain * charge + s.black_level, s.white_dn).astype(np.float32)
+        light = on_sensor(as_channels(self.photons), s, self.exposure).astype(np.float64)
+        charge = effects.collect(light, eta=s.eta, response=1.0, dark_e=s.dark_e(self.exposure))
+        signal = effects.nonlinear(effects.full_well(charge, s.mu_e_sat), s.droop)
+        clean = np.minimum(s.gain * signal + s.black_level, s.white_dn)
+        return clean.reshape(self.photons.shape).astype(np.float32)
 
 
 def expose(
@@ -61,6 +71,9 @@ def expose(
     view: int,
     frame: int = 0,
     plan: Plan | None = None,
+    shot: Shot = "poisson",
+    backend: Backend = "numba",
+    threads: int | None = None,
 ) -> RawFrame:
     """Take one frame.
 
@@ -73,6 +86,9 @@ def expose(
         view: Which camera position this is, 0..2**32-1.
         frame: Which frame of that position, 0..2**32-1.
         plan: Effects to leave out, from `plan_effects`; None simulates all. The others keep their draws.
+        shot: "poisson" is exact; "normal" approximates large signals; "none" leaves shot noise out.
+        backend: "numba" is fast, "numpy" the readable reference; both give the same frame.
+        threads: How many to use; None: one per core. The frame does not depend on it.
 
     Returns:
         The frame, with its analytic mean and variance.
@@ -80,61 +96,42 @@ def expose(
     Raises:
         ValueError: if the photons are NaN, infinite or negative anywhere, or of the wrong shape.
     """
-    photons = check_photons(photons, sensor)
+    photons = checked(photons, sensor)
     s = simplify(sensor, plan)
+    if plan is not None and not plan.is_on("photon_shot"):
+        shot = "none"
     draws = streams.Draws(seed=seed, view=view, frame=frame, origin=exposure.origin)
+    inputs = prepare(photons, s, exposure, draws)
+    if backend == "numpy":
+        check_light(photons, "photons")
+        dn, saturated = read_out(collect_charge(inputs, shot), inputs)
+    else:
+        from sensor_model import fused  # imports numba
 
-    mu_e = mean_charge(photons, s, exposure)
-    charge = effects.shot_noise(draws.uniforms(mu_e.shape, streams.PIXEL, streams.SHOT_WORD), mu_e)
-    signal = effects.full_well(charge, s.mu_e_sat)
-    read = draws.uniforms(mu_e.shape, streams.PIXEL, streams.READ_WORD)
-    signal = signal + effects.read_noise(read, s.sigma_d, s.tukey_lambda)
-    rows = (mu_e.shape[0], 1, *mu_e.shape[2:])
-    signal += s.sigma_row * effects.standard_normal(draws.uniforms(rows, streams.ROW))
-    signal += s.dsnu * fixed_pattern(s.serial, mu_e.shape, exposure.origin, streams.DSNU)
-    dn = effects.digitise(s.gain * signal + s.black_level, s.max_dn)
-    return RawFrame(
-        dn=dn, saturated=(charge >= s.mu_e_sat) | (dn == s.max_dn), photons=photons, sensor=s, exposure=exposure
-    )
-
-
-def check_photons(photons: ArrayLike, sensor: Sensor) -> NDArray:
-    """The photons as an array, or ValueError."""
-    photons = np.asarray(photons)
-    require(photons.dtype.kind in "fiu", "photons", "real numbers", photons.dtype)
-    fits = photons.ndim == 2 or (photons.ndim == 3 and photons.shape[2] == 3 and sensor.cfa is None)
-    rule = "[h, w]" if sensor.cfa else "[h, w] or [h, w, 3]"
-    require(fits and photons.size > 0, "photons", f"of shape {rule}", photons.shape, "use mosaic() for a colour filter")
-    check_light(photons, "photons")
-    return photons
+        dn, saturated, bad = fused.capture(inputs, shot, threads)
+        if bad:
+            check_light(photons, "photons")
+    shape = photons.shape
+    return RawFrame(dn.reshape(shape), saturated.reshape(shape), photons, s, exposure, shot)
 
 
-def mean_charge(photons: NDArray, sensor: Sensor, exposure: Exposure) -> Array:
-    """Mean charge of each pixel of this very camera, e-."""
-    response: Array | float = 1.0
-    if sensor.prnu:
-        normal = fixed_pattern(sensor.serial, photons.shape, exposure.origin, streams.PRNU)
-        response = np.maximum(1 + sensor.prnu * normal, 0)
-    dark_e = sensor.dark_current * exposure.time
-    mu_e = effects.collect(photons.astype(np.float64), eta=sensor.eta, response=response, dark_e=dark_e)
-    # A pixel this far over saturation is full in every frame; the cap keeps huge lights inside what Poisson can count.
-    top = sensor.capacity_e + 20 * sensor.sigma_d
-    return np.minimum(mu_e, top + 10 * np.sqrt(top) + 100)
+def collect_charge(inputs: Prepared, shot: Shot) -> Array:
+    """Light and dark signal -> the electrons of this exposure, before full well. e-."""
+    mu_e = inputs.mean_charge
+    if shot == "none":
+        return mu_e
+    sample = effects.shot_noise if shot == "poisson" else effects.normal_shot_noise
+    return sample(inputs.draws.uniforms(mu_e.shape, streams.SHOT), mu_e)
 
 
-@lru_cache(maxsize=6)  # a camera keeps its pattern over all views
-def fixed_pattern(serial: int, shape: tuple[int, ...], origin: tuple[int, int], stream: int) -> Array:
-    """Standard normal pattern of one camera: the same for every view, frame and seed. Read-only."""
-    pattern = effects.standard_normal(streams.Draws(seed=serial, origin=origin).uniforms(shape, stream))
-    pattern.flags.writeable = False
-    return pattern
-
-
-def expected(photons: NDArray, sensor: Sensor, exposure: Exposure) -> tuple[Array, Array]:
-    """Analytic mean and variance of `expose(...).dn` over frames, DN and DN**2."""
-    s = sensor
-    mean_e, variance_e = moments.charge_moments(mean_charge(photons, s, exposure), s.mu_e_sat)
-    if s.dsnu:
-        mean_e = mean_e + s.dsnu * fixed_pattern(s.serial, photons.shape, exposure.origin, streams.DSNU)
-    variance_e = variance_e + s.sigma_d**2 + s.sigma_row**2
-    return moments.adc_moments(s.gain * mean_e + s.black_level, s.gain**2 * variance_e, s.max_dn)
+def read_out(charge: Array, inputs: Prepared) -> tuple[NDArray[np.uint16], NDArray[np.bool_]]:
+    """Electrons -> codes, and which pixels saturated."""
+    s = inputs.sensor
+    held = effects.blooming(charge, s.mu_e_sat) if s.blooming else effects.full_well(charge, s.mu_e_sat)
+    sigma_d, code_width = effects.select_gain(held, s.sigma_d, s.dual_gain)
+    signal = effects.nonlinear(held, s.droop)
+    signal = signal + effects.read_noise(inputs.draws.uniforms(held.shape, streams.READ), sigma_d, s.tukey_lambda)
+    offset = 0.0 if inputs.offset is None else inputs.offset.astype(np.float64)
+    signal = signal + ((inputs.rows[:, None] + inputs.columns[None, :]) + offset)
+    dn = effects.digitise(s.gain * signal + inputs.black_dn, s.max_dn, code_width)
+    return dn, (held >= s.mu_e_sat) | (dn == s.max_dn)

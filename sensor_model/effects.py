@@ -1,7 +1,8 @@
 """One pure sampler per physical effect, in the order of the signal chain.
 
-Every random effect is one uniform number per pixel (or per row) put through the inverse of its distribution function,
-so each sampler takes `u` in (0, 1) and has no state. Closed forms of the same effects: `moments.py`.
+Every random effect is one uniform number per pixel (or row, or column) put through the inverse of its distribution
+function: samplers take `u` in (0, 1) and keep no state. Closed forms of the same effects: `moments.py`; the fast twins
+of the four that touch every pixel: `kernels.py`. Light is in photons, charge and signal in electrons, [h, w, channels].
 """
 
 from __future__ import annotations
@@ -10,32 +11,66 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from sensor_model.params import Banding, DualGain
+
 Array = NDArray[np.float64]
 
 
 def standard_normal(u: Array) -> Array:
-    """Standard normal numbers, by inversion."""
+    """Standard normal quantiles."""
     return special.ndtri(u)
 
 
-def collect(photons: Array, *, eta: float, response: Array | float, dark_e: Array | float) -> Array:
-    """Mean charge of each pixel: light through the quantum efficiency, plus dark signal.
+def relative_illumination(
+    shape: tuple[int, int],
+    *,
+    origin: tuple[int, int] = (0, 0),
+    sensor_shape: tuple[int, int] | None = None,
+    corner_angle: float = 0.0,
+    falloff: tuple[float, ...] | None = None,
+) -> Array:
+    """Vignetting: the factor on the light of each pixel of an [h, w] frame, 1 in the middle of the sensor.
 
-    Args:
-        photons: Mean photons per pixel behind the filter.
-        eta: Quantum efficiency.
-        response: Relative response of each pixel (PRNU), 1 on average.
-        dark_e: Mean dark charge of the exposure, e-.
+    Source: the cos**4 law of a thin lens, tan(theta) growing linearly from the centre to `corner_angle` (degrees) in
+    the corners; or a measured table, interpolated linearly over that radius.
+    """
+    full = sensor_shape or (origin[0] + shape[0], origin[1] + shape[1])
+    y = (np.arange(shape[0]) + origin[0] + 0.5 - full[0] / 2)[:, None]
+    x = (np.arange(shape[1]) + origin[1] + 0.5 - full[1] / 2)[None, :]
+    radius = np.hypot(y, x) / np.hypot(full[0] / 2, full[1] / 2)
+    if falloff is not None:
+        return np.interp(radius, np.linspace(0, 1, len(falloff)), falloff)
+    return (1 + (radius * np.tan(np.radians(corner_angle))) ** 2) ** -2.0  # cos**2 = 1 / (1 + tan**2)
 
-    Returns:
-        mu_e, e-. Source: EMVA 1288 linear model, mu_e = eta mu_p + mu_d.
+
+def crosstalk(light: NDArray, share: float) -> NDArray:
+    """Point spread of the sensor stack: each of the four neighbours receives `share` of a pixel's light.
+
+    Acts on the mean: photons that scatter at random stay Poisson distributed and independent. Light keeps its sum; at
+    the border it is reflected.
+    """
+    out = (1 - 4 * share) * light
+    for axis in (0, 1):
+        first, rest = [slice(None)] * light.ndim, [slice(None)] * light.ndim
+        first[axis], rest[axis] = slice(0, 1), slice(1, None)
+        last, front = list(first), list(rest)
+        last[axis], front[axis] = slice(-1, None), slice(0, -1)
+        out += share * np.concatenate([light[tuple(first)], light[tuple(front)]], axis)
+        out += share * np.concatenate([light[tuple(rest)], light[tuple(last)]], axis)
+    return out
+
+
+def pixel_response(normal: NDArray, prnu: float) -> NDArray:
+    """Relative response of each pixel: normal around 1 with standard deviation `prnu`, never negative."""
+    return np.maximum(1 + prnu * normal, 0)
+
+
+def collect(photons: Array, *, eta: float, response: NDArray | float, dark_e: NDArray | float) -> Array:
+    """Mean charge: light through the quantum efficiency of each pixel, plus dark signal.
+
+    Source: EMVA 1288 linear model, mu_e = eta mu_p + mu_d. e-.
     """
     return eta * photons * response + dark_e
-
-
-def pixel_response(u: Array, prnu: float) -> Array:
-    """Relative response of each pixel: normal around 1 with standard deviation `prnu`, never negative."""
-    return np.maximum(1 + prnu * standard_normal(u), 0)
 
 
 def shot_noise(u: Array, mu_e: Array) -> Array:
@@ -49,8 +84,10 @@ def shot_noise(u: Array, mu_e: Array) -> Array:
         The smallest n with P(N <= n) >= u, as float64, e-.
     """
     shape, u, mu_e = np.shape(mu_e), np.ravel(u), np.ravel(mu_e)
-    n = np.maximum(np.floor(poisson_guess(standard_normal(u), mu_e)), 0)
-    # The guess is off by one at most now and then: walk each pixel to the n that brackets its u.
+    w, root = standard_normal(u), np.sqrt(mu_e)
+    # Two terms of the Cornish-Fisher series give the quantile to about one electron ...
+    n = np.maximum(np.floor(mu_e + root * w + 1 / 3 + w * w / 6), 0)
+    # ... from where each pixel walks to the n that brackets its u.
     todo = np.arange(n.size)
     while todo.size:
         too_low = special.pdtr(n[todo], mu_e[todo]) < u[todo]
@@ -61,21 +98,26 @@ def shot_noise(u: Array, mu_e: Array) -> Array:
     return n.reshape(shape)
 
 
-def poisson_guess(w: Array, mu_e: Array) -> Array:
-    """Continuous Poisson quantile for the normal quantile `w`; its floor is the quantile, or one off.
-
-    Source: the Cornish-Fisher terms of Giles, "Algorithm 955: approximation of the inverse Poisson cumulative
-    distribution function", ACM TOMS 42 (2016), eq. 8.
-    """
-    root = np.sqrt(mu_e)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        third = np.where(mu_e > 1, (-w / 36 - w**3 / 72) / root, 0.0)
-    return mu_e + root * w + (1 / 3 + w * w / 6) + third
-
-
 def normal_shot_noise(u: Array, mu_e: Array) -> Array:
-    """The approximation of large signals: normal with variance `mu_e`, neither whole nor bounded below. e-."""
+    """The approximation for large signals: normal with variance `mu_e`; not whole, not bounded below. e-."""
     return mu_e + np.sqrt(mu_e) * standard_normal(u)
+
+
+def blooming(charge: Array, mu_e_sat: float) -> Array:
+    """Charge over full well spills up and down its column until it finds room or leaves the sensor. e-.
+
+    One half of each excess moves down, the other up; what a pixel cannot hold it passes on. Charge is conserved except
+    over the first and the last row.
+    """
+    held = np.minimum(charge, mu_e_sat)
+    half = 0.5 * (charge - held)
+    for order in (range(charge.shape[0]), range(charge.shape[0] - 1, -1, -1)):
+        moving = np.zeros_like(charge[0])
+        for row in order:
+            room = np.minimum(mu_e_sat - held[row], moving)
+            held[row] += room
+            moving += half[row] - room
+    return held
 
 
 def full_well(charge: Array, mu_e_sat: float) -> Array:
@@ -83,22 +125,54 @@ def full_well(charge: Array, mu_e_sat: float) -> Array:
     return np.minimum(charge, mu_e_sat)
 
 
+def nonlinear(charge: Array, droop: float) -> Array:
+    """Signal of a pixel whose response falls with its charge: q - droop q**2, e-."""
+    return charge - droop * charge * charge
+
+
 def tukey_sd(lam: float) -> float:
     """Standard deviation of Tukey's lambda distribution of scale 1: published "scales" times this are sigmas."""
-    if abs(lam) < 1e-4:  # 2/lam**2 * (difference that vanishes) cancels; the logistic limit is within 1e-4
-        return float(np.pi / np.sqrt(3))
+    if abs(lam) < 1e-4:  # the bracket below vanishes as lam**2 and loses its digits: the logistic limit, to 1e-8
+        return float(np.pi / np.sqrt(3) * (1 - lam * (1 + 6 * special.zeta(3) / np.pi**2)))
     return float(np.sqrt(2 / lam**2 * (1 / (1 + 2 * lam) - special.beta(lam + 1, lam + 1))))
 
 
-def read_noise(u: Array, sigma_d: float, tukey_lambda: float | None) -> Array:
+def tukey_quantile(u: Array, lam: float) -> Array:
+    """(u**lam - (1 - u)**lam)/lam, the logistic quantile log(u/(1 - u)) at lam = 0."""
+    # boxcox(u, lam) is (u**lam - 1)/lam without cancellation
+    return special.boxcox(u, lam) - special.boxcox1p(-u, lam)
+
+
+def read_noise(u: Array, sigma_d: Array | float, tukey_lambda: float | None) -> Array:
     """Read noise of standard deviation `sigma_d`: normal, or Tukey-lambda with its heavier tails. e-."""
     if tukey_lambda is None:
         return sigma_d * standard_normal(u)
-    # boxcox(u, lam) = (u**lam - 1) / lam, the logarithm at 0: no cancellation for small lambda
-    quantile = special.boxcox(u, tukey_lambda) - special.boxcox1p(-u, tukey_lambda)
-    return sigma_d / tukey_sd(tukey_lambda) * quantile
+    return sigma_d / tukey_sd(tukey_lambda) * tukey_quantile(u, tukey_lambda)
 
 
-def digitise(signal_dn: Array, max_dn: int) -> NDArray[np.uint16]:
-    """Analogue signal including black level -> codes: round half to even, clip, and only then cast. DN."""
-    return np.clip(np.rint(signal_dn), 0, max_dn).astype(np.uint16)
+def select_gain(charge: Array, sigma_d: float, dual_gain: DualGain | None) -> tuple[Array | float, Array | float]:
+    """Read noise (e-) and code width (DN) of each pixel, by the gain at which it is read."""
+    if dual_gain is None:
+        return sigma_d, 1.0
+    low = charge > dual_gain.threshold
+    return np.where(low, dual_gain.sigma_d, sigma_d), np.where(low, dual_gain.ratio, 1.0)
+
+
+def telegraph(u: Array, level: Array | float) -> Array:
+    """Random telegraph signal after double sampling: -level, 0 or +level with odds 1:2:1. e-; variance level**2/2."""
+    return level * ((u > 0.75).astype(np.float64) - (u < 0.25))
+
+
+def telegraph_level(sigma_d: float, factor: float) -> float:
+    """The level that raises the standard deviation of a pixel from sigma_d to factor * sigma_d, e-."""
+    return sigma_d * float(np.sqrt(2 * (factor**2 - 1)))
+
+
+def bands(u: Array, rows: NDArray, banding: Banding) -> Array:
+    """Periodic row pattern of one frame; `u` sets its phase. e-, one value per row and phase."""
+    return banding.amplitude * np.sin(2 * np.pi * (rows / banding.period + u))
+
+
+def digitise(signal_dn: Array, max_dn: int, code_width: Array | float = 1.0) -> NDArray[np.uint16]:
+    """Signal over black level, plus black level -> codes: round half to even, clip, and only then cast. DN."""
+    return np.clip(np.rint(np.rint(signal_dn * (1 / code_width)) * code_width), 0, max_dn).astype(np.uint16)

@@ -1,6 +1,10 @@
 """Analytic mean and variance of the chain in `capture.py`: what its samples are tested against.
 
 Everything here is temporal: for one pixel of one camera, over frames of the same light.
+
+Far from any clipping, the moments are closed forms. Near one (black, white, full well, the switch of a dual gain), or
+where the noise is too small to round out the steps of the ADC, the charge is integrated: E[f(N)] over its distribution,
+f(n) being the closed form for a fixed charge n. There a Tukey-lambda noise is taken as normal with its variance.
 """
 
 from __future__ import annotations
@@ -9,69 +13,166 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
+from sensor_model import effects, pattern
+from sensor_model.params import Sensor
+from sensor_model.prepare import Prepared
+
 Array = NDArray[np.float64]
 
+REACH = 8.0  # standard deviations beyond which a normal tail (1e-15) is nothing
+SMOOTH = 0.5  # DN of noise from which rounding is as good as adding 1/12 DN**2 (error below 0.003 DN)
+LATTICE = 60.0  # e-; below, sum over the electrons; above, integrate over the normal quantile of their number
 
-def charge_moments(mu_e: Array, mu_e_sat: float) -> tuple[Array, Array]:
-    """Mean and variance of min(N, mu_e_sat), N Poisson with mean `mu_e`. e-, e-**2.
 
-    Uses sum_{n <= k} n p(n) = mu P(k - 1) and sum_{n <= k} n (n - 1) p(n) = mu**2 P(k - 2), P(n) the probability of
-    at most n.
+def frame_moments(inputs: Prepared, shot: str = "poisson") -> tuple[Array, Array]:
+    """Mean (DN) and variance (DN**2) of every pixel, [h, w, c].
+
+    With blooming, a pixel's mean follows the mean charges of its column; its variance is its own.
     """
-    mu = np.asarray(mu_e, np.float64)
-    mean, variance = mu.copy(), mu.copy()
-    # Below full well by 9 sigma the clipped share is under 1e-18
-    near = mu + 9 * np.sqrt(mu) + 20 > mu_e_sat
-    if near.any():
-        mean[near], variance[near] = _clipped_poisson(mu[near], mu_e_sat)
+    s = inputs.sensor
+    mu = inputs.mean_charge.ravel()
+    if s.blooming:
+        mu = effects.blooming(inputs.mean_charge, s.mu_e_sat).ravel()
+    extra = np.broadcast_to(extra_variance(inputs), inputs.light.shape).ravel()
+    offset = 0.0 if inputs.offset is None else inputs.offset.astype(np.float64)
+    base = (inputs.black_dn + s.gain * (np.zeros(inputs.light.shape) + offset)).ravel()
+
+    charge_variance = np.zeros_like(mu) if shot == "none" else mu
+    mean_e, variance_e = response_moments(mu, charge_variance, s.droop)
+    mean = base + s.gain * mean_e
+    read_sd = s.gain * np.sqrt(s.sigma_d**2 + extra)
+    variance = s.gain**2 * variance_e + read_sd**2
+    stepless = (read_sd == 0) & (s.gain % 1 == 0) & (base % 1 == 0) & (s.droop == 0) & (shot == "poisson")
+    hard = _near_a_limit(s, mu, mean, np.sqrt(variance)) | ((read_sd < SMOOTH) & ~stepless)
+    variance += np.where(stepless, 0, 1 / 12)  # whole electrons that are whole codes lose nothing in rounding
+    for part in _batches(np.flatnonzero(hard), mu):
+        mean[part], variance[part] = integrated_moments(s, mu[part], base[part], extra[part], shot)
+    shape = inputs.light.shape
+    return mean.reshape(shape), variance.reshape(shape)
+
+
+def extra_variance(inputs: Prepared) -> Array:
+    """Variance of row, column, banding and telegraph noise, [h, w, c] or [1, 1, 1], e-**2."""
+    s = inputs.sensor
+    variance = np.full((1, 1, 1), s.sigma_row**2 + s.sigma_column**2)
+    if s.banding:
+        variance += s.banding.amplitude**2 / 2
+    sites = pattern.telegraph_sites(s, inputs.light.shape, inputs.draws.origin)
+    if sites is not None and s.defects is not None:
+        variance = np.broadcast_to(variance, inputs.light.shape).copy()
+        variance[sites] += effects.telegraph_level(s.sigma_d, s.defects.rts_factor) ** 2 / 2
+    return variance
+
+
+def response_moments(mu: Array, variance: Array, droop: float) -> tuple[Array, Array]:
+    """Mean and variance of N - droop N**2 where N has Poisson moments (variance = mu) or none (variance = 0).
+
+    Source: the Poisson moments E[N**2] = mu**2 + mu, var(N**2) = 4 mu**3 + 6 mu**2 + mu, cov(N, N**2) = 2 mu**2 + mu.
+    """
+    if droop == 0:
+        return mu, variance
+    random = variance > 0
+    mean = mu - droop * (mu**2 + variance)
+    spread = mu - 2 * droop * (2 * mu**2 + mu) + droop**2 * (4 * mu**3 + 6 * mu**2 + mu)
+    return mean, np.where(random, spread, 0.0)
+
+
+def _reach(mu: Array) -> Array:
+    """How far from its mean a Poisson number gets, generously, e-."""
+    return REACH * np.sqrt(mu) + REACH**2 / 4
+
+
+def _near_a_limit(s: Sensor, mu: Array, mean: Array, sd: Array) -> NDArray[np.bool_]:
+    skew = s.gain * REACH**2 / 4
+    near = (mean < REACH * sd + 1) | (mean > s.max_dn - REACH * sd - skew - 1) | (mu + _reach(mu) > s.mu_e_sat)
+    return near | (mu + _reach(mu) > s.dual_gain.threshold) if s.dual_gain else near
+
+
+def _batches(where: NDArray[np.intp], mu: Array) -> list[NDArray[np.intp]]:
+    """Pixels of similar charge together, so that one list of electrons serves them all."""
+    where = where[np.argsort(mu[where], kind="stable")]
+    small = np.searchsorted(mu[where], LATTICE)
+    halves = (where[:small], where[small:])
+    return [part for half in halves if half.size for part in np.array_split(half, -(-half.size // 4096))]
+
+
+def integrated_moments(s: Sensor, mu: Array, base: Array, extra: Array, shot: str) -> tuple[Array, Array]:
+    """Mean and variance of the codes of pixels with mean charge `mu`, by summing over the charge. DN, DN**2.
+
+    Args:
+        s: The camera.
+        mu: Mean charge [p], e-.
+        base: Code of zero charge [p], DN.
+        extra: Variance of what is added to the read noise [p], e-**2.
+        shot: As in `expose`.
+    """
+    # Full in every frame: its charge is as good as fixed
+    fixed = shot == "none" or mu.min() - _reach(mu.min()) > s.capacity_e / (1 - s.nonlinearity) + REACH * s.sigma_d
+    charge, weight = (mu[:, None], np.ones((mu.size, 1))) if fixed else _charges(mu, shot)
+    held = effects.full_well(charge, s.mu_e_sat)
+    sigma_d, width = effects.select_gain(held, s.sigma_d, s.dual_gain)
+    level = base[:, None] + s.gain * effects.nonlinear(held, s.droop)
+    sd = s.gain * np.sqrt(sigma_d**2 + extra[:, None])
+    # Moments about the level of the mean charge: squares stay small, differences exact
+    centre = base + s.gain * effects.nonlinear(effects.full_well(mu, s.mu_e_sat), s.droop)
+    first, second = code_moments(level / width, sd / width, s.max_dn / width)
+    mean = width * first
+    square = width**2 * second + (mean - centre[:, None]) ** 2
+    total = weight.sum(1)
+    shift = (weight * (mean - centre[:, None])).sum(1) / total
+    return centre + shift, np.maximum((weight * square).sum(1) / total - shift**2, 0)
+
+
+def _charges(mu: Array, shot: str) -> tuple[Array, Array]:
+    """Charges and their weights, [p, k]: the electrons themselves, or a fine grid of the normal quantile."""
+    if shot == "poisson" and mu.max() <= LATTICE:
+        n = np.arange(np.ceil(mu.max() + _reach(mu.max())) + 1)
+        weight = np.exp(special.xlogy(n, mu[:, None]) - mu[:, None] - special.gammaln(n + 1))
+        return np.broadcast_to(n, weight.shape), weight
+    w = np.linspace(-REACH, REACH, 321)
+    charge = mu[:, None] + np.sqrt(mu)[:, None] * w
+    if shot == "poisson":
+        # The series of the Poisson quantile, less the half electron of rounding down: mean mu, variance mu to 1/mu
+        charge = np.maximum(charge + (w * w - 1) / 6, 0)
+    return charge, np.broadcast_to(np.exp(-0.5 * w * w), charge.shape)
+
+
+def code_moments(level: Array, sd: Array, top: Array | float) -> tuple[Array, Array]:
+    """Mean and variance of round(level + sd * normal), clipped to [0, top]. DN, DN**2.
+
+    Source: E[Z] = sum_{j=1}^{top} P(y > j - 1/2). With sd >= 0.5 the Euler-Maclaurin formula gives the sum from the
+    censored normal distribution and its end terms; with less, the few terms that matter are summed.
+    """
+    level, sd, top = np.broadcast_arrays(level, sd, top)
+    mean, variance = np.clip(np.rint(level), 0, top), np.zeros(level.shape)
+    quiet, loud = (sd > 0) & (sd < SMOOTH), sd >= SMOOTH
+    if quiet.any():
+        mean[quiet], variance[quiet] = _summed(level[quiet], sd[quiet], top[quiet])
+    if loud.any():
+        mean[loud], variance[loud] = _censored(level[loud], sd[loud], top[loud])
     return mean, variance
 
 
-def _clipped_poisson(mu: Array, top: float) -> tuple[Array, Array]:
-    k = np.floor(top)
-
-    def cdf(n: float) -> Array:
-        return special.pdtr(n, mu) if n >= 0 else np.zeros_like(mu)
-
-    # Moments of the shortfall top - N. Terms of order top**2 cancel: the variance is good to 1e-15 top**2.
-    p0, p1, p2 = cdf(k), cdf(k - 1), cdf(k - 2)
-    first = top * p0 - mu * p1
-    second = top**2 * p0 - (2 * top - 1) * mu * p1 + mu**2 * p2
-    return top - first, np.maximum(second - first**2, 0)
+def _summed(level: Array, sd: Array, top: Array) -> tuple[Array, Array]:
+    codes = np.rint(level)[..., None] + np.arange(-5, 6)  # 0.5 DN of noise reaches 9 standard deviations
+    above = special.ndtr((level[..., None] - codes + 0.5) / sd[..., None])  # P(y > code - 1/2)
+    probability = above - np.append(above[..., 1:], np.zeros_like(above[..., :1]), -1)
+    clipped = np.clip(codes, 0, top[..., None]) - np.clip(np.rint(level), 0, top)[..., None]
+    first = (probability * clipped).sum(-1)
+    return np.clip(np.rint(level), 0, top) + first, (probability * clipped**2).sum(-1) - first**2
 
 
-def adc_moments(mean_dn: Array, variance_dn: Array, max_dn: int) -> tuple[Array, Array]:
-    """Mean and variance after rounding and clipping a normal signal to [0, max_dn]. DN, DN**2.
-
-    Clipping: the censored normal distribution. Rounding: the Euler-Maclaurin end terms of
-    E[Z] = sum_{j=1}^{max} P(y > j - 1/2), accurate while the noise is 0.5 DN or more.
-    """
-    mean, variance = np.array(mean_dn, np.float64), np.array(variance_dn, np.float64)
-    sd = np.sqrt(variance)
-    near = (mean < 8 * sd + 1) | (mean > max_dn - 8 * sd - 1)
-    quiet = sd == 0
-    out_mean = np.where(quiet, np.clip(np.rint(mean), 0, max_dn), mean)
-    out_variance = np.where(quiet, 0.0, variance + 1 / 12)
-    near &= ~quiet
-    if near.any():
-        out_mean[near], out_variance[near] = _censored_normal(mean[near], sd[near], float(max_dn))
-    return out_mean, out_variance
-
-
-def _censored_normal(m: Array, s: Array, top: float) -> tuple[Array, Array]:
+def _censored(m: Array, s: Array, top: Array) -> tuple[Array, Array]:
     a, b = -m / s, (top - m) / s
     pdf_a, pdf_b = (np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi) for z in (a, b))
     below, above = special.ndtr(a), special.ndtr(-b)  # P(y < 0), P(y > top)
-    lift = s * (pdf_a + a * below)  # E[(0 - y)+]
-    cut = s * (pdf_b - b * above)  # E[(y - top)+]
+    lift, cut = s * (pdf_a + a * below), s * (pdf_b - b * above)  # E[(0 - y)+], E[(y - top)+]
     lift2 = s * s * ((1 + a * a) * below + a * pdf_a)
     cut2 = s * s * ((1 + b * b) * above - b * pdf_b)
-    shift = lift - cut
-    # With e = y - m, L and U the two excesses: E[(e + L - U)**2], where eL = (0-m)L - L**2 and eU = U**2 + (top-m)U
+    # With e = y - m and L, U the two excesses: E[(e + L - U)**2], where e L = -m L - L**2 and e U = U**2 + (top - m) U
     second = s * s - lift2 - 2 * m * lift - cut2 - 2 * (top - m) * cut
-    rounding_mean = (pdf_b - pdf_a) / (24 * s)
-    # the same end terms for E[(Z - m)**2] = sum of 2 (j - 1/2 - m) P(y > j - 1/2) ...
-    rounding_second = ((1 - below) - above) / 12 + ((top - m) * pdf_b + m * pdf_a) / (12 * s)
-    shift = shift + rounding_mean
-    variance = second + rounding_second - shift**2
-    return np.clip(m + shift, 0, top), np.maximum(variance, 0)
+    # Euler-Maclaurin end terms of E[Z] and of E[(Z - m)**2] = m**2 + sum of 2 (j - 1/2 - m) P(y > j - 1/2)
+    shift = lift - cut + (pdf_b - pdf_a) / (24 * s)
+    second = second + (1 - below - above) / 12 + ((top - m) * pdf_b + m * pdf_a) / (12 * s)
+    # Deep in a clip all terms vanish against m**2 and only rounding errors are left of the variance
+    return np.clip(m + shift, 0, top), np.maximum(second - shift**2, 0)

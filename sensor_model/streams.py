@@ -1,9 +1,10 @@
 """Counter-based random numbers: every pixel of every effect owns one fixed draw.
 
 Philox 4x32-10 (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011) maps a counter and a key to
-128 random bits. Key: the seed. Counter: (row << 16 | column, effect and channel, view, frame). Nothing is hashed, so
-two different draws never share a counter; no draw depends on another one, on the thread count, or on the size of the
-frame: a crop equals the same crop of the whole.
+128 random bits. Key: the seed. Counter: (row << 16 | column // 2, effect and channel, view, frame); of the bits, an
+even column takes the first half and its odd neighbour the second. Nothing is hashed, so two different draws never share
+a counter; no draw depends on another one, on the thread count, or on the size of the frame. Row blocks therefore need
+no alignment, and a crop, at any offset, equals the same crop of the whole.
 """
 
 from __future__ import annotations
@@ -15,18 +16,20 @@ from numpy.typing import NDArray
 
 from sensor_model.params import require
 
-# Stream numbers. Pixel noise gives its first 64 bits to the shot noise and its last 64 to the read noise.
-PIXEL, ROW, COLUMN, BANDING, RTS, DSNU, PRNU, HOT, RTS_SITE = range(9)
-SHOT_WORD, READ_WORD = 0, 1
+# One stream per effect. The last four belong to the camera, not to the frame.
+SHOT, READ, ROW, COLUMN, BANDING, RTS, DSNU, PRNU, HOT, RTS_SITE = range(10)
 
 ROUNDS = 10
 MULTIPLIERS = (0xD2511F53, 0xCD9E8D57)
 WEYL = (0x9E3779B9, 0xBB67AE85)
 MASK = 0xFFFFFFFF
 SIDE = 1 << 16  # rows and columns are numbered in 16 bits each
+CHANNELS = 4  # room for the channel in the counter's second word
+
+Words = tuple[NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64], NDArray[np.uint64]]
 
 
-def philox(counter: tuple[NDArray[np.uint64], ...], key: tuple[int, int]) -> tuple[NDArray[np.uint64], ...]:
+def philox(counter: Words, key: tuple[int, int]) -> Words:
     """128 random bits per counter: Philox 4x32-10, four 32-bit words held in uint64 arrays."""
     c0, c1, c2, c3 = counter
     k0, k1 = key
@@ -53,27 +56,34 @@ class Draws:
         require(0 <= self.view < 2**32, "view", "in [0, 2**32)", self.view)
         require(0 <= self.frame < 2**32, "frame", "in [0, 2**32)", self.frame)
 
-    def uniforms(self, shape: tuple[int, ...], stream: int, word: int = 0) -> NDArray[np.float64]:
-        """One uniform number in the open interval (0, 1) per pixel.
+    @property
+    def key(self) -> tuple[int, int]:
+        """The two halves of the seed."""
+        return self.seed & MASK, self.seed >> 32
 
-        Args:
-            shape: (h, w) or (h, w, channels).
-            stream: Which effect draws (PIXEL, ROW, ...).
-            word: Which half of the 128 bits (0 or 1).
+    def check_extent(self, shape: tuple[int, ...]) -> None:
+        """Raise ValueError if a frame of this shape leaves the 16 bits of a row or column number."""
+        end = (self.origin[0] + shape[0], self.origin[1] + shape[1])
+        require(max(end) <= SIDE, "origin plus shape", f"within {SIDE} rows and columns", end)
+
+    def uniforms(self, shape: tuple[int, ...], stream: int) -> NDArray[np.float64]:
+        """One uniform number in (0, 1) per pixel of a frame of shape (h, w) or (h, w, channels)."""
+        self.check_extent(shape)
+        index = np.indices(shape, sparse=True)
+        return self.uniforms_at(stream, index[0], index[1], index[2] if len(shape) == 3 else np.zeros((1, 1), int))
+
+    def uniforms_at(self, stream: int, rows: NDArray, cols: NDArray, channels: NDArray) -> NDArray[np.float64]:
+        """One uniform number per (row, column, channel), numbered from the frame's first pixel; arrays broadcast.
 
         Returns:
-            float64 of that shape: odd multiples of 2**-53, so neither 0 nor 1, and symmetric about 1/2.
+            float64, odd multiples of 2**-53: neither 0 nor 1, and symmetric about 1/2.
         """
-        h, w = shape[:2]
-        channels = shape[2] if len(shape) == 3 else 1
-        end = (self.origin[0] + h, self.origin[1] + w)
-        require(max(end) <= SIDE, "origin plus shape", f"within {SIDE} rows and columns", end)
-        rows = np.arange(self.origin[0], end[0], dtype=np.uint64)[:, None, None]
-        cols = np.arange(self.origin[1], end[1], dtype=np.uint64)[None, :, None]
-        pixel = (rows << np.uint64(16)) | cols | np.zeros(channels, np.uint64)
-        effect = np.broadcast_to(np.uint64(stream * 4) + np.arange(channels, dtype=np.uint64), pixel.shape)
-        constant = [np.broadcast_to(np.uint64(i), pixel.shape) for i in (self.view, self.frame)]
-        bits = philox((pixel, effect, *constant), (self.seed & MASK, self.seed >> 32))
-        high, low = bits[2 * word], bits[2 * word + 1]
+        rows, cols, channels = np.broadcast_arrays(rows + self.origin[0], cols + self.origin[1], channels)
+        position = (rows.astype(np.uint64) << np.uint64(16)) | (cols.astype(np.uint64) >> np.uint64(1))
+        effect = channels.astype(np.uint64) + np.uint64(stream * CHANNELS)
+        view, frame = (np.full(position.shape, i, np.uint64) for i in (self.view, self.frame))
+        first, second, third, fourth = philox((position, effect, view, frame), self.key)
+        odd = cols % 2 == 1
+        high, low = np.where(odd, third, first), np.where(odd, fourth, second)
         whole = (high << np.uint64(20)) | (low >> np.uint64(12))  # 52 bits: k + 1/2 is still exact in float64
-        return ((whole.astype(np.float64) + 0.5) * 2.0**-52).reshape(shape)
+        return (whole.astype(np.float64) + 0.5) * 2.0**-52

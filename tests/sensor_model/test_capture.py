@@ -18,7 +18,7 @@ def test_every_preset_takes_a_frame(name):
     assert not frame.saturated.any()
 
 
-@pytest.mark.parametrize("name", ["imx900-hcg", "a7s2-iso6400"])
+@pytest.mark.parametrize("name", ["imx900-hcg", "a7s2-iso6400", "ideal"])
 def test_mean_and_variance_match_repeated_frames(name):
     sensor, n = PRESETS[name], 600
     levels = np.concatenate([[0], np.geomspace(0.1, 1.2 * sensor.capacity_e, 60)]) / sensor.eta

@@ -24,23 +24,23 @@ def test_philox_gives_the_published_answers(counter, key, expected):
 
 
 def test_a_crop_draws_what_the_whole_frame_draws_there():
-    whole = Draws(seed=5, view=3).uniforms((20, 30, 3), streams.PIXEL)
-    crop = Draws(seed=5, view=3, origin=(4, 7)).uniforms((9, 11, 3), streams.PIXEL)
+    whole = Draws(seed=5, view=3).uniforms((20, 30, 3), streams.SHOT)
+    crop = Draws(seed=5, view=3, origin=(4, 7)).uniforms((9, 11, 3), streams.SHOT)
     np.testing.assert_array_equal(crop, whole[4:13, 7:18])
 
 
 def test_streams_are_uniform_and_uncorrelated():
     n = 256 * 256
     base = {"seed": 1, "view": 2, "frame": 3}
-    pixel = Draws(**base).uniforms((256, 256), streams.PIXEL)
+    pixel = Draws(**base).uniforms((256, 256), streams.SHOT)
     assert 0 < pixel.min()
     assert pixel.max() < 1
     assert abs(pixel.mean() - 0.5) < 5 * np.sqrt(1 / 12 / n)
     assert abs(pixel.var() - 1 / 12) < 5 * np.sqrt(1 / 180 / n)
     others = [
-        Draws(**base).uniforms((256, 256), streams.PIXEL, 1),
+        Draws(**base).uniforms((256, 256), streams.READ),
         Draws(**base).uniforms((256, 256), streams.DSNU),
-        *(Draws(**(base | {key: 9})).uniforms((256, 256), streams.PIXEL) for key in base),
+        *(Draws(**(base | {key: 9})).uniforms((256, 256), streams.SHOT) for key in base),
     ]
     for other in others:
         assert abs(np.corrcoef(pixel.ravel(), other.ravel())[0, 1]) < 5 / np.sqrt(n)
@@ -51,4 +51,4 @@ def test_indices_that_would_wrap_are_refused(bad):
     with pytest.raises(ValueError, match=r"must be in \[0"):
         Draws(**bad)
     with pytest.raises(ValueError, match="within 65536"):
-        Draws(seed=0, origin=(65530, 0)).uniforms((10, 10), streams.PIXEL)
+        Draws(seed=0, origin=(65530, 0)).uniforms((10, 10), streams.SHOT)

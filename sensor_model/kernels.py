@@ -1,0 +1,329 @@
+"""Vectorised numba twins of the samplers in `effects.py`: uniform, normal, Tukey-lambda, Poisson.
+
+Everything works on CHUNK pixels at a time, in loops without branches or calls, which LLVM turns into SIMD code. All
+operands live in one float64 scratch array `b` (it stays in the first-level cache), each at a fixed offset: U, W, MU ...
+Distances known at compile time are what lets LLVM vectorise without testing every pair of arrays for overlap.
+Only + - * / and sqrt in float64 are used on the common path and nothing is re-associated, so results do not depend on
+the machine, the vector width or the place in a chunk. Importing this module imports numba: do so inside functions only.
+"""
+# mypy: disable-error-code="no-untyped-call, untyped-decorator"
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from sensor_model import streams
+
+CHUNK = 512  # pixels at a time; even, because one Philox block serves two neighbours
+U, W, MU, N, P, C, X = (CHUNK * i for i in range(7))  # uniform, its quantile, mean, count; P, C, X: scratch
+SCRATCH = 7 * CHUNK
+_M0, _M1 = np.uint64(streams.MULTIPLIERS[0]), np.uint64(streams.MULTIPLIERS[1])
+_W0, _W1 = np.uint64(streams.WEYL[0]), np.uint64(streams.WEYL[1])
+_MASK, _S16, _S32 = np.uint64(streams.MASK), np.uint64(16), np.uint64(32)
+_S20, _S12, _TWO = np.uint64(20), np.uint64(12), np.uint64(2)
+_ROUNDS = streams.ROUNDS
+_LN2 = math.log(2)
+SMALL_MEAN = 4.0  # below: count through the distribution function; above: invert its asymptotic series
+
+jit = njit(cache=True, nogil=True, error_model="numpy")  # "python" would test every division, and block SIMD
+inline = njit(cache=True, nogil=True, error_model="numpy", inline="always")
+
+
+@inline
+def philox(c0, c1, c2, c3, k0, k1):  # type: ignore[no-untyped-def]
+    """Twin of `streams.philox` for one counter."""
+    for _ in range(_ROUNDS):
+        p0 = c0 * _M0
+        p1 = c2 * _M1
+        c0, c1, c2, c3 = (p1 >> _S32) ^ c1 ^ k0, p1 & _MASK, (p0 >> _S32) ^ c3 ^ k1, p0 & _MASK
+        k0, k1 = (k0 + _W0) & _MASK, (k1 + _W1) & _MASK
+    return c0, c1, c2, c3
+
+
+@jit
+def uniform(b, n, row, col, effect, view, frame, k0, k1):  # type: ignore[no-untyped-def]
+    """b[U:U + n] = uniforms of columns col.. of one row, col even; twin of `streams.Draws.uniforms`."""
+    base = np.uint64(row) << _S16
+    first = np.uint64(col) // _TWO
+    for j in range((n + 1) // 2):
+        w0, w1, w2, w3 = philox(base | (first + np.uint64(j)), effect, view, frame, k0, k1)
+        b[U + 2 * j] = (np.float64((w0 << _S20) | (w1 >> _S12)) + 0.5) * 2.0**-52
+        b[U + 2 * j + 1] = (np.float64((w2 << _S20) | (w3 >> _S12)) + 0.5) * 2.0**-52
+
+
+@inline
+def log(x):  # type: ignore[no-untyped-def]
+    """Natural logarithm of a normal positive float64, to 1e-15: 2 atanh((m - 1)/(m + 1)) + e ln 2."""
+    bits = np.float64(x).view(np.int64)
+    e = (bits >> 52) - 1023
+    m = np.int64((bits & 0xFFFFFFFFFFFFF) | 0x3FF0000000000000).view(np.float64)
+    big = m > 1.4142135623730951
+    m = m * 0.5 if big else m
+    e = e + 1 if big else e
+    s = (m - 1.0) / (m + 1.0)
+    z = s * s
+    p = 1 / 19
+    p = p * z + 1 / 17
+    p = p * z + 1 / 15
+    p = p * z + 1 / 13
+    p = p * z + 1 / 11
+    p = p * z + 1 / 9
+    p = p * z + 1 / 7
+    p = p * z + 1 / 5
+    p = p * z + 1 / 3
+    return 2.0 * s * (1.0 + z * p) + np.float64(e) * _LN2
+
+
+@inline
+def exp16(x):  # type: ignore[no-untyped-def]
+    """exp(x) for |x| <= 4, to 1e-14: the Taylor series of exp(x/16), squared four times."""
+    y = x * 0.0625
+    p = 1 / 39916800
+    p = p * y + 1 / 3628800
+    p = p * y + 1 / 362880
+    p = p * y + 1 / 40320
+    p = p * y + 1 / 5040
+    p = p * y + 1 / 720
+    p = p * y + 1 / 120
+    p = p * y + 1 / 24
+    p = p * y + 1 / 6
+    p = p * y + 0.5
+    p = p * y + 1.0
+    p = p * y + 1.0
+    p = p * p
+    p = p * p
+    p = p * p
+    return p * p
+
+
+@inline
+def _central(q):  # type: ignore[no-untyped-def]
+    """Wichura's PPND16 for |q| <= 0.425, q = u - 1/2 (Applied Statistics algorithm AS 241, 1988)."""
+    r = 0.180625 - q * q
+    a = 2.5090809287301226727e3 * r + 3.3430575583588128105e4
+    a = a * r + 6.7265770927008700853e4
+    a = a * r + 4.5921953931549871457e4
+    a = a * r + 1.3731693765509461125e4
+    a = a * r + 1.9715909503065514427e3
+    a = a * r + 1.3314166789178437745e2
+    a = a * r + 3.3871328727963666080
+    b = 5.2264952788528545610e3 * r + 2.8729085735721942674e4
+    b = b * r + 3.9307895800092710610e4
+    b = b * r + 2.1213794301586595867e4
+    b = b * r + 5.3941960214247511077e3
+    b = b * r + 6.8718700749205790830e2
+    b = b * r + 4.2313330701600911252e1
+    return q * a / (b * r + 1.0)
+
+
+@inline
+def _tail(r):  # type: ignore[no-untyped-def]
+    """PPND16 for 1.6 <= r + 1.6 <= 5, r = sqrt(-log(tail probability)) - 1.6."""
+    a = 7.74545014278341407640e-4 * r + 2.27238449892691845833e-2
+    a = a * r + 2.41780725177450611770e-1
+    a = a * r + 1.27045825245236838258
+    a = a * r + 3.64784832476320460504
+    a = a * r + 5.76949722146069140550
+    a = a * r + 4.63033784615654529590
+    a = a * r + 1.42343711074968357734
+    b = 1.05075007164441684324e-9 * r + 5.47593808499534494600e-4
+    b = b * r + 1.51986665636164571966e-2
+    b = b * r + 1.48103976427480074590e-1
+    b = b * r + 6.89767334985100004550e-1
+    b = b * r + 1.67638483018380384940
+    b = b * r + 2.05319162663775882187
+    return a / (b * r + 1.0)
+
+
+@inline
+def _far_tail(r):  # type: ignore[no-untyped-def]
+    """PPND16 beyond r = 5 (probabilities under 1e-11), r = sqrt(-log(tail probability)) - 5."""
+    a = 2.01033439929228813265e-7 * r + 2.71155556874348757815e-5
+    a = a * r + 1.24266094738807843860e-3
+    a = a * r + 2.65321895265761230930e-2
+    a = a * r + 2.96560571828504891230e-1
+    a = a * r + 1.78482653991729133580
+    a = a * r + 5.46378491116411436990
+    a = a * r + 6.65790464350110377720
+    b = 2.04426310338993978564e-15 * r + 1.42151175831644588870e-7
+    b = b * r + 1.84631831751005468180e-5
+    b = b * r + 7.86869131145613259100e-4
+    b = b * r + 1.48753612908506148525e-2
+    b = b * r + 1.36929880922735805310e-1
+    b = b * r + 5.99832206555887937690e-1
+    return a / (b * r + 1.0)
+
+
+@jit
+def normal(b, n, where):  # type: ignore[no-untyped-def]
+    """b[W:W + n] = standard normal quantiles of b[U:]; twin of `effects.standard_normal`. where: CHUNK integers."""
+    for i in range(n):
+        b[W + i] = _central(b[U + i] - 0.5)
+    # 15 % of the numbers lie in the tails: collect them, so that their loop is as tight as the first
+    count = 0
+    for i in range(n):
+        u = b[U + i]
+        where[count] = i
+        b[X + count] = min(u, 1.0 - u)
+        count += 1 if abs(u - 0.5) > 0.425 else 0
+    for j in range(count):
+        r = math.sqrt(-log(b[X + j]))
+        b[X + j] = r
+        b[P + j] = _tail(r - 1.6)
+    for j in range(count):
+        value = b[P + j] if b[X + j] <= 5.0 else _far_tail(b[X + j] - 5.0)
+        b[W + where[j]] = -value if b[U + where[j]] < 0.5 else value
+
+
+@jit
+def tukey(b, n, lam):  # type: ignore[no-untyped-def]
+    """b[W:W + n] = Tukey-lambda quantiles, scale 1, of b[U:]; twin of `effects.tukey_quantile`.
+
+    (u**lam - v**lam)/lam with v = 1 - u equals exp(lam m) (a - c) sinh(z)/z, a = log u, c = log v, m = (a + c)/2,
+    z = lam (a - c)/2: nothing cancels at small lambda, and lambda = 0 (the logistic distribution) needs no branch.
+    """
+    for i in range(n):
+        a = log(b[U + i])
+        c = log(1.0 - b[U + i])
+        z = 0.5 * lam * (a - c)
+        s = z * z
+        p = 1 / 355687428096000
+        p = p * s + 1 / 1307674368000
+        p = p * s + 1 / 6227020800
+        p = p * s + 1 / 39916800
+        p = p * s + 1 / 362880
+        p = p * s + 1 / 5040
+        p = p * s + 1 / 120
+        p = p * s + 1 / 6
+        b[W + i] = exp16(0.5 * lam * (a + c)) * (a - c) * (p * s + 1.0)
+    # The series end at |z| = 2 and exp16 at 4: further out, which takes |lambda| > 0.1, use the library functions
+    edge = 1.0 / (1.0 + math.exp(4.0 / abs(lam))) if abs(lam) > 0.1 else 0.0
+    if edge > 0.0:
+        for i in range(n):
+            u = b[U + i]
+            if min(u, 1.0 - u) < edge:
+                b[W + i] = (math.exp(lam * math.log(u)) - math.exp(lam * math.log1p(-u))) / lam
+
+
+@jit
+def poisson(b, n, where):  # type: ignore[no-untyped-def]
+    """b[N:N + n] = Poisson quantiles of b[U:] for means b[MU:] >= 0, all exact; twin of `effects.shot_noise`."""
+    large = 0
+    for i in range(n):
+        large += 1 if b[MU + i] >= SMALL_MEAN else 0
+    if large > 0:
+        normal(b, n, where)
+        _poisson_large(b, n, where)
+    if large < n:
+        _poisson_small(b, n)
+
+
+@jit
+def _poisson_small(b, n):  # type: ignore[no-untyped-def]
+    """Count k = 0, 1, 2, ... up the distribution function C, all pixels side by side."""
+    for i in range(n):
+        small = b[MU + i] < SMALL_MEAN
+        p = exp16(-b[MU + i]) if small else 0.0
+        b[P + i] = p
+        b[C + i] = p if small else 2.0  # 2 is above any u: larger means stay as they are
+        b[N + i] = 0.0 if small else b[N + i]
+    for k in range(1, 100):  # P(N >= 100) < 1e-98 at mean 4
+        inverse = 1.0 / k
+        higher = 0
+        for i in range(n):
+            up = b[U + i] > b[C + i]
+            b[N + i] += 1.0 if up else 0.0
+            higher += 1 if up else 0
+            b[P + i] *= b[MU + i] * inverse
+            b[C + i] += b[P + i]
+        if higher == 0:
+            break
+
+
+@jit
+def _poisson_large(b, n, where):  # type: ignore[no-untyped-def]
+    """Round down the asymptotic quantile; where its error could matter, decide by the distribution function.
+
+    Source: Giles, "Algorithm 955", ACM TOMS 42 (2016), the series to order 1/mu. Compared with the incomplete gamma
+    function for 4 <= mu <= 1e6 and max(-8, -max(3, sqrt(mu))) <= w <= 8, its error stays below 0.85 `slack`.
+    """
+    for i in range(n):
+        mu = max(b[MU + i], SMALL_MEAN)
+        w = b[W + i]
+        s = w * w
+        root = math.sqrt(mu)
+        r = 1.0 / root
+        third = w * (2.0 + s) * r * (1 / 72)
+        fourth = (s * (7.0 + 3.0 * s) - 16.0) * r * r * (1 / 810)
+        x = mu + root * w + (2.0 + s) * (1 / 6) - third + fourth
+        k = math.floor(x)
+        slack = (0.05 + s * s * abs(w) * 0.004) * r * r * r + 2e-15 * mu  # 2e-15: rounding of x itself
+        b[N + i] = k
+        b[C + i] = min(x - k, k + 1.0 - x) - slack
+        # In the far lower tail, where the quantile nears 0, the series fails
+        b[X + i] = w + max(3.0, root)
+    count = 0
+    for i in range(n):
+        where[count] = i
+        count += 1 if min(b[C + i], b[X + i]) < 0.0 else 0
+    for j in range(count):
+        i = where[j]
+        if b[MU + i] >= SMALL_MEAN:
+            b[N + i] = _poisson_exact(b[U + i], b[MU + i], b[N + i])
+
+
+@jit
+def _poisson_exact(u, mu, guess):  # type: ignore[no-untyped-def]
+    """The smallest k with P(N <= k) >= u, walking from a guess near it; the smaller of the two tails is summed."""
+    k = max(guess, 0.0)
+    p = _poisson_pmf(k, mu)
+    if u < 0.5:
+        cdf, term, j = p, p, k  # P(N <= k)
+        while j > 0.0 and term > 1e-17 * cdf:
+            term *= j / mu
+            cdf += term
+            j -= 1.0
+        while cdf < u:
+            k += 1.0
+            p *= mu / k
+            cdf += p
+        while k > 0.0 and cdf - p >= u:
+            cdf -= p
+            p *= k / mu
+            k -= 1.0
+        return k
+    v = 1.0 - u
+    j = k + 1.0
+    term = p * mu / j
+    above = term  # P(N > k)
+    while term > 1e-17 * above:
+        j += 1.0
+        term *= mu / j
+        above += term
+    while above > v:
+        k += 1.0
+        p *= mu / k
+        above -= p
+    while k > 0.0 and above + p <= v:
+        above += p
+        p *= k / mu
+        k -= 1.0
+    return k
+
+
+@jit
+def _poisson_pmf(k, mu):  # type: ignore[no-untyped-def]
+    """P(N = k) by Loader's saddle point form: no large terms that cancel. Loader, "Fast and accurate ..." (2000)."""
+    if k == 0.0:
+        return math.exp(-mu)
+    if k < 16.0:
+        stirling = math.lgamma(k + 1.0) - (k + 0.5) * math.log(k) + k - 0.9189385332046727
+    else:
+        s = 1.0 / (k * k)
+        stirling = (1 / 12 - s * (1 / 360 - s * (1 / 1260 - s * (1 / 1680)))) / k
+    d = (mu - k) / k
+    deviance = k * (d - math.log1p(d))
+    return math.exp(-stirling - deviance) / math.sqrt(2.0 * math.pi * k)
