@@ -59,9 +59,9 @@ def _draw(weights: Tensor, count: int, generator: torch.Generator) -> Tensor:
     The count largest weight / Exp(1) are such a sample (exponential races); unlike torch.multinomial this takes
     zero weights, which come last.
     """
-    uniform = torch.rand(weights.shape, generator=generator, device=weights.device)
-    # Floor: rand() may return exactly 0, whose logarithm would make the race infinite.
-    return (weights / -torch.log(uniform.clamp_min(1e-30)).clamp_min(1e-30)).topk(count, dim=1).indices
+    race = torch.empty_like(weights).exponential_(generator=generator)
+    # Floor: a draw of exactly 0 would make every weight infinite, also zero ones NaN.
+    return (weights / race.clamp_min(1e-30)).topk(count, dim=1).indices
 
 
 def sample_mask(images: Tensor, fraction: float, laplacian_share: float, generator: torch.Generator) -> Tensor:
