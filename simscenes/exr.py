@@ -21,7 +21,8 @@ def write_exr(path: str | Path, channels: dict[str, NDArray[Any]], header: dict[
         header: Extra attributes: str, int, float or float matrices [4,4].
 
     Raises:
-        ValueError: If there is no channel, shapes differ, or a type is one EXR cannot hold.
+        ValueError: If there is no channel, shapes differ, a type is one EXR cannot hold, or a float16 channel has
+            overflowed to inf.
     """
     import OpenEXR
 
@@ -34,7 +35,10 @@ def write_exr(path: str | Path, channels: dict[str, NDArray[Any]], header: dict[
     for name, a in channels.items():
         if a.dtype not in _DTYPES:
             raise ValueError(f"write_exr: channel {name!r} of {path.name} must be float16, float32 or uint32, got "
-                             f"{a.dtype}; convert it (to_half refuses values that float16 cannot hold)")  # fmt: skip
+                             f"{a.dtype}; convert it")  # fmt: skip
+        if a.dtype == np.float16 and not np.isfinite(a).all():
+            raise ValueError(f"write_exr: channel {name!r} of {path.name} left the range of float16 (65504) or is not "
+                             "finite; store it as float32")  # fmt: skip
     attributes = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **(header or {})}
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp.exr")
     try:
@@ -66,16 +70,3 @@ def read_exr(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]
             f"read_exr: {path} is not a readable EXR file ({error}); delete it and write it again"
         ) from error
     return channels, header
-
-
-def to_half(values: NDArray[Any], name: str = "channel") -> NDArray[np.float16]:
-    """Convert to float16, refusing what float16 would silently turn into inf.
-
-    Raises:
-        ValueError: If a finite value exceeds 65504, the largest finite float16.
-    """
-    values = np.asarray(values)
-    largest = float(np.abs(values[np.isfinite(values)]).max(initial=0.0))
-    if largest > np.finfo(np.float16).max:
-        raise ValueError(f"to_half: {name} reaches {largest:.6g}, float16 ends at 65504; store it as float32")
-    return values.astype(np.float16)

@@ -1,6 +1,6 @@
 """Short names for the pieces of a Mitsuba scene dict: materials, placed shapes, meshes of revolution.
 
-Everything here returns Mitsuba dicts or objects, so a variant must be active (`simscenes.backend.activate`). Lengths
+Everything here returns Mitsuba objects or dicts, so a variant must be active (`simscenes.backend.activate`). Lengths
 are in scene units, angles in degrees, rotations are about +z unless said otherwise.
 """
 
@@ -25,42 +25,51 @@ def bitmap(texels: ArrayLike, *, tile: tuple[float, float] = (1.0, 1.0)) -> Dict
     return {"type": "bitmap", "bitmap": mi.Bitmap(texels), "wrap_mode": "repeat", "to_uv": to_uv}
 
 
-def diffuse(texels: ArrayLike, **kwargs: Any) -> Dict:
+def material(description: Dict) -> Any:
+    """Instantiate a material once, so that the shapes sharing it also share its memory and precomputed tables."""
+    import mitsuba as mi
+
+    return mi.load_dict(description)
+
+
+def diffuse(texels: ArrayLike, **kwargs: Any) -> Any:
     """Lambertian surface with a texture [h,w,3]."""
-    return {"type": "diffuse", "reflectance": bitmap(texels, **kwargs)}
+    return material({"type": "diffuse", "reflectance": bitmap(texels, **kwargs)})
 
 
-def plastic(texels: ArrayLike, roughness: float = 0.15, **kwargs: Any) -> Dict:
+def plastic(texels: ArrayLike, roughness: float = 0.15, **kwargs: Any) -> Any:
     """Varnished or glazed surface: a texture [h,w,3] under a rough dielectric coat."""
-    return {"type": "roughplastic", "diffuse_reflectance": bitmap(texels, **kwargs), "alpha": roughness}
+    return material({"type": "roughplastic", "diffuse_reflectance": bitmap(texels, **kwargs), "alpha": roughness})
 
 
-def metal(material: str, roughness: float) -> Dict:
-    """Rough conductor with measured index of refraction, such as Cu, Au, Al."""
-    return {"type": "roughconductor", "material": material, "alpha": roughness, "distribution": "ggx"}
+def metal(element: str, roughness: float) -> Any:
+    """Rough conductor with the measured index of refraction of Cu, Au, Cr, ..."""
+    return material({"type": "roughconductor", "material": element, "alpha": roughness, "distribution": "ggx"})
 
 
-def glass() -> Dict:
+def glass() -> Any:
     """Smooth solid glass."""
-    return {"type": "dielectric", "int_ior": "bk7", "ext_ior": "air"}
+    return material({"type": "dielectric", "int_ior": "bk7", "ext_ior": "air"})
 
 
-def twosided(bsdf: Dict) -> Dict:
+def twosided(bsdf: Any) -> Any:
     """The same opaque material on both faces."""
-    return {"type": "twosided", "bsdf": bsdf}
+    return material({"type": "twosided", "bsdf": bsdf})
 
 
-def place(
-    position: ArrayLike = (0, 0, 0), yaw: float = 0, size: Sequence[float] | float = 1, tilt: float = 0
-) -> Any:
+def place(position: ArrayLike = (0, 0, 0), yaw: float = 0, size: Sequence[float] | float = 1, tilt: float = 0) -> Any:
     """Transform: scale, tilt about x, turn about z, move."""
     import mitsuba as mi
 
-    transform = mi.ScalarTransform4f().translate(np.asarray(position, dtype=np.float64)).rotate([0, 0, 1], yaw).rotate([1, 0, 0], tilt)
-    return transform.scale([size] * 3 if isinstance(size, (int, float)) else list(size))
+    moved = mi.ScalarTransform4f().translate(np.asarray(position, dtype=np.float64))
+    return (
+        moved.rotate([0, 0, 1], yaw)
+        .rotate([1, 0, 0], tilt)
+        .scale([size] * 3 if isinstance(size, (int, float)) else list(size))
+    )
 
 
-def quad(center: ArrayLike, half_u: ArrayLike, half_v: ArrayLike, bsdf: Dict, emitter: Dict | None = None) -> Any:
+def quad(center: ArrayLike, half_u: ArrayLike, half_v: ArrayLike, bsdf: Any, emitter: Dict | None = None) -> Any:
     """Rectangle of half edges `half_u`, `half_v`; its front side, and its emission, point along half_u x half_v."""
     # Two triangles, not Mitsuba's rectangle: Embree calls back for shapes that are not triangles, and keeps a second
     # acceleration structure for them, which every ray has to visit.
@@ -70,12 +79,12 @@ def quad(center: ArrayLike, half_u: ArrayLike, half_v: ArrayLike, bsdf: Dict, em
     return mesh(vertices, np.array([[0, 1, 2], [0, 2, 3]]), (corners + 1) / 2, bsdf, emitter=emitter)
 
 
-def box(center: ArrayLike, size: Sequence[float], bsdf: Dict, yaw: float = 0, tilt: float = 0) -> Dict:
+def box(center: ArrayLike, size: Sequence[float], bsdf: Any, yaw: float = 0, tilt: float = 0) -> Dict:
     """Box of full edge lengths `size`; the texture covers each face once."""
     return {"type": "cube", "to_world": place(center, yaw, [s / 2 for s in size], tilt), "bsdf": bsdf}
 
 
-def ball(center: Sequence[float], radius: float, bsdf: Dict, yaw: float = 0, squash: float = 1, tilt: float = 0) -> Any:
+def ball(center: Sequence[float], radius: float, bsdf: Any, yaw: float = 0, squash: float = 1, tilt: float = 0) -> Any:
     """Spheroid as a mesh with smooth normals; `squash` is its height over its width."""
     angle = np.linspace(-np.pi / 2, np.pi / 2, 25)
     profile = radius * np.stack([np.cos(angle), squash * np.sin(angle)], -1)
@@ -86,7 +95,7 @@ def mesh(
     vertices: Floats,
     faces: NDArray[Any],
     uv: Floats,
-    bsdf: Dict,
+    bsdf: Any,
     normals: Floats | None = None,
     emitter: Dict | None = None,
 ) -> Any:
@@ -94,7 +103,7 @@ def mesh(
     import mitsuba as mi
 
     props = mi.Properties()
-    props["bsdf"] = mi.load_dict(bsdf)
+    props["bsdf"] = bsdf
     if emitter is not None:
         props["emitter"] = mi.load_dict(emitter)
     shape = mi.Mesh("mesh", len(vertices), len(faces), props, normals is not None, True)
@@ -132,7 +141,7 @@ def _revolve(half: Floats, around: Floats) -> Floats:
 
 def lathe(
     profile: ArrayLike,
-    bsdf: Dict,
+    bsdf: Any,
     position: Sequence[float] = (0, 0, 0),
     yaw: float = 0,
     *,

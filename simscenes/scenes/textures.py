@@ -12,6 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 Rng = np.random.Generator
 Texels = NDArray[np.float32]
@@ -91,17 +92,10 @@ def cells(shape: tuple[int, int], rng: Rng, *, count: int = 60, colors: Sequence
     """Voronoi cells (cobbles, terrazzo, leather), tileable, rounded towards their dark joints."""
     y, x = _grid(shape)
     points, shades = rng.uniform(0, 1, (count, 2)), rng.uniform(0, 1, count)
-    nearest = np.full((2, *shape), np.inf)
-    owner = np.zeros(shape, dtype=int)
-    for k, (py, px) in enumerate(points):
-        dy, dx = np.abs(y - py), np.abs(x - px)
-        distance = np.hypot(np.minimum(dy, 1 - dy), np.minimum(dx, 1 - dx)) * np.sqrt(count)
-        closer = distance < nearest[0]
-        nearest[1] = np.where(closer, nearest[0], np.minimum(nearest[1], distance))
-        nearest[0] = np.where(closer, distance, nearest[0])
-        owner[closer] = k
-    edge = np.clip((nearest[1] - nearest[0]) / max(joint, 1e-6), 0, 1)  # joint 0 means no joint, not a division by it
-    rgb = ramp(np.clip(shades[owner] + 0.1 * fractal(shape, rng), 0, 1), colors)
+    nearest, owner = cKDTree(points, boxsize=1.0).query(np.stack([y, x], -1), k=2)
+    gap = (nearest[..., 1] - nearest[..., 0]) * np.sqrt(count)
+    edge = np.clip(gap / joint, 0, 1)
+    rgb = ramp(np.clip(shades[owner[..., 0]] + 0.1 * fractal(shape, rng), 0, 1), colors)
     return finish(rgb * (0.25 + 0.75 * edge[..., None]), rng)
 
 

@@ -1,0 +1,104 @@
+"""The choice of a Mitsuba variant never takes the process down."""
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from simscenes import backend
+
+
+@pytest.fixture
+def fresh(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[pytest.MonkeyPatch]:
+    """No remembered probes, neither in memory nor on disk, before and after."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    cached = (backend._working_llvm, backend._working_cuda)
+    for function in cached:
+        function.cache_clear()
+    yield monkeypatch
+    for function in cached:
+        function.cache_clear()
+
+
+def test_importing_simscenes_imports_no_mitsuba() -> None:
+    code = "import sys, simscenes, simscenes.multiview; print({'mitsuba', 'drjit', 'torch'} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "set()"
+
+
+def test_without_any_llvm_rendering_falls_back_to_scalar_and_says_what_helps(fresh: pytest.MonkeyPatch) -> None:
+    fresh.setattr(backend, "llvm_candidates", lambda: [])
+    fresh.setattr(backend, "_working_cuda", lambda: (False, "no driver"))
+    with pytest.warns(UserWarning, match="libllvm19"):
+        assert backend.choose_variant() == "scalar_rgb"
+    with pytest.raises(ValueError, match="libllvm19"):
+        backend.choose_variant("llvm_ad")
+
+
+def test_versions_that_abort_are_not_even_tried(fresh: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    old = [tmp_path / "libLLVM-15.so.1", tmp_path / "libLLVM-14.so.1"]
+    for library in old:
+        library.touch()
+    fresh.setattr(backend, "llvm_candidates", lambda: old)
+    fresh.setattr(backend, "_run_probe", lambda *_: pytest.fail("an old library was loaded"))
+    library, reason = backend._working_llvm()
+    assert library is None
+    assert "libLLVM-15.so.1 is too old" in reason
+
+
+def test_a_library_that_aborts_costs_a_subprocess_and_nothing_else(fresh: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    bad = tmp_path / "libLLVM-99.so"
+    bad.touch()
+    fresh.setattr(backend, "llvm_candidates", lambda: [bad])
+    fresh.setattr(backend, "_PROBE", "import os; os.abort()")
+    library, reason = backend._working_llvm()
+    assert library is None
+    assert "aborts the process" in reason
+
+
+def test_a_missing_library_named_by_the_user_is_passed_over(fresh: pytest.MonkeyPatch) -> None:
+    fresh.setenv("DRJIT_LIBLLVM_PATH", "/nowhere/libLLVM-19.so")
+    assert backend.llvm_candidates()[0] == Path("/nowhere/libLLVM-19.so")
+    fresh.setattr(backend, "_PLACES", ())
+    assert backend._working_llvm()[1].startswith("/nowhere/libLLVM-19.so does not exist; ")
+
+
+def test_success_is_remembered_on_disk_and_failure_is_not(fresh: pytest.MonkeyPatch) -> None:
+    calls: list[str] = []
+    answers = iter(["broken", "", "unused"])
+
+    def probe(variant: str, library: Path | None) -> str:
+        calls.append(variant)
+        return next(answers)
+
+    fresh.setattr(backend, "_run_probe", probe)
+    assert backend._probe("llvm_ad_rgb", None, "s") == "broken"
+    assert backend._probe("llvm_ad_rgb", None, "s") == ""
+    assert backend._probe("llvm_ad_rgb", None, "s") == ""
+    assert len(calls) == 2
+    assert backend._probe("llvm_ad_rgb", None, "another library") == "unused"
+
+
+def test_newest_library_comes_first(fresh: pytest.MonkeyPatch) -> None:
+    fresh.delenv("DRJIT_LIBLLVM_PATH", raising=False)
+    names = ["/x/libLLVM-9.so", "/x/libLLVM-14.so.1", "/x/libLLVM.so.19.1", "/x/libLLVM.so.20.1"]
+    fresh.setattr(backend.glob, "glob", lambda pattern: names)
+    fresh.setattr(backend.os.path, "realpath", lambda path: path)
+    assert [p.name for p in backend.llvm_candidates()] == [
+        "libLLVM.so.20.1", "libLLVM.so.19.1", "libLLVM-14.so.1", "libLLVM-9.so"
+    ]  # fmt: skip
+
+
+def test_report_covers_every_variant_and_explains_each_that_fails() -> None:
+    report = backend.variant_report()
+    assert [r.variant for r in report] == [f"{b}_{c}" for b in backend.BACKENDS for c in backend.COLORS]
+    assert all(r.reason for r in report)
+    assert report[-1].works
+
+
+@pytest.mark.parametrize("arguments", [("metal",), ("auto", "infrared"), ("llvm_rgb",)])
+def test_unknown_variants_are_refused(arguments: tuple) -> None:
+    with pytest.raises(ValueError, match="must be"):
+        backend.choose_variant(*arguments)

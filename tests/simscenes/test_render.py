@@ -1,0 +1,277 @@
+"""Rendered truth: geometry against analytic surfaces, variance against many seeds, repeatability, resuming."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simscenes import Rig, default_rig, load_set, orbit_rig, read_exr, render_set
+from simscenes.backend import activate
+from simscenes.render.geometry import geometry_channels
+from simscenes.render.radiance import Passes, render_radiance, split_passes
+from simscenes.render.source import LoadedScene, build_scene
+from simscenes.rigs import intrinsics, look_at
+
+GRAY = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.4, 0.2]}}
+
+
+def ball_on_plane() -> dict[str, Any]:
+    """Unit sphere resting on z = 0, a small lamp, a bright sky: two lights and one material shared by two shapes."""
+    mi = activate()
+    ref = {"type": "ref", "id": "paint"}
+    glow = {"type": "area", "radiance": {"type": "rgb", "value": 9.0}}
+    lamp = mi.ScalarTransform4f().translate([1, -1, 4]).rotate([1, 0, 0], 180).scale(0.4)
+    return {
+        "type": "scene",
+        "paint": GRAY,
+        "plane": {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(3), "bsdf": ref},
+        "ball": {"type": "sphere", "center": [0, 0, 1], "radius": 1.0, "bsdf": ref},
+        "lamp": {"type": "rectangle", "to_world": lamp, "emitter": glow},
+        "sky": {"type": "constant", "radiance": {"type": "rgb", "value": [0.2, 0.3, 0.4]}},
+    }  # fmt: skip
+
+
+def view(width: int = 41, height: int = 31) -> Rig:
+    K = intrinsics(width, height, 50)
+    K[0, 2] += 3.3
+    return Rig(viewmats=look_at((3, -4, 2.5), (0.2, 0.1, 0.8))[None], Ks=K[None], width=width, height=height)
+
+
+def radiance(loaded: LoadedScene, rig: Rig, **how: Any) -> Any:
+    mi = activate()
+    integrator = mi.load_dict({"type": "path", "max_depth": 8, "rr_depth": 2})
+    settings = {"extent": 8.0, "seed": 0, "spp": None, "target_error": None, **how}
+    return render_radiance(mi, loaded.scene, integrator, rig, 0, **settings)
+
+
+def analytic(rig: Rig) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Distance, z-depth, normal and id (1 plane, 2 ball) of every pixel centre, in float64, from first principles."""
+    x, y = np.meshgrid(np.arange(rig.width) + 0.5, np.arange(rig.height) + 0.5)
+    directions = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(rig.Ks[0]).T
+    c2w = np.linalg.inv(rig.viewmats[0])
+    d = directions @ c2w[:3, :3].T
+    d /= np.linalg.norm(d, axis=-1, keepdims=True)
+    o = c2w[:3, 3]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        t_plane = -o[2] / d[..., 2]
+        p = o + t_plane[..., None] * d
+        t_plane = np.where((t_plane > 0) & (np.abs(p[..., :2]) <= 3).all(-1), t_plane, np.inf)
+        b = d @ (o - [0, 0, 1])
+        root = b**2 - (np.sum((o - [0, 0, 1]) ** 2) - 1)
+        t_ball = np.where(root > 0, -b - np.sqrt(root), np.inf)
+    t = np.minimum(t_plane, t_ball)
+    ball = t_ball < t_plane
+    normal = np.where(ball[..., None], o + np.where(np.isfinite(t), t, 0)[..., None] * d - [0, 0, 1], [0, 0, 1])
+    z = t * (d @ c2w[:3, 2])
+    return t, z, normal, np.where(np.isfinite(t), np.where(ball, 2, 1), 0)
+
+
+def check_geometry(variant: str, rig: Rig) -> None:
+    mi = activate(variant)
+    loaded = build_scene(ball_on_plane(), mi)
+    channels = geometry_channels(mi, loaded, rig, 0)
+    t, z, normal, number = analytic(rig)
+    names = np.array(["", *loaded.shapes])
+    assert np.array_equal(names[channels["id"]], np.array(["", "plane", "ball"])[number])
+    seen = number > 0
+    assert 0.2 < seen.mean() < 1
+    assert np.isinf(channels["Z"][~seen]).all()
+    assert np.isinf(channels["distance"][~seen]).all()
+    assert np.abs(channels["distance"][seen] / t[seen] - 1).max() < 1e-5
+    assert np.abs(channels["Z"][seen] / z[seen] - 1).max() < 1e-5
+    for name in ("N", "Ng"):
+        found = np.stack([channels[f"{name}.{c}"] for c in "XYZ"], -1)
+        assert np.abs(found[seen] - normal[seen]).max() < 2e-5
+        assert not found[~seen].any()
+    albedo = np.stack([channels[f"albedo.{c}"] for c in "RGB"], -1)
+    assert np.allclose(albedo[seen], [0.6, 0.4, 0.2], atol=1e-6)
+    assert len(np.unique(channels["material"][seen])) == 1
+
+
+def test_geometry_equals_the_analytic_surfaces() -> None:
+    check_geometry("auto", view())
+
+
+def test_geometry_is_the_same_in_a_scalar_variant() -> None:
+    check_geometry("scalar", view(21, 16))
+
+
+def test_variance_estimate_equals_the_spread_over_many_seeds() -> None:
+    """Rationale: the spread of n = 60 independent renders has relative SE sqrt(2/(n-1)) per independent pixel."""
+    loaded, rig, n = build_scene(ball_on_plane(), activate()), view(12, 9), 60
+    runs = [radiance(loaded, rig, spp=8, seed=k) for k in range(n)]
+    means = np.stack([r.mean for r in runs]).astype(np.float64)
+    estimates = np.stack([r.variance for r in runs]).astype(np.float64).mean((1, 2, 3))
+    true = means.var(0, ddof=1)
+    # Per-seed estimates scatter by themselves; the truth's own error comes from its noisiest pixels.
+    se = np.hypot(estimates.std(ddof=1) / np.sqrt(n), np.sqrt(2 / (n - 1)) * np.linalg.norm(true) / true.size)
+    assert estimates.mean() == pytest.approx(true.mean(), abs=5 * se)
+    assert se < 0.2 * true.mean()
+
+
+def test_passes_accumulate_like_numpy() -> None:
+    images = np.random.default_rng(0).normal(5, 1, (6, 4, 3, 3))
+    passes = Passes((4, 3))
+    for image in images:
+        passes.add(image)
+    result = passes.result(10)
+    assert np.allclose(result.mean, images.mean(0))
+    assert np.allclose(result.variance, images.var(0, ddof=1) / 6)
+    assert result.spp == 60
+
+
+@pytest.mark.parametrize("spp", [2, 3, 17, 256, 1000, 2048, 2049, 65536])
+def test_passes_are_even_bounded_and_a_grid(spp: int) -> None:
+    passes, size = split_passes(spp)
+    rows = int(np.sqrt(size))
+    assert passes % 2 == 0
+    assert size <= 1056  # 1024, rounded up to a grid
+    assert spp <= passes * size <= 1.5 * spp + 2
+    assert size in (rows * rows, rows * (rows + 1), rows * (rows + 2))
+
+
+def test_sixty_five_thousand_samples_add_up_without_float32_bias() -> None:
+    """A sky of 1/3 is exact in every sample; one float32 sum over 65536 of them is off by 1e-4."""
+    mi = activate()
+    sky = {"type": "constant", "radiance": {"type": "rgb", "value": 1 / 3}}
+    far = {"type": "sphere", "center": [0, 0, -1e3], "radius": 1.0}
+    loaded = build_scene({"type": "scene", "sky": sky, "far": far}, mi)
+    result = radiance(
+        loaded, Rig(viewmats=np.eye(4)[None], Ks=intrinsics(4, 3, 40)[None], width=4, height=3), spp=65536
+    )
+    assert np.abs(result.mean * 3 - 1).max() < 3e-6
+
+
+def test_target_error_is_reached_and_not_by_chance_only() -> None:
+    loaded, rig = build_scene(ball_on_plane(), activate()), view(24, 18)
+    result = radiance(loaded, rig, target_error=0.02)
+    assert result.error <= 0.02
+    reference = radiance(loaded, rig, spp=2048, seed=9)
+    actual = np.sqrt(((result.mean - reference.mean) ** 2).mean()) / reference.mean.mean()
+    assert actual < 0.02 * 1.5
+
+
+def small_job(out: Path, rig: Rig | None = None, **more: Any) -> Any:
+    rig = rig or orbit_rig(3, 17, 13, 60, target=(0, 0, 0.8), radius=4.0)
+    return render_set(ball_on_plane(), rig, out, **{"spp": 4, **more})
+
+
+def exr_arrays(folder: Path) -> dict[str, dict[str, np.ndarray]]:
+    return {p.stem: read_exr(p)[0] for p in sorted((folder / "gt").glob("*.exr"))}
+
+
+def same(a: dict[str, np.ndarray], b: dict[str, np.ndarray]) -> bool:
+    return a.keys() == b.keys() and all(np.array_equal(a[k], b[k]) for k in a)
+
+
+def test_a_set_is_complete_consistent_and_readable(tmp_path: Path) -> None:
+    calls: list[tuple[int, int, str]] = []
+    done = small_job(tmp_path / "set", progress=lambda *a: calls.append(a))
+    assert done.kind == "rendered"
+    assert [c[0] for c in calls] == [0, 1, 2, 3]
+    meta = done.meta
+    assert set(meta["seconds"]) >= {"load", "radiance", "geometry", "write"}
+    assert meta["peak_bytes"] > 1e7
+    assert meta["shapes"] == ["plane", "ball", "lamp"]
+    image, exact = done.image(0), done.radiance(0) * meta["exposure_scale"]
+    assert image.shape == (13, 17, 3)
+    from simscenes.multiview import srgb_encode
+
+    assert np.abs(image / 255 - srgb_encode(exact)).max() < 0.51 / 255
+    geometry, points = done.geometry(1), done.points()
+    assert geometry is not None
+    assert geometry["normals"].shape == (13, 17, 3)
+    assert points is not None
+    on_surface = np.minimum(np.abs(points[0][:, 2]), np.abs(np.linalg.norm(points[0] - [0, 0, 1], axis=1) - 1))
+    assert np.median(on_surface) < 1e-5
+    header = read_exr(tmp_path / "set" / "gt" / "0001.exr")[1]
+    assert np.allclose(header["worldToCamera"], done.rig.viewmats[1], atol=1e-6)
+
+
+def test_interrupted_reordered_and_repeated_renders_are_bit_identical(tmp_path: Path) -> None:
+    rig = orbit_rig(3, 17, 13, 60, target=(0, 0, 0.8), radius=4.0)
+    small_job(tmp_path / "a", rig)
+    first = exr_arrays(tmp_path / "a")
+
+    kept = tmp_path / "a" / "gt" / "0000.exr"
+    before = kept.stat().st_mtime_ns
+    (tmp_path / "a" / "gt" / "0001.exr").unlink()
+    (tmp_path / "a" / "gt" / "0002.exr").write_bytes(b"cut short")
+    (tmp_path / "a" / "set.json").unlink()
+    small_job(tmp_path / "a", rig)
+    assert kept.stat().st_mtime_ns == before  # a finished view is not rendered again
+    assert all(same(first[k], v) for k, v in exr_arrays(tmp_path / "a").items())
+
+    order = [2, 0, 1]
+    shuffled = Rig(viewmats=rig.viewmats[order], Ks=rig.Ks[order], width=17, height=13)
+    small_job(tmp_path / "b", shuffled)
+    second = exr_arrays(tmp_path / "b")
+    assert all(same(first[f"{i:04d}"], second[f"{k:04d}"]) for k, i in enumerate(order))
+
+
+def test_another_process_renders_the_same_bits(tmp_path: Path) -> None:
+    """Mitsuba's own optimizer orders merged shapes, and so lights, by memory address; we must not let it."""
+    small_job(tmp_path / "a")
+    code = (
+        f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r})\n"
+        f"from pathlib import Path; from test_render import small_job; small_job(Path({str(tmp_path / 'b')!r}))"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+    first, second = exr_arrays(tmp_path / "a"), exr_arrays(tmp_path / "b")
+    assert first.keys() == second.keys()
+    assert all(same(first[k], second[k]) for k in first)
+    digests = [json.loads((tmp_path / d / "set.json").read_text())["digest"] for d in "ab"]
+    assert digests[0] == digests[1]
+
+
+def test_a_finished_set_is_not_rendered_again_unless_something_changed(tmp_path: Path) -> None:
+    small_job(tmp_path)
+    stamp = (tmp_path / "set.json").stat().st_mtime_ns
+    small_job(tmp_path)
+    assert (tmp_path / "set.json").stat().st_mtime_ns == stamp
+    first = exr_arrays(tmp_path)
+    small_job(tmp_path, seed=1)
+    second = exr_arrays(tmp_path)
+    assert not np.array_equal(first["0000"]["R"], second["0000"]["R"])
+    assert np.array_equal(first["0000"]["Z"], second["0000"]["Z"])
+
+
+def test_fewer_views_remove_the_stale_ones(tmp_path: Path) -> None:
+    small_job(tmp_path)
+    rig = orbit_rig(2, 17, 13, 60, target=(0, 0, 0.8), radius=4.0)
+    assert len(small_job(tmp_path, rig)) == 2
+    assert len(list((tmp_path / "gt").iterdir())) == 2
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (2, 1), (7, 3)])
+def test_tiny_images_render(width: int, height: int, tmp_path: Path) -> None:
+    done = small_job(tmp_path, orbit_rig(2, width, height, 20, target=(0, 0, 0.8), radius=4.0))
+    assert done.radiance(1).shape == (height, width, 3)
+
+
+@pytest.mark.parametrize(
+    ("quality", "message"),
+    [({"spp": 1}, "spp"), ({"target_error": 0.0}, "target_error"), ({"spp": 4, "target_error": 0.1}, "not both")],
+)
+def test_impossible_quality_is_refused(quality: dict, message: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=message):
+        render_set("cornell", None, tmp_path, **quality)
+
+
+def test_unknown_scenes_are_refused_with_the_list(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="tabletop"):
+        render_set("tabeltop", None, tmp_path)
+    with pytest.raises(ValueError, match="seed"):
+        default_rig("cornell:x", 2, 4, 4)
+
+
+def test_load_set_of_a_rendered_set_needs_no_mitsuba(tmp_path: Path) -> None:
+    small_job(tmp_path)
+    code = f"import sys, simscenes; s = simscenes.load_set({str(tmp_path)!r}); s.radiance(0); s.geometry(1); s.points(); print('mitsuba' in sys.modules)"  # noqa: E501
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "False"
+    assert load_set(tmp_path).meta["scene"] == "custom"

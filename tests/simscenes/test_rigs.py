@@ -1,0 +1,134 @@
+"""Camera conventions, checked against each other and against Mitsuba's own sensor."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from simscenes import backend, rigs
+from simscenes.render.radiance import sensor_dict
+from simscenes.rigs import Rig, forward_rig, look_at, orbit_rig
+
+finite = st.floats(-50, 50)
+
+
+@st.composite
+def poses(draw: st.DrawFn) -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, :3] = Rotation.from_rotvec([draw(st.floats(-3, 3)) for _ in range(3)]).as_matrix()
+    pose[:3, 3] = [draw(finite) for _ in range(3)]
+    return pose
+
+
+@given(poses())
+@settings(derandomize=True, deadline=None)
+def test_conversions_invert_each_other(viewmat: np.ndarray) -> None:
+    assert np.allclose(rigs.mitsuba_to_opencv(rigs.opencv_to_mitsuba(viewmat)), viewmat, atol=1e-12)
+    assert np.allclose(rigs.opengl_to_opencv(rigs.opencv_to_opengl(viewmat)), viewmat, atol=1e-12)
+    assert np.allclose(rigs.invert_rigid(viewmat) @ viewmat, np.eye(4), atol=1e-12)
+
+
+@given(poses())
+@settings(derandomize=True, deadline=None)
+def test_the_three_conventions_share_centre_and_name_the_same_axes(viewmat: np.ndarray) -> None:
+    right, down, forward = viewmat[:3, :3]
+    opengl, mitsuba = rigs.opencv_to_opengl(viewmat), rigs.opencv_to_mitsuba(viewmat)
+    assert np.allclose(opengl[:3, 3], mitsuba[:3, 3])
+    assert np.allclose(opengl[:3, :3], np.stack([right, -down, -forward], -1))
+    assert np.allclose(mitsuba[:3, :3], np.stack([-right, -down, forward], -1))
+
+
+@given(st.floats(5, 160), st.floats(-0.4, 0.4), st.floats(-0.4, 0.4))
+@settings(derandomize=True, deadline=None)
+def test_intrinsics_survive_mitsubas_parameters(fov: float, ppx: float, ppy: float) -> None:
+    K = rigs.mitsuba_to_intrinsics(fov, ppx, ppy, 64, 48)
+    assert np.allclose(rigs.intrinsics_to_mitsuba(K, 64, 48), (fov, ppx, ppy), rtol=1e-12, atol=1e-12)
+
+
+def test_projection_agrees_with_mitsubas_sensor_at_every_pixel_centre() -> None:
+    mi = backend.activate()
+    K = np.array([[70.0, 0, 25.0], [0, 70.0, 31.5], [0, 0, 1]])  # off-centre principal point
+    viewmat = look_at((1.0, -2.0, 0.7), (0.1, 0.2, 0.3), up=(0.1, 0.0, 1.0))
+    rig = Rig(viewmats=viewmat[None], Ks=K[None], width=61, height=43)
+    sensor = mi.load_dict(sensor_dict(mi, rig, 0, extent=5.0))
+    y, x = np.mgrid[:43, :61] + 0.5
+    position = mi.Point2f(np.float32(x.ravel() / 61), np.float32(y.ravel() / 43))
+    ray, _ = sensor.sample_ray(0.0, 0.5, position, mi.Point2f(0.5, 0.5))
+    pixels, depths = rig.project(np.array(ray(3.0)).T.astype(np.float64))
+    assert (depths > 0).all()
+    assert np.abs(pixels[0] - np.stack([x.ravel(), y.ravel()], -1)).max() < 1e-4
+
+
+def test_look_at_centres_the_target_and_keeps_up_up() -> None:
+    viewmat = look_at((3, 1, 2), (0.5, 0.2, 0.1))
+    rig = Rig(viewmats=viewmat[None], Ks=rigs.intrinsics(40, 30, 60)[None], width=40, height=30)
+    pixels, depths = rig.project([[0.5, 0.2, 0.1], [0.5, 0.2, 0.4]])
+    assert np.allclose(pixels[0, 0], (20, 15))
+    assert pixels[0, 1, 1] < 15
+    assert depths[0, 0] == pytest.approx(np.linalg.norm([2.5, 0.8, 1.9]))
+
+
+def test_orbit_keeps_its_distance_and_does_not_repeat_a_camera() -> None:
+    rig = orbit_rig(12, 32, 24, 50, target=(1, 2, 0.5), radius=2.0)
+    distances = np.linalg.norm(rig.positions - [1, 2, 0.5], axis=1)
+    assert np.allclose(distances, 2.0)
+    gaps = np.linalg.norm(rig.positions[:, None] - rig.positions[None], axis=-1) + np.eye(12) * 9
+    assert gaps.min() > 0.5
+    pixels, _ = rig.project([[1, 2, 0.5]])
+    assert np.allclose(pixels, (16, 12))
+
+
+def test_partial_orbit_uses_both_ends() -> None:
+    rig = orbit_rig(5, 8, 8, 50, radius=1.0, elevation_deg=0, swing_deg=0, start_deg=0, sweep_deg=90)
+    assert np.allclose(rig.positions[[0, -1]], [(1, 0, 0), (0, 1, 0)], atol=1e-12)
+
+
+def test_forward_rig_stays_in_its_window() -> None:
+    rig = forward_rig(20, 8, 8, 50, position=(0, -4, 1), target=(0, 0, 1), extent=(0.5, 0.25))
+    assert np.allclose(rig.positions[:, 1], -4)
+    assert np.abs(rig.positions[:, 0]).max() == pytest.approx(0.5, rel=0.2)
+    assert np.allclose([rig.positions[:, 2].min(), rig.positions[:, 2].max()], [0.75, 1.25])
+
+
+def test_one_view_is_enough_for_either_rig() -> None:
+    assert len(orbit_rig(1, 4, 4, 50, radius=1.0)) == 1
+    one = forward_rig(1, 4, 4, 50, position=(0, -1, 0), target=(0, 0, 0), extent=(1, 1), rows=2)
+    assert np.isfinite(one.viewmats).all()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"viewmats": np.eye(4)}, "must be"),
+        ({"viewmats": 2 * np.eye(4)[None]}, "rotation"),
+        ({"viewmats": np.diag([-1.0, 1, 1, 1])[None]}, "mirror"),
+        ({"viewmats": np.full((1, 4, 4), np.nan)}, "finite"),
+        ({"Ks": np.diag([-5.0, 5, 1])[None]}, "focal"),
+        ({"width": 0}, "width"),
+    ],
+)
+def test_impossible_cameras_are_refused(change: dict, message: str) -> None:
+    good = {"viewmats": np.eye(4)[None], "Ks": rigs.intrinsics(8, 8, 60)[None], "width": 8, "height": 8}
+    with pytest.raises(ValueError, match=message):
+        Rig(**{**good, **change})
+
+
+def test_rig_arrays_cannot_be_changed_behind_its_back() -> None:
+    viewmats = np.eye(4)[None]
+    rig = Rig(viewmats=viewmats, Ks=rigs.intrinsics(8, 8, 60)[None], width=8, height=8)
+    viewmats[0, 0, 3] = 9
+    assert rig.viewmats[0, 0, 3] == 0
+    with pytest.raises(ValueError, match="read-only"):
+        rig.viewmats[0, 0, 3] = 1
+
+
+@pytest.mark.parametrize(("position", "target"), [((1, 1, 1), (1, 1, 1)), ((0, 0, 1), (0, 0, 0))])
+def test_look_at_refuses_an_undefined_direction(position: tuple, target: tuple) -> None:
+    with pytest.raises(ValueError, match="look_at"):
+        look_at(position, target)
+
+
+def test_pixels_that_mitsuba_cannot_render_are_refused() -> None:
+    with pytest.raises(ValueError, match="square pixels"):
+        rigs.intrinsics_to_mitsuba([[50, 0, 10], [0, 55, 10], [0, 0, 1]], 20, 20)
