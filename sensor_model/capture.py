@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sensor_model import effects, streams
 from sensor_model.moments import frame_moments
-from sensor_model.params import Exposure, Sensor
+from sensor_model.params import Exposure, Sensor, require
 from sensor_model.plan import Plan
 from sensor_model.planner import simplify
 from sensor_model.prepare import Prepared, as_channels, checked, on_sensor, prepare
@@ -98,8 +98,8 @@ def expose(
     """
     photons = checked(photons, sensor)
     s = simplify(sensor, plan)
-    if plan is not None and not plan.is_on("photon_shot"):
-        shot = "none"
+    if plan is not None:
+        shot = "none" if not plan.is_on("photon_shot") else shot if plan.is_on("poisson") else "normal"
     draws = streams.Draws(seed=seed, view=view, frame=frame, origin=exposure.origin)
     inputs = prepare(photons, s, exposure, draws)
     if backend == "numpy":
@@ -113,6 +113,23 @@ def expose(
             check_light(photons, "photons")
     shape = photons.shape
     return RawFrame(dn.reshape(shape), saturated.reshape(shape), photons, s, exposure, shot)
+
+
+def expose_burst(photons: ArrayLike, sensor: Sensor, exposure: Exposure, *, frames: int, **how: Any) -> list[RawFrame]:
+    """Several frames of one view, one after the other: the same light and fixed pattern, temporal noise of their own.
+
+    Args:
+        photons: As for `expose`: one light for all frames, or one per frame along a first axis of length `frames`.
+        sensor: The camera.
+        exposure: How each frame is taken.
+        frames: How many; they are numbered from 0.
+        how: The other arguments of `expose`.
+    """
+    require(frames >= 1, "frames", ">= 1", frames)
+    light = np.asarray(photons)
+    moving = light.ndim == (3 if sensor.cfa else 4)
+    require(not moving or light.shape[0] == frames, "photons", f"one light or {frames}", light.shape)
+    return [expose(light[i] if moving else light, sensor, exposure, frame=i, **how) for i in range(frames)]
 
 
 def collect_charge(inputs: Prepared, shot: Shot) -> Array:

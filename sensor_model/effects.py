@@ -137,6 +137,17 @@ def tukey_sd(lam: float) -> float:
     return float(np.sqrt(2 / lam**2 * (1 / (1 + 2 * lam) - special.beta(lam + 1, lam + 1))))
 
 
+def excess_kurtosis(lam: float) -> float:
+    """Excess kurtosis of Tukey's lambda distribution; infinite from -1/4 down."""
+    if lam <= -0.25:
+        return float("inf")
+    if abs(lam) < 1e-3:  # the bracket below vanishes as lam**4: the logistic limit, to 0.02
+        return 1.2
+    even, odd = special.beta(2 * lam + 1, 2 * lam + 1), special.beta(3 * lam + 1, lam + 1)
+    fourth = 2 / lam**4 * (1 / (1 + 4 * lam) - 4 * odd + 3 * even)
+    return float(fourth / tukey_sd(lam) ** 4 - 3)
+
+
 def tukey_quantile(u: Array, lam: float) -> Array:
     """(u**lam - (1 - u)**lam)/lam, the logistic quantile log(u/(1 - u)) at lam = 0."""
     # boxcox(u, lam) is (u**lam - 1)/lam without cancellation

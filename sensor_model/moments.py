@@ -4,7 +4,8 @@ Everything here is temporal: for one pixel of one camera, over frames of the sam
 
 Far from any clipping, the moments are closed forms. Near one (black, white, full well, the switch of a dual gain), or
 where the noise is too small to round out the steps of the ADC, the charge is integrated: E[f(N)] over its distribution,
-f(n) being the closed form for a fixed charge n. There a Tukey-lambda noise is taken as normal with its variance.
+f(n) being the closed form for a fixed charge n. There a Tukey-lambda noise is taken as a mixture of two normals with
+its variance and kurtosis.
 """
 
 from __future__ import annotations
@@ -112,15 +113,26 @@ def integrated_moments(s: Sensor, mu: Array, base: Array, extra: Array, shot: st
     held = effects.full_well(charge, s.mu_e_sat)
     sigma_d, width = effects.select_gain(held, s.sigma_d, s.dual_gain)
     level = base[:, None] + s.gain * effects.nonlinear(held, s.droop)
-    sd = s.gain * np.sqrt(sigma_d**2 + extra[:, None])
     # Moments about the level of the mean charge: squares stay small, differences exact
     centre = base + s.gain * effects.nonlinear(effects.full_well(mu, s.mu_e_sat), s.droop)
-    first, second = code_moments(level / width, sd / width, s.max_dn / width)
-    mean = width * first
-    square = width**2 * second + (mean - centre[:, None]) ** 2
-    total = weight.sum(1)
-    shift = (weight * (mean - centre[:, None])).sum(1) / total
-    return centre + shift, np.maximum((weight * square).sum(1) / total - shift**2, 0)
+    shift, square = np.zeros_like(mu), np.zeros_like(mu)
+    for share, factor in _normal_components(s.tukey_lambda):
+        sd = s.gain * np.sqrt((factor * sigma_d) ** 2 + extra[:, None])
+        first, second = code_moments(level / width, sd / width, s.max_dn / width)
+        away = width * first - centre[:, None]
+        shift += share * (weight * away).sum(1) / weight.sum(1)
+        square += share * (weight * (width**2 * second + away**2)).sum(1) / weight.sum(1)
+    return centre + shift, np.maximum(square - shift**2, 0)
+
+
+def _normal_components(lam: float | None) -> list[tuple[float, float]]:
+    """Shares and standard deviations of normals that make up the read noise; together of variance 1."""
+    # Beyond 8 the wider component would leave nothing to the narrow one; light tails (below 0) have no such mixture
+    kurtosis = 0.0 if lam is None else min(max(effects.excess_kurtosis(lam), 0.0), 8.0)
+    if kurtosis == 0:
+        return [(1.0, 1.0)]
+    narrower = float(np.sqrt(kurtosis / 12))  # 0.8 (1 - a) + 0.2 (1 + 4 a) = 1, 0.8 a**2 + 0.2 (4 a)**2 = kurtosis / 3
+    return [(0.8, float(np.sqrt(1 - narrower))), (0.2, float(np.sqrt(1 + 4 * narrower)))]
 
 
 def _charges(mu: Array, shot: str) -> tuple[Array, Array]:

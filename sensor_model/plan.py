@@ -6,7 +6,7 @@ Both planners (light transport and sensor) return this table; it prints, and is 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from sensor_model.params import require
@@ -32,6 +32,7 @@ class Plan:
     effects: tuple[Effect, ...]
     bound: float  # on the total error, in `unit`
     unit: str
+    biases: dict[str, float] = field(default_factory=dict)  # further bounds, unit -> value
 
     def __getitem__(self, name: str) -> Effect:
         """The effect of that name. Raises ValueError, listing the names there are, if there is none."""
@@ -66,7 +67,7 @@ class Plan:
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> Plan:
         """Inverse of `to_dict`."""
-        return cls(effects=tuple(Effect(**e) for e in data["effects"]), bound=data["bound"], unit=data["unit"])
+        return cls(**(data | {"effects": tuple(Effect(**e) for e in data["effects"])}))
 
     def __str__(self) -> str:
         """A table."""
@@ -76,4 +77,5 @@ class Plan:
             rows.append((e.name, state, f"{e.contribution:.3g}", f"{e.bound:.3g}", e.unit, e.reason))
         widths = [max(len(row[i]) for row in rows) for i in range(5)]
         lines = ["  ".join([*(c.ljust(n) for c, n in zip(row, widths, strict=False)), row[5]]) for row in rows]
-        return "\n".join([*lines, f"total bound {self.bound:.3g} {self.unit}   (* forced by name)"])
+        total = [f"{self.bound:.3g} {self.unit}", *(f"{value:.3g} {unit}" for unit, value in self.biases.items())]
+        return "\n".join([*lines, f"all that is left out: at most {', '.join(total)}   (* forced by name)"])

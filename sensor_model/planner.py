@@ -1,145 +1,195 @@
 """Which effects an exposure calls for.
 
-Leaving out a variance v changes the standard deviation by sqrt(1 + v/V) - 1 <= v / 2V, V being the variance of the
-complete chain. The tolerance epsilon on the standard deviation is therefore a budget: the variances left out may add up
-to 2 epsilon V. Effects are left out cheapest first until the budget is spent, so the bound holds for their sum.
+An effect may be left out if what it would add stays within three budgets, each for the sum of all that is left out:
+the relative standard deviation (epsilon), a bias in DN, and a relative error of the signal. Leaving out a variance v
+changes the standard deviation by sqrt(1 + v/V) - 1 <= v / 2V, where V = S + R**2 + 1/(12 K**2) is the variance that
+every plan keeps: shot noise of the signal S, read noise, rounding. The cheapest effects are left out first.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
-from math import inf, sqrt
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from math import cos, exp, inf, pi, radians, sqrt
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from sensor_model.effects import excess_kurtosis, telegraph_level
 from sensor_model.params import Exposure, Sensor, require
 from sensor_model.plan import Effect, Plan
 
-UNIT = "relative standard deviation"
-# Leaving these out only widens or narrows the noise: name -> (what it is, the fields to clear)
-VARIANCES = {"prnu": "fixed pattern", "dsnu": "fixed pattern", "row_noise": "per row", "dark_current": "per pixel"}
+SD, BIAS, SIGNAL = "relative standard deviation", "DN of bias", "relative signal"
+ROOM, KURTOSIS, DISTANCE = "standard deviations short of 5", "excess kurtosis", "Kolmogorov distance"
 
 
-def plan_effects(
-    sensor: Sensor,
-    exposure: Exposure,
-    signal_e: ArrayLike,
-    tolerance: float = 0.05,
-    *,
-    row_length: int = 1,
-    shared_views: int = 1,
-) -> Plan:
+@dataclass(frozen=True, kw_only=True)
+class Limits:
+    """What leaving effects out may cost."""
+
+    sd: float  # relative standard deviation, at any signal in the range
+    bias_dn: float | None = None  # DN; None: `sd` standard deviations of the darkest signal
+    kurtosis: float = 0.1  # excess kurtosis of the darkest pixels
+    distance: float = 0.01  # Kolmogorov distance between the Poisson distribution and what replaces it
+    row_length: int = 1  # pixels of a row that later get averaged (1: pixels count singly): row noise adds up
+    shared_views: int = 1  # views in which a scene point meets the same pixel (1: moving camera): fixed pattern adds up
+    pixels: int = 1_000_000  # of all frames of one camera: below 0.01 defects expected, none are simulated
+
+    def __post_init__(self) -> None:
+        """Check every field."""
+        for name in ("sd", "kurtosis", "distance"):
+            require(getattr(self, name) > 0, name, "> 0", getattr(self, name))
+        require(self.bias_dn is None or self.bias_dn >= 0, "bias_dn", "None or >= 0 DN", self.bias_dn)
+        for name in ("row_length", "shared_views", "pixels"):
+            require(getattr(self, name) >= 1, name, ">= 1", getattr(self, name))
+
+
+def plan_effects(sensor: Sensor, exposure: Exposure, signal_e: ArrayLike, tolerance: float | Limits = 0.05) -> Plan:
     """Decide, effect by effect, what to simulate.
 
     Args:
         sensor: The camera.
         exposure: How it is used.
         signal_e: Quantiles of the mean signal in the views, e-; the lowest and the highest are used.
-        tolerance: Relative error of the standard deviation that may be made at any signal in that range.
-        row_length: Pixels of a row that are averaged by what follows (1: single pixels matter): row noise adds up.
-        shared_views: Views in which one scene point meets the same pixel (1: moving camera): fixed pattern adds up.
+        tolerance: Relative error of the standard deviation that may be made at any signal in that range, or all limits.
 
     Returns:
-        A plan whose `bound` is the error of everything left out together; force effects by `Plan.force`.
+        A plan whose `bound` and `biases` bound the error of all that is left out. Force effects by `Plan.force`.
 
     Raises:
-        ValueError: if the signal is negative or not finite, or the tolerance is not positive.
+        ValueError: if the signal is negative or not finite, or a limit is out of range.
     """
+    limits = tolerance if isinstance(tolerance, Limits) else Limits(sd=tolerance)
     signal = np.asarray(signal_e, np.float64).ravel()
     ok = signal.size > 0 and bool(np.isfinite(signal).all()) and signal.min() >= 0
     require(ok, "signal_e", "finite, >= 0 and not empty", signal_e)
-    require(tolerance > 0, "tolerance", "> 0", tolerance)
-    require(row_length >= 1 and shared_views >= 1, "row_length, shared_views", ">= 1", (row_length, shared_views))
     low, high = float(signal.min()), float(signal.max())
-    skipped = {
-        "prnu": (shared_views * (sensor.prnu * high) ** 2, high),
-        "dsnu": (shared_views * sensor.dsnu**2, low),
-        "row_noise": (row_length * sensor.sigma_row**2, low),
-        "dark_current": (sensor.dark_current * exposure.time, low),
+
+    dark = kept_variance(sensor, low)
+    bias = limits.sd * sensor.gain * sqrt(dark) if limits.bias_dn is None else limits.bias_dn
+    budgets = {SD: limits.sd, BIAS: bias, SIGNAL: limits.sd}
+    spent = dict.fromkeys(budgets, 0.0)
+    effects = [
+        _decided("photon_shot", True, _ratio(low, 2 * dark), limits.sd, SD, "never left out"),
+        _decided("read_noise", True, _ratio(sensor.sigma_d**2, 2 * dark), limits.sd, SD, "never left out"),
+    ]
+    candidates = _costs(sensor, exposure, low, high, limits)
+    for name in sorted(candidates, key=lambda n: _worst(candidates[n][0], budgets)[0]):
+        cost, reason = candidates[name]
+        fits = all(spent[unit] + value <= budgets[unit] for unit, value in cost.items())
+        if fits:
+            spent = {unit: total + cost.get(unit, 0.0) for unit, total in spent.items()}
+        _, unit = _worst(cost, budgets)
+        fitting = "fits the budget" if fits else "exceeds what is left of the budget"
+        why = f"{reason}; {fitting}" if any(cost.values()) else "this camera has none"
+        effects.append(_decided(name, not fits, cost[unit], budgets[unit], unit, why))
+    effects += _shapes(sensor, low, high, limits)
+    return Plan(effects=tuple(effects), bound=spent[SD], unit=SD, biases={u: spent[u] for u in (BIAS, SIGNAL)})
+
+
+def kept_variance(sensor: Sensor, signal_e: float) -> float:
+    """The variance of one pixel that every plan keeps: shot, read, rounding. e-**2."""
+    return signal_e + sensor.sigma_d**2 + 1 / (12 * sensor.gain**2)
+
+
+def _costs(s: Sensor, exposure: Exposure, low: float, high: float, limits: Limits) -> dict[str, tuple[dict, str]]:
+    """What leaving out each effect costs, per budget, at the worst signal in the range; and what it is."""
+    dark, bright = (2 * kept_variance(s, x) for x in (low, high))
+    dark_e = s.dark_e(exposure)
+    views, width = limits.shared_views, limits.row_length
+    costs: dict[str, tuple[dict[str, float], str]] = {
+        "dark_current": ({SD: dark_e / dark, BIAS: s.gain * dark_e}, "shot noise and mean of the dark charge"),
+        "dsnu": ({SD: views * s.dsnu**2 / dark}, f"fixed pattern, met in {views} views"),
+        "prnu": ({SD: views * (s.prnu * high) ** 2 / bright}, f"fixed pattern, met in {views} views"),
+        "row_noise": ({SD: width * s.sigma_row**2 / dark}, f"averaged over {width} pixels"),
+        "column_noise": ({SD: width * s.sigma_column**2 / dark}, f"averaged over {width} pixels"),
+        "banding": ({SD: width * (s.banding.amplitude**2 / 2 if s.banding else 0) / dark}, "row pattern"),
+        "black_bias": ({BIAS: max(map(abs, s.rgb_bias))}, "error of the black level"),
+        "nonlinearity": ({SIGNAL: s.droop * min(high, s.mu_e_sat)}, "at the brightest signal"),
     }
-    shares = {name: v / (2 * total_variance(sensor, exposure, at)) for name, (v, at) in skipped.items()}
-    effects = [_always("photon_shot", 1.0, tolerance, "never left out")]
-    spent = 0.0
-    for name in sorted(shares, key=lambda n: shares[n]):
-        leave_out = spent + shares[name] <= tolerance
-        spent += shares[name] if leave_out else 0.0
-        effects.append(
-            Effect(
-                name=name,
-                on=not leave_out,
-                forced=False,
-                contribution=shares[name],
-                bound=tolerance,
-                unit=UNIT,
-                reason=f"{VARIANCES[name]}; {'within' if leave_out else 'over'} what is left of the budget",
-            )
-        )
-    effects.append(_tails(sensor, exposure, low, tolerance))
-    effects.append(_clipping(sensor, exposure, high))
-    return Plan(effects=tuple(effects), bound=spent, unit=UNIT)
+    d, o = s.defects, s.optics
+    hot = (d.hot_factor - 1) * dark_e if d and d.hot_fraction * limits.pixels >= 0.01 else 0.0
+    costs["hot_pixels"] = ({SD: hot / dark, BIAS: s.gain * hot}, "in a hot pixel")
+    level = telegraph_level(s.sigma_d, d.rts_factor) if d and d.rts_fraction * limits.pixels >= 0.01 else 0.0
+    costs["telegraph_noise"] = ({SD: level**2 / 2 / dark}, "in a pixel with telegraph noise")
+    corner = 0.0 if o is None else 1 - (min(o.falloff) if o.falloff else cos(radians(o.corner_angle)) ** 4)
+    costs["vignetting"] = ({SIGNAL: corner}, "in the corners")
+    spill = 4 * o.crosstalk * (high - low) if o else 0.0
+    # bias of the brightest edge against its own noise: 4 c dS <= sqrt(2 eps V) in terms of the first budget
+    costs["crosstalk"] = ({SD: spill**2 / bright}, "at the strongest edge")
+    return costs
 
 
-def total_variance(sensor: Sensor, exposure: Exposure, signal_e: float) -> float:
-    """Temporal variance of one pixel, e-**2: shot, dark shot, read, rounding."""
-    rounding = 1 / (12 * sensor.gain**2)
-    return signal_e + sensor.dark_current * exposure.time + sensor.sigma_d**2 + rounding
+def _shapes(s: Sensor, low: float, high: float, limits: Limits) -> list[Effect]:
+    """Effects that no variance measures: tails, and what only happens near saturation."""
+    tails = 0.0
+    if s.tukey_lambda is not None and s.sigma_d:
+        tails = abs(excess_kurtosis(s.tukey_lambda)) * (s.sigma_d**2 / kept_variance(s, low)) ** 2
+    # Skewness, plus the steps of whole electrons where the read noise does not blur them
+    skew = (0.0665 + 0.2 * exp(-2 * (pi * s.sigma_d) ** 2)) / sqrt(low) if low > 0 else inf
+    room = 5 * sqrt(kept_variance(s, high))
+    full = max(0.0, 5 - _ratio(s.capacity_e - high, room / 5))
+    gains = max(0.0, 5 - _ratio(s.dual_gain.threshold - high, room / 5)) if s.dual_gain else 0.0
+    kurtosis, distance = limits.kurtosis, limits.distance
+    return [
+        _decided("read_tails", tails > kurtosis, tails, kurtosis, KURTOSIS, "Gaussian read noise without"),
+        _decided("poisson", skew > distance, skew, distance, DISTANCE, "normal shot noise without"),
+        _decided("full_well", full > 0, full, 0.0, ROOM, "room between the brightest signal and saturation"),
+        _decided("blooming", s.blooming and full > 0, full * s.blooming, 0.0, ROOM, "follows full well"),
+        _decided("dual_gain", gains > 0, gains, 0.0, ROOM, "room below the switch of the gains"),
+    ]
 
 
 def simplify(sensor: Sensor, plan: Plan | None) -> Sensor:
-    """The camera without the effects its plan leaves out: the chain has no other switch."""
-    if plan is None:
-        return sensor
-    cleared: dict[str, dict[str, Any]] = {
-        "prnu": {"prnu": 0.0},
-        "dsnu": {"dsnu": 0.0},
-        "row_noise": {"sigma_row": 0.0},
-        "dark_current": {"dark_current": 0.0},
-        "read_tails": {"tukey_lambda": None},
-        "full_well": {"mu_e_sat": float("inf")},
-    }
-    left_out = [effect.name for effect in plan.effects if not effect.on]
-    return replace(sensor, **{k: v for name in left_out for k, v in cleared.get(name, {}).items()})
+    """The camera without the effects its plan leaves out."""
+    for effect in plan.effects if plan else ():
+        if not effect.on and effect.name in REMOVE:
+            sensor = REMOVE[effect.name](sensor)
+    return sensor
 
 
-def _always(name: str, contribution: float, tolerance: float, reason: str) -> Effect:
-    return Effect(
-        name=name, on=True, forced=False, contribution=contribution, bound=tolerance, unit=UNIT, reason=reason
-    )
+def _clear(**fields: Any) -> Callable[[Sensor], Sensor]:
+    return lambda sensor: replace(sensor, **fields)
 
 
-def _tails(sensor: Sensor, exposure: Exposure, low: float, tolerance: float) -> Effect:
-    excess = 0.0 if sensor.tukey_lambda is None else excess_kurtosis(sensor.tukey_lambda)
-    share = excess * sensor.sigma_d**4 / total_variance(sensor, exposure, low) ** 2 if excess else 0.0
-    return Effect(
-        name="read_tails",
-        on=share > tolerance,
-        forced=False,
-        contribution=share,
-        bound=tolerance,
-        unit="excess kurtosis",
-        reason="tails of the read noise; without them it is Gaussian",
-    )
+def _clear_part(part: str, **fields: Any) -> Callable[[Sensor], Sensor]:
+    def without(sensor: Sensor) -> Sensor:
+        value = getattr(sensor, part)
+        return sensor if value is None else replace(sensor, **{part: replace(value, **fields)})
+
+    return without
 
 
-def excess_kurtosis(lam: float) -> float:
-    """Excess kurtosis of Tukey's lambda distribution."""
-    from scipy.stats import tukeylambda
+REMOVE: dict[str, Callable[[Sensor], Sensor]] = {
+    "read_noise": _clear(sigma_d=0.0, dual_gain=None),
+    "read_tails": _clear(tukey_lambda=None),
+    "dark_current": _clear(dark_current=0.0),
+    "dsnu": _clear(dsnu=0.0),
+    "prnu": _clear(prnu=0.0),
+    "row_noise": _clear(sigma_row=0.0),
+    "column_noise": _clear(sigma_column=0.0),
+    "banding": _clear(banding=None),
+    "black_bias": _clear(rgb_bias=(0.0, 0.0, 0.0)),
+    "nonlinearity": _clear(nonlinearity=0.0),
+    "full_well": _clear(mu_e_sat=inf, nonlinearity=0.0, blooming=False),
+    "blooming": _clear(blooming=False),
+    "dual_gain": _clear(dual_gain=None),
+    "hot_pixels": _clear_part("defects", hot_fraction=0.0),
+    "telegraph_noise": _clear_part("defects", rts_fraction=0.0),
+    "vignetting": _clear_part("optics", corner_angle=0.0, falloff=None),
+    "crosstalk": _clear_part("optics", crosstalk=0.0),
+}
 
-    # the fourth moment diverges at -1/4
-    return float(tukeylambda.stats(lam, moments="k")) if lam > -0.25 else float("inf")
+
+def _decided(name: str, on: bool, contribution: float, bound: float, unit: str, reason: str) -> Effect:
+    return Effect(name=name, on=on, forced=False, contribution=contribution, bound=bound, unit=unit, reason=reason)
 
 
-def _clipping(sensor: Sensor, exposure: Exposure, high: float) -> Effect:
-    sd = sqrt(total_variance(sensor, exposure, high))
-    margin = (sensor.capacity_e - high) / sd if sd > 0 else inf
-    return Effect(
-        name="full_well",
-        on=margin < 5,
-        forced=False,
-        contribution=max(0.0, 5 - margin),
-        bound=0.0,
-        unit="standard deviations",
-        reason="the brightest signal keeps 5 standard deviations from saturation" if margin >= 5 else "it saturates",
-    )
+def _worst(cost: dict[str, float], budgets: dict[str, float]) -> tuple[float, str]:
+    """The largest share of a budget that a cost takes, and that budget."""
+    return max((_ratio(value, budgets[unit]), unit) for unit, value in cost.items())
+
+
+def _ratio(a: float, b: float) -> float:
+    return a / b if b else (inf if a > 0 else 0.0)
