@@ -24,6 +24,7 @@ from novags.testbed.console import Console
 from novags.testbed.provenance import PeakMemory, environment, package_version
 
 UNFINISHED = "unfinished.json"
+VOLATILE = ("stage", "seconds", "peak_bytes", "versions")  # entries of a record that say what it cost, not what it is
 
 
 def jsonable(value: Any) -> Any:  # noqa: ANN401 - the border between Python objects and JSON
@@ -100,8 +101,8 @@ def digest(value: Any) -> str:  # noqa: ANN401
 def folder_digest(folder: Path, *, skip: Sequence[str] = ()) -> str:
     """Hash of every file's relative name and content; hidden files and the names in `skip` are left out.
 
-    The `stage` entry of a record (seconds, memory, versions) is left out as well: work that is done again with the same
-    outcome does not make what builds on it stale.
+    Of a record, costs and versions are left out as well: work that is done again with the same outcome does not make
+    what builds on it stale.
 
     Raises:
         ValueError: If `folder` is not a folder.
@@ -121,8 +122,7 @@ def folder_digest(folder: Path, *, skip: Sequence[str] = ()) -> str:
 def _content_digest(path: Path, *, is_record: bool) -> bytes:
     if is_record:
         record = read_json(path)
-        record.pop("stage", None)
-        return digest(record).encode()
+        return digest({name: value for name, value in record.items() if name not in VOLATILE}).encode()
     content = hashlib.blake2b()
     with path.open("rb") as file:
         while chunk := file.read(1 << 20):

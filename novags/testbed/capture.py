@@ -12,6 +12,7 @@ from novags.testbed.console import Console, Update
 from novags.testbed.source import Source
 from sensor_model import PRESETS, Exposure, Plan, Sensor, expose, mosaic, photons_for_electrons, plan_effects
 from sensor_model.isp import Demosaic
+from sensor_model.planner import Limits
 from simscenes.multiview import write_cameras
 
 QUANTILES = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
@@ -57,7 +58,7 @@ def capture_views(source: Source, folder: Path, config: CaptureConfig, console: 
     with console.progress("capture: light") as progress:
         mean_green, signal = measure_light(source, sensor, progress)
     signal_e = signal * config.electrons / mean_green
-    plan = plan_capture(sensor, exposure, signal_e, config.tolerance)
+    plan = plan_capture(sensor, exposure, signal_e, source.rig.width * source.rig.height, config.tolerance)
     names = source.views.names
     with console.progress("capture") as progress:
         for i, name in enumerate(names):
@@ -91,11 +92,13 @@ def capture_views(source: Source, folder: Path, config: CaptureConfig, console: 
     }
 
 
-def plan_capture(sensor: Sensor, exposure: Exposure, signal_e: np.ndarray, tolerance: float | None) -> Plan | None:
-    """Which effects to simulate for these quantiles of the mean signal (e-); None: all of them."""
+def plan_capture(
+    sensor: Sensor, exposure: Exposure, signal_e: np.ndarray, pixels: int, tolerance: float | None
+) -> Plan | None:
+    """Which effects to simulate for these quantiles of the mean signal (e-) and so many pixels; None: all of them."""
     if tolerance is None:
         return None
-    return plan_effects(sensor, exposure, signal_e, tolerance, row_length=ROW_LENGTH)
+    return plan_effects(sensor, exposure, signal_e, Limits(sd=tolerance, row_length=ROW_LENGTH, pixels=pixels))
 
 
 def measure_light(source: Source, sensor: Sensor, progress: Update) -> tuple[float, np.ndarray]:

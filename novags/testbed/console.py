@@ -80,6 +80,5 @@ class Console:
 
 
 def losses_text(losses: Mapping[str, float]) -> str:
-    """Losses of one step in a few characters, the total first."""
-    ordered = sorted(losses.items(), key=lambda item: item[0] not in ("loss", "total"))
-    return "  ".join(f"{name} {value:.4f}" for name, value in ordered[:4])
+    """Losses of one step in a few characters; counters among them are left out."""
+    return "  ".join(f"{name} {value:.4f}" for name, value in losses.items() if name not in ("iteration", "n_gaussians"))

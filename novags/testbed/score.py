@@ -5,15 +5,14 @@ Two references, never mixed. `enhanced` is the noise-free dark exposure put thro
 the well-lit render or the photograph itself: what the field reports, dominated by differences of tone.
 """
 
-from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 
-from novags.nova.enhance import EnhanceConfig, enhance
-from novags.testbed.capture_folder import Capture, DarkSource
+from novags.nova.enhance import enhance
+from novags.testbed.capture_folder import Capture
+from novags.testbed.console import Update
 from novags.testbed.images import read_png
 from novags.testbed.metrics import (
     Image,
@@ -24,35 +23,31 @@ from novags.testbed.metrics import (
     mean_scores,
     psnr,
 )
+from novags.testbed.run_folder import Run
 from novags.testbed.source import Source
 
+METRICS = "metrics.json"
 BLUR_SIGMA = 1.2  # px; the fixed bar a denoiser has to clear
 BLUR_GRID = tuple(float(s) for s in np.geomspace(0.4, 8.0, 20))  # px; the harder bar: the best of these for the images
 
 
-def enhanced_pair(capture: Capture, i: int, source: DarkSource, config: EnhanceConfig) -> tuple[Image, Image]:
-    """The dark exposure of view `i` enhanced, and its noise-free twin through the same enhancement."""
-    noisy, params = enhance(torch.from_numpy(capture.dark(i, source)), config)
-    clean, _ = enhance(torch.from_numpy(capture.clean(i)), config, params)
-    return noisy.numpy(), clean.numpy()
+def enhanced_pair(run: Run, capture: Capture, i: int) -> tuple[Image, Image]:
+    """The dark exposure of view `i` as the run enhanced it, and its noise-free twin through the same enhancement."""
+    dark = torch.from_numpy(capture.dark(i, run.dark_source))
+    noisy, params = enhance(dark, run.enhance_config)
+    return noisy.numpy(), enhance(torch.from_numpy(capture.clean(i)), run.enhance_config, params)[0].numpy()
 
 
 def score_test_views(
-    run: Path,
-    capture: Capture,
-    lit: Source,
-    dark_source: DarkSource,
-    config: EnhanceConfig,
-    lpips: PerceptualDistance | None,
-    progress: Callable[[int, int, str], None],
+    run: Run, capture: Capture, lit: Source, lpips: PerceptualDistance | None, progress: Update
 ) -> dict[str, Any]:
     """Scores of every held-out view against both references, and their means: `{"mean": ..., "views": ...}`."""
     views: dict[str, Any] = {}
     indices = capture.cameras.test_indices
     for done, i in enumerate(indices):
         name = capture.names[i]
-        rendered = read_png(run / "renders" / f"{name}.png")
-        _, reference = enhanced_pair(capture, i, dark_source, config)
+        rendered = read_png(run.path / "renders" / f"{name}.png")
+        _, reference = enhanced_pair(run, capture, i)
         views[name] = {
             "enhanced": image_scores(rendered, reference, lpips),
             "lit": image_scores(rendered, lit.lit(i), lpips),
@@ -62,9 +57,7 @@ def score_test_views(
     return {"mean": mean, "views": views}
 
 
-def score_training_images(
-    run: Path, capture: Capture, dark_source: DarkSource, config: EnhanceConfig
-) -> dict[str, Any]:
+def score_training_images(run: Run, capture: Capture) -> dict[str, Any]:
     """2D scores of the training images against the enhanced noise-free exposure, beside Gaussian blurs.
 
     Returns:
@@ -74,10 +67,10 @@ def score_training_images(
     enhanced, denoised, references = [], [], []
     for i in capture.cameras.train_indices:
         name = capture.names[i]
-        enhanced.append(read_png(run / "enhanced" / f"{name}.png"))
-        if (run / "denoised").is_dir():
-            denoised.append(read_png(run / "denoised" / f"{name}.png"))
-        references.append(enhanced_pair(capture, i, dark_source, config)[1])
+        enhanced.append(read_png(run.path / "enhanced" / f"{name}.png"))
+        if (run.path / "denoised").is_dir():
+            denoised.append(read_png(run.path / "denoised" / f"{name}.png"))
+        references.append(enhanced_pair(run, capture, i)[1])
     scores = {"enhanced": _mean_psnr(enhanced, references)}
     if denoised:
         scores["denoised"] = _mean_psnr(denoised, references)

@@ -4,11 +4,36 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from novags.testbed import capture_folder
+from novags.testbed import capture_folder, run_folder
 from novags.testbed.cache import folder_digest, run_stage
 from novags.testbed.capture import CaptureConfig, capture_views
+from novags.testbed.capture_folder import Capture, open_capture
 from novags.testbed.console import Console
-from novags.testbed.source import open_source
+from novags.testbed.metrics import PerceptualDistance
+from novags.testbed.reconstruct import ReconstructConfig, reconstruct_views
+from novags.testbed.render import RECORD as RENDER_RECORD
+from novags.testbed.render import RenderConfig, render_views, scene_digest
+from novags.testbed.run_folder import Run, open_run
+from novags.testbed.score import METRICS, score_test_views, score_training_images
+from novags.testbed.source import Source, open_source
+
+
+def render(out: Path, config: RenderConfig, console: Console) -> dict[str, Any]:
+    """Render a scene into the set folder `out`; returns set.json.
+
+    Raises:
+        ValueError: If the scene is unknown or cannot be rendered, or `out` holds other things.
+    """
+    return run_stage(
+        "render",
+        out,
+        RENDER_RECORD,
+        inputs={"scene": scene_digest(config)},
+        config=asdict(config),
+        owns=(RENDER_RECORD, "gt", "images", *capture_folder.CAMERA_FILES),
+        work=lambda: render_views(out, config, console),
+        console=console,
+    )
 
 
 def capture(set_path: Path, out: Path, config: CaptureConfig, console: Console) -> dict[str, Any]:
@@ -29,3 +54,67 @@ def capture(set_path: Path, out: Path, config: CaptureConfig, console: Console) 
         work=lambda: capture_views(source, out, config, console),
         console=console,
     )
+
+
+def reconstruct(capture_path: Path, out: Path, config: ReconstructConfig, console: Console) -> dict[str, Any]:
+    """Reconstruct the capture at `capture_path` by one method; returns run.json.
+
+    Raises:
+        ValueError: If the capture or its set cannot be read, or `out` holds other things.
+    """
+    captured = open_capture(capture_path)
+    set_path = captured.source(console).views.path
+    return run_stage(
+        f"reconstruct {config.method}",
+        out,
+        run_folder.RECORD,
+        inputs={"capture": folder_digest(capture_path), "set": folder_digest(set_path)},
+        config=config.resolved(),
+        owns=run_folder.OWNS,
+        work=lambda: reconstruct_views(captured, out, config, console),
+        console=console,
+    )
+
+
+def score(run_path: Path, console: Console) -> dict[str, Any]:
+    """Score the run at `run_path` against the truth of its capture; returns its metrics.json.
+
+    Raises:
+        ValueError: If the run, its capture or its set cannot be read.
+    """
+    run = open_run(run_path)
+    captured = run.capture()
+    lit = captured.source(console)
+    missing = PerceptualDistance.missing()
+    inputs = {
+        "run": folder_digest(run_path, skip=(METRICS, "report.html")),
+        "capture": folder_digest(captured.path),
+        "set": folder_digest(lit.views.path),
+    }
+
+    def work() -> dict[str, Any]:
+        lpips = PerceptualDistance() if missing is None else None
+        with console.progress(f"score {run.method}") as progress:
+            scores = score_test_views(run, captured, lit, lpips, progress)
+        method = {
+            **scores,
+            "training_2d": score_training_images(run, captured),
+            "seconds": stage_seconds(run, captured, lit),
+            "peak_bytes": run.record["stage"]["peak_bytes"],
+        }
+        unavailable = {} if missing is None else {"lpips": missing}
+        return {"methods": {run.method: method}, "recovered": {}, "unavailable": unavailable}
+
+    config = {"lpips": missing is None}
+    return run_stage(
+        "score", run_path, METRICS, inputs=inputs, config=config, owns=(METRICS,), work=work, console=console
+    )
+
+
+def stage_seconds(run: Run, captured: Capture, lit: Source) -> dict[str, float]:
+    """Seconds of every stage that led to the run, and of the parts of its reconstruction."""
+    rendered = lit.views.meta.get("stage")
+    seconds = {} if rendered is None else {"render": float(rendered["seconds"])}
+    seconds["capture"] = float(captured.record["stage"]["seconds"])
+    seconds["reconstruct"] = float(run.record["stage"]["seconds"])
+    return {**seconds, **{f"reconstruct/{part}": float(s) for part, s in run.record["seconds"].items()}}

@@ -1,0 +1,5 @@
+"""`python -m novags` is `novags`."""
+
+from novags.cli import main
+
+main()

@@ -1,0 +1,262 @@
+"""The command line. Thin: every command turns its arguments into a configuration and calls the test bed."""
+
+import os
+import signal
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
+
+import tyro
+
+if TYPE_CHECKING:  # heavy: torch and its friends load when a command runs, so that --help answers at once
+    from novags.testbed.console import Console
+
+PresetName = Literal["demo", "small", "paper"]
+Folder = Annotated[Path, tyro.conf.Positional]
+Name = Annotated[str, tyro.conf.Positional]
+
+
+def run(
+    *,
+    preset: PresetName = "demo",
+    scene: str | None = None,
+    sensor: str | None = None,
+    electrons: float | None = None,
+    out: Path | None = None,
+    methods: tuple[str, ...] | None = None,
+    views: int | None = None,
+    width: int | None = None,
+    height: int | None = None,
+    spp: int | None = None,
+    points: int | None = None,
+    iterations: int | None = None,
+    denoiser_steps: int | None = None,
+    seed: int | None = None,
+) -> None:
+    """The main job, whole: render, capture in the dark, reconstruct by several methods, score, report.
+
+    Work that is done is kept: the same command again only does what is missing.
+
+    Args:
+        preset: Where every setting comes from that is not given here.
+        scene: A scene of the catalogue ("tabletop", or "tabletop:3" for its variation 3), or a Mitsuba .xml file.
+        sensor: A camera of sensor_model.PRESETS.
+        electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
+        out: Folder of the experiment; out/PRESET if not given.
+        methods: Methods to compare: nova, naive, naive-l1, oracle.
+        views: Number of views.
+        width: Image width in pixels.
+        height: Image height in pixels.
+        spp: Samples per pixel of the render.
+        points: Gaussians at the start.
+        iterations: Of the fit.
+        denoiser_steps: Of the denoiser before the fit starts.
+        seed: Of noise and training.
+    """
+    from novags.testbed import experiment
+    from novags.testbed.presets import PRESETS, adapted
+
+    chosen = adapted(
+        PRESETS[preset], scene=scene, sensor=sensor, electrons=electrons, methods=methods, n_views=views, width=width,
+        height=height, spp=spp, points=points, iterations=iterations, denoiser_steps=denoiser_steps, seed=seed,
+    )  # fmt: skip
+    folder = out if out is not None else Path("out") / preset
+    report_path = experiment.run(chosen, folder, _console(), command=_command_line())
+    _announce(report_path)
+
+
+def plan(scene: Name, *, sensor: str, electrons: float, time: float = 1 / 30, tolerance: float = 0.05) -> None:
+    """What would be simulated, what would not, why, and the bound on the error of leaving it out.
+
+    Args:
+        scene: A multiview set folder, a scene of the catalogue, or a Mitsuba .xml file.
+        sensor: A camera of sensor_model.PRESETS.
+        electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
+        time: Exposure time in seconds; only the dark current depends on it.
+        tolerance: Relative error of the noise's standard deviation that may be made.
+    """
+    from novags.testbed.capture import CaptureConfig
+    from novags.testbed.forecast import sensor_plan
+
+    config = CaptureConfig(sensor=sensor, electrons=electrons, time=time, tolerance=tolerance)
+    found, signal_e = sensor_plan(scene, config, _console())
+    print(f"{sensor}, mean green signal {electrons:g} e-; "
+          + ", ".join(f"{name} {value:.3g} e-" for name, value in signal_e.items()))  # fmt: skip
+    print(found)
+
+
+def render(
+    scene: Name, *, out: Path, views: int = 32, width: int = 128, height: int = 128, spp: int | None = None,
+    target_error: float | None = None, variant: str = "auto", seed: int = 0,
+) -> None:  # fmt: skip
+    """Render a scene into a ground-truth multiview set.
+
+    Args:
+        scene: A scene of the catalogue ("tabletop", or "tabletop:3" for its variation 3), or a Mitsuba .xml file.
+        out: Folder of the set.
+        views: Number of views.
+        width: Image width in pixels.
+        height: Image height in pixels.
+        spp: Samples per pixel; 256 if neither this nor target_error is given.
+        target_error: Relative error at which each view stops instead.
+        variant: Mitsuba variant.
+        seed: Of the Monte Carlo noise.
+    """
+    from novags.testbed import stages
+    from novags.testbed.render import RenderConfig
+
+    samples = 256 if spp is None and target_error is None else spp
+    config = RenderConfig(
+        scene=scene, n_views=views, width=width, height=height, spp=samples, target_error=target_error,
+        variant=variant, seed=seed,
+    )  # fmt: skip
+    stages.render(out, config, _console())
+    print(out)
+
+
+def capture(
+    set: Folder, *, out: Path, sensor: str = "a7s2-iso6400-3chip", electrons: float = 20.0, time: float = 1 / 30,
+    max_size: int | None = None, demosaic: Literal["menon", "malvar", "bilinear"] = "menon",
+    tolerance: float | None = 0.05, seed: int = 0,
+) -> None:  # fmt: skip
+    """Photograph a multiview set in the dark: a rendered one, or real posed photographs.
+
+    Args:
+        set: A set folder, a nerfstudio or instant-ngp folder (transforms.json), or a COLMAP folder (sparse/0, images).
+        out: Folder of the capture.
+        sensor: A camera of sensor_model.PRESETS.
+        electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
+        time: Exposure time in seconds; only the dark current depends on it.
+        max_size: Scale larger images down to this longest side, in pixels.
+        demosaic: Interpolation of the colour filter array.
+        tolerance: Leave out effects that change the noise by less than this share; None simulates all.
+        seed: Of the noise.
+    """
+    from novags.testbed import stages
+    from novags.testbed.capture import CaptureConfig
+
+    config = CaptureConfig(
+        sensor=sensor, electrons=electrons, time=time, max_size=max_size, demosaic=demosaic, tolerance=tolerance,
+        seed=seed,
+    )  # fmt: skip
+    stages.capture(set, out, config, _console())
+    print(out)
+
+
+def reconstruct(
+    capture: Folder, *, out: Path, method: str = "nova", preset: PresetName = "demo",
+    source: Literal["8bit", "16bit"] = "8bit", points: int | None = None, iterations: int | None = None,
+    denoiser_steps: int | None = None, seed: int = 0,
+) -> None:  # fmt: skip
+    """Reconstruct a capture by one method: a 3D model, and pictures rendered from it.
+
+    Args:
+        capture: Folder of the capture.
+        out: Folder of the run.
+        method: nova, naive, naive-l1 or oracle.
+        preset: Where every setting of the method comes from that is not given here.
+        source: Which pictures the method sees: 8-bit sRGB, or 16-bit linear ones.
+        points: Gaussians at the start.
+        iterations: Of the fit.
+        denoiser_steps: Of the denoiser before the fit starts.
+        seed: Of training.
+    """
+    from novags.testbed import stages
+    from novags.testbed.presets import PRESETS, adapted
+    from novags.testbed.reconstruct import ReconstructConfig
+
+    chosen = adapted(PRESETS[preset], points=points, iterations=iterations, denoiser_steps=denoiser_steps)
+    config = ReconstructConfig(method=method, source=source, points=chosen.points, seed=seed, nova=chosen.nova)
+    stages.reconstruct(capture, out, config, _console())
+    print(out)
+
+
+def score(run: Folder) -> None:
+    """Score a run, or every run of an experiment, against the truth; write metrics.json.
+
+    Args:
+        run: Folder of a run or of an experiment.
+    """
+    from novags.testbed.experiment import score_all
+
+    for name, mean in score_all(run, _console()).items():
+        enhanced, lit = mean["enhanced"]["aligned_psnr"], mean["lit"]["aligned_psnr"]
+        print(f"{name}: aligned PSNR {enhanced:.2f} dB (noise-free exposure), {lit:.2f} dB (well lit)")
+
+
+def report(folder: Folder) -> None:
+    """Write report.html of a scored run or experiment: one file, nothing to install to read it.
+
+    Args:
+        folder: Folder of a run or of an experiment.
+    """
+    from novags.testbed.report import write_report
+
+    _announce(write_report(folder, _console()))
+
+
+def doctor() -> None:
+    """What works on this machine, what does not, and what to type to get it."""
+    from novags.testbed.doctor import examine
+
+    marks = {"ok": "ok     ", "missing": "missing", "broken": "BROKEN "}
+    broken = False
+    for finding in examine():
+        print(f"{marks[finding.state]}  {finding.name:<18} {finding.detail}", flush=True)
+        broken |= finding.state == "broken"
+    print("something needed is broken: see above" if broken else "ready: novags run --preset demo")
+    if broken:
+        raise SystemExit(1)
+
+
+COMMANDS: dict[str, Callable[..., None]] = {
+    function.__name__: function for function in (run, plan, render, capture, reconstruct, score, report, doctor)
+}
+
+
+def _console() -> "Console":
+    """A console, once the libraries are loaded and termination is an interruption like Ctrl-C."""
+    import pycolmap  # noqa: F401 - its crash handler would take SIGTERM over if it were imported later
+
+    from novags.testbed.console import Console
+
+    signal.signal(signal.SIGTERM, _terminated)
+    return Console()
+
+
+def _terminated(*_: object) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def _command_line() -> str:
+    import shlex
+
+    return shlex.join(["novags", *sys.argv[1:]])
+
+
+def _announce(path: Path) -> None:
+    print(f"report: {path.resolve()}")
+    print(f"open it in a browser: {path.resolve().as_uri()}")
+
+
+def main() -> None:
+    """Entry point: run a command; wrong input is one line on standard error and exit code 2."""
+    # Threads of torch that wait would otherwise spin, and halve the speed of everything else on a shared machine.
+    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
+    try:
+        tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="novags", description=DESCRIPTION)
+    except KeyboardInterrupt:
+        sys.exit(_say("interrupted; the same command again continues where this one stopped", 130))
+    except (ValueError, OSError) as error:
+        if os.environ.get("NOVAGS_TRACEBACK"):
+            raise
+        sys.exit(_say(f"error: {error}", 2 if isinstance(error, ValueError) else 1))
+
+
+DESCRIPTION = "Test bed for low-light 3D reconstruction: rendered truth, dark captures, reconstructions, scores."
+
+
+def _say(text: str, code: int) -> int:
+    print(f"novags: {' '.join(text.split())}", file=sys.stderr)
+    return code

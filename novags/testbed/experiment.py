@@ -1,0 +1,50 @@
+"""The main job: render, capture, reconstruct by every method, score, report, in one folder."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from novags.testbed import stages
+from novags.testbed.cache import write_json
+from novags.testbed.console import Console
+from novags.testbed.presets import Preset
+from novags.testbed.reconstruct import ReconstructConfig
+from novags.testbed.report import EXPERIMENT, find_runs, write_report
+from novags.testbed.run_folder import RECORD
+from novags.testbed.score import METRICS, merge
+
+
+def run(preset: Preset, out: Path, console: Console, *, command: str | None = None) -> Path:
+    """Do the whole experiment in `out`, as far as it is not done yet; returns the path of the report.
+
+    Args:
+        preset: What to do.
+        out: The experiment folder: set/, capture/, one folder per method, metrics.json, report.html.
+        console: Where progress goes.
+        command: What a person typed to get here, for the record.
+
+    Raises:
+        ValueError: If an input is wrong or `out` holds other things.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    stages.render(out / "set", preset.render, console)
+    stages.capture(out / "set", out / "capture", preset.capture, console)
+    for method in preset.methods:
+        config = ReconstructConfig(method=method, points=preset.points, seed=preset.capture.seed, nova=preset.nova)
+        stages.reconstruct(out / "capture", out / method, config, console)
+    write_json(out / EXPERIMENT, {"command": command, "methods": preset.methods, "preset": asdict(preset)})
+    score_all(out, console)
+    return write_report(out, console)
+
+
+def score_all(folder: Path, console: Console) -> dict[str, Any]:
+    """Score a run, or every run of an experiment; returns the mean scores by method.
+
+    Raises:
+        ValueError: If `folder` is neither, or what its runs refer to is gone.
+    """
+    runs = find_runs(folder)
+    metrics = {method: stages.score(run.path, console) for method, run in runs.items()}
+    if not (folder / RECORD).exists():
+        write_json(folder / METRICS, merge(metrics))
+    return {name: run["methods"][name]["mean"] for name, run in metrics.items()}

@@ -1,0 +1,41 @@
+"""What a capture of a scene would simulate, what it would leave out, and the bounds: the plans, before any work."""
+
+import tempfile
+from pathlib import Path
+
+from novags.testbed.capture import CaptureConfig, measure_light, plan_capture
+from novags.testbed.console import Console
+from novags.testbed.render import RenderConfig, render_views
+from novags.testbed.source import open_source
+from sensor_model import PRESETS, Exposure, Plan
+
+
+def sensor_plan(scene: str, config: CaptureConfig, console: Console) -> tuple[Plan | None, dict[str, float]]:
+    """The sensor's plan for a scene, and the quantiles of its mean signal in electrons.
+
+    Args:
+        scene: A multiview set folder, a scene of the catalogue, or a Mitsuba file (the latter two get a coarse render).
+        config: Camera and light.
+        console: Where progress goes.
+
+    Raises:
+        ValueError: If there is no such scene, or it is black.
+    """
+    if Path(scene).is_dir():
+        return _plan(Path(scene), config, console)
+    with tempfile.TemporaryDirectory(prefix="novags-plan-") as folder:
+        # Enough to know the range of brightness; it takes seconds.
+        render_views(Path(folder), RenderConfig(scene=scene, n_views=8, width=48, height=48, spp=32), console)
+        return _plan(Path(folder), config, console)
+
+
+def _plan(folder: Path, config: CaptureConfig, console: Console) -> tuple[Plan | None, dict[str, float]]:
+    sensor = PRESETS[config.sensor]
+    source = open_source(folder, console, config.max_size)
+    with console.progress("light") as progress:
+        mean_green, signal = measure_light(source, sensor, progress)
+    signal_e = signal * config.electrons / mean_green
+    named = {"darkest": signal_e[0], "median": signal_e[len(signal_e) // 2], "brightest": signal_e[-1]}
+    exposure, pixels = Exposure(time=config.time), source.rig.width * source.rig.height
+    plan = plan_capture(sensor, exposure, signal_e, pixels, config.tolerance)
+    return plan, {name: float(value) for name, value in named.items()}

@@ -1,0 +1,44 @@
+"""The methods by name. All share one enhancement and one fit configuration, so that they differ in their idea alone."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+from novags.baselines import naive, oracle
+from novags.baselines.naive import NaiveConfig
+from novags.nova import trainer
+from novags.nova.trainer import NovaConfig
+from novags.splats import MethodInput, MethodResult
+
+METHODS = {
+    "nova": "the paper: enhance, denoise with a network that learns from the noisy images alone, fit with geometric "
+    "consistency and a penalty on view-dependent colour that follows the noise",
+    "naive": "enhance, then fit the noisy images with the same loss (L1 and D-SSIM)",
+    "naive-l1": "enhance, then fit the noisy images with L1 alone, which averages noise over the views",
+    "oracle": "enhance the noise-free exposures, then fit: what no real method can see, so the ceiling",
+}
+
+Progress = Callable[[int, int, dict[str, float]], None]
+
+
+def method_config(method: str, nova: NovaConfig) -> NovaConfig | NaiveConfig:
+    """What `method` makes of the shared configuration.
+
+    Raises:
+        ValueError: If there is no such method.
+    """
+    if method not in METHODS:
+        raise ValueError(f"unknown method {method!r}; there are {', '.join(METHODS)}")
+    if method == "nova":
+        return nova
+    shared = NaiveConfig(enhance=nova.enhance, init_scale=nova.init_scale, fit=nova.fit)
+    return shared.with_l1() if method == "naive-l1" else shared
+
+
+def train(
+    method: str, inputs: MethodInput, config: NovaConfig | NaiveConfig, progress: Progress, checkpoint: Path
+) -> MethodResult:
+    """Run `method` with its `method_config`; goes on from the checkpoint if there is one."""
+    if isinstance(config, NovaConfig):
+        return trainer.train(inputs, config, progress=progress, checkpoint=checkpoint)
+    module = oracle if method == "oracle" else naive
+    return module.train(inputs, config, progress=progress, checkpoint=checkpoint)

@@ -1,0 +1,73 @@
+"""Render: a scene of the catalogue or a Mitsuba file in, a ground-truth multiview set out."""
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from novags.testbed.cache import read_json
+from novags.testbed.console import Console
+
+RECORD = "set.json"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderConfig:
+    """What to render and how well."""
+
+    scene: str = "tabletop"  # a name of simscenes.SCENES, "tabletop:3" for its variation 3, or a Mitsuba .xml file
+    n_views: int = 32
+    width: int = 128  # px
+    height: int = 128  # px
+    spp: int | None = 256  # samples per pixel; None: as many as `target_error` asks for
+    target_error: float | None = None  # relative RMSE of a view
+    variant: str = "auto"  # of Mitsuba
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        # The blocks of the enhancement and SSIM's window need room, and every 8th view is held out.
+        if min(self.width, self.height) < 16:
+            raise ValueError(f"width and height must be >= 16 px, got {self.width} x {self.height}")
+        if self.n_views < 3:
+            raise ValueError(f"n_views must be >= 3 (one is held out, two are trained on), got {self.n_views}")
+
+    @property
+    def file(self) -> Path | None:
+        """The Mitsuba file, or None for a scene of the catalogue."""
+        return Path(self.scene) if self.scene.endswith(".xml") else None
+
+
+def scene_digest(config: RenderConfig) -> str:
+    """Hash of what the scene is: the content of a file, the name of a catalogue scene.
+
+    Raises:
+        ValueError: If the file cannot be read or the name is unknown.
+    """
+    if (file := config.file) is None:
+        from simscenes.scenes import split_name
+
+        split_name(config.scene)
+        return config.scene
+    try:
+        return hashlib.blake2b(file.read_bytes(), digest_size=16).hexdigest()
+    except OSError as error:
+        raise ValueError(f"cannot read the scene file {file}: {error.strerror}") from error
+
+
+def render_views(out: Path, config: RenderConfig, console: Console) -> dict[str, Any]:
+    """Render every view that is not there yet; returns the body of set.json.
+
+    Raises:
+        ValueError: If the scene is unknown or cannot be loaded or rendered.
+    """
+    from simscenes.render import render_set
+    from simscenes.scenes import default_rig
+
+    size = (config.n_views, config.width, config.height)
+    rig = default_rig(config.scene, *size) if config.file is None else None
+    with console.progress("render") as progress:
+        render_set(
+            config.file or config.scene, rig, out, spp=config.spp, target_error=config.target_error,
+            variant=config.variant, seed=config.seed, progress=progress,
+        )  # fmt: skip
+    return read_json(out / RECORD)
