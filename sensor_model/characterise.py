@@ -1,0 +1,187 @@
+"""Photon transfer: the parameters of a real (or simulated) camera from dark and flat frames, after EMVA 1288.
+
+A stack is several frames of the same uniform light; `mean` and `variance` below are its spatial average of the temporal
+mean and of the temporal variance, in DN and DN**2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensor_model.params import Sensor, require
+
+Array = NDArray[np.float64]
+QUANTISATION = 1 / 12  # DN**2
+
+
+@dataclass(frozen=True)
+class Stack:
+    """Frames of one light and one exposure time."""
+
+    frames: NDArray  # [n, h, w], n >= 2, DN; of a colour filter array pass one plane, frames[:, r::2, c::2]
+    time: float  # s
+    photons: float | None = None  # mean photons per pixel; None: unknown (0 for a dark stack is understood)
+
+    def __post_init__(self) -> None:
+        """Check every field."""
+        shape = np.shape(self.frames)
+        require(len(shape) == 3 and shape[0] >= 2 and min(shape[1:]) >= 8, "frames", "[n >= 2, h >= 8, w >= 8]", shape)
+        require(self.time >= 0, "time", ">= 0 s", self.time)
+        require(self.photons is None or self.photons >= 0, "photons", "None or >= 0", self.photons)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Characterisation:
+    """What the frames say about their camera; symbols as in `Sensor`."""
+
+    gain: float  # DN/e-
+    eta: float | None  # None without photon numbers
+    sigma_d: float  # e-, row and column noise taken out
+    sigma_row: float  # e-
+    sigma_column: float  # e-
+    black_level: float  # DN
+    dark_current: float  # e-/s
+    dsnu: float  # e-
+    prnu: float
+    mu_e_sat: float | None  # e-; None if no stack saturates
+    nonlinearity: float  # relative loss of response at full well, from a parabola
+    linearity_error: float  # largest deviation from the straight line between 5 % and 95 % of saturation, relative
+
+    def sensor(self, *, bits: int, **assumed: object) -> Sensor:
+        """A camera with these parameters; `assumed` fills in and overrides what frames do not tell."""
+        measured = {
+            name: getattr(self, name)
+            for name in ("gain", "eta", "sigma_d", "sigma_row", "sigma_column", "black_level", "dark_current", "dsnu")
+        } | {"prnu": self.prnu, "mu_e_sat": self.mu_e_sat}
+        values = {"bits": bits, "cfa": None} | measured | assumed
+        for name in ("eta", "mu_e_sat"):
+            require(values[name] is not None, name, "known", None, f"measure it, or pass {name}=")
+        return Sensor(**values)
+
+
+def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisation:
+    """Estimate a camera's parameters.
+
+    Args:
+        dark: Stacks without light, at two exposure times or more.
+        flat: Stacks of uniform light, at three levels or more, best from 5 % of saturation to beyond it. Their light
+            must be proportional to the exposure time, unless all carry their photon numbers.
+
+    Returns:
+        The estimates. Largest stacks count most for `dsnu` and `prnu`: give one dark and one at half saturation of
+        ten frames or more, at the same exposure time.
+
+    Raises:
+        ValueError: if there are too few stacks, or no flat stack is between dark and saturation.
+
+    Source: EMVA 1288 release 4, linear: gain from the photon transfer curve up to 70 % of saturation (its section 6),
+    dark noise from the variance extrapolated to zero time, DSNU and PRNU from the spatial variance of averaged stacks
+    less what is left in them of the temporal one (section 8).
+    """
+    require(len({s.time for s in dark}) >= 2, "dark", "stacks at two exposure times or more", len(dark))
+    require(len(flat) >= 3, "flat", "three stacks or more", len(flat))
+    dark_line, dark_noise = _line(dark, _mean), _line(dark, _temporal_variance)
+    time = np.array([s.time for s in flat])
+    signal = np.array([_mean(s) for s in flat]) - (dark_line[0] + dark_line[1] * time)
+    noise = np.array([_temporal_variance(s) for s in flat]) - (dark_noise[0] + dark_noise[1] * time)
+
+    peak = float(signal[np.argmax(noise)])  # variance collapses where pixels saturate
+    saturated = (signal >= peak) & (noise < 0.5 * noise.max())
+    used = (signal > 0) & (signal <= 0.7 * peak)
+    require(bool(used.any()), "flat", "with a stack below 70 % of saturation", np.round(signal, 1).tolist())
+    gain = float(signal[used] @ noise[used] / (signal[used] @ signal[used]))
+
+    photons = np.array([np.nan if s.photons is None else s.photons for s in flat])
+    light = time if np.isnan(photons).any() else photons
+    responsivity = float(light[used] @ signal[used] / (light[used] @ light[used]))
+    bend, error = _linearity(light, signal, peak)
+    row, column, pixel = _noise_parts(dark, dark_noise[0])
+    top = max(_mean(s) for s in flat) - dark_line[0]
+    return Characterisation(
+        gain=gain,
+        eta=None if np.isnan(photons).any() else responsivity / gain,
+        sigma_d=_root(pixel - QUANTISATION) / gain,
+        sigma_row=_root(row) / gain,
+        sigma_column=_root(column) / gain,
+        black_level=dark_line[0],
+        dark_current=dark_line[1] / gain,
+        dsnu=_root(_spatial_variance(_largest(dark))) / gain,
+        prnu=_prnu(dark, [s for s, keep in zip(flat, used, strict=True) if keep], dark_line),
+        mu_e_sat=top / gain if saturated.any() else None,
+        nonlinearity=bend,
+        linearity_error=error,
+    )
+
+
+def _mean(stack: Stack) -> float:
+    return float(np.mean(stack.frames, dtype=np.float64))
+
+
+def _temporal_variance(stack: Stack) -> float:
+    return float(np.var(stack.frames, axis=0, ddof=1, dtype=np.float64).mean())
+
+
+def _spatial_variance(stack: Stack) -> float:
+    """Variance over the pixels of their temporal mean: of the average frame, less the temporal noise left in it."""
+    average = np.mean(stack.frames, axis=0, dtype=np.float64)
+    return float(average.var(ddof=1)) - _temporal_variance(stack) / len(stack.frames)
+
+
+def _line(stacks: Sequence[Stack], quantity: Callable[[Stack], float]) -> tuple[float, float]:
+    """Value at zero exposure time, and slope per second; weighted for errors that grow with the value."""
+    values = np.array([quantity(s) for s in stacks])
+    # A value of 0 (no noise at all) would get infinite weight
+    slope, start = np.polyfit([s.time for s in stacks], values, 1, w=1 / np.maximum(values, 1e-3))
+    return float(start), float(slope)
+
+
+def _linearity(light: Array, signal: Array, peak: float) -> tuple[float, float]:
+    """Relative loss at full well from a parabola without offset; largest relative deviation from a straight line."""
+    inside = (signal >= 0.05 * peak) & (signal <= 0.95 * peak)
+    require(inside.sum() >= 3, "flat", "three stacks or more from 5 % to 95 % of saturation", int(inside.sum()))
+    x, y = light[inside], signal[inside]
+    response, bend = np.linalg.lstsq(np.stack([x, -(x**2)], 1) / y[:, None], np.ones_like(y), rcond=None)[0]
+    slope, start = np.polyfit(x, y, 1, w=1 / y)
+    straight = slope * x + start
+    return max(float(bend * peak / response**2), 0.0), float(np.abs(y / straight - 1).max())
+
+
+def _noise_parts(stacks: Sequence[Stack], at_zero_time: float) -> tuple[float, float, float]:
+    """Temporal variance of rows, of columns and of single pixels in the dark, DN**2.
+
+    Row means vary by the row noise and by what averaging leaves of the pixel noise; the difference of two frames is
+    free of the fixed pattern.
+    """
+    rows, columns = [], []
+    for stack in stacks:
+        frames = np.asarray(stack.frames, np.float64)
+        for first, second in zip(frames[:-1:2], frames[1::2], strict=False):
+            difference = (first - second) / np.sqrt(2)
+            h, w = difference.shape
+            by_row, by_column = difference.mean(1).var(ddof=1), difference.mean(0).var(ddof=1)
+            pixel = (difference.var(ddof=1) - by_row - by_column) / (1 - 1 / w - 1 / h)
+            rows.append(by_row - pixel / w)
+            columns.append(by_column - pixel / h)
+    row, column = max(float(np.mean(rows)), 0.0), max(float(np.mean(columns)), 0.0)
+    return row, column, at_zero_time - row - column
+
+
+def _largest(stacks: Sequence[Stack]) -> Stack:
+    return max(stacks, key=lambda s: (len(s.frames), -s.time))
+
+
+def _prnu(dark: Sequence[Stack], flat: Sequence[Stack], dark_line: tuple[float, float]) -> float:
+    most = max(len(s.frames) for s in flat)
+    bright = max((s for s in flat if len(s.frames) == most), key=_mean)
+    shade = min(dark, key=lambda s: (abs(s.time - bright.time), -len(s.frames)))
+    signal = _mean(bright) - dark_line[0] - dark_line[1] * bright.time
+    return float(_root(_spatial_variance(bright) - _spatial_variance(shade)) / signal)
+
+
+def _root(variance: float) -> float:
+    """Square root of an estimated variance, which the noise of the estimate can make negative where there is none."""
+    return float(np.sqrt(max(variance, 0.0)))
