@@ -1,0 +1,37 @@
+"""One tiny experiment, shared by the tests of the whole line."""
+
+from pathlib import Path
+
+import pytest
+
+from novags.testbed.console import Console
+from novags.testbed.experiment import run
+from novags.testbed.presets import PRESETS, Preset, adapted
+
+
+@pytest.fixture(scope="session")
+def tiny() -> Preset:
+    return adapted(
+        PRESETS["demo"],
+        scene="cornell",
+        n_views=9,
+        width=24,
+        height=24,
+        spp=8,
+        points=300,
+        iterations=30,
+        denoiser_steps=5,
+    )
+
+
+@pytest.fixture(scope="session")
+def quiet() -> Console:
+    return Console(quiet=True)
+
+
+@pytest.fixture(scope="session")
+def experiment(tmp_path_factory: pytest.TempPathFactory, tiny: Preset, quiet: Console) -> Path:
+    """A finished experiment; tests must not change it."""
+    folder = tmp_path_factory.mktemp("experiment with spaces")
+    run(tiny, folder, quiet, command="novags run")
+    return folder

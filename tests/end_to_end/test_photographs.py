@@ -1,0 +1,54 @@
+"""Real photographs through the whole line, at a tiny size."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from novags.testbed import stages
+from novags.testbed.capture import CaptureConfig
+from novags.testbed.capture_folder import open_capture
+from novags.testbed.console import Console
+from novags.testbed.presets import Preset
+from novags.testbed.reconstruct import ReconstructConfig
+from novags.testbed.report import write_report
+
+FOX = Path(__file__).resolve().parents[3] / "shared" / "data" / "fox"
+
+pytestmark = pytest.mark.skipif(not FOX.is_dir(), reason="the fox photographs are not beside this checkout")
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory, quiet: Console) -> Path:
+    folder = tmp_path_factory.mktemp("fox") / "capture"
+    stages.capture(FOX, folder, CaptureConfig(sensor="a7s2-iso6400", electrons=20.0, max_size=40), quiet)
+    return folder
+
+
+def test_photographs_are_scaled_with_their_cameras(capture: Path) -> None:
+    rig = open_capture(capture).cameras.rig
+    assert (rig.width, rig.height) == (22, 40)
+    # The principal point of the original lies near the middle, and so must that of the scaled one.
+    assert np.abs(rig.Ks[0, :2, 2] / (22, 40) - 0.5).max() < 0.05
+
+
+def test_the_lit_reference_is_the_photograph_itself(capture: Path, quiet: Console) -> None:
+    opened = open_capture(capture)
+    source = opened.source(quiet)
+    photograph = source.views.image(5).astype(np.float64) / 255
+    assert source.lit(5).shape == (40, 22, 3)
+    # Averaging light, not codes, brightens edges a little.
+    assert source.lit(5).mean() == pytest.approx(photograph.mean(), rel=0.1)
+
+
+def test_photographs_are_reconstructed_scored_and_reported(
+    capture: Path, tiny: Preset, quiet: Console, tmp_path: Path
+) -> None:
+    nova = replace(tiny.nova, fit=replace(tiny.nova.fit, iterations=10))
+    stages.reconstruct(capture, tmp_path / "run", ReconstructConfig(method="nova", points=200, nova=nova), quiet)
+    metrics = stages.score(tmp_path / "run", quiet)
+    assert len(metrics["methods"]["nova"]["views"]) == 7
+    assert "render" not in metrics["methods"]["nova"]["seconds"]
+    page = write_report(tmp_path / "run", quiet).read_text(encoding="utf-8")
+    assert "The light was not simulated" in page

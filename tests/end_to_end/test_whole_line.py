@@ -1,0 +1,272 @@
+"""The whole line at a tiny size: what the folders hold, what is not done twice, what an interruption costs."""
+
+import json
+import math
+import re
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from novags.splats import read_ply
+from novags.testbed import stages
+from novags.testbed.cache import folder_digest, read_json
+from novags.testbed.capture_folder import open_capture
+from novags.testbed.console import Console, Update
+from novags.testbed.experiment import run
+from novags.testbed.images import read_png
+from novags.testbed.presets import Preset
+from novags.testbed.reconstruct import ReconstructConfig
+from simscenes import load_set, read_exr
+
+SCORES = {"psnr", "aligned_psnr", "ssim", "aligned_ssim", "flip", "lpips"}
+
+
+class Interrupting(Console):
+    """Presses Ctrl-C when a stage has come so far."""
+
+    def __init__(self, stage: str, after: int) -> None:
+        super().__init__(quiet=True)
+        self.stage, self.after = stage, after
+
+    @contextmanager
+    def progress(self, stage: str) -> Iterator[Update]:
+        def update(done: int, total: int, what: str) -> None:
+            if stage == self.stage and done >= self.after:
+                raise KeyboardInterrupt
+
+        yield update
+
+
+def naive(tiny: Preset) -> ReconstructConfig:
+    nova = replace(tiny.nova, fit=replace(tiny.nova.fit, checkpoint_every=10))
+    return ReconstructConfig(method="naive", points=tiny.points, nova=nova)
+
+
+def modified(folder: Path) -> dict[str, int]:
+    return {str(p.relative_to(folder)): p.stat().st_mtime_ns for p in folder.rglob("*") if p.is_file()}
+
+
+def copy(experiment: Path, tmp_path: Path, *parts: str) -> Path:
+    for part in parts:
+        shutil.copytree(experiment / part, tmp_path / part)
+    return tmp_path
+
+
+def test_every_folder_is_complete(experiment: Path, tiny: Preset) -> None:
+    names = [f"{i:04d}" for i in range(9)]
+    for folder, suffix in (("set/gt", "exr"), ("set/images", "png"), ("capture/raw", "dng"), ("capture/images", "png"),
+                           ("capture/images16", "png"), ("capture/truth", "exr")):  # fmt: skip
+        assert sorted(p.name for p in (experiment / folder).iterdir()) == [f"{n}.{suffix}" for n in names]
+    for method in tiny.methods:
+        held_out = sorted(p.stem for p in (experiment / method / "renders").iterdir())
+        assert held_out == ["0000", "0008"]
+        assert len(list((experiment / method / "enhanced").iterdir())) == 7
+        assert (experiment / method / "denoised").is_dir() == (method == "nova")
+        assert (
+            len(read_ply(experiment / method / "point_cloud.ply"))
+            == read_json(experiment / method / "run.json")["gaussians"]
+        )
+        assert not list((experiment / method).glob("checkpoint*"))
+    assert not list(experiment.rglob("unfinished.json"))
+    assert not list(experiment.rglob("*.partial*"))
+
+
+def test_the_capture_has_the_cameras_of_the_set(experiment: Path) -> None:
+    made_of, capture = load_set(experiment / "set"), load_set(experiment / "capture")
+    assert capture.names == made_of.names
+    assert capture.test_indices == made_of.test_indices == [0, 8]
+    assert np.allclose(capture.rig.viewmats, made_of.rig.viewmats, atol=1e-9)
+    assert np.allclose(capture.rig.Ks, made_of.rig.Ks, atol=1e-9)
+
+
+def test_the_capture_collects_the_electrons_it_was_asked_for(experiment: Path, tiny: Preset) -> None:
+    capture = open_capture(experiment / "capture")
+    sensor, green = capture.sensor, []
+    for name in capture.names:
+        clean = read_exr(experiment / "capture" / "truth" / f"{name}.exr")[0]["clean.G"]
+        green.append((clean - sensor.black_level) / sensor.gain)
+    assert np.mean(green) == pytest.approx(tiny.capture.electrons, rel=1e-3)
+
+
+def test_noise_in_the_capture_has_the_variance_the_truth_states(experiment: Path) -> None:
+    import rawpy
+
+    capture = open_capture(experiment / "capture")
+    scores = []
+    for name in capture.names:
+        truth, _ = read_exr(experiment / "capture" / "truth" / f"{name}.exr")
+        with rawpy.imread(str(experiment / "capture" / "raw" / f"{name}.dng")) as raw:
+            dn = raw.raw_image_visible[..., :3].astype(np.float64)
+        mean, variance = (np.stack([truth[f"{k}.{c}"] for c in "RGB"], -1) for k in ("mean", "variance"))
+        scores.append(((dn - mean) / np.sqrt(variance)).ravel())
+    z = np.concatenate(scores)
+    # Read noise with heavy tails and rows in common: the excess kurtosis is below 6, rows correlate by 1 %.
+    tolerance = 5 * math.sqrt(8 / z.size)
+    assert np.mean(z) == pytest.approx(0, abs=5 / math.sqrt(z.size) * 2)
+    assert np.var(z) == pytest.approx(1, abs=tolerance)
+
+
+def test_metrics_have_the_documented_shape(experiment: Path, tiny: Preset) -> None:
+    metrics = json.loads((experiment / "metrics.json").read_text())
+    assert metrics.keys() == {"methods", "recovered", "unavailable"}
+    assert tuple(metrics["methods"]) == tiny.methods
+    for method in metrics["methods"].values():
+        assert {"mean", "views", "seconds", "peak_bytes"} <= method.keys()
+        assert method["views"].keys() == {"0000", "0008"}
+        for scores in (method["mean"], *method["views"].values()):
+            assert scores.keys() == {"enhanced", "lit"}
+            assert scores["enhanced"].keys() == scores["lit"].keys() == SCORES
+        assert {"render", "capture", "reconstruct"} <= method["seconds"].keys()
+        assert method["peak_bytes"] > 0
+    assert metrics["recovered"].keys() <= {"nova"}
+    assert ("recovered" in metrics["unavailable"]) != bool(metrics["recovered"])
+
+
+def test_only_the_oracle_was_shown_the_noise_free_exposures(experiment: Path) -> None:
+    methods = read_json(experiment / "metrics.json")["methods"]
+    training = {name: method["training_2d"]["enhanced"]["psnr"] for name, method in methods.items()}
+    assert training["oracle"] > 55  # what is left is rounding to 8 bits
+    assert training["naive"] == training["nova"] < 35
+
+
+def test_records_say_what_was_done_with_what(experiment: Path, tiny: Preset) -> None:
+    for folder, record in (
+        ("set", "set.json"),
+        ("capture", "capture.json"),
+        ("nova", "run.json"),
+        ("nova", "metrics.json"),
+    ):
+        stage = read_json(experiment / folder / record)["stage"]
+        assert stage["seconds"] > 0
+        assert stage["peak_bytes"] > 0
+        assert stage["inputs"]
+        assert {"versions", "hardware", "config"} <= stage.keys()
+    assert read_json(experiment / "nova" / "run.json")["config"]["fit"]["iterations"] == tiny.nova.fit.iterations
+
+
+def test_a_second_run_does_nothing_but_the_report(experiment: Path, tiny: Preset, quiet: Console) -> None:
+    before = modified(experiment)
+    run(tiny, experiment, quiet, command="novags run")
+    changed = {name for name, when in modified(experiment).items() if before.get(name) != when}
+    assert changed == {"experiment.json", "metrics.json", "report.html"}
+
+
+def test_a_changed_light_captures_again_but_does_not_render_again(
+    experiment: Path, tiny: Preset, quiet: Console, tmp_path: Path
+) -> None:
+    folder = copy(experiment, tmp_path, "set", "capture")
+    before = modified(folder)
+    brighter = replace(tiny, capture=replace(tiny.capture, electrons=80.0), methods=("naive",))
+    run(brighter, folder, quiet)
+    after = modified(folder)
+    assert all(after[name] == when for name, when in before.items() if name.startswith("set/"))
+    assert all(after[name] != when for name, when in before.items() if name.startswith("capture/images/"))
+
+
+def test_an_interrupted_capture_continues_and_ends_up_the_same(
+    experiment: Path, tiny: Preset, quiet: Console, tmp_path: Path
+) -> None:
+    out = tmp_path / "capture"
+    with pytest.raises(KeyboardInterrupt):
+        stages.capture(experiment / "set", out, tiny.capture, Interrupting("capture", 4))
+    assert not (out / "capture.json").exists()
+    with pytest.raises(ValueError, match="unfinished"):
+        open_capture(out)
+    done = {p.name: p.stat().st_mtime_ns for p in (out / "images").iterdir()}
+    assert len(done) == 4
+    stages.capture(experiment / "set", out, tiny.capture, quiet)
+    assert all((out / "images" / name).stat().st_mtime_ns == when for name, when in done.items())
+    for part in ("raw", "images", "images16", "truth"):
+        assert folder_digest(out / part) == folder_digest(experiment / "capture" / part)
+
+
+def test_an_interrupted_reconstruction_continues_and_ends_up_the_same(
+    experiment: Path, tiny: Preset, quiet: Console, tmp_path: Path
+) -> None:
+    capture, config = experiment / "capture", naive(tiny)
+    with pytest.raises(KeyboardInterrupt):
+        stages.reconstruct(capture, tmp_path / "run", config, Interrupting("reconstruct naive", 30))
+    assert (tmp_path / "run" / "checkpoint.safetensors").exists()
+    with pytest.raises(ValueError, match="unfinished"):
+        stages.score(tmp_path / "run", quiet)
+    resumed = stages.reconstruct(capture, tmp_path / "run", config, quiet)
+    straight = stages.reconstruct(capture, tmp_path / "straight", config, quiet)
+    assert resumed["gaussians"] == straight["gaussians"]
+    for name in ("0000", "0008"):
+        pictures = [read_png(tmp_path / run / "renders" / f"{name}.png") for run in ("run", "straight")]
+        assert np.abs(pictures[0] - pictures[1]).max() <= 1 / 255 + 1e-6
+    steps = [json.loads(line)["step"] for line in (tmp_path / "run" / "events.jsonl").read_text().splitlines()]
+    assert steps == sorted(set(steps))
+    assert steps[-1] == tiny.nova.fit.iterations
+
+
+def test_the_16_bit_pictures_can_be_reconstructed_too(
+    experiment: Path, tiny: Preset, quiet: Console, tmp_path: Path
+) -> None:
+    config = replace(naive(tiny), source="16bit")
+    record = stages.reconstruct(experiment / "capture", tmp_path / "run", config, quiet)
+    assert record["dark_source"] == "16bit"
+    assert stages.score(tmp_path / "run", quiet)["methods"]["naive"]["mean"]["enhanced"]["psnr"] > 5
+
+
+def test_a_damaged_picture_gives_one_clear_error(
+    experiment: Path, tiny: Preset, quiet: Console, tmp_path: Path
+) -> None:
+    folder = copy(experiment, tmp_path, "set", "capture")
+    picture = folder / "capture" / "images" / "0003.png"
+    picture.write_bytes(picture.read_bytes()[:50])
+    with pytest.raises(ValueError, match=r"0003\.png is missing or not a readable image"):
+        stages.reconstruct(folder / "capture", folder / "naive", naive(tiny), quiet)
+
+
+def test_missing_truth_gives_one_clear_error(experiment: Path, quiet: Console, tmp_path: Path) -> None:
+    folder = copy(experiment, tmp_path, "set", "capture", "naive")
+    (folder / "capture" / "truth" / "0008.exr").unlink()
+    with pytest.raises(ValueError, match=r"0008\.exr"):
+        stages.score(folder / "naive", quiet)
+
+
+def test_a_moved_set_gives_one_clear_error(experiment: Path, quiet: Console, tmp_path: Path) -> None:
+    folder = copy(experiment, tmp_path, "capture", "naive")
+    with pytest.raises(ValueError, match=r"made of the set \.\./set .* not there"):
+        stages.score(folder / "naive", quiet)
+
+
+def test_an_experiment_folder_can_be_moved(experiment: Path, quiet: Console, tmp_path: Path) -> None:
+    folder = copy(experiment, tmp_path, "set", "capture", "naive")
+    before = modified(folder)
+    stages.score(folder / "naive", quiet)
+    assert modified(folder) == before
+
+
+@pytest.mark.parametrize("content", ["", "{", '{"sensor": 1}'])
+def test_a_damaged_record_gives_one_clear_error(experiment: Path, tmp_path: Path, content: str) -> None:
+    folder = copy(experiment, tmp_path, "capture")
+    (folder / "capture" / "capture.json").write_text(content)
+    with pytest.raises(ValueError, match=r"capture\.json"):
+        open_capture(folder / "capture")
+
+
+def test_the_report_is_one_self_contained_file(experiment: Path) -> None:
+    page = (experiment / "report.html").read_text(encoding="utf-8")
+    assert not re.search(r"https?://", page)
+    assert "<link" not in page
+    assert "@import" not in page
+    sources = re.findall(r"<img[^>]*\ssrc=\"([^\"]{0,20})", page)
+    assert sources
+    assert all(source.startswith("data:image/") for source in sources)
+    assert all(alt.strip() for alt in re.findall(r"<figure[^>]*><img[^>]*\salt=\"([^\"]*)\"", page))
+
+
+def test_the_report_states_the_scores_that_were_measured(experiment: Path, tiny: Preset) -> None:
+    page = (experiment / "report.html").read_text(encoding="utf-8")
+    methods = read_json(experiment / "metrics.json")["methods"]
+    for method in tiny.methods:
+        for kind in ("enhanced", "lit"):
+            assert f"{methods[method]['mean'][kind]['aligned_psnr']:.2f}" in page
+    assert "unavailable" in page  # LPIPS has no weights here

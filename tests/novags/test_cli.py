@@ -1,0 +1,109 @@
+"""Claims about the command line: it starts without the heavy libraries, and says what is wrong in one line."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from novags import cli
+
+
+def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
+    """Run a command in this process; returns the exit code."""
+    monkeypatch.setattr(sys, "argv", ["novags", *arguments])
+    monkeypatch.setattr(cli.signal, "signal", lambda *_: None)  # pytest keeps its own handlers
+    try:
+        cli.main()
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    return 0
+
+
+def test_help_loads_no_heavy_library() -> None:
+    code = (
+        "import sys; sys.argv = ['novags', '--help']\n"
+        "from novags.cli import main\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        "print('HEAVY', sorted({'torch', 'mitsuba', 'numba', 'cv2', 'scipy', 'matplotlib'} & sys.modules.keys()))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert "HEAVY []" in done.stdout
+    assert all(command in done.stdout for command in cli.COMMANDS)
+
+
+@pytest.mark.parametrize("command", sorted(cli.COMMANDS))
+def test_every_command_explains_every_option(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    assert call(monkeypatch, command, "--help") == 0
+    text = capsys.readouterr().out
+    import inspect
+
+    assert cli.COMMANDS[command].__doc__.splitlines()[0][:40] in " ".join(text.split())
+    for name in inspect.signature(cli.COMMANDS[command]).parameters:
+        assert f"{name}:" in cli.COMMANDS[command].__doc__
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["capture", "no-such-folder", "--out", "x"], "no such folder"),
+        (["capture", ".", "--out", "x", "--sensor", "kodak"], "unknown sensor 'kodak'"),
+        (["capture", ".", "--out", "x", "--electrons", "-1"], "electrons must be > 0"),
+        (["reconstruct", "no-such-folder", "--out", "x"], "no such capture folder"),
+        (["reconstruct", ".", "--out", "x", "--method", "magic"], "unknown method 'magic'"),
+        (["reconstruct", ".", "--out", "x"], "holds no capture.json"),
+        (["score", "no-such-folder"], "no such folder"),
+        (["score", "."], "neither a run"),
+        (["report", "."], "neither a run"),
+        (["render", "no-such-scene", "--out", "x"], "no-such-scene"),
+        (["render", "missing.xml", "--out", "x"], "cannot read the scene file"),
+        (["run", "--methods", "nova", "nova"], "once each"),
+        (["run", "--views", "1"], "n_views must be >= 3"),
+    ],
+)
+def test_wrong_input_is_one_line_and_exit_code_2(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    arguments: list[str],
+    message: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert call(monkeypatch, *arguments) == 2
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.strip()]
+    assert len(lines) == 1
+    assert lines[0].startswith("novags: error: ")
+    assert message in lines[0]
+
+
+def test_the_traceback_is_there_for_those_who_ask(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("NOVAGS_TRACEBACK", "1")
+    with pytest.raises(ValueError, match="no such folder"):
+        call(monkeypatch, "score", "no-such-folder")
+
+
+def test_an_interruption_says_how_to_continue(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from novags.testbed import stages
+
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(stages, "capture", interrupted)
+    assert call(monkeypatch, "capture", ".", "--out", "x") == 130
+    assert "the same command again continues" in capsys.readouterr().err
+
+
+def test_doctor_finds_what_the_tests_themselves_need(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(monkeypatch, "doctor") == 0
+    text = capsys.readouterr().out
+    assert "ok       torch" in text
+    assert "ok       mitsuba" in text
+    assert "ready: novags run --preset demo" in text
+    assert "BROKEN" not in text

@@ -1,0 +1,90 @@
+"""Claims about presets, their adaptation, plain progress and doctor's findings."""
+
+import io
+
+import pytest
+
+from novags.testbed.capture import CaptureConfig
+from novags.testbed.console import Console, losses_text
+from novags.testbed.methods import METHODS, method_config
+from novags.testbed.presets import PRESETS, adapted
+from novags.testbed.provenance import PeakMemory
+from novags.testbed.reconstruct import ReconstructConfig
+
+
+def test_adapting_changes_what_is_named_and_nothing_else() -> None:
+    demo = PRESETS["demo"]
+    assert adapted(demo) == demo
+    changed = adapted(demo, electrons=5.0, iterations=7, width=64)
+    assert changed.capture.electrons == 5.0
+    assert changed.nova.fit.iterations == 7
+    assert changed.render.width == 64
+    assert adapted(changed, electrons=20.0, iterations=demo.nova.fit.iterations, width=demo.render.width) == demo
+
+
+@pytest.mark.parametrize("name", PRESETS)
+def test_presets_compare_with_floor_and_ceiling(name: str) -> None:
+    assert {"nova", "naive", "oracle"} <= set(PRESETS[name].methods)
+
+
+def test_methods_share_enhancement_and_fit() -> None:
+    nova = PRESETS["demo"].nova
+    configs = {name: method_config(name, nova) for name in METHODS}
+    assert all(config.enhance == nova.enhance for config in configs.values())
+    assert configs["naive"].fit == configs["oracle"].fit == nova.fit
+    assert configs["naive-l1"].fit.dssim_weight == 0
+
+
+def test_a_denoiser_setting_does_not_make_the_naive_run_stale() -> None:
+    demo, other = PRESETS["demo"], adapted(PRESETS["demo"], denoiser_steps=1)
+    naive, nova = (
+        [ReconstructConfig(method=m, points=100, nova=p.nova).resolved() for p in (demo, other)]
+        for m in ("naive", "nova")
+    )
+    assert naive[0] == naive[1]
+    assert nova[0] != nova[1]
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"electrons": 0.0}, "electrons"),
+        ({"electrons": float("nan")}, "electrons"),
+        ({"sensor": "kodak"}, "unknown sensor"),
+        ({"demosaic": "none"}, "demosaic"),
+        ({"seed": -1}, "seed"),
+    ],
+)
+def test_impossible_captures_are_refused(values: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        CaptureConfig(**values)
+
+
+def test_plain_progress_ends_with_the_last_step_and_has_no_control_codes() -> None:
+    stream = io.StringIO()
+    with Console(stream=stream).progress("fit") as progress:
+        for done in range(1, 101):
+            progress(done, 100, losses_text({"loss": 0.5, "iteration": float(done)}))
+    lines = stream.getvalue().splitlines()
+    assert lines[-1] == "fit: 100/100  loss 0.5000"
+    assert "\x1b" not in stream.getvalue()
+
+
+def test_a_warning_is_said_once() -> None:
+    stream = io.StringIO()
+    console = Console(stream=stream)
+    console.warn("17 images are missing")
+    console.warn("17 images are missing")
+    assert stream.getvalue().count("17 images") == 1
+
+
+def test_peak_memory_sees_a_large_array_and_forgets_it() -> None:
+    size = 200_000_000
+    before = PeakMemory().peak_bytes()
+    memory = PeakMemory()
+    block = bytearray(b"\1") * size
+    during = memory.peak_bytes()
+    del block
+    after = PeakMemory().peak_bytes()
+    assert during - before > 0.8 * size
+    assert during - after > 0.8 * size

@@ -1,0 +1,140 @@
+"""Claims about merging scores, recovered fractions, and the parts of a report."""
+
+import xml.etree.ElementTree as ElementTree
+from typing import Any
+
+import numpy as np
+import pytest
+
+from novags.testbed.report_charts import line_chart, linear_ticks, log_ticks
+from novags.testbed.report_facts import duration, join, number, score_table, signed, size, smoothed
+from novags.testbed.report_images import ERROR_CEILING, data_uri, depth_map, error_map
+from novags.testbed.score import merge, recovered_fractions
+
+
+def method(value: float, **others: Any) -> dict[str, Any]:
+    scores = {"psnr": value - 1, "aligned_psnr": value, "ssim": 0.5, "aligned_ssim": 0.6, "flip": 0.1, "lpips": None}
+    return {"mean": {"enhanced": {**scores, **others}, "lit": scores}}
+
+
+def test_recovered_is_the_share_of_the_way_from_naive_to_oracle() -> None:
+    recovered, why = recovered_fractions({"nova": method(22.0), "naive": method(20.0), "oracle": method(30.0)})
+    assert recovered == {"nova": pytest.approx(0.2)}
+    assert why is None
+
+
+def test_a_method_worse_than_naive_recovers_a_negative_share() -> None:
+    recovered, _ = recovered_fractions({"nova": method(19.0), "naive": method(20.0), "oracle": method(30.0)})
+    assert recovered["nova"] == pytest.approx(-0.1)
+
+
+@pytest.mark.parametrize(
+    ("methods", "message"),
+    [
+        ({"nova": method(22.0), "naive": method(20.0)}, "oracle"),
+        ({"nova": method(22.0), "naive": method(20.0), "oracle": method(20.05)}, "too little"),
+        ({"nova": method(22.0), "naive": method(20.0), "oracle": method(18.0)}, "too little"),
+    ],
+)
+def test_without_ends_to_measure_between_there_is_a_reason_instead_of_a_number(methods: dict, message: str) -> None:
+    recovered, why = recovered_fractions(methods)
+    assert recovered == {}
+    assert why is not None
+    assert message in why
+
+
+def test_merging_keeps_every_method_and_every_reason() -> None:
+    runs = {
+        name: {"methods": {name: method(value)}, "recovered": {}, "unavailable": {"lpips": "no weights"}}
+        for name, value in (("nova", 25.0), ("naive", 20.0), ("oracle", 30.0))
+    }
+    merged = merge(runs)
+    assert list(merged["methods"]) == ["nova", "naive", "oracle"]
+    assert merged["recovered"] == {"nova": pytest.approx(0.5)}
+    assert merged["unavailable"] == {"lpips": "no weights"}
+
+
+def test_the_best_method_is_marked_and_the_oracle_does_not_compete() -> None:
+    metrics = {"methods": {"nova": method(25.0, flip=0.2), "naive": method(20.0), "oracle": method(30.0)}}
+    marked = {
+        (row["method"], cell["key"])
+        for row in score_table(metrics, "enhanced")
+        for cell in row["cells"]
+        if cell["best"]
+    }
+    assert ("nova", "aligned_psnr") in marked
+    assert ("naive", "flip") in marked
+    assert not any(name == "oracle" for name, _ in marked)
+    assert not any(key == "lpips" for _, key in marked)
+
+
+def test_a_chart_is_well_formed_and_draws_every_series() -> None:
+    svg = line_chart({"nova": [(10, 0.5), (20, 0.1)], "a<b": [(10, 0.4)]}, x_label="x", y_label="y & z", title="t")
+    root = ElementTree.fromstring(svg)
+    lines = [element for element in root.iter() if element.tag == "polyline"]
+    assert [line.get("class") for line in lines] == ["line nova", "line a<b"]
+    for line in lines:
+        for point in (line.get("points") or "").split():
+            x, y = map(float, point.split(","))
+            assert 0 <= x <= 640
+            assert 0 <= y <= 300
+
+
+@pytest.mark.parametrize(("low", "high"), [(-3.0, 1.0), (-1.2, -1.0), (0.0, 0.3), (-2.0, -1.99)])
+def test_logarithmic_ticks_lie_inside_and_are_neither_few_nor_many(low: float, high: float) -> None:
+    ticks = log_ticks(low, high)
+    assert 1 <= len(ticks) <= 8
+    assert all(10**low * 0.999 <= tick <= 10**high * 1.001 for tick in ticks)
+
+
+@pytest.mark.parametrize("largest", [1.0, 30.0, 999.0, 30_000.0])
+def test_linear_ticks_are_round_and_reach_the_end(largest: float) -> None:
+    ticks = linear_ticks(largest)
+    assert 3 <= len(ticks) <= 7
+    assert ticks[0] == 0
+    assert 0.7 * largest <= ticks[-1] <= largest * (1 + 1e-9)
+
+
+def test_smoothing_keeps_the_mean_and_the_end() -> None:
+    points = [(float(k), float(k % 7)) for k in range(1, 1001)]
+    few = smoothed(points, count=100)
+    assert len(few) == 100
+    assert few[-1][0] == 1000
+    assert np.mean([y for _, y in few]) == pytest.approx(np.mean([y for _, y in points]))
+
+
+def test_error_maps_are_black_where_right_and_bright_at_the_ceiling() -> None:
+    truth = np.random.default_rng(0).uniform(0.3, 0.6, (16, 16, 3)).astype(np.float32)
+    wrong = truth.copy()
+    wrong[0, 0] += 2 * ERROR_CEILING
+    picture = error_map(wrong, truth).mean(-1)
+    assert picture[0, 0] > 0.6
+    assert np.median(picture) < 0.2
+    assert error_map(truth, truth).max() < 0.02
+
+
+def test_depth_is_grey_where_nothing_is_seen() -> None:
+    z = np.linspace(1, 2, 16, dtype=np.float32).reshape(4, 4)
+    seen = np.ones((4, 4), bool)
+    seen[0, 0] = False
+    z[0, 0] = np.inf
+    picture = depth_map(z, seen, 1.0, 2.0)
+    assert (picture[0, 0] == 0.5).all()
+    assert picture[3, 3, 1] > picture[0, 1, 1]  # viridis ends in yellow and begins in purple
+
+
+@pytest.mark.parametrize(("side", "kind"), [(64, "png"), (300, "jpeg"), (2000, "jpeg")])
+def test_pictures_in_a_report_stay_small(side: int, kind: str) -> None:
+    uri = data_uri(np.random.default_rng(0).uniform(size=(side, side, 3)).astype(np.float32))
+    assert uri.startswith(f"data:image/{kind};base64,")
+    assert len(uri) < 1_500_000
+
+
+def test_words_for_numbers() -> None:
+    assert [duration(s) for s in (0.04, 9.9, 59.6, 119.0, 150.0, 7260.0)] == [
+        "0.0 s", "9.9 s", "60 s", "119 s", "2 min 30 s", "2 h 01 min",
+    ]  # fmt: skip
+    assert [size(b) for b in (5e5, 2.5e9)] == ["0 MB", "2.5 GB"]
+    assert [join(w) for w in (["a"], ["a", "b"], ["a", "b", "c"])] == ["a", "a and b", "a, b and c"]
+    assert [number(v) for v in (1.234, None, "inf")] == ["1.23", "unavailable", "inf"]
+    assert [signed(v) for v in (1.0, -0.5)] == ["+1.00", "−0.50"]
