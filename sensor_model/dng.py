@@ -1,16 +1,21 @@
-"""Raw frames as DNG files: a colour filter mosaic, or three full channels (LinearRaw), read by any raw converter."""
+"""Raw frames as DNG files: a colour filter mosaic, or one or three full channels (LinearRaw), for any raw converter.
+
+LibRaw (rawpy) reads all of them bit for bit. Its own rendering of a LinearRaw file comes out darker by black/white,
+because it subtracts a black level given per channel from the data but not from the white level.
+"""
 
 from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sensor_model.params import Exposure, Sensor, require
 
-# CIE XYZ -> linear sRGB, D65 (IEC 61966-2-1): our channels are linear sRGB times the response of the filters.
+# CIE XYZ -> linear sRGB, D65 (IEC 61966-2-1): the channels are linear sRGB times the response of the filters.
 XYZ_TO_SRGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
 
 
@@ -19,7 +24,7 @@ def write_dng(path: str | os.PathLike[str], dn: NDArray[np.uint16], sensor: Sens
 
     Args:
         path: File to write; appears whole or not at all.
-        dn: uint16, [h, w] for a mosaic, [h, w, 3] for three chips.
+        dn: uint16, [h, w] for a mosaic or a monochrome sensor, [h, w, 3] for three chips.
         sensor: The camera; its black level must be a whole number, DNG readers take no other.
         exposure: Its time goes into the file.
 
@@ -28,8 +33,8 @@ def write_dng(path: str | os.PathLike[str], dn: NDArray[np.uint16], sensor: Sens
     """
     from pidng.core import RAW2DNG  # heavy for those who never write a DNG
 
-    fits = dn.ndim == (2 if sensor.cfa else 3) and (dn.ndim == 2 or dn.shape[2] == 3)
-    require(fits, "dn", "[h, w] with colour filter array, [h, w, 3] without", dn.shape)
+    fits = dn.ndim == 2 or (dn.ndim == 3 and dn.shape[2] == 3 and sensor.cfa is None)
+    require(fits, "dn", "[h, w], or [h, w, 3] without colour filter array", dn.shape)
     require(dn.dtype == np.uint16, "dn", "uint16", dn.dtype)
     require(sensor.black_level == int(sensor.black_level), "black_level", "whole for DNG", sensor.black_level)
     converter = RAW2DNG()
@@ -40,11 +45,11 @@ def write_dng(path: str | os.PathLike[str], dn: NDArray[np.uint16], sensor: Sens
     partial.replace(target)
 
 
-def _tags(shape: tuple[int, ...], sensor: Sensor, exposure: Exposure):  # type: ignore[no-untyped-def]
+def _tags(shape: tuple[int, ...], sensor: Sensor, exposure: Exposure) -> Any:
     from pidng.core import DNGTags, Tag
     from pidng.defs import CalibrationIlluminant, CFAPattern, Orientation, PhotometricInterpretation
 
-    channels = 1 if sensor.cfa else 3
+    channels = 1 if len(shape) == 2 else 3
     white = int(np.floor(sensor.white_dn))
     response = np.asarray(sensor.rgb_response)
     tags = DNGTags()
@@ -58,9 +63,6 @@ def _tags(shape: tuple[int, ...], sensor: Sensor, exposure: Exposure):  # type: 
         (Tag.BitsPerSample, [16] * channels),
         (Tag.BlackLevel, [int(sensor.black_level)] * channels),
         (Tag.WhiteLevel, [white] * channels),
-        (Tag.ColorMatrix1, _rationals(response[:, None] * XYZ_TO_SRGB)),
-        (Tag.CalibrationIlluminant1, CalibrationIlluminant.D65),
-        (Tag.AsShotNeutral, _rationals(response / response.max())),
         (Tag.ExposureTime, _rationals(np.array([exposure.time]))),
         (Tag.Make, "novags"),
         (Tag.Model, "sensor_model"),
@@ -68,6 +70,10 @@ def _tags(shape: tuple[int, ...], sensor: Sensor, exposure: Exposure):  # type: 
         (Tag.PreviewColorSpace, 2),
     ):
         tags.set(tag, value)
+    if sensor.cfa or channels == 3:
+        tags.set(Tag.ColorMatrix1, _rationals(response[:, None] * XYZ_TO_SRGB))
+        tags.set(Tag.CalibrationIlluminant1, CalibrationIlluminant.D65)
+        tags.set(Tag.AsShotNeutral, _rationals(response / response.max()))
     if sensor.cfa:
         tags.set(Tag.PhotometricInterpretation, PhotometricInterpretation.Color_Filter_Array)
         tags.set(Tag.CFARepeatPatternDim, [2, 2])

@@ -1,10 +1,13 @@
-"""Raw frame -> linear RGB, 16-bit and 8-bit sRGB. Stages: black level, white balance, demosaic, clip, tone curve."""
+"""Raw frame -> linear RGB, 16-bit linear and 8-bit sRGB.
+
+Stages: black level, white balance, demosaic, colour matrix, digital gain, clip, sRGB curve, and if wanted JPEG.
+"""
 
 from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,7 +16,8 @@ from sensor_model.capture import RawFrame
 from sensor_model.mosaic import channel_index
 from sensor_model.params import Cfa, Sensor, require
 
-Demosaic = Literal["menon", "malvar", "bilinear"]
+Demosaic = Literal["menon", "malvar", "bilinear", "half"]
+DEMOSAIC: tuple[Demosaic, ...] = get_args(Demosaic)
 # Code of zero light in `linear16`. Room below it keeps the sign of dark noise: clipping at zero would lift the mean of
 # dark pixels by 0.4 standard deviations.
 LINEAR16_BLACK = 4096
@@ -28,51 +32,71 @@ class Developed:
 
 
 def develop(
-    frame_or_dn: RawFrame | ArrayLike, sensor: Sensor, *, demosaic: Demosaic = "menon", digital_gain: float = 1.0
+    frame_or_dn: RawFrame | ArrayLike,
+    sensor: Sensor,
+    *,
+    demosaic: Demosaic = "menon",
+    color_matrix: ArrayLike | None = None,
+    digital_gain: float = 1.0,
+    jpeg_quality: int | None = None,
 ) -> Developed:
     """Develop one exposure.
 
     Args:
         frame_or_dn: A frame, or its codes [h, w] (mosaic, monochrome) or [h, w, 3] (three chips).
         sensor: The camera it was taken with.
-        demosaic: Interpolation of the colour filter array.
+        demosaic: As in `develop_linear`.
+        color_matrix: As in `develop_linear`.
         digital_gain: Factor on the linear values before anything is clipped to white.
+        jpeg_quality: 1..100 puts `srgb8` through JPEG; None does not.
 
     Returns:
         `linear16`: code = 4096 + 61439 * linear, clipped to 0..65535, so 4096 is black, 65535 white and negative noise
         survives down to -6.7 % of white. `srgb8`: clip to 0..1, sRGB curve, 8 bits.
 
     Raises:
-        ValueError: if the shape does not fit the sensor.
+        ValueError: if the shape does not fit the sensor, or an option is out of range.
     """
     dn = frame_or_dn.dn if isinstance(frame_or_dn, RawFrame) else np.asarray(frame_or_dn)
-    linear = develop_linear(dn, sensor, demosaic=demosaic) * np.float32(digital_gain)
-    return Developed(linear16=to_linear16(linear), srgb8=to_srgb8(linear))
+    require(digital_gain > 0, "digital_gain", "> 0", digital_gain)
+    linear = develop_linear(dn, sensor, demosaic=demosaic, color_matrix=color_matrix) * np.float32(digital_gain)
+    srgb8 = to_srgb8(linear)
+    return Developed(to_linear16(linear), srgb8 if jpeg_quality is None else through_jpeg(srgb8, jpeg_quality))
 
 
-def develop_linear(dn: ArrayLike, sensor: Sensor, *, demosaic: Demosaic = "menon") -> NDArray[np.float32]:
+def develop_linear(
+    dn: ArrayLike, sensor: Sensor, *, demosaic: Demosaic = "menon", color_matrix: ArrayLike | None = None
+) -> NDArray[np.float32]:
     """Codes -> white-balanced linear RGB; 1.0 is the white level, nothing is clipped.
 
     Every channel of a saturated pixel comes out at 1.0 or more, so clipping to 1.0 afterwards leaves no coloured
-    highlights. Takes codes or analytic means alike; linear in `dn` for "malvar" and "bilinear", nearly so for "menon"
-    (which chooses directions).
+    highlights. Takes codes or analytic means alike; linear in `dn`, but for "menon", which chooses directions.
 
     Args:
         dn: [h, w] or [h, w, 3], any real dtype, DN.
         sensor: Its black and white level, filter responses and pattern are used.
-        demosaic: Interpolation of the colour filter array.
+        demosaic: How the colour filter array is interpolated; "half" does not: each 2 x 2 cell becomes one pixel, its
+            greens averaged, so noise stays independent between pixels and an odd last row or column is dropped.
+        color_matrix: [3, 3] from white-balanced camera RGB to linear sRGB; None if the camera's filters are those of
+            sRGB times `rgb_response`, as for images made by `photons_for_electrons`.
 
     Returns:
-        [h, w, 3], or [h, w] for a monochrome frame of a sensor without filter array.
+        [h, w, 3] ([h//2, w//2, 3] for "half"), or [h, w] for a monochrome frame of a sensor without filter array.
     """
     dn = np.asarray(dn)
     fits = dn.ndim == 2 or (dn.ndim == 3 and dn.shape[2] == 3 and sensor.cfa is None)
     require(fits, "dn", "[h, w], or [h, w, 3] without colour filter array", dn.shape)
     linear = (dn.astype(np.float64) - sensor.black_level) / (sensor.white_dn - sensor.black_level)
     gains = white_balance(sensor)
-    if sensor.cfa is None:
-        return (linear * gains if linear.ndim == 3 else linear).astype(np.float32)
-    return interpolate(linear * gains[channel_index(dn.shape, sensor.cfa)], sensor.cfa, demosaic)
+    if sensor.cfa:
+        linear = interpolate(linear * gains[channel_index(dn.shape, sensor.cfa)], sensor.cfa, demosaic)
+    elif linear.ndim == 3:
+        linear = linear * gains
+    if color_matrix is not None:
+        matrix = np.asarray(color_matrix, np.float64)
+        require(matrix.shape == (3, 3) and linear.ndim == 3, "color_matrix", "[3, 3], for RGB only", matrix.shape)
+        linear = linear @ matrix.T
+    return linear.astype(np.float32)
 
 
 def white_balance(sensor: Sensor) -> NDArray[np.float64]:
@@ -81,9 +105,14 @@ def white_balance(sensor: Sensor) -> NDArray[np.float64]:
     return response.max() / response
 
 
-def interpolate(mosaic: NDArray, cfa: Cfa, demosaic: Demosaic) -> NDArray[np.float32]:
-    """Demosaic [h, w] -> [h, w, 3]."""
+def interpolate(mosaic: NDArray, cfa: Cfa, demosaic: Demosaic) -> NDArray[np.float64]:
+    """Demosaic [h, w] -> [h, w, 3], or one pixel per cell for "half"."""
+    require(demosaic in DEMOSAIC, "demosaic", f"one of {DEMOSAIC}", demosaic)
     require(min(mosaic.shape) >= 2, "a frame with colour filter array", "at least 2 x 2", mosaic.shape)
+    if demosaic == "half":
+        h, w = (size - size % 2 for size in mosaic.shape)
+        cells = mosaic[:h, :w].reshape(h // 2, 2, w // 2, 2).transpose(0, 2, 1, 3).reshape(h // 2, w // 2, 4)
+        return np.stack([cells[..., [i for i, letter in enumerate(cfa) if letter == c]].mean(-1) for c in "RGB"], -1)
     with warnings.catch_warnings():
         # colour-demosaicing 0.2.7 imports scipy.ndimage under a name that scipy 2 will drop
         warnings.simplefilter("ignore", DeprecationWarning)
@@ -93,8 +122,18 @@ def interpolate(mosaic: NDArray, cfa: Cfa, demosaic: Demosaic) -> NDArray[np.flo
         "malvar": library.demosaicing_CFA_Bayer_Malvar2004,
         "bilinear": library.demosaicing_CFA_Bayer_bilinear,
     }
-    require(demosaic in functions, "demosaic", f"one of {tuple(functions)}", demosaic)
-    return functions[demosaic](mosaic, cfa).astype(np.float32)
+    return functions[demosaic](mosaic, cfa)
+
+
+def through_jpeg(srgb8: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
+    """What is left of an 8-bit picture after JPEG, [h, w] or [h, w, 3]."""
+    import cv2  # heavy, and wanted by few
+
+    require(1 <= quality <= 100, "jpeg_quality", "in 1..100", quality)
+    swapped = srgb8[..., ::-1] if srgb8.ndim == 3 else srgb8  # OpenCV's channels run blue, green, red
+    _, data = cv2.imencode(".jpg", np.ascontiguousarray(swapped), [cv2.IMWRITE_JPEG_QUALITY, quality])
+    back = np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED))
+    return np.ascontiguousarray(back[..., ::-1] if back.ndim == 3 else back)
 
 
 def to_linear16(linear: NDArray) -> NDArray[np.uint16]:

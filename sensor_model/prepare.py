@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -95,9 +95,9 @@ def charge_cap(sensor: Sensor) -> float:
 def _rows(s: Sensor, draws: streams.Draws, h: int, channels: int) -> Array:
     rows = np.zeros((h, channels))
     if s.sigma_row:
-        rows += s.sigma_row * effects.standard_normal(draws.uniforms((h, 1, channels), streams.ROW)[:, 0])
+        rows += s.sigma_row * effects.standard_normal(draws.row_uniforms(h, channels, streams.ROW))
     if s.banding:
-        phase = streams.Draws(seed=draws.seed, view=draws.view, frame=draws.frame).uniforms((1, 1), streams.BANDING)
+        phase = replace(draws, origin=(0, 0)).uniforms((1, 1), streams.BANDING)  # one phase for the whole sensor
         rows += effects.bands(phase, np.arange(h)[:, None] + draws.origin[0], s.banding)
     return rows
 
@@ -105,7 +105,7 @@ def _rows(s: Sensor, draws: streams.Draws, h: int, channels: int) -> Array:
 def _columns(s: Sensor, draws: streams.Draws, w: int, channels: int) -> Array:
     if not s.sigma_column:
         return np.zeros((w, channels))
-    return s.sigma_column * effects.standard_normal(draws.uniforms((1, w, channels), streams.COLUMN)[0])
+    return s.sigma_column * effects.standard_normal(draws.column_uniforms(w, channels, streams.COLUMN))
 
 
 def _black(s: Sensor, channels: int) -> Array:

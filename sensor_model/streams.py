@@ -9,7 +9,7 @@ no alignment, and a crop, at any offset, equals the same crop of the whole.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -71,6 +71,14 @@ class Draws:
         self.check_extent(shape)
         index = np.indices(shape, sparse=True)
         return self.uniforms_at(stream, index[0], index[1], index[2] if len(shape) == 3 else np.zeros((1, 1), int))
+
+    def row_uniforms(self, h: int, channels: int, stream: int) -> NDArray[np.float64]:
+        """One uniform number per row and channel, [h, channels]; the same for every crop that has the row."""
+        return replace(self, origin=(self.origin[0], 0)).uniforms((h, 1, channels), stream)[:, 0]
+
+    def column_uniforms(self, w: int, channels: int, stream: int) -> NDArray[np.float64]:
+        """One uniform number per column and channel, [w, channels]."""
+        return replace(self, origin=(0, self.origin[1])).uniforms((1, w, channels), stream)[0]
 
     def uniforms_at(self, stream: int, rows: NDArray, cols: NDArray, channels: NDArray) -> NDArray[np.float64]:
         """One uniform number per (row, column, channel), numbered from the frame's first pixel; arrays broadcast.

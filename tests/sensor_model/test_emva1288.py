@@ -29,7 +29,7 @@ CAMERAS = {
 def routines():
     pytest.importorskip("emva1288")
     if not hasattr(np, "asfarray"):  # emva1288 1.0.2 still calls what numpy 2 dropped
-        np.asfarray = lambda a, dtype=np.float64: np.asarray(a, dtype=dtype)
+        np.asfarray = lambda a, dtype=np.float64: np.asarray(a, dtype=dtype)  # noqa: NPY201
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # its imports use deprecated names
         from emva1288.process import routines

@@ -1,0 +1,150 @@
+"""Every effect on its own: its sampler against its distribution, its moments against the closed form."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy import stats
+
+from sensor_model import Banding, DualGain, effects
+from sensor_model.streams import Draws
+
+N = 200_000
+U = Draws(seed=11).uniforms((400, 500), 0).ravel()
+
+
+def assert_moments(sample, mean, variance):
+    """Mean and variance within five standard errors of the sample."""
+    n, centred = sample.size, sample - sample.mean()
+    assert sample.mean() == pytest.approx(mean, abs=5 * np.sqrt(variance / n))
+    spread = np.sqrt(((centred**4).mean() - (centred**2).mean() ** 2) / n)
+    assert sample.var() == pytest.approx(variance, abs=5 * spread)
+
+
+@pytest.mark.parametrize("mu", [0.0, 5e-324, 1e-300, 1e-6, 0.3, 2.0, 3.999, 4.0, 17.3, 250.0, 1e4, 3e7])
+def test_shot_noise_is_the_poisson_quantile(mu):
+    # up to where the distribution function still tells two float64 below 1 apart, and for large means only as far as
+    # scipy's is right (at mu = 3e7, u = 1 - 2**-19 its quantile is one electron low, by a sum in 30 digits)
+    tails = 45 if mu < 1e5 else 16
+    u = np.concatenate([U[:2000], 2.0 ** -np.arange(1, tails), 1 - 2.0 ** -np.arange(2, tails)])
+    np.testing.assert_array_equal(effects.shot_noise(u, np.full(u.shape, mu)), stats.poisson.ppf(u, mu))
+
+
+@pytest.mark.parametrize("mu", [0.01, 2.0, 60.0, 5e3])
+def test_shot_noise_has_mean_and_variance_mu(mu):
+    assert_moments(effects.shot_noise(U, np.full(N, mu)), mu, mu)
+    assert_moments(effects.normal_shot_noise(U, np.full(N, mu)), mu, mu)
+
+
+@pytest.mark.parametrize("lam", [-0.3, -0.09, -1e-5, 0.0, 1e-9, 0.14, 0.5, 1.0])
+def test_tukey_quantile_and_its_variance_are_those_of_scipy(lam):
+    np.testing.assert_allclose(
+        effects.tukey_quantile(U[:1000], lam), stats.tukeylambda.ppf(U[:1000], lam), rtol=1e-6, atol=1e-9
+    )
+    assert effects.tukey_sd(lam) == pytest.approx(np.sqrt(stats.tukeylambda.var(lam)), rel=1e-7)
+    if lam > -0.25:
+        kurtosis = stats.tukeylambda.stats(lam, moments="k")
+        assert effects.excess_kurtosis(lam) == pytest.approx(kurtosis, abs=0.02)
+
+
+@pytest.mark.parametrize("lam", [None, -0.09, 0.0, 0.14])
+def test_read_noise_has_the_standard_deviation_it_is_given(lam):
+    assert_moments(effects.read_noise(U, 2.5, lam), 0.0, 2.5**2)
+
+
+def test_tukey_tails_are_as_heavy_as_lambda_says():
+    """Rationale: PMN's fits differ from a Gaussian only in the tails, so these are tested on their own."""
+    noise = effects.read_noise(U, 1.0, -0.09)
+    kurtosis = (noise**4).mean() / (noise**2).mean() ** 2 - 3
+    # the estimator of a heavy tail converges slowly: its own spread from independent parts
+    parts = noise.reshape(50, -1)
+    spread = ((parts**4).mean(1) / (parts**2).mean(1) ** 2).std() / np.sqrt(50)
+    assert kurtosis == pytest.approx(effects.excess_kurtosis(-0.09), abs=5 * spread)
+    beyond = np.mean(np.abs(noise) > 5)
+    share = 2 * stats.tukeylambda.sf(5 * effects.tukey_sd(-0.09), -0.09)
+    assert beyond == pytest.approx(share, abs=5 * np.sqrt(share / N))
+    assert share > 100 * 2 * stats.norm.sf(5)
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.5, 2.7])
+def test_telegraph_noise_raises_the_standard_deviation_by_its_factor(factor):
+    sample = effects.telegraph(U, effects.telegraph_level(1.4, factor))
+    assert_moments(sample, 0.0, (factor**2 - 1) * 1.4**2)
+    assert len(np.unique(sample)) == (1 if factor == 1 else 3)
+
+
+def test_bands_have_the_period_and_the_variance_of_a_sine():
+    banding = Banding(amplitude=3.0, period=12.5)
+    rows = np.arange(25)
+    sample = np.stack([effects.bands(u, rows, banding) for u in U[:20000]])
+    assert abs(np.fft.rfft(sample[0])).argmax() == 2  # two periods in 25 rows
+    assert_moments(sample[:, 3], 0.0, 4.5)
+
+
+def test_pixel_response_is_normal_around_one_and_never_negative():
+    normal = effects.standard_normal(U)
+    assert_moments(effects.pixel_response(normal, 0.02), 1.0, 0.02**2)
+    assert effects.pixel_response(10 * normal, 0.2).min() == 0
+
+
+def test_vignetting_follows_cos4_and_tables_and_crops():
+    map_ = effects.relative_illumination((101, 201), corner_angle=35.0)
+    assert map_[50, 100] == 1
+    angle = np.arctan(np.hypot(50, 100) / np.hypot(50.5, 100.5) * np.tan(np.radians(35)))
+    assert map_[0, 0] == pytest.approx(np.cos(angle) ** 4)
+    crop = effects.relative_illumination((20, 30), origin=(7, 11), sensor_shape=(101, 201), corner_angle=35.0)
+    np.testing.assert_allclose(crop, map_[7:27, 11:41])
+    table = effects.relative_illumination((101, 201), falloff=(1.0, 0.75, 0.5))
+    assert table[50, 100] == 1
+    assert table[0, 0] == pytest.approx(0.5, abs=0.01)
+
+
+@settings(derandomize=True, deadline=None, max_examples=40)
+@given(st.integers(1, 7), st.integers(1, 7), st.floats(0, 0.2), st.integers(0, 100))
+def test_crosstalk_keeps_all_light_and_blurs_a_point_over_five_pixels(h, w, share, seed):
+    light = np.random.default_rng(seed).random((h, w, 3)) * 100
+    assert effects.crosstalk(light, share).sum() == pytest.approx(light.sum())
+    point = np.zeros((5, 5, 1))
+    point[2, 2] = 1
+    expected = share * np.array([[0, 1, 0], [1, 0, 1], [0, 1, 0]]) + np.diag([0, 1 - 4 * share, 0])
+    np.testing.assert_allclose(effects.crosstalk(point, share)[1:4, 1:4, 0], expected, atol=1e-15)
+
+
+@settings(derandomize=True, deadline=None, max_examples=60)
+@given(st.integers(1, 12), st.integers(0, 1000))
+def test_blooming_fills_columns_and_loses_charge_only_over_the_edge(h, seed):
+    charge = np.random.default_rng(seed).exponential(60, (h, 4))
+    held = effects.blooming(charge, 100.0)
+    assert held.max() <= 100
+    assert (held >= np.minimum(charge, 100) - 1e-9).all()
+    assert (held.sum(0) <= charge.sum(0) + 1e-9).all()
+
+
+def test_blooming_spills_half_up_and_half_down_and_conserves_charge():
+    charge = np.zeros((9, 2))
+    charge[4, 0] = 300
+    held = effects.blooming(charge, 100.0)
+    np.testing.assert_allclose(held[:, 0], [0, 0, 0, 100, 100, 100, 0, 0, 0])
+    np.testing.assert_allclose(held[:, 1], 0)
+
+
+def test_full_well_and_nonlinearity_bend_the_response_as_stated():
+    charge = np.array([0.0, 500.0, 1000.0, 2000.0])
+    np.testing.assert_allclose(effects.full_well(charge, 1000.0), [0, 500, 1000, 1000])
+    # a loss of 4 % at full well 1000 e-, 2 % at half of it
+    np.testing.assert_allclose(effects.nonlinear(charge[:3], 0.04 / 1000), [0, 490, 960])
+
+
+def test_dual_gain_switches_noise_and_code_width_at_its_threshold():
+    sigma, width = effects.select_gain(
+        np.array([799.0, 800.0, 801.0]), 2.0, DualGain(threshold=800, sigma_d=9, ratio=8)
+    )
+    np.testing.assert_array_equal(sigma, [2, 2, 9])
+    np.testing.assert_array_equal(width, [1, 1, 8])
+    assert effects.select_gain(np.zeros(3), 2.0, None) == (2.0, 1.0)
+
+
+def test_codes_are_rounded_half_to_even_clipped_and_only_then_cast():
+    signal = np.array([-1.0, -0.2, 0.5, 1.5, 2.5, 4095.4, 65536.0, 70000.0, 1e30])
+    np.testing.assert_array_equal(effects.digitise(signal, 4095), [0, 0, 0, 2, 2, 4095, 4095, 4095, 4095])
+    np.testing.assert_array_equal(effects.digitise(np.array([13.0, 65535.4]), 65535, 8.0), [16, 65535])
