@@ -81,4 +81,6 @@ class Console:
 
 def losses_text(losses: Mapping[str, float]) -> str:
     """Losses of one step in a few characters; counters among them are left out."""
-    return "  ".join(f"{name} {value:.4f}" for name, value in losses.items() if name not in ("iteration", "n_gaussians"))
+    return "  ".join(
+        f"{name} {value:.4f}" for name, value in losses.items() if name not in ("iteration", "n_gaussians")
+    )

@@ -72,8 +72,9 @@ def verdict(material: Material) -> str:
     if main != "naive" and "naive" in value:
         gain = value[main] - value["naive"]
         text += f", {abs(gain):.2f} dB {'more' if gain >= 0 else 'less'} than enhancing without denoising"
-    if (fraction := material.metrics["recovered"].get(main)) is not None:
-        text += f"; that is {fraction:.0%} of what noise costs here"
+    fraction = material.metrics["recovered"].get(main)
+    if fraction is not None and fraction > 0:
+        text += f"; that wins back {fraction:.0%} of what noise costs here"
     return text + "."
 
 
@@ -85,7 +86,8 @@ def cards(material: Material) -> list[dict[str, str]]:
     if main != "naive" and "naive" in value:
         found.append({"value": signed(value[main] - value["naive"]), "unit": "dB", "label": "over naive"})
     if (fraction := material.metrics["recovered"].get(main)) is not None:
-        found.append({"value": f"{100 * fraction:.0f}", "unit": "%", "label": "of the loss to noise recovered"})
+        share = f"{100 * fraction:.0f}".replace("-", "−")
+        found.append({"value": share, "unit": "%", "label": "of the loss to noise recovered"})
     if "oracle" in value:
         found.append({"value": f"{value['oracle']:.2f}", "unit": "dB", "label": "oracle, the ceiling"})
     found.append({"value": duration(sum(row["seconds"] for row in costs(material))), "unit": "", "label": "in all"})
@@ -163,10 +165,18 @@ def plans(material: Material) -> list[dict[str, Any]]:
     """The plan tables: light transport (rendered sets) and sensor."""
     found = []
     if (transport := material.lit.views.meta.get("plan")) is not None:
-        found.append({"heading": "Light transport", "plan": transport})
+        found.append({"heading": "Light transport", "plan": plan_table(transport)})
     if (sensor := material.capture.record["plan"]) is not None:
-        found.append({"heading": "Sensor", "plan": sensor})
+        found.append({"heading": "Sensor", "plan": plan_table(sensor)})
     return found
+
+
+def plan_table(plan: dict[str, Any]) -> dict[str, Any]:
+    """The effects that matter here, the names of those that cannot (nothing to leave out), and what was left out."""
+    matters = [e for e in plan["effects"] if e["on"] or e["forced"] or e["contribution"]]
+    absent = [e["name"].replace("_", " ") for e in plan["effects"] if e not in matters]
+    bounds = {plan["unit"]: plan["bound"], **plan.get("biases", {})}
+    return {"shown": matters, "absent": absent, "costs": [f"{number(b, 4)} ({unit})" for unit, b in bounds.items()]}
 
 
 def configurations(material: Material) -> dict[str, str]:
