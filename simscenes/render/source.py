@@ -1,4 +1,4 @@
-"""Scenes as they come in: a name of the catalogue or a Mitsuba dict; loaded, named and hashed the same way."""
+"""Scenes as they come in: a catalogue name, a Mitsuba dict or an XML file; loaded, checked, named and hashed alike."""
 
 from __future__ import annotations
 
@@ -9,17 +9,20 @@ from typing import Any
 
 import numpy as np
 
+from simscenes.render.untrusted import check_parameters, check_xml
+
 
 @dataclass(frozen=True)
 class LoadedScene:
     """A scene ready to render.
 
     Attributes:
-        name: Catalogue name, or "custom".
+        name: Catalogue name, name of the file, or "custom".
         scene: The Mitsuba scene.
         digest: Hash of everything the picture depends on but the camera and the random numbers.
         shapes: Names of the shapes; the id of a pixel is 1 + place in this list.
         materials: Names of the materials, likewise.
+        extent: Diagonal of the bounding box, scene units.
     """
 
     name: str
@@ -27,39 +30,56 @@ class LoadedScene:
     digest: str
     shapes: tuple[str, ...]
     materials: tuple[str, ...]
+    extent: float
 
 
-def build_scene(scene: str | dict[str, Any] | Path, mi: Any) -> LoadedScene:
+def build_scene(scene: str | dict[str, Any] | Path, mi: Any, *, allow_outside: bool = False) -> LoadedScene:
     """Load a scene under the active variant.
 
     Args:
-        scene: A name from `SCENES`, optionally with a scene seed ("tabletop:3"), or a Mitsuba scene dict.
+        scene: A name from `SCENES`, optionally with a scene seed ("tabletop:3"); a Mitsuba scene dict; or the path of a
+            Mitsuba XML file (anything ending in .xml).
         mi: The mitsuba module, from `activate`.
+        allow_outside: Let an XML file read files outside its own folder.
 
     Raises:
-        ValueError: If the name is unknown, or Mitsuba refuses the description (its reason is in the message).
+        ValueError: If the name is unknown, the file reaches outside its folder, Mitsuba refuses the description (its
+            reason is in the message), there is no shape, or a number in it is not physical.
     """
+    is_file = isinstance(scene, Path) or (isinstance(scene, str) and scene.endswith(".xml"))
+    name = Path(str(scene)).stem if is_file else scene if isinstance(scene, str) else "custom"
+    try:
+        loaded = _load_xml(Path(str(scene)), mi, allow_outside) if is_file else _load_dict(scene, mi)
+    except (RuntimeError, TypeError, KeyError, AttributeError) as error:  # what Mitsuba and its bindings raise
+        raise ValueError(f"scene {name!r} cannot be loaded: {error}") from error
+    if not isinstance(loaded, mi.Scene) or len(loaded.shapes()) == 0:
+        raise ValueError(f"scene {name!r} has no shapes: there is nothing to see")
+    params = mi.traverse(loaded)
+    check_parameters(params, mi)
+    shapes = tuple(s.id() for s in loaded.shapes())
+    materials = tuple(_material_name(s) for s in unique_materials(loaded))
+    extent = float(np.linalg.norm(np.array(loaded.bbox().extents())))
+    return LoadedScene(str(name), loaded, scene_digest(loaded, params), shapes, materials, extent)
+
+
+def _load_dict(scene: Any, mi: Any) -> Any:
     from simscenes.scenes import build
 
-    name = scene if isinstance(scene, str) else "custom"
     description = build(scene) if isinstance(scene, str) else scene
     if not isinstance(description, dict) or description.get("type") != "scene":
         raise ValueError(
-            f"scene must be a name from SCENES or a Mitsuba dict of type 'scene', got {type(scene).__name__}"
+            f"scene must be a name from SCENES, a .xml file or a Mitsuba dict of type 'scene', got {scene!r:.80}"
         )
     for key, value in description.items():
         if isinstance(value, mi.Object):
             value.set_id(key)  # meshes made in Python do not know the name they have in the dict
-    try:
-        # optimize=True orders merged objects by memory address: other light order, other noise in every process.
-        loaded = mi.load_dict(description, optimize=False)
-    except Exception as error:  # Mitsuba raises RuntimeError for nearly everything
-        raise ValueError(f"scene {name!r} cannot be loaded: {error}") from error
-    if len(loaded.shapes()) == 0:
-        raise ValueError(f"scene {name!r} has no shapes: there is nothing to see")
-    shapes = tuple(s.id() for s in loaded.shapes())
-    materials = tuple(_material_name(s) for s in unique_materials(loaded))
-    return LoadedScene(name, loaded, scene_digest(loaded, mi), shapes, materials)
+    # optimize=True orders merged objects by memory address: other light order, other noise in every process.
+    return mi.load_dict(description, optimize=False)
+
+
+def _load_xml(path: Path, mi: Any, allow_outside: bool) -> Any:
+    check_xml(path, allow_outside=allow_outside)
+    return mi.load_file(str(path.resolve()), optimize=False)
 
 
 def unique_materials(scene: Any) -> list[Any]:
@@ -77,10 +97,9 @@ def _material_name(shape: Any) -> str:
     return own if own and not own.startswith("__") else f"{shape.id()}.{shape.bsdf().class_name()}"
 
 
-def scene_digest(scene: Any, mi: Any) -> str:
+def scene_digest(scene: Any, params: Any) -> str:
     """Hash the structure and every parameter of a loaded scene (sha256, 64 hex digits)."""
     digest = hashlib.sha256(str(scene).encode())
-    params = mi.traverse(scene)
     for key in sorted(params.keys()):
         value = params[key]
         if hasattr(value, "matrix"):

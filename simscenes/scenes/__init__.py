@@ -6,37 +6,44 @@ from collections.abc import Callable
 from typing import Any
 
 from simscenes.rigs import Rig, forward_rig, orbit_rig
+from simscenes.scenes.close import glassware, thicket
 from simscenes.scenes.cornell import cornell
 from simscenes.scenes.courtyard import courtyard
+from simscenes.scenes.daylight import gallery, hall, studio
+from simscenes.scenes.night import lantern, market, street
 from simscenes.scenes.tabletop import tabletop
 
-SCENES: dict[str, Callable[..., dict[str, Any]]] = {
-    "tabletop": tabletop,
-    "cornell": cornell,
-    "courtyard": courtyard,
-}
+RigMaker = Callable[[int, int, int], Rig]
 
 
-def _tabletop_rig(n_views: int, width: int, height: int) -> Rig:
-    return orbit_rig(n_views, width, height, 52.0, target=(0.02, 0.02, 0.12), radius=1.45, elevation_deg=27.0,
-                     swing_deg=9.0, start_deg=-160.0, sweep_deg=220.0)  # fmt: skip
+def _orbit(fov_x_deg: float, **settings: Any) -> RigMaker:
+    return lambda n_views, width, height: orbit_rig(n_views, width, height, fov_x_deg, **settings)
 
 
-def _cornell_rig(n_views: int, width: int, height: int) -> Rig:
-    return forward_rig(n_views, width, height, 58.0, position=(0.0, -1.75, 0.0), target=(0.0, 0.3, -0.15),
-                       extent=(0.62, 0.5), rows=4)  # fmt: skip
+def _forward(fov_x_deg: float, **settings: Any) -> RigMaker:
+    return lambda n_views, width, height: forward_rig(n_views, width, height, fov_x_deg, **settings)
 
 
-def _courtyard_rig(n_views: int, width: int, height: int) -> Rig:
-    return orbit_rig(n_views, width, height, 60.0, target=(0.1, 0.1, 0.95), radius=3.5, elevation_deg=14.0,
-                     swing_deg=7.0, start_deg=-195.0, sweep_deg=195.0)  # fmt: skip
+# An arc from the open south side of the rooms in daylight.py, night.py and close.py.
+_ROOM = {"swing_deg": 8.0, "start_deg": -150.0, "sweep_deg": 120.0}
 
+_CATALOGUE: dict[str, tuple[Callable[..., dict[str, Any]], RigMaker]] = {
+    "tabletop": (tabletop, _orbit(52.0, target=(0.02, 0.02, 0.12), radius=1.45, elevation_deg=27.0, swing_deg=9.0,
+                                  start_deg=-160.0, sweep_deg=220.0)),
+    "cornell": (cornell, _forward(58.0, position=(0, -1.75, 0), target=(0, 0.3, -0.15), extent=(0.62, 0.5), rows=4)),
+    "courtyard": (courtyard, _orbit(60.0, target=(0.1, 0.1, 0.95), radius=3.5, elevation_deg=14.0, swing_deg=7.0,
+                                    start_deg=-195.0, sweep_deg=195.0)),
+    "studio": (studio, _orbit(52.0, target=(0.05, 0.1, 0.35), radius=1.8, elevation_deg=24.0, **_ROOM)),
+    "gallery": (gallery, _orbit(66.0, target=(0.0, 0.2, 0.8), radius=1.7, elevation_deg=10.0, **_ROOM)),
+    "hall": (hall, _orbit(60.0, target=(0.0, 0.5, 0.5), radius=1.9, elevation_deg=16.0, **_ROOM)),
+    "street": (street, _forward(62.0, position=(0, -1.6, 1.5), target=(0, 3.5, 1.1), extent=(0.9, 0.45), rows=4)),
+    "market": (market, _orbit(56.0, target=(0.0, 0.2, 0.75), radius=1.7, elevation_deg=20.0, **_ROOM)),
+    "lantern": (lantern, _orbit(62.0, target=(0.05, 0.4, 0.95), radius=1.8, elevation_deg=12.0, **_ROOM)),
+    "glassware": (glassware, _orbit(48.0, target=(0.05, 0.05, 0.2), radius=1.5, elevation_deg=22.0, **_ROOM)),
+    "thicket": (thicket, _orbit(52.0, target=(0.0, 0.0, 0.45), radius=1.7, elevation_deg=18.0, **_ROOM)),
+}  # fmt: skip
 
-_RIGS: dict[str, Callable[[int, int, int], Rig]] = {
-    "tabletop": _tabletop_rig,
-    "cornell": _cornell_rig,
-    "courtyard": _courtyard_rig,
-}
+SCENES: dict[str, Callable[..., dict[str, Any]]] = {name: make for name, (make, _) in _CATALOGUE.items()}
 
 
 def split_name(name: str) -> tuple[str, int]:
@@ -68,4 +75,4 @@ def default_rig(name: str, n_views: int, width: int, height: int) -> Rig:
         width: Image width in pixels.
         height: Image height in pixels.
     """
-    return _RIGS[split_name(name)[0]](n_views, width, height)
+    return _CATALOGUE[split_name(name)[0]][1](n_views, width, height)

@@ -84,11 +84,19 @@ def box(center: ArrayLike, size: Sequence[float], bsdf: Any, yaw: float = 0, til
     return {"type": "cube", "to_world": place(center, yaw, [s / 2 for s in size], tilt), "bsdf": bsdf}
 
 
-def ball(center: Sequence[float], radius: float, bsdf: Any, yaw: float = 0, squash: float = 1, tilt: float = 0) -> Any:
+def ball(
+    center: Sequence[float],
+    radius: float,
+    bsdf: Any,
+    yaw: float = 0,
+    squash: float = 1,
+    tilt: float = 0,
+    emitter: Dict | None = None,
+) -> Any:
     """Spheroid as a mesh with smooth normals; `squash` is its height over its width."""
     angle = np.linspace(-np.pi / 2, np.pi / 2, 25)
     profile = radius * np.stack([np.cos(angle), squash * np.sin(angle)], -1)
-    return lathe(profile, bsdf, center, yaw, tilt=tilt, smooth=False)
+    return lathe(profile, bsdf, center, yaw, tilt=tilt, smooth=False, emitter=emitter)
 
 
 def mesh(
@@ -148,6 +156,7 @@ def lathe(
     segments: int = 32,
     tilt: float = 0,
     smooth: bool = True,
+    emitter: Dict | None = None,
 ) -> Any:
     """Mesh of revolution about z of a (radius, height) profile; walked upwards, the outside is the front.
 
@@ -159,6 +168,7 @@ def lathe(
         segments: Facets around the axis.
         tilt: Lean about x before the turn, degrees.
         smooth: Resample the profile to a smooth curve first.
+        emitter: Makes it glow.
     """
     points = (
         smooth_profile([(r, z) for r, z in np.asarray(profile)]) if smooth else np.asarray(profile, dtype=np.float64)
@@ -174,10 +184,46 @@ def lathe(
     vertices = vertices.reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3]
     normals = normals.reshape(-1, 3) @ matrix[:3, :3].T
     uv = np.stack([u, v], -1).reshape(-1, 2)
-    return mesh(vertices, grid_faces(len(points), segments + 1), uv, bsdf, normals)
+    return mesh(vertices, grid_faces(len(points), segments + 1), uv, bsdf, normals, emitter)
 
 
-def area_light(center: ArrayLike, half_u: ArrayLike, half_v: ArrayLike, radiance: Sequence[float]) -> Dict:
-    """Glowing rectangle; light leaves its front side only, along half_u x half_v. `radiance` is RGB."""
-    emitter = {"type": "area", "radiance": {"type": "rgb", "value": list(radiance)}}
-    return quad(center, half_u, half_v, diffuse(np.full((2, 2, 3), 0.3)), emitter)
+def area_light(center: ArrayLike, half_u: ArrayLike, half_v: ArrayLike, radiance: Sequence[float] | Dict) -> Any:
+    """Glowing rectangle; light leaves its front side only, along half_u x half_v. `radiance`: RGB, or a spectrum."""
+    return quad(center, half_u, half_v, diffuse(np.full((2, 2, 3), 0.3)), glow(radiance))
+
+
+def glow(radiance: Sequence[float] | Dict) -> Dict:
+    """Area emitter for any shape. `radiance`: RGB, or a spectrum dict."""
+    spectrum = radiance if isinstance(radiance, dict) else {"type": "rgb", "value": list(radiance)}
+    return {"type": "area", "radiance": spectrum}
+
+
+def lamp_spectrum(name: str, level: float) -> Dict:
+    """Measured spectrum of a lamp from CIE tables ("HP1" sodium, "LED-B3", ...), scaled to luminance-weighted `level`.
+
+    `level` is the radiance a flat spectrum of the same luminance would have, so lamps of one level look equally bright.
+    """
+    import colour
+
+    table = colour.SDS_ILLUMINANTS[name].copy().align(colour.SpectralShape(380, 780, 5))
+    weight = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(table.shape).values[:, 1]
+    values = level * table.values * weight.sum() / (table.values * weight).sum()
+    return {"type": "spectrum", "value": list(zip(table.wavelengths.tolist(), values.tolist(), strict=True))}
+
+
+def ribbons(starts: Floats, ends: Floats, width: float, bsdf: Any) -> Any:
+    """Thin flat strips from `starts` to `ends` [n,3], two crossed ones each so that they show from every side."""
+    along = ends - starts
+    helper = np.where(
+        np.abs(along[:, 2:]) < 0.9 * np.linalg.norm(along, axis=1, keepdims=True), [0.0, 0, 1], [1.0, 0, 0]
+    )
+    first = np.cross(along, helper)
+    first *= 0.5 * width / np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(along, first)
+    second *= 0.5 * width / np.linalg.norm(second, axis=1, keepdims=True)
+    corners = [np.stack([starts - side, starts + side, ends + side, ends - side], 1) for side in (first, second)]
+    vertices = np.concatenate(corners).reshape(-1, 3)
+    faces = (4 * np.arange(len(vertices) // 4)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
+    uv = np.tile([[0.0, 0], [0.1, 0], [0.1, 1], [0, 1]], (len(vertices) // 4, 1))
+    uv[:, 0] += np.repeat(np.linspace(0, 0.9, len(vertices) // 4), 4)
+    return mesh(vertices, faces, uv, bsdf)
