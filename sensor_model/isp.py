@@ -18,6 +18,7 @@ from sensor_model.params import Cfa, Sensor, require
 
 Demosaic = Literal["menon", "malvar", "bilinear", "half"]
 DEMOSAIC: tuple[Demosaic, ...] = get_args(Demosaic)
+BORDER = 4  # pixels of mirrored surroundings: even, to keep the pattern's phase, and as far as the filters reach
 # Code of zero light in `linear16`. Room below it keeps the sign of dark noise: clipping at zero would lift the mean of
 # dark pixels by 0.4 standard deviations.
 LINEAR16_BLACK = 4096
@@ -122,7 +123,9 @@ def interpolate(mosaic: NDArray, cfa: Cfa, demosaic: Demosaic) -> NDArray[np.flo
         "malvar": library.demosaicing_CFA_Bayer_Malvar2004,
         "bilinear": library.demosaicing_CFA_Bayer_bilinear,
     }
-    return functions[demosaic](mosaic, cfa)
+    # Mirrored about its border pixels a mosaic keeps its pattern; the library's own borders mix the colours up
+    padded = np.pad(mosaic, BORDER, mode="reflect")
+    return functions[demosaic](padded, cfa)[BORDER:-BORDER, BORDER:-BORDER]
 
 
 def through_jpeg(srgb8: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:

@@ -21,7 +21,7 @@ from sensor_model.prepare import Prepared
 Array = NDArray[np.float64]
 
 REACH = 8.0  # standard deviations beyond which a normal tail (1e-15) is nothing
-SMOOTH = 0.5  # DN of noise from which rounding is as good as adding 1/12 DN**2 (error below 0.003 DN)
+SMOOTH = 0.8  # DN of noise from which rounding is as good as adding 1/12 DN**2 (the mean errs by 1e-6 DN)
 LATTICE = 60.0  # e-; below, sum over the electrons; above, integrate over the normal quantile of their number
 
 
@@ -152,7 +152,7 @@ def _charges(mu: Array, shot: str) -> tuple[Array, Array]:
 def code_moments(level: Array, sd: Array, top: Array | float) -> tuple[Array, Array]:
     """Mean and variance of round(level + sd * normal), clipped to [0, top]. DN, DN**2.
 
-    Source: E[Z] = sum_{j=1}^{top} P(y > j - 1/2). With sd >= 0.5 the Euler-Maclaurin formula gives the sum from the
+    Source: E[Z] = sum_{j=1}^{top} P(y > j - 1/2). With sd >= 0.8 the Euler-Maclaurin formula gives the sum from the
     censored normal distribution and its end terms; with less, the few terms that matter are summed.
     """
     level, sd, top = np.broadcast_arrays(level, sd, top)
@@ -166,7 +166,7 @@ def code_moments(level: Array, sd: Array, top: Array | float) -> tuple[Array, Ar
 
 
 def _summed(level: Array, sd: Array, top: Array) -> tuple[Array, Array]:
-    codes = np.rint(level)[..., None] + np.arange(-5, 6)  # 0.5 DN of noise reaches 9 standard deviations
+    codes = np.rint(level)[..., None] + np.arange(-7, 8)  # 8 standard deviations of 0.8 DN
     above = special.ndtr((level[..., None] - codes + 0.5) / sd[..., None])  # P(y > code - 1/2)
     probability = above - np.append(above[..., 1:], np.zeros_like(above[..., :1]), -1)
     clipped = np.clip(codes, 0, top[..., None]) - np.clip(np.rint(level), 0, top)[..., None]

@@ -88,6 +88,8 @@ def on_sensor(light: NDArray, sensor: Sensor, exposure: Exposure) -> NDArray:
 
 def charge_cap(sensor: Sensor) -> float:
     """A mean charge so far over saturation that every frame is full; keeps huge lights in what Poisson can count."""
+    if sensor.blooming:
+        return 1e12  # what does not fit still has somewhere to go
     top = sensor.capacity_e / (1 - sensor.nonlinearity) + 20 * (sensor.sigma_d + sensor.sigma_row + sensor.dsnu)
     return top + 10 * float(np.sqrt(top)) + 100
 
