@@ -6,7 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from . import kernels_train as kt
+from .cpu import optimizer
+from .cpu.parallel import run
 from .gaussians import Gaussians
 
 BETA1, BETA2 = 0.9, 0.999
@@ -85,7 +86,7 @@ class Adam:
             flat[0].sub_(rates / correction1 * flat[2] / (flat[3].sqrt() / correction2 + EPS))
         else:
             numbers = (np.float32(x) for x in (BETA1, BETA2, correction1, correction2, EPS))
-            kt.adam(*(t.numpy() for t in flat), rates.numpy(), *numbers)
+            run(optimizer.adam, len(value), 1024, *(t.numpy() for t in flat), rates.numpy(), *numbers)
 
     def reset(self, rows: Tensor) -> None:
         """Forget the moments of some Gaussians."""

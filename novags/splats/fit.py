@@ -11,6 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from .activate import activate
 from .adam import Adam, LearningRates
 from .checkpoint import load_checkpoint, save_checkpoint
 from .gaussians import Gaussians
@@ -156,8 +157,8 @@ def fit(
         before_step: Called with the iteration number before it starts.
         needs_depth: Render expected depth too.
         progress: Called every LOG_EVERY iterations with (iterations done, of how many, log entry).
-        checkpoint: File of the training state. Written every `checkpoint_every` iterations and at the end; if it is there
-            already, the run goes on from it. State that `target` and `extra_losses` keep is theirs to save.
+        checkpoint: File of the training state. Written every `checkpoint_every` iterations and at the end; if it is
+            there already, the run goes on from it. State that `target` and `extra_losses` keep is theirs to save.
 
     Returns:
         FitResult.
@@ -180,8 +181,8 @@ def fit(
     for iteration in range(first, config.iterations):
         if before_step is not None:
             before_step(iteration)
-        step = _render_step(gaussians.requires_grad_(), views, iteration, config, needs_depth)
-        loss, photometric = _loss(step, target(step.view), config, extra_losses)
+        step, regularizer = _render_step(gaussians.requires_grad_(), views, iteration, config, needs_depth)
+        loss, photometric = _loss(step, regularizer, target(step.view), config, extra_losses)
         loss.backward()
         means_rate = config.rates.means_at(iteration, config.iterations, extent)
         adam.step(gaussians, config.rates, means_rate)
@@ -221,8 +222,11 @@ def _view_at(iteration: int, n_views: int, seed: int) -> int:
     return int(np.random.default_rng([seed, epoch]).permutation(n_views)[position])
 
 
-def _render_step(gaussians: Gaussians, views: Views, iteration: int, config: FitConfig, needs_depth: bool) -> Step:
-    scales, opacities = gaussians.scales, gaussians.opacities
+def _render_step(
+    gaussians: Gaussians, views: Views, iteration: int, config: FitConfig, needs_depth: bool
+) -> tuple[Step, Tensor]:
+    """This iteration's Step, and the regulariser."""
+    scales, opacities, regularizer = activate(gaussians, config.opacity_reg, config.scale_reg)
     degree = min(config.sh_degree, iteration // config.sh_every)
 
     def render(j: int, mode: str) -> tuple[Tensor, Tensor, Info]:
@@ -238,27 +242,28 @@ def _render_step(gaussians: Gaussians, views: Views, iteration: int, config: Fit
 
     view = _view_at(iteration, len(views), config.seed)
     image, alpha, info = render(view, "RGB+ED" if needs_depth else "RGB")
-    return Step(
+    step = Step(
         iteration=iteration, iterations=config.iterations, view=view, gaussians=gaussians, render=image[..., :3],
         alpha=alpha, info=info, views=views, rasterize_view=rasterize_view,
         expected_depth=image[..., 3] if needs_depth else None,
     )  # fmt: skip
+    return step, regularizer
 
 
 def _loss(
-    step: Step, target: Tensor, config: FitConfig, extra_losses: Sequence[Callable[[Step], Tensor | None]]
+    step: Step,
+    regularizer: Tensor,
+    target: Tensor,
+    config: FitConfig,
+    extra_losses: Sequence[Callable[[Step], Tensor | None]],
 ) -> tuple[Tensor, float]:
     """Total loss, and its photometric part as a number."""
     if target.shape != step.render.shape:
         raise ValueError(
-            f"target({step.view}) must be [H, W, 3] = {list(step.render.shape)} like the views, got {list(target.shape)}"
+            f"target({step.view}) must be [H, W, 3] = {list(step.render.shape)} as in views, got {list(target.shape)}"
         )
     photometric = photometric_loss(step.render, target, config.dssim_weight)
-    loss = photometric
-    if config.opacity_reg:
-        loss = loss + config.opacity_reg * step.gaussians.opacities.mean()
-    if config.scale_reg:
-        loss = loss + config.scale_reg * step.gaussians.scales.mean()
+    loss = photometric + regularizer
     for extra in extra_losses:
         term = extra(step)
         loss = loss if term is None else loss + term

@@ -1,4 +1,4 @@
-"""The scene representation: N anisotropic 3D Gaussians as plain tensors. Each trained tensor carries its space in its name."""
+"""The scene: N anisotropic 3D Gaussians as plain tensors. Each trained tensor carries its space in its name."""
 
 from dataclasses import dataclass, fields
 
@@ -85,8 +85,8 @@ class Gaussians:
             colors: [P, 3], 0..1.
             sh_degree: 0..3; higher coefficients start at zero.
             init_opacity: 0 < o < 1.
-            init_scale: Standard deviation in units of the root mean squared distance to the nearest neighbours. 3DGS-MCMC
-                uses 0.1; dense points (from depth maps) need about 0.7 to close the surface.
+            init_scale: Standard deviation in units of the root mean squared distance to the nearest neighbours.
+                3DGS-MCMC uses 0.1; dense points (from depth maps) need about 0.7 to close the surface.
             n_neighbors: How many neighbours that mean takes.
 
         Returns:

@@ -1,9 +1,15 @@
 """Image losses for splat training."""
 
 from functools import lru_cache
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
+
+from .cpu import photometric
+from .cpu.memory import empty
+from .cpu.parallel import run
 
 WINDOW, SIGMA = 11, 1.5  # Wang et al. 2004, and every 3DGS code since
 C1, C2 = 0.01**2, 0.03**2
@@ -50,8 +56,52 @@ def ssim(image: Tensor, target: Tensor) -> Tensor:
 
 
 def photometric_loss(image: Tensor, target: Tensor, dssim_weight: float) -> Tensor:
-    """(1 - w) L1 + w (1 - SSIM), the 3DGS loss; w = 0 is plain L1."""
+    """(1 - w) L1 + w (1 - SSIM), the 3DGS loss; w = 0 is plain L1.
+
+    Args:
+        image: [H, W, C].
+        target: [H, W, C]. If it needs no gradient and both are float32 on the CPU, value and gradient come from one
+            kernel.
+        dssim_weight: w, 0..1.
+
+    Returns:
+        A scalar.
+
+    Raises:
+        ValueError: If the shapes differ.
+    """
+    if image.shape != target.shape or image.ndim != 3:
+        raise ValueError(f"image and target must both be [H, W, C], got {list(image.shape)} and {list(target.shape)}")
+    plain = all(t.device.type == "cpu" and t.dtype == torch.float32 for t in (image, target))
+    if plain and not target.requires_grad:
+        return _Photometric.apply(image, target, dssim_weight)
     l1 = (image - target).abs().mean()
     if dssim_weight == 0:
         return l1
     return (1 - dssim_weight) * l1 + dssim_weight * (1 - ssim(image, target))
+
+
+class _Photometric(torch.autograd.Function):
+    """The gradient is made together with the value: it needs the same window sums."""
+
+    @staticmethod
+    def forward(ctx: Any, image: Tensor, target: Tensor, dssim_weight: float) -> Tensor:
+        height, width, channels = image.shape
+        x, y = (t.detach().contiguous().numpy().reshape(height, width * channels) for t in (image, target))
+        weights = _kernel(torch.float32).numpy()
+        n = x.size
+        score_sums, l1_sums, v_image = np.zeros(height), np.empty(height), empty(x.shape)
+        slopes = empty((3, *x.shape)) if dssim_weight else np.empty((3, 0, 0), np.float32)
+        if dssim_weight:
+            moments = empty((photometric.MOMENTS, *x.shape))
+            run(photometric.horizontal, height, 8, x, y, channels, weights, moments)
+            run(photometric.score, height, 8, moments, weights, slopes, score_sums)
+        factors = np.float32((1 - dssim_weight) / n), np.float32(-dssim_weight / n)
+        run(photometric.gradient, height, 8, x, y, channels, weights, slopes, *factors, l1_sums, v_image)
+        ctx.v_image = torch.from_numpy(v_image).reshape(image.shape)
+        value = (1 - dssim_weight) * l1_sums.sum() / n + dssim_weight * (1 - score_sums.sum() / n)
+        return image.new_tensor(value)
+
+    @staticmethod
+    def backward(ctx: Any, v_loss: Tensor) -> tuple[Tensor, None, None]:
+        return v_loss * ctx.v_image, None, None

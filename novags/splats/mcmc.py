@@ -6,6 +6,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from .cpu import noise
+from .cpu.parallel import run
 from .gaussians import Gaussians
 from .raster_torch import quat_to_rotmat
 
@@ -44,12 +46,13 @@ class McmcConfig:
 def relocation(opacities: Tensor, scales: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:
     """Opacity and scale of each of N coinciding Gaussians that together look like one (eq. 9 of the paper).
 
-    The paper's scale factor is o / sum_i sum_k binom(i-1, k) (-1)^k o'^(k+1) / sqrt(k+1), with o' = 1 - (1 - o)^(1/N). Its
-    alternating sum overflows and cancels for large N. Summed over i it is the line integral
+    The paper's scale factor is o / sum_i sum_k binom(i-1, k) (-1)^k o'^(k+1) / sqrt(k+1), with o' = 1 - (1 - o)^(1/N).
+    Its alternating sum overflows and cancels for large N. Summed over i it is the line integral
 
         sum = 2 / sqrt(pi) * integral_0^inf 1 - (1 - o' exp(-x^2))^N dx
 
-    of the N-fold alpha, whose integrand is positive; the trapezoid rule converges to rounding for this smooth even function.
+    of the N-fold alpha, whose integrand is positive; the trapezoid rule converges to rounding for this smooth even
+    function.
 
     Args:
         opacities: [M], 0 < o < 1.
@@ -70,7 +73,7 @@ def relocation(opacities: Tensor, scales: Tensor, copies: Tensor) -> tuple[Tenso
 
 
 def _draw(weights: Tensor, count: int, generator: torch.Generator) -> Tensor:
-    """Indices [count] drawn with replacement in proportion to weights [N] (float64: float32 sums lose small weights)."""
+    """Indices [count] drawn with replacement in proportion to weights [N]; in float64, lest small ones get lost."""
     edges = torch.cumsum(weights.double(), 0)
     u = torch.rand(count, generator=generator, dtype=torch.float64).to(weights.device) * edges[-1]
     return torch.searchsorted(edges, u, right=True).clamp_max(len(weights) - 1)
@@ -91,7 +94,8 @@ def relocate(gaussians: Gaussians, generator: torch.Generator) -> Tensor:
     """Move dead Gaussians, in place, onto live ones drawn in proportion to opacity.
 
     Returns:
-        Indices of the live Gaussians that were drawn; their Adam moments have to be reset. Empty if none is dead or all are.
+        Indices of the live Gaussians that were drawn; their Adam moments have to be reset. Empty if none is dead or
+        all are.
     """
     dead = torch.nonzero(gaussians.opacities <= DEAD_OPACITY)[:, 0]
     alive = torch.nonzero(gaussians.opacities > DEAD_OPACITY)[:, 0]
@@ -109,7 +113,8 @@ def grow(gaussians: Gaussians, target: int, generator: torch.Generator) -> tuple
     """Add copies of Gaussians drawn in proportion to opacity until there are `target`.
 
     Returns:
-        The grown Gaussians (new rows last; the same object if there is nothing to add), and the indices that were drawn.
+        The grown Gaussians (new rows last; the same object if there is nothing to add), and the indices that were
+        drawn.
     """
     count = target - len(gaussians)
     if count <= 0 or len(gaussians) == 0:
@@ -122,7 +127,7 @@ def grow(gaussians: Gaussians, target: int, generator: torch.Generator) -> tuple
 
 @torch.no_grad()
 def prune_to_cap(gaussians: Gaussians, cap: int, generator: torch.Generator) -> Gaussians:
-    """The `cap` most opaque Gaussians in their old order, ties drawn at random; the same object if there are no more."""
+    """The `cap` most opaque Gaussians in their old order, ties drawn at random; the same object if no more."""
     if len(gaussians) <= cap:
         return gaussians
     shuffled = torch.randperm(len(gaussians), generator=generator)
@@ -133,15 +138,21 @@ def prune_to_cap(gaussians: Gaussians, cap: int, generator: torch.Generator) -> 
 
 @torch.no_grad()
 def add_noise(gaussians: Gaussians, amount: float, generator: torch.Generator) -> None:
-    """Langevin step, in place: means += Sigma xi amount sigmoid(100 (0.005 - o)), xi ~ N(0, 1): see-through ones explore.
+    """Langevin step, in place: means += Sigma xi amount sigmoid(100 (0.005 - o)), xi ~ N(0, 1).
 
     Args:
         gaussians: Changed in place.
         amount: noise_lr times the current learning rate of the means.
         generator: Source of xi, on the CPU.
     """
-    xi = torch.randn(len(gaussians), 3, generator=generator).to(gaussians.means.device)
-    xi *= amount * torch.sigmoid(100 * (DEAD_OPACITY - gaussians.opacities))[:, None]
-    R = quat_to_rotmat(gaussians.quats)
-    local = (R.mT @ xi[..., None])[..., 0] * torch.exp(2 * gaussians.log_scales)
-    gaussians.means += (R @ local[..., None])[..., 0]
+    g = gaussians
+    if g.means.device.type == "cpu":
+        key = np.uint64(int(torch.randint(2**63 - 1, (1,), generator=generator)))
+        arrays = (t.numpy() for t in (g.means, g.quats, g.log_scales, g.logit_opacities))
+        run(noise.add, len(g), 1024, *arrays, np.float32(amount), key)
+        return
+    xi = torch.randn(len(g), 3, generator=generator).to(g.means.device)
+    xi *= amount * torch.sigmoid(100 * (DEAD_OPACITY - g.opacities))[:, None]
+    R = quat_to_rotmat(g.quats)
+    local = (R.mT @ xi[..., None])[..., 0] * torch.exp(2 * g.log_scales)
+    g.means += (R @ local[..., None])[..., 0]

@@ -133,12 +133,12 @@ def render(
     means2d, covs2d, depths = project(means[chosen], quats[chosen], scales[chosen], viewmat, K, width, height, eps2d)
     with torch.no_grad():
         radii = _radii(means2d, covs2d, opacities[chosen], width, height)
+        seen = torch.nonzero(radii)[:, 0]
         info = {
-            "means2d": means.new_zeros(len(means), 2).index_copy(0, chosen, means2d),
+            "means2d": means.new_zeros(len(means), 2).index_copy(0, chosen[seen], means2d[seen]),
             "radii": radii.new_zeros(len(means)).index_copy(0, chosen, radii),
             "depths": z,
         }
-        seen = torch.nonzero(radii)[:, 0]
         seen = seen[torch.argsort(depths[seen], stable=True)]
     index = chosen[seen]
     features = []

@@ -3,6 +3,8 @@
 import torch
 from torch import Tensor
 
+from .validation import check_camera, check_gaussians, check_numbers, check_shapes
+
 RENDER_MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
 BACKENDS = ("auto", "torch", "numba", "gsplat")
 
@@ -59,8 +61,8 @@ def rasterize(
         "means": means, "quats": quats, "scales": scales, "opacities": opacities, "colors": colors,
         "viewmats": viewmats, "Ks": Ks,
     }  # fmt: skip
-    _check_shapes(tensors, sh_degree, background)
-    _check_numbers(width, height, near_plane, far_plane, eps2d)
+    check_shapes(tensors, sh_degree, background)
+    check_numbers(width, height, near_plane, far_plane, eps2d)
     if render_mode not in RENDER_MODES:
         raise ValueError(f"render_mode must be one of {RENDER_MODES}, got {render_mode!r}")
     if backend not in BACKENDS:
@@ -69,8 +71,10 @@ def rasterize(
         backend = "gsplat" if means.is_cuda else "numba"
     options = {"sh_degree": sh_degree, "near_plane": near_plane, "far_plane": far_plane, "eps2d": eps2d}
     options |= {"with_color": render_mode.startswith("RGB"), "with_depth": render_mode.endswith("D")}
-    _check_values(tensors)
     # Imported at use: gsplat compiles CUDA code, and the readable reference must work where numba does not.
+    check_camera(tensors)
+    if backend != "numba":  # the CPU kernels notice bad numbers in passing, and ask for this only then
+        check_gaussians(tensors)
     if backend == "numba":
         from .raster_numba import render
     elif backend == "torch":
@@ -98,65 +102,3 @@ def _finish(renders: Tensor, alphas: Tensor, render_mode: str, background: Tenso
     if render_mode.endswith("ED"):
         depth = depth / alphas.clamp_min(1e-10)  # eps: 0/0 where nothing was hit; expected depth is 0 there
     return torch.cat([color, depth], dim=-1)
-
-
-def _check_shapes(tensors: dict[str, Tensor], sh_degree: int | None, background: Tensor | None) -> None:
-    n, c = len(tensors["means"]), len(tensors["viewmats"])
-    want = {
-        "means": (n, 3),
-        "quats": (n, 4),
-        "scales": (n, 3),
-        "opacities": (n,),
-        "viewmats": (c, 4, 4),
-        "Ks": (c, 3, 3),
-    }
-    for name, shape in want.items():
-        if tensors[name].shape != shape:
-            raise ValueError(f"{name} must have shape {list(shape)}, got {list(tensors[name].shape)}")
-    if c == 0:
-        raise ValueError("viewmats must hold at least one camera, got [0, 4, 4]")
-    colors = tensors["colors"]
-    if sh_degree is None:
-        if colors.ndim != 2 or len(colors) != n or colors.shape[1] == 0:
-            raise ValueError(f"colors must be [N={n}, D] when sh_degree is None, got {list(colors.shape)}")
-    elif sh_degree not in (0, 1, 2, 3):
-        raise ValueError(f"sh_degree must be 0, 1, 2, 3 or None, got {sh_degree}")
-    elif colors.ndim != 3 or len(colors) != n or colors.shape[2] != 3 or colors.shape[1] < (sh_degree + 1) ** 2:
-        k = (sh_degree + 1) ** 2
-        raise ValueError(f"colors must be [N={n}, K >= {k}, 3] for sh_degree={sh_degree}, got {list(colors.shape)}")
-    channels = colors.shape[1] if sh_degree is None else 3
-    if background is not None and background.shape not in ((channels,), (c, channels)):
-        raise ValueError(f"background must be [{channels}] or [{c}, {channels}], got {list(background.shape)}")
-    for name, value in tensors.items():
-        if value.dtype != colors.dtype or value.device != colors.device or not value.is_floating_point():
-            raise ValueError(
-                f"all tensors must share one float dtype and device: {name} is {value.dtype} on {value.device}, "
-                f"colors is {colors.dtype} on {colors.device}"
-            )
-
-
-def _check_numbers(width: int, height: int, near_plane: float, far_plane: float, eps2d: float) -> None:
-    if width < 1 or height < 1:
-        raise ValueError(f"width and height must be at least 1 pixel, got {width} x {height}")
-    if not 0 < near_plane < far_plane:
-        raise ValueError(f"planes must satisfy 0 < near_plane < far_plane, got {near_plane} and {far_plane}")
-    if not eps2d >= 0:
-        raise ValueError(f"eps2d must be >= 0 px^2, got {eps2d}")
-
-
-def _check_values(tensors: dict[str, Tensor]) -> None:
-    for name, value in tensors.items():
-        bad = int((~torch.isfinite(value)).sum())
-        if bad:
-            raise ValueError(f"{name} must be finite, got {bad} non-finite of {value.numel()} values")
-    rules = {
-        "quats": ("must not be zero", (tensors["quats"] == 0).all(-1)),
-        "scales": ("must be >= 0", (tensors["scales"] < 0).any(-1)),
-        "opacities": ("must lie in 0..1", (tensors["opacities"] < 0) | (tensors["opacities"] > 1)),
-    }
-    for name, (rule, wrong) in rules.items():
-        if wrong.any():
-            first = int(torch.nonzero(wrong)[0, 0])
-            raise ValueError(
-                f"{name} {rule}, got {tensors[name][first].tolist()} at Gaussian {first} ({int(wrong.sum())} of {len(wrong)})"
-            )

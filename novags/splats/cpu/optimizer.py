@@ -1,21 +1,21 @@
-"""CPU kernels of the training loop: the optimiser."""
+"""The Adam step."""
+
 # mypy: allow-untyped-defs
-# numba infers the types of kernels; shapes are in the docstrings
 
 import numpy as np
-from numba import njit, prange
+
+from .compiler import kernel
 
 ONE = np.float32(1.0)
-FAST = {"contract", "nsz"}
 
 
-@njit(parallel=True, cache=True, error_model="numpy", fastmath=FAST)
-def adam(values, gradients, first, second, rates, beta1, beta2, correction1, correction2, eps):
-    """One Adam step in place on values [N, P] with one learning rate per column, rates [P]; all float32.
+@kernel
+def adam(begin, end, values, gradients, first, second, rates, beta1, beta2, correction1, correction2, eps):
+    """One Adam step in place on rows begin..end-1 of values [N, P], one learning rate per column, rates [P]; float32.
 
     correction1 = 1 - beta1^t, correction2 = sqrt(1 - beta2^t). Same formula, and order, as torch.optim.Adam.
     """
-    for i in prange(len(values)):
+    for i in range(begin, end):
         for j in range(len(rates)):
             g = gradients[i, j]
             m = first[i, j] + (g - first[i, j]) * (ONE - beta1)

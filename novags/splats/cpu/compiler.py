@@ -1,0 +1,46 @@
+"""The decorators of CPU kernels, and where their machine code is kept between runs."""
+
+import hashlib
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from numba import config, njit
+
+FLAGS = ("contract", "nsz")  # neither reassociation nor nnan: results must not depend on how a compiler regroups sums
+_OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": set(FLAGS)}  # Python's division check stops vectorising
+
+
+def _cache_folder() -> Path:
+    """A folder named after the sources of all kernels.
+
+    Numba notices when the file of a kernel changes, not when a file it calls into does; stale machine code would then
+    run.
+    """
+    here = Path(__file__).parent
+    digest = hashlib.sha256(b"".join(path.read_bytes() for path in sorted(here.glob("*.py")))).hexdigest()[:16]
+    if config.CACHE_DIR:
+        base = Path(config.CACHE_DIR)
+    elif os.access(here, os.W_OK):
+        base = here / "__pycache__"
+    else:
+        base = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "novags"
+    return base / f"kernels-{digest}"
+
+
+_CACHE = str(_cache_folder())
+
+
+def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile at the first call, keep the machine code on disk, run without the GIL."""
+    previous, config.CACHE_DIR = config.CACHE_DIR, _CACHE
+    try:
+        return njit(nogil=True, cache=True, **_OPTIONS)(function)
+    finally:
+        config.CACHE_DIR = previous
+
+
+def inline(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function that only kernels call; becomes part of them."""
+    return njit(forceinline=True, **_OPTIONS)(function)

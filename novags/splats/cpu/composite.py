@@ -1,0 +1,272 @@
+"""Front-to-back compositing of tile lists, and its gradient.
+
+A tile is sixteen blocks of 4 x 4 pixels, each one vector; all of its state stays in the first-level cache. For each
+Gaussian a bit per block says whether it is reached; only those blocks are touched. Tile state, in blocks of sixteen
+floats:
+
+    trans [tiles, 256]       transmittance; negative once the pixel has stopped, so that it fails the same test for ever
+    color [tiles, 4, 256]    four channels
+    last  [tiles, 256]       int32; the place in the lists at which the pixel stopped
+"""
+
+# mypy: allow-untyped-defs
+
+import numpy as np
+
+from .bins import SLACK, cells_reached
+from .compiler import inline, kernel
+from .functions import exp2_alpha
+from .layout import (
+    ALPHA_MAX,
+    BLOCK,
+    CHANNEL,
+    CHANNELS,
+    LOG2_ALPHA_MIN,
+    ROW,
+    SLOPE,
+    TILE,
+    TOP,
+    TRANSMITTANCE_MIN,
+    A,
+    K,
+    Q,
+    X,
+    Y,
+)
+from .simd import (
+    LANES,
+    above,
+    bits,
+    constant,
+    load,
+    lowest_bit,
+    minimum,
+    negative_abs,
+    pair_sums,
+    prefetch,
+    select,
+    splat,
+    store,
+)
+
+ZERO, HALF, ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+PIXELS = TILE * TILE
+BLOCKS = PIXELS // LANES
+COLOR = CHANNELS * PIXELS
+EVERY_LANE = 0xFFFF
+NEVER = np.int32(2**31 - 1)
+LANE_X = constant([lane % BLOCK for lane in range(LANES)])
+LANE_Y = constant([lane // BLOCK for lane in range(LANES)])
+AHEAD = 8  # list entries whose records are asked for ahead of their use
+
+
+@inline
+def _start_tile(trans, color, last, tile, x0, y0, width, height):
+    """Empty state; pixels outside the image have stopped."""
+    for pixel in range(PIXELS):
+        block, lane = pixel // LANES, pixel % LANES
+        x = x0 + block % BLOCK * BLOCK + lane % BLOCK
+        y = y0 + block // BLOCK * BLOCK + lane // BLOCK
+        trans[tile * PIXELS + pixel] = ONE if x < width and y < height else -ONE
+        last[tile * PIXELS + pixel] = NEVER
+    for pixel in range(COLOR):
+        color[tile * COLOR + pixel] = ZERO
+
+
+@kernel
+def forward(
+    begin, end, rows, members, starts, ends, base, width, height, tiles_x, trans, color, last, finished
+):  # fmt: skip
+    """Composite tiles begin..end-1 behind what they hold; behind nothing if base, the number of earlier entries, is 0.
+
+    Reads the flat rows [N * ROW] and lists members[starts[tile] : ends[tile]]. Changes the tile state; ends becomes
+    one past the last entry that was looked at, and finished marks tiles all of whose pixels have stopped.
+    """
+    stopped = np.empty(BLOCKS, np.int64)
+    for tile in range(begin, end):
+        x0, y0 = tile % tiles_x * TILE, tile // tiles_x * TILE
+        if base == 0:
+            _start_tile(trans, color, last, tile, x0, y0, width, height)
+        elif finished[tile]:
+            ends[tile] = starts[tile]
+            continue
+        alive = 0
+        for block in range(BLOCKS):
+            stopped[block] = bits(load(trans, tile * PIXELS + block * LANES) < ZERO)
+            if stopped[block] != EVERY_LANE:
+                alive |= 1 << block
+        ends[tile] = _forward_tile(
+            rows, members, starts[tile], ends[tile], base, np.float32(x0), np.float32(y0), tile, alive, stopped, trans,
+            color, last,
+        )  # fmt: skip
+        finished[tile] = True
+        for block in range(BLOCKS):
+            if stopped[block] != EVERY_LANE:
+                finished[tile] = False
+
+
+@inline
+def _record(rows, p, x0, y0):
+    return rows[p + X] - x0, rows[p + Y] - y0, rows[p + A], rows[p + K], rows[p + Q], rows[p + TOP]
+
+
+@inline
+def _forward_tile(rows, members, start, end, base, x0, y0, tile, alive, stopped, trans, color, last):
+    lane_x, lane_y = LANE_X(), LANE_Y()
+    for place in range(start, end):
+        if not alive:
+            return place
+        p = np.int64(members[place]) * ROW
+        prefetch(rows, np.int64(members[min(place + AHEAD, end - 1)]) * ROW)
+        x, y, a, k, q, top = _record(rows, p, x0, y0)
+        limit = top - LOG2_ALPHA_MIN + SLACK
+        todo = cells_reached(x, y, a, k, q, rows[p + SLOPE], limit, np.float32(BLOCK)) & alive
+        sheared = lane_x + lane_y * k
+        c0, c1, c2, c3 = rows[p + CHANNEL], rows[p + CHANNEL + 1], rows[p + CHANNEL + 2], rows[p + CHANNEL + 3]
+        while todo:
+            block = lowest_bit(todo)
+            todo &= todo - 1
+            at, at_color = tile * PIXELS + block * LANES, tile * COLOR + block * LANES
+            block_y = np.float32(block // BLOCK * BLOCK) + HALF - y
+            u = sheared + (np.float32(block % BLOCK * BLOCK) + HALF - x + k * block_y)
+            dy = lane_y + block_y
+            power = top - q * dy * dy - a * u * u
+            alpha = select(power >= LOG2_ALPHA_MIN, minimum(exp2_alpha(power), ALPHA_MAX), ZERO)
+            before = load(trans, at)
+            weight = alpha * before
+            after = before - weight
+            stop = after < TRANSMITTANCE_MIN
+            weight = select(stop, ZERO, weight)
+            store(trans, at, select(stop, negative_abs(before), after))
+            store(color, at_color, load(color, at_color) + weight * c0)
+            store(color, at_color + PIXELS, load(color, at_color + PIXELS) + weight * c1)
+            store(color, at_color + 2 * PIXELS, load(color, at_color + 2 * PIXELS) + weight * c2)
+            store(color, at_color + 3 * PIXELS, load(color, at_color + 3 * PIXELS) + weight * c3)
+            stop_bits = bits(stop)
+            if stop_bits != stopped[block]:
+                new = stop_bits & ~stopped[block]
+                stopped[block] = stop_bits
+                while new:
+                    last[at + lowest_bit(new)] = base + place
+                    new &= new - 1
+                if stop_bits == EVERY_LANE:
+                    alive &= ~(1 << block)
+    return end
+
+
+@kernel
+def to_image(begin, end, trans, color, width, tiles_x, first_channel, image, alpha):
+    """Copy image rows begin..end-1 out of the tiles: channels first_channel.. of image [H, W, D], and alpha [H, W]."""
+    n = min(CHANNELS, image.shape[2] - first_channel)
+    for y in range(begin, end):
+        for x in range(width):
+            tile = y // TILE * tiles_x + x // TILE
+            pixel = _pixel(x % TILE, y % TILE)
+            alpha[y, x] = ONE - abs(trans[tile * PIXELS + pixel])
+            for channel in range(n):
+                image[y, x, first_channel + channel] = color[tile * COLOR + channel * PIXELS + pixel]
+
+
+@inline
+def _pixel(x, y):
+    return (y // BLOCK * BLOCK + x // BLOCK) * LANES + y % BLOCK * BLOCK + x % BLOCK
+
+
+@kernel
+def from_image(begin, end, trans, width, height, tiles_x, first_channel, v_image, v_alpha, left, behind, v_color):
+    """Set up the backward state of tiles begin..end-1 from the gradients of image [H, W, D] and alpha [H, W].
+
+    left is the transmittance behind all Gaussians; behind the gradient-weighted light from there, as if the background
+    were one more Gaussian; v_color the channels' gradients. first_channel < 0 leaves alpha's gradient out.
+    """
+    n = min(CHANNELS, v_image.shape[2] - first_channel)
+    for tile in range(begin, end):
+        x0, y0 = tile % tiles_x * TILE, tile // tiles_x * TILE
+        for pixel in range(COLOR):
+            v_color[tile * COLOR + pixel] = ZERO
+        for pixel in range(PIXELS):
+            left[tile * PIXELS + pixel] = abs(trans[tile * PIXELS + pixel])
+            behind[tile * PIXELS + pixel] = ZERO
+        for y in range(y0, min(y0 + TILE, height)):
+            for x in range(x0, min(x0 + TILE, width)):
+                pixel = _pixel(x - x0, y - y0)
+                if first_channel == 0:
+                    behind[tile * PIXELS + pixel] = -v_alpha[y, x] * left[tile * PIXELS + pixel]
+                for channel in range(n):
+                    v_color[tile * COLOR + channel * PIXELS + pixel] = v_image[y, x, first_channel + channel]
+
+
+@kernel
+def backward(
+    begin, end, rows, members, starts, ends, list_ends, base, first_row, tiles_x, left, behind, v_color, last, v_rows
+):  # fmt: skip
+    """Walk the lists of tiles begin..end-1 back to front; one gradient row of v_rows [rows, ROW] per entry.
+
+    Entry `place` writes row first_row + base + place. `left` and `behind` are the state behind the list, and
+    afterwards the state in front of it; list_ends is where the lists end that `ends` stopped looking at (those rows
+    become zero).
+    """
+    stop_places = np.empty(BLOCKS, np.int64)
+    for tile in range(begin, end):
+        for i in range((first_row + base + ends[tile]) * ROW, (first_row + base + list_ends[tile]) * ROW):
+            v_rows[i] = ZERO
+        for block in range(BLOCKS):
+            stop_places[block] = last[tile * PIXELS + block * LANES : tile * PIXELS + (block + 1) * LANES].max()
+        x0, y0 = np.float32(tile % tiles_x * TILE), np.float32(tile // tiles_x * TILE)
+        for place in range(ends[tile] - 1, starts[tile] - 1, -1):
+            prefetch(rows, np.int64(members[max(place - AHEAD, starts[tile])]) * ROW)
+            _backward_entry(
+                rows, np.int64(members[place]) * ROW, base + place, x0, y0, tile, stop_places, left, behind, v_color,
+                last, (first_row + base + place) * ROW, v_rows,
+            )  # fmt: skip
+
+
+@inline
+def _backward_entry(rows, p, place, x0, y0, tile, stop_places, left, behind, v_color, last, out, v_rows):
+    lane_x, lane_y = LANE_X(), LANE_Y()
+    x, y, a, k, q, top = _record(rows, p, x0, y0)
+    todo = cells_reached(x, y, a, k, q, rows[p + SLOPE], top - LOG2_ALPHA_MIN + SLACK, np.float32(BLOCK))
+    sheared = lane_x + lane_y * k
+    c0, c1, c2, c3 = rows[p + CHANNEL], rows[p + CHANNEL + 1], rows[p + CHANNEL + 2], rows[p + CHANNEL + 3]
+    s = splat(ZERO)
+    su, suu, suy, sy, syy, v0, v1, v2, v3 = s, s, s, s, s, s, s, s, s
+    while todo:
+        block = lowest_bit(todo)
+        todo &= todo - 1
+        if stop_places[block] <= place:
+            continue
+        at, at_color = tile * PIXELS + block * LANES, tile * COLOR + block * LANES
+        block_y = np.float32(block // BLOCK * BLOCK) + HALF - y
+        u = sheared + (np.float32(block % BLOCK * BLOCK) + HALF - x + k * block_y)
+        dy = lane_y + block_y
+        power = top - q * dy * dy - a * u * u
+        uncapped = exp2_alpha(power)
+        counts = (power >= LOG2_ALPHA_MIN) & above(last, at, place)
+        alpha = select(counts, minimum(uncapped, ALPHA_MAX), ZERO)
+        inverse = ONE / (ONE - alpha)
+        before = load(left, at) * inverse
+        store(left, at, before)
+        weight = alpha * before
+        g0, g1 = load(v_color, at_color), load(v_color, at_color + PIXELS)
+        g2, g3 = load(v_color, at_color + 2 * PIXELS), load(v_color, at_color + 3 * PIXELS)
+        light = g0 * c0 + g1 * c1 + g2 * c2 + g3 * c3
+        back = load(behind, at)
+        store(behind, at, back + weight * light)
+        # a capped alpha has no slope
+        g = select(uncapped <= ALPHA_MAX, alpha * (before * light - back * inverse), ZERO)
+        gu, gy = g * u, g * dy
+        s += g
+        su += gu
+        suu += gu * u
+        suy += gu * dy
+        sy += gy
+        syy += gy * dy
+        v0 += weight * g0
+        v1 += weight * g1
+        v2 += weight * g2
+        v3 += weight * g3
+    low = pair_sums(pair_sums(s, su), pair_sums(suu, suy))
+    high = pair_sums(pair_sums(sy, syy), pair_sums(v0, v1))
+    rest = pair_sums(v2, v3)
+    rest = pair_sums(rest, rest)
+    store(v_rows, out, pair_sums(pair_sums(low, high), pair_sums(rest, rest)))

@@ -1,0 +1,189 @@
+"""EWA projection of sixteen Gaussians at a time, and its gradient. Formulas as in `raster_torch.project`."""
+
+# mypy: allow-untyped-defs
+
+import numpy as np
+
+from .compiler import inline, kernel
+from .functions import log2
+from .layout import (
+    ALPHA_MIN,
+    HALF_LOG2E,
+    LOG2_ALPHA_MIN,
+    REACH_X,
+    REACH_Y,
+    SLOPE,
+    TILE,
+    TOP,
+    A,
+    K,
+    Q,
+    X,
+    Y,
+)
+from .simd import LANES, bits, ceil, load, maximum, minimum, select, sqrt, store
+
+ZERO, HALF, ONE, TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
+MARGIN = np.float32(0.15)  # of the image size beyond its border: where gsplat stops following the affine approximation
+MAX_RADIUS = np.float32(2**30)
+INPUTS = 11  # per Gaussian: mean 3, quaternion 4, scale 3, opacity
+GRAIN = 512  # Gaussians per range
+# columns of `camera`, a float32 vector
+VIEW, FX, FY, CX, CY, WIDTH, HEIGHT, NEAR, FAR, EPS2D = 0, 12, 13, 14, 15, 16, 17, 18, 19, 20
+
+
+@inline
+def _gather(means, quats, scales, opacities, first, count, columns):
+    """Transpose `count` Gaussians into columns [INPUTS * LANES]."""
+    for lane in range(count):
+        i = first + lane
+        for j in range(3):
+            columns[j * LANES + lane] = means[i, j]
+            columns[(7 + j) * LANES + lane] = scales[i, j]
+        for j in range(4):
+            columns[(3 + j) * LANES + lane] = quats[i, j]
+        columns[10 * LANES + lane] = opacities[i]
+
+
+@inline
+def _to_camera(c, x, y, z):
+    return (
+        c[0] * x + c[1] * y + c[2] * z + c[3],
+        c[4] * x + c[5] * y + c[6] * z + c[7],
+        c[8] * x + c[9] * y + c[10] * z + c[11],
+    )
+
+
+@inline
+def _rotation(w, x, y, z):
+    """Rotation matrix of a quaternion, row by row, then the normalised quaternion and 1 / |q|."""
+    inv = ONE / sqrt(w * w + x * x + y * y + z * z)
+    w, x, y, z = w * inv, x * inv, y * inv, z * inv
+    return (
+        ONE - TWO * (y * y + z * z), TWO * (x * y - w * z), TWO * (x * z + w * y),
+        TWO * (x * y + w * z), ONE - TWO * (x * x + z * z), TWO * (y * z - w * x),
+        TWO * (x * z - w * y), TWO * (y * z + w * x), ONE - TWO * (x * x + y * y),
+        w, x, y, z, inv,
+    )  # fmt: skip
+
+
+@inline
+def _limits(c):
+    """Slopes x / z and y / z between which the Jacobian follows the point."""
+    fx, fy, cx, cy, width, height = c[FX], c[FY], c[CX], c[CY], c[WIDTH], c[HEIGHT]
+    mx, my = MARGIN * width / fx, MARGIN * height / fy
+    return -cx / fx - mx, (width - cx) / fx + mx, -cy / fy - my, (height - cy) / fy + my
+
+
+@inline
+def _jacobian(c, x, y, iz):
+    """J = [[jx, 0, jxz], [0, jy, jyz]] and the slopes it was taken at."""
+    x_low, x_high, y_low, y_high = _limits(c)
+    sx, sy = x * iz, y * iz
+    lx, ly = minimum(maximum(sx, x_low), x_high), minimum(maximum(sy, y_low), y_high)
+    jx, jy = c[FX] * iz, c[FY] * iz
+    return jx, jy, -jx * lx, -jy * ly, lx == sx, ly == sy
+
+
+@inline
+def _image_axes(c, jx, jy, jxz, jyz):
+    """T = J W, the 2x3 matrix from world to image displacements."""
+    return (
+        jx * c[0] + jxz * c[8], jx * c[1] + jxz * c[9], jx * c[2] + jxz * c[10],
+        jy * c[4] + jyz * c[8], jy * c[5] + jyz * c[9], jy * c[6] + jyz * c[10],
+    )  # fmt: skip
+
+
+@inline
+def _times_rotation(t, r):
+    """T R, 2x3."""
+    return (
+        t[0] * r[0] + t[1] * r[3] + t[2] * r[6], t[0] * r[1] + t[1] * r[4] + t[2] * r[7],
+        t[0] * r[2] + t[1] * r[5] + t[2] * r[8], t[3] * r[0] + t[4] * r[3] + t[5] * r[6],
+        t[3] * r[1] + t[4] * r[4] + t[5] * r[7], t[3] * r[2] + t[4] * r[5] + t[5] * r[8],
+    )  # fmt: skip
+
+
+@kernel
+def forward(begin, end, means, quats, scales, opacities, camera, rows, depths, radii, tiles, slots, suspect):
+    """Project Gaussians begin..end-1.
+
+    Writes rows [N, ROW] but for the channels, depths [N], radii [N] int32 (0: cannot reach ALPHA_MIN in the image),
+    tiles [N] int32, an upper bound of the tiles that are touched, and zero to slots [N, 2]. Sets suspect[0] if a value
+    is not finite or out of range.
+    """
+    columns = np.ones((INPUTS + 10) * LANES, np.float32)
+    for first in range(begin, end, LANES):
+        count = min(LANES, end - first)
+        _gather(means, quats, scales, opacities, first, count, columns)
+        if _project(camera, columns) != 0:
+            suspect[0] = 1
+        out = INPUTS * LANES
+        for lane in range(count):
+            i, radius = first + lane, columns[out + 9 * LANES + lane]
+            depths[i] = columns[out + 8 * LANES + lane]
+            radii[i] = np.int32(radius)
+            slots[i, 0] = slots[i, 1] = 0
+            if radius > ZERO:
+                for j in range(7):
+                    rows[i, j] = columns[out + j * LANES + lane]
+                rows[i, REACH_X], rows[i, REACH_Y] = columns[7 * LANES + lane], columns[out + 7 * LANES + lane]
+                tiles[i] = _tiles_in_box(rows, i, camera)
+
+
+@inline
+def _tiles_in_box(rows, i, camera):
+    x, y, rx, ry = rows[i, X], rows[i, Y], rows[i, REACH_X], rows[i, REACH_Y]
+    nx = min(x + rx, camera[WIDTH]) - max(x - rx, ZERO)
+    ny = min(y + ry, camera[HEIGHT]) - max(y - ry, ZERO)
+    return (np.int32(nx) // TILE + 2) * (np.int32(ny) // TILE + 2)
+
+
+@inline
+def _project(c, b):
+    """Project the sixteen Gaussians in the columns b; returns nonzero if an input is bad.
+
+    Outputs replace columns: INPUTS + (X, Y, A, K, Q, TOP, SLOPE, REACH_Y, depth, radius), and 7 by REACH_X.
+    """
+    mx, my, mz = load(b, 0 * LANES), load(b, 1 * LANES), load(b, 2 * LANES)
+    qw, qx, qy, qz = load(b, 3 * LANES), load(b, 4 * LANES), load(b, 5 * LANES), load(b, 6 * LANES)
+    s0, s1, s2, o = load(b, 7 * LANES), load(b, 8 * LANES), load(b, 9 * LANES), load(b, 10 * LANES)
+    norm2 = qw * qw + qx * qx + qy * qy + qz * qz
+    # 0 * x is 0 for finite x and nan otherwise
+    zeros = ZERO * (mx + my + mz + s0 + s1 + s2 + norm2)
+    good = (zeros == ZERO) & (o >= ZERO) & (o <= ONE) & (norm2 > ZERO) & (minimum(minimum(s0, s1), s2) >= ZERO)
+
+    x, y, z = _to_camera(c, mx, my, mz)
+    iz = ONE / z
+    jx, jy, jxz, jyz, _, _ = _jacobian(c, x, y, iz)
+    r = _rotation(qw, qx, qy, qz)
+    tr = _times_rotation(_image_axes(c, jx, jy, jxz, jyz), r)
+    m00, m01, m02, m10, m11, m12 = tr[0] * s0, tr[1] * s1, tr[2] * s2, tr[3] * s0, tr[4] * s1, tr[5] * s2
+    row0, row1 = m00 * m00 + m01 * m01 + m02 * m02, m10 * m10 + m11 * m11 + m12 * m12
+    d01, d02, d12 = m00 * m11 - m01 * m10, m00 * m12 - m02 * m10, m01 * m12 - m02 * m11
+    eps = c[EPS2D]
+    # Cauchy-Binet: det(M M^T + eps) as a sum of squares. c_xx c_yy - c_xy^2 loses all digits for needles.
+    det = (d01 * d01 + d02 * d02 + d12 * d12) + eps * (row0 + row1) + eps * eps
+    cxx, cyy, cxy = row0 + eps, row1 + eps, m00 * m10 + m01 * m11 + m02 * m12
+    a, k, q = cyy / det, -cxy / cyy, ONE / cyy
+    px, py = jx * x + c[CX], jy * y + c[CY]
+    top = log2(maximum(o, ALPHA_MIN))
+    log2_reach = (top - LOG2_ALPHA_MIN) / HALF_LOG2E
+    rx, ry = sqrt(log2_reach * cxx), sqrt(log2_reach * cyy)
+    visible = (z > c[NEAR]) & (z < c[FAR]) & (o >= ALPHA_MIN) & (det > ZERO)
+    visible = visible & (px + rx > ZERO) & (px - rx < c[WIDTH]) & (py + ry > ZERO) & (py - ry < c[HEIGHT])
+    radius = select(visible, minimum(maximum(ceil(maximum(rx, ry)), ONE), MAX_RADIUS), ZERO)
+
+    out = INPUTS * LANES
+    store(b, out + X * LANES, px)
+    store(b, out + Y * LANES, py)
+    store(b, out + A * LANES, a * HALF_LOG2E)
+    store(b, out + K * LANES, k)
+    store(b, out + Q * LANES, q * HALF_LOG2E)
+    store(b, out + TOP * LANES, top)
+    store(b, out + SLOPE * LANES, -a * k / (a * k * k + q))
+    store(b, out + 7 * LANES, ry)
+    store(b, out + 8 * LANES, z)
+    store(b, out + 9 * LANES, radius)
+    store(b, 7 * LANES, rx)
+    return bits(good) - 0xFFFF

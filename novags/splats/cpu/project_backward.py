@@ -1,0 +1,216 @@
+"""Gradient of the projection, sixteen Gaussians at a time, from the gradient rows of their tiles.
+
+Gradients are named v_<what>, after gsplat. A gradient row holds ten sums over the pixels of one tile, of g = dL / d ln
+alpha times 1, u, u^2, u dy, dy, dy^2, and of the four channels' gradients.
+"""
+
+# mypy: allow-untyped-defs
+
+import numpy as np
+
+from .compiler import inline, kernel
+from .layout import CHANNELS, HALF_LOG2E, ROW, A, K, Q
+from .project import EPS2D, INPUTS, _gather, _image_axes, _jacobian, _rotation, _times_rotation, _to_camera
+from .simd import LANES, load, prefetch, select, splat, store
+
+ZERO, HALF, ONE, TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
+SUMS = 6
+BLOCK = 512  # Gaussians per partial sum of the camera gradient: fixed, so that it does not depend on the threads
+V_VIEW = 12  # entries of the world-to-camera matrix, row by row
+
+
+@inline
+def _sum_rows(v_rows, places, starts, i, n_passes, depth_channel, lane, sums, v_features, row):
+    """Add up the gradient rows of Gaussian i, in the fixed order of its tiles."""
+    n_places = len(places)
+    n_features = v_features.shape[1]
+    geometry = splat(ZERO)
+    for channels in range(n_passes):
+        total = splat(ZERO)
+        for slot in range(starts[i, 0], starts[i, 1]):
+            total += load(v_rows, (np.int64(channels) * n_places + places[slot]) * ROW)
+        geometry += total
+        store(row, 0, total)
+        for j in range(CHANNELS):
+            channel = channels * CHANNELS + j
+            if channel < n_features:
+                v_features[i, channel] = row[SUMS + j]
+            elif channel == depth_channel:
+                sums[SUMS * LANES + lane] = row[SUMS + j]
+    store(row, 0, geometry)
+    for j in range(SUMS):
+        sums[j * LANES + lane] = row[j]
+
+
+@kernel
+def backward(
+    begin, end, means, quats, scales, opacities, camera, rows, radii, v_rows, places, starts, n_passes, depth_channel,
+    v_means, v_quats, v_scales, v_opacities, v_features, v_view,
+):  # fmt: skip
+    """Gradients of blocks begin..end-1 of BLOCK Gaussians.
+
+    starts [N, 2] is each Gaussian's range in `places`, which are its rows in v_rows (one pass of four channels after
+    the other). Writes v_means, v_quats, v_scales [N, 3 or 4], v_opacities [N], v_features [N, D]; and the camera
+    gradient's partial sums v_view [blocks, V_VIEW] unless that is empty.
+    """
+    n = len(means)
+    columns = np.ones(INPUTS * LANES, np.float32)
+    sums = np.zeros((SUMS + 2) * LANES, np.float32)  # and the gradient of the depth, and 1 for visible ones
+    shape = np.ones(3 * LANES, np.float32)
+    row = np.empty(ROW, np.float32)
+    camera_sums = np.empty(V_VIEW * LANES, np.float32)
+    for block in range(begin, end):
+        camera_sums[:] = ZERO
+        for first in range(block * BLOCK, min(n, (block + 1) * BLOCK), LANES):
+            count = min(LANES, n - first)
+            for i in range(first + LANES, min(n, first + 2 * LANES)):
+                for slot in range(starts[i, 0], starts[i, 1]):
+                    prefetch(v_rows, np.int64(places[slot]) * ROW)
+            sums[:] = ZERO
+            any_visible = False
+            for lane in range(count):
+                i = first + lane
+                if radii[i] > 0:
+                    any_visible = True
+                    sums[(SUMS + 1) * LANES + lane] = ONE
+                    _sum_rows(v_rows, places, starts, i, n_passes, depth_channel, lane, sums, v_features, row)
+                    shape[lane], shape[LANES + lane], shape[2 * LANES + lane] = rows[i, A], rows[i, K], rows[i, Q]
+                else:
+                    v_features[i] = ZERO
+            if not any_visible:
+                v_means[first : first + count] = ZERO
+                v_quats[first : first + count] = ZERO
+                v_scales[first : first + count] = ZERO
+                v_opacities[first : first + count] = ZERO
+                continue
+            _gather(means, quats, scales, opacities, first, count, columns)
+            _backward(camera, columns, sums, shape, camera_sums)
+            _scatter(first, count, radii, columns, v_means, v_quats, v_scales, v_opacities)
+        if len(v_view):
+            for j in range(V_VIEW):
+                total = load(camera_sums, j * LANES)
+                store(row, 0, total)
+                v_view[block, j] = row.sum()
+
+
+@inline
+def _scatter(first, count, radii, columns, v_means, v_quats, v_scales, v_opacities):
+    for lane in range(count):
+        i = first + lane
+        seen = radii[i] > 0
+        for j in range(3):
+            v_means[i, j] = columns[j * LANES + lane] if seen else ZERO
+            v_scales[i, j] = columns[(7 + j) * LANES + lane] if seen else ZERO
+        for j in range(4):
+            v_quats[i, j] = columns[(3 + j) * LANES + lane] if seen else ZERO
+        v_opacities[i] = columns[10 * LANES + lane] if seen else ZERO
+
+
+@inline
+def _covariance_backward(a, k, q, v_a, v_k, v_q, eps, m):
+    """Gradient of M = J W R S (2x3, row by row) from that of the footprint."""
+    m00, m01, m02, m10, m11, m12 = m
+    inv_det = a * q  # a = c_yy / det and q = 1 / c_yy
+    v_det = -a * inv_det * v_a
+    v_cyy, v_cxy = v_a * inv_det - v_k * k * q - v_q * q * q, -v_k * q
+    d01, d02, d12 = m00 * m11 - m01 * m10, m00 * m12 - m02 * m10, m01 * m12 - m02 * m11
+    two = v_det * TWO
+    e01, e02, e12, e = d01 * two, d02 * two, d12 * two, two * eps
+    f = e + v_cyy * TWO
+    return (
+        e01 * m11 + e02 * m12 + e * m00 + v_cxy * m10,
+        e12 * m12 - e01 * m10 + e * m01 + v_cxy * m11,
+        e * m02 - e02 * m10 - e12 * m11 + v_cxy * m12,
+        f * m10 - e01 * m01 - e02 * m02 + v_cxy * m00,
+        e01 * m00 - e12 * m02 + f * m11 + v_cxy * m01,
+        e02 * m00 + e12 * m01 + f * m12 + v_cxy * m02,
+    )
+
+
+@inline
+def _rotation_backward(r, t, h):
+    """Gradient of the unnormalised quaternion from h, that of T R."""
+    w, x, y, z, inv = r[9], r[10], r[11], r[12], r[13]
+    v00, v01, v02 = t[0] * h[0] + t[3] * h[3], t[0] * h[1] + t[3] * h[4], t[0] * h[2] + t[3] * h[5]
+    v10, v11, v12 = t[1] * h[0] + t[4] * h[3], t[1] * h[1] + t[4] * h[4], t[1] * h[2] + t[4] * h[5]
+    v20, v21, v22 = t[2] * h[0] + t[5] * h[3], t[2] * h[1] + t[5] * h[4], t[2] * h[2] + t[5] * h[5]
+    vw = (x * (v21 - v12) + y * (v02 - v20) + z * (v10 - v01)) * TWO
+    vx = (y * (v10 + v01) + z * (v20 + v02) + w * (v21 - v12)) * TWO - x * (v11 + v22) * (TWO * TWO)
+    vy = (x * (v10 + v01) + z * (v21 + v12) + w * (v02 - v20)) * TWO - y * (v00 + v22) * (TWO * TWO)
+    vz = (x * (v20 + v02) + y * (v21 + v12) + w * (v10 - v01)) * TWO - z * (v00 + v11) * (TWO * TWO)
+    along = vw * w + vx * x + vy * y + vz * z
+    return (vw - along * w) * inv, (vx - along * x) * inv, (vy - along * y) * inv, (vz - along * z) * inv
+
+
+@inline
+def _backward(c, b, sums, shape, camera_sums):
+    """Replace the inputs in the columns b by their gradients, and add to the camera's."""
+    mx, my, mz = load(b, 0 * LANES), load(b, 1 * LANES), load(b, 2 * LANES)
+    s0, s1, s2 = load(b, 7 * LANES), load(b, 8 * LANES), load(b, 9 * LANES)
+    g, gu, guu = load(sums, 0), load(sums, LANES), load(sums, 2 * LANES)
+    gud, gd, gdd = load(sums, 3 * LANES), load(sums, 4 * LANES), load(sums, 5 * LANES)
+    a, k, q = load(shape, 0) / HALF_LOG2E, load(shape, LANES), load(shape, 2 * LANES) / HALF_LOG2E
+    v_px, v_py = a * gu, a * k * gu + q * gd
+
+    x, y, z = _to_camera(c, mx, my, mz)
+    iz = ONE / z
+    jx, jy, jxz, jyz, free_x, free_y = _jacobian(c, x, y, iz)
+    r = _rotation(load(b, 3 * LANES), load(b, 4 * LANES), load(b, 5 * LANES), load(b, 6 * LANES))
+    t = _image_axes(c, jx, jy, jxz, jyz)
+    tr = _times_rotation(t, r)
+    m = tr[0] * s0, tr[1] * s1, tr[2] * s2, tr[3] * s0, tr[4] * s1, tr[5] * s2
+    v_m = _covariance_backward(a, k, q, guu * (-HALF), -a * gud, gdd * (-HALF), c[EPS2D], m)
+    h = v_m[0] * s0, v_m[1] * s1, v_m[2] * s2, v_m[3] * s0, v_m[4] * s1, v_m[5] * s2
+    vw, vx, vy, vz = _rotation_backward(r, t, h)
+    vt = (
+        h[0] * r[0] + h[1] * r[1] + h[2] * r[2], h[0] * r[3] + h[1] * r[4] + h[2] * r[5],
+        h[0] * r[6] + h[1] * r[7] + h[2] * r[8], h[3] * r[0] + h[4] * r[1] + h[5] * r[2],
+        h[3] * r[3] + h[4] * r[4] + h[5] * r[5], h[3] * r[6] + h[4] * r[7] + h[5] * r[8],
+    )  # fmt: skip
+
+    v_jx, v_jxz = vt[0] * c[0] + vt[1] * c[1] + vt[2] * c[2], vt[0] * c[8] + vt[1] * c[9] + vt[2] * c[10]
+    v_jy, v_jyz = vt[3] * c[4] + vt[4] * c[5] + vt[5] * c[6], vt[3] * c[8] + vt[4] * c[9] + vt[5] * c[10]
+    # d(-f t / z^2)/dz is 2 f t / z^3 for t itself, but f t / z^3 where t = z * limit
+    v_x = jx * (v_px - select(free_x, iz * v_jxz, ZERO))
+    v_y = jy * (v_py - select(free_y, iz * v_jyz, ZERO))
+    v_z = jx * x * v_px + jy * y * v_py + jx * v_jx + jy * v_jy
+    v_z += jxz * v_jxz * select(free_x, TWO, ONE) + jyz * v_jyz * select(free_y, TWO, ONE)
+    v_z = load(sums, SUMS * LANES) - v_z * iz
+
+    o = load(b, 10 * LANES)
+    store(b, 10 * LANES, g / o)
+    seen = load(sums, (SUMS + 1) * LANES) > ZERO
+    _camera_backward(seen, v_x, v_y, v_z, mx, my, mz, jx, jy, jxz, jyz, vt, camera_sums)
+    store(b, 0 * LANES, v_x * c[0] + v_y * c[4] + v_z * c[8])
+    store(b, 1 * LANES, v_x * c[1] + v_y * c[5] + v_z * c[9])
+    store(b, 2 * LANES, v_x * c[2] + v_y * c[6] + v_z * c[10])
+    store(b, 3 * LANES, vw)
+    store(b, 4 * LANES, vx)
+    store(b, 5 * LANES, vy)
+    store(b, 6 * LANES, vz)
+    store(b, 7 * LANES, v_m[0] * tr[0] + v_m[3] * tr[3])
+    store(b, 8 * LANES, v_m[1] * tr[1] + v_m[4] * tr[4])
+    store(b, 9 * LANES, v_m[2] * tr[2] + v_m[5] * tr[5])
+
+
+@inline
+def _accumulate(sums, entry, seen, value):
+    # selected, not multiplied: an invisible Gaussian in the camera plane gives 0 * inf
+    store(sums, entry * LANES, load(sums, entry * LANES) + select(seen, value, ZERO))
+
+
+@inline
+def _camera_backward(seen, v_x, v_y, v_z, mx, my, mz, jx, jy, jxz, jyz, vt, sums):
+    """Add the gradient of the world-to-camera matrix."""
+    _accumulate(sums, 0, seen, v_x * mx + jx * vt[0])
+    _accumulate(sums, 1, seen, v_x * my + jx * vt[1])
+    _accumulate(sums, 2, seen, v_x * mz + jx * vt[2])
+    _accumulate(sums, 3, seen, v_x)
+    _accumulate(sums, 4, seen, v_y * mx + jy * vt[3])
+    _accumulate(sums, 5, seen, v_y * my + jy * vt[4])
+    _accumulate(sums, 6, seen, v_y * mz + jy * vt[5])
+    _accumulate(sums, 7, seen, v_y)
+    _accumulate(sums, 8, seen, v_z * mx + jxz * vt[0] + jyz * vt[3])
+    _accumulate(sums, 9, seen, v_z * my + jxz * vt[1] + jyz * vt[4])
+    _accumulate(sums, 10, seen, v_z * mz + jxz * vt[2] + jyz * vt[5])
+    _accumulate(sums, 11, seen, v_z)

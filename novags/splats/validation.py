@@ -1,0 +1,75 @@
+"""Checks of what `rasterize` is given. Every message says which tensor, which rule, what was found and where."""
+
+import torch
+from torch import Tensor
+
+
+def check_shapes(tensors: dict[str, Tensor], sh_degree: int | None, background: Tensor | None) -> None:
+    """Raise ValueError unless shapes, dtypes and devices agree; `tensors` by argument name of `rasterize`."""
+    n, c = len(tensors["means"]), len(tensors["viewmats"])
+    want: dict[str, tuple[int, ...]] = {"means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,)}
+    want |= {"viewmats": (c, 4, 4), "Ks": (c, 3, 3)}
+    for name, shape in want.items():
+        if tensors[name].shape != shape:
+            raise ValueError(f"{name} must have shape {list(shape)}, got {list(tensors[name].shape)}")
+    if c == 0:
+        raise ValueError("viewmats must hold at least one camera, got [0, 4, 4]")
+    colors = tensors["colors"]
+    if sh_degree is None:
+        if colors.ndim != 2 or len(colors) != n or colors.shape[1] == 0:
+            raise ValueError(f"colors must be [N={n}, D] when sh_degree is None, got {list(colors.shape)}")
+    elif sh_degree not in (0, 1, 2, 3):
+        raise ValueError(f"sh_degree must be 0, 1, 2, 3 or None, got {sh_degree}")
+    elif colors.ndim != 3 or len(colors) != n or colors.shape[2] != 3 or colors.shape[1] < (sh_degree + 1) ** 2:
+        k = (sh_degree + 1) ** 2
+        raise ValueError(f"colors must be [N={n}, K >= {k}, 3] for sh_degree={sh_degree}, got {list(colors.shape)}")
+    channels = colors.shape[1] if sh_degree is None else 3
+    if background is not None and background.shape not in ((channels,), (c, channels)):
+        raise ValueError(f"background must be [{channels}] or [{c}, {channels}], got {list(background.shape)}")
+    for name, value in tensors.items():
+        if value.dtype != colors.dtype or value.device != colors.device or not value.is_floating_point():
+            raise ValueError(
+                f"all tensors must share one float dtype and device: {name} is {value.dtype} on {value.device}, "
+                f"colors is {colors.dtype} on {colors.device}"
+            )
+
+
+def check_numbers(width: int, height: int, near_plane: float, far_plane: float, eps2d: float) -> None:
+    """Raise ValueError unless the image has pixels, the planes are in order and the dilation is not negative."""
+    if width < 1 or height < 1:
+        raise ValueError(f"width and height must be at least 1 pixel, got {width} x {height}")
+    if not 0 < near_plane < far_plane:
+        raise ValueError(f"planes must satisfy 0 < near_plane < far_plane, got {near_plane} and {far_plane}")
+    if not 0 <= eps2d < float("inf"):
+        raise ValueError(f"eps2d must be finite and >= 0 px^2, got {eps2d}")
+
+
+def check_finite(tensors: dict[str, Tensor]) -> None:
+    """Raise ValueError if any number is not finite."""
+    for name, value in tensors.items():
+        bad = int((~torch.isfinite(value)).sum())
+        if bad:
+            raise ValueError(f"{name} must be finite, got {bad} non-finite of {value.numel()} values")
+
+
+def check_camera(tensors: dict[str, Tensor]) -> None:
+    """Raise ValueError for a camera that is not finite or has no positive focal lengths."""
+    check_finite({name: tensors[name] for name in ("viewmats", "Ks")})
+    focal = tensors["Ks"][:, (0, 1), (0, 1)]
+    if (focal <= 0).any():
+        raise ValueError(f"Ks must have positive focal lengths, got {focal.tolist()}")
+
+
+def check_gaussians(tensors: dict[str, Tensor]) -> None:
+    """Raise ValueError if any number is not finite, or a quaternion, scale or opacity is out of range."""
+    check_finite(tensors)
+    rules = {
+        "quats": ("must not be zero", (tensors["quats"] == 0).all(-1)),
+        "scales": ("must be >= 0", (tensors["scales"] < 0).any(-1)),
+        "opacities": ("must lie in 0..1", (tensors["opacities"] < 0) | (tensors["opacities"] > 1)),
+    }
+    for name, (rule, wrong) in rules.items():
+        if wrong.any():
+            first = int(torch.nonzero(wrong)[0, 0])
+            value, count = tensors[name][first].tolist(), int(wrong.sum())
+            raise ValueError(f"{name} {rule}, got {value} at Gaussian {first} ({count} of {len(wrong)})")
