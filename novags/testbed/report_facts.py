@@ -134,7 +134,7 @@ def loss_chart(runs: Mapping[str, Run]) -> str | None:
     return line_chart(series, x_label="iteration", y_label="photometric loss", title="Photometric loss over iterations")
 
 
-def smoothed(points: list[tuple[float, float]], count: int = 120) -> list[tuple[float, float]]:
+def smoothed(points: list[tuple[float, float]], count: int = 50) -> list[tuple[float, float]]:
     """Means of consecutive groups, at most `count` of them: single views scatter, and files should stay small."""
     group = max(1, -(-len(points) // count))
     groups = [points[k : k + group] for k in range(0, len(points), group)]
