@@ -7,19 +7,14 @@ owns its random numbers and nothing is summed across pixels. Importing this modu
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 from numpy.typing import NDArray
 
 from sensor_model import effects, streams
-from sensor_model.kernels import CHUNK, MU, SCRATCH, C, N, P, U, W, inline, jit, normal, poisson, tukey, uniform
+from sensor_model.blocks import STEP, address, in_blocks, load, row_uniform, scratch, store
+from sensor_model.kernels import MU, C, N, P, W, jit, normal, poisson, tukey
 from sensor_model.prepare import Prepared, charge_cap
 
-BLOCK = 1 << 16  # pixels per task: its charge, 0.5 MB, stays in the second-level cache
-STEP = CHUNK - 2  # pixels per chunk: even, with room to shift when a crop starts at an odd column
 SHOTS = {"poisson": 0, "normal": 1, "none": 2}
 _NOTHING = np.zeros(1, np.float32)  # stands in for a map that is off
 _NOTHING.flags.writeable = False  # as the maps are: numba compiles once more for writable arrays
@@ -43,13 +38,13 @@ def capture(inputs: Prepared, shot: str, threads: int | None) -> tuple[NDArray[n
     given = [m is not None for m in maps]
     before = (light, response, dark, *given[:2], s.eta, inputs.dark_e, charge_cap(s), SHOTS[shot])
     after = (offset, given[2], inputs.rows, columns, inputs.black, read, s.tukey_lambda is not None)
-    address = (*inputs.draws.origin, *_address(inputs.draws))
+    where = (*inputs.draws.origin, *address(inputs.draws))
 
     def shoot(y0: int, y1: int, charge: NDArray) -> int:
-        return _shoot(*before, charge, shape, y0, y1, *address, *_scratch())
+        return _shoot(*before, charge, shape, y0, y1, *where, *scratch())
 
     def read_out(y0: int, y1: int, charge: NDArray) -> int:
-        return _read_out(charge, *after, dn, saturated, shape, y0, y1, *address, *_scratch())
+        return _read_out(charge, *after, dn, saturated, shape, y0, y1, *where, *scratch())
 
     def both(y0: int, y1: int) -> int:
         charge = np.empty((y1 - y0) * w * channels)
@@ -59,92 +54,12 @@ def capture(inputs: Prepared, shot: str, threads: int | None) -> tuple[NDArray[n
 
     if s.blooming:  # the only effect that reaches across rows
         charge = np.empty(shape)
-        bad = sum(_in_blocks(lambda y0, y1: shoot(y0, y1, charge[y0:y1].ravel()), shape, threads))
+        bad = sum(in_blocks(lambda y0, y1: shoot(y0, y1, charge[y0:y1].ravel()), shape, threads))
         charge = effects.blooming(charge, s.mu_e_sat)
-        _in_blocks(lambda y0, y1: read_out(y0, y1, charge[y0:y1].ravel()), shape, threads)
+        in_blocks(lambda y0, y1: read_out(y0, y1, charge[y0:y1].ravel()), shape, threads)
     else:
-        bad = sum(_in_blocks(both, shape, threads))
+        bad = sum(in_blocks(both, shape, threads))
     return dn.reshape(shape), saturated.view(np.bool_).reshape(shape), bad
-
-
-def standard_normals(draws: streams.Draws, shape: tuple[int, ...], stream: int) -> NDArray[np.float64]:
-    """One standard normal number per pixel of a frame of shape (h, w, c)."""
-    draws.check_extent(shape)
-    out = np.empty(np.prod(shape))
-    address = (*draws.origin, *_address(draws))
-    _in_blocks(lambda y0, y1: _normals(out, stream, shape, y0, y1, *address, *_scratch()), shape, None)
-    return out.reshape(shape)
-
-
-def _in_blocks(task: Callable[[int, int], int], shape: tuple[int, ...], threads: int | None) -> list[int]:
-    """Run task(first row, end row) over all rows of a frame."""
-    rows = max(1, BLOCK // (shape[1] * shape[2]))
-    starts = range(0, shape[0], rows)
-    ends = [min(y + rows, shape[0]) for y in starts]
-    workers = min(threads or _cores(), len(ends))
-    if workers == 1:
-        return [task(*block) for block in zip(starts, ends, strict=True)]
-    with ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(task, starts, ends))
-
-
-def _cores() -> int:
-    affinity = getattr(os, "sched_getaffinity", None)  # Linux only: the cores this process may use
-    return len(affinity(0)) if affinity else os.cpu_count() or 1
-
-
-def _address(draws: streams.Draws) -> tuple[np.uint64, ...]:
-    return tuple(np.uint64(i) for i in (draws.view, draws.frame, *draws.key))
-
-
-def _scratch() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    return np.empty(SCRATCH), np.empty(CHUNK, np.int64)
-
-
-@jit
-def _uniform(b, n, stream, channel, row, col, view, frame, k0, k1):  # type: ignore[no-untyped-def]
-    """b[U:U + n] = the draws of columns col.. of one row, whatever the parity of col."""
-    effect = np.uint64(stream * streams.CHANNELS + channel)
-    odd = col % 2
-    uniform(b, n + odd, row, col - odd, effect, view, frame, k0, k1)
-    if odd:
-        for i in range(n):
-            b[U + i] = b[U + i + 1]
-
-
-@inline
-def _load(b, to, flat, start, stride, n):  # type: ignore[no-untyped-def]
-    """b[to:to + n] = every stride-th value of flat; the common stride 1 in a loop of its own, which LLVM vectorises."""
-    if stride == 1:
-        for i in range(n):
-            b[to + i] = flat[start + i]
-    else:
-        for i in range(n):
-            b[to + i] = flat[start + i * stride]
-
-
-@inline
-def _store(flat, start, stride, b, source, n):  # type: ignore[no-untyped-def]
-    """The way back."""
-    if stride == 1:
-        for i in range(n):
-            flat[start + i] = b[source + i]
-    else:
-        for i in range(n):
-            flat[start + i * stride] = b[source + i]
-
-
-@jit
-def _normals(out, stream, shape, y0, y1, row0, col0, view, frame, k0, k1, b, where):  # type: ignore[no-untyped-def]
-    _, w, channels = shape
-    for y in range(y0, y1):
-        for c in range(channels):
-            for x0 in range(0, w, STEP):
-                n = min(STEP, w - x0)
-                _uniform(b, n, stream, c, row0 + y, col0 + x0, view, frame, k0, k1)
-                normal(b, n, where)
-                _store(out, (y * w + x0) * channels + c, channels, b, W, n)
-    return 0
 
 
 @jit
@@ -160,17 +75,17 @@ def _shoot(  # type: ignore[no-untyped-def]
             for x0 in range(0, w, STEP):
                 n = min(STEP, w - x0)
                 start = (y * w + x0) * channels + c
-                _load(b, MU, light, start, channels, n)
+                load(b, MU, light, start, channels, n)
                 for i in range(n):
                     good = (b[MU + i] >= 0.0) & (b[MU + i] < np.inf)
                     bad += 0 if good else 1
                     b[MU + i] = eta * b[MU + i] if good else 0.0
                 if with_response:
-                    _load(b, P, response, start, channels, n)
+                    load(b, P, response, start, channels, n)
                     for i in range(n):
                         b[MU + i] *= b[P + i]
                 if with_dark:
-                    _load(b, P, dark, start, channels, n)
+                    load(b, P, dark, start, channels, n)
                 else:
                     for i in range(n):
                         b[P + i] = dark_e
@@ -178,14 +93,14 @@ def _shoot(  # type: ignore[no-untyped-def]
                     b[MU + i] = min(b[MU + i] + b[P + i], cap)
                     b[N + i] = b[MU + i]
                 if shot < 2:
-                    _uniform(b, n, streams.SHOT, c, row0 + y, col0 + x0, view, frame, k0, k1)
+                    row_uniform(b, n, streams.SHOT, c, row0 + y, col0 + x0, view, frame, k0, k1)
                 if shot == 0:
                     poisson(b, n, where)
                 elif shot == 1:
                     normal(b, n, where)
                     for i in range(n):
                         b[N + i] = b[MU + i] + np.sqrt(b[MU + i]) * b[W + i]
-                _store(out, ((y - y0) * w + x0) * channels + c, channels, b, N, n)
+                store(out, ((y - y0) * w + x0) * channels + c, channels, b, N, n)
     return bad
 
 
@@ -208,7 +123,7 @@ def _read_out(  # type: ignore[no-untyped-def]
                     for i in range(n):
                         b[W + i] = 0.0
                 else:
-                    _uniform(b, n, streams.READ, c, row0 + y, col0 + x0, view, frame, k0, k1)
+                    row_uniform(b, n, streams.READ, c, row0 + y, col0 + x0, view, frame, k0, k1)
                     if tails:
                         tukey(b, n, lam)
                     else:
@@ -216,10 +131,10 @@ def _read_out(  # type: ignore[no-untyped-def]
                 for i in range(n):
                     b[N + i] = rows[y, c] + columns[c, x0 + i]
                 if with_offset:
-                    _load(b, P, offset, start, channels, n)
+                    load(b, P, offset, start, channels, n)
                     for i in range(n):
                         b[N + i] += b[P + i]
-                _load(b, C, charge, ((y - y0) * w + x0) * channels + c, channels, n)
+                load(b, C, charge, ((y - y0) * w + x0) * channels + c, channels, n)
                 for i in range(n):
                     held = min(b[C + i], full)
                     low = held > threshold
@@ -229,6 +144,6 @@ def _read_out(  # type: ignore[no-untyped-def]
                     code = min(max((code + _ROUND) - _ROUND, 0.0), top)
                     b[N + i] = code
                     b[C + i] = 1.0 if (held >= full) | (code == top) else 0.0
-                _store(dn, start, channels, b, N, n)
-                _store(saturated, start, channels, b, C, n)
+                store(dn, start, channels, b, N, n)
+                store(saturated, start, channels, b, C, n)
     return 0

@@ -59,9 +59,9 @@ def dark_map(sensor: Sensor, dark_e: float, shape: Shape, origin: tuple[int, int
 
 
 def _normal(serial: int, shape: Shape, origin: tuple[int, int], stream: int) -> NDArray[np.float64]:
-    from sensor_model import fused  # imports numba
+    from sensor_model.blocks import standard_normals  # imports numba
 
-    return fused.standard_normals(streams.Draws(seed=serial, origin=origin), shape, stream)
+    return standard_normals(streams.Draws(seed=serial, origin=origin), shape, stream)
 
 
 def _frozen(values: NDArray) -> NDArray[np.float32]:

@@ -3,7 +3,9 @@
 An effect may be left out if what it would add stays within three budgets, each for the sum of all that is left out:
 the relative standard deviation (epsilon), a bias in DN, and a relative error of the signal. Leaving out a variance v
 changes the standard deviation by sqrt(1 + v/V) - 1 <= v / 2V, where V = S + R**2 + 1/(12 K**2) is the variance that
-every plan keeps: shot noise of the signal S, read noise, rounding. The cheapest effects are left out first.
+every plan keeps: shot noise of the signal S, read noise, rounding. The cheapest effects are left out first. Where the
+signal comes within five standard deviations of black or white, clipping decides what is left of the noise, no such
+bound holds, and nothing that contributes is left out: give quantiles without the highlights to plan for the rest.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from sensor_model.params import Exposure, Sensor, require
 from sensor_model.plan import Effect, Plan
 
 SD, BIAS, SIGNAL = "relative standard deviation", "DN of bias", "relative signal"
+CLEAR = 5.0  # standard deviations
 ROOM, KURTOSIS, DISTANCE = "standard deviations short of 5", "excess kurtosis", "Kolmogorov distance"
 
 
@@ -75,16 +78,18 @@ def plan_effects(sensor: Sensor, exposure: Exposure, signal_e: ArrayLike, tolera
         _decided("read_noise", True, _ratio(sensor.sigma_d**2, 2 * dark), limits.sd, SD, "never left out"),
     ]
     candidates = _costs(sensor, exposure, low, high, limits)
+    clips = _sd_to_white(sensor, high) < CLEAR or _sd_to_black(sensor, low) < CLEAR
     for name in sorted(candidates, key=lambda n: _worst(candidates[n][0], budgets)[0]):
         cost, reason = candidates[name]
-        fits = all(spent[unit] + value <= budgets[unit] for unit, value in cost.items())
+        costly = any(cost.values())
+        fits = not (clips and costly) and all(spent[unit] + value <= budgets[unit] for unit, value in cost.items())
         if fits:
             spent = {unit: total + cost.get(unit, 0.0) for unit, total in spent.items()}
         _, unit = _worst(cost, budgets)
-        fitting = "fits the budget" if fits else "exceeds what is left of the budget"
-        why = f"{reason}; {fitting}" if any(cost.values()) else "this camera has none"
+        fitting = "fits the budget" if fits else "near clipping" if clips else "exceeds what is left of the budget"
+        why = f"{reason}; {fitting}" if costly else "this camera has none"
         effects.append(_decided(name, not fits, cost[unit], budgets[unit], unit, why))
-    effects += _shapes(sensor, low, high, limits)
+    effects += _shapes(sensor, low, high, limits, clips)
     return Plan(effects=tuple(effects), bound=spent[SD], unit=SD, biases={u: spent[u] for u in (BIAS, SIGNAL)})
 
 
@@ -121,24 +126,32 @@ def _costs(s: Sensor, exposure: Exposure, low: float, high: float, limits: Limit
     return costs
 
 
-def _shapes(s: Sensor, low: float, high: float, limits: Limits) -> list[Effect]:
+def _shapes(s: Sensor, low: float, high: float, limits: Limits, clips: bool) -> list[Effect]:
     """Effects that no variance measures: tails, and what only happens near saturation."""
     tails = 0.0
     if s.tukey_lambda is not None and s.sigma_d:
         tails = abs(excess_kurtosis(s.tukey_lambda)) * (s.sigma_d**2 / kept_variance(s, low)) ** 2
     # Skewness, plus the steps of whole electrons where the read noise does not blur them
     skew = (0.0665 + 0.2 * exp(-2 * (pi * s.sigma_d) ** 2)) / sqrt(low) if low > 0 else inf
-    room = 5 * sqrt(kept_variance(s, high))
-    full = max(0.0, 5 - _ratio(s.capacity_e - high, room / 5))
-    gains = max(0.0, 5 - _ratio(s.dual_gain.threshold - high, room / 5)) if s.dual_gain else 0.0
-    kurtosis, distance = limits.kurtosis, limits.distance
+    full = max(0.0, CLEAR - _sd_to_white(s, high))
+    switch = inf if s.dual_gain is None else _ratio(s.dual_gain.threshold - high, sqrt(kept_variance(s, high)))
+    gains = max(0.0, CLEAR - switch)
+    keep_tails, keep_poisson = tails > (0 if clips else limits.kurtosis), clips or skew > limits.distance
     return [
-        _decided("read_tails", tails > kurtosis, tails, kurtosis, KURTOSIS, "Gaussian read noise without"),
-        _decided("poisson", skew > distance, skew, distance, DISTANCE, "normal shot noise without"),
+        _decided("read_tails", keep_tails, tails, limits.kurtosis, KURTOSIS, "Gaussian read noise without"),
+        _decided("poisson", keep_poisson, skew, limits.distance, DISTANCE, "normal shot noise without"),
         _decided("full_well", full > 0, full, 0.0, ROOM, "room between the brightest signal and saturation"),
         _decided("blooming", s.blooming and full > 0, full * s.blooming, 0.0, ROOM, "follows full well"),
         _decided("dual_gain", gains > 0, gains, 0.0, ROOM, "room below the switch of the gains"),
     ]
+
+
+def _sd_to_white(s: Sensor, signal_e: float) -> float:
+    return _ratio(s.capacity_e - signal_e, sqrt(kept_variance(s, signal_e)))
+
+
+def _sd_to_black(s: Sensor, signal_e: float) -> float:
+    return _ratio(s.black_level / s.gain + signal_e, sqrt(kept_variance(s, signal_e)))
 
 
 def simplify(sensor: Sensor, plan: Plan | None) -> Sensor:

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from sensor_model import Banding, Defects, DualGain, Exposure, Optics, Sensor, expose, fused
+from sensor_model import Banding, Defects, DualGain, Exposure, Optics, Sensor, blocks, expose
 
 BASE = {"gain": 1.3, "eta": 0.6, "mu_e_sat": 3000.0, "black_level": 100.0, "bits": 12, "sigma_d": 2.0, "cfa": None}
 CHAINS = {
@@ -56,7 +56,7 @@ def test_frames_do_not_depend_on_threads_or_chunks(chain, monkeypatch):
     photons = light(3)
     whole = expose(photons, sensor, EXPOSURE, seed=7, view=1, threads=1).dn
     for pixels in (1, 4000, 1 << 16):  # 47 blocks of one row, 16 of three, one
-        monkeypatch.setattr(fused, "BLOCK", pixels)
+        monkeypatch.setattr(blocks, "BLOCK", pixels)
         for threads in (1, 2, 7):
             np.testing.assert_array_equal(expose(photons, sensor, EXPOSURE, seed=7, view=1, threads=threads).dn, whole)
 

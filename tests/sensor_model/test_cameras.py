@@ -1,0 +1,278 @@
+"""Cameras: their parameters, presets with sources, TOML files, and characterisation from frames."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sensor_model import (
+    PRESETS,
+    Banding,
+    Defects,
+    DualGain,
+    Exposure,
+    Optics,
+    Sensor,
+    Stack,
+    characterise,
+    expose,
+    read_sensor,
+    write_sensor,
+)
+from sensor_model.effects import tukey_sd
+from sensor_model.presets import SOURCES
+
+BASE = {"gain": 0.8, "eta": 0.5, "mu_e_sat": 5000.0, "black_level": 60.0, "bits": 12}
+
+
+@pytest.mark.parametrize(
+    ("field", "bad"),
+    [
+        ("gain", 0.0), ("gain", np.nan), ("eta", 60.0), ("eta", 0.0), ("mu_e_sat", 0.0), ("bits", 7), ("bits", 12.5),
+        ("black_level", 4095.0), ("black_level", -1.0), ("sigma_d", -1.0), ("sigma_row", np.inf), ("prnu", 0.8),
+        ("tukey_lambda", -0.5), ("nonlinearity", 0.5), ("cfa", "RGBG"), ("rgb_response", (0.5, 0.9, 0.5)),
+        ("rgb_bias", (0.0, 0.0)), ("serial", -1), ("dark_doubling", 0.0),
+    ],
+)  # fmt: skip
+def test_a_parameter_out_of_range_is_named_with_its_value(field, bad):
+    with pytest.raises(ValueError, match=rf"{field} must be .* got"):
+        Sensor(**(BASE | {field: bad}))
+
+
+@pytest.mark.parametrize(
+    "build",
+    [
+        lambda: Optics(corner_angle=95), lambda: Optics(crosstalk=0.3), lambda: Optics(falloff=(1.0,)),
+        lambda: Optics(corner_angle=20, falloff=(1.0, 0.5)), lambda: Defects(hot_fraction=2),
+        lambda: Defects(rts_factor=0.5), lambda: Banding(amplitude=1, period=1),
+        lambda: DualGain(threshold=5, sigma_d=1, ratio=0.5), lambda: Exposure(time=-1),
+        lambda: Exposure(time=1, origin=(-1, 0)), lambda: Exposure(time=1, temperature=np.nan),
+        lambda: Sensor(**BASE, nonlinearity=0.1) and Sensor(**(BASE | {"mu_e_sat": np.inf}), nonlinearity=0.1),
+    ],
+)  # fmt: skip
+def test_impossible_parts_are_refused(build):
+    with pytest.raises(ValueError, match="must be"):
+        build()
+
+
+def test_dark_current_doubles_with_its_temperature():
+    sensor = Sensor(**BASE, dark_current=2.0, dark_temperature=20.0, dark_doubling=6.0)
+    assert sensor.dark_e(Exposure(time=3.0)) == 6.0
+    assert sensor.dark_e(Exposure(time=3.0, temperature=32.0)) == pytest.approx(24.0)
+    assert sensor.dark_e(Exposure(time=3.0, temperature=14.0)) == pytest.approx(3.0)
+    warm = expose(np.zeros((300, 300)), sensor, Exposure(time=3.0, temperature=44.0), seed=0, view=0)
+    assert (warm.dn.mean() - 60) / 0.8 == pytest.approx(96.0, abs=5 * np.sqrt(96 / 90_000) + 0.01)
+
+
+def test_hot_and_telegraph_pixels_belong_to_the_camera():
+    defects = Defects(hot_fraction=0.01, hot_factor=100, rts_fraction=0.02, rts_factor=4)
+    sensor = Sensor(**BASE, dark_current=10.0, sigma_d=2.0, defects=defects, cfa=None)
+    stacks = [
+        np.stack([expose(np.zeros((150, 200)), s, Exposure(time=1.0), seed=v, view=v, frame=f).dn for f in range(20)])
+        for v, s in ((0, sensor), (1, sensor), (0, replace(sensor, serial=1)))
+    ]
+    hot = [np.flatnonzero(stack.mean(0) > 60 + 0.8 * 500) for stack in stacks]
+    assert hot[0].size == pytest.approx(300, abs=5 * np.sqrt(300))
+    np.testing.assert_array_equal(hot[0], hot[1])
+    assert np.intersect1d(hot[0], hot[2]).size < 20
+    noisy = [np.flatnonzero(stack.std(0) > 0.8 * 5.8) for stack in stacks]
+    assert np.isin(noisy[0], noisy[1]).mean() > 0.6
+
+
+@pytest.mark.parametrize("name", list(PRESETS))
+def test_every_value_of_every_preset_has_a_source(name):
+    sensor = PRESETS[name]
+    plain = Sensor(gain=1.0, eta=1.0, mu_e_sat=1.0, black_level=0.0, bits=8)
+    for field in sensor.__dataclass_fields__:
+        if getattr(sensor, field) != getattr(plain, field):
+            assert SOURCES[name][field]
+
+
+def test_presets_carry_the_published_numbers():
+    lcg, hcg = PRESETS["imx900-lcg"], PRESETS["imx900-hcg"]
+    assert (lcg.gain, lcg.eta, lcg.sigma_d, lcg.mu_e_sat, lcg.dsnu, lcg.prnu) == (0.399, 0.9125, 5.56, 9458, 3.7, 0.007)
+    assert (hcg.gain, hcg.eta, hcg.sigma_d, hcg.mu_e_sat, hcg.dsnu, hcg.prnu) == (
+        1.673,
+        0.8847,
+        1.954,
+        2183,
+        1.3,
+        0.008,
+    )
+    # PMN's own Gaussian fits of the same dark frames, DN: what its Tukey scales must come to within 2 %
+    for iso, sigma in ((100, 1.0067), (1600, 6.2993), (2000, 2.6539), (6400, 7.1164), (25600, 25.853)):
+        sensor = PRESETS[f"a7s2-iso{iso}"]
+        assert sensor.sigma_d * sensor.gain == pytest.approx(sigma, rel=0.02)
+    # dual gain: between ISO 1600 and 2000 the read noise falls to a third
+    assert PRESETS["a7s2-iso2000"].sigma_d < 0.35 * PRESETS["a7s2-iso1600"].sigma_d
+    assert 3.2283993 * tukey_sd(-0.0441045) == pytest.approx(1.53008 * PRESETS["a7s2-iso1600"].sigma_d)
+
+
+@pytest.mark.parametrize("name", list(PRESETS))
+def test_a_three_chip_preset_differs_by_its_filter_array_only(name):
+    if not name.endswith("-3chip"):
+        assert PRESETS[f"{name}-3chip"] == replace(PRESETS[name], cfa=None)
+
+
+FULL = Sensor(
+    **BASE, sigma_d=2.5, tukey_lambda=-0.05, dark_current=1.5, cfa=None, rgb_response=(0.5, 1.0, 0.7), serial=2**63,
+    blooming=True, banding=Banding(amplitude=0.5, period=40),
+    optics=Optics(falloff=(1.0, 0.9, 0.6), sensor_shape=(80, 90)),
+    defects=Defects(hot_fraction=1e-4, hot_factor=100), dual_gain=DualGain(threshold=800, sigma_d=9, ratio=8),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("sensor", [*PRESETS.values(), FULL, replace(FULL, mu_e_sat=np.inf)])
+def test_a_camera_file_reads_back_exactly(sensor, tmp_path):
+    path = tmp_path / "camera.toml"
+    write_sensor(path, sensor, comment="my camera\nmeasured today")
+    assert read_sensor(path) == sensor
+    assert path.read_text().startswith("# my camera\n# measured today\ngain = ")
+
+
+GOOD = "gain = 1.5\neta = 0.6\nmu_e_sat = 5000\nblack_level = 64\nbits = 12\n"
+
+
+def test_a_camera_file_may_leave_out_what_has_a_default(tmp_path):
+    path = tmp_path / "camera.toml"
+    path.write_text(GOOD + "[defects]\nhot_fraction = 1e-4\nhot_factor = 50\n")
+    assert read_sensor(path) == Sensor(
+        gain=1.5, eta=0.6, mu_e_sat=5000, black_level=64, bits=12, defects=Defects(hot_fraction=1e-4, hot_factor=50)
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (GOOD + "sigma_read = 2.0", "key must be a camera parameter, got 'sigma_read'"),
+        (GOOD + "tukey_lamda = 0.1", "did you mean 'tukey_lambda'"),
+        (GOOD + "sigma_d = 'two'", "sigma_d must be a number, got 'two'"),
+        (GOOD + "prnu = true", "prnu must be a number"),
+        (GOOD.replace("12", "12.5"), "bits must be a whole number"),
+        (GOOD + "eta = 0.5", "camera.toml"),  # twice: not TOML
+        (GOOD.replace("eta = 0.6", "eta = 60"), r"eta must be in \(0, 1\], got 60.0"),
+        ("gain = 1.5", "eta, mu_e_sat, black_level, bits missing"),
+        (GOOD + "defects = 3", "defects must be a table"),
+        (GOOD + "[defects]\nhot_pixels = 3", "got 'defects.hot_pixels'"),
+        (GOOD + "[banding]\namplitude = 3", "banding.period missing"),
+        (GOOD + "cfa = 'RGBW'", "cfa must be"),
+        (GOOD + "rgb_response = 1", "rgb_response must be a list of numbers"),
+        (GOOD + "blooming = 1", "blooming must be true or false"),
+    ],
+)
+def test_a_faulty_camera_file_says_which_key_and_where(text, message, tmp_path):
+    path = tmp_path / "camera.toml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=message) as caught:
+        read_sensor(path)
+    assert "camera.toml" in str(caught.value)
+
+
+def stacks(sensor, n_mid=30, shape=(200, 200)):
+    """Dark and flat stacks as a laboratory takes them: thirty times, two frames each, and one large pair of stacks."""
+    longest = 1.0
+    times = np.linspace(0.01, 1, 24) * longest
+    rate = 1.1 * sensor.mu_e_sat / sensor.eta / longest
+
+    def stack(t, photons, n, seed):
+        light, exposure = np.full(shape, photons), Exposure(time=t)
+        frames = [expose(light, sensor, exposure, seed=seed, view=0, frame=i).dn for i in range(n)]
+        return Stack(np.stack(frames), t, photons)
+
+    dark = [stack(t, 0.0, 2, 2 * i) for i, t in enumerate(times)] + [stack(times[11], 0.0, n_mid, 900)]
+    flat = [stack(t, rate * t, 2, 2 * i + 1) for i, t in enumerate(times)]
+    return dark, [*flat, stack(times[11], rate * times[11], n_mid, 901)]
+
+
+@pytest.mark.parametrize("name", ["imx900-hcg", "odd"])
+def test_characterisation_finds_the_camera_behind_its_frames(name, tmp_path):
+    odd = Sensor(
+        gain=0.83, eta=0.37, mu_e_sat=4900.0, black_level=61.0, bits=13, sigma_d=3.7, sigma_row=0.9, sigma_column=0.6,
+        dsnu=2.1, prnu=0.013, dark_current=150.0, cfa=None, serial=4711,
+    )  # fmt: skip
+    sensor = odd if name == "odd" else replace(PRESETS[name], cfa=None, dark_current=100.0)
+    found = characterise(*stacks(sensor))
+    for field, tolerance in (
+        ("gain", 0.006), ("eta", 0.006), ("sigma_d", 0.015), ("dark_current", 0.01), ("dsnu", 0.02), ("prnu", 0.02),
+        ("mu_e_sat", 0.006),
+    ):  # fmt: skip
+        assert getattr(found, field) == pytest.approx(getattr(sensor, field), rel=tolerance), field
+    assert found.black_level == pytest.approx(sensor.black_level, abs=0.1)
+    assert found.sigma_row == pytest.approx(sensor.sigma_row, abs=0.1)
+    assert found.sigma_column == pytest.approx(sensor.sigma_column, abs=0.1)
+    assert found.linearity_error < 0.002
+    assert found.nonlinearity < 0.002
+
+    write_sensor(tmp_path / "found.toml", found.sensor(bits=sensor.bits, serial=1))
+    again = read_sensor(tmp_path / "found.toml")
+    assert again.gain == found.gain
+    assert again.bits == sensor.bits
+
+
+def test_characterisation_sees_a_bent_response():
+    sensor = Sensor(**(BASE | {"bits": 14}), sigma_d=3.0, dark_current=50.0, nonlinearity=0.03, cfa=None)
+    found = characterise(*stacks(sensor, n_mid=4))
+    assert found.nonlinearity == pytest.approx(0.03, rel=0.1)
+    assert found.linearity_error > 0.003
+
+
+def test_characterisation_agrees_with_emva_1288_on_the_same_frames():
+    """Independent reference, on real statistics rather than on the truth: both see the same frames."""
+    pytest.importorskip("emva1288")
+    import logging
+    import warnings
+
+    if not hasattr(np, "asfarray"):
+        np.asfarray = lambda a, dtype=np.float64: np.asarray(a, dtype=dtype)  # noqa: NPY201
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        from emva1288.process import routines
+        from emva1288.process.data import Data1288
+        from emva1288.process.results import Results1288
+
+    sensor = replace(PRESETS["imx900-lcg"], cfa=None, dark_current=300.0)
+    dark, flat = stacks(sensor)
+    raw = {"temporal": {}, "spatial": {}, "height": 200, "width": 200}
+    for d, f in zip(dark, flat, strict=True):
+        pair = {s.photons: routines.get_int_imgs(list(s.frames)) for s in (d, f)}
+        if len(d.frames) > 2:
+            raw["spatial"][d.time * 1e9] = pair
+            continue
+        raw["temporal"][d.time * 1e9] = {
+            p: {"sum": i["sum"].sum(), "pvar": i["pvar"].sum(), "dmean": i["dmean"]} for p, i in pair.items()
+        }
+    theirs = Results1288(Data1288(raw, loglevel=logging.ERROR).data, loglevel=logging.ERROR)
+    ours = characterise(dark, flat)
+    assert ours.gain == pytest.approx(theirs.K, rel=0.005)
+    assert 100 * ours.eta == pytest.approx(theirs.QE, rel=0.005)
+    assert ours.sigma_d == pytest.approx(theirs.sigma_d, rel=0.02)
+    assert ours.dark_current == pytest.approx(theirs.u_I_mean, rel=0.005)
+    assert ours.dsnu == pytest.approx(theirs.DSNU1288, rel=0.01)
+    assert 100 * ours.prnu == pytest.approx(theirs.PRNU1288, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda d, f: (d[:1], f), "dark must be stacks at two exposure times"),
+        (lambda d, f: (d, f[:2]), "flat must be three stacks"),
+        (lambda d, f: (d, [f[-2]] * 3), "a stack below 70 % of saturation"),
+        (lambda d, f: (d, [f[0], f[12], f[-2]]), "three stacks or more from 5 % to 95 %"),
+    ],
+)
+def test_too_little_to_characterise_is_refused(change, message):
+    dark, flat = stacks(replace(PRESETS["imx900-hcg"], cfa=None), n_mid=2, shape=(16, 16))
+    with pytest.raises(ValueError, match=message):
+        characterise(*change(dark, flat))
+    with pytest.raises(ValueError, match="frames must be"):
+        Stack(np.zeros((1, 16, 16)), 1.0)
+
+
+def test_an_unsaturated_series_leaves_full_well_to_the_user():
+    sensor = Sensor(**(BASE | {"mu_e_sat": 50_000.0, "bits": 16}), sigma_d=3.0, dark_current=50.0, cfa=None)
+    dark, flat = stacks(sensor, n_mid=2, shape=(64, 64))
+    found = characterise(dark, [f for f in flat if f.time < 0.6])
+    assert found.mu_e_sat is None
+    with pytest.raises(ValueError, match="mu_e_sat must be known"):
+        found.sensor(bits=16)
+    assert found.sensor(bits=16, mu_e_sat=50_000.0).mu_e_sat == 50_000.0

@@ -1,0 +1,102 @@
+"""DNG files, read back by LibRaw: every code, both levels, pattern, white balance and colour."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sensor_model import PRESETS, Exposure, develop, expose, mosaic, write_dng
+from sensor_model.dng import XYZ_TO_SRGB
+from sensor_model.params import CFAS
+
+rawpy = pytest.importorskip("rawpy")
+EXPOSURE = Exposure(time=0.02)
+
+
+def noise(sensor, shape=(31, 46)):
+    """A frame that uses all codes from dark to saturated."""
+    light = np.random.default_rng(0).random((*shape, 3)) ** 3 * 1.5 * sensor.capacity_e / sensor.eta
+    return expose(mosaic(light, sensor.cfa) if sensor.cfa else light, sensor, EXPOSURE, seed=0, view=0).dn
+
+
+@pytest.mark.parametrize("cfa", CFAS)
+@pytest.mark.parametrize("name", ["imx900-lcg", "a7s2-iso6400", "imx686-iso1600", "ideal"])
+def test_a_mosaic_comes_back_bit_for_bit_with_levels_pattern_and_white_balance(name, cfa, tmp_path):
+    sensor = replace(PRESETS[name], cfa=cfa)
+    dn = noise(sensor)
+    write_dng(tmp_path / "a.dng", dn, sensor, EXPOSURE)
+    with rawpy.imread(str(tmp_path / "a.dng")) as raw:
+        np.testing.assert_array_equal(raw.raw_image_visible, dn)
+        assert raw.black_level_per_channel == [sensor.black_level] * 4
+        assert raw.white_level == int(sensor.white_dn)
+        letters = "".join(chr(raw.color_desc[i]) for i in raw.raw_pattern.ravel())
+        assert letters == cfa
+        balance = np.array(raw.camera_whitebalance[:3])
+        np.testing.assert_allclose(balance / balance[1], 1 / np.array(sensor.rgb_response), rtol=1e-4)
+
+
+def test_three_chips_come_back_bit_for_bit_as_linear_raw(tmp_path):
+    sensor = PRESETS["imx900-hcg-3chip"]
+    dn = noise(sensor)
+    write_dng(tmp_path / "a.dng", dn, sensor, EXPOSURE)
+    with rawpy.imread(str(tmp_path / "a.dng")) as raw:
+        np.testing.assert_array_equal(raw.raw_image_visible[..., :3], dn)
+        assert raw.black_level_per_channel[:3] == [240] * 3
+        assert raw.white_level == int(sensor.white_dn)
+
+
+def test_a_monochrome_frame_comes_back_bit_for_bit(tmp_path):
+    sensor = PRESETS["prime-95b"]
+    dn = noise(sensor)[..., 0].copy()
+    write_dng(tmp_path / "a.dng", dn, sensor, EXPOSURE)
+    with rawpy.imread(str(tmp_path / "a.dng")) as raw:
+        np.testing.assert_array_equal(raw.raw_image_visible, dn)
+        assert raw.black_level_per_channel[0] == 100
+    assert not list(tmp_path.glob("*.partial"))
+
+
+def test_another_raw_converter_renders_the_colours_we_render(tmp_path):
+    """Rationale: levels, white balance and colour matrix are right only if a stranger's pipeline agrees with ours."""
+    sensor = replace(PRESETS["imx900-hcg"], sigma_d=0.0, dsnu=0.0, prnu=0.0, dark_current=0.0)
+    patches = np.random.default_rng(1).uniform(0.05, 0.9, (4, 6, 3))
+    light = np.kron(patches, np.ones((32, 32, 1))) * sensor.rgb_response * sensor.capacity_e * 0.9 / sensor.eta
+    frame = expose(mosaic(light, sensor.cfa), sensor, EXPOSURE, seed=0, view=0, shot="none")
+    write_dng(tmp_path / "a.dng", frame.dn, sensor, EXPOSURE)
+    with rawpy.imread(str(tmp_path / "a.dng")) as raw:
+        theirs = raw.postprocess(
+            use_camera_wb=True,
+            no_auto_bright=True,
+            adjust_maximum_thr=0.0,
+            gamma=(2.4, 12.92),
+            user_flip=0,
+            demosaic_algorithm=rawpy.DemosaicAlgorithm.LINEAR,
+        )
+    ours = develop(frame, sensor, demosaic="bilinear").srgb8
+    middle = (slice(16, None, 32),) * 2
+    assert np.abs(theirs[middle].astype(int) - ours[middle]).max() <= 1
+
+
+def test_the_colour_matrix_is_that_of_colour_science():
+    import warnings
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # its optional parts warn when they are not there
+        import colour
+    np.testing.assert_allclose(colour.RGB_COLOURSPACES["sRGB"].matrix_XYZ_to_RGB, XYZ_TO_SRGB, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("name", "dn", "message"),
+    [
+        ("imx900-hcg", np.zeros((4, 4, 3), np.uint16), "dn must be"),
+        ("imx900-hcg", np.zeros((4, 4), np.float32), "uint16"),
+        ("imx900-hcg-3chip", np.zeros((4, 4, 2), np.uint16), "dn must be"),
+    ],
+)
+def test_what_does_not_fit_the_camera_is_refused(name, dn, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
+        write_dng(tmp_path / "a.dng", dn, PRESETS[name], EXPOSURE)
+    odd = replace(PRESETS["imx900-hcg"], black_level=240.5)
+    with pytest.raises(ValueError, match="black_level must be whole"):
+        write_dng(tmp_path / "a.dng", np.zeros((4, 4), np.uint16), odd, EXPOSURE)
+    assert not list(tmp_path.iterdir())
