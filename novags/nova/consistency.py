@@ -138,7 +138,9 @@ def reproject(
     lifted = torch.cat([pixels.detach(), torch.ones_like(seen[..., None])], -1) @ torch.linalg.inv(camera_s.K).T
     z_t = _move(lifted * seen[..., None], camera_s, camera_t)[..., 2]
     size = pixels.new_tensor([depth_s.shape[1], depth_s.shape[0]])
-    inside = ((pixels >= 0) & (pixels <= size)).all(-1)
+    # Between the outermost pixel centres, where interpolation has support; the slack forgives float32 rounding of a
+    # camera warped onto itself.
+    inside = ((pixels > 0.499) & (pixels < size - 0.499)).all(-1)
     positive = (depth_t > 0) & (points[..., 2] > 0) & (seen > 0) & (z_t > 0)
     visible = (depth_t - z_t).abs() < occlusion_tolerance * z_t
     return _sample(source, pixels), inside & positive & visible

@@ -181,7 +181,8 @@ def test_estimators_are_defined_on_tiny_and_constant_images(estimate, size):
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"window": 4}, {"target": 1.0}, {"eta": 0.0}, {"noise_factor": -1.0}, {"gamma_min": 2.0, "gamma_max": 1.0}]
+    "wrong",
+    [{"window": 4}, {"target": 1.0}, {"eta": 0.0}, {"noise_factor": -1.0}, {"gamma_min": 2.0, "gamma_max": 1.0}],
 )
 def test_impossible_configurations_are_refused(wrong):
     with pytest.raises(ValueError):
