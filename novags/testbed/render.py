@@ -1,6 +1,7 @@
 """Render: a scene of the catalogue or a Mitsuba file in, a ground-truth multiview set out."""
 
 import hashlib
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -38,7 +39,7 @@ class RenderConfig:
 
 
 def scene_digest(config: RenderConfig) -> str:
-    """Hash of what the scene is: the content of a file, the name of a catalogue scene.
+    """What the scene is: the name of a catalogue scene, or a hash of a file and of the files that it names.
 
     Raises:
         ValueError: If the file cannot be read or the name is unknown.
@@ -48,10 +49,15 @@ def scene_digest(config: RenderConfig) -> str:
 
         split_name(config.scene)
         return config.scene
+    content = hashlib.blake2b(digest_size=16)
     try:
-        return hashlib.blake2b(file.read_bytes(), digest_size=16).hexdigest()
-    except OSError as error:
-        raise ValueError(f"cannot read the scene file {file}: {error.strerror}") from error
+        content.update(file.read_bytes())
+        for name in re.findall(r'name="filename"\s+value="([^"$]+)"', file.read_text(encoding="utf-8")):
+            if (named := file.parent / name).is_file():  # a missing one is for Mitsuba to complain about
+                content.update(named.read_bytes())
+    except (OSError, UnicodeDecodeError) as error:
+        raise ValueError(f"cannot read the scene file {file}: {error}") from error
+    return content.hexdigest()
 
 
 def render_views(out: Path, config: RenderConfig, console: Console) -> dict[str, Any]:

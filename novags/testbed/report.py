@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import read_json, write_text
+from novags.testbed.cache import UNFINISHED, read_json, write_text
 from novags.testbed.console import Console, Update
 from novags.testbed.methods import METHODS
 from novags.testbed.report_facts import (
@@ -39,7 +39,7 @@ def find_runs(folder: Path) -> dict[str, Run]:
     """
     if not folder.is_dir():
         raise ValueError(f"no such folder: {folder}")
-    if (folder / RECORD).exists():
+    if (folder / RECORD).exists() or (folder / UNFINISHED).exists():
         run = open_run(folder)
         return {run.method: run}
     if (folder / EXPERIMENT).exists():

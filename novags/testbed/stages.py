@@ -42,6 +42,7 @@ def capture(set_path: Path, out: Path, config: CaptureConfig, console: Console) 
     Raises:
         ValueError: If the set cannot be read or is black, or `out` holds other things.
     """
+    _keep_apart(out, set_path)
     source = open_source(set_path, console, config.max_size)
     set_hash = folder_digest(set_path)
     return run_stage(
@@ -62,6 +63,7 @@ def reconstruct(capture_path: Path, out: Path, config: ReconstructConfig, consol
     Raises:
         ValueError: If the capture or its set cannot be read, or `out` holds other things.
     """
+    _keep_apart(out, capture_path)
     captured = open_capture(capture_path)
     set_path = captured.source(console).views.path
     return run_stage(
@@ -74,6 +76,12 @@ def reconstruct(capture_path: Path, out: Path, config: ReconstructConfig, consol
         work=lambda: reconstruct_views(captured, out, config, console),
         console=console,
     )
+
+
+def _keep_apart(out: Path, source: Path) -> None:
+    """What is written inside an input would change its hash, and the stage would never count as done."""
+    if out.resolve().is_relative_to(source.resolve()):
+        raise ValueError(f"the output {out} must not lie inside its input {source}: choose another --out")
 
 
 def score(run_path: Path, console: Console) -> dict[str, Any]:
