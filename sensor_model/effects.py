@@ -49,14 +49,14 @@ def crosstalk(light: NDArray, share: float) -> NDArray:
     Acts on the mean: photons that scatter at random stay Poisson distributed and independent. Light keeps its sum; at
     the border it is reflected.
     """
-    out = (1 - 4 * share) * light
+    moved = share * light
+    out = light - 4 * moved
     for axis in (0, 1):
-        first, rest = [slice(None)] * light.ndim, [slice(None)] * light.ndim
-        first[axis], rest[axis] = slice(0, 1), slice(1, None)
-        last, front = list(first), list(rest)
-        last[axis], front[axis] = slice(-1, None), slice(0, -1)
-        out += share * np.concatenate([light[tuple(first)], light[tuple(front)]], axis)
-        out += share * np.concatenate([light[tuple(rest)], light[tuple(last)]], axis)
+        here, there = out.swapaxes(0, axis), moved.swapaxes(0, axis)
+        here[1:] += there[:-1]
+        here[:-1] += there[1:]
+        here[0] += there[0]
+        here[-1] += there[-1]
     return out
 
 
@@ -113,6 +113,8 @@ def blooming(charge: Array, mu_e_sat: float) -> Array:
     over the first and the last row.
     """
     held = np.minimum(charge, mu_e_sat)
+    if not (charge > mu_e_sat).any():
+        return held
     half = 0.5 * (charge - held)
     for order in (range(charge.shape[0]), range(charge.shape[0] - 1, -1, -1)):
         moving = np.zeros_like(charge[0])

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensor_model import effects, streams
-from sensor_model.params import Sensor
+from sensor_model.params import Optics, Sensor
 
 Shape = tuple[int, ...]
 Sites = tuple[NDArray[np.intp], ...]  # indices of the affected pixels, as numpy.nonzero gives them
@@ -38,6 +38,19 @@ def sites(serial: int, fraction: float, shape: Shape, origin: tuple[int, int], s
     """Which pixels have a defect: each with the same probability."""
     draws = streams.Draws(seed=serial, origin=origin)
     return np.nonzero(draws.uniforms(shape, stream) < fraction)
+
+
+@lru_cache(maxsize=4)
+def illumination_map(optics: Optics, shape: tuple[int, int], origin: tuple[int, int]) -> NDArray[np.float32]:
+    """Relative illumination of each pixel [h, w]: the lens stays as it is, too."""
+    map_ = effects.relative_illumination(
+        shape,
+        origin=origin,
+        sensor_shape=optics.sensor_shape,
+        corner_angle=optics.corner_angle,
+        falloff=optics.falloff,
+    )
+    return _frozen(map_)
 
 
 def telegraph_sites(sensor: Sensor, shape: Shape, origin: tuple[int, int]) -> Sites | None:

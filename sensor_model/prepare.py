@@ -73,16 +73,7 @@ def on_sensor(light: NDArray, sensor: Sensor, exposure: Exposure) -> NDArray:
     if o is None:
         return light
     if o.corner_angle or o.falloff:
-        light = (
-            light
-            * effects.relative_illumination(
-                light.shape[:2],
-                origin=exposure.origin,
-                sensor_shape=o.sensor_shape,
-                corner_angle=o.corner_angle,
-                falloff=o.falloff,
-            )[..., None]
-        )
+        light = light * pattern.illumination_map(o, light.shape[:2], exposure.origin)[..., None]
     return effects.crosstalk(light, o.crosstalk) if o.crosstalk else light
 
 
