@@ -91,11 +91,12 @@ class _Photometric(torch.autograd.Function):
         weights = _kernel(torch.float32).numpy()
         n = x.size
         score_sums, l1_sums, v_image = np.zeros(height), np.empty(height), empty(x.shape)
-        slopes = empty((3, *x.shape)) if dssim_weight else np.empty((3, 0, 0), np.float32)
+        stride = photometric.stride(width * channels)
+        slopes = empty(photometric.SLOPES * height * stride if dssim_weight else 0)
         if dssim_weight:
-            moments = empty((photometric.MOMENTS, *x.shape))
+            moments = empty(photometric.MOMENTS * height * stride)
             run(photometric.horizontal, height, 8, x, y, channels, weights, moments)
-            run(photometric.score, height, 8, moments, weights, slopes, score_sums)
+            run(photometric.score, height, 8, height, width * channels, moments, weights, slopes, score_sums)
         factors = np.float32((1 - dssim_weight) / n), np.float32(-dssim_weight / n)
         run(photometric.gradient, height, 8, x, y, channels, weights, slopes, *factors, l1_sums, v_image)
         ctx.v_image = torch.from_numpy(v_image).reshape(image.shape)

@@ -17,6 +17,7 @@ SLACK = np.float32(0.01)  # in log2 alpha: rounding must never drop a pixel that
 COLUMNS = constant([lane % BLOCK for lane in range(LANES)])
 ROWS = constant([lane // BLOCK for lane in range(LANES)])
 CELLS = 4  # cells per side of the grid that one vector covers
+EVERY, MORE, CORNER = 0xFFFF, 0x10000, 0x20000  # parts of a code of `first_grids`
 INDEX = np.uint64(0xFFFFFFFF)  # the part of a sort key that is the Gaussian
 AHEAD = 16  # Gaussians whose records are asked for ahead of their use: depth order is random order in memory
 
@@ -73,8 +74,25 @@ def find_open(begin, end, finished, tiles_x, tiles_y, open_tiles):
 
 
 @kernel
+def first_grids(begin, end, rows, order, first, n_chunks, n, tiles_x, tiles_y, open_tiles, codes):
+    """Find what the first grid of each Gaussian of depth rank first..first+n-1 reaches, in n_chunks chunks.
+
+    codes [n] int64 hold bits of tiles | MORE if its box takes more grids | corner tile * CORNER. A loop of its own,
+    because then the latency of one Gaussian hides behind the next.
+    """
+    flat, last = rows.reshape(-1), len(order) - 1
+    for rank in range(first + begin * n // n_chunks, first + end * n // n_chunks):
+        i = np.int64(order[rank] & INDEX)
+        prefetch(flat, np.int64(order[min(rank + AHEAD, last)] & INDEX) * ROW)
+        left, right, top, bottom = _tile_box(rows, i, tiles_x, tiles_y)
+        corner = top * tiles_x + left
+        more = MORE if right - left >= CELLS or bottom - top >= CELLS else 0
+        codes[rank - first] = (_grid(rows, i, left, top) & open_tiles[corner]) | more | (corner * CORNER)
+
+
+@kernel
 def visit(
-    begin, end, filling, rows, order, first, n, n_chunks, tiles_x, tiles_y, open_tiles, histogram, totals, base,
+    begin, end, filling, rows, order, first, n_chunks, n, tiles_x, tiles_y, open_tiles, codes, histogram, totals, base,
     members, places, slots,
 ):  # fmt: skip
     """Count, or write, the lists of the Gaussians of depth rank first..first+n-1, in n_chunks chunks.
@@ -83,7 +101,7 @@ def visit(
     hold where to write next; members[place] becomes a Gaussian, places[slot] one of its tiles' place plus base, slots
     [N, 2] its range of slots. Only tiles in open_tiles (of `find_open`) take more.
     """
-    flat, last = rows.reshape(-1), len(order) - 1
+    flat = rows.reshape(-1)
     for chunk in range(begin, end):
         if not filling:
             histogram[chunk] = 0
@@ -91,26 +109,39 @@ def visit(
         slot = totals[chunk]
         for rank in range(first + chunk * n // n_chunks, first + (chunk + 1) * n // n_chunks):
             i = np.int64(order[rank] & INDEX)
-            prefetch(flat, np.int64(order[min(rank + AHEAD, last)] & INDEX) * ROW)
-            left, right, top, bottom = _tile_box(rows, i, tiles_x, tiles_y)
+            start, code = slot, codes[rank - first]
+            ahead = min(rank + AHEAD, first + n - 1)
+            if codes[ahead - first] & MORE:
+                prefetch(flat, np.int64(order[ahead] & INDEX) * ROW)
+            slot = _list_grid(
+                filling, code & EVERY, code // CORNER, tiles_x, i, slot, chunk, histogram, base, members, places
+            )
+            if code & MORE:
+                left, right, top, bottom = _tile_box(rows, i, tiles_x, tiles_y)
+                for tile_y in range(top, bottom + 1, CELLS):
+                    for tile_x in range(left, right + 1, CELLS):
+                        corner = tile_y * tiles_x + tile_x
+                        if open_tiles[corner] and corner != code // CORNER:
+                            todo = _grid(rows, i, tile_x, tile_y) & open_tiles[corner]
+                            slot = _list_grid(
+                                filling, todo, corner, tiles_x, i, slot, chunk, histogram, base, members, places
+                            )
             if filling:
-                slots[i, 0] = slot
-            for tile_y in range(top, bottom + 1, CELLS):
-                for tile_x in range(left, right + 1, CELLS):
-                    corner = tile_y * tiles_x + tile_x
-                    todo = open_tiles[corner]
-                    if todo:
-                        todo &= _grid(rows, i, tile_x, tile_y)
-                    while todo:
-                        cell = lowest_bit(todo)
-                        todo &= todo - 1
-                        tile = corner + (cell // CELLS) * tiles_x + cell % CELLS
-                        place = histogram[chunk, tile]
-                        histogram[chunk, tile] = place + 1
-                        if filling:
-                            members[place] = i
-                            places[slot] = base + place
-                        slot += 1
-            if filling:
-                slots[i, 1] = slot
+                slots[i, 0], slots[i, 1] = start, slot
         totals[chunk] = slot
+
+
+@inline
+def _list_grid(filling, todo, corner, tiles_x, i, slot, chunk, histogram, base, members, places):
+    """Count or list Gaussian i in the tiles `todo` of the grid at `corner`; returns the next slot."""
+    while todo:
+        cell = lowest_bit(todo)
+        todo &= todo - 1
+        tile = corner + (cell // CELLS) * tiles_x + cell % CELLS
+        place = histogram[chunk, tile]
+        histogram[chunk, tile] = place + 1
+        if filling:
+            members[place] = i
+            places[slot] = base + place
+        slot += 1
+    return slot

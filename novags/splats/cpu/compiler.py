@@ -36,11 +36,11 @@ def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile at the first call, keep the machine code on disk, run without the GIL."""
     previous, config.CACHE_DIR = config.CACHE_DIR, _CACHE
     try:
-        return njit(nogil=True, cache=True, **_OPTIONS)(function)
+        return njit(nogil=True, cache=True, no_cfunc_wrapper=True, **_OPTIONS)(function)
     finally:
         config.CACHE_DIR = previous
 
 
 def inline(function: Callable[..., Any]) -> Callable[..., Any]:
     """A function that only kernels call; becomes part of them."""
-    return njit(forceinline=True, **_OPTIONS)(function)
+    return njit(forceinline=True, no_cpython_wrapper=True, no_cfunc_wrapper=True, **_OPTIONS)(function)

@@ -57,6 +57,7 @@ EVERY_LANE = 0xFFFF
 NEVER = np.int32(2**31 - 1)
 LANE_X = constant([lane % BLOCK for lane in range(LANES)])
 LANE_Y = constant([lane // BLOCK for lane in range(LANES)])
+BATCH = 16  # list entries whose reach is found together
 AHEAD = 8  # list entries whose records are asked for ahead of their use
 
 
@@ -75,12 +76,13 @@ def _start_tile(trans, color, last, tile, x0, y0, width, height):
 
 @kernel
 def forward(
-    begin, end, rows, members, starts, ends, base, width, height, tiles_x, trans, color, last, finished
+    begin, end, rows, members, starts, ends, base, width, height, tiles_x, trans, color, last, reached, finished
 ):  # fmt: skip
     """Composite tiles begin..end-1 behind what they hold; behind nothing if base, the number of earlier entries, is 0.
 
     Reads the flat rows [N * ROW] and lists members[starts[tile] : ends[tile]]. Changes the tile state; ends becomes
-    one past the last entry that was looked at, and finished marks tiles all of whose pixels have stopped.
+    one past the last entry that was looked at, reached [I] uint16 the bits of the blocks to which an entry
+    contributed, and finished marks tiles all of whose pixels have stopped.
     """
     stopped = np.empty(BLOCKS, np.int64)
     for tile in range(begin, end):
@@ -97,7 +99,7 @@ def forward(
                 alive |= 1 << block
         ends[tile] = _forward_tile(
             rows, members, starts[tile], ends[tile], base, np.float32(x0), np.float32(y0), tile, alive, stopped, trans,
-            color, last,
+            color, last, reached,
         )  # fmt: skip
         finished[tile] = True
         for block in range(BLOCKS):
@@ -111,18 +113,21 @@ def _record(rows, p, x0, y0):
 
 
 @inline
-def _forward_tile(rows, members, start, end, base, x0, y0, tile, alive, stopped, trans, color, last):
+def _forward_tile(
+    rows, members, start, end, base, x0, y0, tile, alive, stopped, trans, color, last, reached
+):  # fmt: skip
     lane_x, lane_y = LANE_X(), LANE_Y()
     for place in range(start, end):
+        if (place - start) % BATCH == 0:
+            _reach_ahead(rows, members, place, min(place + BATCH, end), x0, y0, reached)
         if not alive:
             return place
         p = np.int64(members[place]) * ROW
-        prefetch(rows, np.int64(members[min(place + AHEAD, end - 1)]) * ROW)
         x, y, a, k, q, top = _record(rows, p, x0, y0)
-        limit = top - LOG2_ALPHA_MIN + SLACK
-        todo = cells_reached(x, y, a, k, q, rows[p + SLOPE], limit, np.float32(BLOCK)) & alive
+        todo = np.int64(reached[place]) & alive
         sheared = lane_x + lane_y * k
         c0, c1, c2, c3 = rows[p + CHANNEL], rows[p + CHANNEL + 1], rows[p + CHANNEL + 2], rows[p + CHANNEL + 3]
+        contributed = 0
         while todo:
             block = lowest_bit(todo)
             todo &= todo - 1
@@ -131,7 +136,8 @@ def _forward_tile(rows, members, start, end, base, x0, y0, tile, alive, stopped,
             u = sheared + (np.float32(block % BLOCK * BLOCK) + HALF - x + k * block_y)
             dy = lane_y + block_y
             power = top - q * dy * dy - a * u * u
-            alpha = select(power >= LOG2_ALPHA_MIN, minimum(exp2_alpha(power), ALPHA_MAX), ZERO)
+            counts = power >= LOG2_ALPHA_MIN
+            alpha = select(counts, minimum(exp2_alpha(power), ALPHA_MAX), ZERO)
             before = load(trans, at)
             weight = alpha * before
             after = before - weight
@@ -143,6 +149,7 @@ def _forward_tile(rows, members, start, end, base, x0, y0, tile, alive, stopped,
             store(color, at_color + 2 * PIXELS, load(color, at_color + 2 * PIXELS) + weight * c2)
             store(color, at_color + 3 * PIXELS, load(color, at_color + 3 * PIXELS) + weight * c3)
             stop_bits = bits(stop)
+            contributed |= np.int64(bits(counts) & ~stop_bits != 0) << block
             if stop_bits != stopped[block]:
                 new = stop_bits & ~stopped[block]
                 stopped[block] = stop_bits
@@ -151,7 +158,19 @@ def _forward_tile(rows, members, start, end, base, x0, y0, tile, alive, stopped,
                     new &= new - 1
                 if stop_bits == EVERY_LANE:
                     alive &= ~(1 << block)
+        reached[place] = contributed
     return end
+
+
+@inline
+def _reach_ahead(rows, members, start, end, x0, y0, reached):
+    """Which blocks the next entries reach. In a loop of their own, their latency hides behind each other."""
+    for place in range(start, end):
+        prefetch(rows, np.int64(members[min(place + BATCH, len(members) - 1)]) * ROW)
+        p = np.int64(members[place]) * ROW
+        x, y, a, k, q, top = _record(rows, p, x0, y0)
+        limit = top - LOG2_ALPHA_MIN + SLACK
+        reached[place] = cells_reached(x, y, a, k, q, rows[p + SLOPE], limit, np.float32(BLOCK))
 
 
 @kernel
@@ -198,7 +217,8 @@ def from_image(begin, end, trans, width, height, tiles_x, first_channel, v_image
 
 @kernel
 def backward(
-    begin, end, rows, members, starts, ends, list_ends, base, first_row, tiles_x, left, behind, v_color, last, v_rows
+    begin, end, rows, members, reached, starts, ends, list_ends, base, first_row, tiles_x, left, behind, v_color, last,
+    v_rows,
 ):  # fmt: skip
     """Walk the lists of tiles begin..end-1 back to front; one gradient row of v_rows [rows, ROW] per entry.
 
@@ -206,26 +226,22 @@ def backward(
     afterwards the state in front of it; list_ends is where the lists end that `ends` stopped looking at (those rows
     become zero).
     """
-    stop_places = np.empty(BLOCKS, np.int64)
     for tile in range(begin, end):
         for i in range((first_row + base + ends[tile]) * ROW, (first_row + base + list_ends[tile]) * ROW):
             v_rows[i] = ZERO
-        for block in range(BLOCKS):
-            stop_places[block] = last[tile * PIXELS + block * LANES : tile * PIXELS + (block + 1) * LANES].max()
         x0, y0 = np.float32(tile % tiles_x * TILE), np.float32(tile // tiles_x * TILE)
         for place in range(ends[tile] - 1, starts[tile] - 1, -1):
             prefetch(rows, np.int64(members[max(place - AHEAD, starts[tile])]) * ROW)
             _backward_entry(
-                rows, np.int64(members[place]) * ROW, base + place, x0, y0, tile, stop_places, left, behind, v_color,
-                last, (first_row + base + place) * ROW, v_rows,
+                rows, np.int64(members[place]) * ROW, base + place, np.int64(reached[place]), x0, y0, tile, left,
+                behind, v_color, last, (first_row + base + place) * ROW, v_rows,
             )  # fmt: skip
 
 
 @inline
-def _backward_entry(rows, p, place, x0, y0, tile, stop_places, left, behind, v_color, last, out, v_rows):
+def _backward_entry(rows, p, place, todo, x0, y0, tile, left, behind, v_color, last, out, v_rows):
     lane_x, lane_y = LANE_X(), LANE_Y()
     x, y, a, k, q, top = _record(rows, p, x0, y0)
-    todo = cells_reached(x, y, a, k, q, rows[p + SLOPE], top - LOG2_ALPHA_MIN + SLACK, np.float32(BLOCK))
     sheared = lane_x + lane_y * k
     c0, c1, c2, c3 = rows[p + CHANNEL], rows[p + CHANNEL + 1], rows[p + CHANNEL + 2], rows[p + CHANNEL + 3]
     s = splat(ZERO)
@@ -233,8 +249,6 @@ def _backward_entry(rows, p, place, x0, y0, tile, stop_places, left, behind, v_c
     while todo:
         block = lowest_bit(todo)
         todo &= todo - 1
-        if stop_places[block] <= place:
-            continue
         at, at_color = tile * PIXELS + block * LANES, tile * COLOR + block * LANES
         block_y = np.float32(block // BLOCK * BLOCK) + HALF - y
         u = sheared + (np.float32(block % BLOCK * BLOCK) + HALF - x + k * block_y)

@@ -1,8 +1,9 @@
 """L1 and SSIM between two images [H, W, C], with the gradient of the first; definitions as in `novags.splats.losses`.
 
-Rows are worked on as W * C interleaved floats, in which a horizontal neighbour is C floats away: plain loops over them
-are what compilers vectorise best. Three passes over the rows, each parallel: horizontal window sums of the five
-products; vertical ones, the score and its three derivatives; both directions of the derivatives, and the gradient.
+A row is worked on as W * C interleaved floats, in which a horizontal neighbour is C floats away. Three passes over the
+rows, each parallel: horizontal window sums of the five products; vertical ones, the score and its three derivatives;
+both directions of the derivatives, and the gradient. Rows of `moments` and `slopes` are `stride` floats long, a
+multiple of LANES.
 """
 
 # mypy: allow-untyped-defs
@@ -10,94 +11,117 @@ products; vertical ones, the score and its three derivatives; both directions of
 import numpy as np
 
 from .compiler import inline, kernel
+from .simd import LANES, constant, load, select, splat, store
 
 WINDOW, HALF_WINDOW = 11, 5
-MOMENTS = 5  # x, y, x^2, y^2, x y
+MOMENTS, SLOPES = 5, 3  # means of x, y, x^2, y^2, x y; derivatives of the score to those of x, x^2, x y
 ZERO, ONE, TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 C1, C2 = np.float32(0.01**2), np.float32(0.03**2)
+LANE = constant(list(range(LANES)))
 
 
-@inline
-def _add_scaled(target, source, start, n, weight):
-    for i in range(n):
-        target[i] += weight * source[start + i]
+def stride(n: int) -> int:
+    """Floats that a row of n takes in moments and slopes."""
+    return -(-n // LANES) * LANES
 
 
 @kernel
 def horizontal(begin, end, image, target, channels, weights, moments):
-    """Window sums along rows begin..end-1 of image, target [H, W * C]; writes moments [MOMENTS, H, W * C]."""
-    n = image.shape[1]
-    pad = HALF_WINDOW * channels
-    padded = np.zeros((MOMENTS, n + 2 * pad), np.float32)  # outside counts as zero
-    for y in range(begin, end):
-        for i in range(n):
-            a, b = image[y, i], target[y, i]
-            padded[0, pad + i], padded[1, pad + i] = a, b
-            padded[2, pad + i], padded[3, pad + i], padded[4, pad + i] = a * a, b * b, a * b
-        for moment in range(MOMENTS):
-            out, source = moments[moment, y], padded[moment]
-            out[:] = ZERO
+    """Window sums along rows begin..end-1 of image, target [H, W * C]; writes the flat moments [MOMENTS, H, stride]."""
+    height, n = image.shape
+    padding, step = HALF_WINDOW * channels, -(-n // LANES) * LANES
+    xs, ys = (
+        np.zeros(step + 2 * padding, np.float32),
+        np.zeros(step + 2 * padding, np.float32),
+    )  # outside counts as zero
+    for row in range(begin, end):
+        xs[padding : padding + n] = image[row]
+        ys[padding : padding + n] = target[row]
+        for i in range(0, n, LANES):
+            zero = splat(ZERO)
+            sx, sy, sxx, syy, sxy = zero, zero, zero, zero, zero
             for tap in range(WINDOW):
-                _add_scaled(out, source, tap * channels, n, weights[tap])
+                x, y = load(xs, i + tap * channels), load(ys, i + tap * channels)
+                wx, wy = x * weights[tap], y * weights[tap]
+                sx += wx
+                sy += wy
+                sxx += wx * x
+                syy += wy * y
+                sxy += wx * y
+            at = row * step + i
+            store(moments, at, sx)
+            store(moments, at + height * step, sy)
+            store(moments, at + 2 * height * step, sxx)
+            store(moments, at + 3 * height * step, syy)
+            store(moments, at + 4 * height * step, sxy)
 
 
 @inline
-def _vertical(source, y, weights, out):
-    """Window sum over the rows around y of source [H, n]."""
-    out[:] = ZERO
-    for tap in range(WINDOW):
-        row = y + tap - HALF_WINDOW
-        if 0 <= row < len(source):
-            _add_scaled(out, source[row], 0, len(out), weights[tap])
+def _vertical(source, plane, row, i, height, step, weights):
+    """Window sum over the rows around `row` of one plane, at sixteen columns."""
+    total = splat(ZERO)
+    for tap in range(max(0, HALF_WINDOW - row), min(WINDOW, height + HALF_WINDOW - row)):
+        total += load(source, (plane * height + row + tap - HALF_WINDOW) * step + i) * weights[tap]
+    return total
 
 
 @kernel
-def score(begin, end, moments, weights, slopes, sums):
-    """SSIM of rows begin..end-1: sums [H] float64, and slopes [3, H, n], its derivatives to E x, E x^2, E x y."""
-    n = moments.shape[2]
-    m = np.empty((MOMENTS, n), np.float32)
-    values = np.empty(n, np.float32)
-    for y in range(begin, end):
-        for moment in range(MOMENTS):
-            _vertical(moments[moment], y, weights, m[moment])
-        for i in range(n):
-            mx, my = m[0, i], m[1, i]
-            a1, a2 = TWO * mx * my + C1, TWO * (m[4, i] - mx * my) + C2
-            b1, b2 = mx * mx + my * my + C1, (m[2, i] - mx * mx) + (m[3, i] - my * my) + C2
+def score(begin, end, height, n, moments, weights, slopes, sums):
+    """SSIM of rows begin..end-1, summed to sums [H] float64; its derivatives to the flat slopes [SLOPES, H, stride]."""
+    step = -(-n // LANES) * LANES
+    lanes = np.empty(LANES, np.float32)
+    for row in range(begin, end):
+        total = splat(ZERO)
+        for i in range(0, n, LANES):
+            mx = _vertical(moments, 0, row, i, height, step, weights)
+            my = _vertical(moments, 1, row, i, height, step, weights)
+            xx = _vertical(moments, 2, row, i, height, step, weights)
+            yy = _vertical(moments, 3, row, i, height, step, weights)
+            xy = _vertical(moments, 4, row, i, height, step, weights)
+            a1, a2 = mx * my * TWO + C1, (xy - mx * my) * TWO + C2
+            b1, b2 = mx * mx + my * my + C1, (xx - mx * mx) + (yy - my * my) + C2
             inverse = ONE / (b1 * b2)
             s = a1 * a2 * inverse
-            values[i] = s
-            slopes[0, y, i] = TWO * (my * (a2 - a1) * inverse - mx * s * (b2 - b1) * inverse)
-            slopes[1, y, i] = -s * b1 * inverse
-            slopes[2, y, i] = TWO * a1 * inverse
-        total = 0.0
-        for i in range(n):
-            total += values[i]
-        sums[y] = total
+            inside = LANE() < np.float32(n - i)  # columns beyond the image are no part of it
+            total += select(inside, s, ZERO)
+            at = row * step + i
+            store(slopes, at, select(inside, (my * (a2 - a1) - mx * s * (b2 - b1)) * inverse * TWO, ZERO))
+            store(slopes, at + height * step, select(inside, -(s * b1 * inverse), ZERO))
+            store(slopes, at + 2 * height * step, select(inside, a1 * inverse * TWO, ZERO))
+        store(lanes, 0, total)
+        in_double = 0.0
+        for lane in range(LANES):
+            in_double += lanes[lane]
+        sums[row] = in_double
 
 
 @kernel
 def gradient(begin, end, image, target, channels, weights, slopes, l1_weight, ssim_weight, sums, v_image):
     """Rows begin..end-1 of v_image [H, n] = l1_weight sign(x - y) + ssim_weight dSSIM/dx; sums [H] float64 of |x - y|.
 
-    slopes may be empty [3, 0, 0] if ssim_weight is 0.
+    slopes may be empty if ssim_weight is 0.
     """
-    n = image.shape[1]
-    pad = HALF_WINDOW * channels
-    padded = np.zeros(n + 2 * pad, np.float32)
-    out = np.zeros((3, n), np.float32)
-    for y in range(begin, end):
+    height, n = image.shape
+    padding, step = HALF_WINDOW * channels, -(-n // LANES) * LANES
+    length = step + 2 * padding
+    padded, out = np.zeros(SLOPES * length, np.float32), np.zeros(SLOPES * step, np.float32)
+    for row in range(begin, end):
         if ssim_weight != ZERO:
-            for k in range(3):
-                _vertical(slopes[k], y, weights, padded[pad : pad + n])
-                out[k] = ZERO
-                for tap in range(WINDOW):
-                    _add_scaled(out[k], padded, tap * channels, n, weights[tap])
+            for plane in range(SLOPES):
+                for i in range(0, n, LANES):
+                    value = _vertical(slopes, plane, row, i, height, step, weights)
+                    store(padded, plane * length + padding + i, value)
+                for i in range(0, n, LANES):
+                    total = splat(ZERO)
+                    for tap in range(WINDOW):
+                        total += load(padded, plane * length + i + tap * channels) * weights[tap]
+                    store(out, plane * step + i, total)
+        absolute = 0.0
         for i in range(n):
-            a, b = image[y, i], target[y, i]
+            a, b = image[row, i], target[row, i]
             sign = ONE if a > b else (-ONE if a < b else ZERO)
-            v_image[y, i] = l1_weight * sign + ssim_weight * (out[0, i] + TWO * a * out[1, i] + b * out[2, i])
-        total = 0.0
+            ssim = out[i] + TWO * a * out[step + i] + b * out[2 * step + i]
+            v_image[row, i] = l1_weight * sign + ssim_weight * ssim
         for i in range(n):
-            total += abs(image[y, i] - target[y, i])
-        sums[y] = total
+            absolute += abs(image[row, i] - target[row, i])
+        sums[row] = absolute

@@ -152,7 +152,10 @@ def _wave(
     totals = np.empty(n_chunks, np.int64)
     base = len(lists.places)
     none = np.empty(0, np.int32)
-    arguments = (splats.rows, order, first, n, n_chunks, camera.tiles_x, camera.tiles_y, open_tiles, histogram, totals)
+    codes = empty(n, np.int64)
+    common = splats.rows, order, first, n_chunks, n, camera.tiles_x, camera.tiles_y, open_tiles, codes
+    run(bins.first_grids, n_chunks, 1, *common)
+    arguments = *common, histogram, totals
     run(bins.visit, n_chunks, 1, False, *arguments, base, none, none, splats.slots)
     total = sort.exclusive_sums(histogram)
     if base + total >= 2**31:
@@ -175,6 +178,7 @@ class TileState:
     trans: np.ndarray
     color: np.ndarray
     last: np.ndarray
+    reached: list[np.ndarray]  # per wave
 
 
 @dataclass(kw_only=True)
@@ -214,15 +218,17 @@ def _channel_rows(frame: Frame, shape: Shape, colors: np.ndarray) -> tuple[list[
 
 def _new_state(n_tiles: int) -> TileState:
     pixels, colors = n_tiles * composite.PIXELS, n_tiles * composite.COLOR
-    return TileState(trans=empty(pixels), color=empty(colors), last=empty(pixels, np.int32))
+    return TileState(trans=empty(pixels), color=empty(colors), last=empty(pixels, np.int32), reached=[])
 
 
 def _composite(
     camera: Camera, rows: np.ndarray, wave: Wave, ends: np.ndarray, state: TileState, finished: np.ndarray
 ) -> None:
+    state.reached.append(empty(len(wave.members), np.uint16))
     run(
         composite.forward, len(finished), GRAIN_TILES, rows.reshape(-1), wave.members, wave.starts, ends, wave.base,
-        camera.width, camera.height, camera.tiles_x, state.trans, state.color, state.last, finished,
+        camera.width, camera.height, camera.tiles_x, state.trans, state.color, state.last,
+        state.reached[-1], finished,
     )  # fmt: skip
 
 
@@ -311,10 +317,10 @@ def _composite_backward(frame: Frame, v_image: np.ndarray, v_alpha: np.ndarray) 
             composite.from_image, n_tiles, GRAIN_TILES, state.trans, camera.width, camera.height, camera.tiles_x,
             i * CHANNELS, v_image, v_alpha, left, behind, v_color,
         )  # fmt: skip
-        for wave in reversed(frame.lists.waves):
+        for wave, reached in reversed(list(zip(frame.lists.waves, state.reached, strict=True))):
             run(
-                composite.backward, n_tiles, GRAIN_TILES, rows.reshape(-1), wave.members, wave.starts, wave.ends,
-                wave.list_ends, wave.base, i * n_entries, camera.tiles_x, left, behind, v_color, state.last,
+                composite.backward, n_tiles, GRAIN_TILES, rows.reshape(-1), wave.members, reached, wave.starts,
+                wave.ends, wave.list_ends, wave.base, i * n_entries, camera.tiles_x, left, behind, v_color, state.last,
                 v_rows.reshape(-1),
             )  # fmt: skip
     return v_rows
@@ -332,7 +338,7 @@ def backward(
     v_view = np.empty((blocks if with_camera else 0, project_backward.V_VIEW), np.float32)
     run(
         project_backward.backward, blocks, 1, shape.means, shape.quats, shape.scales, shape.opacities, camera.vector,
-        splats.rows, splats.radii, v_rows.reshape(-1), frame.lists.places, splats.slots, len(frame.passes),
+        splats.radii, v_rows.reshape(-1), frame.lists.places, splats.slots, len(frame.passes),
         frame.depth_channel, v_shape.means, v_shape.quats, v_shape.scales, v_shape.opacities, v_features, v_view,
     )  # fmt: skip
     v_viewmat = np.zeros((4, 4), np.float32)

@@ -104,6 +104,18 @@ def _times_rotation(t, r):
     )  # fmt: skip
 
 
+@inline
+def _footprint(m, eps):
+    """a, k and q of the sheared form of the covariance M M^T + eps; its xx entry and its determinant."""
+    m00, m01, m02, m10, m11, m12 = m
+    row0, row1 = m00 * m00 + m01 * m01 + m02 * m02, m10 * m10 + m11 * m11 + m12 * m12
+    d01, d02, d12 = m00 * m11 - m01 * m10, m00 * m12 - m02 * m10, m01 * m12 - m02 * m11
+    # Cauchy-Binet: the determinant as a sum of squares. c_xx c_yy - c_xy^2 loses all digits for needles.
+    det = (d01 * d01 + d02 * d02 + d12 * d12) + eps * (row0 + row1) + eps * eps
+    inverse = ONE / (row1 + eps)
+    return (row1 + eps) / det, -(m00 * m10 + m01 * m11 + m02 * m12) * inverse, inverse, row0 + eps, det
+
+
 @kernel
 def forward(begin, end, means, quats, scales, opacities, camera, rows, depths, radii, tiles, slots, suspect):
     """Project Gaussians begin..end-1.
@@ -159,17 +171,11 @@ def _project(c, b):
     r = _rotation(qw, qx, qy, qz)
     tr = _times_rotation(_image_axes(c, jx, jy, jxz, jyz), r)
     m00, m01, m02, m10, m11, m12 = tr[0] * s0, tr[1] * s1, tr[2] * s2, tr[3] * s0, tr[4] * s1, tr[5] * s2
-    row0, row1 = m00 * m00 + m01 * m01 + m02 * m02, m10 * m10 + m11 * m11 + m12 * m12
-    d01, d02, d12 = m00 * m11 - m01 * m10, m00 * m12 - m02 * m10, m01 * m12 - m02 * m11
-    eps = c[EPS2D]
-    # Cauchy-Binet: det(M M^T + eps) as a sum of squares. c_xx c_yy - c_xy^2 loses all digits for needles.
-    det = (d01 * d01 + d02 * d02 + d12 * d12) + eps * (row0 + row1) + eps * eps
-    cxx, cyy, cxy = row0 + eps, row1 + eps, m00 * m10 + m01 * m11 + m02 * m12
-    a, k, q = cyy / det, -cxy / cyy, ONE / cyy
+    a, k, q, cxx, det = _footprint((m00, m01, m02, m10, m11, m12), c[EPS2D])
     px, py = jx * x + c[CX], jy * y + c[CY]
     top = log2(maximum(o, ALPHA_MIN))
     log2_reach = (top - LOG2_ALPHA_MIN) / HALF_LOG2E
-    rx, ry = sqrt(log2_reach * cxx), sqrt(log2_reach * cyy)
+    rx, ry = sqrt(log2_reach * cxx), sqrt(log2_reach / q)
     visible = (z > c[NEAR]) & (z < c[FAR]) & (o >= ALPHA_MIN) & (det > ZERO)
     visible = visible & (px + rx > ZERO) & (px - rx < c[WIDTH]) & (py + ry > ZERO) & (py - ry < c[HEIGHT])
     radius = select(visible, minimum(maximum(ceil(maximum(rx, ry)), ONE), MAX_RADIUS), ZERO)

@@ -9,8 +9,8 @@ alpha times 1, u, u^2, u dy, dy, dy^2, and of the four channels' gradients.
 import numpy as np
 
 from .compiler import inline, kernel
-from .layout import CHANNELS, HALF_LOG2E, ROW, A, K, Q
-from .project import EPS2D, INPUTS, _gather, _image_axes, _jacobian, _rotation, _times_rotation, _to_camera
+from .layout import CHANNELS, ROW
+from .project import EPS2D, INPUTS, _footprint, _gather, _image_axes, _jacobian, _rotation, _times_rotation, _to_camera
 from .simd import LANES, load, prefetch, select, splat, store
 
 ZERO, HALF, ONE, TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
@@ -44,7 +44,7 @@ def _sum_rows(v_rows, places, starts, i, n_passes, depth_channel, lane, sums, v_
 
 @kernel
 def backward(
-    begin, end, means, quats, scales, opacities, camera, rows, radii, v_rows, places, starts, n_passes, depth_channel,
+    begin, end, means, quats, scales, opacities, camera, radii, v_rows, places, starts, n_passes, depth_channel,
     v_means, v_quats, v_scales, v_opacities, v_features, v_view,
 ):  # fmt: skip
     """Gradients of blocks begin..end-1 of BLOCK Gaussians.
@@ -56,7 +56,6 @@ def backward(
     n = len(means)
     columns = np.ones(INPUTS * LANES, np.float32)
     sums = np.zeros((SUMS + 2) * LANES, np.float32)  # and the gradient of the depth, and 1 for visible ones
-    shape = np.ones(3 * LANES, np.float32)
     row = np.empty(ROW, np.float32)
     camera_sums = np.empty(V_VIEW * LANES, np.float32)
     for block in range(begin, end):
@@ -74,7 +73,6 @@ def backward(
                     any_visible = True
                     sums[(SUMS + 1) * LANES + lane] = ONE
                     _sum_rows(v_rows, places, starts, i, n_passes, depth_channel, lane, sums, v_features, row)
-                    shape[lane], shape[LANES + lane], shape[2 * LANES + lane] = rows[i, A], rows[i, K], rows[i, Q]
                 else:
                     v_features[i] = ZERO
             if not any_visible:
@@ -84,7 +82,7 @@ def backward(
                 v_opacities[first : first + count] = ZERO
                 continue
             _gather(means, quats, scales, opacities, first, count, columns)
-            _backward(camera, columns, sums, shape, camera_sums)
+            _backward(camera, columns, sums, camera_sums)
             _scatter(first, count, radii, columns, v_means, v_quats, v_scales, v_opacities)
         if len(v_view):
             for j in range(V_VIEW):
@@ -143,14 +141,12 @@ def _rotation_backward(r, t, h):
 
 
 @inline
-def _backward(c, b, sums, shape, camera_sums):
+def _backward(c, b, sums, camera_sums):
     """Replace the inputs in the columns b by their gradients, and add to the camera's."""
     mx, my, mz = load(b, 0 * LANES), load(b, 1 * LANES), load(b, 2 * LANES)
     s0, s1, s2 = load(b, 7 * LANES), load(b, 8 * LANES), load(b, 9 * LANES)
     g, gu, guu = load(sums, 0), load(sums, LANES), load(sums, 2 * LANES)
     gud, gd, gdd = load(sums, 3 * LANES), load(sums, 4 * LANES), load(sums, 5 * LANES)
-    a, k, q = load(shape, 0) / HALF_LOG2E, load(shape, LANES), load(shape, 2 * LANES) / HALF_LOG2E
-    v_px, v_py = a * gu, a * k * gu + q * gd
 
     x, y, z = _to_camera(c, mx, my, mz)
     iz = ONE / z
@@ -159,6 +155,8 @@ def _backward(c, b, sums, shape, camera_sums):
     t = _image_axes(c, jx, jy, jxz, jyz)
     tr = _times_rotation(t, r)
     m = tr[0] * s0, tr[1] * s1, tr[2] * s2, tr[3] * s0, tr[4] * s1, tr[5] * s2
+    a, k, q, _, _ = _footprint(m, c[EPS2D])
+    v_px, v_py = a * gu, a * k * gu + q * gd
     v_m = _covariance_backward(a, k, q, guu * (-HALF), -a * gud, gdd * (-HALF), c[EPS2D], m)
     h = v_m[0] * s0, v_m[1] * s1, v_m[2] * s2, v_m[3] * s0, v_m[4] * s1, v_m[5] * s2
     vw, vx, vy, vz = _rotation_backward(r, t, h)
