@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from simscenes.render.source import LoadedScene, unique_materials
 from simscenes.rigs import Rig, invert_rigid
 
+MAX_INTERFACES = 16  # borders of fog and the like, which bend no ray and are looked through
+
 Channels = dict[str, NDArray[Any]]
 
 
@@ -59,6 +61,33 @@ def geometry_channels(mi: Any, loaded: LoadedScene, rig: Rig, i: int) -> Channel
     return channels
 
 
+def check_cameras(mi: Any, loaded: LoadedScene, rig: Rig) -> None:
+    """Refuse cameras inside an opaque object, whose picture would be black without saying why.
+
+    Raises:
+        ValueError: If most of what a view sees are the unlit backs of one-sided surfaces.
+    """
+    scene = loaded.scene
+    one_sided = np.array([False, *(not s.bsdf().flags() & int(mi.BSDFFlags.BackSide) for s in scene.shapes())])
+    for i in range(len(rig)):
+        small = _shrunk(rig, i)
+        origin, directions = pixel_rays(small, 0)
+        find = _intersect_scalar if mi.variant().startswith("scalar") else _intersect_wide
+        hit, _, _, geometric, _, shape, _ = find(mi, scene, origin, directions)
+        back = hit & one_sided[shape] & (np.einsum("pj,pj->p", geometric, directions) > 0)
+        if back.mean() > 0.5:
+            names = ["", *loaded.shapes]
+            inside = names[int(np.bincount(shape[back]).argmax())]
+            raise ValueError(f"view {i} at {origin.round(3).tolist()} sees the inside of {inside!r}, which is "
+                             "one-sided: move the camera out of it, or make the material twosided")  # fmt: skip
+
+
+def _shrunk(rig: Rig, i: int, size: int = 8) -> Rig:
+    """View `i` alone, with a field of view as before and only a few pixels."""
+    stretch = np.diag([size / rig.width, size / rig.height, 1.0])
+    return Rig(viewmats=rig.viewmats[i : i + 1], Ks=stretch @ rig.Ks[i : i + 1], width=size, height=size)
+
+
 def _intersect_wide(mi: Any, scene: Any, origin: NDArray[Any], directions: NDArray[Any]) -> tuple[NDArray[Any], ...]:
     """All rays at once, in a JIT variant."""
     import drjit as dr
@@ -67,6 +96,11 @@ def _intersect_wide(mi: Any, scene: Any, origin: NDArray[Any], directions: NDArr
     # Opaque: as literals the origin would be compiled into the kernel, anew for every view.
     ray = mi.Ray3f(mi.Point3f(*(dr.opaque(mi.Float, float(v)) for v in origin)), direction)
     si = scene.ray_intersect(ray)
+    for _ in range(MAX_INTERFACES):
+        through = si.is_valid() & ((si.bsdf(ray).flags() & int(mi.BSDFFlags.All)) == int(mi.BSDFFlags.Null))
+        if not dr.any(through):
+            break
+        si = dr.select(through, scene.ray_intersect(si.spawn_ray(ray.d), through), si)
     albedo = si.bsdf(ray).eval_diffuse_reflectance(si, si.is_valid())
     columns = [np.array(v, dtype=np.float64).T for v in (si.p, si.sh_frame.n, si.n, mi.Color3f(albedo))]
     shapes = _numbers(dr, mi.UInt32, [mi.ShapePtr(s) for s in scene.shapes()], si.shape)
@@ -92,6 +126,10 @@ def _intersect_scalar(mi: Any, scene: Any, origin: NDArray[Any], directions: NDA
     for p, direction in enumerate(directions.tolist()):
         ray = mi.Ray3f(origin.tolist(), direction)
         si = scene.ray_intersect(ray)
+        for _ in range(MAX_INTERFACES):
+            if not si.is_valid() or si.bsdf(ray).flags() & int(mi.BSDFFlags.All) != int(mi.BSDFFlags.Null):
+                break
+            si = scene.ray_intersect(si.spawn_ray(ray.d))
         if not si.is_valid():
             continue
         hit[p], bsdf = True, si.bsdf(ray)

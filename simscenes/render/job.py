@@ -3,52 +3,50 @@
 from __future__ import annotations
 
 import hashlib
-import importlib.metadata
 import json
-import os
-import resource
-import sys
-import time
+import math
 from collections.abc import Callable
-from contextlib import contextmanager
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from simscenes.backend import activate
+from sensor_model.plan import Plan
+from simscenes.backend import activate, choose_variant
 from simscenes.exr import read_exr, write_exr
-from simscenes.layout import write_cameras, write_json
-from simscenes.multiview import MultiviewSet, encode_srgb, load_set
-from simscenes.render.geometry import geometry_channels
-from simscenes.render.radiance import render_radiance
+from simscenes.layout import write_json
+from simscenes.multiview import MultiviewSet, load_set
+from simscenes.optics import Optics
+from simscenes.render.cost import Stopwatch, peak_bytes, predict_seconds, versions
+from simscenes.render.finish import finish_set
+from simscenes.render.fit import fit_rig
+from simscenes.render.geometry import check_cameras, geometry_channels
+from simscenes.render.radiance import Method, View
 from simscenes.render.source import LoadedScene, build_scene
-from simscenes.render.sparse import surface_points
 from simscenes.rigs import Rig
 from simscenes.scenes import default_rig
 
 DEFAULT_SPP = 256
-FORMAT = 1  # of the folder; a change renders again
+FORMAT = 2  # of the folder; a change renders again
 _KEY = "novagsKey"
 
 Progress = Callable[[int, int, str], None]
 
 
-class Stopwatch:
-    """Seconds per named stage."""
+@dataclass(frozen=True)
+class _Job:
+    """What every view of one call shares."""
 
-    def __init__(self) -> None:
-        self.seconds: dict[str, float] = {}
-
-    @contextmanager
-    def stage(self, name: str) -> Any:
-        """Add the time spent inside to one stage."""
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+    method: Method
+    surfaces: LoadedScene  # in RGB, for the geometry; the scene of `method` may be spectral
+    variant: str
+    rig: Rig
+    out: Path
+    names: list[str]
+    config: dict[str, Any]
+    watch: Stopwatch
+    progress: Progress
 
 
 def render_set(
@@ -58,9 +56,11 @@ def render_set(
     *,
     spp: int | None = None,
     target_error: float | None = None,
-    plan: str = "auto",
+    plan: str | Plan = "auto",
+    optics: Optics | None = None,
     variant: str = "auto",
     seed: int = 0,
+    allow_outside: bool = False,
     progress: Progress | None = None,
 ) -> MultiviewSet:
     """Render a scene into a set folder: radiance with variance, geometry, 8-bit images, cameras, sparse points.
@@ -69,50 +69,70 @@ def render_set(
     are missing.
 
     Args:
-        scene: Name from `SCENES` ("tabletop", or "tabletop:3" for its variation 3) or a Mitsuba scene dict.
-        rig: Cameras; None for the scene's default rig of 32 views at 128 x 128.
+        scene: Name from `SCENES` ("tabletop", or "tabletop:3" for its variation 3), a Mitsuba scene dict, or the path
+            of a Mitsuba XML file.
+        rig: Cameras; None for 32 views: of the scene's default rig at 128 x 128, or around a foreign scene's sensor.
         out: Folder to write.
         spp: Samples per pixel, rounded up to what the sampler can lay out; 256 if neither this nor `target_error`.
         target_error: Relative RMSE (root mean variance over mean radiance) at which each view stops.
-        plan: "auto", or a transport to force.
-        variant: Mitsuba variant, see `choose_variant`.
+        plan: A plan from `plan_transport`; "auto" to make one, with polarisation bounded instead of measured; or "rgb"
+            for plain path tracing to depth 64 without asking.
+        optics: Aperture, motion and colour filters; None for a pinhole at rest that sees linear sRGB.
+        variant: Mitsuba variant, see `choose_variant`; the plan decides between RGB and spectral.
         seed: Of the Monte Carlo noise; each view's noise depends on it and on the camera, not on the view's place.
-        progress: Called with (views done, views in all, what is going on).
+        allow_outside: Let an XML scene read files outside its folder.
+        progress: Called with (views done, views in all, what is going on, with the time left).
 
     Raises:
-        ValueError: If an argument is out of range, the scene cannot be loaded, or it renders to impossible radiance.
+        ValueError: If an argument is out of range, the scene cannot be loaded, a camera is inside an object, or the
+            scene renders to impossible radiance.
     """
     _check_quality(spp, target_error)
-    if rig is None:
-        if not isinstance(scene, str):
-            raise ValueError("render_set: rig may be None only for a scene from the catalogue; give the cameras")
-        rig = default_rig(scene, 32, 128, 128)
-    out, watch = Path(out), Stopwatch()
+    report = progress or (lambda done, total, what: None)
+    optics, watch, out = optics or Optics(), Stopwatch(), Path(out)
     with watch.stage("load"):
         mi = activate(variant)
-        loaded = build_scene(scene, mi)
-    settings = {"max_depth": 8, "rr_depth": 2}
+        loaded = build_scene(scene, mi, allow_outside=allow_outside)
+    if rig is None:
+        by_name = isinstance(scene, str) and not scene.endswith(".xml")
+        rig = default_rig(str(scene), 32, 128, 128) if by_name else fit_rig(loaded, 32)
     config = {
-        "format": FORMAT, "scene": loaded.name, "scene_digest": loaded.digest, "seed": seed, "variant": mi.variant(),
+        "format": FORMAT, "scene": loaded.name, "scene_digest": loaded.digest, "seed": seed, "optics": asdict(optics),
         "spp": spp if spp is not None or target_error is not None else DEFAULT_SPP, "target_error": target_error,
-        "integrator": {"type": "path", **settings},
+        "plan": _without_nan(plan.to_dict()) if isinstance(plan, Plan) else plan, "variant": choose_variant(variant),
     }  # fmt: skip
     names = [f"{i:04d}" for i in range(len(rig))]
     digest = _digest(config, rig)
     if _is_complete(out, digest, names):
         return load_set(out)
     (out / "set.json").unlink(missing_ok=True)
-    spent = _render_views(mi, loaded, rig, out, names, config, watch, progress)
+    with watch.stage("plan"):
+        report(0, len(names), "planning the light transport")
+        made = _make_plan(scene, rig, optics, plan, variant, seed, allow_outside)
+        mi, colored = _ready(scene, loaded, variant, made.color, allow_outside)
+        method = Method(mi, mi.variant(), colored, mi.load_dict(made.integrator()), optics, made.subframes, seed)
+    job = _Job(method, loaded, variant, rig, out, names, config, watch, report)
+    views, predicted = _render_views(job)
     with watch.stage("write"):
-        scale, points = _finish_images(out, names, rig, seed)
-        write_cameras(out, names, rig, points=points)
+        finished = finish_set(out, names, rig, seed, optics.camera)
     meta = {
         **config, "digest": digest, "kind": "rendered", "n_views": len(rig), "width": rig.width, "height": rig.height,
-        "exposure_scale": scale, "views": spent, "shapes": list(loaded.shapes), "materials": list(loaded.materials),
-        "seconds": watch.seconds, "peak_bytes": _peak_bytes(), "versions": _versions(),
+        "plan": _without_nan(made.to_dict()), "integrator": made.integrator(), "mitsuba_variant": method.variant,
+        **finished,
+        "views": views, "shapes": list(loaded.shapes), "materials": list(loaded.materials),
+        "seconds": watch.seconds, "predicted_seconds": predicted, "peak_bytes": peak_bytes(), "versions": versions(),
     }  # fmt: skip
     write_json(out / "set.json", meta)
     return load_set(out)
+
+
+def _without_nan(value: Any) -> Any:
+    """JSON has no nan and no inf: a number that was not measured becomes null."""
+    if isinstance(value, dict):
+        return {k: _without_nan(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_without_nan(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _check_quality(spp: int | None, target_error: float | None) -> None:
@@ -121,9 +141,30 @@ def _check_quality(spp: int | None, target_error: float | None) -> None:
     if spp is not None and spp < 2:
         raise ValueError(f"render_set: spp must be >= 2, because the variance needs two halves, got {spp}")
     if target_error is not None and not 0 < target_error < 1:
-        raise ValueError(
-            f"render_set: target_error is a relative RMSE and must lie between 0 and 1, got {target_error}"
+        raise ValueError(f"render_set: target_error is a relative RMSE and must lie in (0, 1), got {target_error}")
+
+
+def _make_plan(
+    scene: Any, rig: Rig, optics: Optics, plan: str | Plan, variant: str, seed: int, allow_outside: bool
+) -> Any:
+    from simscenes.transport.planner import default_plan, plan_transport  # the planner's pilots use this package
+
+    if plan == "auto":
+        return plan_transport(
+            scene, rig=rig, optics=optics, variant=variant, measure=False, seed=seed, allow_outside=allow_outside
         )
+    if plan == "rgb":
+        return default_plan(optics)
+    if isinstance(plan, Plan):
+        return plan
+    raise ValueError(f"plan must be 'auto', 'rgb' or a plan from plan_transport, got {plan!r}")
+
+
+def _ready(scene: Any, loaded: LoadedScene, variant: str, color: str, allow_outside: bool) -> tuple[Any, LoadedScene]:
+    """The mitsuba module and the scene in the variant the plan calls for."""
+    backend = choose_variant(variant).removesuffix("_rgb")
+    mi = activate(backend, color)
+    return (mi, loaded) if color == "rgb" else (mi, build_scene(scene, mi, allow_outside=allow_outside))
 
 
 def _digest(config: dict[str, Any], rig: Rig) -> str:
@@ -132,8 +173,10 @@ def _digest(config: dict[str, Any], rig: Rig) -> str:
 
 
 def _view_key(config: dict[str, Any], rig: Rig, i: int) -> str:
-    view = Rig(viewmats=rig.viewmats[i : i + 1], Ks=rig.Ks[i : i + 1], width=rig.width, height=rig.height)
-    return _digest(config, view)
+    """Identity of one view's pixels; with motion the neighbouring cameras matter too."""
+    chosen = slice(None) if config["optics"]["motion"] is not None else slice(i, i + 1)
+    view = Rig(viewmats=rig.viewmats[chosen], Ks=rig.Ks[chosen], width=rig.width, height=rig.height)
+    return _digest(config, view) + (f":{i}" if config["optics"]["motion"] is not None else "")
 
 
 def _is_complete(out: Path, digest: str, names: list[str]) -> bool:
@@ -145,46 +188,53 @@ def _is_complete(out: Path, digest: str, names: list[str]) -> bool:
     return same and all(f.is_file() for f in files)
 
 
-def _render_views(
-    mi: Any,
-    loaded: LoadedScene,
-    rig: Rig,
-    out: Path,
-    names: list[str],
-    config: dict[str, Any],
-    watch: Stopwatch,
-    progress: Progress | None,
-) -> dict[str, Any]:
-    """Render what is missing; samples and relative error of every view."""
-    (out / "gt").mkdir(parents=True, exist_ok=True)
-    for stale in set((out / "gt").glob("*.exr")) - {out / "gt" / f"{n}.exr" for n in names}:
+def _render_views(job: _Job) -> tuple[dict[str, Any], float]:
+    """Render what is missing: samples, error and fireflies of every view, and the seconds predicted beforehand."""
+    (job.out / "gt").mkdir(parents=True, exist_ok=True)
+    paths = [job.out / "gt" / f"{name}.exr" for name in job.names]
+    for stale in set((job.out / "gt").iterdir()) - set(paths):
         stale.unlink()
-    integrator = mi.load_dict(config["integrator"])
-    extent = float(np.linalg.norm(np.array(loaded.scene.bbox().extents())))
-    spent: dict[str, Any] = {}
-    for i, name in enumerate(names):
-        if progress:
-            progress(i, len(names), f"view {name}")
-        path, key = out / "gt" / f"{name}.exr", _view_key(config, rig, i)
-        header = _finished_header(path, key)
-        if header is None:
-            with watch.stage("radiance"):
-                radiance = render_radiance(
-                    mi, loaded.scene, integrator, rig, i,
-                    extent=extent, seed=config["seed"], spp=config["spp"], target_error=config["target_error"],
-                )  # fmt: skip
-            with watch.stage("geometry"):
-                channels = geometry_channels(mi, loaded, rig, i)
-            for k, c in enumerate("RGB"):
-                channels[c], channels[f"var.{c}"] = radiance.mean[..., k], radiance.variance[..., k]
-            header = {"spp": radiance.spp, "relativeError": radiance.error, _KEY: key,
-                      "worldToCamera": rig.viewmats[i].astype(np.float32)}  # fmt: skip
-            with watch.stage("write"):
-                write_exr(path, channels, header)
-        spent[name] = {"spp": int(header["spp"]), "relative_error": float(header["relativeError"])}
-    if progress:
-        progress(len(names), len(names), "images")
-    return spent
+    keys = [_view_key(job.config, job.rig, i) for i in range(len(paths))]
+    headers = [_finished_header(path, key) for path, key in zip(paths, keys, strict=True)]
+    missing = [i for i, header in enumerate(headers) if header is None]
+    predicted = 0.0
+    if missing:
+        with job.watch.stage("predict"):
+            check_cameras(activate(job.variant), job.surfaces, job.rig)
+            activate(job.method.variant)
+            predicted = predict_seconds(job.method, job.rig, missing, job.config["spp"], job.config["target_error"])
+    left = predicted
+    for done, i in enumerate(missing):
+        job.progress(len(paths) - len(missing) + done, len(paths), f"view {job.names[i]}, about {left:.0f} s left")
+        headers[i] = _render_view(job, i, paths[i], keys[i])
+        # From here on the past predicts better than the pilot did; radiance and geometry are what repeats per view.
+        spent = job.watch.seconds["radiance"] + job.watch.seconds["geometry"]
+        left = spent / (done + 1) * (len(missing) - done - 1)
+    job.progress(len(paths), len(paths), "images")
+    found = {
+        name: {"spp": int(h["spp"]), "relative_error": float(h["relativeError"]), "fireflies": int(h["fireflies"])}
+        for name, h in zip(job.names, headers, strict=True)
+        if h is not None
+    }
+    return found, predicted
+
+
+def _render_view(job: _Job, i: int, path: Path, key: str) -> dict[str, Any]:
+    with job.watch.stage("geometry"):
+        channels = geometry_channels(activate(job.variant), job.surfaces, job.rig, i)
+    with job.watch.stage("radiance"):
+        activate(job.method.variant)
+        radiance = View(job.method, job.rig, i).render(job.config["spp"], job.config["target_error"])
+    for k, c in enumerate("RGB"):
+        channels[c] = np.maximum(radiance.mean[..., k], 0)  # spectral light outside the sRGB triangle ends at its edge
+        channels[f"var.{c}"] = radiance.variance[..., k]
+    header = {
+        "spp": radiance.spp, "relativeError": radiance.error, "fireflies": radiance.fireflies, _KEY: key,
+        "worldToCamera": job.rig.viewmats[i].astype(np.float32),
+    }  # fmt: skip
+    with job.watch.stage("write"):
+        write_exr(path, channels, header)
+    return header
 
 
 def _finished_header(path: Path, key: str) -> dict[str, Any] | None:
@@ -196,40 +246,3 @@ def _finished_header(path: Path, key: str) -> dict[str, Any] | None:
     except ValueError:
         return None  # cut short by a crash of the machine: rendered again
     return header if header.get(_KEY) == key else None
-
-
-def _finish_images(out: Path, names: list[str], rig: Rig, seed: int) -> tuple[float, Any]:
-    """Write the 8-bit images with one exposure for the whole set, and draw the sparse points."""
-    import cv2
-
-    (out / "images").mkdir(exist_ok=True)
-    radiance, depths = [], []
-    for name in names:
-        channels, _ = read_exr(out / "gt" / f"{name}.exr")
-        radiance.append(np.stack([channels[c] for c in "RGB"], -1))
-        depths.append(channels["Z"])
-    scale = exposure_scale(radiance)
-    images = [encode_srgb(r * np.float32(scale)) for r in radiance]
-    for name, image in zip(names, images, strict=True):
-        temporary = out / "images" / f".{name}.{os.getpid()}.tmp.png"
-        if not cv2.imwrite(str(temporary), np.ascontiguousarray(image[..., ::-1])):
-            raise OSError(f"render_set: cannot write {temporary}")
-        os.replace(temporary, out / "images" / f"{name}.png")
-    return scale, surface_points(rig, depths, lambda i: images[i], seed=seed)
-
-
-def exposure_scale(radiance: list[NDArray[np.float32]]) -> float:
-    """One exposure for the set: 97 % of all pixels stay below white, so a lamp in view does not darken the room."""
-    white = float(np.quantile(np.concatenate([r.max(-1).ravel() for r in radiance]), 0.97))
-    return 1.0 / white if white > 0 else 1.0
-
-
-def _peak_bytes() -> int:
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return int(peak if sys.platform == "darwin" else 1024 * peak)
-
-
-def _versions() -> dict[str, str]:
-    return {p: importlib.metadata.version(p) for p in ("mitsuba", "drjit", "numpy")} | {
-        "python": sys.version.split()[0]
-    }

@@ -14,11 +14,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simscenes.camera import camera_color
+from simscenes.optics import Optics
+from simscenes.render.motion import subframe_rig
+from simscenes.render.source import LoadedScene
 from simscenes.rigs import Rig, intrinsics_to_mitsuba, opencv_to_mitsuba
 
 MAX_PASS_SPP = 1024
 MAX_SPP = 65536  # where target_error gives up
 PILOT_SPP = 16
+PINHOLE = Optics()
 
 
 @dataclass(frozen=True)
@@ -30,56 +35,76 @@ class Radiance:
         variance: Estimated variance of `mean`, float32 [h,w,3]; unbiased, but from few passes, so noisy per pixel.
         spp: Samples per pixel behind `mean`.
         error: Relative RMSE: root of the mean variance over the mean radiance.
+        fireflies: Pixels whose variance is far above that of their neighbourhood: rare bright paths.
     """
 
     mean: NDArray[np.float32]
     variance: NDArray[np.float32]
     spp: int
     error: float
+    fireflies: int
 
 
-def sensor_dict(mi: Any, rig: Rig, i: int, extent: float) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Method:
+    """How to render a view: everything but the view itself and how long."""
+
+    mi: Any
+    variant: str
+    loaded: LoadedScene
+    integrator: Any
+    optics: Optics = PINHOLE
+    subframes: int = 1
+    seed: int = 0
+
+
+def sensor_dict(mi: Any, rig: Rig, i: int, loaded: LoadedScene, optics: Optics = PINHOLE) -> dict[str, Any]:
     """Mitsuba sensor of view `i`: box filter (others leak between pixels and are not repeatable), float32 film.
 
     Args:
         mi: The mitsuba module.
         rig: The cameras.
         i: Which one.
-        extent: Size of the scene, scene units; clip planes are set from it.
+        loaded: The scene; its size sets the clip planes, and its own sensor says whether cameras are inside a medium.
+        optics: Lens and colour filters.
     """
     fov, ppx, ppy = intrinsics_to_mitsuba(rig.Ks[i], rig.width, rig.height)
+    lens: dict[str, Any] = {"type": "perspective"}
+    if optics.aperture_radius is not None:
+        lens = {"type": "thinlens", "aperture_radius": optics.aperture_radius, "focus_distance": optics.focus_distance}
+    own = loaded.scene.sensors()
+    if own and own[0].medium() is not None:
+        lens["medium"] = own[0].medium()
+    size = {"width": rig.width, "height": rig.height, "rfilter": {"type": "box"}, "component_format": "float32"}
+    film = {"type": "hdrfilm", "pixel_format": "rgb", **size}
+    if optics.camera is not None and "spectral" in mi.variant():
+        film = camera_color(optics.camera).film(rig.width, rig.height)
     return {
-        "type": "perspective",
+        **lens,
         "fov": fov,
         "fov_axis": "x",
         "principal_point_offset_x": ppx,
         "principal_point_offset_y": ppy,
-        "near_clip": 1e-4 * extent,
-        "far_clip": 1e2 * extent,
+        "near_clip": 1e-4 * loaded.extent,
+        "far_clip": 1e2 * loaded.extent,
         "to_world": mi.ScalarTransform4f(opencv_to_mitsuba(rig.viewmats[i])),
         "sampler": {"type": "multijitter", "sample_count": PILOT_SPP},
-        "film": {
-            "type": "hdrfilm",
-            "width": rig.width,
-            "height": rig.height,
-            "rfilter": {"type": "box"},
-            "pixel_format": "rgb",
-            "component_format": "float32",
-        },
+        "film": film,
     }
 
 
-def split_passes(spp: int) -> tuple[int, int]:
-    """Number of passes (even, at least 2) and samples per pixel of each, together at least `spp`.
+def grid_spp(spp: int) -> int:
+    """The least number of samples >= `spp` that the multijittered sampler can lay out on a grid."""
+    rows = math.isqrt(spp)
+    return rows * math.ceil(spp / rows)
 
-    A pass has n x m or n x (n+1) samples, as the multijittered sampler lays them out on a grid.
-    """
+
+def split_passes(spp: int) -> tuple[int, int]:
+    """Number of passes (even, at least 2) and samples per pixel of each, together at least `spp`."""
     if spp < 2:
         raise ValueError(f"spp must be >= 2, because the variance needs two independent halves, got {spp}")
     passes = 2 * math.ceil(spp / (2 * MAX_PASS_SPP))
-    wanted = math.ceil(spp / passes)
-    rows = math.isqrt(wanted)
-    return passes, rows * math.ceil(wanted / rows)
+    return passes, grid_spp(math.ceil(spp / passes))
 
 
 def view_seed(rig: Rig, i: int, seed: int, number: int) -> int:
@@ -109,65 +134,88 @@ class Passes:
         variance = self.scatter / (self.count * (self.count - 1))
         level = float(self.mean.mean())
         error = float(np.sqrt(variance.mean())) / level if level > 0 else 0.0
-        return Radiance(self.mean.astype(np.float32), variance.astype(np.float32), self.count * spp_per_pass, error)
+        return Radiance(
+            mean=self.mean.astype(np.float32),
+            variance=variance.astype(np.float32),
+            spp=self.count * spp_per_pass,
+            error=error,
+            fireflies=count_fireflies(variance.mean(-1), level),
+        )
 
 
-def render_radiance(
-    mi: Any,
-    scene: Any,
-    integrator: Any,
-    rig: Rig,
-    i: int,
-    *,
-    extent: float,
-    seed: int,
-    spp: int | None,
-    target_error: float | None,
-) -> Radiance:
-    """Render view `i` with `spp` samples per pixel, or until its relative RMSE is `target_error`.
+def count_fireflies(variance: NDArray[Any], level: float) -> int:
+    """Pixels [h,w] with 50 times the median variance around them, if that is more than 5 % of the mean radiance."""
+    from scipy.ndimage import median_filter
 
-    The error seen is the spread between independent passes: noise only. It cannot see what every pass lacks, such as
-    light beyond the maximal path depth, or a caustic that no pass has found yet.
+    around = median_filter(variance, size=5, mode="nearest")
+    return int(((variance > 50 * around) & (variance > (0.05 * level) ** 2)).sum())
 
-    Raises:
-        ValueError: If a pixel is nan, infinite or negative: the scene has an impossible emitter or reflectance.
-    """
-    sensor = mi.load_dict(sensor_dict(mi, rig, i, extent))
-    number = 0
 
-    def run(passes: Passes, count: int, size: int) -> None:
-        nonlocal number
+class View:
+    """One view, ready to be rendered in passes."""
+
+    def __init__(self, method: Method, rig: Rig, i: int) -> None:
+        self.method, self.rig, self.i, self.number = method, rig, i, 0
+        frames = rig if method.subframes == 1 else subframe_rig(rig, i, method.optics.motion or 0.0, method.subframes)
+        views = [i] if method.subframes == 1 else range(len(frames))
+        mi = method.mi
+        self.sensors = [mi.load_dict(sensor_dict(mi, frames, k, method.loaded, method.optics)) for k in views]
+
+    def run(self, passes: Passes, count: int, size: int) -> None:
+        """Add `count` passes of `size` samples per pixel, spread over the sub-frames."""
+        mi, each = self.method.mi, grid_spp(math.ceil(size / len(self.sensors)))
         for _ in range(count):
-            image = mi.render(
-                scene, sensor=sensor, integrator=integrator, spp=size, seed=view_seed(rig, i, seed, number)
-            )
-            passes.add(_checked(np.array(image, dtype=np.float64), i))
-            number += 1
+            image = np.zeros((self.rig.height, self.rig.width, 3))
+            for sensor in self.sensors:
+                seed = view_seed(self.rig, self.i, self.method.seed, self.number)
+                film = mi.render(
+                    self.method.loaded.scene, sensor=sensor, integrator=self.method.integrator, spp=each, seed=seed
+                )
+                image += np.array(film, dtype=np.float64)[..., :3] / len(self.sensors)
+                self.number += 1
+            passes.add(self._in_camera_rgb(image))
 
-    shape = (rig.height, rig.width)
-    if target_error is None:
+    def _in_camera_rgb(self, image: NDArray[np.float64]) -> NDArray[np.float64]:
+        spectral = "spectral" in self.method.variant
+        if self.method.optics.camera is None:
+            # Spectral light may lie outside the triangle of sRGB, where a channel is negative.
+            return check_radiance(image, self.i, signed=spectral)
+        camera = camera_color(self.method.optics.camera)
+        check_radiance(image, self.i)
+        if spectral:
+            return image / camera.green_integral
+        return np.clip(image @ camera.matrix.T, 0, None)  # the matrix makes colours no filter can see negative
+
+    def render(self, spp: int | None, target_error: float | None) -> Radiance:
+        """Render with `spp` samples per pixel, or until the relative RMSE is `target_error`.
+
+        The error seen is the spread between independent passes: noise only. It cannot see what every pass lacks, such
+        as light beyond the maximal path depth, or a caustic that no pass has found yet.
+
+        Raises:
+            ValueError: If a pixel is nan, infinite or negative: the scene has an impossible emitter or reflectance.
+        """
+        if target_error is not None:
+            spp = self.predict_spp(target_error)
         count, size = split_passes(spp or 2)
-        passes = Passes(shape)
-        run(passes, count, size)
+        passes = Passes((self.rig.height, self.rig.width))
+        self.run(passes, count, size)
+        while target_error is not None and passes.result(size).error > target_error and passes.count * size < MAX_SPP:
+            self.run(passes, 2, size)
         return passes.result(size)
-    pilot = Passes(shape)
-    run(pilot, 2, PILOT_SPP)
-    needed = predict_spp(pilot.result(PILOT_SPP), target_error)
-    count, size = split_passes(needed)
-    passes = Passes(shape)
-    run(passes, count, size)
-    while passes.result(size).error > target_error and passes.count * size < MAX_SPP:
-        run(passes, 2, size)
-    return passes.result(size)
+
+    def predict_spp(self, target_error: float) -> int:
+        """Samples per pixel that bring a pilot's error down to the target, if it falls as 1/sqrt(spp)."""
+        pilot = Passes((self.rig.height, self.rig.width))
+        self.run(pilot, 2, PILOT_SPP)
+        seen = pilot.result(PILOT_SPP)
+        wanted = seen.spp * (seen.error / target_error) ** 2
+        return min(max(2 * PILOT_SPP, math.ceil(wanted)), MAX_SPP)
 
 
-def predict_spp(pilot: Radiance, target_error: float) -> int:
-    """Samples per pixel that bring a pilot's error down to the target, if it falls as 1/sqrt(spp)."""
-    return min(max(2 * PILOT_SPP, math.ceil(pilot.spp * (pilot.error / target_error) ** 2)), MAX_SPP)
-
-
-def _checked(image: NDArray[np.float64], i: int) -> NDArray[np.float64]:
-    bad = ~(np.isfinite(image) & (image >= 0))
+def check_radiance(image: NDArray[np.float64], i: int, *, signed: bool = False) -> NDArray[np.float64]:
+    """Return the image, or raise ValueError if a pixel is nan, infinite or (unless `signed`) negative."""
+    bad = ~(np.isfinite(image) & (signed | (image >= 0)))
     if bad.any():
         y, x, c = (int(k) for k in np.argwhere(bad)[0])
         raise ValueError(

@@ -62,6 +62,25 @@ def build_scene(scene: str | dict[str, Any] | Path, mi: Any, *, allow_outside: b
     return LoadedScene(str(name), loaded, scene_digest(loaded, params), shapes, materials, extent)
 
 
+def has_measured_lights(scene: str | dict[str, Any] | Path) -> bool:
+    """Whether a light is given as a spectrum; what is given as RGB has no spectrum but the one Mitsuba makes up."""
+    from simscenes.scenes import MEASURED_LIGHTS, split_name
+
+    if isinstance(scene, dict):
+        return _has_spectral_light(scene)
+    if isinstance(scene, str) and not scene.endswith(".xml"):
+        return split_name(scene)[0] in MEASURED_LIGHTS
+    text = Path(str(scene)).read_text(encoding="utf-8", errors="replace")
+    return any(word in text for word in ("<spectrum", '"blackbody"', '"irregular"', '"regular"'))
+
+
+def _has_spectral_light(node: dict[str, Any]) -> bool:
+    kinds = ("spectrum", "regular", "irregular", "blackbody")
+    nested = [(k, v) for k, v in node.items() if isinstance(v, dict)]
+    lit = any(k in ("radiance", "irradiance", "intensity") and v.get("type") in kinds for k, v in nested)
+    return lit or any(_has_spectral_light(v) for _, v in nested)
+
+
 def _load_dict(scene: Any, mi: Any) -> Any:
     from simscenes.scenes import build
 

@@ -40,7 +40,7 @@ def surface_points(
     for i, z in enumerate(depths):
         surface = np.flatnonzero(np.isfinite(z).ravel())
         chosen = rng.permutation(surface)[:share]
-        positions.append(_unproject(rig, i, z, chosen))
+        positions.append(unproject(rig, i, z, chosen))
         colors.append(image(i).reshape(-1, 3)[chosen])
     xyz, rgb = np.concatenate(positions), np.concatenate(colors)
     visible = _visibility(rig, depths, xyz)
@@ -49,7 +49,8 @@ def surface_points(
     return xyz[kept], rgb[kept], visible[:, kept]
 
 
-def _unproject(rig: Rig, i: int, z: NDArray[Any], pixels: NDArray[np.intp]) -> NDArray[np.float64]:
+def unproject(rig: Rig, i: int, z: NDArray[Any], pixels: NDArray[np.intp]) -> NDArray[np.float64]:
+    """World points [n,3] of some pixels (flat indices) of view `i`, from its z-depth [h,w]."""
     y, x = np.divmod(pixels, rig.width)
     K, depth = rig.Ks[i], z.ravel()[pixels].astype(np.float64)
     local = np.stack([(x + 0.5 - K[0, 2]) / K[0, 0] * depth, (y + 0.5 - K[1, 2]) / K[1, 1] * depth, depth], -1)

@@ -44,6 +44,7 @@ _CATALOGUE: dict[str, tuple[Callable[..., dict[str, Any]], RigMaker]] = {
 }  # fmt: skip
 
 SCENES: dict[str, Callable[..., dict[str, Any]]] = {name: make for name, (make, _) in _CATALOGUE.items()}
+MEASURED_LIGHTS = frozenset({"market"})  # scenes whose lamps have measured spectra
 
 
 def split_name(name: str) -> tuple[str, int]:

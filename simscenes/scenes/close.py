@@ -81,7 +81,8 @@ def thicket(seed: int = 0) -> dict[str, Any]:
         for c in (("2f4a4f", "b9c4a7", "5d7f7a"), ("6b3a32", "dcc19a", "a8705a"), ("3b4264", "c3bfc9", "6d7aa0"))
     ]
     count = 700
-    foot = np.column_stack([rng.normal(0, 0.42, count), rng.normal(0, 0.42, count), np.zeros(count)])
+    away, turn = 0.85 * np.sqrt(rng.random(count)), rng.uniform(0, 2 * np.pi, count)
+    foot = np.column_stack([away * np.cos(turn), away * np.sin(turn), np.zeros(count)])
     tip = foot + np.column_stack([rng.normal(0, 0.13, (count, 2)), rng.uniform(0.3, 0.95, count)])
     straw = s.twosided(s.diffuse(t.wood((128, 128), rng, planks=12, colors=("5f6b2a", "a89a4a", "d9c98a", "8a6a3a"))))
     wire = s.twosided(s.diffuse(t.finish(np.full((32, 64, 3), 0.12), rng, grain=0.4)))

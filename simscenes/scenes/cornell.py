@@ -13,7 +13,7 @@ from simscenes.scenes import textures as t
 def cornell(seed: int = 0) -> dict[str, Any]:
     """A closed-in box, 2 units wide, with red and green tiled sides, two printed blocks and a brass ball.
 
-    Hard for: light that arrives by several bounces (a third of it here), colour bleeding from the sides, soft shadows,
+    Hard for: light that arrives by several bounces (a tenth of it here), colour bleeding from the sides, soft shadows,
     and a box whose open front shows only what lies inside. The open side faces -y, world z is up, z = -1 is the floor.
 
     Args:

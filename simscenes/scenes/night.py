@@ -138,7 +138,7 @@ def lantern(seed: int = 0) -> dict[str, Any]:
             (0.1, 0.1, 1.35), 0.035, s.diffuse(np.full((2, 2, 3), 0.3)), emitter=s.glow((900.0, 640.0, 380.0))
         ),
         "cord": s.box((0.1, 0.1, 2.0), (0.012, 0.012, 1.2), s.diffuse(t.finish(np.full((16, 16, 3), 0.06), rng))),
-        **stage(rng, t.cells((320, 320), rng, count=90, colors=("3f3a35", "6d665c", "8a8174")), boards),
+        **stage(rng, t.cells((320, 320), rng, count=90, colors=("3f3a35", "6d665c", "8a8174")), boards, height=3.4),
         "bench": s.box((0, 0.55, 0.4), (2.2, 0.8, 0.8), s.diffuse(t.wood((192, 320), rng, planks=4))),
     }
     for k in range(6):

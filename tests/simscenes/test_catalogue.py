@@ -9,7 +9,7 @@ from simscenes.render.geometry import geometry_channels
 from simscenes.render.source import build_scene
 from simscenes.scenes import textures as t
 
-OPEN_SKY = {"courtyard"}
+OPEN_SKY = {"courtyard", "street"}
 
 
 @pytest.mark.parametrize("name", sorted(SCENES))
@@ -25,7 +25,10 @@ def test_scene_is_framed_textured_and_repeatable(name: str) -> None:
     green = np.stack([v["albedo.G"] for v in views]).reshape(8, 6, 8, 6, 8).swapaxes(2, 3).reshape(-1, 64)
     whole = np.stack([v["id"] for v in views]).reshape(8, 6, 8, 6, 8).swapaxes(2, 3).reshape(-1, 64).min(1) > 0
     flat = green.std(1) < 0.01 * green.mean(1).clip(1e-3)
-    assert flat[whole].mean() < 0.05
+    if name == "hall":
+        assert flat[whole].mean() > 0.2  # its bare wall is what it is for
+    else:
+        assert flat[whole].mean() < 0.05
     assert (SCENES[name].__doc__ or "").count("Hard for:") == 1
 
 

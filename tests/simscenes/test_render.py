@@ -12,7 +12,7 @@ import pytest
 from simscenes import Rig, default_rig, load_set, orbit_rig, read_exr, render_set
 from simscenes.backend import activate
 from simscenes.render.geometry import geometry_channels
-from simscenes.render.radiance import Passes, render_radiance, split_passes
+from simscenes.render.radiance import Method, Passes, View, count_fireflies, split_passes
 from simscenes.render.source import LoadedScene, build_scene
 from simscenes.rigs import intrinsics, look_at
 
@@ -41,11 +41,12 @@ def view(width: int = 41, height: int = 31) -> Rig:
     return Rig(viewmats=look_at((3, -4, 2.5), (0.2, 0.1, 0.8))[None], Ks=K[None], width=width, height=height)
 
 
-def radiance(loaded: LoadedScene, rig: Rig, **how: Any) -> Any:
+def radiance(
+    loaded: LoadedScene, rig: Rig, *, spp: int | None = None, target_error: float | None = None, seed: int = 0
+) -> Any:
     mi = activate()
     integrator = mi.load_dict({"type": "path", "max_depth": 8, "rr_depth": 2})
-    settings = {"extent": 8.0, "seed": 0, "spp": None, "target_error": None, **how}
-    return render_radiance(mi, loaded.scene, integrator, rig, 0, **settings)
+    return View(Method(mi, mi.variant(), loaded, integrator, seed=seed), rig, 0).render(spp, target_error)
 
 
 def analytic(rig: Rig) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -146,6 +147,13 @@ def test_sixty_five_thousand_samples_add_up_without_float32_bias() -> None:
     assert np.abs(result.mean * 3 - 1).max() < 3e-6
 
 
+def test_a_firefly_is_counted_and_an_even_field_is_not() -> None:
+    variance = np.random.default_rng(0).gamma(1.0, 1e-4, (20, 20))
+    assert count_fireflies(variance, level=1.0) == 0
+    variance[7, 7] = 1.0
+    assert count_fireflies(variance, level=1.0) == 1
+
+
 def test_target_error_is_reached_and_not_by_chance_only() -> None:
     loaded, rig = build_scene(ball_on_plane(), activate()), view(24, 18)
     result = radiance(loaded, rig, target_error=0.02)
@@ -157,7 +165,7 @@ def test_target_error_is_reached_and_not_by_chance_only() -> None:
 
 def small_job(out: Path, rig: Rig | None = None, **more: Any) -> Any:
     rig = rig or orbit_rig(3, 17, 13, 60, target=(0, 0, 0.8), radius=4.0)
-    return render_set(ball_on_plane(), rig, out, **{"spp": 4, **more})
+    return render_set(ball_on_plane(), rig, out, **{"spp": 4, "plan": "rgb", **more})
 
 
 def exr_arrays(folder: Path) -> dict[str, dict[str, np.ndarray]]:
@@ -172,9 +180,13 @@ def test_a_set_is_complete_consistent_and_readable(tmp_path: Path) -> None:
     calls: list[tuple[int, int, str]] = []
     done = small_job(tmp_path / "set", progress=lambda *a: calls.append(a))
     assert done.kind == "rendered"
-    assert [c[0] for c in calls] == [0, 1, 2, 3]
+    assert [c[0] for c in calls] == [0, 0, 1, 2, 3]
+    assert "s left" in calls[1][2]
     meta = done.meta
-    assert set(meta["seconds"]) >= {"load", "radiance", "geometry", "write"}
+    assert set(meta["seconds"]) == {"load", "plan", "predict", "radiance", "geometry", "write"}
+    assert meta["predicted_seconds"] > 0
+    assert meta["integrator"] == {"type": "volpath", "max_depth": 64, "rr_depth": 2}
+    assert {e["name"] for e in meta["plan"]["effects"]} >= {"indirect light", "polarisation"}
     assert meta["peak_bytes"] > 1e7
     assert meta["shapes"] == ["plane", "ball", "lamp"]
     image, exact = done.image(0), done.radiance(0) * meta["exposure_scale"]

@@ -8,6 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from simscenes import backend, rigs
 from simscenes.render.radiance import sensor_dict
+from simscenes.render.source import build_scene
 from simscenes.rigs import Rig, forward_rig, look_at, orbit_rig
 
 finite = st.floats(-50, 50)
@@ -51,7 +52,8 @@ def test_projection_agrees_with_mitsubas_sensor_at_every_pixel_centre() -> None:
     K = np.array([[70.0, 0, 25.0], [0, 70.0, 31.5], [0, 0, 1]])  # off-centre principal point
     viewmat = look_at((1.0, -2.0, 0.7), (0.1, 0.2, 0.3), up=(0.1, 0.0, 1.0))
     rig = Rig(viewmats=viewmat[None], Ks=K[None], width=61, height=43)
-    sensor = mi.load_dict(sensor_dict(mi, rig, 0, extent=5.0))
+    loaded = build_scene({"type": "scene", "ball": {"type": "sphere"}}, mi)
+    sensor = mi.load_dict(sensor_dict(mi, rig, 0, loaded))
     y, x = np.mgrid[:43, :61] + 0.5
     position = mi.Point2f(np.float32(x.ravel() / 61), np.float32(y.ravel() / 43))
     ray, _ = sensor.sample_ray(0.0, 0.5, position, mi.Point2f(0.5, 0.5))

@@ -1,0 +1,35 @@
+"""What a real camera adds to the pinhole: aperture, motion during the exposure, colour filters. All off by default."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Optics:
+    """Camera properties that change the radiance reaching the sensor.
+
+    Attributes:
+        aperture_radius: Radius of the lens opening, scene units; None for a pinhole.
+        focus_distance: z-depth that is sharp, scene units; needed with an aperture.
+        motion: How far each camera travels during its exposure, as a fraction of the way to its neighbours in the rig,
+            centred on its pose; None for a camera at rest.
+        camera: Name of measured colour sensitivities in colour-science ("Nikon 5100 (NPL)"); None for linear sRGB.
+
+    Raises:
+        ValueError: If a value is out of range or the focus is missing.
+    """
+
+    aperture_radius: float | None = None
+    focus_distance: float | None = None
+    motion: float | None = None
+    camera: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.aperture_radius is not None and (
+            self.aperture_radius <= 0 or self.focus_distance is None or self.focus_distance <= 0
+        ):
+            raise ValueError(f"Optics: aperture_radius must be > 0 and needs a focus_distance > 0, got "
+                             f"{self.aperture_radius} and {self.focus_distance}; None means a pinhole")  # fmt: skip
+        if self.motion is not None and not 0 < self.motion <= 2:
+            raise ValueError(f"Optics: motion is a fraction of the step between views in (0, 2], got {self.motion}")

@@ -1,0 +1,63 @@
+"""What a render costs: seconds per stage, predicted seconds, peak memory, versions behind the numbers."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import resource
+import sys
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+from simscenes.render.radiance import PILOT_SPP, Method, Passes, View, grid_spp
+from simscenes.rigs import Rig
+
+
+class Stopwatch:
+    """Seconds per named stage."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Add the time spent inside to one stage."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+def predict_seconds(
+    method: Method, rig: Rig, views: Sequence[int], spp: int | None, target_error: float | None
+) -> float:
+    """Predict the seconds that rendering these views will take.
+
+    One small pass compiles the kernel, a second is timed; with `target_error` the samples needed are predicted from
+    pilots of up to three views. Samples take equal time from 16 per pixel up.
+    """
+    first = View(method, rig, views[0])
+    passes = Passes((rig.height, rig.width))
+    first.run(passes, 1, 2)
+    start = time.perf_counter()
+    first.run(passes, 1, PILOT_SPP)
+    per_sample = (time.perf_counter() - start) / grid_spp(PILOT_SPP)
+    if target_error is None:
+        return per_sample * (spp or 2) * len(views)
+    chosen = sorted({views[0], views[len(views) // 2], views[-1]})
+    needed = [View(method, rig, i).predict_spp(target_error) + 2 * PILOT_SPP for i in chosen]
+    return per_sample * sum(needed) / len(needed) * len(views)
+
+
+def peak_bytes() -> int:
+    """Largest resident memory of this process so far."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return int(peak if sys.platform == "darwin" else 1024 * peak)
+
+
+def versions() -> dict[str, str]:
+    """Versions of what the pixels depend on."""
+    return {p: importlib.metadata.version(p) for p in ("mitsuba", "drjit", "numpy")} | {
+        "python": sys.version.split()[0]
+    }

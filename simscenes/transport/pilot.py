@@ -1,0 +1,86 @@
+"""Cheap renders that tell how much each effect contributes.
+
+All pilots of a plan share views and random numbers, so that their differences are differences of transport: the same
+paths, cut at another depth, followed through fog or past it, with or without polarisation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simscenes.render.radiance import sensor_dict, view_seed
+from simscenes.render.source import LoadedScene
+from simscenes.rigs import Rig
+
+N_VIEWS = 3
+SIZE = 32  # pixels along the longer side
+SPP = 64
+
+
+def pilot_rig(rig: Rig) -> Rig:
+    """A few small views spread over a rig, with its fields of view."""
+    chosen = np.unique(np.linspace(0, len(rig) - 1, N_VIEWS).round().astype(int))
+    scale = SIZE / max(rig.width, rig.height)
+    width, height = (max(1, round(n * scale)) for n in (rig.width, rig.height))
+    stretch = np.diag([width / rig.width, width / rig.width, 1.0])
+    Ks = stretch @ rig.Ks[chosen]
+    Ks[:, 1, 2] = rig.Ks[chosen, 1, 2] * height / rig.height
+    return Rig(viewmats=rig.viewmats[chosen], Ks=Ks, width=width, height=height)
+
+
+def render_pilot(mi: Any, loaded: LoadedScene, rig: Rig, integrator: dict[str, Any], seed: int) -> NDArray[np.float64]:
+    """Radiance of all pilot views, [c,h,w,3]; the same `seed` follows the same paths."""
+    method = mi.load_dict(integrator)
+    views = []
+    for i in range(len(rig)):
+        sensor = mi.load_dict(sensor_dict(mi, rig, i, loaded))
+        image = mi.render(loaded.scene, sensor=sensor, integrator=method, spp=SPP, seed=view_seed(rig, i, seed, 0))
+        views.append(np.array(image, dtype=np.float64)[..., :3])
+    result = np.stack(views)
+    if not np.isfinite(result).all():
+        raise ValueError(f"scene {loaded.name!r} renders to nan or infinite radiance; look for a broken emitter")
+    return result
+
+
+@dataclass(frozen=True)
+class Share:
+    """A part of the light, relative to all of it: its estimate, and an upper limit at three standard errors."""
+
+    estimate: float
+    upper: float
+
+
+def missing_light(full: NDArray[np.float64], part: NDArray[np.float64]) -> Share:
+    """Share of `full` that `part`, cut from the same paths, lacks; pixels are independent samples of it."""
+    total = float(full.mean())
+    if total <= 0:
+        return Share(0.0, 0.0)
+    lacking = (full - part).mean(-1).ravel()
+    error = float(lacking.std(ddof=1) / np.sqrt(lacking.size)) if lacking.size > 1 else 0.0
+    estimate = max(float(lacking.mean()), 0.0)
+    return Share(estimate / total, (estimate + 3 * error) / total)
+
+
+def changed_light(full: NDArray[np.float64], other: NDArray[np.float64], block: int = 4) -> Share:
+    """Mean absolute change between two renders relative to all light, over blocks of pixels; both may err by noise.
+
+    Blocks average noise that differs between the two, which would otherwise count as change; what noise is left counts,
+    so the estimate errs upwards.
+    """
+    total = float(full.mean())
+    if total <= 0:
+        return Share(0.0, 0.0)
+    c, h, w, _ = full.shape
+    y, x = np.arange(h) // block, np.arange(w) // block
+    label = (np.arange(c)[:, None, None] * (h * w) + (y[:, None] * w + x[None])).ravel()
+    _, label = np.unique(label, return_inverse=True)
+    change = (other - full).mean(-1).ravel()
+    counts = np.bincount(label)
+    blocks = np.abs(np.bincount(label, change) / counts)
+    spread = float(np.abs(blocks).std() / np.sqrt(len(blocks)))
+    estimate = float(np.average(blocks, weights=counts))
+    return Share(estimate / total, (estimate + 3 * spread) / total)

@@ -1,0 +1,48 @@
+"""The transport plan: the table of effects, and the renderer settings that follow from it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from sensor_model.plan import Plan
+
+INDIRECT = "indirect light"
+MEDIA = "participating media"
+SPECTRAL_MIS = "chromatic media"
+DEEP = "paths beyond max_depth"
+SPECTRAL = "spectral transport"
+POLARISATION = "polarisation"
+APERTURE = "depth of field"
+MOTION = "motion blur"
+DIRECT_DEPTH = 2  # Mitsuba counts path vertices: 1 sees lamps only, 2 adds what they light directly
+
+
+@dataclass(frozen=True, kw_only=True)
+class TransportPlan(Plan):
+    """Decisions on all transport effects, and what they make of the renderer.
+
+    Attributes:
+        max_depth: Longest path followed, as Mitsuba counts (2 is direct light).
+        rr_depth: Path length from which Russian roulette may end a path; changes noise and time, never the mean.
+        subframes: Poses averaged for motion blur; 1 without.
+    """
+
+    max_depth: int
+    rr_depth: int
+    subframes: int = 1
+
+    @property
+    def color(self) -> str:
+        """Colour representation, as `choose_variant` names it."""
+        if self.is_on(POLARISATION):
+            return "spectral_polarized"
+        return "spectral" if self.is_on(SPECTRAL) else "rgb"
+
+    def integrator(self) -> dict[str, Any]:
+        """Mitsuba integrator of this plan."""
+        kind = "path"
+        if self.is_on(MEDIA):
+            kind = "volpathmis" if self.is_on(SPECTRAL_MIS) else "volpath"
+        depth = self.max_depth if self.is_on(INDIRECT) else DIRECT_DEPTH
+        return {"type": kind, "max_depth": depth, "rr_depth": self.rr_depth}

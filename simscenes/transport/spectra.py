@@ -1,0 +1,78 @@
+"""What three colour channels cost: the spectral product of light, surface and camera against the RGB product.
+
+No rendering: the light that reaches each pilot pixel directly and the reflectance found there are taken as spectra,
+multiplied by wavelength, and compared with the product of their RGB values through the best 3x3 matrix.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simscenes import camera
+from simscenes.render.geometry import pixel_rays
+from simscenes.render.source import LoadedScene
+from simscenes.rigs import Rig
+
+WAVELENGTHS = camera.WAVELENGTHS[::2]  # nm
+LIGHT_SAMPLES = 16
+
+
+def light_and_surface(mi: Any, loaded: LoadedScene, rig: Rig, seed: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Spectra of the direct light and of the reflectance at the pilot pixels, each [n, wavelength].
+
+    Needs a spectral JIT variant. The same random numbers pick the points on the lamps at every wavelength.
+    """
+    import drjit as dr
+
+    lights, surfaces = [], []
+    for i in range(len(rig)):
+        origin, directions = pixel_rays(rig, i)
+        ray = mi.Ray3f(mi.Point3f(*(float(v) for v in origin)), mi.Vector3f(np.float32(directions.T)))
+        si = scene_hit = loaded.scene.ray_intersect(ray)
+        rng = np.random.default_rng([seed, i])
+        picks = rng.random((LIGHT_SAMPLES, 2, len(directions)), dtype=np.float32)
+        light = np.zeros((len(WAVELENGTHS), len(directions)))
+        surface = np.zeros_like(light)
+        # Four wavelengths at a time, as many as a Mitsuba spectrum holds; the last group repeats the end.
+        for first in range(0, len(WAVELENGTHS), 4):
+            group = np.minimum(np.arange(first, first + 4), len(WAVELENGTHS) - 1)
+            si.wavelengths = mi.Spectrum(*(dr.full(mi.Float, w, len(directions)) for w in WAVELENGTHS[group]))
+            valid = scene_hit.is_valid()
+            surface[group] = np.array(si.bsdf(ray).eval_diffuse_reflectance(si, valid)).reshape(4, -1)
+            for pick in picks:
+                ds, weight = loaded.scene.sample_emitter_direction(si, mi.Point2f(pick), True, valid)
+                cosine = dr.maximum(dr.dot(ds.d, dr.select(dr.dot(si.n, ray.d) > 0, -si.n, si.n)), 0)
+                light[group] += np.array(weight * cosine).reshape(4, -1) / LIGHT_SAMPLES
+        lit = np.array(scene_hit.is_valid()) & (light.sum(0) > 0) & (surface.sum(0) > 0)
+        lights.append(light[:, lit].T)
+        surfaces.append(surface[:, lit].T)
+    return np.concatenate(lights), np.concatenate(surfaces)
+
+
+def color_error(light: NDArray[Any], surface: NDArray[Any], name: str | None, bounces: int = 1) -> float:
+    """Relative L1 error of RGB transport after `bounces` reflections, with the best 3x3 matrix to the camera.
+
+    Args:
+        light: Spectra of the light, [n, wavelength].
+        surface: Spectra of the reflectance, [n, wavelength].
+        name: Camera name, or None for linear sRGB (then there is no matrix to choose).
+        bounces: Times the surface is met.
+
+    Returns:
+        Sum of absolute errors over sum of camera signals.
+    """
+    if len(light) == 0:
+        return 0.0
+    srgb = camera.srgb_curves()[::2]
+    curves = srgb if name is None else camera.camera_color(name).curves[::2]
+    exact = (light * surface**bounces) @ curves
+    # RGB of a reflectance, as Mitsuba's RGB variants have it: seen under equal-energy light, white being (1, 1, 1).
+    rgb_light = np.clip(light @ srgb, 0, None)
+    rgb_surface = np.clip(surface @ srgb / srgb.sum(0), 0, 1)
+    product = rgb_light * rgb_surface**bounces
+    if name is not None:
+        product = product @ np.linalg.lstsq(product, exact, rcond=None)[0]
+    return float(np.abs(product - exact).sum() / np.abs(exact).sum())
