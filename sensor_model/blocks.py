@@ -69,10 +69,15 @@ def row_uniform(b, n, stream, channel, row, col, view, frame, k0, k1):  # type: 
 
 @inline
 def load(b, to, flat, start, stride, n):  # type: ignore[no-untyped-def]
-    """b[to:to + n] = every stride-th value of flat; the common stride 1 in a loop of its own, which LLVM vectorises."""
+    """b[to:to + n] = every stride-th value of flat.
+
+    The common stride 1 has a loop of its own, over a slice: there numba sees that no index is negative, which it would
+    have to wrap around, and LLVM that the values are side by side.
+    """
     if stride == 1:
+        part = flat[start : start + n]
         for i in range(n):
-            b[to + i] = flat[start + i]
+            b[to + i] = part[i]
     else:
         for i in range(n):
             b[to + i] = flat[start + i * stride]
@@ -82,11 +87,24 @@ def load(b, to, flat, start, stride, n):  # type: ignore[no-untyped-def]
 def store(flat, start, stride, b, source, n):  # type: ignore[no-untyped-def]
     """The way back."""
     if stride == 1:
+        part = flat[start : start + n]
         for i in range(n):
-            flat[start + i] = b[source + i]
+            part[i] = b[source + i]
     else:
         for i in range(n):
             flat[start + i * stride] = b[source + i]
+
+
+@inline
+def store_whole(flat, start, stride, b, source, n):  # type: ignore[no-untyped-def]
+    """The way back for whole numbers, by 32-bit integers: from float64 straight to 8 or 16 bits there is no SIMD."""
+    if stride == 1:
+        part = flat[start : start + n]
+        for i in range(n):
+            part[i] = np.int32(b[source + i])
+    else:
+        for i in range(n):
+            flat[start + i * stride] = np.int32(b[source + i])
 
 
 @jit

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensor_model import effects, streams
-from sensor_model.blocks import STEP, address, in_blocks, load, row_uniform, scratch, store
+from sensor_model.blocks import STEP, address, in_blocks, load, row_uniform, scratch, store, store_whole
 from sensor_model.kernels import MU, C, N, P, W, jit, normal, poisson, tukey
 from sensor_model.prepare import Prepared, charge_cap
 
@@ -128,14 +128,23 @@ def _read_out(  # type: ignore[no-untyped-def]
                         tukey(b, n, lam)
                     else:
                         normal(b, n, where)
+                row, column = rows[y, c], columns[c, x0 : x0 + n]
                 for i in range(n):
-                    b[N + i] = rows[y, c] + columns[c, x0 + i]
+                    b[N + i] = row + column[i]
                 if with_offset:
                     load(b, P, offset, start, channels, n)
                     for i in range(n):
                         b[N + i] += b[P + i]
                 load(b, C, charge, ((y - y0) * w + x0) * channels + c, channels, n)
-                for i in range(n):
+                if threshold == np.inf:
+                    for i in range(n):
+                        held = min(b[C + i], full)
+                        signal = (held - droop * held * held) + sigma * b[W + i] + b[N + i]
+                        code = gain * signal + (odd if i & 1 else even)
+                        code = min(max((code + _ROUND) - _ROUND, 0.0), top)
+                        b[N + i] = code
+                        b[C + i] = 1.0 if (held >= full) | (code == top) else 0.0
+                for i in range(n if threshold < np.inf else 0):
                     held = min(b[C + i], full)
                     low = held > threshold
                     signal = (held - droop * held * held) + (sigma_low if low else sigma) * b[W + i] + b[N + i]
@@ -144,6 +153,6 @@ def _read_out(  # type: ignore[no-untyped-def]
                     code = min(max((code + _ROUND) - _ROUND, 0.0), top)
                     b[N + i] = code
                     b[C + i] = 1.0 if (held >= full) | (code == top) else 0.0
-                store(dn, start, channels, b, N, n)
-                store(saturated, start, channels, b, C, n)
+                store_whole(dn, start, channels, b, N, n)
+                store_whole(saturated, start, channels, b, C, n)
     return 0
