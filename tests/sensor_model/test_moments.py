@@ -134,3 +134,16 @@ def test_the_clean_image_has_neither_noise_nor_pattern_and_saturates():
     clean = expose(light, sensor, EXPOSURE, seed=0, view=0).clean_dn
     droop = 600 * 600 * 0.02 / 2500
     np.testing.assert_allclose(clean, [[100, 100 + 1.3 * (600 - droop), 100 + 1.3 * 2450]], rtol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["imx385-iso25600", "imx686-iso6400", "ideal", "a7s2-iso25600"])
+def test_tables_for_many_pixels_equal_the_integral_of_each(name):
+    """Rationale: frames share one table per kind of pixel; expectation: within a thousandth of the noise."""
+    sensor = camera(PRESETS[name])
+    light = np.random.default_rng(0).gamma(0.7, 40, (250, 400))
+    frame = expose(light, sensor, EXPOSURE, seed=0, view=0)
+    rows = light[::25, :40]  # few enough to be integrated one by one
+    alone = expose(rows, sensor, EXPOSURE, seed=0, view=0)
+    sd = np.sqrt(alone.variance_dn) + 0.01
+    assert (np.abs(frame.mean_dn[::25, :40] - alone.mean_dn) / sd).max() < 1e-3
+    np.testing.assert_allclose(frame.variance_dn[::25, :40], alone.variance_dn, rtol=2e-3, atol=1e-4)
