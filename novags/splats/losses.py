@@ -30,7 +30,7 @@ def _blur(images: Tensor) -> Tensor:
     return torch.nn.functional.conv2d(rows, kernel.reshape(1, 1, -1, 1), padding=(pad, 0))[:, 0]
 
 
-def ssim(image: Tensor, target: Tensor) -> Tensor:
+def ssim_map(image: Tensor, target: Tensor) -> Tensor:
     """Structural similarity of Wang et al. 2004: 11x11 window, sigma 1.5, data range 1, zeros outside as in 3DGS.
 
     Args:
@@ -38,13 +38,12 @@ def ssim(image: Tensor, target: Tensor) -> Tensor:
         target: [H, W, C].
 
     Returns:
-        Mean over pixels and channels, a scalar; 1 for equal images.
+        [H, W, C]; 1 where the windows are equal.
 
     Raises:
         ValueError: If the shapes differ.
     """
-    if image.shape != target.shape or image.ndim != 3:
-        raise ValueError(f"image and target must both be [H, W, C], got {list(image.shape)} and {list(target.shape)}")
+    _check(image, target)
     x, y = image.movedim(-1, 0), target.movedim(-1, 0)
     n = len(x)
     moments = _blur(torch.cat([x, y, x * x, y * y, x * y]))
@@ -52,7 +51,17 @@ def ssim(image: Tensor, target: Tensor) -> Tensor:
     variance_sum = (xx - mx * mx) + (yy - my * my)
     covariance = xy - mx * my
     score = (2 * mx * my + C1) * (2 * covariance + C2) / ((mx * mx + my * my + C1) * (variance_sum + C2))
-    return score.mean()
+    return score.movedim(0, -1)
+
+
+def ssim(image: Tensor, target: Tensor) -> Tensor:
+    """Mean of `ssim_map` over pixels and channels, a scalar."""
+    return ssim_map(image, target).mean()
+
+
+def _check(image: Tensor, target: Tensor) -> None:
+    if image.shape != target.shape or image.ndim != 3:
+        raise ValueError(f"image and target must both be [H, W, C], got {list(image.shape)} and {list(target.shape)}")
 
 
 def photometric_loss(image: Tensor, target: Tensor, dssim_weight: float) -> Tensor:
@@ -70,8 +79,7 @@ def photometric_loss(image: Tensor, target: Tensor, dssim_weight: float) -> Tens
     Raises:
         ValueError: If the shapes differ.
     """
-    if image.shape != target.shape or image.ndim != 3:
-        raise ValueError(f"image and target must both be [H, W, C], got {list(image.shape)} and {list(target.shape)}")
+    _check(image, target)
     plain = all(t.device.type == "cpu" and t.dtype == torch.float32 for t in (image, target))
     if plain and not target.requires_grad:
         return _Photometric.apply(image, target, dssim_weight)

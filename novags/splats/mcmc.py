@@ -150,7 +150,11 @@ def add_noise(gaussians: Gaussians, amount: float, generator: torch.Generator) -
         key = np.uint64(int(torch.randint(2**63 - 1, (1,), generator=generator)))
         arrays = (t.numpy() for t in (g.means, g.quats, g.log_scales, g.logit_opacities))
         run(noise.add, len(g), 1024, *arrays, np.float32(amount), key)
-        return
+    else:
+        _add_noise_torch(g, amount, generator)
+
+
+def _add_noise_torch(g: Gaussians, amount: float, generator: torch.Generator) -> None:
     xi = torch.randn(len(g), 3, generator=generator).to(g.means.device)
     xi *= amount * torch.sigmoid(100 * (DEAD_OPACITY - g.opacities))[:, None]
     R = quat_to_rotmat(g.quats)

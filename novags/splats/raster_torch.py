@@ -96,11 +96,12 @@ def composite(
         alpha = torch.clamp_max(opacities * torch.exp(-power), ALPHA_MAX)
         alpha = torch.where(alpha >= ALPHA_MIN, alpha, 0.0)
         after = torch.cumprod(1 - alpha, dim=1)  # transmittance behind Gaussian n
-        before = torch.cat([torch.ones_like(after[:, :1]), after[:, :-1]], dim=1)
+        nothing = after.new_ones(len(chunk), 1)
+        before = torch.cat([nothing, after], dim=1)[:, :-1]
         alive = after >= TRANSMITTANCE_MIN
         images.append((alpha * before * alive) @ features)
         stop = alive.sum(1, keepdim=True)  # number of composited Gaussians
-        left = torch.cat([torch.ones_like(after[:, :1]), after], dim=1).gather(1, stop)
+        left = torch.cat([nothing, after], dim=1).gather(1, stop)
         alphas.append(1 - left)
     return torch.cat(images).reshape(height, width, -1), torch.cat(alphas).reshape(height, width, 1)
 

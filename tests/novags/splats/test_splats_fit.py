@@ -1,0 +1,196 @@
+"""The training loop: it learns, resumes to the bit, and passes on what it is given."""
+
+import dataclasses
+import math
+
+import pytest
+import torch
+
+from novags.splats import FitConfig, Gaussians, LearningRates, McmcConfig, Step, Views, fit, rasterize
+
+SIZE, N_VIEWS = 32, 6
+
+
+def ring(n_views: int = N_VIEWS, size: int = SIZE) -> Views:
+    viewmats = []
+    for k in range(n_views):
+        c, s = math.cos(2 * math.pi * k / n_views), math.sin(2 * math.pi * k / n_views)
+        viewmats.append(torch.tensor([[c, 0, -s, 0], [0, 1, 0, 0], [s, 0, c, 3.5], [0, 0, 0, 1]]))
+    K = torch.tensor([[1.1 * size, 0, size / 2], [0, 1.1 * size, size / 2], [0, 0, 1]])
+    return Views(torch.stack(viewmats), K.repeat(n_views, 1, 1), size, size)
+
+
+def problem(n: int = 300) -> tuple[Gaussians, Views, torch.Tensor]:
+    """A grey start and the images of the coloured truth."""
+    g = torch.Generator().manual_seed(0)
+    points = 2 * torch.rand(n, 3, generator=g) - 1
+    truth = Gaussians.from_points(points, (torch.sin(4 * points) + 1) / 2, sh_degree=0, init_opacity=0.9)
+    views = ring()
+    with torch.no_grad():
+        images, _, _ = rasterize(
+            truth.means, truth.quats, truth.scales, truth.opacities, truth.sh, views.viewmats, views.Ks, SIZE, SIZE,
+            sh_degree=0,
+        )  # fmt: skip
+    start = Gaussians.from_points(points + 0.02 * torch.randn(n, 3, generator=g), torch.full((n, 3), 0.5), sh_degree=0)
+    return start, views, images
+
+
+def config(**changes: object) -> FitConfig:
+    mcmc = McmcConfig(refine_start=5, refine_every=10, refine_stop=60)
+    return dataclasses.replace(FitConfig(iterations=80, sh_degree=1, sh_every=20, mcmc=mcmc, cap_max=330), **changes)
+
+
+def same(a: Gaussians, b: Gaussians) -> bool:
+    return all(torch.equal(t, b.tensors()[name]) for name, t in a.tensors().items())
+
+
+def test_training_lowers_the_loss_and_grows_to_the_cap():
+    start, views, images = problem()
+    before = {name: t.clone() for name, t in start.tensors().items()}
+    result = fit(start, views, lambda i: images[i], config(iterations=200))
+    assert result.losses[-1]["photometric"] < 0.7 * result.losses[0]["photometric"]
+    assert len(result.gaussians) == 330
+    assert result.gaussians.sh_degree == 1
+    assert not result.gaussians.means.requires_grad
+    assert all(torch.equal(t, before[name]) for name, t in start.tensors().items())
+    assert result.seconds > 0
+    assert result.peak_bytes > 0
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_does_not():
+    start, views, images = problem()
+    a, b, c = (fit(start, views, lambda i: images[i], config(seed=seed)).gaussians for seed in (1, 1, 2))
+    assert same(a, b)
+    assert not same(a, c)
+
+
+def test_a_stopped_run_resumes_to_the_same_bits(tmp_path):
+    start, views, images = problem()
+    whole = fit(start, views, lambda i: images[i], config())
+    path = tmp_path / "state.safetensors"
+
+    def stop(iteration: int) -> None:
+        if iteration == 57:
+            raise KeyboardInterrupt
+
+    interrupted = config(checkpoint_every=25)
+    with pytest.raises(KeyboardInterrupt):
+        fit(start, views, lambda i: images[i], interrupted, before_step=stop, checkpoint=path)
+    seen: list[int] = []
+    resumed = fit(start, views, lambda i: images[i], interrupted, before_step=seen.append, checkpoint=path)
+    assert seen == list(range(50, 80))
+    assert same(whole.gaussians, resumed.gaussians)
+    assert same(whole.gaussians, fit(start, views, lambda i: images[i], interrupted, checkpoint=path).gaussians)
+    assert [p.name for p in tmp_path.iterdir()] == ["state.safetensors"]
+
+
+def test_a_checkpoint_of_another_run_is_refused_with_the_difference(tmp_path):
+    start, views, images = problem(50)
+    path = tmp_path / "state.safetensors"
+    fit(start, views, lambda i: images[i], config(iterations=3), checkpoint=path)
+    with pytest.raises(ValueError, match="seed: 0 there, 5 now"):
+        fit(start, views, lambda i: images[i], config(iterations=3, seed=5), checkpoint=path)
+
+
+def test_every_epoch_sees_every_view_once():
+    start, views, images = problem(50)
+    seen: list[int] = []
+
+    def target(i: int) -> torch.Tensor:
+        seen.append(i)
+        return images[i]
+
+    fit(start, views, target, config(iterations=3 * N_VIEWS))
+    epochs = [seen[k * N_VIEWS : (k + 1) * N_VIEWS] for k in range(3)]
+    assert all(sorted(epoch) == list(range(N_VIEWS)) for epoch in epochs)
+    assert epochs[0] != epochs[1] or epochs[1] != epochs[2]
+
+
+def test_extra_losses_see_the_step_and_their_gradients_count():
+    start, views, images = problem(80)
+    steps: list[Step] = []
+
+    def pull(step: Step) -> torch.Tensor:
+        steps.append(step)
+        render, depth, alpha, info = step.rasterize_view((step.view + 1) % N_VIEWS)
+        assert render.shape == (SIZE, SIZE, 3)
+        assert depth.shape == alpha.shape == step.depth.shape == step.alpha.shape == (SIZE, SIZE)
+        assert info["radii"].shape == (len(step.gaussians),)
+        assert depth.requires_grad
+        return 100 * (step.gaussians.means**2).mean() + 0 * depth.sum()
+
+    settings = config(iterations=40, mcmc=None, rates=LearningRates(means=1e-2, means_final=1e-2))
+    plain = fit(start, views, lambda i: images[i], settings)
+    pulled = fit(start, views, lambda i: images[i], settings, extra_losses=[pull, lambda step: None], needs_depth=True)
+    assert [s.iteration for s in steps] == list(range(40))
+    assert pulled.gaussians.means.norm() < 0.9 * plain.gaussians.means.norm()
+
+
+def test_depth_that_was_not_asked_for_is_refused():
+    start, views, images = problem(20)
+    with pytest.raises(ValueError, match="needs_depth=True"):
+        fit(start, views, lambda i: images[i], config(iterations=1), extra_losses=[lambda step: step.depth.sum()])
+
+
+def test_without_mcmc_the_population_and_without_rates_the_values_stay():
+    start, views, images = problem(60)
+    still = LearningRates(means=0, means_final=0, quats=0, log_scales=0, logit_opacities=0, sh_dc=0, sh_rest=0)
+    result = fit(start, views, lambda i: images[i], config(iterations=5, mcmc=None, rates=still, sh_degree=0))
+    assert same(result.gaussians, start)
+
+
+def test_more_gaussians_than_the_cap_are_pruned():
+    start, views, images = problem(300)
+    assert len(fit(start, views, lambda i: images[i], config(iterations=2, cap_max=100)).gaussians) == 100
+
+
+def test_progress_is_reported_every_ten_iterations_and_at_the_end():
+    start, views, images = problem(40)
+    calls: list[tuple[int, int]] = []
+    fit(start, views, lambda i: images[i], config(iterations=24), progress=lambda i, n, entry: calls.append((i, n)))
+    assert calls == [(10, 24), (20, 24), (24, 24)]
+
+
+def test_bad_targets_and_losses_are_refused():
+    start, views, images = problem(20)
+    with pytest.raises(ValueError, match=r"target\(\d\) must be \[H, W, 3\] = \[32, 32, 3\]"):
+        fit(start, views, lambda i: images[i][:5], config(iterations=1))
+    with pytest.raises(ValueError, match="the loss must be finite, got nan at iteration 0"):
+        fit(start, views, lambda i: images[i] * math.nan, config(iterations=1))
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"iterations": -1}, "iterations must be >= 0"),
+        ({"cap_max": 0}, "cap_max must be >= 1 or None, got 0"),
+        ({"sh_degree": 4}, "sh_degree must be 0, 1, 2 or 3, got 4"),
+        ({"dssim_weight": 1.5}, "dssim_weight must lie in 0..1"),
+        ({"extent": 0.0}, "extent must be > 0 or None"),
+    ],
+)
+def test_bad_configurations_are_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        FitConfig(**changes)
+
+
+def test_gaussians_from_points_are_as_wide_as_the_points_are_apart():
+    grid = torch.stack(torch.meshgrid(*[torch.arange(4.0)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    colors = torch.rand(64, 3, generator=torch.Generator().manual_seed(0))
+    gaussians = Gaussians.from_points(2 * grid, colors, sh_degree=2, init_opacity=0.3, init_scale=0.5)
+    torch.testing.assert_close(gaussians.scales, torch.ones(64, 3))
+    torch.testing.assert_close(gaussians.opacities, torch.full((64,), 0.3))
+    torch.testing.assert_close(gaussians.sh[:, 0] * 0.28209479177387814 + 0.5, colors)
+    assert not gaussians.sh[:, 1:].any()
+    with pytest.raises(ValueError, match="points must be finite, got 3 non-finite of 192"):
+        Gaussians.from_points(grid.index_fill(0, torch.tensor([1]), math.nan), colors, sh_degree=0)
+    with pytest.raises(ValueError, match=r"\[P >= 2, 3\]"):
+        Gaussians.from_points(grid[:1], colors[:1], sh_degree=0)
+
+
+def test_views_know_their_centres_and_extent():
+    views = ring(4)
+    torch.testing.assert_close(views.centers.norm(dim=1), torch.full((4,), 3.5))
+    assert views.extent == pytest.approx(1.1 * 3.5, rel=1e-5)
+    with pytest.raises(ValueError, match="must be float32"):
+        Views(views.viewmats.double(), views.Ks.double(), 4, 4)

@@ -1,0 +1,106 @@
+"""The thread pool and the recycled memory."""
+
+import gc
+import multiprocessing
+import threading
+
+import numpy as np
+import pytest
+import torch
+
+from novags.splats.cpu.memory import SMALL, empty
+from novags.splats.cpu.parallel import run
+
+
+@pytest.fixture
+def four_threads():
+    before = torch.get_num_threads()
+    torch.set_num_threads(4)
+    yield
+    torch.set_num_threads(before)
+
+
+def mark(begin, end, counts, grain):
+    assert begin % grain == 0
+    counts[begin:end] += 1
+
+
+@pytest.mark.parametrize("n", [0, 1, 7, 100, 1001])
+@pytest.mark.parametrize("grain", [1, 8, 2000])
+def test_every_item_is_visited_once(four_threads, n, grain):
+    counts = np.zeros(n, np.int64)
+    run(mark, n, grain, counts, grain)
+    assert (counts == 1).all()
+
+
+def test_an_error_in_any_thread_reaches_the_caller_and_the_pool_lives_on(four_threads):
+    def fail(begin, end):
+        raise RuntimeError(f"at {begin}")
+
+    with pytest.raises(RuntimeError, match="at "):
+        run(fail, 100, 1)
+    counts = np.zeros(50, np.int64)
+    run(mark, 50, 1, counts, 1)
+    assert (counts == 1).all()
+
+
+def test_several_callers_share_the_pool(four_threads):
+    results = [np.zeros(500, np.int64) for _ in range(6)]
+
+    def call(counts):
+        for _ in range(20):
+            run(mark, 500, 1, counts, 1)
+
+    threads = [threading.Thread(target=call, args=(counts,)) for counts in results]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert all((counts == 20).all() for counts in results)
+
+
+def _in_child(queue):
+    counts = np.zeros(100, np.int64)
+    run(mark, 100, 1, counts, 1)
+    queue.put(int(counts.sum()))
+
+
+@pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork.*:DeprecationWarning")
+def test_a_forked_child_starts_its_own_threads(four_threads):
+    run(mark, 100, 1, np.zeros(100, np.int64), 1)
+    context = multiprocessing.get_context("fork")
+    queue = context.Queue()
+    child = context.Process(target=_in_child, args=(queue,))
+    child.start()
+    assert queue.get(timeout=60) == 100
+    child.join()
+
+
+def test_memory_is_aligned_recycled_and_never_shared_while_in_use():
+    a = empty((SMALL, 2))
+    address = a.ctypes.data
+    assert address % 64 == 0
+    view = a[5:]
+    del a
+    gc.collect()
+    b = empty((SMALL, 2))
+    assert b.ctypes.data != address  # the view still looks into it
+    del view
+    gc.collect()
+    assert empty((SMALL, 2)).ctypes.data == address
+
+
+def test_a_tensor_keeps_its_memory():
+    tensor = torch.from_numpy(empty(SMALL))
+    tensor.fill_(3.0)
+    gc.collect()
+    empty(SMALL)[:] = 7.0
+    assert (tensor == 3.0).all()
+
+
+@pytest.mark.parametrize("shape", [0, (0, 3), 5, (2, 3, 4)])
+def test_any_shape_and_type(shape):
+    array = empty(shape, np.int64)
+    assert array.shape == ((shape,) if isinstance(shape, int) else shape)
+    assert array.dtype == np.int64
+    array[...] = 1

@@ -1,0 +1,101 @@
+"""PLY in and out."""
+
+import numpy as np
+import pytest
+import torch
+
+from novags.splats import Gaussians, read_ply, write_ply
+
+
+def cloud(n: int, degree: int) -> Gaussians:
+    g = torch.Generator().manual_seed(n)
+    return Gaussians(
+        means=torch.randn(n, 3, generator=g),
+        quats=torch.nn.functional.normalize(torch.randn(n, 4, generator=g), dim=1),
+        log_scales=torch.randn(n, 3, generator=g), logit_opacities=torch.randn(n, generator=g),
+        sh=torch.randn(n, (degree + 1) ** 2, 3, generator=g),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("degree", range(4))
+@pytest.mark.parametrize("n", [0, 1, 57])
+def test_round_trip_is_exact(tmp_path, degree, n):
+    gaussians = cloud(n, degree)
+    write_ply(tmp_path / "a.ply", gaussians)
+    again = read_ply(tmp_path / "a.ply")
+    for name, tensor in gaussians.tensors().items():
+        torch.testing.assert_close(again.tensors()[name], tensor, rtol=0, atol=1e-6 if name == "quats" else 0)
+
+
+def test_layout_is_that_of_3dgs(tmp_path):
+    gaussians = cloud(3, 3)
+    write_ply(tmp_path / "a.ply", gaussians)
+    header, data = (tmp_path / "a.ply").read_bytes().split(b"end_header\n", 1)
+    lines = header.decode().splitlines()
+    assert lines[:3] == ["ply", "format binary_little_endian 1.0", "element vertex 3"]
+    names = [line.split()[2] for line in lines[3:]]
+    rest = [f"f_rest_{i}" for i in range(45)]
+    assert names == [
+        "x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *rest,
+        "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3",
+    ]  # fmt: skip
+    table = np.frombuffer(data, "<f4").reshape(3, len(names))
+    row = dict(zip(names, table[1], strict=True))
+    assert row["x"] == gaussians.means[1, 0]
+    assert row["rot_0"] == pytest.approx(float(gaussians.quats[1, 0]), abs=1e-7)
+    # channel-major: the 15 red coefficients first
+    assert row["f_rest_0"] == gaussians.sh[1, 1, 0]
+    assert row["f_rest_14"] == gaussians.sh[1, 15, 0]
+    assert row["f_rest_15"] == gaussians.sh[1, 1, 1]
+    assert row["opacity"] == gaussians.logit_opacities[1]
+
+
+def test_other_orders_types_and_extra_properties_are_read(tmp_path):
+    gaussians = cloud(4, 0)
+    names = ["rot_0", "rot_1", "rot_2", "rot_3", "label", "opacity", "f_dc_2", "f_dc_1", "f_dc_0", "z", "y", "x"]
+    names += ["scale_0", "scale_1", "scale_2"]
+    record = np.dtype([(name, "u1" if name == "label" else "<f8") for name in names])
+    table = np.zeros(4, record)
+    for i in range(4):
+        table[f"rot_{i}"] = gaussians.quats[:, i]
+    for i in range(3):
+        table[f"f_dc_{i}"], table[f"scale_{i}"] = gaussians.sh[:, 0, i], gaussians.log_scales[:, i]
+        table["xyz"[i]] = gaussians.means[:, i]
+    table["opacity"] = gaussians.logit_opacities
+    kinds = [f"property {'uchar' if name == 'label' else 'double'} {name}" for name in names]
+    header = [
+        "ply",
+        "format binary_little_endian 1.0",
+        "comment made elsewhere",
+        "element vertex 4",
+        *kinds,
+        "end_header",
+    ]
+    (tmp_path / "b.ply").write_bytes(("\n".join(header) + "\n").encode() + table.tobytes())
+    again = read_ply(tmp_path / "b.ply")
+    for name, tensor in gaussians.tensors().items():
+        assert torch.equal(again.tensors()[name], tensor), name
+
+
+@pytest.mark.parametrize(
+    ("damage", "message"),
+    [
+        (lambda raw: b"obj" + raw[3:], "must start with the line 'ply'"),
+        (lambda raw: raw[:-5], "must hold 3 vertices"),
+        (lambda raw: raw[:40], "its header ends early"),
+        (lambda raw: raw.replace(b"binary_little_endian", b"ascii"), "must be binary_little_endian, got ascii"),
+        (lambda raw: raw.replace(b"float opacity", b"float opaqueness"), "lacks the vertex properties opacity"),
+        (lambda raw: raw.replace(b"float f_rest_3", b"float other_3"), "0, 9, 24 or 45 f_rest properties, got 8"),
+        (lambda raw: raw.replace(b"property float x", b"property list uchar int x"), "must be plain numbers"),
+    ],
+)
+def test_damaged_files_are_refused(tmp_path, damage, message):
+    write_ply(tmp_path / "a.ply", cloud(3, 1))
+    (tmp_path / "a.ply").write_bytes(damage((tmp_path / "a.ply").read_bytes()))
+    with pytest.raises(ValueError, match=message):
+        read_ply(tmp_path / "a.ply")
+
+
+def test_writing_leaves_no_temporary_file(tmp_path):
+    write_ply(tmp_path / "a.ply", cloud(3, 1))
+    assert [p.name for p in tmp_path.iterdir()] == ["a.ply"]
