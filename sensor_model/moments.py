@@ -24,7 +24,7 @@ REACH = 8.0  # standard deviations beyond which a normal tail (1e-15) is nothing
 SMOOTH = 0.8  # DN of noise from which rounding is as good as adding 1/12 DN**2 (the mean errs by 1e-6 DN)
 FEW = 16  # different pixels up to which each kind gets a table of its own
 GRID = 0.01  # sqrt(e-), spacing of such a table: linear interpolation errs by GRID**2 / 4 = 0.00003 e-
-LATTICE = 60.0  # e-; below, sum over the electrons; above, integrate over the normal quantile of their number
+BATCH = 512  # pixels that are integrated together
 
 
 def frame_moments(inputs: Prepared, shot: str = "poisson") -> tuple[Array, Array]:
@@ -117,12 +117,8 @@ def _many_integrals(s: Sensor, mu: Array, base: Array, extra: Array, shot: str) 
 def _in_batches(s: Sensor, mu: Array, base: Array, extra: Array, shot: str) -> tuple[Array, Array]:
     """`integrated_moments`, pixels of similar charge together, so that one list of electrons serves them all."""
     mean, variance = np.empty_like(mu), np.empty_like(mu)
-    order = np.argsort(mu, kind="stable")
-    small = np.searchsorted(mu[order], LATTICE)
-    for half in (order[:small], order[small:]):
-        for part in np.array_split(half, -(-half.size // 4096) or 1):
-            if part.size:
-                mean[part], variance[part] = integrated_moments(s, mu[part], base[part], extra[part], shot)
+    for part in np.array_split(np.argsort(mu, kind="stable"), -(-mu.size // BATCH)):
+        mean[part], variance[part] = integrated_moments(s, mu[part], base[part], extra[part], shot)
     return mean, variance
 
 
@@ -165,17 +161,16 @@ def _normal_components(lam: float | None) -> list[tuple[float, float]]:
 
 
 def _charges(mu: Array, shot: str) -> tuple[Array, Array]:
-    """Charges and their weights, [p, k]: the electrons themselves, or a fine grid of the normal quantile."""
-    if shot == "poisson" and mu.max() <= LATTICE:
-        n = np.arange(np.ceil(mu.max() + _reach(mu.max())) + 1)
-        weight = np.exp(special.xlogy(n, mu[:, None]) - mu[:, None] - special.gammaln(n + 1))
-        return np.broadcast_to(n, weight.shape), weight
-    w = np.linspace(-REACH, REACH, 321)
-    charge = mu[:, None] + np.sqrt(mu)[:, None] * w
-    if shot == "poisson":
-        # The series of the Poisson quantile, less the half electron of rounding down: mean mu, variance mu to 1/mu
-        charge = np.maximum(charge + (w * w - 1) / 6, 0)
-    return charge, np.broadcast_to(np.exp(-0.5 * w * w), charge.shape)
+    """Charges that pixels of about the same mean `mu` may hold [1 or p, k], and how likely each is [p, k]."""
+    if shot == "normal":
+        w = np.linspace(-REACH, REACH, 321)
+        return mu[:, None] + np.sqrt(mu)[:, None] * w, np.broadcast_to(np.exp(-0.5 * w * w), (mu.size, w.size))
+    # The electrons one by one; in large means every few, 20 to a standard deviation, over which nothing changes
+    ends = np.array([mu.min(), mu.max()])
+    low, high = np.floor(ends + _reach(ends) * [-1, 1])
+    step = max(1.0, np.floor(np.sqrt(ends[0]) / 20))
+    n = np.arange(max(0.0, float(low)), float(high) + 2 * step, step)[None]
+    return n, np.exp(special.xlogy(n, mu[:, None]) - mu[:, None] - special.gammaln(n + 1))
 
 
 def code_moments(level: Array, sd: Array, top: Array | float) -> tuple[Array, Array]:
