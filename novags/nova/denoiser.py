@@ -33,6 +33,10 @@ class DenoiserConfig:
     # The network predicts the difference to a Gaussian blur (sigma in px) of its blinded input whose kernel leaves out
     # the centre: training then starts at the quality of a blur. None predicts the image itself, as the paper does.
     residual_blur: float | None = None
+    # Share of the noisy image in I_clean. A blind-spot network infers a pixel from its neighbours, so its error and the
+    # pixel's own noise are independent, and a mix of the two beats both; fine texture, which neighbours do not tell,
+    # comes back. 0 is the paper.
+    noisy_share: float = 0.0
 
     def __post_init__(self) -> None:
         if self.warmup_steps < 0:
@@ -45,6 +49,8 @@ class DenoiserConfig:
             raise ValueError(f"learning_rate must be > 0, got {self.learning_rate}")
         if self.residual_blur is not None and not self.residual_blur > 0:
             raise ValueError(f"residual_blur must be > 0 px or None, got {self.residual_blur}")
+        if not 0 <= self.noisy_share < 1:
+            raise ValueError(f"noisy_share must lie in [0, 1), got {self.noisy_share}")
 
     def total_steps(self, iterations: int) -> int:
         """Optimiser steps in a run of so many splat iterations."""
@@ -116,7 +122,9 @@ class Denoiser:
 
     def denoise(self, view: int) -> Tensor:
         """I_clean of one view, [H, W, 3] in 0..1: the network on the unmasked image. Differentiable in the weights."""
-        return self.predict(self.images[view : view + 1])[0].movedim(0, -1).clamp(0, 1)
+        noisy = self.images[view : view + 1]
+        clean = self.predict(noisy).clamp(0, 1)
+        return torch.lerp(clean, noisy, self.config.noisy_share)[0].movedim(0, -1)
 
     def denoise_all(self) -> Tensor:
         """I_clean of all views, [C, H, W, 3] in 0..1, without gradient."""
