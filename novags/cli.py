@@ -66,7 +66,10 @@ def run(
     _announce(report_path)
 
 
-def plan(scene: Name, *, sensor: str, electrons: float, time: float = 1 / 30, tolerance: float = 0.05) -> None:
+def plan(
+    scene: Name, *, sensor: str, electrons: float, time: float = 1 / 30, tolerance: float = 0.05,
+    light_tolerance: float = 0.02,
+) -> None:  # fmt: skip
     """What would be simulated, what would not, why, and the bound on the error of leaving it out.
 
     Args:
@@ -75,15 +78,17 @@ def plan(scene: Name, *, sensor: str, electrons: float, time: float = 1 / 30, to
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
         time: Exposure time in seconds; only the dark current depends on it.
         tolerance: Relative error of the noise's standard deviation that may be made.
+        light_tolerance: Share of all light that may be wrong or missing.
     """
     from novags.testbed.capture import CaptureConfig
-    from novags.testbed.forecast import sensor_plan
+    from novags.testbed.forecast import light_plan, sensor_plan
 
-    config = CaptureConfig(sensor=sensor, electrons=electrons, time=time, tolerance=tolerance)
-    found, signal_e = sensor_plan(scene, config, _console())
-    print(f"{sensor}, mean green signal {electrons:g} e-; "
-          + ", ".join(f"{name} {value:.3g} e-" for name, value in signal_e.items()))  # fmt: skip
-    print(found)
+    config, console = CaptureConfig(sensor=sensor, electrons=electrons, time=time, tolerance=tolerance), _console()
+    light = light_plan(scene, light_tolerance, console)
+    print(f"Light of {scene}: {'as it is in the folder' if light is None else ''}\n{light or ''}".rstrip())
+    found, signal_e = sensor_plan(scene, config, console)
+    signal = ", ".join(f"{name} {value:.3g} e-" for name, value in signal_e.items())
+    print(f"\nCamera {sensor}, mean green signal {electrons:g} e-; {signal}\n{found}")
 
 
 def render(
@@ -216,7 +221,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
 
 
 def _console() -> "Console":
-    """A console, once the libraries are loaded and termination is an interruption like Ctrl-C."""
+    """A console; from here on termination is an interruption like Ctrl-C."""
     import pycolmap  # noqa: F401 - its crash handler would take SIGTERM over if it were imported later
 
     from novags.testbed.console import Console

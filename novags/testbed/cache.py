@@ -24,7 +24,8 @@ from novags.testbed.console import Console
 from novags.testbed.provenance import PeakMemory, environment, package_version
 
 UNFINISHED = "unfinished.json"
-VOLATILE = ("stage", "seconds", "peak_bytes", "versions")  # entries of a record that say what it cost, not what it is
+# Entries of a record that say what it cost, not what it is.
+VOLATILE = ("stage", "seconds", "predicted_seconds", "peak_bytes", "versions")
 
 
 def jsonable(value: Any) -> Any:  # noqa: ANN401 - the border between Python objects and JSON

@@ -73,7 +73,8 @@ class Console:
                 return
             last = now
             rate = (done - first) / (now - start) if now > start else 0.0
-            left = f"  {(total - done) / rate:.0f} s left" if rate > 0 and done < total else ""
+            known = rate > 0 and done < total and "left" not in what  # some stages know better themselves
+            left = f"  {(total - done) / rate:.0f} s left" if known else ""
             self.note(f"{stage}: {done}/{total}  {what}{left}")
 
         return update

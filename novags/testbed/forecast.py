@@ -1,17 +1,41 @@
 """What a capture of a scene would simulate, what it would leave out, and the bounds: the plans, before any work."""
 
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 from novags.testbed.capture import CaptureConfig, measure_light, plan_capture
 from novags.testbed.console import Console
-from novags.testbed.render import RenderConfig, render_views
-from novags.testbed.source import open_source
+from novags.testbed.render import RenderConfig, render_views, rig_of
+from novags.testbed.source import open_source, warnings_as_notes
 from sensor_model import PRESETS, Exposure, Plan
+
+# Enough to know the range of brightness and what the light does; it takes seconds.
+PILOT = RenderConfig(n_views=8, width=48, height=48, spp=32)
+
+
+def light_plan(scene: str, tolerance: float, console: Console) -> Plan | None:
+    """The plan of the light transport; None for a folder, whose light is there already.
+
+    Args:
+        scene: A multiview set folder, a scene of the catalogue, or a Mitsuba file.
+        tolerance: Share of all light that may be wrong or missing.
+        console: Where notes go.
+
+    Raises:
+        ValueError: If there is no such scene.
+    """
+    if Path(scene).is_dir():
+        return None
+    from simscenes import plan_transport
+
+    config = replace(PILOT, scene=scene)
+    with warnings_as_notes(console):
+        return plan_transport(config.file or config.scene, tolerance, rig=rig_of(config))
 
 
 def sensor_plan(scene: str, config: CaptureConfig, console: Console) -> tuple[Plan | None, dict[str, float]]:
-    """The sensor's plan for a scene, and the quantiles of its mean signal in electrons.
+    """The sensor's plan for a scene, and the range of its mean signal in electrons.
 
     Args:
         scene: A multiview set folder, a scene of the catalogue, or a Mitsuba file (the latter two get a coarse render).
@@ -24,8 +48,7 @@ def sensor_plan(scene: str, config: CaptureConfig, console: Console) -> tuple[Pl
     if Path(scene).is_dir():
         return _plan(Path(scene), config, console)
     with tempfile.TemporaryDirectory(prefix="novags-plan-") as folder:
-        # Enough to know the range of brightness; it takes seconds.
-        render_views(Path(folder), RenderConfig(scene=scene, n_views=8, width=48, height=48, spp=32), console)
+        render_views(Path(folder), replace(PILOT, scene=scene), console)
         return _plan(Path(folder), config, console)
 
 

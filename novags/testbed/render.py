@@ -8,6 +8,8 @@ from typing import Any
 
 from novags.testbed.cache import read_json
 from novags.testbed.console import Console
+from novags.testbed.source import warnings_as_notes
+from simscenes import Rig
 
 RECORD = "set.json"
 
@@ -66,14 +68,23 @@ def render_views(out: Path, config: RenderConfig, console: Console) -> dict[str,
     Raises:
         ValueError: If the scene is unknown or cannot be loaded or rendered.
     """
-    from simscenes.render import render_set
-    from simscenes.scenes import default_rig
+    from simscenes import render_set
 
-    size = (config.n_views, config.width, config.height)
-    rig = default_rig(config.scene, *size) if config.file is None else None
-    with console.progress("render") as progress:
+    with console.progress("render") as progress, warnings_as_notes(console):
         render_set(
-            config.file or config.scene, rig, out, spp=config.spp, target_error=config.target_error,
+            config.file or config.scene, rig_of(config), out, spp=config.spp, target_error=config.target_error,
             variant=config.variant, seed=config.seed, progress=progress,
         )  # fmt: skip
     return read_json(out / RECORD)
+
+
+def rig_of(config: RenderConfig) -> Rig:
+    """The cameras: those a catalogue scene is made to be seen with, or an arc around a file's own camera.
+
+    Raises:
+        ValueError: If the scene is unknown, cannot be loaded, or has no camera to start from.
+    """
+    from simscenes import default_rig, fit_rig
+
+    size = (config.n_views, config.width, config.height)
+    return default_rig(config.scene, *size) if config.file is None else fit_rig(config.file, *size)

@@ -173,7 +173,7 @@ def plans(material: Material) -> list[dict[str, Any]]:
 
 def plan_table(plan: dict[str, Any]) -> dict[str, Any]:
     """The effects that matter here, the names of those that cannot (nothing to leave out), and what was left out."""
-    matters = [e for e in plan["effects"] if e["on"] or e["forced"] or e["contribution"]]
+    matters = [e for e in plan["effects"] if e["on"] or e["forced"] or e["contribution"] != 0]
     absent = [e["name"].replace("_", " ") for e in plan["effects"] if e not in matters]
     bounds = {plan["unit"]: plan["bound"], **plan.get("biases", {})}
     return {"shown": matters, "absent": absent, "costs": [f"{number(b, 4)} ({unit})" for unit, b in bounds.items()]}
