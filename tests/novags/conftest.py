@@ -1,0 +1,50 @@
+"""A small reconstruction problem that methods can be run on."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import pytest
+import torch
+from torch import Tensor
+
+from novags.splats import Gaussians, MethodInput, Views, rasterize
+
+SIZE, VIEWS, POINTS = 24, 5, 150
+
+
+@dataclass(frozen=True)
+class Start:
+    points: Tensor
+    colors: Tensor
+    extent: float
+
+
+def _cameras() -> Views:
+    viewmats = torch.eye(4).repeat(VIEWS, 1, 1)
+    viewmats[:, 0, 3] = torch.linspace(-0.4, 0.4, VIEWS)
+    viewmats[:, 2, 3] = 3.0
+    K = torch.tensor([[30.0, 0, SIZE / 2], [0, 30.0, SIZE / 2], [0, 0, 1]])
+    return Views(viewmats, K.repeat(VIEWS, 1, 1), SIZE, SIZE)
+
+
+@pytest.fixture
+def method_input() -> Callable[..., MethodInput]:
+    """A textured wall seen dark by five cameras; noise-free and with noise of standard deviation `sigma`."""
+
+    def make(*, sigma: float = 0.01, with_clean: bool = True, seed: int = 0) -> MethodInput:
+        g = torch.Generator().manual_seed(7)
+        points = torch.cat(
+            [2.4 * torch.rand(POINTS, 2, generator=g) - 1.2, 0.2 * torch.rand(POINTS, 1, generator=g)], 1
+        )
+        wall = Gaussians.from_points(points, torch.rand(POINTS, 3, generator=g) * 0.8 + 0.1, sh_degree=0)
+        views = _cameras()
+        lit, _, _ = rasterize(
+            wall.means, wall.quats, wall.scales, wall.opacities, wall.sh, views.viewmats, views.Ks, SIZE, SIZE,
+            sh_degree=0,
+        )  # fmt: skip
+        clean = (0.12 * lit).clamp(0, 1)
+        dark = (clean + sigma * torch.randn(clean.shape, generator=g)).clamp(0, 1)
+        start = Start(points + 0.02, dark.mean((0, 1, 2)).expand(POINTS, 3).contiguous(), views.extent)
+        return MethodInput(views=views, dark=dark, clean=clean if with_clean else None, init=start, seed=seed)
+
+    return make
