@@ -11,9 +11,12 @@ the machine, the vector width or the place in a chunk. Importing this module imp
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
+from pathlib import Path
+from zlib import crc32
 
 import numpy as np
-from numba import njit
+from numba import config, njit
 
 from sensor_model import streams
 
@@ -28,8 +31,26 @@ _ROUNDS = streams.ROUNDS
 _LN2 = math.log(2)
 SMALL_MEAN = 4.0  # below: count through the distribution function; above: invert its asymptotic series
 
-jit = njit(cache=True, nogil=True, error_model="numpy")  # "python" would test every division, and block SIMD
-inline = njit(cache=True, nogil=True, error_model="numpy", inline="always")
+_SOURCES = [Path(__file__).with_name(name) for name in ("kernels.py", "blocks.py", "fused.py", "streams.py")]
+
+
+def jit(function: Callable, **options: str) -> Callable:
+    """Compile to machine code, once for all processes."""
+    # numba's cache sees a change of a function's own file, not of the files it inlines from. So each state of our
+    # sources gets a directory of its own.
+    state = crc32(b"".join(path.read_bytes() for path in _SOURCES))
+    before = config.CACHE_DIR
+    config.CACHE_DIR = str(Path(before or Path(__file__).parent / "__pycache__") / f"sensor_model-{state:08x}")
+    try:
+        # error model "python" would test every division, and so block SIMD
+        return njit(function, cache=True, nogil=True, error_model="numpy", **options)
+    finally:
+        config.CACHE_DIR = before
+
+
+def inline(function: Callable) -> Callable:
+    """Put the function's body wherever it is called."""
+    return jit(function, inline="always")
 
 
 @inline

@@ -71,3 +71,68 @@ def test_mosaic_picks_each_filter_for_odd_sizes():
         for y in range(5):
             for x in range(7):
                 assert picked[y, x] == rgb[y, x, "RGB".index(cfa[2 * (y % 2) + x % 2])]
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_row_and_column_noise_move_whole_lines_and_change_with_every_frame(axis):
+    """Rationale: inside one pixel's variance it hides; means of rows (columns) show it. Three chips are independent."""
+    name = ("sigma_row", "sigma_column")[axis]
+    sensor = Sensor(gain=2.0, eta=0.5, mu_e_sat=1e4, black_level=200, bits=14, sigma_d=2.0, cfa=None, **{name: 1.5})
+    h, w = 400, 300
+    frames = [expose(np.full((h, w, 3), 8.0), sensor, EXPOSURE, seed=0, view=0, frame=i).dn / 2.0 for i in range(2)]
+    lines, length = ((h, w), (w, h))[axis]
+    means = [f.mean(1 - axis) for f in frames]
+    pixel = 4 + 4 + 1 / 48
+    for channel in range(3):
+        expected = 1.5**2 + pixel / length
+        assert means[0][:, channel].var(ddof=1) == pytest.approx(expected, abs=5 * expected * np.sqrt(2 / lines))
+        assert abs(np.corrcoef(means[0][:, channel], means[1][:, channel])[0, 1]) < 5 / np.sqrt(lines)
+    assert abs(np.corrcoef(means[0][:, 0], means[0][:, 1])[0, 1]) < 5 / np.sqrt(lines)
+    across = frames[0].mean(axis)[:, 0].var(ddof=1)
+    assert across == pytest.approx(pixel / lines, abs=5 * pixel / lines * np.sqrt(2 / length))
+
+
+def test_black_level_errors_of_the_colours_show_in_their_pixels():
+    sensor = Sensor(
+        gain=2.0, eta=0.5, mu_e_sat=1e4, black_level=200, bits=14, sigma_d=2.0, cfa="GBRG", rgb_bias=(5.0, -1.0, 2.0)
+    )
+    dn = expose(np.zeros((200, 200)), sensor, EXPOSURE, seed=0, view=0).dn.astype(float)
+    for (y, x), bias in (((0, 0), -1), ((0, 1), 2), ((1, 0), 5), ((1, 1), -1)):
+        assert dn[y::2, x::2].mean() == pytest.approx(200 + bias, abs=5 * 4.01 / 100)
+
+
+def test_seeds_views_and_frames_give_frames_of_their_own_and_repeat():
+    sensor, light = PRESETS["a7s2-iso6400"], np.full((30, 40), 10.0)
+    keys = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (2**64 - 1, 0, 0), (0, 2**32 - 1, 0)]
+    frames = [expose(light, sensor, EXPOSURE, seed=s, view=v, frame=f).dn for s, v, f in keys]
+    for i, frame in enumerate(frames):
+        s, v, f = keys[i]
+        np.testing.assert_array_equal(frame, expose(light, sensor, EXPOSURE, seed=s, view=v, frame=f).dn)
+        assert all((frame != other).mean() > 0.5 for other in frames[:i])
+
+
+def test_light_in_physical_order_filter_before_quantum_efficiency_before_noise():
+    """System test. Rationale: every stage once, in order. Expectation: the EMVA linear model, mean and variance."""
+    sensor = Sensor(gain=1.7, eta=0.55, mu_e_sat=3e4, black_level=100, bits=16, sigma_d=4.0, dark_current=200.0)
+    photons = np.full((500, 500), 300.0)
+    dn = expose(photons, sensor, Exposure(time=0.1), seed=0, view=0).dn.astype(float)
+    charge = 0.55 * 300 + 20
+    variance = 1.7**2 * (charge + 16) + 1 / 12
+    assert dn.mean() == pytest.approx(100 + 1.7 * charge, abs=5 * np.sqrt(variance) / 500)
+    assert dn.var() == pytest.approx(variance, rel=5 * np.sqrt(2 / 250_000))
+
+
+@pytest.mark.parametrize(
+    ("photons", "cfa", "message"),
+    [
+        (np.zeros((4, 4, 3)), "RGGB", r"photons must be of shape \[h, w\]"),
+        (np.zeros((4, 4, 2)), None, "photons must be of shape"),
+        (np.zeros((0, 4)), None, "photons must be of shape"),
+        (np.zeros((4, 4), complex), None, "photons must be real numbers"),
+        (np.full((4, 4), True), None, "photons must be real numbers"),
+    ],
+)
+def test_light_of_the_wrong_shape_or_type_is_refused(photons, cfa, message):
+    sensor = Sensor(gain=1.0, eta=1.0, mu_e_sat=100.0, black_level=0, bits=8, cfa=cfa)
+    with pytest.raises(ValueError, match=message):
+        expose(photons, sensor, EXPOSURE, seed=0, view=0)
