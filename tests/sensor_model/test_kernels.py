@@ -80,7 +80,8 @@ def test_a_crop_is_the_crop_of_the_whole_frame_at_any_offset(corner):
     y, x = corner
     part = expose(photons[y:, x:], sensor, Exposure(time=0.1, origin=corner), seed=7, view=1)
     np.testing.assert_array_equal(part.dn, whole.dn[y:, x:])
-    np.testing.assert_array_equal(part.mean_dn, whole.mean_dn[y:, x:])
+    # near saturation the analytic mean is summed over a grid of charges that the other pixels help to choose
+    np.testing.assert_allclose(part.mean_dn, whole.mean_dn[y:, x:], rtol=1e-5)
 
 
 def test_importing_the_package_stays_light():
