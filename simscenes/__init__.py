@@ -4,6 +4,9 @@ from simscenes.backend import VariantStatus as VariantStatus
 from simscenes.backend import activate as activate
 from simscenes.backend import choose_variant as choose_variant
 from simscenes.backend import variant_report as variant_report
+from simscenes.correspondence import flow as flow
+from simscenes.export import export_blender as export_blender
+from simscenes.export import export_llff as export_llff
 from simscenes.exr import read_exr as read_exr
 from simscenes.exr import write_exr as write_exr
 from simscenes.multiview import MultiviewSet as MultiviewSet

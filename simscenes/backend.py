@@ -199,4 +199,6 @@ def activate(variant: str = "auto", color: str = "rgb") -> Any:
 
     if mi.variant() != name:
         mi.set_variant(name)
+        # Below errors Mitsuba prints to stdout, past Python's warnings; what matters of it is checked on our side.
+        mi.set_log_level(mi.LogLevel.Error)
     return mi

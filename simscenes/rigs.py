@@ -79,6 +79,15 @@ class Rig:
         return pixels, in_camera[..., 2]
 
 
+def unproject(rig: Rig, i: int, z: ArrayLike, pixels: NDArray[np.intp]) -> Float:
+    """World points [n,3] of pixel centres (flat indices [n]) of view `i`, from its z-depth [h,w]."""
+    y, x = np.divmod(pixels, rig.width)
+    K, depth = rig.Ks[i], np.asarray(z).ravel()[pixels].astype(np.float64)
+    local = np.stack([(x + 0.5 - K[0, 2]) / K[0, 0] * depth, (y + 0.5 - K[1, 2]) / K[1, 1] * depth, depth], -1)
+    c2w = invert_rigid(rig.viewmats[i])
+    return local @ c2w[:3, :3].T + c2w[:3, 3]
+
+
 def invert_rigid(pose: ArrayLike) -> Float:
     """Invert rigid transforms [...,4,4] exactly (transpose), not by a general solve."""
     pose = np.asarray(pose, dtype=np.float64)

@@ -73,7 +73,7 @@ def render_set(
             of a Mitsuba XML file.
         rig: Cameras; None for 32 views: of the scene's default rig at 128 x 128, or around a foreign scene's sensor.
         out: Folder to write.
-        spp: Samples per pixel, rounded up to what the sampler can lay out; 256 if neither this nor `target_error`.
+        spp: Samples per pixel, rounded up to whole passes; 256 if neither this nor `target_error`.
         target_error: Relative RMSE (root mean variance over mean radiance) at which each view stops.
         plan: A plan from `plan_transport`; "auto" to make one, with polarisation bounded instead of measured; or "rgb"
             for plain path tracing to depth 64 without asking.
@@ -108,7 +108,7 @@ def render_set(
     (out / "set.json").unlink(missing_ok=True)
     with watch.stage("plan"):
         report(0, len(names), "planning the light transport")
-        made = _make_plan(scene, rig, optics, plan, variant, seed, allow_outside)
+        made = _make_plan(scene, loaded, rig, optics, plan, variant, seed)
         mi, colored = _ready(scene, loaded, variant, made.color, allow_outside)
         method = Method(mi, mi.variant(), colored, mi.load_dict(made.integrator()), optics, made.subframes, seed)
     job = _Job(method, loaded, variant, rig, out, names, config, watch, report)
@@ -145,14 +145,12 @@ def _check_quality(spp: int | None, target_error: float | None) -> None:
 
 
 def _make_plan(
-    scene: Any, rig: Rig, optics: Optics, plan: str | Plan, variant: str, seed: int, allow_outside: bool
+    scene: Any, loaded: LoadedScene, rig: Rig, optics: Optics, plan: str | Plan, variant: str, seed: int
 ) -> Any:
-    from simscenes.transport.planner import default_plan, plan_transport  # the planner's pilots use this package
+    from simscenes.transport.planner import default_plan, plan_loaded  # the planner's pilots use this package
 
     if plan == "auto":
-        return plan_transport(
-            scene, rig=rig, optics=optics, variant=variant, measure=False, seed=seed, allow_outside=allow_outside
-        )
+        return plan_loaded(scene, loaded, rig=rig, optics=optics, variant=variant, measure=False, seed=seed)
     if plan == "rgb":
         return default_plan(optics)
     if isinstance(plan, Plan):

@@ -7,8 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.render.sparse import unproject
-from simscenes.rigs import Rig, invert_rigid
+from simscenes.rigs import Rig, invert_rigid, unproject
 
 
 def moved_pose(rig: Rig, i: int, t: float) -> NDArray[np.float64]:

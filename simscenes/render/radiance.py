@@ -69,8 +69,11 @@ def sensor_dict(mi: Any, rig: Rig, i: int, loaded: LoadedScene, optics: Optics =
         optics: Lens and colour filters.
     """
     fov, ppx, ppy = intrinsics_to_mitsuba(rig.Ks[i], rig.width, rig.height)
-    lens: dict[str, Any] = {"type": "perspective"}
+    lens: dict[str, Any] = {"type": "perspective", "principal_point_offset_x": ppx, "principal_point_offset_y": ppy}
     if optics.aperture_radius is not None:
+        if max(abs(ppx), abs(ppy)) > 1e-9:
+            raise ValueError(f"Mitsuba's thin lens has its principal point in the image centre, got an offset of "
+                             f"({ppx:.3g}, {ppy:.3g}) image sizes; centre it or use a pinhole")  # fmt: skip
         lens = {"type": "thinlens", "aperture_radius": optics.aperture_radius, "focus_distance": optics.focus_distance}
     own = loaded.scene.sensors()
     if own and own[0].medium() is not None:
@@ -83,8 +86,6 @@ def sensor_dict(mi: Any, rig: Rig, i: int, loaded: LoadedScene, optics: Optics =
         **lens,
         "fov": fov,
         "fov_axis": "x",
-        "principal_point_offset_x": ppx,
-        "principal_point_offset_y": ppy,
         "near_clip": 1e-4 * loaded.extent,
         "far_clip": 1e2 * loaded.extent,
         "to_world": mi.ScalarTransform4f(opencv_to_mitsuba(rig.viewmats[i])),
@@ -93,18 +94,21 @@ def sensor_dict(mi: Any, rig: Rig, i: int, loaded: LoadedScene, optics: Optics =
     }
 
 
-def grid_spp(spp: int) -> int:
-    """The least number of samples >= `spp` that the multijittered sampler can lay out on a grid."""
-    rows = math.isqrt(spp)
-    return rows * math.ceil(spp / rows)
+def pass_spp(spp: float) -> int:
+    """The largest power of four that is at most `spp` (and at least 1).
+
+    Only these sizes repeat bit by bit: they fit the sampler's grid, and the samples of one pixel never straddle two
+    work units of Dr.Jit, whose threads would add to the pixel in an order that changes from run to run.
+    """
+    return int(4 ** max(0, math.floor(math.log2(max(spp, 1)) / 2)))
 
 
 def split_passes(spp: int) -> tuple[int, int]:
-    """Number of passes (even, at least 2) and samples per pixel of each, together at least `spp`."""
+    """Number of passes (at least 2) and samples per pixel of each, together at least `spp`."""
     if spp < 2:
-        raise ValueError(f"spp must be >= 2, because the variance needs two independent halves, got {spp}")
-    passes = 2 * math.ceil(spp / (2 * MAX_PASS_SPP))
-    return passes, grid_spp(math.ceil(spp / passes))
+        raise ValueError(f"spp must be >= 2, because the variance needs two independent passes, got {spp}")
+    size = min(pass_spp(spp / 2), MAX_PASS_SPP)
+    return math.ceil(spp / size), size
 
 
 def view_seed(rig: Rig, i: int, seed: int, number: int) -> int:
@@ -162,8 +166,8 @@ class View:
         self.sensors = [mi.load_dict(sensor_dict(mi, frames, k, method.loaded, method.optics)) for k in views]
 
     def run(self, passes: Passes, count: int, size: int) -> None:
-        """Add `count` passes of `size` samples per pixel, spread over the sub-frames."""
-        mi, each = self.method.mi, grid_spp(math.ceil(size / len(self.sensors)))
+        """Add `count` passes of `size` samples per pixel, spread over the sub-frames (at least one in each)."""
+        mi, each = self.method.mi, pass_spp(size / len(self.sensors))
         for _ in range(count):
             image = np.zeros((self.rig.height, self.rig.width, 3))
             for sensor in self.sensors:

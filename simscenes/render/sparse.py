@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.rigs import Rig, invert_rigid
+from simscenes.correspondence import seen_in
+from simscenes.rigs import Rig, unproject
 
 N_POINTS = 4000
 
@@ -43,28 +44,8 @@ def surface_points(
         positions.append(unproject(rig, i, z, chosen))
         colors.append(image(i).reshape(-1, 3)[chosen])
     xyz, rgb = np.concatenate(positions), np.concatenate(colors)
-    visible = _visibility(rig, depths, xyz)
+    pixels, z = rig.project(xyz)
+    visible = np.stack([seen_in(rig, p, d, depth) for p, d, depth in zip(pixels, z, depths, strict=True)])
     kept = np.flatnonzero(visible.sum(0) >= min(2, len(rig)))
     kept = np.sort(rng.permutation(kept)[:n_points])
     return xyz[kept], rgb[kept], visible[:, kept]
-
-
-def unproject(rig: Rig, i: int, z: NDArray[Any], pixels: NDArray[np.intp]) -> NDArray[np.float64]:
-    """World points [n,3] of some pixels (flat indices) of view `i`, from its z-depth [h,w]."""
-    y, x = np.divmod(pixels, rig.width)
-    K, depth = rig.Ks[i], z.ravel()[pixels].astype(np.float64)
-    local = np.stack([(x + 0.5 - K[0, 2]) / K[0, 0] * depth, (y + 0.5 - K[1, 2]) / K[1, 1] * depth, depth], -1)
-    c2w = invert_rigid(rig.viewmats[i])
-    return local @ c2w[:3, :3].T + c2w[:3, 3]
-
-
-def _visibility(rig: Rig, depths: Sequence[NDArray[Any]], xyz: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """A point is seen where it lies in front of, or within 1 % of, the depth of the pixel it projects to."""
-    pixels, z = rig.project(xyz)
-    visible = np.zeros(z.shape, dtype=bool)
-    for c, depth in enumerate(depths):
-        inside = (z[c] > 0) & (pixels[c] >= 0).all(-1) & (pixels[c] < (rig.width, rig.height)).all(-1)
-        x, y = np.floor(pixels[c, inside]).astype(int).T
-        # 1 %: the point lies up to half a pixel from the centre whose depth is stored, on a possibly slanted surface.
-        visible[c, inside] = z[c, inside] <= 1.01 * depth[y, x]
-    return visible

@@ -77,14 +77,34 @@ def plan_transport(
     Raises:
         ValueError: If the scene cannot be loaded, `tolerance` is not in (0, 1), or a forced effect does not exist.
     """
-    if not 0 < tolerance < 1:
-        raise ValueError(f"tolerance is a share of all light and must lie between 0 and 1, got {tolerance}")
     mi = activate(variant)
     loaded = build_scene(scene, mi, allow_outside=allow_outside)
     if rig is None:
         by_name = isinstance(scene, str) and not scene.endswith(".xml")
         rig = default_rig(str(scene), 8, 64, 64) if by_name else fit_rig(loaded, 8)
-    optics = optics or Optics()
+    return plan_loaded(
+        scene, loaded, tolerance, rig=rig, optics=optics or Optics(), force=force, max_depth=max_depth,
+        measure=measure, variant=variant, seed=seed,
+    )  # fmt: skip
+
+
+def plan_loaded(
+    scene: str | dict[str, Any] | Path,
+    loaded: LoadedScene,
+    tolerance: float = 0.02,
+    *,
+    rig: Rig,
+    optics: Optics,
+    force: Mapping[str, bool] | None = None,
+    max_depth: int | None = None,
+    measure: bool = True,
+    variant: str = "auto",
+    seed: int = 0,
+) -> TransportPlan:
+    """`plan_transport` for a scene that is loaded already, in the RGB variant."""
+    if not 0 < tolerance < 1:
+        raise ValueError(f"tolerance is a share of all light and must lie between 0 and 1, got {tolerance}")
+    mi = activate(variant)
     p = Pilot(mi, scene, loaded, pilot.pilot_rig(rig), tolerance / 4, seed)
     geometry = [geometry_channels(mi, loaded, p.rig, i) for i in range(len(p.rig))]
     scale = rig.width / p.rig.width
@@ -93,7 +113,7 @@ def plan_transport(
     effects = [
         *transport, *media,
         polarisation_effect(p, geometry, measure),
-        spectral_effect(p, optics, variant, allow_outside),
+        spectral_effect(p, optics, variant),
         aperture_effect(p, geometry, optics, scale),
     ]  # fmt: skip
     blur, subframes = motion_effect(geometry, rig, p.rig, optics, scale)
@@ -212,7 +232,7 @@ def polarisation_effect(p: Pilot, geometry: list[Any], measure: bool) -> Effect:
                    f"paired pilots with and without differ by {change.estimate:.2%}")  # fmt: skip
 
 
-def spectral_effect(p: Pilot, optics: Optics, variant: str, allow_outside: bool) -> Effect:
+def spectral_effect(p: Pilot, optics: Optics, variant: str) -> Effect:
     """Three channels or wavelengths, from light x surface x camera."""
     if not has_measured_lights(p.source):
         return _effect(
@@ -224,7 +244,7 @@ def spectral_effect(p: Pilot, optics: Optics, variant: str, allow_outside: bool)
             plan.SPECTRAL, True, math.inf, p.allowed, "a light has a measured spectrum (not quantified in scalar)"
         )
     mi = activate(backend, "spectral")
-    loaded = build_scene(p.source, mi, allow_outside=allow_outside)
+    loaded = build_scene(p.source, mi, allow_outside=True)
     light, surface = spectra.light_and_surface(mi, loaded, p.rig, p.seed)
     activate(variant)
     once, twice = (spectra.color_error(light, surface, optics.camera, bounces) for bounces in (1, 2))
