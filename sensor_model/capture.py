@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -57,7 +57,8 @@ class RawFrame:
         s = self.sensor
         light = on_sensor(as_channels(self.photons), s, self.exposure).astype(np.float64)
         charge = effects.collect(light, eta=s.eta, response=1.0, dark_e=s.dark_e(self.exposure))
-        signal = effects.nonlinear(effects.full_well(charge, s.mu_e_sat), s.droop)
+        held = effects.blooming(charge, s.mu_e_sat) if s.blooming else effects.full_well(charge, s.mu_e_sat)
+        signal = effects.nonlinear(held, s.droop)
         clean = np.minimum(s.gain * signal + s.black_level, s.white_dn)
         return clean.reshape(self.photons.shape).astype(np.float32)
 
@@ -96,14 +97,17 @@ def expose(
     Raises:
         ValueError: if the photons are NaN, infinite or negative anywhere, or of the wrong shape.
     """
+    require(shot in get_args(Shot), "shot", f"one of {get_args(Shot)}", shot)
+    require(backend in get_args(Backend), "backend", f"one of {get_args(Backend)}", backend)
     photons = checked(photons, sensor)
     s = simplify(sensor, plan)
+    if backend == "numpy" or s.optics:  # otherwise the kernel tests the light while it reads it
+        check_light(photons, "photons")
     if plan is not None:
         shot = "none" if not plan.is_on("photon_shot") else shot if plan.is_on("poisson") else "normal"
     draws = streams.Draws(seed=seed, view=view, frame=frame, origin=exposure.origin)
     inputs = prepare(photons, s, exposure, draws)
     if backend == "numpy":
-        check_light(photons, "photons")
         dn, saturated = read_out(collect_charge(inputs, shot), inputs)
     else:
         from sensor_model import fused  # imports numba

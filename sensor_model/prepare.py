@@ -34,7 +34,8 @@ class Prepared:
         """Expected charge of each pixel before full well, e-."""
         response = 1.0 if self.response is None else self.response.astype(np.float64)
         dark = self.dark_e if self.dark is None else self.dark.astype(np.float64)
-        mu_e = effects.collect(self.light.astype(np.float64), eta=self.sensor.eta, response=response, dark_e=dark)
+        with np.errstate(over="ignore"):  # an overflow to infinity is as full as the cap
+            mu_e = effects.collect(self.light.astype(np.float64), eta=self.sensor.eta, response=response, dark_e=dark)
         return np.minimum(mu_e, charge_cap(self.sensor))
 
     @property
@@ -79,8 +80,8 @@ def on_sensor(light: NDArray, sensor: Sensor, exposure: Exposure) -> NDArray:
 
 def charge_cap(sensor: Sensor) -> float:
     """A mean charge so far over saturation that every frame is full; keeps huge lights in what Poisson can count."""
-    if sensor.blooming:
-        return 1e12  # what does not fit still has somewhere to go
+    if sensor.blooming and np.isfinite(sensor.mu_e_sat):
+        return streams.SIDE * sensor.mu_e_sat  # what does not fit goes elsewhere: enough to fill the longest column
     top = sensor.capacity_e / (1 - sensor.nonlinearity) + 20 * (sensor.sigma_d + sensor.sigma_row + sensor.dsnu)
     return top + 10 * float(np.sqrt(top)) + 100
 

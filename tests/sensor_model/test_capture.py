@@ -136,3 +136,5 @@ def test_light_of_the_wrong_shape_or_type_is_refused(photons, cfa, message):
     sensor = Sensor(gain=1.0, eta=1.0, mu_e_sat=100.0, black_level=0, bits=8, cfa=cfa)
     with pytest.raises(ValueError, match=message):
         expose(photons, sensor, EXPOSURE, seed=0, view=0)
+    with pytest.raises(ValueError, match="shot must be one of"):
+        expose(np.zeros((4, 4)), sensor, EXPOSURE, seed=0, view=0, shot="gauss")

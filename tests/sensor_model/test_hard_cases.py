@@ -6,7 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sensor_model import PRESETS, Exposure, Sensor, develop, develop_linear, expose, mosaic, photons_for_electrons
+from sensor_model import (
+    PRESETS,
+    Exposure,
+    Optics,
+    Sensor,
+    develop,
+    develop_linear,
+    expose,
+    mosaic,
+    photons_for_electrons,
+)
 from sensor_model.params import CFAS
 
 EXPOSURE = Exposure(time=0.02)
@@ -23,21 +33,25 @@ def test_zero_and_denormal_light_is_a_dark_frame(level, backend):
 
 
 @pytest.mark.parametrize("backend", ["numba", "numpy"])
+@pytest.mark.parametrize("optics", [None, Optics(corner_angle=20, crosstalk=0.02)])
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, -1.0, -1e-12])
-def test_light_that_is_no_light_is_refused_with_count_and_place(bad, backend):
+def test_light_that_is_no_light_is_refused_with_count_and_place(bad, optics, backend):
     photons = np.full((30, 40), 5.0)
     photons[7, 11] = photons[20, 0] = bad
     with pytest.raises(
         ValueError, match=rf"photons must be finite and >= 0, got {bad} at \(7, 11\) \(2 of 1200 values\)"
     ):
-        expose(photons, SENSOR, EXPOSURE, seed=0, view=0, backend=backend)
+        expose(photons, replace(SENSOR, optics=optics), EXPOSURE, seed=0, view=0, backend=backend)
     with pytest.raises(ValueError, match=r"radiance must be finite .* at \(7, 11, 0\) \(6 of 3600 values\)"):
         photons_for_electrons(np.repeat(photons[..., None], 3, 2), electrons=5, mean_green=1, sensor=SENSOR)
 
 
+@pytest.mark.parametrize("backend", ["numba", "numpy"])
 @pytest.mark.parametrize("level", [1e6, 1e15, 1e19, 1e38, 1.7e308])
-def test_huge_means_are_full_pixels_and_nothing_overflows(level):
-    frame = expose(np.full((32, 32), level), SENSOR, EXPOSURE, seed=0, view=0)
+def test_huge_means_are_full_pixels_and_nothing_overflows(level, backend):
+    uneven = replace(SENSOR, eta=1.0, prnu=0.1)
+    assert expose(np.full((32, 32), level), uneven, EXPOSURE, seed=0, view=0, backend=backend).saturated.all()
+    frame = expose(np.full((32, 32), level), SENSOR, EXPOSURE, seed=0, view=0, backend=backend)
     assert frame.saturated.all()
     assert frame.mean_dn == pytest.approx(SENSOR.white_dn, abs=0.01)
     assert frame.dn.mean() == pytest.approx(SENSOR.white_dn, abs=5 * float(frame.variance_dn.mean()) ** 0.5 / 32)
