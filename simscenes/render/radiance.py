@@ -23,6 +23,7 @@ from simscenes.rigs import Rig, intrinsics_to_mitsuba, opencv_to_mitsuba
 MAX_PASS_SPP = 1024
 MAX_SPP = 65536  # where target_error gives up
 PILOT_SPP = 16
+MAX_INTERFACES = 64
 PINHOLE = Optics()
 
 
@@ -65,7 +66,7 @@ def sensor_dict(mi: Any, rig: Rig, i: int, loaded: LoadedScene, optics: Optics =
         mi: The mitsuba module.
         rig: The cameras.
         i: Which one.
-        loaded: The scene; its size sets the clip planes, and its own sensor says whether cameras are inside a medium.
+        loaded: The scene; its size sets the clip planes, its fog may surround the camera.
         optics: Lens and colour filters.
     """
     fov, ppx, ppy = intrinsics_to_mitsuba(rig.Ks[i], rig.width, rig.height)
@@ -75,9 +76,9 @@ def sensor_dict(mi: Any, rig: Rig, i: int, loaded: LoadedScene, optics: Optics =
             raise ValueError(f"Mitsuba's thin lens has its principal point in the image centre, got an offset of "
                              f"({ppx:.3g}, {ppy:.3g}) image sizes; centre it or use a pinhole")  # fmt: skip
         lens = {"type": "thinlens", "aperture_radius": optics.aperture_radius, "focus_distance": optics.focus_distance}
-    own = loaded.scene.sensors()
-    if own and own[0].medium() is not None:
-        lens["medium"] = own[0].medium()
+    medium = medium_at(mi, loaded, rig.positions[i])
+    if medium is not None:
+        lens["medium"] = medium
     size = {"width": rig.width, "height": rig.height, "rfilter": {"type": "box"}, "component_format": "float32"}
     film = {"type": "hdrfilm", "pixel_format": "rgb", **size}
     if optics.camera is not None and "spectral" in mi.variant():
@@ -92,6 +93,27 @@ def sensor_dict(mi: Any, rig: Rig, i: int, loaded: LoadedScene, optics: Optics =
         "sampler": {"type": "multijitter", "sample_count": PILOT_SPP},
         "film": film,
     }
+
+
+def medium_at(mi: Any, loaded: LoadedScene, position: NDArray[np.float64]) -> Any:
+    """The medium around a point, or None: a camera in fog has to be told so.
+
+    Found from the first border of a medium along +z; other surfaces in between are passed through.
+    """
+    scene = loaded.scene
+    borders = [s for s in scene.shapes() if s.is_medium_transition()]
+    if not borders:
+        return None
+    ray = mi.Ray3f(mi.Point3f(*(float(v) for v in position)), mi.Vector3f(0, 0, 1))
+    for _ in range(MAX_INTERFACES):
+        si = scene.ray_intersect(ray)
+        if not np.array(si.is_valid()).all():
+            return None
+        shape = si.shape if mi.variant().startswith("scalar") else si.shape[0]
+        if shape.is_medium_transition():
+            return shape.interior_medium() if np.array(si.n.z).item() > 0 else shape.exterior_medium()
+        ray = si.spawn_ray(ray.d)
+    return None
 
 
 def pass_spp(spp: float) -> int:

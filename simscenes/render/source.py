@@ -121,7 +121,7 @@ def scene_digest(scene: Any, params: Any) -> str:
     digest = hashlib.sha256(str(scene).encode())
     for key in sorted(params.keys()):
         value = params[key]
-        if hasattr(value, "matrix"):
+        if "Transform" in type(value).__name__:
             value = value.matrix
         digest.update(key.encode())
         digest.update(np.ascontiguousarray(np.array(value)).tobytes())

@@ -77,7 +77,7 @@ def check_parameters(params: Any, mi: Any) -> None:
         return  # colours are stored there as the coefficients of fitted curves, of any sign and size
     for key in params.keys():  # noqa: SIM118  mitsuba's SceneParameters does not iterate over keys
         value = params[key]
-        if isinstance(value, (str, bool, mi.Object)) or hasattr(value, "matrix"):
+        if isinstance(value, (str, bool, mi.Object)) or "Transform" in type(value).__name__:
             continue
         numbers = np.array(value)
         if numbers.dtype.kind != "f" or numbers.size == 0:

@@ -126,6 +126,18 @@ def test_white_fog_in_a_furnace_is_invisible() -> None:
     )  # noqa: E501
 
 
+def test_a_camera_inside_fog_sees_through_it_from_where_it_is() -> None:
+    """Absorbing fog: the sky fades by exp(-sigma x way out), which differs if the camera does not know it is inside."""
+    fog = {"type": "homogeneous", "albedo": {"type": "rgb", "value": 0.0}, "sigma_t": 0.25}
+    cloud = {"type": "sphere", "radius": 5.0, "bsdf": {"type": "null"}, "interior": fog}
+    scene = {"sky": {"type": "constant", "radiance": WHITE}, "cloud": cloud}
+    result = rendered(scene, eye=(0, -4, 0), integrator="volpath", spp=256)
+    rig = Rig(viewmats=look_at((0, -4, 0), (0, 0, 0))[None], Ks=intrinsics(12, 12, 40)[None], width=12, height=12)
+    _, directions = pixel_rays(rig, 0)
+    b = directions @ np.array([0.0, -4, 0])
+    check_level(result, np.exp(-0.25 * (-b + np.sqrt(b**2 - 16 + 25))).reshape(12, 12, 1), floor=1e-3)
+
+
 def test_camera_rgb_is_the_integral_of_radiance_times_sensitivity() -> None:
     """A grey body in flat light: camera RGB must be albedo x radiance x each curve's integral over green's."""
     from simscenes.camera import camera_color

@@ -1,0 +1,199 @@
+"""Scenes from elsewhere: read where they are sound, refused with the reason where they are not."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from simscenes import Rig, fit_rig, load_set, render_set
+from simscenes.backend import activate
+from simscenes.render.fit import own_rig
+from simscenes.render.source import build_scene
+from simscenes.rigs import intrinsics, look_at
+
+SCENE = """<scene version="3.0.0">
+  <default name="res" value="24"/>
+  <sensor type="perspective">
+    <float name="fov" value="45"/>
+    <transform name="to_world"><lookat origin="0,1.5,4" target="0,0.5,0" up="0,1,0"/></transform>
+    <film type="hdrfilm"><integer name="width" value="$res"/><integer name="height" value="18"/></film>
+  </sensor>
+  <shape type="sphere" id="ball">
+    <point name="center" value="0,0.5,0"/><float name="radius" value="0.5"/>
+    <bsdf type="diffuse">{reflectance}</bsdf>
+  </shape>
+  <shape type="rectangle" id="floor">
+    <transform name="to_world"><rotate x="1" angle="-90"/><scale value="5"/></transform>
+  </shape>
+  <emitter type="constant"/>{more}
+</scene>"""
+GREY = '<rgb name="reflectance" value="0.5,0.4,0.3"/>'
+
+
+def write_scene(folder: Path, reflectance: str = GREY, more: str = "") -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "scene.xml").write_text(SCENE.format(reflectance=reflectance, more=more))
+    return folder / "scene.xml"
+
+
+def texture(name: str) -> str:
+    return f'<texture type="bitmap" name="reflectance"><string name="filename" value="{name}"/></texture>'
+
+
+def ball(**more: Any) -> dict[str, Any]:
+    shape = {"type": "sphere", "bsdf": {"type": "diffuse"}}
+    return {"type": "scene", "ball": shape, "sky": {"type": "constant"}, **more}
+
+
+def rig_at(eye: Any, target: Any = (0, 0, 0)) -> Rig:
+    return Rig(viewmats=look_at(eye, target)[None], Ks=intrinsics(6, 5, 60)[None], width=6, height=5)
+
+
+def test_an_xml_file_renders_around_its_own_sensor(tmp_path: Path) -> None:
+    path = write_scene(tmp_path / "scene")
+    mi = activate()
+    loaded = build_scene(path, mi)
+    own = own_rig(loaded, mi)
+    assert (own.width, own.height) == (24, 18)
+    assert np.allclose(own.positions, (0, 1.5, 4), atol=1e-6)
+    assert np.allclose(own.Ks[0], intrinsics(24, 18, 45), rtol=1e-6)
+    rig = fit_rig(path, 5)
+    pixels, depths = rig.project([[0, 0.5, 0]])
+    assert np.abs(pixels[:, 0] - (12, 9)).max() < 3  # all look where the sensor looked
+    assert (np.linalg.norm(np.diff(rig.positions, axis=0), axis=1) > 0.1).all()
+    assert (rig.viewmats[:, 1, 1] < 0).all()  # the scene's up, +y, stays up
+    done = render_set(path, fit_rig(path, 2, 12, 9), tmp_path / "out", spp=4, plan="rgb")
+    assert (len(done), done.meta["scene"], done.meta["shapes"]) == (2, "scene", ["ball", "floor"])
+    assert load_set(tmp_path / "out").image(0).max() > 100
+
+
+def test_an_arc_is_narrowed_until_its_cameras_are_free(tmp_path: Path) -> None:
+    wall = """<shape type="cube" id="wall"><transform name="to_world"><scale x="0.1" y="3" z="3"/>
+      <translate x="1" y="1" z="3"/></transform></shape>"""
+    free, walled = write_scene(tmp_path / "a"), write_scene(tmp_path / "b", more=wall)
+    wide, narrow = (np.ptp(fit_rig(p, 5).positions[:, 0]) for p in (free, walled))
+    assert wide > 2.5
+    assert 0 < narrow < 2
+
+
+def test_textures_beside_the_scene_are_read_and_others_are_not(tmp_path: Path) -> None:
+    pixels = np.random.default_rng(0).integers(40, 200, (8, 8, 3), dtype=np.uint8)
+    for name in ("scene/wood.png", "secret.png"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        cv2.imwrite(str(tmp_path / name), pixels)
+    mi = activate()
+    assert build_scene(write_scene(tmp_path / "scene", texture("wood.png")), mi).shapes == ("ball", "floor")
+    outside = [texture("../secret.png"), texture(str(tmp_path / "secret.png")), texture("$file")]
+    for reflectance in outside:
+        defaults = '<default name="file" value="../secret.png"/>' if "$file" in reflectance else ""
+        path = write_scene(tmp_path / "scene", reflectance)
+        path.write_text(path.read_text().replace('<default name="res"', defaults + '<default name="res"'))
+        with pytest.raises(ValueError, match="outside its folder"):
+            build_scene(path, mi)
+    path = write_scene(tmp_path / "scene", texture("../secret.png"))
+    assert build_scene(path, mi, allow_outside=True).shapes == ("ball", "floor")
+
+
+def test_a_link_is_no_way_out_of_the_folder(tmp_path: Path) -> None:
+    path = write_scene(tmp_path / "scene", texture("inside.png"))
+    cv2.imwrite(str(tmp_path / "secret.png"), np.zeros((4, 4, 3), np.uint8))
+    (tmp_path / "scene" / "inside.png").symlink_to(tmp_path / "secret.png")
+    with pytest.raises(ValueError, match="outside its folder"):
+        build_scene(path, activate())
+
+
+SPECTRUM_FILE = '<emitter type="constant"><spectrum name="radiance" filename="/etc/hostname"/></emitter>'
+
+
+@pytest.mark.parametrize("leak", ['<include filename="../other.xml"/>', '<path value="/etc"/>', SPECTRUM_FILE])
+def test_what_the_parser_would_read_itself_is_checked_before_it_runs(leak: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="outside its folder"):
+        build_scene(write_scene(tmp_path / "scene", more=leak), activate())
+
+
+def test_included_files_are_checked_as_well(tmp_path: Path) -> None:
+    path = write_scene(tmp_path, more='<include filename="part.xml"/>')
+    part = '<scene version="3.0.0"><shape type="ply"><string name="filename" value="../x.ply"/></shape></scene>'
+    (tmp_path / "part.xml").write_text(part)
+    with pytest.raises(ValueError, match="outside its folder"):
+        build_scene(path, activate())
+    (tmp_path / "part.xml").write_text('<scene version="3.0.0"><include filename="part.xml"/></scene>')
+    with pytest.raises(ValueError, match="15 deep"):
+        build_scene(path, activate())
+
+
+def test_entity_bombs_are_refused_in_bounded_time(tmp_path: Path) -> None:
+    bomb = '<!DOCTYPE x [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "&a;&a;&a;&a;">]><scene version="3.0.0">&b;</scene>'
+    (tmp_path / "scene.xml").write_text(bomb)
+    start = time.perf_counter()
+    with pytest.raises(ValueError, match="entities"):
+        build_scene(tmp_path / "scene.xml", activate())
+    assert time.perf_counter() - start < 60  # it must end, however slow the machine
+
+
+@pytest.mark.parametrize(
+    ("reflectance", "more", "message"),
+    [
+        (texture("missing.png"), "", "cannot be loaded"),
+        (GREY, '<shape type="dodecahedron"/>', "dodecahedron"),
+        (GREY, "<oops", "cannot be read as XML"),
+        ('<rgb name="reflectance" value="-0.5,0.4,0.3"/>', "", "reflectance|0..1"),
+        ('<rgb name="reflectance" value="1.5,0.4,0.3"/>', "", "reflectance|0..1"),
+        (GREY, '<emitter type="point"><rgb name="intensity" value="nan"/></emitter>', "finite|nan"),
+        (GREY, '<emitter type="point"><rgb name="intensity" value="-3"/></emitter>', ">= 0"),
+    ],
+    ids=["missing texture", "unknown plugin", "broken xml", "albedo < 0", "albedo > 1", "nan light", "dark light"],
+)  # fmt: skip
+def test_broken_scenes_are_refused_with_the_reason(reflectance: str, more: str, message: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=message):
+        build_scene(write_scene(tmp_path, reflectance, more), activate())
+
+
+@pytest.mark.parametrize(
+    ("scene", "message"),
+    [
+        ({"type": "scene", "sky": {"type": "constant"}}, "no shapes"),
+        ({"type": "sphere"}, "type 'scene'"),
+        ({"type": "scene", "a": {"type": "sphere", "radiu": 3}}, "radiu"),
+        (ball(lamp={"type": "point", "intensity": {"type": "rgb", "value": float("inf")}}), "finite|inf"),
+        (17, "scene must be"),
+    ],
+    ids=["no shapes", "no scene", "misspelt", "infinite light", "a number"],
+)
+def test_broken_dicts_are_refused_with_the_reason(scene: Any, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        build_scene(scene, activate())
+
+
+def test_a_camera_inside_an_object_is_refused_by_its_name(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="inside of 'ball'"):
+        render_set(ball(), rig_at((0.1, 0.2, 0.0)), tmp_path, spp=4, plan="rgb")
+    paper = {"type": "twosided", "bsdf": {"type": "diffuse"}}
+    room = ball(ball={"type": "sphere", "bsdf": paper}, lamp={"type": "point", "position": [0, 0, 0.5]})
+    assert render_set(room, rig_at((0.1, 0.2, 0.0)), tmp_path, spp=4, plan="rgb").radiance(0).mean() > 0
+
+
+def test_darkness_is_a_correct_picture(tmp_path: Path) -> None:
+    dark = {"type": "scene", "ball": {"type": "sphere"}}
+    done = render_set(dark, rig_at((0, -4, 1)), tmp_path, spp=4)
+    assert not done.radiance(0).any()
+    assert not done.image(0).any()
+    assert done.meta["exposure_scale"] == 1.0
+    assert done.meta["views"]["0000"]["relative_error"] == 0.0
+
+
+def test_a_view_of_nothing_has_no_points_and_infinite_depth(tmp_path: Path) -> None:
+    done = render_set(ball(), rig_at((0, -4, 1), (0, -9, 1)), tmp_path, spp=4, plan="rgb")
+    geometry = done.geometry(0)
+    assert geometry is not None
+    assert np.isinf(geometry["z"]).all()
+    assert done.points() is None
+    assert (done.radiance(0) == 1).all()
+
+
+def test_a_scene_without_sensor_needs_a_rig() -> None:
+    with pytest.raises(ValueError, match="perspective"):
+        fit_rig(ball(), 3)
