@@ -23,6 +23,7 @@ from sensor_model.params import Exposure, Sensor, require
 from sensor_model.plan import Effect, Plan
 
 SD, BIAS, SIGNAL = "relative standard deviation", "DN of bias", "relative signal"
+Costs = dict[str, tuple[dict[str, float], str]]  # effect -> what leaving it out costs in each budget, and where
 CLEAR = 5.0  # standard deviations
 ROOM, KURTOSIS, DISTANCE = "standard deviations short of 5", "excess kurtosis", "Kolmogorov distance"
 
@@ -72,13 +73,19 @@ def plan_effects(sensor: Sensor, exposure: Exposure, signal_e: ArrayLike, tolera
     dark = kept_variance(sensor, low)
     bias = limits.sd * sensor.gain * sqrt(dark) if limits.bias_dn is None else limits.bias_dn
     budgets = {SD: limits.sd, BIAS: bias, SIGNAL: limits.sd}
-    spent = dict.fromkeys(budgets, 0.0)
-    effects = [
+    always = [
         _decided("photon_shot", True, _ratio(low, 2 * dark), limits.sd, SD, "never left out"),
         _decided("read_noise", True, _ratio(sensor.sigma_d**2, 2 * dark), limits.sd, SD, "never left out"),
     ]
-    candidates = _costs(sensor, exposure, low, high, limits)
     clips = _sd_to_white(sensor, high) < CLEAR or _sd_to_black(sensor, low) < CLEAR
+    chosen, spent = _choose(_costs(sensor, exposure, low, high, limits), budgets, clips)
+    effects = (*always, *chosen, *_shapes(sensor, low, high, limits, clips))
+    return Plan(effects=effects, bound=spent[SD], unit=SD, biases={u: spent[u] for u in (BIAS, SIGNAL)})
+
+
+def _choose(candidates: Costs, budgets: dict[str, float], clips: bool) -> tuple[list[Effect], dict[str, float]]:
+    """Leave out the cheapest effects until a budget is spent; nothing that costs where the signal clips."""
+    spent, effects = dict.fromkeys(budgets, 0.0), []
     for name in sorted(candidates, key=lambda n: _worst(candidates[n][0], budgets)[0]):
         cost, reason = candidates[name]
         costly = any(cost.values())
@@ -89,8 +96,7 @@ def plan_effects(sensor: Sensor, exposure: Exposure, signal_e: ArrayLike, tolera
         fitting = "fits the budget" if fits else "near clipping" if clips else "exceeds what is left of the budget"
         why = f"{reason}; {fitting}" if costly else "this camera has none"
         effects.append(_decided(name, not fits, cost[unit], budgets[unit], unit, why))
-    effects += _shapes(sensor, low, high, limits, clips)
-    return Plan(effects=tuple(effects), bound=spent[SD], unit=SD, biases={u: spent[u] for u in (BIAS, SIGNAL)})
+    return effects, spent
 
 
 def kept_variance(sensor: Sensor, signal_e: float) -> float:
@@ -98,12 +104,12 @@ def kept_variance(sensor: Sensor, signal_e: float) -> float:
     return signal_e + sensor.sigma_d**2 + 1 / (12 * sensor.gain**2)
 
 
-def _costs(s: Sensor, exposure: Exposure, low: float, high: float, limits: Limits) -> dict[str, tuple[dict, str]]:
+def _costs(s: Sensor, exposure: Exposure, low: float, high: float, limits: Limits) -> Costs:
     """What leaving out each effect costs, per budget, at the worst signal in the range; and what it is."""
     dark, bright = (2 * kept_variance(s, x) for x in (low, high))
     dark_e = s.dark_e(exposure)
     views, width = limits.shared_views, limits.row_length
-    costs: dict[str, tuple[dict[str, float], str]] = {
+    costs: Costs = {
         "dark_current": ({SD: dark_e / dark, BIAS: s.gain * dark_e}, "shot noise and mean of the dark charge"),
         "dsnu": ({SD: views * s.dsnu**2 / dark}, f"fixed pattern, met in {views} views"),
         "prnu": ({SD: views * (s.prnu * high) ** 2 / bright}, f"fixed pattern, met in {views} views"),
@@ -111,7 +117,8 @@ def _costs(s: Sensor, exposure: Exposure, low: float, high: float, limits: Limit
         "column_noise": ({SD: width * s.sigma_column**2 / dark}, f"averaged over {width} pixels"),
         "banding": ({SD: width * (s.banding.amplitude**2 / 2 if s.banding else 0) / dark}, "row pattern"),
         "black_bias": ({BIAS: max(map(abs, s.rgb_bias))}, "error of the black level"),
-        "nonlinearity": ({SIGNAL: s.droop * min(high, s.mu_e_sat)}, "at the brightest signal"),
+        # the slope, which scales the noise, errs by twice as much as the signal
+        "nonlinearity": ({SD: 2 * s.droop * high, SIGNAL: s.droop * high}, "at the brightest signal"),
     }
     d, o = s.defects, s.optics
     hot = (d.hot_factor - 1) * dark_e if d and d.hot_fraction * limits.pixels >= 0.01 else 0.0
@@ -119,7 +126,7 @@ def _costs(s: Sensor, exposure: Exposure, low: float, high: float, limits: Limit
     level = telegraph_level(s.sigma_d, d.rts_factor) if d and d.rts_fraction * limits.pixels >= 0.01 else 0.0
     costs["telegraph_noise"] = ({SD: level**2 / 2 / dark}, "in a pixel with telegraph noise")
     corner = 0.0 if o is None else 1 - (min(o.falloff) if o.falloff else cos(radians(o.corner_angle)) ** 4)
-    costs["vignetting"] = ({SIGNAL: corner}, "in the corners")
+    costs["vignetting"] = ({SD: corner / 2, SIGNAL: corner}, "in the corners")
     spill = 4 * o.crosstalk * (high - low) if o else 0.0
     # bias of the brightest edge against its own noise: 4 c dS <= sqrt(2 eps V) in terms of the first budget
     costs["crosstalk"] = ({SD: spill**2 / bright}, "at the strongest edge")
