@@ -42,6 +42,9 @@ class Optics:
         table = self.falloff
         ok = table is None or (len(table) >= 2 and all(isfinite(v) and v >= 0 for v in table))
         require(ok, "falloff", "None or at least two numbers >= 0", table)
+        full = self.sensor_shape
+        ok = full is None or (len(full) == 2 and all(isinstance(n, int) and n >= 1 for n in full))
+        require(ok, "sensor_shape", "None or (rows, columns), whole and >= 1", full)
         require(table is None or self.corner_angle == 0, "corner_angle", "0 beside a falloff table", self.corner_angle)
 
 

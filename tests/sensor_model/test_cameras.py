@@ -157,6 +157,7 @@ def test_a_camera_file_may_leave_out_what_has_a_default(tmp_path):
         (GOOD + "[banding]\namplitude = 3", "banding.period missing"),
         (GOOD + "cfa = 'RGBW'", "cfa must be"),
         (GOOD + "rgb_response = 1", "rgb_response must be a list of numbers"),
+        (GOOD + "[optics]\nsensor_shape = [80.5, 90]", "sensor_shape must be None or"),
         (GOOD + "blooming = 1", "blooming must be true or false"),
     ],
 )
