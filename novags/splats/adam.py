@@ -1,5 +1,6 @@
 """Adam over the five tensors of a set of Gaussians, with a learning rate per tensor (and one for the SH rest)."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,7 @@ from torch import Tensor
 from .cpu import optimizer
 from .cpu.parallel import run
 from .gaussians import Gaussians
+from .sh import n_coefficients
 
 BETA1, BETA2 = 0.9, 0.999
 EPS = 1e-15  # 3DGS: gradients are tiny, torch's 1e-8 would damp them; without any, 0 / 0 for a Gaussian never seen
@@ -63,30 +65,45 @@ class Adam:
         self.second = {name: torch.zeros_like(tensor) for name, tensor in gaussians.tensors().items()}
 
     @torch.no_grad()
-    def step(self, gaussians: Gaussians, rates: LearningRates, means_rate: float) -> None:
-        """Update the Gaussians in place from their `.grad`; tensors without one are left alone."""
+    def step(self, gaussians: Gaussians, rates: LearningRates, means_rate: float, sh_degree: int = 3) -> None:
+        """Update the Gaussians in place from their `.grad`; tensors without one are left alone.
+
+        Args:
+            gaussians: Leaves with gradients.
+            rates: Learning rates of all but the means.
+            means_rate: Learning rate of the means, world units.
+            sh_degree: Spherical harmonics above it are left alone: where they never had a gradient, a step is none.
+        """
         self.count += 1
         for name, tensor in gaussians.tensors().items():
             if tensor.grad is None:
                 continue
-            columns = torch.full(
-                (tensor[:1].numel() or 1,), means_rate if name == "means" else getattr(rates, name, 0.0)
-            )
+            moments = self.first[name], self.second[name]
             if name == "sh":
-                columns[:3], columns[3:] = rates.sh_dc, rates.sh_rest
-            self._update(tensor.data, tensor.grad, self.first[name], self.second[name], columns)
+                columns = torch.full((3 * min(n_coefficients(sh_degree), tensor.shape[1]),), rates.sh_rest)
+                columns[:3] = rates.sh_dc
+                flat = (tensor.data.flatten(1), tensor.grad.flatten(1), moments[0].flatten(1), moments[1].flatten(1))
+                self._update(*flat, columns)
+            else:
+                rate = means_rate if name == "means" else float(getattr(rates, name))
+                self._update(tensor.data, tensor.grad, *moments, rate)
 
-    def _update(self, value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rates: Tensor) -> None:
-        correction1, correction2 = 1 - BETA1**self.count, float(np.sqrt(1 - BETA2**self.count))
-        flat = [t.reshape(len(value), -1) for t in (value, gradient.contiguous(), first, second)]
-        if value.is_cuda:
-            rates = rates.to(value.device)
-            flat[2].lerp_(flat[1], 1 - BETA1)
-            flat[3].mul_(BETA2).addcmul_(flat[1], flat[1], value=1 - BETA2)
-            flat[0].sub_(rates / correction1 * flat[2] / (flat[3].sqrt() / correction2 + EPS))
-        else:
-            numbers = (np.float32(x) for x in (BETA1, BETA2, correction1, correction2, EPS))
-            run(optimizer.adam, len(value), 1024, *(t.numpy() for t in flat), rates.numpy(), *numbers)
+    def _update(self, value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate: float | Tensor) -> None:
+        correction1, correction2 = 1 - BETA1**self.count, math.sqrt(1 - BETA2**self.count)
+        if value.device.type == "cpu":
+            arrays = [t.contiguous().numpy() for t in (value, gradient, first, second)]
+            numbers = [np.float32(x) for x in (BETA1, BETA2, correction1, correction2, EPS)]
+            if isinstance(rate, Tensor):
+                run(optimizer.adam_columns, len(value), 1024, *arrays, rate.numpy(), *numbers)
+            else:
+                run(optimizer.adam, value.numel(), 4096, *(a.reshape(-1) for a in arrays), np.float32(rate), *numbers)
+            return
+        if isinstance(rate, Tensor):
+            value, gradient, first, second = (t[:, : len(rate)] for t in (value, gradient, first, second))
+            rate = rate.to(value.device)
+        first.lerp_(gradient, 1 - BETA1)
+        second.mul_(BETA2).addcmul_(gradient, gradient, value=1 - BETA2)
+        value.sub_(rate / correction1 * first / (second.sqrt() / correction2 + EPS))
 
     def reset(self, rows: Tensor) -> None:
         """Forget the moments of some Gaussians."""

@@ -185,7 +185,9 @@ def fit(
         loss, photometric = _loss(step, regularizer, target(step.view), config, extra_losses)
         loss.backward()
         means_rate = config.rates.means_at(iteration, config.iterations, extent)
-        adam.step(gaussians, config.rates, means_rate)
+        # extra losses may reach harmonics that are not rendered yet
+        degree = 3 if extra_losses else _degree_at(iteration, config)
+        adam.step(gaussians, config.rates, means_rate, degree)
         gaussians = _mcmc_step(gaussians.detach(), adam, iteration, config, cap, means_rate)
         done = iteration + 1
         if done % LOG_EVERY == 0 or done == config.iterations:
@@ -216,6 +218,10 @@ def _generator(seed: int, iteration: int, what: int) -> torch.Generator:
     return torch.Generator().manual_seed(int(state) & (2**63 - 1))
 
 
+def _degree_at(iteration: int, config: FitConfig) -> int:
+    return min(config.sh_degree, iteration // config.sh_every)
+
+
 def _view_at(iteration: int, n_views: int, seed: int) -> int:
     """Every epoch visits all views once, in a new random order."""
     epoch, position = divmod(iteration, n_views)
@@ -227,7 +233,7 @@ def _render_step(
 ) -> tuple[Step, Tensor]:
     """This iteration's Step, and the regulariser."""
     scales, opacities, regularizer = activate(gaussians, config.opacity_reg, config.scale_reg)
-    degree = min(config.sh_degree, iteration // config.sh_every)
+    degree = _degree_at(iteration, config)
 
     def render(j: int, mode: str) -> tuple[Tensor, Tensor, Info]:
         renders, alphas, info = rasterize(

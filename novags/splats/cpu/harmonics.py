@@ -7,7 +7,7 @@ import numpy as np
 from ..sh import C0, C1, C2, C3
 from .compiler import inline, kernel
 from .layout import CHANNEL
-from .simd import LANES, bits, load, maximum, select, splat, sqrt, store
+from .simd import LANES, bits, load, maximum, select, splat, sqrt, store, transpose
 
 ZERO, HALF, ONE, TWO, THREE, FOUR = (np.float32(v) for v in (0.0, 0.5, 1.0, 2.0, 3.0, 4.0))
 SIX, EIGHT = np.float32(6.0), np.float32(8.0)
@@ -57,7 +57,15 @@ def _gather(means, center, sh, first, count, n_coefficients, points, coefficient
     for lane in range(count):
         for j in range(3):
             points[j * LANES + lane] = means[first + lane, j] - center[j]
-        for j in range(3 * n_coefficients):
+    n, stride = 3 * n_coefficients, sh.shape[1]
+    if count == LANES and n >= LANES:
+        flat = sh.reshape(-1)
+        for j in range(0, n, LANES):
+            at = min(j, n - LANES)  # the last sixteen may overlap the ones before
+            transpose(flat, first * stride + at, stride, coefficients, at * LANES, LANES)
+        return
+    for lane in range(count):
+        for j in range(n):
             coefficients[j * LANES + lane] = sh[first + lane, j]
 
 
@@ -134,6 +142,24 @@ def _cubic_backward(x, y, z, v, axis):
     return total
 
 
+@inline
+def _scatter(coefficients, first, count, n, v_sh):
+    """Transpose columns back to rows of v_sh [N, 3 K], whose further coefficients become zero."""
+    stride = v_sh.shape[1]
+    if count == LANES and n >= LANES:
+        flat = v_sh.reshape(-1)
+        for j in range(0, n, LANES):
+            at = min(j, n - LANES)
+            transpose(coefficients, at * LANES, LANES, flat, first * stride + at, stride)
+    else:
+        for lane in range(count):
+            for j in range(n):
+                v_sh[first + lane, j] = coefficients[j * LANES + lane]
+    for lane in range(count):
+        for j in range(n, stride):
+            v_sh[first + lane, j] = ZERO
+
+
 @kernel
 def backward(begin, end, block_size, degree, means, sh, center, radii, v_colors, v_sh, v_means, v_center):
     """Gradients of blocks begin..end-1 of block_size Gaussians: v_sh [N, 3 K]; added to v_means [N, 3].
@@ -159,11 +185,8 @@ def backward(begin, end, block_size, degree, means, sh, center, radii, v_colors,
                 for channel in range(3):
                     v_color[channel * LANES + lane] = v_colors[first + lane, channel] if seen else ZERO
             _backward(degree, n_coefficients, points, basis, v_basis, coefficients, v_color, v_points)
+            _scatter(coefficients, first, count, 3 * n_coefficients, v_sh)
             for lane in range(count):
-                for j in range(3 * n_coefficients):
-                    v_sh[first + lane, j] = coefficients[j * LANES + lane]
-                for j in range(3 * n_coefficients, v_sh.shape[1]):
-                    v_sh[first + lane, j] = ZERO
                 for j in range(3):
                     v_means[first + lane, j] += v_points[j * LANES + lane]
                     total[j] -= v_points[j * LANES + lane]

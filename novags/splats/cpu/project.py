@@ -12,6 +12,7 @@ from .layout import (
     LOG2_ALPHA_MIN,
     REACH_X,
     REACH_Y,
+    ROW,
     SLOPE,
     TILE,
     TOP,
@@ -21,11 +22,12 @@ from .layout import (
     X,
     Y,
 )
-from .simd import LANES, bits, ceil, load, maximum, minimum, select, sqrt, store
+from .simd import LANES, bits, ceil, floor, load, maximum, minimum, select, sqrt, store, transpose
 
 ZERO, HALF, ONE, TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 MARGIN = np.float32(0.15)  # of the image size beyond its border: where gsplat stops following the affine approximation
-MAX_RADIUS = np.float32(2**30)
+MAX_RADIUS = np.float32(2**30)  # still an int32
+PER_TILE = np.float32(1 / TILE)
 INPUTS = 11  # per Gaussian: mean 3, quaternion 4, scale 3, opacity
 GRAIN = 512  # Gaussians per range
 # columns of `camera`, a float32 vector
@@ -120,43 +122,35 @@ def _footprint(m, eps):
 def forward(begin, end, means, quats, scales, opacities, camera, rows, depths, radii, tiles, slots, suspect):
     """Project Gaussians begin..end-1.
 
-    Writes rows [N, ROW] but for the channels, depths [N], radii [N] int32 (0: cannot reach ALPHA_MIN in the image),
+    Writes rows [N, ROW] (channels zero), depths [N], radii [N] int32 (0: cannot reach ALPHA_MIN in the image),
     tiles [N] int32, an upper bound of the tiles that are touched, and zero to slots [N, 2]. Sets suspect[0] if a value
     is not finite or out of range.
     """
-    columns = np.ones((INPUTS + 10) * LANES, np.float32)
+    columns = np.ones(INPUTS * LANES, np.float32)
+    out = np.zeros(ROW * LANES, np.float32)
+    last_rows = np.empty(ROW * LANES, np.float32)
+    rest = np.empty(3 * LANES, np.float32)  # depth, radius, tiles
+    flat = rows.reshape(-1)
     for first in range(begin, end, LANES):
         count = min(LANES, end - first)
         _gather(means, quats, scales, opacities, first, count, columns)
-        if _project(camera, columns) != 0:
+        if _project(camera, columns, out, rest) != 0:
             suspect[0] = 1
-        out = INPUTS * LANES
+        if count == LANES:
+            transpose(out, 0, LANES, flat, first * ROW, ROW)
+        else:
+            transpose(out, 0, LANES, last_rows, 0, ROW)
+            flat[first * ROW : end * ROW] = last_rows[: count * ROW]
         for lane in range(count):
-            i, radius = first + lane, columns[out + 9 * LANES + lane]
-            depths[i] = columns[out + 8 * LANES + lane]
-            radii[i] = np.int32(radius)
+            i = first + lane
+            depths[i] = rest[lane]
+            radii[i], tiles[i] = np.int32(rest[LANES + lane]), np.int32(rest[2 * LANES + lane])
             slots[i, 0] = slots[i, 1] = 0
-            if radius > ZERO:
-                for j in range(7):
-                    rows[i, j] = columns[out + j * LANES + lane]
-                rows[i, REACH_X], rows[i, REACH_Y] = columns[7 * LANES + lane], columns[out + 7 * LANES + lane]
-                tiles[i] = _tiles_in_box(rows, i, camera)
 
 
 @inline
-def _tiles_in_box(rows, i, camera):
-    x, y, rx, ry = rows[i, X], rows[i, Y], rows[i, REACH_X], rows[i, REACH_Y]
-    nx = min(x + rx, camera[WIDTH]) - max(x - rx, ZERO)
-    ny = min(y + ry, camera[HEIGHT]) - max(y - ry, ZERO)
-    return (np.int32(nx) // TILE + 2) * (np.int32(ny) // TILE + 2)
-
-
-@inline
-def _project(c, b):
-    """Project the sixteen Gaussians in the columns b; returns nonzero if an input is bad.
-
-    Outputs replace columns: INPUTS + (X, Y, A, K, Q, TOP, SLOPE, REACH_Y, depth, radius), and 7 by REACH_X.
-    """
+def _project(c, b, out, rest):
+    """Project the sixteen Gaussians in the columns b to columns out and rest; returns nonzero if an input is bad."""
     mx, my, mz = load(b, 0 * LANES), load(b, 1 * LANES), load(b, 2 * LANES)
     qw, qx, qy, qz = load(b, 3 * LANES), load(b, 4 * LANES), load(b, 5 * LANES), load(b, 6 * LANES)
     s0, s1, s2, o = load(b, 7 * LANES), load(b, 8 * LANES), load(b, 9 * LANES), load(b, 10 * LANES)
@@ -180,16 +174,18 @@ def _project(c, b):
     visible = visible & (px + rx > ZERO) & (px - rx < c[WIDTH]) & (py + ry > ZERO) & (py - ry < c[HEIGHT])
     radius = select(visible, minimum(maximum(ceil(maximum(rx, ry)), ONE), MAX_RADIUS), ZERO)
 
-    out = INPUTS * LANES
-    store(b, out + X * LANES, px)
-    store(b, out + Y * LANES, py)
-    store(b, out + A * LANES, a * HALF_LOG2E)
-    store(b, out + K * LANES, k)
-    store(b, out + Q * LANES, q * HALF_LOG2E)
-    store(b, out + TOP * LANES, top)
-    store(b, out + SLOPE * LANES, -a * k / (a * k * k + q))
-    store(b, out + 7 * LANES, ry)
-    store(b, out + 8 * LANES, z)
-    store(b, out + 9 * LANES, radius)
-    store(b, 7 * LANES, rx)
+    store(out, X * LANES, px)
+    store(out, Y * LANES, py)
+    store(out, A * LANES, a * HALF_LOG2E)
+    store(out, K * LANES, k)
+    store(out, Q * LANES, q * HALF_LOG2E)
+    store(out, TOP * LANES, top)
+    store(out, SLOPE * LANES, -a * k / (a * k * k + q))
+    store(out, REACH_X * LANES, rx)
+    store(out, REACH_Y * LANES, ry)
+    store(rest, 0, z)
+    store(rest, LANES, radius)
+    nx = floor(minimum(px + rx, c[WIDTH]) * PER_TILE) - floor(maximum(px - rx, ZERO) * PER_TILE) + ONE
+    ny = floor(minimum(py + ry, c[HEIGHT]) * PER_TILE) - floor(maximum(py - ry, ZERO) * PER_TILE) + ONE
+    store(rest, 2 * LANES, select(visible, minimum(nx * ny, MAX_RADIUS), ZERO))
     return bits(good) - 0xFFFF

@@ -11,7 +11,7 @@ import numpy as np
 from .compiler import inline, kernel
 from .layout import CHANNELS, ROW
 from .project import EPS2D, INPUTS, _footprint, _gather, _image_axes, _jacobian, _rotation, _times_rotation, _to_camera
-from .simd import LANES, load, prefetch, select, splat, store
+from .simd import LANES, load, prefetch, select, splat, store, transpose
 
 ZERO, HALF, ONE, TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 SUMS = 6
@@ -20,8 +20,8 @@ V_VIEW = 12  # entries of the world-to-camera matrix, row by row
 
 
 @inline
-def _sum_rows(v_rows, places, starts, i, n_passes, depth_channel, lane, sums, v_features, row):
-    """Add up the gradient rows of Gaussian i, in the fixed order of its tiles."""
+def _sum_rows(v_rows, places, starts, i, n_passes, depth_channel, lane, sums, v_features, v_depth):
+    """Add up the gradient rows of Gaussian i, in the fixed order of its tiles, to row `lane` of sums [LANES * ROW]."""
     n_places = len(places)
     n_features = v_features.shape[1]
     geometry = splat(ZERO)
@@ -30,16 +30,14 @@ def _sum_rows(v_rows, places, starts, i, n_passes, depth_channel, lane, sums, v_
         for slot in range(starts[i, 0], starts[i, 1]):
             total += load(v_rows, (np.int64(channels) * n_places + places[slot]) * ROW)
         geometry += total
-        store(row, 0, total)
+        store(sums, lane * ROW, total)
         for j in range(CHANNELS):
             channel = channels * CHANNELS + j
             if channel < n_features:
-                v_features[i, channel] = row[SUMS + j]
+                v_features[i, channel] = sums[lane * ROW + SUMS + j]
             elif channel == depth_channel:
-                sums[SUMS * LANES + lane] = row[SUMS + j]
-    store(row, 0, geometry)
-    for j in range(SUMS):
-        sums[j * LANES + lane] = row[j]
+                v_depth[lane] = sums[lane * ROW + SUMS + j]
+    store(sums, lane * ROW, geometry)
 
 
 @kernel
@@ -55,8 +53,9 @@ def backward(
     """
     n = len(means)
     columns = np.ones(INPUTS * LANES, np.float32)
-    sums = np.zeros((SUMS + 2) * LANES, np.float32)  # and the gradient of the depth, and 1 for visible ones
-    row = np.empty(ROW, np.float32)
+    sums, sum_columns = np.zeros(LANES * ROW, np.float32), np.empty(ROW * LANES, np.float32)
+    rest = np.zeros(2 * LANES, np.float32)  # gradient of the depth; 1 for visible Gaussians
+    row = np.empty(LANES, np.float32)
     camera_sums = np.empty(V_VIEW * LANES, np.float32)
     for block in range(begin, end):
         camera_sums[:] = ZERO
@@ -65,14 +64,14 @@ def backward(
             for i in range(first + LANES, min(n, first + 2 * LANES)):
                 for slot in range(starts[i, 0], starts[i, 1]):
                     prefetch(v_rows, np.int64(places[slot]) * ROW)
-            sums[:] = ZERO
+            rest[:] = ZERO
             any_visible = False
             for lane in range(count):
                 i = first + lane
                 if radii[i] > 0:
                     any_visible = True
-                    sums[(SUMS + 1) * LANES + lane] = ONE
-                    _sum_rows(v_rows, places, starts, i, n_passes, depth_channel, lane, sums, v_features, row)
+                    rest[LANES + lane] = ONE
+                    _sum_rows(v_rows, places, starts, i, n_passes, depth_channel, lane, sums, v_features, rest)
                 else:
                     v_features[i] = ZERO
             if not any_visible:
@@ -82,7 +81,8 @@ def backward(
                 v_opacities[first : first + count] = ZERO
                 continue
             _gather(means, quats, scales, opacities, first, count, columns)
-            _backward(camera, columns, sums, camera_sums)
+            transpose(sums, 0, ROW, sum_columns, 0, LANES)
+            _backward(camera, columns, sum_columns, rest, camera_sums)
             _scatter(first, count, radii, columns, v_means, v_quats, v_scales, v_opacities)
         if len(v_view):
             for j in range(V_VIEW):
@@ -141,7 +141,7 @@ def _rotation_backward(r, t, h):
 
 
 @inline
-def _backward(c, b, sums, camera_sums):
+def _backward(c, b, sums, rest, camera_sums):
     """Replace the inputs in the columns b by their gradients, and add to the camera's."""
     mx, my, mz = load(b, 0 * LANES), load(b, 1 * LANES), load(b, 2 * LANES)
     s0, s1, s2 = load(b, 7 * LANES), load(b, 8 * LANES), load(b, 9 * LANES)
@@ -173,11 +173,11 @@ def _backward(c, b, sums, camera_sums):
     v_y = jy * (v_py - select(free_y, iz * v_jyz, ZERO))
     v_z = jx * x * v_px + jy * y * v_py + jx * v_jx + jy * v_jy
     v_z += jxz * v_jxz * select(free_x, TWO, ONE) + jyz * v_jyz * select(free_y, TWO, ONE)
-    v_z = load(sums, SUMS * LANES) - v_z * iz
+    v_z = load(rest, 0) - v_z * iz
 
     o = load(b, 10 * LANES)
     store(b, 10 * LANES, g / o)
-    seen = load(sums, (SUMS + 1) * LANES) > ZERO
+    seen = load(rest, LANES) > ZERO
     _camera_backward(seen, v_x, v_y, v_z, mx, my, mz, jx, jy, jxz, jyz, vt, camera_sums)
     store(b, 0 * LANES, v_x * c[0] + v_y * c[4] + v_z * c[8])
     store(b, 1 * LANES, v_x * c[1] + v_y * c[5] + v_z * c[9])

@@ -92,14 +92,14 @@ def unchanged(scene: Scene) -> Scene:
 
 # name: (change, Gaussians, width, height, scenes)
 CASES: dict[str, tuple[Callable[[Scene], Scene], int, int, int, int]] = {
-    "random": (unchanged, 150, 37, 29, 50),
+    "random": (unchanged, 120, 37, 23, 50),
     "one_gaussian": (unchanged, 1, 20, 20, 6),
     "several_cameras": (unchanged, 60, 24, 20, 6),
     "one_pixel": (unchanged, 80, 1, 1, 12),
     "thin_image": (unchanged, 80, 49, 2, 6),
-    "dense": (unchanged, 3000, 33, 17, 6),
+    "dense": (unchanged, 1500, 25, 17, 6),
     "covering_everything": (covering_everything, 40, 40, 33, 12),
-    "many_behind_one_another": (many_behind_one_another, 4000, 9, 8, 6),
+    "many_behind_one_another": (many_behind_one_another, 3000, 9, 8, 6),
     "behind_the_camera": (behind_the_camera, 100, 31, 33, 12),
     "at_the_near_plane": (at_the_near_plane, 60, 32, 31, 12),
     "needles": (needles, 60, 48, 40, 18),

@@ -1,0 +1,376 @@
+"""Time, memory and accuracy of the CPU splat engine.
+
+    python scripts/bench_splats.py grid    --out DIR    forward, backward, iteration against N and image size; a plot
+    python scripts/bench_splats.py common  --out DIR    the image-fitting workload that other engines publish
+    python scripts/bench_splats.py knobs   --out DIR    error against seconds of every approximation, as JSON lines
+    python scripts/bench_splats.py fit     --out DIR    7,000 iterations, 256 x 256, 28 views, 50,000 Gaussians
+
+Every measurement runs in a process of its own, so that peak memory is its own. Times are the best of several repeats.
+"""
+
+import argparse
+import json
+import math
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+SIZES = (128, 256, 512, 1024)
+COUNTS = (1_000, 10_000, 100_000, 1_000_000)
+
+
+def cube_scene(n: int, size: int, seed: int = 0) -> dict[str, Tensor]:
+    """Small Gaussians in [-1, 1]^3, about half as wide as they are apart, seen from outside."""
+    g = torch.Generator().manual_seed(seed)
+    view = torch.eye(4)
+    view[2, 3] = 3.0
+    return {
+        "means": 2 * torch.rand(n, 3, generator=g) - 1,
+        "quats": torch.randn(n, 4, generator=g),
+        "scales": torch.exp(0.4 * torch.randn(n, 3, generator=g)) * 0.4 * n ** (-1 / 3),
+        "opacities": 0.05 + 0.9 * torch.rand(n, generator=g),
+        "sh": 0.3 * torch.randn(n, 16, 3, generator=g),
+        "viewmats": view[None],
+        "Ks": torch.tensor([[[1.0 * size, 0, size / 2], [0, 1.0 * size, size / 2], [0, 0, 1]]]),
+    }
+
+
+def common_scene(n: int, size: int = 256) -> dict[str, Tensor]:
+    """Means uniform in [-1, 1]^3, scales uniform in [0, 1], random rotations, a camera at z = 8, 90 degrees wide."""
+    g = torch.Generator().manual_seed(0)
+    u, v, w = torch.rand(3, n, generator=g)
+    two_pi = 2 * math.pi
+    a, b = torch.sqrt(1 - u), torch.sqrt(u)
+    quats = [a * torch.sin(two_pi * v), a * torch.cos(two_pi * v), b * torch.sin(two_pi * w), b * torch.cos(two_pi * w)]
+    view = torch.eye(4)
+    view[2, 3] = 8.0
+    focal = 0.5 * size / math.tan(math.pi / 4)
+    return {
+        "means": 2 * torch.rand(n, 3, generator=g) - 1,
+        "quats": torch.stack(quats, -1),
+        "scales": torch.rand(n, 3, generator=g),
+        "opacities": torch.ones(n),  # before the sigmoid
+        "colors": torch.rand(n, 3, generator=g),  # before the sigmoid
+        "viewmats": view[None],
+        "Ks": torch.tensor([[[focal, 0, size / 2], [0, focal, size / 2], [0, 0, 1]]]),
+    }
+
+
+def best(call: Callable[[], Any], repeat: int, seconds: float = 20.0) -> float:
+    """Smallest wall time of several calls, in seconds; at least three, then until `seconds` are used up."""
+    times: list[float] = []
+    started = time.perf_counter()
+    while len(times) < 3 or (len(times) < repeat and time.perf_counter() - started < seconds):
+        before = time.perf_counter()
+        call()
+        times.append(time.perf_counter() - before)
+    return min(times)
+
+
+def peak_mb() -> float:
+    """Largest resident memory of this process so far, in MB."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+
+
+def measure_grid(n: int, size: int, repeat: int, backend: str = "numba") -> dict[str, Any]:
+    """Forward, backward, and a whole training iteration (SH degree 3, L1 + SSIM, Adam, noise)."""
+    from novags.splats import FitConfig, Gaussians, McmcConfig, Views, fit, rasterize
+
+    scene = cube_scene(n, size)
+    camera = (scene["viewmats"], scene["Ks"], size, size)
+    inputs = [scene[name].requires_grad_() for name in ("means", "quats", "scales", "opacities", "sh")]
+    weights = torch.rand(1, size, size, 3)
+    times = {"forward": math.inf, "backward": math.inf}
+
+    def once() -> None:
+        start = time.perf_counter()
+        image, _, _ = rasterize(*inputs, *camera, sh_degree=3, backend=backend)
+        middle = time.perf_counter()
+        torch.autograd.grad(image, inputs, weights)
+        times["forward"] = min(times["forward"], middle - start)
+        times["backward"] = min(times["backward"], time.perf_counter() - middle)
+
+    best(once, repeat)
+    gaussians = Gaussians(
+        means=scene["means"].detach(), quats=scene["quats"].detach(), log_scales=scene["scales"].detach().log(),
+        logit_opacities=torch.logit(scene["opacities"].detach()), sh=scene["sh"].detach(),
+    )  # fmt: skip
+    views = Views(scene["viewmats"], scene["Ks"], size, size)
+    stamps: list[float] = []
+    config = FitConfig(
+        iterations=max(4, repeat), sh_degree=3, sh_every=1, mcmc=McmcConfig(refine_start=10**9), backend=backend
+    )
+    fit(gaussians, views, lambda i: weights[0], config, before_step=lambda i: stamps.append(time.perf_counter()))
+    steps = [b - a for a, b in zip(stamps[1:], stamps[2:], strict=False)]  # SH degree 3 is reached at the third
+    return {**times, "iteration": min(steps), "peak_mb": peak_mb()}
+
+
+def measure_common(n: int, size: int, repeat: int, backend: str = "numba") -> dict[str, Any]:
+    """Fit a two-colour image: render, MSE, backward, Adam on everything."""
+    import numpy as np
+
+    from novags.splats import rasterize
+    from novags.splats.cpu import optimizer
+    from novags.splats.cpu.parallel import run
+
+    scene = common_scene(n, size)
+    trained = {name: scene[name].requires_grad_() for name in ("means", "quats", "scales", "opacities", "colors")}
+    target = torch.ones(size, size, 3)
+    target[: size // 2, : size // 2] = torch.tensor([1.0, 0.0, 0.0])
+    target[size // 2 :, size // 2 :] = torch.tensor([0.0, 0.0, 1.0])
+    moments = {name: (torch.zeros_like(t).numpy(), torch.zeros_like(t).numpy()) for name, t in trained.items()}
+    count = 0
+    times = {"forward": math.inf, "backward": math.inf, "iteration": math.inf}
+
+    def step() -> None:
+        nonlocal count
+        count += 1
+        numbers = (0.9, 0.999, 1 - 0.9**count, math.sqrt(1 - 0.999**count), 1e-8)
+        for name, tensor in trained.items():
+            assert tensor.grad is not None
+            arrays = (tensor.detach().numpy(), tensor.grad.numpy(), *moments[name])
+            flat = (a.reshape(-1) for a in arrays)
+            run(optimizer.adam, tensor.numel(), 4096, *flat, np.float32(0.01), *(np.float32(x) for x in numbers))
+            tensor.grad = None
+
+    def once() -> None:
+        start = time.perf_counter()
+        image, _, _ = rasterize(
+            trained["means"], trained["quats"], trained["scales"].abs(), torch.sigmoid(trained["opacities"]),
+            torch.sigmoid(trained["colors"]), scene["viewmats"], scene["Ks"], size, size, backend=backend,
+        )  # fmt: skip
+        loss = torch.nn.functional.mse_loss(image[0], target)
+        middle = time.perf_counter()
+        loss.backward()
+        after = time.perf_counter()
+        step()
+        end = time.perf_counter()
+        for name, value in (("forward", middle - start), ("backward", after - middle), ("iteration", end - start)):
+            times[name] = min(times[name], value)
+
+    best(once, repeat)
+    return {**times, "peak_mb": peak_mb()}
+
+
+def in_child(what: str, **arguments: Any) -> dict[str, Any]:
+    """Run measure_<what>(**arguments) in a new process."""
+    command = [sys.executable, __file__, "child", json.dumps({"what": what, **arguments})]
+    output = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    result: dict[str, Any] = json.loads(output.splitlines()[-1])
+    return result
+
+
+def show(row: dict[str, Any]) -> str:
+    """One line of a table."""
+    text = [f"{k}={v}" for k, v in row.items() if not isinstance(v, float)]
+    text += [
+        f"{k} {v:.0f} MB" if k == "peak_mb" else f"{k} {1e3 * v:.2f} ms" for k, v in row.items() if isinstance(v, float)
+    ]
+    return "  ".join(text)
+
+
+def run_grid(out: Path, repeat: int, largest: int) -> None:
+    """All sizes and counts, and the plot."""
+    rows = []
+    for n in [n for n in COUNTS if n <= largest]:
+        for size in SIZES:
+            row = {"n": n, "size": size, **in_child("grid", n=n, size=size, repeat=repeat)}
+            print(show(row), flush=True)
+            rows.append(row)
+    (out / "grid.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(1, 3, figsize=(12, 4), sharey=True)
+    for axis, what in zip(axes, ("forward", "backward", "iteration"), strict=True):
+        for size in SIZES:
+            points = [(row["n"], 1e3 * row[what]) for row in rows if row["size"] == size]
+            axis.loglog(*zip(*points, strict=True), "o-", label=f"{size}²")
+        axis.set(title=what, xlabel="Gaussians")
+        axis.grid(alpha=0.3)
+    axes[0].set_ylabel("milliseconds")
+    axes[0].legend()
+    figure.savefig(out / "grid.png", dpi=120, bbox_inches="tight")
+
+
+def run_common(out: Path, repeat: int) -> None:
+    """The common workload on our kernels, and (small) on the readable reference."""
+    rows = []
+    for n in (10_000, 100_000):
+        rows.append({"n": n, "size": 256, "backend": "numba", **in_child("common", n=n, size=256, repeat=repeat)})
+        print(show(rows[-1]), flush=True)
+    for backend in ("numba", "torch"):
+        row = {"n": 2000, "size": 64, "backend": backend}
+        rows.append({**row, **in_child("common", n=2000, size=64, repeat=5, backend=backend)})
+        print(show(rows[-1]), flush=True)
+    (out / "common.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
+
+
+def measure_fit(iterations: int, n: int, size: int, n_views: int) -> dict[str, Any]:
+    """A whole training run on images of a random cloud."""
+    from novags.splats import FitConfig, Gaussians, Views, fit, rasterize
+
+    g = torch.Generator().manual_seed(0)
+    points = torch.nn.functional.normalize(torch.randn(n, 3, generator=g), dim=1) * (
+        0.6 + 0.4 * torch.rand(n, 1, generator=g)
+    )
+    truth = Gaussians.from_points(points, (torch.sin(9 * points) + 1) / 2, sh_degree=0, init_opacity=0.8)
+    viewmats = torch.eye(4).repeat(n_views, 1, 1)
+    for k in range(n_views):
+        c, s = math.cos(2 * math.pi * k / n_views), math.sin(2 * math.pi * k / n_views)
+        viewmats[k, :3, :3] = torch.tensor([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+        viewmats[k, 2, 3] = 3.0
+    K = torch.tensor([[1.2 * size, 0, size / 2], [0, 1.2 * size, size / 2], [0, 0, 1]])
+    views = Views(viewmats, K.repeat(n_views, 1, 1), size, size)
+    with torch.no_grad():
+        images, _, _ = rasterize(
+            truth.means,
+            truth.quats,
+            truth.scales,
+            truth.opacities,
+            truth.sh,
+            viewmats,
+            views.Ks,
+            size,
+            size,
+            sh_degree=0,
+        )
+    start = Gaussians.from_points(points[: n // 5], torch.full((n // 5, 3), 0.5), sh_degree=0)
+    result = fit(start, views, lambda i: images[i], FitConfig(iterations=iterations, cap_max=n, sh_degree=3))
+    with torch.no_grad():
+        r = result.gaussians
+        renders, _, _ = rasterize(
+            r.means, r.quats, r.scales, r.opacities, r.sh, viewmats, views.Ks, size, size, sh_degree=3
+        )
+    psnr = -10 * math.log10(float((renders - images).square().mean()))
+    return {"seconds": result.seconds, "psnr": psnr, "gaussians": len(r), "peak_mb": peak_mb()}
+
+
+def run_fit(out: Path) -> None:
+    """7,000 iterations at the size of the test bed."""
+    row = in_child("fit", iterations=7000, n=50_000, size=256, n_views=28)
+    print(row)
+    (out / "fit.json").write_text(json.dumps(row))
+
+
+def reference_image(n: int, size: int, *, exact: bool, supersample: int = 1, eps2d: float = 0.3) -> Tensor:
+    """The knob scene in float64; `exact` drops both thresholds."""
+    from novags.splats import raster_torch, rasterize
+
+    if exact:
+        raster_torch.ALPHA_MIN, raster_torch.TRANSMITTANCE_MIN = 1e-7, 0.0
+    scene = {name: value.double() for name, value in cube_scene(n, size).items()}
+    scene["Ks"][:, :2] *= supersample
+    shape = [scene[name] for name in ("means", "quats", "scales", "opacities", "sh")]
+    big = size * supersample
+    image, _, _ = rasterize(*shape, scene["viewmats"], scene["Ks"], big, big, sh_degree=3, eps2d=eps2d, backend="torch")
+    return image[0].reshape(size, supersample, size, supersample, 3).mean((1, 3))
+
+
+def measure_knob(knob: str, setting: float, n: int, size: int, repeat: int, references: str) -> dict[str, Any]:
+    """Error and time of one setting. The kernels are compiled anew, because their constants are compiled in."""
+    import numpy as np
+
+    from novags.splats.cpu import compiler, functions, layout
+
+    compiler._CACHE = tempfile.mkdtemp(prefix="novags-knob-")
+    if knob == "alpha_min":
+        layout.ALPHA_MIN, layout.LOG2_ALPHA_MIN = np.float32(setting), np.float32(np.log2(setting))
+    elif knob == "transmittance_min":
+        layout.TRANSMITTANCE_MIN = np.float32(setting)
+    elif knob == "exp2_degree":
+        x = -4 + 4 * np.cos(np.pi * (np.arange(400) + 0.5) / 400)
+        fit = np.polynomial.Polynomial.fit(x, 2 ** (x / 8), int(setting), w=2 ** (-x / 8)).convert().coef
+        for i in range(6):
+            setattr(functions, f"_A{i}", np.float32(fit[i] if i < len(fit) else 0.0))
+    from novags.splats import rasterize
+
+    scene = cube_scene(n, size)
+    dtype, backend = (torch.float64, "torch") if (knob, setting) == ("float_bits", 64) else (torch.float32, "numba")
+    shape = [scene[name].to(dtype).requires_grad_() for name in ("means", "quats", "scales", "opacities", "sh")]
+    camera = (scene["viewmats"].to(dtype), scene["Ks"].to(dtype), size, size)
+    weights = torch.rand(1, size, size, 3, dtype=dtype)
+    options = {"eps2d": setting} if knob == "eps2d" else {}
+    image, _, _ = rasterize(*shape, *camera, sh_degree=3, backend=backend, **options)
+    truth = torch.load(references)["supersampled" if knob == "eps2d" else "exact"]
+    error = (image[0].detach().double() - truth).square().mean((1, 2)).sqrt()  # per row, for a spread
+
+    def once() -> None:
+        image, _, _ = rasterize(*shape, *camera, sh_degree=3, backend=backend, **options)
+        torch.autograd.grad(image, shape, weights)
+
+    seconds = best(once, repeat)
+    rmse = float(error.square().mean().sqrt())
+    return {"seconds": seconds, "error": rmse, "error_unit": "rmse", "error_sd": float(error.std() / math.sqrt(size))}
+
+
+KNOBS: dict[str, tuple[tuple[float, ...], float]] = {
+    "alpha_min": ((1 / 2550, 1 / 765, 1 / 255, 2 / 255, 4 / 255, 8 / 255), 1 / 255),
+    "transmittance_min": ((1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 3e-2), 1e-4),
+    "exp2_degree": ((2, 3, 4, 5), 5),
+    "eps2d": ((0.0, 0.1, 0.2, 0.3, 0.5), 0.3),
+    "float_bits": ((32, 64), 32),
+}
+
+
+def run_knobs(out: Path, repeat: int) -> None:
+    """Error against time, one knob at a time.
+
+    The truth is the float64 reference without thresholds; for the dilation, the same without dilation box-filtered from
+    4 x 4 samples a pixel, because dilation stands in for that filter.
+    """
+    n, size = 2000, 64
+    with tempfile.NamedTemporaryFile(suffix=".pt") as file, torch.no_grad():
+        exact = reference_image(n, size, exact=True)
+        supersampled = reference_image(n, size, exact=True, supersample=4, eps2d=0.0)
+        torch.save({"exact": exact, "supersampled": supersampled}, file.name)
+        lines = []
+        for knob, (settings, default) in KNOBS.items():
+            for setting in settings:
+                row = in_child("knob", knob=knob, setting=setting, n=n, size=size, repeat=repeat, references=file.name)
+                lines.append({"knob": knob, "setting": setting, **row, "default": setting == default})
+                print(json.dumps(lines[-1]), flush=True)
+    (out / "knobs.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+
+
+def main() -> None:
+    """Parse and run."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("part", choices=["grid", "common", "knobs", "fit", "child"])
+    parser.add_argument("arguments", nargs="?", help=argparse.SUPPRESS)
+    parser.add_argument("--out", type=Path, default=Path("bench_splats"))
+    parser.add_argument("--repeat", type=int, default=15)
+    parser.add_argument("--largest", type=int, default=1_000_000, help="most Gaussians in the grid")
+    parser.add_argument("--threads", type=int, default=None)
+    options = parser.parse_args()
+    if options.threads is not None:
+        os.environ["OMP_NUM_THREADS"] = str(options.threads)  # children inherit it
+        torch.set_num_threads(options.threads)
+    if options.part == "child":
+        arguments = json.loads(options.arguments)
+        print(json.dumps(globals()[f"measure_{arguments.pop('what')}"](**arguments)))
+        return
+    options.out.mkdir(parents=True, exist_ok=True)
+    if options.part == "grid":
+        run_grid(options.out, options.repeat, options.largest)
+    elif options.part == "common":
+        run_common(options.out, options.repeat)
+    elif options.part == "fit":
+        run_fit(options.out)
+    else:
+        run_knobs(options.out, options.repeat)
+
+
+if __name__ == "__main__":
+    main()
