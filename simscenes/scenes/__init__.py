@@ -29,7 +29,7 @@ _ROOM = {"swing_deg": 8.0, "start_deg": -150.0, "sweep_deg": 120.0}
 
 _CATALOGUE: dict[str, tuple[Callable[..., dict[str, Any]], RigMaker]] = {
     "tabletop": (tabletop, _orbit(52.0, target=(0.02, 0.02, 0.12), radius=1.45, elevation_deg=27.0, swing_deg=9.0,
-                                  start_deg=-160.0, sweep_deg=220.0)),
+                                  start_deg=-150.0, sweep_deg=140.0)),
     "cornell": (cornell, _forward(58.0, position=(0, -1.75, 0), target=(0, 0.3, -0.15), extent=(0.62, 0.5), rows=4)),
     "courtyard": (courtyard, _orbit(60.0, target=(0.1, 0.1, 0.95), radius=3.5, elevation_deg=14.0, swing_deg=7.0,
                                     start_deg=-195.0, sweep_deg=195.0)),

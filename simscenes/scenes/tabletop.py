@@ -53,15 +53,17 @@ def _room(rng: t.Rng) -> dict[str, Any]:
         ("3b4264", "6d7aa0", "c3bfc9"),
         ("5a5230", "93874f", "d8cc9b"),
     ]
-    walls = [s.diffuse(t.motif((384, 512), rng, repeats=(4, 6), colors=p)) for p in papers]
-    shelf = s.diffuse(t.stacked([t.spines((128, 384), rng, colors=_BRIGHT, count=26) for _ in range(3)], 3))
+    walls = [s.diffuse(t.motif((384, 512), rng, repeats=(2, 3), colors=p, edge=1.0)) for p in papers]
+    shelf = s.diffuse(t.stacked([t.spines((192, 384), rng, colors=_BRIGHT, count=14) for _ in range(2)], 2))
     art = [
-        s.diffuse(t.bordered(t.painting((192, 256), rng, colors=_BRIGHT), c))
+        s.diffuse(t.bordered(t.painting((192, 256), rng, colors=_BRIGHT, strokes=9), c))
         for c in ("5a3a1c", "1f1a17", "8c6b2f", "3a2a1a")
     ]
     floor = t.wood((512, 512), rng, planks=8, colors=("33200f", "66421f", "94683a", "b78b58"))
     rug = t.bordered(
-        t.motif((256, 256), rng, repeats=(4, 4), colors=("57141d", "a8322d", "d9a441", "1f2f4a")), "d8c49a", 0.06
+        t.motif((256, 256), rng, repeats=(2, 2), colors=("57141d", "a8322d", "d9a441", "1f2f4a"), edge=1.0),
+        "d8c49a",
+        0.06,
     )
     return {
         "floor": s.quad((0, 0, _FLOOR), (w, 0, 0), (0, w, 0), s.diffuse(floor)),
@@ -83,7 +85,9 @@ def _table(rng: t.Rng) -> dict[str, Any]:
     top = s.plastic(t.wood((384, 512), rng, planks=5, colors=("4b2d17", "7d5330", "a97a4a", "cfa673")), 0.25)
     legs = s.diffuse(t.wood((64, 64), rng, planks=2))
     cloth = t.bordered(
-        t.motif((256, 256), rng, repeats=(3, 3), colors=("f0e6d0", "2d4a6d", "c65d3b", "e9c46a")), "efe3c8", 0.05
+        t.motif((256, 256), rng, repeats=(1, 2), colors=("f0e6d0", "2d4a6d", "c65d3b", "e9c46a"), edge=1.0),
+        "efe3c8",
+        0.05,
     )
     parts = {
         "table_top": s.box((0, 0, -0.025), (1.75, 1.3, 0.05), top),
@@ -95,7 +99,7 @@ def _table(rng: t.Rng) -> dict[str, Any]:
 
 
 def _vessels(rng: t.Rng) -> dict[str, Any]:
-    glaze = s.plastic(t.motif((192, 384), rng, repeats=(2, 5), colors=("f2eee2", "e9e4d4", "27508c", "16315c")), 0.08)
+    glaze = s.plastic(t.motif((192, 384), rng, repeats=(1, 3), colors=("f2eee2", "e9e4d4", "27508c", "16315c")), 0.08)
     vase = [
         (0, 0),
         (0.075, 0),

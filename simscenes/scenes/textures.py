@@ -107,14 +107,21 @@ def marble(shape: tuple[int, int], rng: Rng, *, colors: Sequence[str] = ("e8e4dc
     return finish(ramp(np.clip(0.8 * ridge + 0.1 * fractal(shape, rng), 0, 1), colors), rng, grain=0.06)
 
 
-def motif(shape: tuple[int, int], rng: Rng, *, repeats: tuple[int, int], colors: Sequence[str]) -> Texels:
-    """Printed pattern: one random mirrored figure repeated over the sheet, as in wallpaper, cloth and rugs."""
+def motif(
+    shape: tuple[int, int], rng: Rng, *, repeats: tuple[int, int], colors: Sequence[str], edge: float = 4.0
+) -> Texels:
+    """Printed pattern: one random mirrored figure repeated over the sheet, as in wallpaper, cloth and rugs.
+
+    `edge` is how sharp the print is: 4 is ink on paper, 1 a faded dye that runs into its ground.
+    """
     y, x = _grid(shape)
     u, v = np.abs((x * repeats[1]) % 1.0 - 0.5) * 2, np.abs((y * repeats[0]) % 1.0 - 0.5) * 2
     a = rng.integers(1, 3, 6)
     field = np.cos(np.pi * a[0] * u) * np.cos(np.pi * a[1] * v) + np.cos(np.pi * a[2] * np.hypot(u, v) * 1.2)
     field += 0.7 * np.cos(np.pi * (a[3] * u + a[4] * v)) + 0.10 * fractal(shape, rng)
-    steps = 0.5 + 0.5 * np.tanh(4 * np.sin(2.2 * field))  # soft-edged bands, so that print and ground share the sheet
+    steps = 0.5 + 0.5 * np.tanh(
+        edge * np.sin(2.2 * field)
+    )  # soft-edged bands, so that print and ground share the sheet
     levels = np.clip(0.62 * steps + 0.19 * (field + 1), 0, 1)
     return finish(ramp(levels, colors), rng)
 
