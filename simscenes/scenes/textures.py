@@ -119,9 +119,7 @@ def motif(
     a = rng.integers(1, 3, 6)
     field = np.cos(np.pi * a[0] * u) * np.cos(np.pi * a[1] * v) + np.cos(np.pi * a[2] * np.hypot(u, v) * 1.2)
     field += 0.7 * np.cos(np.pi * (a[3] * u + a[4] * v)) + 0.10 * fractal(shape, rng)
-    steps = 0.5 + 0.5 * np.tanh(
-        edge * np.sin(2.2 * field)
-    )  # soft-edged bands, so that print and ground share the sheet
+    steps = 0.5 + 0.5 * np.tanh(edge * np.sin(2.2 * field))  # bands: print and ground share the sheet
     levels = np.clip(0.62 * steps + 0.19 * (field + 1), 0, 1)
     return finish(ramp(levels, colors), rng)
 
