@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from simscenes.multiview import MultiviewSet
 from simscenes.rigs import Rig, unproject
 
-DEPTH_TOLERANCE = 0.01  # relative; a point lies up to half a pixel from the centre whose depth is stored
+DEPTH_TOLERANCE = 0.01  # relative; surfaces bend between the pixel centres whose depth is stored
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,24 @@ def flow_from_depth(rig: Rig, i: int, j: int, z_i: NDArray[Any], z_j: NDArray[An
 def seen_in(rig: Rig, pixels: NDArray[Any], depth: NDArray[Any], z: NDArray[Any]) -> NDArray[np.bool_]:
     """Whether points that project to `pixels` [n,2] at `depth` [n] are in front of what a z-depth [h,w] shows."""
     inside = (depth > 0) & (pixels >= 0).all(-1) & (pixels < (rig.width, rig.height)).all(-1)
-    x, y = np.floor(pixels[inside]).astype(int).T
+    place = pixels[inside]
+    x, y = np.floor(place).astype(int).T
+    shown = np.maximum(z[y, x], _interpolated(z, place))
     seen = np.zeros(len(pixels), dtype=bool)
-    seen[inside] = depth[inside] <= (1 + DEPTH_TOLERANCE) * z[y, x]
+    seen[inside] = depth[inside] <= (1 + DEPTH_TOLERANCE) * shown
     return seen
+
+
+def _interpolated(z: NDArray[Any], place: NDArray[Any]) -> NDArray[np.float64]:
+    """Depth between pixel centres: 1/z is linear over the image of a plane, however slanted; 0 where that fails."""
+    h, w = z.shape
+    if h < 2 or w < 2:
+        return np.zeros(len(place))
+    corner = np.clip(np.floor(place - 0.5).astype(int), 0, (w - 2, h - 2))
+    fx, fy = (place - 0.5 - corner).T  # outside 0..1 in the outer half of border pixels: the plane goes on
+    x, y = corner.T
+    inverse = 1.0 / z.astype(np.float64)
+    upper = (1 - fx) * inverse[y, x] + fx * inverse[y, x + 1]
+    lower = (1 - fx) * inverse[y + 1, x] + fx * inverse[y + 1, x + 1]
+    between = (1 - fy) * upper + fy * lower
+    return np.where(between > 0, 1.0 / np.where(between > 0, between, 1.0), 0.0)

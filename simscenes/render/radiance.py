@@ -224,6 +224,7 @@ class View:
         if target_error is not None:
             spp = self.predict_spp(target_error)
         count, size = split_passes(spp or 2)
+        size = max(size, len(self.sensors))  # both powers of four: each sub-frame gets its whole share
         passes = Passes((self.rig.height, self.rig.width))
         self.run(passes, count, size)
         while target_error is not None and passes.result(size).error > target_error and passes.count * size < MAX_SPP:
@@ -233,8 +234,9 @@ class View:
     def predict_spp(self, target_error: float) -> int:
         """Samples per pixel that bring a pilot's error down to the target, if it falls as 1/sqrt(spp)."""
         pilot = Passes((self.rig.height, self.rig.width))
-        self.run(pilot, 2, PILOT_SPP)
-        seen = pilot.result(PILOT_SPP)
+        size = max(PILOT_SPP, len(self.sensors))
+        self.run(pilot, 2, size)
+        seen = pilot.result(size)
         wanted = seen.spp * (seen.error / target_error) ** 2
         return min(max(2 * PILOT_SPP, math.ceil(wanted)), MAX_SPP)
 

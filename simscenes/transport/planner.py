@@ -271,5 +271,5 @@ def motion_effect(geometry: list[Any], rig: Rig, small: Rig, optics: Optics, sca
     if optics.motion is None or len(rig) < 2:
         return _effect(plan.MOTION, False, 0.0, 0.5, "the camera is at rest", "px"), 1
     blur = image_motion(geometry, rig, small, optics.motion) * scale
-    frames = int(np.clip(math.ceil(2 * blur), 2, 64))
+    frames = next((n for n in (4, 16) if n >= 2 * blur), 64)  # powers of four, as the passes they share
     return _effect(plan.MOTION, blur > 0.5, blur, 0.5, f"points move {blur:.2g} px (95th percentile)", "px"), frames

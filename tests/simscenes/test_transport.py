@@ -1,0 +1,241 @@
+"""The planner leaves out only what its bound allows, and finds what it must find."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simscenes import Optics, Rig, default_rig, orbit_rig, plan_transport, render_set
+from simscenes.backend import activate, choose_variant
+from simscenes.camera import camera_color, srgb_curves
+from simscenes.render.motion import moved_pose, subframe_rig
+from simscenes.render.radiance import Method, View
+from simscenes.render.source import build_scene
+from simscenes.scenes import MEASURED_LIGHTS, SCENES
+from simscenes.transport import TransportPlan
+from simscenes.transport.pilot import changed_light, missing_light, pilot_rig
+from simscenes.transport.spectra import WAVELENGTHS, color_error
+
+FAST = {"cornell", "hall"}
+
+
+def diffuse_box(**more: Any) -> dict[str, Any]:
+    white = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.7, 0.6, 0.5]}}
+    mi = activate()
+    floor = {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(3), "bsdf": white}
+    ball = {"type": "sphere", "center": [0, 0, 0.5], "radius": 0.5, "bsdf": white}
+    return {"type": "scene", "floor": floor, "ball": ball, "sky": {"type": "constant"}, **more}
+
+
+def ring() -> Rig:
+    return orbit_rig(4, 32, 32, 45, target=(0, 0, 0.4), radius=3.0)
+
+
+@pytest.fixture(scope="module")
+def plain() -> TransportPlan:
+    return plan_transport(diffuse_box(), rig=ring())
+
+
+def test_a_matt_scene_needs_indirect_light_and_nothing_else(plain: TransportPlan) -> None:
+    assert [e.name for e in plain.effects if e.on] == ["indirect light"]
+    assert plain.color == "rgb"
+    assert plain.integrator() == {"type": "path", "max_depth": plain.max_depth, "rr_depth": 2}
+    assert plain["polarisation"].contribution == 0
+    assert plain.bound == pytest.approx(sum(e.contribution for e in plain.effects if not e.on and e.unit != "px"))
+    assert plain.bound <= 0.02
+
+
+def test_a_plan_prints_and_survives_json(plain: TransportPlan) -> None:
+    import json
+
+    text = str(plain)
+    assert all(e.name in text for e in plain.effects)
+    assert TransportPlan.from_dict(json.loads(json.dumps(plain.to_dict()))) == plain
+
+
+def test_every_effect_can_be_forced() -> None:
+    force = {"indirect light": False, "polarisation": True}
+    forced = plan_transport(diffuse_box(), rig=ring(), force=force, max_depth=5)
+    assert forced["indirect light"].forced
+    assert forced.integrator()["max_depth"] == 2
+    assert forced.color == "spectral_polarized"
+    assert forced["paths beyond max_depth"].forced
+    assert forced.bound >= forced["indirect light"].contribution > 0.03
+    with pytest.raises(ValueError, match="effect"):
+        plan_transport(diffuse_box(), rig=ring(), force={"magic": True})
+
+
+def test_a_black_body_scene_needs_direct_light_only() -> None:
+    black = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.01}}
+    scene = {"type": "scene", "ball": {"type": "sphere", "bsdf": black}, "sky": {"type": "constant"}}
+    plan = plan_transport(scene, rig=ring())
+    assert not plan.is_on("indirect light")
+    assert plan.integrator()["max_depth"] == 2
+
+
+def test_fog_switches_the_integrator_and_coloured_fog_the_sampler() -> None:
+    for sigma_t, kind in ((0.4, "volpath"), ({"type": "rgb", "value": [0.2, 0.4, 0.8]}, "volpathmis")):
+        fog = {"type": "homogeneous", "albedo": {"type": "rgb", "value": 0.5}, "sigma_t": sigma_t, "scale": 2.0}
+        cloud = {"type": "sphere", "radius": 1.2, "bsdf": {"type": "null"}, "interior": fog}
+        plan = plan_transport(diffuse_box(cloud=cloud), rig=ring(), measure=False)
+        assert plan.is_on("participating media")
+        assert plan["participating media"].contribution > 0.05
+        assert plan.integrator()["type"] == kind
+
+
+def test_glass_goes_deeper_than_matt_things() -> None:
+    glass = {"type": "dielectric", "int_ior": "bk7", "ext_ior": "air"}
+    nested = {
+        f"shell_{k}": {"type": "sphere", "center": [0, 0, 0.5], "radius": 0.9 - 0.1 * k, "bsdf": glass}
+        for k in range(4)
+    }
+    plan = plan_transport(diffuse_box(**nested), rig=ring(), measure=False)
+    assert plan.max_depth > 8
+    assert plan["polarisation"].contribution > 0
+
+
+def test_lens_and_motion_are_weighed_in_pixels() -> None:
+    quiet = Optics(aperture_radius=1e-4, focus_distance=3.0, motion=1e-3)
+    loud = Optics(aperture_radius=0.1, focus_distance=2.0, motion=0.2)
+    plans = [plan_transport(diffuse_box(), rig=ring(), optics=o, measure=False) for o in (quiet, loud)]
+    for name in ("depth of field", "motion blur"):
+        assert not plans[0].is_on(name)
+        assert plans[1].is_on(name)
+        assert plans[0][name].contribution < 0.5 < plans[1][name].contribution
+    assert plans[0].subframes == 1
+    assert plans[1].subframes in (4, 16, 64)
+    # Circle of confusion of the nearest points and of the sky, by similar triangles.
+    focal = 16 / np.tan(np.radians(22.5))
+    worst = max(2 * 0.1 * abs(1 - 2.0 / z) * focal / 2.0 for z in (2.0, np.inf))
+    assert plans[1]["depth of field"].contribution <= 1.001 * worst
+
+
+@pytest.mark.skipif(choose_variant().startswith("scalar"), reason="the spectral number needs a JIT variant")
+def test_measured_lamps_call_for_spectra_and_rgb_lamps_do_not() -> None:
+    market = plan_transport("market", rig=default_rig("market", 2, 32, 32), measure=False)
+    assert market.is_on("spectral transport")
+    assert 0.02 < market["spectral transport"].contribution < 1
+    assert frozenset({"market"}) == MEASURED_LIGHTS
+
+
+def test_color_error_is_zero_for_flat_light_and_grows_with_bounces_and_lines() -> None:
+    flat = np.ones((1, len(WAVELENGTHS)))
+    slope = np.linspace(0.1, 0.9, len(WAVELENGTHS))[None]
+    line = np.exp(-(((WAVELENGTHS - 589) / 8) ** 2))[None] + 1e-3
+    grey = np.full_like(flat, 0.5)
+    assert color_error(flat, grey, None) < 1e-12
+    assert color_error(line, slope, None) > 10 * color_error(flat, slope, None)
+    assert color_error(flat, slope, None, 3) > color_error(flat, slope, None, 1)
+    assert color_error(flat, slope, "Nikon 5100 (NPL)") < 1e-9  # one pixel: some matrix always fits
+    with pytest.raises(ValueError, match="camera must be"):
+        color_error(flat, slope, "Box Brownie")
+
+
+def test_the_camera_matrix_maps_daylight_white_exactly_enough() -> None:
+    import colour
+
+    camera = camera_color("Nikon 5100 (NPL)")
+    light = colour.SDS_ILLUMINANTS["D65"].copy().align(colour.SpectralShape(380, 780, 5)).values
+    seen, exact = light @ srgb_curves(), light @ camera.curves / camera.curves[:, 1].sum()
+    assert np.allclose(camera.matrix @ seen, exact, rtol=0.05)
+    assert 0.001 < camera.matrix_error < 0.05
+
+
+def test_missing_light_counts_the_mean_and_bounds_it() -> None:
+    rng = np.random.default_rng(0)
+    full = np.ones((3, 32, 32, 3))
+    lacking = rng.exponential(0.01, (3, 32, 32, 1)) * np.ones(3)
+    share = missing_light(full, full - lacking)
+    assert share.estimate == pytest.approx(lacking.mean())
+    assert share.upper == pytest.approx(0.01, rel=0.15)
+    assert share.upper > 0.01
+    assert missing_light(np.zeros_like(full), np.zeros_like(full)).upper == 0
+
+
+def test_changed_light_averages_noise_away_but_not_change() -> None:
+    rng = np.random.default_rng(0)
+    full = np.ones((3, 32, 32, 3))
+    noisy = full + rng.normal(0, 0.1, full.shape)
+    assert changed_light(full, noisy).upper < 0.02
+    half = full.copy()
+    half[:, :16] *= 1.1
+    assert changed_light(full, half).estimate == pytest.approx(0.05)
+
+
+def test_pilots_keep_the_field_of_view() -> None:
+    rig = default_rig("cornell", 9, 640, 480)
+    small = pilot_rig(rig)
+    assert (len(small), small.width, small.height) == (3, 32, 24)
+    corners = np.array([[0.0, 0], [640, 480]])
+    for K, w, h, place in ((rig.Ks[0], 640, 480, corners), (small.Ks[0], 32, 24, corners / 20)):
+        rays = (place - K[:2, 2]) / np.diag(K)[:2]
+        assert np.allclose(rays, [[-w / 2 / K[0, 0], -h / 2 / K[1, 1]], [w / 2 / K[0, 0], h / 2 / K[1, 1]]])
+
+
+def test_poses_of_an_exposure_lie_on_the_way_between_the_views() -> None:
+    rig = orbit_rig(8, 16, 16, 50, radius=2.0, swing_deg=0)
+    assert np.allclose(moved_pose(rig, 3, 1.0), rig.viewmats[4], atol=1e-9)
+    assert np.allclose(moved_pose(rig, 3, -1.0), rig.viewmats[2], atol=1e-9)
+    assert np.array_equal(moved_pose(rig, 3, 0.0), rig.viewmats[3])
+    ends = moved_pose(rig, 0, -0.5), moved_pose(rig, 7, 0.5)  # past the ends of the rig
+    assert all(np.allclose(e[:3, :3] @ e[:3, :3].T, np.eye(3)) for e in ends)
+    frames = subframe_rig(rig, 3, 0.4, 8)
+    assert np.allclose(frames.positions.mean(0), rig.positions[3], atol=0.05)
+    steps = np.linalg.norm(np.diff(frames.positions, axis=0), axis=1)
+    assert np.allclose(steps, steps[0], rtol=0.1)
+
+
+def block_difference(
+    scene: str, rig: Rig, plan: TransportPlan, reference: TransportPlan, spp: int
+) -> tuple[float, float]:
+    """Signed differences summed over blocks, relative to all light, and the standard error of that sum."""
+    total = change = error = 0.0
+    for i in range(len(rig)):
+        means = []
+        for made in (plan, reference):
+            backend = choose_variant().removesuffix("_rgb")
+            mi = activate(backend, made.color)
+            loaded = build_scene(scene, mi)
+            method = Method(mi, mi.variant(), loaded, mi.load_dict(made.integrator()))
+            means.append(View(method, rig, i).render(spp, None))
+        a, b = means
+        variance = (a.variance + b.variance).astype(np.float64).mean(-1) / 3
+        gap = (a.mean - b.mean).astype(np.float64).mean(-1)
+        h, w = gap.shape
+        blocks = gap.reshape(4, h // 4, 4, w // 4).mean((1, 3))
+        spread = np.sqrt(variance.reshape(4, h // 4, 4, w // 4).mean((1, 3)) / (h * w / 16))
+        change += float(np.abs(blocks).mean())
+        error += float(spread.mean())
+        total += float(b.mean.mean())
+    activate()
+    return change / total, error / total
+
+
+@pytest.mark.parametrize("name", [n if n in FAST else pytest.param(n, marks=pytest.mark.slow) for n in SCENES])
+def test_what_is_left_out_stays_below_the_stated_bound(name: str) -> None:
+    """Against a render with everything on: deep paths, media, polarisation, spectra where the lights have any."""
+    rig = default_rig(name, 2, 32, 32)
+    plan = plan_transport(name, rig=rig)
+    media = plan.is_on("participating media")
+    everything = plan_transport(
+        name, rig=rig, max_depth=64, measure=False,
+        force={"indirect light": True, "polarisation": not media and name not in FAST},
+    )  # fmt: skip
+    change, error = block_difference(name, rig, plan, everything, 256)
+    # Two thirds of a normal deviation is its mean absolute value: noise alone gives about 0.8 standard errors.
+    assert change <= plan.bound + 5 * error
+
+
+def test_motion_blur_averages_the_poses(tmp_path: Path) -> None:
+    rig = ring()
+    blurred = render_set(diffuse_box(), rig, tmp_path / "a", spp=256, optics=Optics(motion=0.3))
+    sharp = render_set(diffuse_box(), rig, tmp_path / "b", spp=256)
+    assert blurred.meta["plan"]["subframes"] > 1
+    frames = subframe_rig(rig, 1, 0.3, blurred.meta["plan"]["subframes"])
+    mi = activate()
+    loaded = build_scene(diffuse_box(), mi)
+    method = Method(mi, mi.variant(), loaded, mi.load_dict({"type": "path", "max_depth": 8, "rr_depth": 2}))
+    mean = np.mean([View(method, frames, k).render(32, None).mean for k in range(len(frames))], 0)
+    away, still = (np.abs(blurred.radiance(1) - other).mean() for other in (mean, sharp.radiance(1)))
+    assert away < 0.5 * still
