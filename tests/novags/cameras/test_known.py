@@ -1,0 +1,181 @@
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from novags.cameras.known import known, perturb
+from simscenes.multiview import load_set
+from simscenes.rigs import Rig, orbit_rig
+
+FOX = Path(__file__).resolve().parents[4] / "shared" / "data" / "fox"
+SIZE = 20
+
+
+@dataclass(frozen=True)
+class FakeSet:
+    """The part of a MultiviewSet that `known` looks at: cameras around a plane z = 0, or around nothing known."""
+
+    rig: Rig
+    depth: bool = True
+    sparse: tuple[np.ndarray, np.ndarray] | None = None
+
+    def geometry(self, i: int) -> dict[str, Any] | None:
+        if not self.depth:
+            return None
+        y, x = np.mgrid[0:SIZE, 0:SIZE] + 0.5
+        rays = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(self.rig.Ks[i]).T
+        rotation = self.rig.viewmats[i, :3, :3]
+        down = rays @ rotation[:, 2]
+        center = -rotation.T @ self.rig.viewmats[i, :3, 3]
+        with np.errstate(divide="ignore"):
+            z = np.where(down < 0, -center[2] / down, np.inf)
+        return {"z": z.astype(np.float32)}
+
+    def points(self) -> tuple[np.ndarray, np.ndarray] | None:
+        return self.sparse
+
+
+def cameras(count: int = 4) -> Rig:
+    return orbit_rig(count, SIZE, SIZE, 50.0, radius=3.0, elevation_deg=35.0)
+
+
+def shaded(count: int = 4) -> torch.Tensor:
+    """Images whose colour says which view they are."""
+    return torch.arange(count).reshape(-1, 1, 1, 1).expand(count, SIZE, SIZE, 3) / 10
+
+
+def test_points_from_depth_lie_on_the_surface_and_see_the_dark_colours():
+    multiview = FakeSet(cameras())
+    start = known(multiview, [1, 2], torch.full((2, SIZE, SIZE, 3), 0.07), n_points=300, seed=0)
+    assert start.points.shape == start.colors.shape == (300, 3)
+    assert start.points.dtype == start.colors.dtype == torch.float32
+    assert start.viewmats.dtype == start.Ks.dtype == torch.float64
+    assert start.points[:, 2].abs().max() < 1e-5
+    torch.testing.assert_close(start.colors, torch.full((300, 3), 0.07))
+    # the cameras pass through an inverse, which rounds
+    np.testing.assert_allclose(start.viewmats.numpy(), multiview.rig.viewmats[[1, 2]], rtol=0, atol=1e-12)
+    # Every point comes from a pixel centre of one of the two views, and is in frame there.
+    from_centre = []
+    for viewmat, K in zip(start.viewmats, start.Ks, strict=True):
+        pixels = (start.points.double() @ viewmat[:3, :3].T + viewmat[:3, 3]) @ K.T
+        pixels = pixels[:, :2] / pixels[:, 2:]
+        off = (pixels - 0.5 - (pixels - 0.5).round()).abs().amax(1)
+        from_centre.append((off < 1e-3) & ((pixels > 0) & (pixels < SIZE)).all(1))
+    assert (from_centre[0] | from_centre[1]).all()
+
+
+def test_the_seed_chooses_the_points():
+    multiview = FakeSet(cameras())
+    a, b, c = (known(multiview, [0, 1, 2, 3], shaded(), n_points=50, seed=seed).points for seed in (0, 0, 1))
+    assert torch.equal(a, b)
+    assert not torch.equal(a, c)
+
+
+def test_fewer_pixels_than_points_give_every_pixel_once():
+    multiview = FakeSet(cameras())
+    start = known(multiview, [0], shaded(1), n_points=10_000)
+    assert len(start.points) == np.isfinite(multiview.geometry(0)["z"]).sum() <= SIZE * SIZE
+
+
+def test_colours_are_averaged_over_neighbours():
+    noisy = 0.1 + 0.05 * torch.randn(4, SIZE, SIZE, 3, generator=torch.Generator().manual_seed(0))
+    colors = known(FakeSet(cameras()), [0, 1, 2, 3], noisy, n_points=1000).colors
+    # Means of 8: a third of the deviation. 1000 points share neighbours; 20 % covers that.
+    assert float(colors.std()) == pytest.approx(0.05 / 8**0.5, rel=0.2)
+
+
+def test_depth_errors_scale_the_depth_of_each_view_as_a_whole():
+    multiview = FakeSet(cameras())
+    start = known(multiview, [2], shaded(1), n_points=400, depth_error=0.3, seed=1)
+    inside = start.points.double() @ start.viewmats[0, :3, :3].T + start.viewmats[0, :3, 3]
+    pixels = inside @ start.Ks[0].T
+    column, row = (pixels[:, :2] / pixels[:, 2:]).T
+    true = torch.from_numpy(multiview.geometry(2)["z"])[row.long(), column.long()]
+    factors = inside[:, 2] / true
+    assert float(factors.std()) < 1e-5
+    assert abs(float(factors.mean()) - 1) > 0.05
+
+
+def test_perturbations_have_the_stated_root_mean_square():
+    exact = orbit_rig(2000, SIZE, SIZE, 50.0, radius=3.0).viewmats
+    moved = perturb(exact, 2.0, 0.1, np.random.default_rng(0))
+    turns = Rotation.from_matrix(moved[:, :3, :3] @ exact[:, :3, :3].transpose(0, 2, 1)).magnitude()
+    centers = [-np.einsum("cji,cj->ci", v[:, :3, :3], v[:, :3, 3]) for v in (exact, moved)]
+    shifts = np.linalg.norm(centers[1] - centers[0], axis=1)
+    # Squares of three-dimensional normals: relative sd sqrt(2/3), of the mean over 2000 1.8 %, of its root 0.9 %.
+    assert np.degrees(np.sqrt((turns**2).mean())) == pytest.approx(2.0, rel=0.046)
+    assert np.sqrt((shifts**2).mean()) == pytest.approx(0.1, rel=0.046)
+    np.testing.assert_allclose(
+        moved[:, :3, :3] @ moved[:, :3, :3].transpose(0, 2, 1), np.eye(3)[None].repeat(2000, 0), atol=1e-12
+    )
+    np.testing.assert_allclose(perturb(exact, 0.0, 0.0, np.random.default_rng(0)), exact, atol=1e-14)
+
+
+def test_points_follow_the_perturbed_cameras():
+    multiview = FakeSet(cameras())
+    exact = known(multiview, [0], shaded(1), n_points=10_000)
+    moved = known(multiview, [0], shaded(1), n_points=10_000, rotation_deg=3.0, translation=0.2)
+
+    def seen(start) -> torch.Tensor:
+        return start.points.double() @ start.viewmats[0, :3, :3].T + start.viewmats[0, :3, 3]
+
+    torch.testing.assert_close(seen(moved), seen(exact), atol=1e-5, rtol=0)
+    assert not torch.allclose(moved.points, exact.points, atol=1e-2)
+
+
+def test_without_depth_sparse_points_are_taken_but_never_their_lit_colours():
+    points = np.random.default_rng(0).uniform(-0.3, 0.3, (200, 3))
+    lit = np.full((200, 3), 255, np.uint8)
+    start = known(FakeSet(cameras(), depth=False, sparse=(points, lit)), [0, 1], shaded(2) + 0.02, n_points=100)
+    assert len(start.points) == 100
+    distance = (start.points[:, None].double() - torch.from_numpy(points)[None]).norm(dim=-1).min(1).values
+    assert distance.max() < 1e-6
+    # Every point is in both frames, whose colours are 0.02 and 0.12.
+    torch.testing.assert_close(start.colors, torch.full((100, 3), 0.07))
+
+
+def test_without_anything_points_are_random_where_the_cameras_look():
+    start = known(FakeSet(cameras(), depth=False), [0, 1, 2, 3], shaded(), n_points=500)
+    # Half the distance of the cameras from what they look at; the ridge moves the centre by a thousandth.
+    assert start.points.abs().max() <= 1.5 + 5e-3
+    assert start.points.std(0).min() > 0.7
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_parallel_and_single_cameras_still_give_finite_points(count):
+    viewmats = np.repeat(np.eye(4)[None], count, 0)
+    viewmats[:, 0, 3] = np.arange(count)
+    rig = Rig(viewmats=viewmats, Ks=cameras(count).Ks if count > 1 else cameras(2).Ks[:1], width=SIZE, height=SIZE)
+    start = known(FakeSet(rig, depth=False), list(range(count)), shaded(count), n_points=50)
+    assert torch.isfinite(start.points).all()
+    assert torch.isfinite(start.colors).all()
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"n_points": 1}, {"n_points": 50, "rotation_deg": -1.0}, {"n_points": 50, "depth_error": -0.1}]
+)
+def test_impossible_requests_are_refused(wrong):
+    with pytest.raises(ValueError, match="errors >= 0"):
+        known(FakeSet(cameras()), [0], shaded(1), **wrong)
+
+
+def test_images_of_another_number_or_size_are_refused():
+    with pytest.raises(ValueError, match="colors_from"):
+        known(FakeSet(cameras()), [0, 1], shaded(1), n_points=50)
+
+
+@pytest.mark.skipif(not FOX.is_dir(), reason="the fox photographs are not on this machine")
+def test_real_photographs_give_cameras_and_points_around_the_fox():
+    with pytest.warns(UserWarning, match="have no image"):
+        multiview = load_set(FOX)
+    indices = multiview.train_indices[:4]
+    images = torch.from_numpy(np.stack([multiview.image(i) for i in indices]).astype(np.float32) / 255)
+    start = known(multiview, indices, 0.1 * images, n_points=300)
+    assert 2 <= len(start.points) <= 300
+    assert start.extent > 0
+    assert torch.isfinite(start.points).all()
+    assert 0 <= start.colors.min() <= start.colors.max() <= 0.1
