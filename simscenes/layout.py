@@ -15,9 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.rigs import Rig, opencv_to_opengl
-
-TEST_EVERY = 8  # gsplat, mip-NeRF 360 and LLFF loaders hold out every 8th sorted view, starting at the first
+from simscenes.rigs import TEST_EVERY, Rig, opencv_to_opengl
 
 Points = (
     tuple[NDArray[np.float64], NDArray[np.uint8]] | tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.bool_]]

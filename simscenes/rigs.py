@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 
 Float = NDArray[np.float64]
 
+TEST_EVERY = 8  # gsplat, mip-NeRF 360 and LLFF loaders hold out every 8th sorted view, starting at the first
+
 _OPENCV_TO_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])
 _OPENCV_TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])
 
@@ -177,6 +179,20 @@ def _check_views(n_views: int) -> None:
         raise ValueError(f"n_views must be >= 1, got {n_views}")
 
 
+def there_and_back(n: int) -> NDArray[np.intp]:
+    """Order of n places on a line: every second one there, the others back, begun amid them.
+
+    Every 8th view tests, and a test at an end of the line would be extrapolation, whatever the method: the loop begins
+    where neither end gets such a number.
+    """
+    loop = np.array([*range(0, n, 2), *reversed(range(1, n, 2))])
+    ends = np.flatnonzero((loop == 0) | (loop == n - 1))
+    starts = range(n // 4, n // 4 + n)
+    # up to two places there is nothing but ends
+    start = next((s for s in starts if ((ends - s) % n % TEST_EVERY != 0).all()), 0)
+    return np.roll(loop, -start)
+
+
 def orbit_rig(
     n_views: int,
     width: int,
@@ -194,7 +210,8 @@ def orbit_rig(
     """Cameras on an orbit around `target`, all looking at it, their height going up and down as a wave.
 
     Args:
-        n_views: Number of cameras, evenly spaced in azimuth.
+        n_views: Number of cameras, evenly spaced in azimuth. On an arc they are numbered there and back, so that no test
+            view lies at an end of it.
         width: Image width in pixels.
         height: Image height in pixels.
         fov_x_deg: Horizontal field of view.
@@ -203,7 +220,7 @@ def orbit_rig(
         elevation_deg: Mean elevation above the horizontal plane.
         swing_deg: Amplitude of the wave in elevation.
         waves: Periods of that wave over the sweep.
-        start_deg: Azimuth of the first camera, from +x towards +y.
+        start_deg: Azimuth where ring or arc begins, from +x towards +y.
         sweep_deg: Azimuth covered; below 360 both ends are used, a full ring does not repeat its first camera.
 
     Returns:
@@ -216,8 +233,8 @@ def orbit_rig(
     if radius <= 0 or abs(elevation_deg) + abs(swing_deg) >= 89.9:
         raise ValueError(f"orbit_rig: radius must be > 0 and elevation with swing inside +-89.9 degrees, "
                          f"got {radius} and {elevation_deg} +- {swing_deg}")  # fmt: skip
-    steps = n_views if abs(sweep_deg) >= 360.0 else max(n_views - 1, 1)
-    t = np.arange(n_views) / steps
+    is_ring = abs(sweep_deg) >= 360.0
+    t = np.arange(n_views) / n_views if is_ring else there_and_back(n_views) / max(n_views - 1, 1)
     azimuth = np.radians(start_deg + sweep_deg * t)
     elevation = np.radians(elevation_deg + swing_deg * np.sin(2 * np.pi * waves * t))
     offsets = np.stack([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)], 1)
@@ -238,7 +255,7 @@ def forward_rig(
     """Forward-facing cameras: a zigzag over a flat window around `position`, all looking at `target`.
 
     Args:
-        n_views: Number of cameras.
+        n_views: Number of cameras, numbered there and back along the zigzag, so that no test view lies at an end of it.
         width: Image width in pixels.
         height: Image height in pixels.
         fov_x_deg: Horizontal field of view.
@@ -254,7 +271,7 @@ def forward_rig(
     if rows < 1:
         raise ValueError(f"forward_rig: rows must be >= 1, got {rows}")
     right, down = look_at(position, target)[:2, :3]
-    t = np.linspace(0.0, 1.0, n_views) if n_views > 1 else np.array([0.5])
+    t = there_and_back(n_views) / (n_views - 1) if n_views > 1 else np.array([0.5])
     triangle = 1.0 - 2.0 * np.abs((rows * t) % 2.0 - 1.0)
     window = extent[0] * triangle[:, None] * right - extent[1] * (2 * t[:, None] - 1) * down
     return _rig(np.asarray(position, dtype=np.float64) + window, target, width, height, fov_x_deg)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from simscenes.backend import activate
 from simscenes.render.geometry import pixel_rays
 from simscenes.render.source import LoadedScene, build_scene
-from simscenes.rigs import Rig, invert_rigid, look_at, mitsuba_to_intrinsics, mitsuba_to_opencv
+from simscenes.rigs import Rig, invert_rigid, look_at, mitsuba_to_intrinsics, mitsuba_to_opencv, there_and_back
 
 Float = NDArray[np.float64]
 CLEARANCE = 0.05  # of the distance to the target: nearer things would fill a new camera's image
@@ -123,7 +123,7 @@ def _distance_seen(loaded: LoadedScene, mi: Any, own: Rig) -> float:
 def _arc(position: Float, target: Float, up: Float, n_views: int, sweep_deg: float, swing_deg: float) -> Float:
     from scipy.spatial.transform import Rotation
 
-    t = np.linspace(-0.5, 0.5, n_views) if n_views > 1 else np.zeros(1)
+    t = there_and_back(n_views) / (n_views - 1) - 0.5 if n_views > 1 else np.zeros(1)
     right = np.cross(target - position, up)
     right /= np.linalg.norm(right)
     raised = Rotation.from_rotvec(np.radians(swing_deg) * np.sin(4 * np.pi * t)[:, None] * right)

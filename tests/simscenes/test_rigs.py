@@ -83,7 +83,18 @@ def test_orbit_keeps_its_distance_and_does_not_repeat_a_camera() -> None:
 
 def test_partial_orbit_uses_both_ends() -> None:
     rig = orbit_rig(5, 8, 8, 50, radius=1.0, elevation_deg=0, swing_deg=0, start_deg=0, sweep_deg=90)
-    assert np.allclose(rig.positions[[0, -1]], [(1, 0, 0), (0, 1, 0)], atol=1e-12)
+    azimuths = np.degrees(np.arctan2(rig.positions[:, 1], rig.positions[:, 0]))
+    assert np.allclose(np.sort(azimuths), [0, 22.5, 45, 67.5, 90])
+
+
+@pytest.mark.parametrize("n_views", range(3, 70))
+def test_no_test_view_lies_at_an_end_of_an_arc(n_views: int) -> None:
+    rig = orbit_rig(n_views, 8, 8, 50, radius=1.0, start_deg=0, sweep_deg=90, swing_deg=0)
+    azimuths = np.degrees(np.arctan2(rig.positions[:, 1], rig.positions[:, 0]))
+    tests = azimuths[::8]
+    assert tests.min() > 1e-6
+    assert tests.max() < 90 - 1e-6
+    assert np.abs(np.diff(azimuths, append=azimuths[0])).max() < 2.01 * 90 / (n_views - 1)
 
 
 def test_forward_rig_stays_in_its_window() -> None:
