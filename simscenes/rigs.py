@@ -210,8 +210,8 @@ def orbit_rig(
     """Cameras on an orbit around `target`, all looking at it, their height going up and down as a wave.
 
     Args:
-        n_views: Number of cameras, evenly spaced in azimuth. On an arc they are numbered there and back, so that no test
-            view lies at an end of it.
+        n_views: Number of cameras, evenly spaced in azimuth. On an arc they are numbered there and back, so that no
+            test view lies at an end of it.
         width: Image width in pixels.
         height: Image height in pixels.
         fov_x_deg: Horizontal field of view.
