@@ -289,6 +289,8 @@ def measure_knob(knob: str, setting: float, n: int, size: int, repeat: int, refe
         layout.ALPHA_MIN, layout.LOG2_ALPHA_MIN = np.float32(setting), np.float32(np.log2(setting))
     elif knob == "transmittance_min":
         layout.TRANSMITTANCE_MIN = np.float32(setting)
+    elif knob == "tile":
+        layout.TILE = int(setting)
     elif knob == "exp2_degree":
         x = -4 + 4 * np.cos(np.pi * (np.arange(400) + 0.5) / 400)
         fit = np.polynomial.Polynomial.fit(x, 2 ** (x / 8), int(setting), w=2 ** (-x / 8)).convert().coef
@@ -321,6 +323,7 @@ KNOBS: dict[str, tuple[tuple[float, ...], float]] = {
     "exp2_degree": ((2, 3, 4, 5), 5),
     "eps2d": ((0.0, 0.1, 0.2, 0.3, 0.5), 0.3),
     "float_bits": ((32, 64), 32),
+    "tile": ((8, 16), 16),
 }
 
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import torch
@@ -12,36 +13,55 @@ from .adam import Adam
 from .gaussians import Gaussians
 
 
-def save_checkpoint(path: Path, gaussians: Gaussians, adam: Adam, iteration: int, settings: dict[str, object]) -> None:
-    """Write everything the next iteration depends on, atomically.
+@dataclass(kw_only=True)
+class TrainingState:
+    """Everything the next iteration depends on (random numbers come from seed and iteration), and the log so far.
 
-    Args:
-        path: File to write.
+    Attributes:
         gaussians: Current Gaussians.
         adam: Their optimiser.
         iteration: Iterations done.
+        losses: Log entries.
+        seconds: Wall time spent before this process took over.
+    """
+
+    gaussians: Gaussians
+    adam: Adam
+    iteration: int = 0
+    losses: list[dict[str, float]] = field(default_factory=list)
+    seconds: float = 0.0
+
+
+def save_checkpoint(path: Path, state: TrainingState, settings: dict[str, object]) -> None:
+    """Write the state, atomically.
+
+    Args:
+        path: File to write.
+        state: What to write.
         settings: What the run was started with, JSON-able; compared on resume.
     """
-    tensors = {f"gaussians.{name}": t.detach() for name, t in gaussians.tensors().items()}
-    tensors |= {f"first.{name}": t for name, t in adam.first.items()}
-    tensors |= {f"second.{name}": t for name, t in adam.second.items()}
-    metadata = {"iteration": str(iteration), "adam": str(adam.count), "settings": json.dumps(settings, sort_keys=True)}
+    tensors = {f"gaussians.{name}": t.detach() for name, t in state.gaussians.tensors().items()}
+    tensors |= {f"first.{name}": t for name, t in state.adam.first.items()}
+    tensors |= {f"second.{name}": t for name, t in state.adam.second.items()}
+    rest = {
+        "iteration": state.iteration, "adam": state.adam.count, "losses": state.losses, "seconds": state.seconds,
+        "settings": settings,
+    }  # fmt: skip
     temporary = path.with_name(path.name + f".tmp{os.getpid()}")
-    save_file({name: t.contiguous() for name, t in tensors.items()}, temporary, metadata=metadata)
+    save_file({name: t.contiguous() for name, t in tensors.items()}, temporary, metadata={"state": json.dumps(rest)})
     temporary.replace(path)
 
 
-def load_checkpoint(path: Path, settings: dict[str, object], device: torch.device) -> tuple[Gaussians, Adam, int]:
+def load_checkpoint(path: Path, settings: dict[str, object], device: torch.device) -> TrainingState:
     """Read what `save_checkpoint` wrote.
 
     Raises:
         ValueError: If the checkpoint belongs to a run with other settings.
     """
     with safe_open(path, framework="pt", device=str(device)) as file:
-        metadata = file.metadata()
+        rest = json.loads(file.metadata()["state"])
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
-    saved = json.loads(metadata["settings"])
-    now = json.loads(json.dumps(settings))
+    saved, now = rest["settings"], json.loads(json.dumps(settings))
     different = sorted(key for key in saved.keys() | now.keys() if saved.get(key) != now.get(key))
     if different:
         changes = ", ".join(f"{key}: {saved.get(key)!r} there, {now.get(key)!r} now" for key in different)
@@ -54,5 +74,7 @@ def load_checkpoint(path: Path, settings: dict[str, object], device: torch.devic
 
     gaussians = Gaussians(**part("gaussians."))
     adam = Adam(gaussians)
-    adam.count, adam.first, adam.second = int(metadata["adam"]), part("first."), part("second.")
-    return gaussians, adam, int(metadata["iteration"])
+    adam.count, adam.first, adam.second = rest["adam"], part("first."), part("second.")
+    return TrainingState(
+        gaussians=gaussians, adam=adam, iteration=rest["iteration"], losses=rest["losses"], seconds=rest["seconds"]
+    )

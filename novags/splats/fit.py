@@ -13,7 +13,7 @@ from torch import Tensor
 
 from .activate import activate
 from .adam import Adam, LearningRates
-from .checkpoint import load_checkpoint, save_checkpoint
+from .checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from .gaussians import Gaussians
 from .losses import photometric_loss
 from .mcmc import McmcConfig, add_noise, grow, prune_to_cap, relocate
@@ -124,7 +124,7 @@ class FitResult:
     Attributes:
         gaussians: The scene.
         losses: One entry per LOG_EVERY iterations: "iteration", "loss", "photometric", "n_gaussians".
-        seconds: Wall time of this call.
+        seconds: Wall time, of the stopped runs before this one too.
         peak_bytes: Largest resident memory of the process (CPU) or largest allocation (CUDA) so far.
     """
 
@@ -172,33 +172,36 @@ def fit(
     extent = config.extent if config.extent is not None else views.extent
     settings: dict[str, object] = {**dataclasses.asdict(config), "extent": extent, "views": len(views)}
     if checkpoint is not None and checkpoint.exists():
-        gaussians, adam, first = load_checkpoint(checkpoint, settings, gaussians.means.device)
+        state = load_checkpoint(checkpoint, settings, gaussians.means.device)
+        started -= state.seconds
     else:
-        gaussians, first = _prepared(gaussians, config), 0
-        adam = Adam(gaussians)
+        start = _prepared(gaussians, config)
+        state = TrainingState(gaussians=start, adam=Adam(start))
     cap = config.cap_max if config.cap_max is not None else len(gaussians)
-    losses: list[dict[str, float]] = []
-    for iteration in range(first, config.iterations):
+    for iteration in range(state.iteration, config.iterations):
         if before_step is not None:
             before_step(iteration)
-        step, regularizer = _render_step(gaussians.requires_grad_(), views, iteration, config, needs_depth)
+        step, regularizer = _render_step(state.gaussians.requires_grad_(), views, iteration, config, needs_depth)
         loss, photometric = _loss(step, regularizer, target(step.view), config, extra_losses)
         loss.backward()
         means_rate = config.rates.means_at(iteration, config.iterations, extent)
         # extra losses may reach harmonics that are not rendered yet
         degree = 3 if extra_losses else _degree_at(iteration, config)
-        adam.step(gaussians, config.rates, means_rate, degree)
-        gaussians = _mcmc_step(gaussians.detach(), adam, iteration, config, cap, means_rate)
-        done = iteration + 1
+        state.adam.step(state.gaussians, config.rates, means_rate, degree)
+        state.gaussians = _mcmc_step(state.gaussians.detach(), state.adam, iteration, config, cap, means_rate)
+        state.iteration = done = iteration + 1
         if done % LOG_EVERY == 0 or done == config.iterations:
             entry = {"iteration": float(done), "loss": float(loss.detach()), "photometric": photometric}
-            losses.append({**entry, "n_gaussians": float(len(gaussians))})
+            state.losses.append({**entry, "n_gaussians": float(len(state.gaussians))})
             if progress is not None:
-                progress(done, config.iterations, losses[-1])
+                progress(done, config.iterations, state.losses[-1])
         if checkpoint is not None and (done % config.checkpoint_every == 0 or done == config.iterations):
-            save_checkpoint(checkpoint, gaussians, adam, done, settings)
-    seconds = time.perf_counter() - started
-    return FitResult(gaussians=gaussians.detach(), losses=losses, seconds=seconds, peak_bytes=_peak_bytes(gaussians))
+            state.seconds = time.perf_counter() - started
+            save_checkpoint(checkpoint, state, settings)
+    return FitResult(
+        gaussians=state.gaussians.detach(), losses=state.losses, seconds=time.perf_counter() - started,
+        peak_bytes=_peak_bytes(state.gaussians),
+    )  # fmt: skip
 
 
 def _prepared(gaussians: Gaussians, config: FitConfig) -> Gaussians:

@@ -108,18 +108,19 @@ class Gaussians:
                 f"init_opacity must lie in (0, 1) and init_scale must be > 0, got {init_opacity} and {init_scale}"
             )
         n_neighbors = min(n_neighbors, len(points) - 1)
-        distances, _ = cKDTree(points.double().numpy()).query(points.double().numpy(), k=n_neighbors + 1)
-        squared = torch.from_numpy(distances[:, 1:] ** 2).mean(1)
+        place = points.detach().cpu().double().numpy()
+        distances, _ = cKDTree(place).query(place, k=n_neighbors + 1)
+        squared = torch.from_numpy(distances[:, 1:] ** 2).mean(1).to(points.device)
         # 1e-7: coinciding points would start with scale 0, whose log is -inf
         scale = init_scale * torch.sqrt(squared.clamp_min(1e-7))
-        sh = torch.zeros(len(points), n_coefficients(sh_degree), 3)
+        sh = torch.zeros(len(points), n_coefficients(sh_degree), 3, device=points.device)
         sh[:, 0] = rgb_to_sh(colors.float())
-        quats = torch.zeros(len(points), 4)
+        quats = torch.zeros(len(points), 4, device=points.device)
         quats[:, 0] = 1
         return Gaussians(
             means=points.float().clone(),
             quats=quats,
             log_scales=torch.log(scale).float()[:, None].repeat(1, 3),
-            logit_opacities=torch.full((len(points),), float(torch.logit(torch.tensor(init_opacity)))),
+            logit_opacities=torch.full_like(quats[:, 0], float(torch.logit(torch.tensor(init_opacity)))),
             sh=sh,
         )

@@ -13,7 +13,7 @@ floats:
 
 import numpy as np
 
-from .bins import SLACK, cells_reached
+from .bins import CELLS, SLACK, cells_reached
 from .compiler import inline, kernel
 from .functions import exp2_alpha
 from .layout import (
@@ -50,6 +50,7 @@ from .simd import (
 )
 
 ZERO, HALF, ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+SIDE = TILE // BLOCK  # 4, or 2 for tiles of 8 pixels
 PIXELS = TILE * TILE
 BLOCKS = PIXELS // LANES
 COLOR = CHANNELS * PIXELS
@@ -66,8 +67,8 @@ def _start_tile(trans, color, last, tile, x0, y0, width, height):
     """Empty state; pixels outside the image have stopped."""
     for pixel in range(PIXELS):
         block, lane = pixel // LANES, pixel % LANES
-        x = x0 + block % BLOCK * BLOCK + lane % BLOCK
-        y = y0 + block // BLOCK * BLOCK + lane // BLOCK
+        x = x0 + block % SIDE * BLOCK + lane % BLOCK
+        y = y0 + block // SIDE * BLOCK + lane // BLOCK
         trans[tile * PIXELS + pixel] = ONE if x < width and y < height else -ONE
         last[tile * PIXELS + pixel] = NEVER
     for pixel in range(COLOR):
@@ -132,8 +133,8 @@ def _forward_tile(
             block = lowest_bit(todo)
             todo &= todo - 1
             at, at_color = tile * PIXELS + block * LANES, tile * COLOR + block * LANES
-            block_y = np.float32(block // BLOCK * BLOCK) + HALF - y
-            u = sheared + (np.float32(block % BLOCK * BLOCK) + HALF - x + k * block_y)
+            block_y = np.float32(block // SIDE * BLOCK) + HALF - y
+            u = sheared + (np.float32(block % SIDE * BLOCK) + HALF - x + k * block_y)
             dy = lane_y + block_y
             power = top - q * dy * dy - a * u * u
             counts = power >= LOG2_ALPHA_MIN
@@ -170,7 +171,8 @@ def _reach_ahead(rows, members, start, end, x0, y0, reached):
         p = np.int64(members[place]) * ROW
         x, y, a, k, q, top = _record(rows, p, x0, y0)
         limit = top - LOG2_ALPHA_MIN + SLACK
-        reached[place] = cells_reached(x, y, a, k, q, rows[p + SLOPE], limit, np.float32(BLOCK))
+        cells = cells_reached(x, y, a, k, q, rows[p + SLOPE], limit, np.float32(BLOCK))
+        reached[place] = cells if SIDE == CELLS else (cells & 3) | (cells >> 2 & 12)
 
 
 @kernel
@@ -188,7 +190,7 @@ def to_image(begin, end, trans, color, width, tiles_x, first_channel, image, alp
 
 @inline
 def _pixel(x, y):
-    return (y // BLOCK * BLOCK + x // BLOCK) * LANES + y % BLOCK * BLOCK + x % BLOCK
+    return (y // BLOCK * SIDE + x // BLOCK) * LANES + y % BLOCK * BLOCK + x % BLOCK
 
 
 @kernel
@@ -250,8 +252,8 @@ def _backward_entry(rows, p, place, todo, x0, y0, tile, left, behind, v_color, l
         block = lowest_bit(todo)
         todo &= todo - 1
         at, at_color = tile * PIXELS + block * LANES, tile * COLOR + block * LANES
-        block_y = np.float32(block // BLOCK * BLOCK) + HALF - y
-        u = sheared + (np.float32(block % BLOCK * BLOCK) + HALF - x + k * block_y)
+        block_y = np.float32(block // SIDE * BLOCK) + HALF - y
+        u = sheared + (np.float32(block % SIDE * BLOCK) + HALF - x + k * block_y)
         dy = lane_y + block_y
         power = top - q * dy * dy - a * u * u
         uncapped = exp2_alpha(power)
