@@ -41,7 +41,7 @@ def run(
     Args:
         preset: Where every setting comes from that is not given here.
         scene: A scene of the catalogue ("tabletop", or "tabletop:3" for its variation 3), or a Mitsuba .xml file.
-        sensor: A camera of sensor_model.PRESETS.
+        sensor: A camera of sensor_model.PRESETS, or a TOML file of your own.
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
         out: Folder of the experiment; out/PRESET if not given.
         methods: Methods to compare: nova, naive, naive-l1, oracle.
@@ -74,7 +74,7 @@ def plan(
 
     Args:
         scene: A multiview set folder, a scene of the catalogue, or a Mitsuba .xml file.
-        sensor: A camera of sensor_model.PRESETS.
+        sensor: A camera of sensor_model.PRESETS, or a TOML file of your own.
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
         time: Exposure time in seconds; only the dark current depends on it.
         tolerance: Relative error of the noise's standard deviation that may be made.
@@ -130,7 +130,7 @@ def capture(
     Args:
         set: A set folder, a nerfstudio or instant-ngp folder (transforms.json), or a COLMAP folder (sparse/0, images).
         out: Folder of the capture.
-        sensor: A camera of sensor_model.PRESETS.
+        sensor: A camera of sensor_model.PRESETS, or a TOML file of your own.
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
         time: Exposure time in seconds; only the dark current depends on it.
         max_size: Scale larger images down to this longest side, in pixels.

@@ -1,6 +1,7 @@
 """Physical camera model: radiance in, digital numbers out. Arrays only."""
 
 from sensor_model.camera_file import read_sensor as read_sensor
+from sensor_model.camera_file import sensor_from_dict as sensor_from_dict
 from sensor_model.camera_file import write_sensor as write_sensor
 from sensor_model.capture import RawFrame as RawFrame
 from sensor_model.capture import expose as expose

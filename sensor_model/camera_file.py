@@ -7,6 +7,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import fields
 from difflib import get_close_matches
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -32,13 +33,29 @@ def read_sensor(path: str | os.PathLike[str]) -> Sensor:
 
     Raises:
         ValueError: for text that is not TOML, an unknown or missing key, a value of the wrong type or out of range; the
-            message names the file and the key.
+            message names the file and the key. The same for a file that cannot be read.
     """
     try:
-        data = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-        return Sensor(**_values(Sensor, data))
+        return sensor_from_dict(tomllib.loads(Path(path).read_text(encoding="utf-8")))
     except ValueError as error:  # TOMLDecodeError is one
         raise ValueError(f"{path}: {error}") from error
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+def sensor_from_dict(data: Mapping[str, Any]) -> Sensor:
+    """A camera from plain values: those of a TOML file, or `dataclasses.asdict` of a camera after a trip through JSON.
+
+    Raises:
+        ValueError: As `read_sensor`, without the file's name.
+    """
+    return Sensor(**_values(Sensor, _present(data)))
+
+
+def _present(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Without nulls, which mean the default, except for the colour filter array, whose default is another."""
+    named = {key: "none" if key in TEXT and value is None else value for key, value in data.items()}
+    return {key: _present(v) if isinstance(v, dict) else v for key, v in named.items() if v is not None}
 
 
 def write_sensor(path: str | os.PathLike[str], sensor: Sensor, *, comment: str = "") -> None:
@@ -78,6 +95,8 @@ def _value(key: str, value: Any, prefix: str) -> Any:
     if key in TEXT:
         require(isinstance(value, str), prefix + key, "a text", value)
         return None if value == "none" else value
+    if value == "inf":  # JSON has no infinity
+        return inf
     whole = key in WHOLE
     ok = _is_number(value) and (isinstance(value, int) or not whole)
     require(ok, prefix + key, "a whole number" if whole else "a number", value)

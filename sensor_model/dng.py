@@ -18,6 +18,8 @@ from sensor_model.params import Exposure, Sensor, require
 # CIE XYZ -> linear sRGB, D65 (IEC 61966-2-1): the channels are linear sRGB times the response of the filters.
 XYZ_TO_SRGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
 
+BLACK_LEVEL = (50714, (5, 8))  # pidng's own has the type SHORT; RATIONAL (type 5, 8 bytes) takes fractions too
+
 
 def write_dng(path: str | os.PathLike[str], dn: NDArray[np.uint16], sensor: Sensor, exposure: Exposure) -> None:
     """Write the codes of one frame, bit for bit, with levels, pattern, white balance and colour matrix.
@@ -25,7 +27,7 @@ def write_dng(path: str | os.PathLike[str], dn: NDArray[np.uint16], sensor: Sens
     Args:
         path: File to write; appears whole or not at all.
         dn: uint16, [h, w] for a mosaic or a monochrome sensor, [h, w, 3] for three chips.
-        sensor: The camera; its black level must be a whole number, DNG readers take no other.
+        sensor: The camera. A black level between two codes stays exact in the file; LibRaw rounds it.
         exposure: Its time goes into the file.
 
     Raises:
@@ -36,7 +38,6 @@ def write_dng(path: str | os.PathLike[str], dn: NDArray[np.uint16], sensor: Sens
     fits = dn.ndim == 2 or (dn.ndim == 3 and dn.shape[2] == 3 and sensor.cfa is None)
     require(fits, "dn", "[h, w], or [h, w, 3] without colour filter array", dn.shape)
     require(dn.dtype == np.uint16, "dn", "uint16", dn.dtype)
-    require(sensor.black_level == int(sensor.black_level), "black_level", "whole for DNG", sensor.black_level)
     converter = RAW2DNG()
     converter.options(_tags(dn.shape, sensor, exposure), path="", compress=False)
     target = Path(path)
@@ -61,7 +62,7 @@ def _tags(shape: tuple[int, ...], sensor: Sensor, exposure: Exposure) -> Any:
         (Tag.Orientation, Orientation.Horizontal),
         (Tag.SamplesPerPixel, channels),
         (Tag.BitsPerSample, [16] * channels),
-        (Tag.BlackLevel, [int(sensor.black_level)] * channels),
+        (BLACK_LEVEL, _rationals(np.full(channels, sensor.black_level))),
         (Tag.WhiteLevel, [white] * channels),
         (Tag.ExposureTime, _rationals(np.array([exposure.time]))),
         (Tag.Make, "novags"),

@@ -1,7 +1,7 @@
 """Capture: photograph a multiview set in the dark, one exposure per view, view by view."""
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, get_args
 
@@ -10,7 +10,17 @@ import numpy as np
 from novags.testbed.capture_folder import has_view, write_view
 from novags.testbed.console import Console, Update
 from novags.testbed.source import Source
-from sensor_model import PRESETS, Exposure, Plan, Sensor, expose, mosaic, photons_for_electrons, plan_effects
+from sensor_model import (
+    PRESETS,
+    Exposure,
+    Plan,
+    Sensor,
+    expose,
+    mosaic,
+    photons_for_electrons,
+    plan_effects,
+    read_sensor,
+)
 from sensor_model.isp import Demosaic
 from sensor_model.planner import Limits
 from simscenes.multiview import write_cameras
@@ -24,23 +34,36 @@ ROW_LENGTH = 33  # px; the enhancement averages over such windows, so noise that
 class CaptureConfig:
     """How to photograph a set in the dark."""
 
-    sensor: str = "a7s2-iso6400-3chip"  # a name of sensor_model.PRESETS
+    sensor: str = "a7s2-iso6400-3chip"  # a name of sensor_model.PRESETS, or a camera's TOML file
     electrons: float = 20.0  # mean signal of the green channel over the set, e- per pixel and exposure
     time: float = 1 / 30  # s; only the dark current depends on it, since `electrons` fixes the light
     seed: int = 0
     max_size: int | None = None  # px; scale larger images down to this longest side
     demosaic: Demosaic = "menon"  # for sensors with a colour filter array
     tolerance: float | None = 0.05  # leave out effects that change the noise by less; None simulates all
+    camera: Sensor = field(init=False)  # what `sensor` stands for: a file is read once, and its content is hashed
 
     def __post_init__(self) -> None:
-        if self.sensor not in PRESETS:
-            raise ValueError(f"unknown sensor {self.sensor!r}; there are {', '.join(PRESETS)}")
+        object.__setattr__(self, "camera", camera_named(self.sensor))
         if not (np.isfinite(self.electrons) and self.electrons > 0):
             raise ValueError(f"electrons must be > 0 and finite, got {self.electrons}")
         if self.demosaic not in get_args(Demosaic):
             raise ValueError(f"demosaic must be one of {', '.join(get_args(Demosaic))}, got {self.demosaic!r}")
         if self.seed < 0:
             raise ValueError(f"seed must be >= 0, got {self.seed}")
+
+
+def camera_named(name: str) -> Sensor:
+    """A preset by name, or the camera in a TOML file.
+
+    Raises:
+        ValueError: If there is no such preset, or the file is missing or describes no camera.
+    """
+    if name in PRESETS:
+        return PRESETS[name]
+    if not name.endswith(".toml"):
+        raise ValueError(f"unknown sensor {name!r}; give a camera's .toml file, or one of {', '.join(PRESETS)}")
+    return read_sensor(name)
 
 
 def capture_views(source: Source, folder: Path, config: CaptureConfig, console: Console) -> dict[str, Any]:
@@ -54,7 +77,7 @@ def capture_views(source: Source, folder: Path, config: CaptureConfig, console: 
     Raises:
         ValueError: If the set is black or holds bad radiance.
     """
-    sensor, exposure = PRESETS[config.sensor], Exposure(time=config.time)
+    sensor, exposure = config.camera, Exposure(time=config.time)
     with console.progress("capture: light") as progress:
         mean_green, signal = measure_light(source, sensor, progress)
     signal_e = signal * config.electrons / mean_green
@@ -77,7 +100,7 @@ def capture_views(source: Source, folder: Path, config: CaptureConfig, console: 
             "kind": source.views.kind,
             "max_size": config.max_size,
         },
-        "sensor_name": config.sensor,
+        "sensor_name": Path(config.sensor).stem if config.sensor not in PRESETS else config.sensor,
         "sensor": sensor,
         "exposure": exposure,
         "electrons": config.electrons,

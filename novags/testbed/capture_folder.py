@@ -17,7 +17,17 @@ from novags.testbed.cache import read_json
 from novags.testbed.console import Console
 from novags.testbed.images import read_codes, read_png, write_png
 from novags.testbed.source import Source, open_source
-from sensor_model import Exposure, RawFrame, Sensor, develop, develop_linear, from_linear16, linear_to_srgb, write_dng
+from sensor_model import (
+    Exposure,
+    RawFrame,
+    Sensor,
+    develop,
+    develop_linear,
+    from_linear16,
+    linear_to_srgb,
+    sensor_from_dict,
+    write_dng,
+)
 from sensor_model.isp import Demosaic
 from simscenes.exr import read_exr, write_exr
 from simscenes.multiview import MultiviewSet, load_set
@@ -124,12 +134,4 @@ def open_capture(path: Path) -> Capture:
     missing = [key for key in ("sensor", "set", "demosaic") if key not in record]
     if missing:
         raise ValueError(f"{path / RECORD} lacks {', '.join(missing)}: capture again")
-    return Capture(path=path, record=record, cameras=load_set(path), sensor=sensor_of(record))
-
-
-def sensor_of(record: dict[str, Any]) -> Sensor:
-    """The sensor a record describes (JSON has neither tuples nor infinities)."""
-    values = dict(record["sensor"])
-    values["rgb_response"] = tuple(values["rgb_response"])
-    values["mu_e_sat"] = float(values["mu_e_sat"])
-    return Sensor(**values)
+    return Capture(path=path, record=record, cameras=load_set(path), sensor=sensor_from_dict(record["sensor"]))

@@ -8,7 +8,7 @@ from novags.testbed.capture import CaptureConfig, measure_light, plan_capture
 from novags.testbed.console import Console
 from novags.testbed.render import RenderConfig, render_views, rig_of
 from novags.testbed.source import open_source, warnings_as_notes
-from sensor_model import PRESETS, Exposure, Plan
+from sensor_model import Exposure, Plan
 
 # Enough to know the range of brightness and what the light does; it takes seconds.
 PILOT = RenderConfig(n_views=8, width=48, height=48, spp=32)
@@ -53,7 +53,7 @@ def sensor_plan(scene: str, config: CaptureConfig, console: Console) -> tuple[Pl
 
 
 def _plan(folder: Path, config: CaptureConfig, console: Console) -> tuple[Plan | None, dict[str, float]]:
-    sensor = PRESETS[config.sensor]
+    sensor = config.camera
     source = open_source(folder, console, config.max_size)
     with console.progress("light") as progress:
         mean_green, signal = measure_light(source, sensor, progress)

@@ -1,0 +1,109 @@
+"""Claims about captures: any camera, any images, one view in memory at a time."""
+
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from novags.testbed import stages
+from novags.testbed.capture import CaptureConfig
+from novags.testbed.capture_folder import open_capture
+from novags.testbed.console import Console
+from novags.testbed.forecast import sensor_plan
+from sensor_model import PRESETS, read_sensor, write_sensor
+from simscenes import orbit_rig
+from simscenes.multiview import write_cameras
+
+QUIET = Console(quiet=True)
+CAMERA = "gain = 1.5\neta = 0.6\nmu_e_sat = 5000\nblack_level = 64.5\nbits = 12\nsigma_d = 2.0\n"
+
+
+def photographs(folder: Path, n: int = 3, size: tuple[int, int] = (20, 16)) -> Path:
+    """A folder of posed 8-bit photographs."""
+    names = [f"{i:04d}" for i in range(n)]
+    write_cameras(folder, names, orbit_rig(n, *size, 50.0, radius=3.0))
+    (folder / "images").mkdir()
+    rng = np.random.default_rng(0)
+    for name in names:
+        cv2.imwrite(str(folder / "images" / f"{name}.png"), rng.integers(20, 250, (size[1], size[0], 3), np.uint8))
+    return folder
+
+
+def test_a_camera_file_takes_the_pictures_and_its_content_decides_what_is_done_again(tmp_path: Path) -> None:
+    views, file, out = photographs(tmp_path / "set"), tmp_path / "mine.toml", tmp_path / "cap"
+    file.write_text(CAMERA)
+
+    def take() -> tuple[str, int]:
+        record = stages.capture(views, out, CaptureConfig(sensor=str(file)), QUIET)
+        return record["stage"]["key"], (out / "images" / "0000.png").stat().st_mtime_ns
+
+    first = take()
+    opened = open_capture(out)
+    assert opened.sensor == read_sensor(file)
+    assert opened.record["sensor_name"] == "mine"
+    file.write_text("# a comment changes nothing\n" + CAMERA)
+    assert take() == first
+    file.write_text(CAMERA.replace("sigma_d = 2.0", "sigma_d = 9.0"))
+    key, written = take()
+    assert key != first[0]
+    assert written > first[1]
+    assert open_capture(out).sensor.sigma_d == 9.0
+
+
+def test_the_plan_is_made_for_the_camera_in_the_file(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(CAMERA + "sigma_row = 5.0\n")
+    config = CaptureConfig(sensor=str(tmp_path / "mine.toml"), electrons=50.0)
+    plan, _ = sensor_plan(str(photographs(tmp_path / "set")), config, QUIET)
+    assert plan is not None
+    assert plan.is_on("row_noise")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (None, "cannot be read"),
+        ("gain = ", "mine.toml"),
+        (CAMERA + "sigma_read = 1.0", "got 'sigma_read'"),
+        (CAMERA.replace("eta = 0.6", "eta = 60"), r"eta must be in \(0, 1\]"),
+    ],
+)
+def test_a_wrong_camera_file_is_one_line_and_exit_code_2(
+    content: str | None, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+) -> None:
+    from novags import cli
+
+    if content is not None:
+        (tmp_path / "mine.toml").write_text(content)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(cli.signal, "signal", lambda *_: None)
+    for command in (["capture", "set", "--out", "cap"], ["plan", "set", "--electrons", "5"], ["run", "--out", "x"]):
+        monkeypatch.setattr("sys.argv", ["novags", *command, "--sensor", "mine.toml"])
+        with pytest.raises(SystemExit) as stop:
+            cli.main()
+        lines = capsys.readouterr().err.strip().splitlines()
+        assert stop.value.code == 2
+        assert len(lines) == 1
+        assert lines[0].startswith("novags: error: mine.toml: ")
+        import re
+
+        assert re.search(message, lines[0])
+    assert not (tmp_path / "cap").exists()
+
+
+@pytest.mark.parametrize("name", ["prime-95b", "ideal", "imx385-iso1600"])
+def test_a_capture_remembers_its_camera_whole(name: str, tmp_path: Path) -> None:
+    """Rationale: JSON has no tuples, no infinities and no nested objects of ours."""
+    stages.capture(photographs(tmp_path / "set"), tmp_path / "cap", CaptureConfig(sensor=name), QUIET)
+    assert open_capture(tmp_path / "cap").sensor == PRESETS[name]
+    assert json.loads((tmp_path / "cap" / "capture.json").read_text())["sensor_name"] == name
+
+
+def test_a_preset_written_to_a_file_takes_the_same_pictures(tmp_path: Path) -> None:
+    views = photographs(tmp_path / "set")
+    write_sensor(tmp_path / "copy.toml", PRESETS["imx900-hcg"])
+    for name in ("imx900-hcg", str(tmp_path / "copy.toml")):
+        stages.capture(views, tmp_path / Path(name).stem, CaptureConfig(sensor=name), QUIET)
+    first, second = ((tmp_path / stem / "raw" / "0001.dng").read_bytes() for stem in ("imx900-hcg", "copy"))
+    assert first == second
