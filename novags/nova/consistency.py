@@ -198,10 +198,14 @@ class ConsistencyLoss:
             self.network = ConfidenceNet().to(views.viewmats.device)
         self.optimizer = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
 
+    def due(self, iteration: int) -> bool:
+        """Whether this iteration evaluates the loss, and so needs depth."""
+        return iteration >= self.first and iteration % self.config.every == 0
+
     def __call__(self, step: Step) -> Tensor | None:
         """Weighted L_geo of this iteration, or None where it is not due or the view has no partner."""
         candidates = self.candidates[step.view]
-        if step.iteration < self.first or step.iteration % self.config.every or not candidates:
+        if not self.due(step.iteration) or not candidates:
             return None
         # One stream per iteration: a resumed run picks the same partners.
         source = candidates[int(np.random.default_rng([self.seed, step.iteration]).integers(len(candidates)))]

@@ -91,7 +91,7 @@ class Step:
         info: "means2d" [N, 2], "radii" [N], "depths" [N] of this view.
         views: All training views.
         rasterize_view: Renders view j now: (render [H, W, 3], depth [H, W], alpha [H, W], info).
-        expected_depth: [H, W], or None without `needs_depth`.
+        expected_depth: [H, W], or None where `needs_depth` did not ask for it.
     """
 
     iteration: int
@@ -110,10 +110,13 @@ class Step:
         """Expected depth [H, W], world units, 0 where nothing was hit.
 
         Raises:
-            ValueError: If the fit was not asked for depth.
+            ValueError: If the fit was not asked for depth in this iteration.
         """
         if self.expected_depth is None:
-            raise ValueError("depth was not rendered: call fit(..., needs_depth=True)")
+            raise ValueError(
+                f"depth was not rendered in iteration {self.iteration}: call fit(..., needs_depth=True), or a function "
+                "of the iteration that says so"
+            )
         return self.expected_depth
 
 
@@ -142,7 +145,7 @@ def fit(
     *,
     extra_losses: Sequence[Callable[[Step], Tensor | None]] = (),
     before_step: Callable[[int], None] | None = None,
-    needs_depth: bool = False,
+    needs_depth: bool | Callable[[int], bool] = False,
     progress: Callable[[int, int, dict[str, float]], None] | None = None,
     checkpoint: Path | None = None,
 ) -> FitResult:
@@ -155,7 +158,7 @@ def fit(
         config: How to train.
         extra_losses: Called with the Step after rendering; each returns a scalar to add, or None.
         before_step: Called with the iteration number before it starts.
-        needs_depth: Render expected depth too.
+        needs_depth: Render expected depth too; a function is asked in every iteration, by its number.
         progress: Called every LOG_EVERY iterations with (iterations done, of how many, log entry).
         checkpoint: File of the training state. Written every `checkpoint_every` iterations and at the end; if it is
             there already, the run goes on from it. State that `target` and `extra_losses` keep is theirs to save.
@@ -181,7 +184,8 @@ def fit(
     for iteration in range(state.iteration, config.iterations):
         if before_step is not None:
             before_step(iteration)
-        step, regularizer = _render_step(state.gaussians.requires_grad_(), views, iteration, config, needs_depth)
+        with_depth = needs_depth(iteration) if callable(needs_depth) else needs_depth
+        step, regularizer = _render_step(state.gaussians.requires_grad_(), views, iteration, config, with_depth)
         loss, photometric = _loss(step, regularizer, target(step.view), config, extra_losses)
         loss.backward()
         means_rate = config.rates.means_at(iteration, config.iterations, extent)
@@ -232,7 +236,7 @@ def _view_at(iteration: int, n_views: int, seed: int) -> int:
 
 
 def _render_step(
-    gaussians: Gaussians, views: Views, iteration: int, config: FitConfig, needs_depth: bool
+    gaussians: Gaussians, views: Views, iteration: int, config: FitConfig, with_depth: bool
 ) -> tuple[Step, Tensor]:
     """This iteration's Step, and the regulariser."""
     scales, opacities, regularizer = activate(gaussians, config.opacity_reg, config.scale_reg)
@@ -250,11 +254,11 @@ def _render_step(
         return image[..., :3], image[..., 3], alpha, info
 
     view = _view_at(iteration, len(views), config.seed)
-    image, alpha, info = render(view, "RGB+ED" if needs_depth else "RGB")
+    image, alpha, info = render(view, "RGB+ED" if with_depth else "RGB")
     step = Step(
         iteration=iteration, iterations=config.iterations, view=view, gaussians=gaussians, render=image[..., :3],
         alpha=alpha, info=info, views=views, rasterize_view=rasterize_view,
-        expected_depth=image[..., 3] if needs_depth else None,
+        expected_depth=image[..., 3] if with_depth else None,
     )  # fmt: skip
     return step, regularizer
 

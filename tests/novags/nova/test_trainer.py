@@ -7,7 +7,7 @@ import torch
 from novags.nova.consistency import ConsistencyConfig
 from novags.nova.denoiser import Denoiser, DenoiserConfig
 from novags.nova.resunet import ResUNetConfig
-from novags.nova.trainer import NovaConfig, train
+from novags.nova.trainer import NovaConfig, _Training, train
 from novags.splats import FitConfig
 from novags.splats.fit import Step
 
@@ -98,6 +98,18 @@ def test_each_loss_changes_the_result(method_input):
     only_start = dataclasses.replace(CONFIG.consistency, start=1.0)
     late = train(method_input(), changed(consistency=only_start))
     torch.testing.assert_close(sh(late), sh(train(method_input(), changed(consistency=None))))
+
+
+def test_depth_is_rendered_only_where_the_geometric_loss_is_due(method_input, monkeypatch):
+    seen = []
+    original = _Training.noise_penalty
+    monkeypatch.setattr(
+        _Training,
+        "noise_penalty",
+        lambda self, step: seen.append(step.expected_depth is not None) or original(self, step),
+    )
+    train(method_input(), changed(consistency=dataclasses.replace(CONFIG.consistency, every=4)))
+    assert [i for i, with_depth in enumerate(seen) if with_depth] == [4, 8]
 
 
 def test_the_denoiser_follows_the_splats_only_if_the_target_is_not_detached(method_input):

@@ -132,6 +132,16 @@ def test_depth_that_was_not_asked_for_is_refused():
         fit(start, views, lambda i: images[i], config(iterations=1), extra_losses=[lambda step: step.depth.sum()])
 
 
+def test_depth_is_rendered_only_in_the_iterations_that_ask_for_it():
+    start, views, images = problem(20)
+    seen: list[bool] = []
+    fit(
+        start, views, lambda i: images[i], config(iterations=6), needs_depth=lambda i: i % 3 == 1,
+        extra_losses=[lambda step: seen.append(step.expected_depth is not None)],
+    )  # fmt: skip
+    assert seen == [False, True, False, False, True, False]
+
+
 def test_without_mcmc_the_population_and_without_rates_the_values_stay():
     start, views, images = problem(60)
     still = LearningRates(means=0, means_final=0, quats=0, log_scales=0, logit_opacities=0, sh_dc=0, sh_rest=0)
