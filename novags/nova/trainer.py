@@ -155,7 +155,8 @@ def train(
     result = fit(
         start, inputs.views, training.clean.target, fit_config,
         extra_losses=[loss for loss in (training.geo, training.noise_penalty) if loss is not None],
-        before_step=training.before_step, needs_depth=training.geo.due if training.geo else False, checkpoint=checkpoint,
+        before_step=training.before_step, needs_depth=training.geo.due if training.geo else False,
+        checkpoint=checkpoint,
         progress=progress and (lambda done, total, entry: progress(warmup + done, warmup + total, entry)),
     )  # fmt: skip
     training.before_step(fit_config.iterations)
