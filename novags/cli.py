@@ -201,6 +201,24 @@ def report(folder: Folder) -> None:
     _announce(write_report(folder, _console()))
 
 
+def characterise(folder: Folder, *, out: Path, window: int = 1024) -> None:
+    """Estimate a camera from its dark and flat frames, and write it as a TOML file for --sensor.
+
+    Args:
+        folder: dark/NAME/* and flat/NAME/*, each NAME some frames of one exposure (raw files, 16-bit PNG or TIFF, npy),
+            and frames.toml for what the files do not say: bits, exposure times, photons, eta.
+        out: The TOML file.
+        window: Pixels to a side of the middle of the sensor that is looked at.
+    """
+    from novags.testbed.camera_frames import characterise_folder
+    from sensor_model import write_sensor
+
+    sensor, found = characterise_folder(folder, window=window)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    write_sensor(out, sensor, comment=f"measured from {folder.resolve().name}; what the frames say:\n{found}")
+    print(f"{found}\n{out}")
+
+
 def doctor() -> None:
     """What works on this machine, what does not, and what to type to get it."""
     from novags.testbed.doctor import examine
@@ -216,7 +234,8 @@ def doctor() -> None:
 
 
 COMMANDS: dict[str, Callable[..., None]] = {
-    function.__name__: function for function in (run, plan, render, capture, reconstruct, score, report, doctor)
+    function.__name__: function
+    for function in (run, plan, render, capture, reconstruct, score, report, characterise, doctor)
 }
 
 

@@ -87,7 +87,9 @@ def _value(key: str, value: Any, prefix: str) -> Any:
         require(isinstance(value, dict), key, "a table", value)
         return PARTS[key](**_values(PARTS[key], value, f"{key}."))
     if key in LISTS:
-        require(isinstance(value, list) and all(map(_is_number, value)), prefix + key, "a list of numbers", value)
+        require(
+            isinstance(value, (list, tuple)) and all(map(_is_number, value)), prefix + key, "a list of numbers", value
+        )
         return tuple(value)
     if key in TRUTH:
         require(isinstance(value, bool), prefix + key, "true or false", value)

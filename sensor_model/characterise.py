@@ -7,7 +7,7 @@ mean and of the temporal variance, in DN and DN**2.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,9 @@ from sensor_model.params import Sensor, require
 
 Array = NDArray[np.float64]
 QUANTISATION = 1 / 12  # DN**2
+UNITS = {"gain": "DN/e-", "black_level": "DN", "dark_current": "e-/s"} | dict.fromkeys(
+    ("sigma_d", "sigma_row", "sigma_column", "dsnu", "mu_e_sat"), "e-"
+)
 
 
 @dataclass(frozen=True)
@@ -48,15 +51,20 @@ class Characterisation:
     dsnu: float  # e-
     prnu: float
     mu_e_sat: float | None  # e-; None if no stack saturates
-    nonlinearity: float  # relative loss of response at full well, from a parabola
+    nonlinearity: float  # relative loss of response at the largest signal seen (full well), from a parabola
     linearity_error: float  # largest deviation from the straight line between 5 % and 95 % of saturation, relative
+
+    def __str__(self) -> str:
+        """A table."""
+        known = {name: value for name, value in asdict(self).items() if value is not None}
+        return "\n".join(f"{name:>16} {value:.5g} {UNITS.get(name, '')}".rstrip() for name, value in known.items())
 
     def sensor(self, *, bits: int, **assumed: object) -> Sensor:
         """A camera with these parameters; `assumed` fills in and overrides what frames do not tell."""
-        measured = {
-            name: getattr(self, name)
-            for name in ("gain", "eta", "sigma_d", "sigma_row", "sigma_column", "black_level", "dark_current", "dsnu")
-        } | {"prnu": self.prnu, "mu_e_sat": self.mu_e_sat}
+        names = ("gain", "eta", "sigma_d", "sigma_row", "sigma_column", "black_level", "dark_current", "dsnu", "prnu")
+        measured = {name: getattr(self, name) for name in (*names, "mu_e_sat")}
+        if self.mu_e_sat is not None:  # which it is relative to
+            measured["nonlinearity"] = self.nonlinearity
         values = {"bits": bits, "cfa": None} | measured | assumed
         for name in ("eta", "mu_e_sat"):
             require(values[name] is not None, name, "known", None, f"measure it, or pass {name}=")
@@ -80,7 +88,7 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
 
     Source: EMVA 1288 release 4, linear: gain from the photon transfer curve up to 70 % of saturation (its section 6),
     dark noise from the variance extrapolated to zero time, DSNU and PRNU from the spatial variance of averaged stacks
-    less what is left in them of the temporal one (section 8).
+    less what is left in them of the temporal one (section 8). A bent response is straightened first.
     """
     require(len({s.time for s in dark}) >= 2, "dark", "stacks at two exposure times or more", len(dark))
     require(len(flat) >= 3, "flat", "three stacks or more", len(flat))
@@ -93,28 +101,42 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
     saturated = (signal >= peak) & (noise < 0.5 * noise.max())
     used = (signal > 0) & (signal <= 0.7 * peak)
     require(bool(used.any()), "flat", "with a stack below 70 % of saturation", np.round(signal, 1).tolist())
-    gain = float(signal[used] @ noise[used] / (signal[used] @ signal[used]))
-
     photons = np.array([np.nan if s.photons is None else s.photons for s in flat])
     light = time if np.isnan(photons).any() else photons
-    responsivity = float(light[used] @ signal[used] / (light[used] @ light[used]))
     bend, error = _linearity(light, signal, peak)
+    straight, slope = _straightened(signal, bend)
+    gain = _proportional(straight[used], (noise / slope**2)[used])
     row, column, pixel = _noise_parts(dark, dark_noise[0])
-    top = max(_mean(s) for s in flat) - dark_line[0]
+    top = _straightened(np.array([max(_mean(s) for s in flat) - dark_line[0]]), bend)[0][0]
     return Characterisation(
         gain=gain,
-        eta=None if np.isnan(photons).any() else responsivity / gain,
+        eta=None if np.isnan(photons).any() else _proportional(light[used], straight[used]) / gain,
         sigma_d=_root(pixel - QUANTISATION) / gain,
         sigma_row=_root(row) / gain,
         sigma_column=_root(column) / gain,
         black_level=dark_line[0],
         dark_current=dark_line[1] / gain,
         dsnu=_root(_spatial_variance(_largest(dark))) / gain,
-        prnu=_prnu(dark, [s for s, keep in zip(flat, used, strict=True) if keep], dark_line),
-        mu_e_sat=top / gain if saturated.any() else None,
-        nonlinearity=bend,
+        prnu=_prnu(dark, [s for s, keep in zip(flat, used, strict=True) if keep], dark_line, bend),
+        mu_e_sat=float(top) / gain if saturated.any() else None,
+        nonlinearity=max(bend * float(top), 0.0),
         linearity_error=error,
     )
+
+
+def _proportional(x: Array, y: Array) -> float:
+    """Slope of the best straight line through the origin."""
+    return float(x @ y / (x @ x))
+
+
+def _straightened(signal: Array, bend: float) -> tuple[Array, Array]:
+    """What a linear camera would have shown instead of x - bend x**2, and the slope of the bend there. DN.
+
+    Shot noise is proportional to that signal and shrinks by that slope; a photon transfer curve of the bent signal
+    alone would read the gain of a camera with 2 % of non-linearity 3 % too low.
+    """
+    slope = np.sqrt(np.maximum(1 - 4 * bend * signal, 0.01))  # beyond the parabola's top there is no signal
+    return 2 * signal / (1 + slope), slope
 
 
 def _mean(stack: Stack) -> float:
@@ -140,14 +162,14 @@ def _line(stacks: Sequence[Stack], quantity: Callable[[Stack], float]) -> tuple[
 
 
 def _linearity(light: Array, signal: Array, peak: float) -> tuple[float, float]:
-    """Relative loss at full well from a parabola without offset; largest relative deviation from a straight line."""
+    """Bend b of signal = x - b x**2, 1/DN, x proportional to light; largest relative deviation from a straight line."""
     inside = (signal >= 0.05 * peak) & (signal <= 0.95 * peak)
     require(inside.sum() >= 3, "flat", "three stacks or more from 5 % to 95 % of saturation", int(inside.sum()))
     x, y = light[inside], signal[inside]
     response, bend = np.linalg.lstsq(np.stack([x, -(x**2)], 1) / y[:, None], np.ones_like(y), rcond=None)[0]
     slope, start = np.polyfit(x, y, 1, w=1 / y)
     straight = slope * x + start
-    return max(float(bend * peak / response**2), 0.0), float(np.abs(y / straight - 1).max())
+    return float(bend / response**2), float(np.abs(y / straight - 1).max())
 
 
 def _noise_parts(stacks: Sequence[Stack], at_zero_time: float) -> tuple[float, float, float]:
@@ -174,12 +196,13 @@ def _largest(stacks: Sequence[Stack]) -> Stack:
     return max(stacks, key=lambda s: (len(s.frames), -s.time))
 
 
-def _prnu(dark: Sequence[Stack], flat: Sequence[Stack], dark_line: tuple[float, float]) -> float:
+def _prnu(dark: Sequence[Stack], flat: Sequence[Stack], dark_line: tuple[float, float], bend: float) -> float:
     most = max(len(s.frames) for s in flat)
     bright = max((s for s in flat if len(s.frames) == most), key=_mean)
     shade = min(dark, key=lambda s: (abs(s.time - bright.time), -len(s.frames)))
-    signal = _mean(bright) - dark_line[0] - dark_line[1] * bright.time
-    return float(_root(_spatial_variance(bright) - _spatial_variance(shade)) / signal)
+    signal = np.array([_mean(bright) - dark_line[0] - dark_line[1] * bright.time])
+    straight, slope = _straightened(signal, bend)
+    return float(_root(_spatial_variance(bright) - _spatial_variance(shade)) / (straight * slope)[0])
 
 
 def _root(variance: float) -> float:
