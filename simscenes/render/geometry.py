@@ -88,8 +88,8 @@ def _shrunk(rig: Rig, i: int, size: int = 8) -> Rig:
     return Rig(viewmats=rig.viewmats[i : i + 1], Ks=stretch @ rig.Ks[i : i + 1], width=size, height=size)
 
 
-def _intersect_wide(mi: Any, scene: Any, origin: NDArray[Any], directions: NDArray[Any]) -> tuple[NDArray[Any], ...]:
-    """All rays at once, in a JIT variant."""
+def first_surfaces(mi: Any, scene: Any, origin: NDArray[Any], directions: NDArray[Any]) -> tuple[Any, Any]:
+    """Rays from one point and what each hits first, borders of fog looked through; in a JIT variant."""
     import drjit as dr
 
     direction = mi.Vector3f(np.ascontiguousarray(directions.T, dtype=np.float32))
@@ -101,6 +101,14 @@ def _intersect_wide(mi: Any, scene: Any, origin: NDArray[Any], directions: NDArr
         if not dr.any(through):
             break
         si = dr.select(through, scene.ray_intersect(si.spawn_ray(ray.d), through), si)
+    return ray, si
+
+
+def _intersect_wide(mi: Any, scene: Any, origin: NDArray[Any], directions: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+    """All rays at once, in a JIT variant."""
+    import drjit as dr
+
+    ray, si = first_surfaces(mi, scene, origin, directions)
     albedo = si.bsdf(ray).eval_diffuse_reflectance(si, si.is_valid())
     columns = [np.array(v, dtype=np.float64).T for v in (si.p, si.sh_frame.n, si.n, mi.Color3f(albedo))]
     shapes = _numbers(dr, mi.UInt32, [mi.ShapePtr(s) for s in scene.shapes()], si.shape)

@@ -23,7 +23,7 @@ from simscenes.render.finish import finish_set
 from simscenes.render.fit import fit_rig
 from simscenes.render.geometry import check_cameras, geometry_channels
 from simscenes.render.radiance import Method, View
-from simscenes.render.source import LoadedScene, build_scene
+from simscenes.render.source import LoadedScene, build_scene, set_light_weights
 from simscenes.rigs import Rig
 from simscenes.scenes import default_rig
 
@@ -44,7 +44,7 @@ class _Job:
     rig: Rig
     out: Path
     names: list[str]
-    config: dict[str, Any]
+    config: dict[str, Any]  # all that the pixels depend on
     watch: Stopwatch
     progress: Progress
 
@@ -110,8 +110,10 @@ def render_set(
         report(0, len(names), "planning the light transport")
         made = _make_plan(scene, loaded, rig, optics, plan, variant, seed)
         mi, colored = _ready(scene, loaded, variant, made.color, allow_outside)
+        set_light_weights(colored, made.light_weights, mi)
         method = Method(mi, mi.variant(), colored, mi.load_dict(made.integrator()), optics, made.subframes, seed)
-    job = _Job(method, loaded, variant, rig, out, names, config, watch, report)
+    pixels = {**config, "integrator": made.integrator(), "lights": made.light_weights, "subframes": made.subframes}
+    job = _Job(method, loaded, variant, rig, out, names, pixels, watch, report)
     views, predicted = _render_views(job)
     with watch.stage("write"):
         finished = finish_set(out, names, rig, seed, optics.camera)

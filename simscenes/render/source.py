@@ -101,6 +101,23 @@ def _load_xml(path: Path, mi: Any, allow_outside: bool) -> Any:
     return mi.load_file(str(path.resolve()), optimize=False)
 
 
+def set_light_weights(loaded: LoadedScene, weights: tuple[float, ...], mi: Any) -> None:
+    """Let the scene pick its lights in proportion to `weights`, one per light; () leaves them alone.
+
+    Raises:
+        ValueError: If there are weights for another number of lights.
+    """
+    lights = loaded.scene.emitters()
+    if weights and len(weights) != len(lights):
+        raise ValueError(f"the plan weighs {len(weights)} lights, scene {loaded.name!r} has {len(lights)}: it was made "
+                         "for another scene")  # fmt: skip
+    for light, weight in zip(lights, weights, strict=False):
+        params = mi.traverse(light)
+        params["sampling_weight"] = weight
+        params.update()
+    loaded.scene.parameters_changed([])
+
+
 def unique_materials(scene: Any) -> list[Any]:
     """One shape for each distinct material, in the order of the shapes."""
     seen, first = set(), []

@@ -26,11 +26,20 @@ class TransportPlan(Plan):
         max_depth: Longest path followed, as Mitsuba counts (2 is direct light).
         rr_depth: Path length from which Russian roulette may end a path; changes noise and time, never the mean.
         subframes: Poses averaged for motion blur; 1 without.
+        light_weights: How often each light of the scene is picked, relative; () for equally often.
     """
 
     max_depth: int
     rr_depth: int
     subframes: int = 1
+    light_weights: tuple[float, ...] = ()
+
+    @classmethod
+    def from_dict(cls, data: dict[str, Any]) -> TransportPlan:
+        """Inverse of `to_dict`, also after JSON made lists of the tuples."""
+        made = super().from_dict(data | {"light_weights": tuple(data.get("light_weights", ()))})
+        assert isinstance(made, cls)
+        return made
 
     @property
     def color(self) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,10 +15,11 @@ from simscenes.backend import activate, choose_variant
 from simscenes.optics import Optics
 from simscenes.render.fit import fit_rig
 from simscenes.render.geometry import geometry_channels
-from simscenes.render.source import LoadedScene, build_scene, has_measured_lights
+from simscenes.render.source import LoadedScene, build_scene, has_measured_lights, set_light_weights
 from simscenes.rigs import Rig
 from simscenes.scenes import default_rig
 from simscenes.transport import pilot, plan, spectra
+from simscenes.transport.lights import light_weights
 from simscenes.transport.plan import TransportPlan
 
 UNIT = "of all light"
@@ -106,6 +107,8 @@ def plan_loaded(
         raise ValueError(f"tolerance is a share of all light and must lie between 0 and 1, got {tolerance}")
     mi = activate(variant)
     p = Pilot(mi, scene, loaded, pilot.pilot_rig(rig), tolerance / 4, seed)
+    weights = light_weights(mi, loaded, p.rig, seed)
+    set_light_weights(loaded, weights, mi)
     geometry = [geometry_channels(mi, loaded, p.rig, i) for i in range(len(p.rig))]
     scale = rig.width / p.rig.width
     media = media_effects(p)
@@ -117,7 +120,8 @@ def plan_loaded(
         aperture_effect(p, geometry, optics, scale),
     ]  # fmt: skip
     blur, subframes = motion_effect(geometry, rig, p.rig, optics, scale)
-    return _decide([*effects, blur], dict(force or {}), depth, subframes)
+    made = _decide([*effects, blur], dict(force or {}), depth, subframes)
+    return replace(made, light_weights=weights)
 
 
 def default_plan(optics: Optics) -> TransportPlan:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simscenes import camera
-from simscenes.render.geometry import pixel_rays
+from simscenes.render.geometry import first_surfaces, pixel_rays
 from simscenes.render.source import LoadedScene
 from simscenes.rigs import Rig
 
@@ -30,8 +30,8 @@ def light_and_surface(mi: Any, loaded: LoadedScene, rig: Rig, seed: int) -> tupl
     lights, surfaces = [], []
     for i in range(len(rig)):
         origin, directions = pixel_rays(rig, i)
-        ray = mi.Ray3f(mi.Point3f(*(float(v) for v in origin)), mi.Vector3f(np.float32(directions.T)))
-        si = scene_hit = loaded.scene.ray_intersect(ray)
+        ray, si = first_surfaces(mi, loaded.scene, origin, directions)
+        valid = si.is_valid()
         rng = np.random.default_rng([seed, i])
         picks = rng.random((LIGHT_SAMPLES, 2, len(directions)), dtype=np.float32)
         light = np.zeros((len(WAVELENGTHS), len(directions)))
@@ -40,13 +40,12 @@ def light_and_surface(mi: Any, loaded: LoadedScene, rig: Rig, seed: int) -> tupl
         for first in range(0, len(WAVELENGTHS), 4):
             group = np.minimum(np.arange(first, first + 4), len(WAVELENGTHS) - 1)
             si.wavelengths = mi.Spectrum(*(dr.full(mi.Float, w, len(directions)) for w in WAVELENGTHS[group]))
-            valid = scene_hit.is_valid()
             surface[group] = np.array(si.bsdf(ray).eval_diffuse_reflectance(si, valid)).reshape(4, -1)
             for pick in picks:
                 ds, weight = loaded.scene.sample_emitter_direction(si, mi.Point2f(pick), True, valid)
                 cosine = dr.maximum(dr.dot(ds.d, dr.select(dr.dot(si.n, ray.d) > 0, -si.n, si.n)), 0)
                 light[group] += np.array(weight * cosine).reshape(4, -1) / LIGHT_SAMPLES
-        lit = np.array(scene_hit.is_valid()) & (light.sum(0) > 0) & (surface.sum(0) > 0)
+        lit = np.array(valid) & (light.sum(0) > 0) & (surface.sum(0) > 0)
         lights.append(light[:, lit].T)
         surfaces.append(surface[:, lit].T)
     return np.concatenate(lights), np.concatenate(surfaces)

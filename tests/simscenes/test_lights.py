@@ -1,0 +1,96 @@
+"""Lights are picked as often as they matter: the mean stays, the noise falls, the bits repeat."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simscenes import Rig, orbit_rig, read_exr, render_set
+from simscenes.backend import activate, choose_variant
+from simscenes.render.radiance import Method, Radiance, View
+from simscenes.render.source import LoadedScene, build_scene, set_light_weights
+from simscenes.transport.lights import light_weights
+
+pytestmark = pytest.mark.skipif(choose_variant().startswith("scalar"), reason="scalar variants do not weigh lights")
+
+
+def two_lamps(dim: float = 0.5, **more: Any) -> dict[str, Any]:
+    """A ball on a floor under a strong lamp and a weak one."""
+    t = activate().ScalarTransform4f()
+    grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.5, 0.4]}}
+
+    def lamp(x: float, level: float) -> dict[str, Any]:
+        place = t.translate([x, 0, 2.5]).rotate([1, 0, 0], 180).scale(0.3)
+        glow = {"type": "area", "radiance": {"type": "rgb", "value": level}}
+        return {"type": "rectangle", "to_world": place, "emitter": glow}
+
+    floor = {"type": "rectangle", "to_world": t.scale(3), "bsdf": grey}
+    ball = {"type": "sphere", "center": [0, 0, 0.5], "radius": 0.5, "bsdf": grey}
+    return {"type": "scene", "floor": floor, "ball": ball, "strong": lamp(-1, 9.0), "weak": lamp(1, dim), **more}
+
+
+def ring(n: int = 2, size: int = 16) -> Rig:
+    return orbit_rig(n, size, size, 50, target=(0, 0, 0.4), radius=3.0)
+
+
+def rendered(loaded: LoadedScene, spp: int = 256) -> Radiance:
+    mi = activate()
+    integrator = mi.load_dict({"type": "path", "max_depth": 8, "rr_depth": 2})
+    return View(Method(mi, mi.variant(), loaded, integrator), ring(), 0).render(spp, None)
+
+
+def test_weighing_lights_keeps_the_mean_and_lowers_the_noise() -> None:
+    mi = activate()
+    loaded = build_scene(two_lamps(), mi)
+    even = rendered(loaded)
+    weights = light_weights(mi, loaded, ring(), 0)
+    assert weights[0] > 2 * weights[1]  # 95 % of the light, but none in its own shadows
+    assert sum(weights) == pytest.approx(1, abs=0.01)
+    set_light_weights(loaded, weights, mi)
+    weighed = rendered(loaded)
+    a, b = (r.mean.astype(np.float64) for r in (even, weighed))
+    va, vb = (r.variance.astype(np.float64) for r in (even, weighed))
+    # Colours of a pixel share their paths, so errors add up over channels before they add in squares over pixels.
+    error = np.sqrt((3 * (va + vb).sum(-1)).sum()) / a.size
+    assert abs((a - b).mean()) < 5 * error
+    assert error < 0.01 * a.mean()
+    assert vb.mean() < 0.7 * va.mean()
+
+
+def test_nothing_is_weighed_where_there_is_no_choice_or_fog() -> None:
+    mi = activate()
+    fog = {"type": "homogeneous", "albedo": 0.5, "sigma_t": 0.4}
+    cloud = {"type": "sphere", "radius": 4.0, "bsdf": {"type": "null"}, "interior": fog}
+    alone = {k: v for k, v in two_lamps().items() if k != "weak"}
+    for scene in (alone, two_lamps(cloud=cloud), {"type": "scene", "ball": {"type": "sphere"}}):
+        assert light_weights(mi, build_scene(scene, mi), ring(), 0) == ()
+
+
+def test_a_light_that_reaches_nothing_seen_is_still_picked() -> None:
+    mi = activate()
+    below = {"type": "point", "position": [0, 0, -5], "intensity": {"type": "rgb", "value": 100.0}}
+    weights = light_weights(mi, build_scene(two_lamps(cellar=below), mi), ring(), 0)
+    assert min(weights) > 0.02
+
+
+def test_weights_of_another_scene_are_refused() -> None:
+    mi = activate()
+    with pytest.raises(ValueError, match="3 lights"):
+        set_light_weights(build_scene(two_lamps(), mi), (0.2, 0.3, 0.5), mi)
+
+
+def test_a_planned_render_is_bit_identical_when_repeated_and_resumed(tmp_path: Path) -> None:
+    def job(folder: str) -> dict[str, np.ndarray]:
+        done = render_set(two_lamps(), ring(), tmp_path / folder, spp=8)
+        assert done.meta["plan"]["light_weights"]
+        return {
+            p.stem: np.stack([read_exr(p)[0][c] for c in "RGB"]) for p in sorted((tmp_path / folder / "gt").iterdir())
+        }
+
+    first, again = job("a"), job("b")
+    (tmp_path / "a" / "gt" / "0001.exr").unlink()
+    (tmp_path / "a" / "set.json").unlink()
+    resumed = job("a")
+    for other in (again, resumed):
+        assert all(np.array_equal(first[k], other[k]) for k in first)
