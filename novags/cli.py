@@ -128,7 +128,8 @@ def capture(
     """Photograph a multiview set in the dark: a rendered one, or real posed photographs.
 
     Args:
-        set: A set folder, a nerfstudio or instant-ngp folder (transforms.json), or a COLMAP folder (sparse/0, images).
+        set: A set folder, a nerfstudio or instant-ngp folder (transforms.json with 8-bit images, camera raw files or
+            linear EXR), or a COLMAP folder (sparse/0, images).
         out: Folder of the capture.
         sensor: A camera of sensor_model.PRESETS, or a TOML file of your own.
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.

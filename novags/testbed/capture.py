@@ -26,7 +26,7 @@ from sensor_model.planner import Limits
 from simscenes.multiview import write_cameras
 
 QUANTILES = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
-PIXELS_PER_VIEW = 4096  # kept for the quantiles of the signal: enough for the 1 % ones, little enough for any set
+PIXELS_PER_VIEW, PIXELS = 4096, 1 << 20  # kept for the quantiles of the signal: enough for the 1 % ones
 ROW_LENGTH = 33  # px; the enhancement averages over such windows, so noise that rows share adds up in them
 
 
@@ -130,17 +130,18 @@ def measure_light(source: Source, sensor: Sensor, progress: Update) -> tuple[flo
     Raises:
         ValueError: If there is no green light at all.
     """
-    total, samples, extremes = 0.0, [], []
+    total, samples, least, most = 0.0, [], np.inf, 0.0
     count = len(source.views)
+    kept = max(1, min(PIXELS_PER_VIEW, PIXELS // count))  # of each view, so that all together stay small
     for i in range(count):
         radiance = source.radiance(i)
         total += float(radiance[..., 1].mean(dtype=np.float64)) / count
         seen = radiance * np.asarray(sensor.rgb_response, np.float32)
-        samples.append(seen.reshape(-1)[:: max(1, seen.size // PIXELS_PER_VIEW)])
-        extremes += [seen.min(), seen.max()]
+        samples.append(seen.reshape(-1)[:: max(1, seen.size // kept)].copy())  # a view would keep the whole image
+        least, most = min(least, float(seen.min())), max(most, float(seen.max()))
         progress(i + 1, count, f"view {source.views.names[i]}")
     if not total > 0:
         raise ValueError(f"the set {source.views.path} is black in green: there is no light to scale to electrons")
     quantiles = np.quantile(np.concatenate(samples).astype(np.float64), QUANTILES)
-    quantiles[0], quantiles[-1] = min(extremes), max(extremes)  # exact: saturation hangs on the brightest pixel
+    quantiles[0], quantiles[-1] = least, most  # exact: saturation hangs on the brightest pixel
     return total, quantiles

@@ -74,16 +74,19 @@ def size(path: Path) -> tuple[int, int]:
     Raises:
         ValueError: If the file cannot be read.
     """
-    with _opened(path) as raw:
+    with _opened(path, pixels=False) as raw:
         return raw.sizes.width, raw.sizes.height
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _opened(path: Path, *, pixels: bool = True) -> Iterator[Any]:
     import rawpy
 
     try:
-        with rawpy.imread(str(path)) as raw:
+        with rawpy.RawPy() as raw:
+            raw.open_file(str(path))
+            if pixels:
+                raw.unpack()
             yield raw
     except (rawpy.LibRawError, OSError) as error:
         raise ValueError(f"{path} is not a readable raw file ({error}); replace or remove it") from error

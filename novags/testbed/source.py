@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from novags.testbed.console import Console
+from novags.testbed.linear_photos import load_linear_set
 from sensor_model import linear_to_srgb
 from simscenes.multiview import MultiviewSet, load_set
 from simscenes.rigs import Rig
@@ -61,7 +62,7 @@ class Source:
 
 
 def open_source(path: Path, console: Console, max_size: int | None = None) -> Source:
-    """Open a multiview set, a folder of posed photographs, or a COLMAP model.
+    """Open a multiview set, a folder of posed photographs (8-bit, camera raw or linear EXR), or a COLMAP model.
 
     Args:
         path: The folder.
@@ -74,7 +75,7 @@ def open_source(path: Path, console: Console, max_size: int | None = None) -> So
     if max_size is not None and max_size < 16:
         raise ValueError(f"max_size must be at least 16 pixels, got {max_size}")
     with warnings_as_notes(console):
-        views = load_set(path)
+        views = load_linear_set(path) or load_set(path)
     return Source(views=views, rig=scaled_rig(views.rig, max_size))
 
 

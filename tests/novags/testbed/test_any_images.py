@@ -1,0 +1,136 @@
+"""Claims about what a capture can be made of, and that no set is too large for the memory."""
+
+import json
+import tracemalloc
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from novags.testbed import stages
+from novags.testbed.capture import CaptureConfig, measure_light
+from novags.testbed.capture_folder import open_capture
+from novags.testbed.console import Console
+from novags.testbed.linear_photos import load_linear_set
+from novags.testbed.source import open_source
+from sensor_model import PRESETS, Exposure, expose, mosaic, photons_for_electrons, srgb_to_linear, write_dng
+from simscenes import orbit_rig
+from simscenes.exr import write_exr
+from simscenes.multiview import write_cameras
+
+QUIET = Console(quiet=True)
+CAMERA = PRESETS["imx900-hcg"]
+
+
+def smooth(i: int, size: tuple[int, int]) -> np.ndarray:
+    """A coloured radiance without fine detail, of mean green 1."""
+    x, y = np.meshgrid(np.linspace(0, 1, size[0]), np.linspace(0, 1, size[1]))
+    light = np.stack([0.4 + x, 0.6 + 0.8 * np.roll(y, i, 0), 1.2 - x * y], -1)
+    return (light / light[..., 1].mean()).astype(np.float32)
+
+
+def write_view(path: Path, i: int, size: tuple[int, int]) -> None:
+    light = smooth(i, size)
+    if path.suffix == ".exr":
+        write_exr(path, dict(zip("RGB", np.moveaxis(40 * light, -1, 0), strict=True)))  # any unit
+    elif path.suffix == ".dng":
+        photons = mosaic(photons_for_electrons(light, electrons=700, mean_green=1.0, sensor=CAMERA), CAMERA.cfa)
+        write_dng(path, expose(photons, CAMERA, Exposure(time=0.01), seed=0, view=i).dn, CAMERA, Exposure(time=0.01))
+    else:
+        cv2.imwrite(str(path), (80 * light[..., ::-1]).astype(np.uint8))
+
+
+def photographs(folder: Path, suffix: str, n: int = 3, size: tuple[int, int] = (40, 30), **camera: float) -> Path:
+    """A folder of posed images as nerfstudio lays them out."""
+    write_cameras(folder, [f"{i:04d}" for i in range(n)], orbit_rig(n, *size, 50.0, radius=3.0))
+    (folder / "images").mkdir()
+    for i in range(n):
+        write_view(folder / "images" / f"{i:04d}{suffix}", i, size)
+    content = (folder / "transforms.json").read_text().replace(".png", suffix)
+    (folder / "transforms.json").write_text(json.dumps({**json.loads(content), **camera}))
+    return folder
+
+
+@pytest.mark.parametrize(("suffix", "noise"), [(".exr", 1e-5), (".dng", 0.1)])
+def test_linear_files_are_read_as_the_light_they_hold(suffix: str, noise: float, tmp_path: Path) -> None:
+    source = open_source(photographs(tmp_path, suffix), QUIET)
+    assert source.views.names == ("0000", "0001", "0002")
+    assert (source.rig.width, source.rig.height) == (40, 30)
+    np.testing.assert_allclose(source.rig.Ks, orbit_rig(3, 40, 30, 50.0, radius=3.0).Ks)
+    np.testing.assert_allclose(source.rig.viewmats, orbit_rig(3, 40, 30, 50.0, radius=3.0).viewmats, atol=1e-9)
+    for i in range(3):
+        found, light = source.radiance(i)[2:-2, 2:-2], smooth(i, (40, 30))[2:-2, 2:-2]
+        ratio = found / light
+        assert ratio.std() / ratio.mean() < noise
+        picture = srgb_to_linear(source.lit(i)[2:-2, 2:-2].astype(np.float64))
+        inside = picture.max(-1) < 1
+        factor = float(source.views.meta["exposure_scale"])
+        np.testing.assert_allclose(picture[inside], factor * found[inside], atol=0.01)
+    assert 0.3 < source.lit(0).mean() < 0.99
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".dng", ".png"])
+def test_a_capture_of_any_images_is_whole(suffix: str, tmp_path: Path) -> None:
+    views = photographs(tmp_path / "set", suffix)
+    stages.capture(views, tmp_path / "cap", CaptureConfig(sensor="a7s2-iso6400", electrons=50.0), QUIET)
+    capture = open_capture(tmp_path / "cap")
+    for i in range(3):
+        assert capture.dark(i).shape == capture.clean(i).shape == (30, 40, 3)
+    scaled = CaptureConfig(sensor="ideal-3chip", electrons=500.0, max_size=20)
+    stages.capture(views, tmp_path / "small", scaled, QUIET)
+    small = open_capture(tmp_path / "small")
+    assert small.clean(0).shape == (15, 20, 3)
+    assert small.source(QUIET).lit(0).shape == (15, 20, 3)
+
+
+def test_distortion_of_linear_files_is_undone(tmp_path: Path) -> None:
+    straight = load_linear_set(photographs(tmp_path / "a", ".exr"))
+    bent = load_linear_set(photographs(tmp_path / "b", ".exr", k1=0.2))
+    assert straight is not None
+    assert bent is not None
+    assert straight.lenses is None
+    assert bent.rig.Ks[0, 0, 0] != straight.rig.Ks[0, 0, 0]
+    assert bent.radiance(0).shape == (30, 40, 3)
+    assert np.abs(bent.radiance(0) / straight.radiance(0) - 1).max() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (lambda f: (f / "images" / "0001.exr").unlink(), "1 files that are not there, such as 0001.exr"),
+        (lambda f: (f / "images" / "0001.exr").write_bytes(b"no picture"), "not a readable EXR"),
+        (lambda f: write_view(f / "images" / "0001.exr", 0, (20, 30)), "must share one size"),
+        (lambda f: write_exr(f / "images" / "0001.exr", {"Y": np.ones((30, 40), np.float32)}), "channels R, G, B"),
+        (
+            lambda f: (f / "transforms.json").write_text((f / "transforms.json").read_text().replace("1.exr", "1.png")),
+            "either linear files",
+        ),
+    ],
+)
+def test_a_broken_set_of_linear_files_says_which_file(spoil, message: str, tmp_path: Path) -> None:
+    spoil(photographs(tmp_path, ".exr"))
+    with pytest.raises(ValueError, match=message):
+        open_source(tmp_path, QUIET).radiance(1)
+
+
+@pytest.mark.parametrize("suffix", [".png", ".exr", ".dng"])
+def test_peak_memory_does_not_grow_with_the_number_of_views(suffix: str, tmp_path: Path) -> None:
+    """Rationale: sets of thousands of photographs must pass. Expectation: what six more views add is under a tenth of
+    what they would take, 0.36 MB each as float32."""
+    config = CaptureConfig(sensor="a7s2-iso6400", electrons=50.0, demosaic="bilinear")
+
+    def peaks(n: int) -> np.ndarray:
+        views = photographs(tmp_path / f"set{n}", suffix, n, (200, 150))
+        tracemalloc.start()
+        measure_light(open_source(views, QUIET), CAMERA, lambda *_: None)
+        light = tracemalloc.get_traced_memory()[1]
+        tracemalloc.reset_peak()
+        stages.capture(views, tmp_path / f"cap{n}", config, QUIET)
+        whole = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        return np.array([light, whole])
+
+    # What is imported and compiled on first use
+    stages.capture(photographs(tmp_path / "set", suffix, 2), tmp_path / "cap", config, QUIET)
+    assert (peaks(9) - peaks(3)).max() < 0.1 * 6 * 200 * 150 * 3 * 4
