@@ -6,10 +6,12 @@ import importlib.metadata
 import resource
 import sys
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 
-from simscenes.render.radiance import PILOT_SPP, Method, Passes, View, pass_spp
+from simscenes.render.passes import Passes, pass_spp
+from simscenes.render.radiance import Method, View
+from simscenes.render.sensors import PILOT_SPP
 from simscenes.rigs import Rig
 
 
@@ -30,14 +32,15 @@ class Stopwatch:
 
 
 def predict_seconds(
-    method: Method, rig: Rig, views: Sequence[int], spp: int | None, target_error: float | None
+    method: Method, rig: Rig, views: dict[int, View], spp: int | None, target_error: float | None
 ) -> float:
     """Predict the seconds that rendering these views will take, at a cost of some 3 % of them.
 
     One tiny pass compiles the kernel, a longer one is timed; with `target_error` the samples needed are predicted from
-    pilots of up to three views. Samples take equal time from 16 per pixel up.
+    pilots of up to three of `views`, which keep them for their render. Samples take equal time from 16 per pixel up.
     """
-    first = View(method, rig, views[0])
+    numbers = sorted(views)
+    first = View(method, rig, numbers[0])  # a view of its own: those in `views` must not depend on being predicted
     passes = Passes((rig.height, rig.width))
     first.run(passes, 1, 1)
     size = pass_spp(min((spp or 256) * len(views) / 32, 64))
@@ -46,8 +49,8 @@ def predict_seconds(
     per_sample = (time.perf_counter() - start) / size
     if target_error is None:
         return per_sample * (spp or 2) * len(views)
-    chosen = sorted({views[0], views[len(views) // 2], views[-1]})
-    needed = [View(method, rig, i).predict_spp(target_error) + 2 * PILOT_SPP for i in chosen]
+    chosen = sorted({numbers[0], numbers[len(views) // 2], numbers[-1]})
+    needed = [views[i].predict_spp(target_error) + 2 * PILOT_SPP for i in chosen]
     return per_sample * sum(needed) / len(needed) * len(views)
 
 

@@ -28,7 +28,7 @@ from simscenes.rigs import Rig
 from simscenes.scenes import default_rig
 
 DEFAULT_SPP = 256
-FORMAT = 2  # of the folder; a change renders again
+FORMAT = 3  # of the folder; a change renders again
 _KEY = "novagsKey"
 
 Progress = Callable[[int, int, str], None]
@@ -197,16 +197,16 @@ def _render_views(job: _Job) -> tuple[dict[str, Any], float]:
     keys = [_view_key(job.config, job.rig, i) for i in range(len(paths))]
     headers = [_finished_header(path, key) for path, key in zip(paths, keys, strict=True)]
     missing = [i for i, header in enumerate(headers) if header is None]
-    predicted = 0.0
+    predicted, views = 0.0, {i: View(job.method, job.rig, i) for i in missing}
     if missing:
         with job.watch.stage("predict"):
             check_cameras(activate(job.variant), job.surfaces, job.rig)
             activate(job.method.variant)
-            predicted = predict_seconds(job.method, job.rig, missing, job.config["spp"], job.config["target_error"])
+            predicted = predict_seconds(job.method, job.rig, views, job.config["spp"], job.config["target_error"])
     left = predicted
     for done, i in enumerate(missing):
         job.progress(len(paths) - len(missing) + done, len(paths), f"view {job.names[i]}, about {left:.0f} s left")
-        headers[i] = _render_view(job, i, paths[i], keys[i])
+        headers[i] = _render_view(job, views.pop(i), paths[i], keys[i])
         # From here on the past predicts better than the pilot did; radiance and geometry are what repeats per view.
         spent = job.watch.seconds["radiance"] + job.watch.seconds["geometry"]
         left = spent / (done + 1) * (len(missing) - done - 1)
@@ -219,18 +219,18 @@ def _render_views(job: _Job) -> tuple[dict[str, Any], float]:
     return found, predicted
 
 
-def _render_view(job: _Job, i: int, path: Path, key: str) -> dict[str, Any]:
+def _render_view(job: _Job, view: View, path: Path, key: str) -> dict[str, Any]:
     with job.watch.stage("geometry"):
-        channels = geometry_channels(activate(job.variant), job.surfaces, job.rig, i)
+        channels = geometry_channels(activate(job.variant), job.surfaces, job.rig, view.i)
     with job.watch.stage("radiance"):
         activate(job.method.variant)
-        radiance = View(job.method, job.rig, i).render(job.config["spp"], job.config["target_error"])
+        radiance = view.render(job.config["spp"], job.config["target_error"])
     for k, c in enumerate("RGB"):
         channels[c] = np.maximum(radiance.mean[..., k], 0)  # spectral light outside the sRGB triangle ends at its edge
         channels[f"var.{c}"] = radiance.variance[..., k]
     header = {
         "spp": radiance.spp, "relativeError": radiance.error, "fireflies": radiance.fireflies, _KEY: key,
-        "worldToCamera": job.rig.viewmats[i].astype(np.float32),
+        "worldToCamera": job.rig.viewmats[view.i].astype(np.float32),
     }  # fmt: skip
     with job.watch.stage("write"):
         write_exr(path, channels, header)

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.render.radiance import sensor_dict, view_seed
+from simscenes.render.radiance import view_seed
+from simscenes.render.sensors import sensor_dict
 from simscenes.render.source import LoadedScene
 from simscenes.rigs import Rig
 

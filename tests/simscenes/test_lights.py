@@ -8,7 +8,8 @@ import pytest
 
 from simscenes import Rig, orbit_rig, read_exr, render_set
 from simscenes.backend import activate, choose_variant
-from simscenes.render.radiance import Method, Radiance, View
+from simscenes.render.passes import Radiance
+from simscenes.render.radiance import Method, View
 from simscenes.render.source import LoadedScene, build_scene, set_light_weights
 from simscenes.transport.lights import light_weights
 

@@ -12,7 +12,8 @@ import pytest
 from simscenes import Rig, default_rig, load_set, orbit_rig, read_exr, render_set
 from simscenes.backend import activate
 from simscenes.render.geometry import geometry_channels
-from simscenes.render.radiance import Method, Passes, View, count_fireflies, split_passes
+from simscenes.render.passes import Passes, count_fireflies, split_passes
+from simscenes.render.radiance import Method, View
 from simscenes.render.source import LoadedScene, build_scene
 from simscenes.rigs import intrinsics, look_at
 

@@ -1,0 +1,126 @@
+"""Samples put where the noise is: the same light, less work, the same bits for the same seed."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simscenes import Optics, Rig
+from simscenes.backend import activate, choose_variant
+from simscenes.render import wavefront
+from simscenes.render.passes import sample_shares
+from simscenes.render.radiance import Method, View
+from simscenes.render.sensors import sensor_dict
+from simscenes.render.source import LoadedScene, build_scene
+from simscenes.rigs import intrinsics, look_at
+
+pytestmark = pytest.mark.skipif(choose_variant().startswith("scalar"), reason="needs a JIT variant")
+SIZE = 12
+
+
+def shiny_corner(mi: Any) -> LoadedScene:
+    """A matt plane, a rough mirror ball in one corner of the picture and a small strong lamp: uneven noise."""
+    t = mi.ScalarTransform4f()
+    paint = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.4, 0.2]}}
+    lamp = {"type": "area", "radiance": {"type": "rgb", "value": 30.0}}
+    scene = {
+        "type": "scene",
+        "plane": {"type": "rectangle", "to_world": t.scale(4), "bsdf": paint},
+        "ball": {"type": "sphere", "center": [0.9, 0, 0.5], "radius": 0.5, "bsdf": {"type": "roughconductor"}},
+        "lamp": {"type": "sphere", "center": [0, 1, 2.5], "radius": 0.2, "emitter": lamp},
+        "sky": {"type": "constant", "radiance": {"type": "rgb", "value": 0.1}},
+    }
+    return build_scene(scene, mi)
+
+
+def rig() -> Rig:
+    viewmat = look_at((0, -4, 3), (0, 0, 0.2))
+    return Rig(viewmats=viewmat[None], Ks=intrinsics(SIZE, SIZE, 45)[None], width=SIZE, height=SIZE)
+
+
+def view(mi: Any, loaded: LoadedScene, seed: int = 0) -> View:
+    integrator = mi.load_dict({"type": "path", "max_depth": 6, "rr_depth": 2})
+    return View(Method(mi, mi.variant(), loaded, integrator, seed=seed), rig(), 0)
+
+
+@pytest.mark.parametrize(("color", "camera"), [("rgb", None), ("spectral", None), ("spectral", "Nikon 5100 (NPL)")])
+def test_one_block_in_every_pixel_is_what_mitsuba_renders(color: str, camera: str | None) -> None:
+    mi = activate(color=color)
+    loaded = shiny_corner(mi)
+    settings = sensor_dict(mi, rig(), 0, loaded, Optics(camera=camera))
+    sensor, integrator = mi.load_dict(settings), mi.load_dict({"type": "path", "max_depth": 6, "rr_depth": 2})
+    film = np.array(mi.render(loaded.scene, sensor=sensor, integrator=integrator, spp=16, seed=5))[..., :3]
+    pixels = np.arange(SIZE * SIZE, dtype=np.uint32)
+    blocks = wavefront.sample_blocks(mi, loaded.scene, sensor, integrator, pixels, 16, 5)
+    assert np.allclose(blocks.reshape(SIZE, SIZE, 3), film, rtol=1e-5, atol=1e-6)
+
+
+def test_parts_of_a_wavefront_add_up_to_the_same_light(monkeypatch: pytest.MonkeyPatch) -> None:
+    mi = activate()
+    v = view(mi, shiny_corner(mi))
+    pixels = np.repeat(np.arange(SIZE * SIZE, dtype=np.uint32), 16)
+    arguments = (mi, v.method.loaded.scene, v.sensors[0], v.method.integrator, pixels, 16, 1)
+    whole = wavefront.sample_blocks(*arguments)
+    monkeypatch.setattr(wavefront, "MAX_WAVEFRONT", 1000)
+    parts = wavefront.sample_blocks(*arguments)
+    assert parts.shape == whole.shape
+    spread = np.hypot(*(b.std() / np.sqrt(b.size / 3) for b in (whole, parts)))
+    assert abs(parts.mean() - whole.mean()) < 5 * spread
+    assert len(np.unique(parts[:, 0])) > 0.9 * len(np.unique(whole[:, 0]))  # no part repeats another's numbers
+
+
+def test_a_render_to_a_target_is_unbiased_and_its_variance_true() -> None:
+    """Mean over n seeds against an even render of many samples; the spread over seeds against the variances stated."""
+    mi = activate()
+    loaded, n = shiny_corner(mi), 16
+    runs = [view(mi, loaded, seed).render(None, 0.03) for seed in range(n)]
+    exact = view(mi, loaded, 99).render(4096, None)
+    means = np.stack([r.mean for r in runs]).astype(np.float64)
+    truth, v = exact.mean.astype(np.float64), exact.variance.astype(np.float64)
+    true = means.var(0, ddof=1)
+    noisy = true > 1e-9  # the sky is the same in every sample
+    pixel = ((means.mean(0) - truth) / np.sqrt(true / n + v).clip(1e-12))[noisy]
+    error = np.sqrt(3 * (true / n + v).sum()) / truth.size  # the channels of a pixel err together
+    assert abs((means.mean(0) - truth).mean()) < 5 * error
+    assert error < 0.005 * truth.mean()
+    assert np.abs(pixel).max() < 7  # normal to some 5, but for the noise of `true` itself from 16 runs
+    stated = np.array([r.variance.mean() for r in runs])
+    assert stated.mean() == pytest.approx(true.mean(), rel=5 * np.sqrt(2 / (n - 1) / 10))  # some 10 pixels dominate
+    assert all(r.error <= 0.03 for r in runs)
+
+
+def test_samples_go_where_the_noise_is_and_save_work() -> None:
+    mi = activate()
+    loaded = shiny_corner(mi)
+    uneven = view(mi, loaded).render(None, 0.02)
+    even = view(mi, loaded).render(uneven.spp, None)
+    assert uneven.error < 0.8 * even.error * np.sqrt(even.spp / uneven.spp)
+
+
+def test_the_same_seed_gives_the_same_bits() -> None:
+    mi = activate()
+    loaded = shiny_corner(mi)
+    first, again = (view(mi, loaded).render(None, 0.05) for _ in range(2))
+    assert np.array_equal(first.mean, again.mean)
+    assert np.array_equal(first.variance, again.variance)
+    assert first.spp == again.spp
+
+
+def test_shares_are_positive_even_out_the_noise_and_average_one() -> None:
+    variance = np.full((9, 9), 1e-4)
+    variance[4, 4] = 1.0
+    shares = sample_shares(variance)
+    assert shares.mean() == pytest.approx(1)
+    assert shares.argmax() == 40
+    assert shares.min() > 0.1
+    assert (sample_shares(np.zeros((3, 3))) == 1).all()
+
+
+def test_giving_up_on_a_target_is_said_aloud(monkeypatch: pytest.MonkeyPatch) -> None:
+    from simscenes.render import radiance
+
+    monkeypatch.setattr(radiance, "MAX_SPP", 64)
+    mi = activate()
+    with pytest.warns(UserWarning, match="before the target of 0.0001"):
+        result = view(mi, shiny_corner(mi)).render(None, 1e-4)
+    assert result.error > 1e-4
