@@ -19,9 +19,10 @@ else:
     import tomli as tomllib
 
 PARTS: dict[str, type] = {"banding": Banding, "defects": Defects, "optics": Optics, "dual_gain": DualGain}
-WHOLE = {"bits", "serial"}
+WHOLE = {"bits", "serial", "rts_traps"}
 TRUTH = {"blooming"}
 TEXT = {"cfa"}
+TABLES = {"psf"}
 LISTS = {"rgb_response", "rgb_bias", "falloff", "sensor_shape"}
 
 
@@ -91,6 +92,12 @@ def _value(key: str, value: Any, prefix: str) -> Any:
             isinstance(value, (list, tuple)) and all(map(_is_number, value)), prefix + key, "a list of numbers", value
         )
         return tuple(value)
+    if key in TABLES:
+        ok = isinstance(value, (list, tuple)) and all(
+            isinstance(r, (list, tuple)) and all(map(_is_number, r)) for r in value
+        )
+        require(ok, prefix + key, "a list of lists of numbers", value)
+        return tuple(tuple(row) for row in value)
     if key in TRUTH:
         require(isinstance(value, bool), prefix + key, "true or false", value)
         return value

@@ -58,7 +58,7 @@ class RawFrame:
         light = on_sensor(as_channels(self.photons), s, self.exposure).astype(np.float64)
         charge = effects.collect(light, eta=s.eta, response=1.0, dark_e=s.dark_e(self.exposure))
         held = effects.blooming(charge, s.mu_e_sat) if s.blooming else effects.full_well(charge, s.mu_e_sat)
-        signal = effects.nonlinear(held, s.droop)
+        signal = effects.nonlinear(effects.crosstalk(held, s.coupling) if s.coupling else held, s.droop)
         clean = np.minimum(s.gain * signal + s.black_level, s.white_dn)
         return clean.reshape(self.photons.shape).astype(np.float32)
 
@@ -149,10 +149,12 @@ def read_out(charge: Array, inputs: Prepared) -> tuple[NDArray[np.uint16], NDArr
     """Electrons -> codes, and which pixels saturated."""
     s = inputs.sensor
     held = effects.blooming(charge, s.mu_e_sat) if s.blooming else effects.full_well(charge, s.mu_e_sat)
+    full = held >= s.mu_e_sat
+    held = effects.crosstalk(held, s.coupling) if s.coupling else held
     sigma_d, code_width = effects.select_gain(held, s.sigma_d, s.dual_gain)
     signal = effects.nonlinear(held, s.droop)
     signal = signal + effects.read_noise(inputs.draws.uniforms(held.shape, streams.READ), sigma_d, s.tukey_lambda)
     offset = 0.0 if inputs.offset is None else inputs.offset.astype(np.float64)
     signal = signal + ((inputs.rows[:, None] + inputs.columns[None, :]) + offset)
     dn = effects.digitise(s.gain * signal + inputs.black_dn, s.max_dn, code_width)
-    return dn, (held >= s.mu_e_sat) | (dn == s.max_dn)
+    return dn, full | (held >= s.mu_e_sat) | (dn == s.max_dn)

@@ -44,10 +44,10 @@ def relative_illumination(
 
 
 def crosstalk(light: NDArray, share: float) -> NDArray:
-    """Point spread of the sensor stack: each of the four neighbours receives `share` of a pixel's light.
+    """Each of the four neighbours receives `share` of what a pixel has. The sum is kept; borders reflect.
 
-    Acts on the mean: photons that scatter at random stay Poisson distributed and independent. Light keeps its sum; at
-    the border it is reflected.
+    Optical, of the mean light: photons that scatter at random stay Poisson distributed and independent. Electrical
+    (capacitive coupling), of the charge that was collected: blurs the shot noise too.
     """
     moved = share * light
     out = light - 4 * moved
@@ -58,6 +58,13 @@ def crosstalk(light: NDArray, share: float) -> NDArray:
         here[0] += there[0]
         here[-1] += there[-1]
     return out
+
+
+def point_spread(light: NDArray, psf: tuple[tuple[float, ...], ...]) -> NDArray:
+    """The same with any shares: psf[middle + dy][middle + dx] of a pixel's light goes dy rows down, dx to the right."""
+    from scipy import ndimage  # for cameras that have such a table only
+
+    return ndimage.convolve(light, np.asarray(psf)[..., None], mode="reflect").astype(light.dtype)
 
 
 def pixel_response(normal: NDArray, prnu: float) -> NDArray:
@@ -174,14 +181,18 @@ def select_gain(charge: Array, sigma_d: float, dual_gain: DualGain | None) -> tu
     return np.where(low, dual_gain.sigma_d, sigma_d), np.where(low, dual_gain.ratio, 1.0)
 
 
-def telegraph(u: Array, level: Array | float) -> Array:
-    """Random telegraph signal after double sampling: -level, 0 or +level with odds 1:2:1. e-; variance level**2/2."""
-    return level * ((u > 0.75).astype(np.float64) - (u < 0.25))
+def telegraph(u: Array, level: Array | float, traps: int = 1) -> Array:
+    """Random telegraph signal after double sampling, e-; variance traps * level**2/2.
+
+    One trap gives -level, 0 or +level with odds 1:2:1. Several add up: level * (binomial(2 traps, 1/2) - traps).
+    """
+    odds = special.bdtr(np.arange(2 * traps), 2 * traps, 0.5)
+    return level * (np.searchsorted(odds, u).astype(np.float64) - traps)
 
 
-def telegraph_level(sigma_d: float, factor: float) -> float:
+def telegraph_level(sigma_d: float, factor: float, traps: int = 1) -> float:
     """The level that raises the standard deviation of a pixel from sigma_d to factor * sigma_d, e-."""
-    return sigma_d * float(np.sqrt(2 * (factor**2 - 1)))
+    return sigma_d * float(np.sqrt(2 * (factor**2 - 1) / traps))
 
 
 def bands(u: Array, rows: NDArray, banding: Banding) -> Array:

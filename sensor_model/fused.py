@@ -52,11 +52,13 @@ def capture(inputs: Prepared, shot: str, threads: int | None) -> tuple[NDArray[n
         read_out(y0, y1, charge)
         return bad
 
-    if s.blooming:  # the only effect that reaches across rows
+    if s.blooming or s.coupling:  # the effects that reach across rows
         charge = np.empty(shape)
         bad = sum(in_blocks(lambda y0, y1: shoot(y0, y1, charge[y0:y1].ravel()), shape, threads))
-        charge = effects.blooming(charge, s.mu_e_sat)
-        in_blocks(lambda y0, y1: read_out(y0, y1, charge[y0:y1].ravel()), shape, threads)
+        held = effects.blooming(charge, s.mu_e_sat) if s.blooming else effects.full_well(charge, s.mu_e_sat)
+        shown = effects.crosstalk(held, s.coupling) if s.coupling else held
+        in_blocks(lambda y0, y1: read_out(y0, y1, shown[y0:y1].ravel()), shape, threads)
+        saturated |= (held >= s.mu_e_sat).ravel()
     else:
         bad = sum(in_blocks(both, shape, threads))
     return dn.reshape(shape), saturated.view(np.bool_).reshape(shape), bad

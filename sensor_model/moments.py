@@ -17,6 +17,7 @@ from scipy import special
 from sensor_model import effects, pattern
 from sensor_model.params import Sensor
 from sensor_model.prepare import Prepared
+from sensor_model.spill import held_moments
 
 Array = NDArray[np.float64]
 
@@ -28,14 +29,9 @@ BATCH = 512  # pixels that are integrated together
 
 
 def frame_moments(inputs: Prepared, shot: str = "poisson") -> tuple[Array, Array]:
-    """Mean (DN) and variance (DN**2) of every pixel, [h, w, c].
-
-    With blooming, a pixel's mean follows the mean charges of its column; its variance is its own.
-    """
-    s = inputs.sensor
-    mu = inputs.mean_charge.ravel()
-    if s.blooming:
-        mu = effects.blooming(inputs.mean_charge, s.mu_e_sat).ravel()
+    """Mean (DN) and variance (DN**2) of every pixel, [h, w, c]."""
+    s, charge = inputs.sensor, inputs.mean_charge
+    mu = charge.ravel()
     extra = np.broadcast_to(extra_variance(inputs), inputs.light.shape).ravel()
     offset = 0.0 if inputs.offset is None else inputs.offset.astype(np.float64)
     base = (inputs.black_dn + s.gain * (np.zeros(inputs.light.shape) + offset)).ravel()
@@ -51,7 +47,24 @@ def frame_moments(inputs: Prepared, shot: str = "poisson") -> tuple[Array, Array
     if hard.any():
         mean[hard], variance[hard] = _many_integrals(s, mu[hard], base[hard], extra[hard], shot)
     shape = inputs.light.shape
-    return mean.reshape(shape), variance.reshape(shape)
+    mean, variance = mean.reshape(shape), variance.reshape(shape)
+    if s.coupling or s.blooming:
+        # without coupling only columns with a pixel that may overflow
+        columns = np.broadcast_to(True if s.coupling else (charge + _reach(charge) > s.mu_e_sat).any(0), shape[1:])
+        spilled = _spilled(s, charge, base.reshape(shape), extra.reshape(shape), shot)
+        mean, variance = (np.where(columns, *pair) for pair in zip(spilled, (mean, variance), strict=True))
+    return mean, variance
+
+
+def _spilled(s: Sensor, charge: Array, base: Array, extra: Array, shot: str) -> tuple[Array, Array]:
+    """Moments of pixels whose charge depends on that of others: sums over pixels, taken as normal. [h, w, c]."""
+    held, spread = held_moments(s, charge, shot)
+    sigma_d, width = effects.select_gain(held, s.sigma_d, s.dual_gain)
+    level = base + s.gain * (effects.nonlinear(held, s.droop) - s.droop * spread)
+    slope = 1 - 2 * s.droop * held
+    sd = s.gain * np.sqrt(slope**2 * spread + 2 * (s.droop * spread) ** 2 + sigma_d**2 + extra)
+    mean, variance = code_moments(level / width, sd / width, s.max_dn / width)
+    return width * mean, width**2 * variance
 
 
 def extra_variance(inputs: Prepared) -> Array:
@@ -63,7 +76,7 @@ def extra_variance(inputs: Prepared) -> Array:
     sites = pattern.telegraph_sites(s, inputs.light.shape, inputs.draws.origin)
     if sites is not None and s.defects is not None:
         variance = np.broadcast_to(variance, inputs.light.shape).copy()
-        variance[sites] += effects.telegraph_level(s.sigma_d, s.defects.rts_factor) ** 2 / 2
+        variance[sites] += (s.defects.rts_factor**2 - 1) * s.sigma_d**2
     return variance
 
 

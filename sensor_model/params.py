@@ -26,6 +26,13 @@ def _require_not_negative(owner: object, *names: str) -> None:
         require(isfinite(value) and value >= 0, name, "finite and >= 0", value)
 
 
+def _is_spread(table: tuple[tuple[float, ...], ...]) -> bool:
+    """Odd sides, so that it has a middle; light is neither lost nor won."""
+    odd = len(table) % 2 == 1 and all(len(row) == len(table[0]) for row in table) and len(table[0]) % 2 == 1
+    shares = [share for row in table for share in row]
+    return odd and all(isfinite(s) and s >= 0 for s in shares) and abs(sum(shares) - 1) < 1e-6
+
+
 @dataclass(frozen=True, kw_only=True)
 class Optics:
     """What the lens and the stack above the photodiodes do to the light."""
@@ -33,12 +40,15 @@ class Optics:
     corner_angle: float = 0.0  # degrees; relative illumination falls as cos**4 up to this angle in the corners
     falloff: tuple[float, ...] | None = None  # or: relative illumination at even steps from centre to corner
     crosstalk: float = 0.0  # share of a pixel's light that each of its four neighbours receives
+    psf: tuple[tuple[float, ...], ...] | None = None  # or: where the light of one pixel goes, odd x odd shares of sum 1
     sensor_shape: tuple[int, int] | None = None  # rows, columns of the whole sensor; None: the frame is the sensor
 
     def __post_init__(self) -> None:
         """Check every field."""
         require(0 <= self.corner_angle < 90, "corner_angle", "in [0, 90) degrees", self.corner_angle)
         require(0 <= self.crosstalk <= 0.2, "crosstalk", "in [0, 0.2]", self.crosstalk, "0.2 blurs evenly over five")
+        require(self.psf is None or _is_spread(self.psf), "psf", "None or odd x odd shares >= 0 of sum 1", self.psf)
+        require(self.psf is None or self.crosstalk == 0, "crosstalk", "0 beside a psf", self.crosstalk)
         table = self.falloff
         ok = table is None or (len(table) >= 2 and all(isfinite(v) and v >= 0 for v in table))
         require(ok, "falloff", "None or at least two numbers >= 0", table)
@@ -56,6 +66,7 @@ class Defects:
     hot_factor: float = 1.0  # dark current of a hot pixel over that of the others
     rts_fraction: float = 0.0  # of the pixels: random telegraph signal
     rts_factor: float = 1.0  # standard deviation of the read noise of such a pixel over that of the others
+    rts_traps: int = 1  # independent traps in such a pixel: its signal jumps between 2 traps + 1 levels
 
     def __post_init__(self) -> None:
         """Check every field."""
@@ -64,6 +75,7 @@ class Defects:
         for name in ("hot_factor", "rts_factor"):
             value = getattr(self, name)
             require(isfinite(value) and value >= 1, name, "finite and >= 1", value)
+        require(self.rts_traps in range(1, 65), "rts_traps", "a whole number from 1 to 64", self.rts_traps)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -117,6 +129,7 @@ class Sensor:
     dark_doubling: float = 6.0  # K; the dark current doubles with every such step
     nonlinearity: float = 0.0  # relative loss of response at full well
     blooming: bool = False  # charge over full well spills along its column
+    coupling: float = 0.0  # electrical crosstalk: share of a pixel's charge that each of its four neighbours shows
     cfa: Cfa | None = "RGGB"  # None: no mosaic (monochrome, or three chips)
     rgb_response: tuple[float, float, float] = (1.0, 1.0, 1.0)  # relative sensitivities of the filters, g = 1
     rgb_bias: tuple[float, float, float] = (0.0, 0.0, 0.0)  # error of the black level of each colour, DN
@@ -145,6 +158,7 @@ class Sensor:
         require(0 <= self.nonlinearity < 0.5, "nonlinearity", "in [0, 0.5)", self.nonlinearity)
         ok = self.nonlinearity == 0 or isfinite(self.mu_e_sat)
         require(ok, "mu_e_sat", "finite beside a nonlinearity, which is relative to it", self.mu_e_sat)
+        require(0 <= self.coupling <= 0.2, "coupling", "in [0, 0.2]", self.coupling, "0.2 blurs evenly over five")
         require(self.cfa is None or self.cfa in CFAS, "cfa", f"None or one of {CFAS}", self.cfa)
         response, bias = self.rgb_response, self.rgb_bias
         ok = len(response) == 3 and all(isfinite(r) and r > 0 for r in response) and response[1] == 1

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from sensor_model.effects import excess_kurtosis, telegraph_level
+from sensor_model.effects import excess_kurtosis
 from sensor_model.params import Exposure, Sensor, require
 from sensor_model.plan import Effect, Plan
 
@@ -123,13 +123,20 @@ def _costs(s: Sensor, exposure: Exposure, low: float, high: float, limits: Limit
     d, o = s.defects, s.optics
     hot = (d.hot_factor - 1) * dark_e if d and d.hot_fraction * limits.pixels >= 0.01 else 0.0
     costs["hot_pixels"] = ({SD: hot / dark, BIAS: s.gain * hot}, "in a hot pixel")
-    level = telegraph_level(s.sigma_d, d.rts_factor) if d and d.rts_fraction * limits.pixels >= 0.01 else 0.0
-    costs["telegraph_noise"] = ({SD: level**2 / 2 / dark}, "in a pixel with telegraph noise")
+    jumps = (d.rts_factor**2 - 1) * s.sigma_d**2 if d and d.rts_fraction * limits.pixels >= 0.01 else 0.0
+    costs["telegraph_noise"] = ({SD: jumps / dark}, "in a pixel with telegraph noise")
     corner = 0.0 if o is None else 1 - (min(o.falloff) if o.falloff else cos(radians(o.corner_angle)) ** 4)
     costs["vignetting"] = ({SD: corner / 2, SIGNAL: corner}, "in the corners")
-    spill = 4 * o.crosstalk * (high - low) if o else 0.0
+    spill = (
+        (4 * o.crosstalk + (1 - o.psf[len(o.psf) // 2][len(o.psf[0]) // 2] if o.psf else 0)) * (high - low)
+        if o
+        else 0.0
+    )
     # bias of the brightest edge against its own noise: 4 c dS <= sqrt(2 eps V) in terms of the first budget
     costs["crosstalk"] = ({SD: spill**2 / bright}, "at the strongest edge")
+    shown = 4 * s.coupling * (high - low)
+    # it also smooths the noise: (1 - 4 c)**2 + 4 c**2 of the variance, 1 - 4 c of the deviation
+    costs["coupling"] = ({SD: 4 * s.coupling + shown**2 / bright}, "at the strongest edge")
     return costs
 
 
@@ -198,7 +205,8 @@ REMOVE: dict[str, Callable[[Sensor], Sensor]] = {
     "hot_pixels": _clear_part("defects", hot_fraction=0.0),
     "telegraph_noise": _clear_part("defects", rts_fraction=0.0),
     "vignetting": _clear_part("optics", corner_angle=0.0, falloff=None),
-    "crosstalk": _clear_part("optics", crosstalk=0.0),
+    "crosstalk": _clear_part("optics", crosstalk=0.0, psf=None),
+    "coupling": _clear(coupling=0.0),
 }
 
 

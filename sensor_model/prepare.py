@@ -75,6 +75,8 @@ def on_sensor(light: NDArray, sensor: Sensor, exposure: Exposure) -> NDArray:
         return light
     if o.corner_angle or o.falloff:
         light = light * pattern.illumination_map(o, light.shape[:2], exposure.origin)[..., None]
+    if o.psf:
+        return effects.point_spread(light, o.psf)
     return effects.crosstalk(light, o.crosstalk) if o.crosstalk else light
 
 
@@ -116,8 +118,9 @@ def _with_telegraph(
     if sites is None or s.defects is None:
         return offset
     offset = np.zeros(shape, np.float32) if offset is None else offset.copy()
-    level = effects.telegraph_level(s.sigma_d, s.defects.rts_factor)
-    offset[sites] += effects.telegraph(draws.uniforms_at(streams.RTS, *sites), level).astype(np.float32)
+    traps = s.defects.rts_traps
+    level = effects.telegraph_level(s.sigma_d, s.defects.rts_factor, traps)
+    offset[sites] += effects.telegraph(draws.uniforms_at(streams.RTS, *sites), level, traps).astype(np.float32)
     offset.flags.writeable = False
     return offset
 

@@ -43,6 +43,8 @@ def test_a_parameter_out_of_range_is_named_with_its_value(field, bad):
     "build",
     [
         lambda: Optics(corner_angle=95), lambda: Optics(crosstalk=0.3), lambda: Optics(falloff=(1.0,)),
+        lambda: Optics(psf=((0.5, 0.5),)), lambda: Optics(psf=((0.2,), (0.5,), (0.2,))), lambda: Defects(rts_traps=0),
+        lambda: Optics(psf=((0.1, 0.9, 0.0),), crosstalk=0.1), lambda: Sensor(**BASE, coupling=0.3),
         lambda: Optics(corner_angle=20, falloff=(1.0, 0.5)), lambda: Defects(hot_fraction=2),
         lambda: Defects(rts_factor=0.5), lambda: Banding(amplitude=1, period=1),
         lambda: DualGain(threshold=5, sigma_d=1, ratio=0.5), lambda: Exposure(time=-1),
@@ -117,8 +119,9 @@ def test_a_three_chip_preset_differs_by_its_filter_array_only(name):
 FULL = Sensor(
     **BASE, sigma_d=2.5, tukey_lambda=-0.05, dark_current=1.5, cfa=None, rgb_response=(0.5, 1.0, 0.7), serial=2**63,
     blooming=True, banding=Banding(amplitude=0.5, period=40),
-    optics=Optics(falloff=(1.0, 0.9, 0.6), sensor_shape=(80, 90)),
-    defects=Defects(hot_fraction=1e-4, hot_factor=100), dual_gain=DualGain(threshold=800, sigma_d=9, ratio=8),
+    optics=Optics(falloff=(1.0, 0.9, 0.6), sensor_shape=(80, 90), psf=((0.1, 0.8, 0.1),)), coupling=0.01,
+    defects=Defects(hot_fraction=1e-4, hot_factor=100, rts_traps=3),
+    dual_gain=DualGain(threshold=800, sigma_d=9, ratio=8),
 )  # fmt: skip
 
 
@@ -157,6 +160,7 @@ def test_a_camera_file_may_leave_out_what_has_a_default(tmp_path):
         (GOOD + "[banding]\namplitude = 3", "banding.period missing"),
         (GOOD + "cfa = 'RGBW'", "cfa must be"),
         (GOOD + "rgb_response = 1", "rgb_response must be a list of numbers"),
+        (GOOD + "[optics]\npsf = [1, 2]", "psf must be a list of lists"),
         (GOOD + "[optics]\nsensor_shape = [80.5, 90]", "sensor_shape must be None or"),
         (GOOD + "blooming = 1", "blooming must be true or false"),
     ],

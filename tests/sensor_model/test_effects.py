@@ -66,11 +66,33 @@ def test_tukey_tails_are_as_heavy_as_lambda_says():
     assert share > 100 * 2 * stats.norm.sf(5)
 
 
+@pytest.mark.parametrize("traps", [1, 2, 5])
 @pytest.mark.parametrize("factor", [1.0, 1.5, 2.7])
-def test_telegraph_noise_raises_the_standard_deviation_by_its_factor(factor):
-    sample = effects.telegraph(U, effects.telegraph_level(1.4, factor))
+def test_telegraph_noise_raises_the_standard_deviation_by_its_factor(factor, traps):
+    sample = effects.telegraph(U, effects.telegraph_level(1.4, factor, traps), traps)
     assert_moments(sample, 0.0, (factor**2 - 1) * 1.4**2)
-    assert len(np.unique(sample)) == (1 if factor == 1 else 3)
+    assert len(np.unique(sample)) == (1 if factor == 1 else 2 * traps + 1)
+
+
+def test_several_traps_are_the_sum_of_single_ones():
+    """Independent reference: that many sums of frames with one trap each."""
+    one = [effects.telegraph(np.random.default_rng(i).random(N), 1.0) for i in range(3)]
+    together = effects.telegraph(U, 1.0, 3)
+    for level in range(-3, 4):
+        share = np.mean(sum(one) == level)
+        assert np.mean(together == level) == pytest.approx(share, abs=5 * np.sqrt(2 * share / N))
+
+
+def test_a_point_spread_moves_light_where_its_table_says_and_keeps_it():
+    psf = ((0.0, 0.1, 0.05), (0.05, 0.6, 0.2), (0.0, 0.0, 0.0))
+    light = np.zeros((7, 9, 3), np.float32)
+    light[3, 4] = 100
+    spread = effects.point_spread(light, psf)
+    np.testing.assert_allclose(spread[2:5, 3:6, 1], 100 * np.array(psf), rtol=1e-6)
+    assert spread.dtype == np.float32
+    even = ((0, 0.05, 0), (0.05, 0.8, 0.05), (0, 0.05, 0))
+    light = np.random.default_rng(0).random((5, 6, 1))
+    np.testing.assert_allclose(effects.point_spread(light, even), effects.crosstalk(light, 0.05), rtol=1e-12)
 
 
 def test_bands_have_the_period_and_the_variance_of_a_sine():

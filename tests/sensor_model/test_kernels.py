@@ -25,6 +25,10 @@ CHAINS = {
     "dual gain": {"dual_gain": DualGain(threshold=800, sigma_d=20, ratio=6)},
     "nonlinear": {"nonlinearity": 0.03},
     "blooming": {"blooming": True},
+    "coupling": {"coupling": 0.02, "nonlinearity": 0.01},
+    "blooming and coupling": {"blooming": True, "coupling": 0.02},
+    "point spread": {"optics": Optics(psf=((0.01, 0.05, 0.02), (0.04, 0.8, 0.08), (0.0, 0.0, 0.0)))},
+    "several traps": {"defects": Defects(rts_fraction=0.2, rts_factor=4, rts_traps=3)},
     "black bias": {"rgb_bias": (1.0, 2.0, -3.0)},
     "bayer black bias": {"rgb_bias": (1.0, 2.0, -3.0), "cfa": "GBRG"},
     "no read noise": {"sigma_d": 0.0},
@@ -50,7 +54,7 @@ def test_kernels_equal_the_numpy_reference(chain, shot):
     np.testing.assert_array_equal(fast.saturated, plain.saturated)
 
 
-@pytest.mark.parametrize("chain", ["plain", "rows and columns", "blooming"])
+@pytest.mark.parametrize("chain", ["plain", "rows and columns", "blooming", "coupling", "defects"])
 def test_frames_do_not_depend_on_threads_or_chunks(chain, monkeypatch):
     sensor = Sensor(**(BASE | CHAINS[chain]))
     photons = light(3)

@@ -17,7 +17,7 @@ EVERYTHING = Sensor(
     gain=2.0, eta=0.6, mu_e_sat=2000.0, black_level=200.0, bits=14, sigma_d=2.0, tukey_lambda=-0.1, cfa=None, serial=3,
     sigma_row=0.1, sigma_column=0.1, dsnu=0.3, prnu=0.005, dark_current=1.0, nonlinearity=0.001, rgb_bias=(0.1,) * 3,
     banding=Banding(amplitude=0.1, period=9), optics=Optics(corner_angle=5, crosstalk=0.001), blooming=True,
-    defects=Defects(hot_fraction=1e-4, hot_factor=30, rts_fraction=1e-3, rts_factor=1.1),
+    defects=Defects(hot_fraction=1e-4, hot_factor=30, rts_fraction=1e-3, rts_factor=1.1, rts_traps=2), coupling=2e-4,
 )  # fmt: skip
 
 
@@ -106,6 +106,12 @@ def test_row_noise_counts_by_the_length_of_the_rows_that_get_averaged():
         (replace(EVERYTHING, nonlinearity=0.2), [1.0, 1000.0], "nonlinearity"),
         (replace(EVERYTHING, optics=Optics(corner_angle=30)), 5.0, "vignetting"),
         (replace(EVERYTHING, optics=Optics(crosstalk=0.05)), [1.0, 500.0], "crosstalk"),
+        (
+            replace(EVERYTHING, optics=Optics(psf=((0.0, 0.1, 0.0), (0.1, 0.6, 0.1), (0.0, 0.1, 0.0)))),
+            [1, 500],
+            "crosstalk",
+        ),
+        (replace(EVERYTHING, coupling=0.01), 5.0, "coupling"),
         (replace(EVERYTHING, rgb_bias=(0.0, 0.0, -9.0)), 5.0, "black_bias"),
         (replace(EVERYTHING, dark_current=300.0), 5.0, "dark_current"),
         (replace(EVERYTHING, defects=Defects(hot_fraction=0.01, hot_factor=1e4)), 5.0, "hot_pixels"),
