@@ -1,7 +1,8 @@
 """Targeted blind-spot masking and its loss (paper, section 4.3.1 and 4.3.3; Noise2Void).
 
-Batches are [B, 3, H, W]. A mask is bool [B, H, W], True where the network is blinded: there its input is another pixel
-of the neighbourhood, and only there the loss looks.
+Batches are [B, D, H, W] with D = 3 colour channels, or 1 where each channel is blinded on its own. A mask is bool
+[B, H, W], True where the network is blinded: there its input is another pixel of the neighbourhood, and only there the
+loss looks.
 """
 
 from dataclasses import dataclass
@@ -19,6 +20,9 @@ class BlindSpotConfig:
     mask_fraction: float = 0.06  # at most this share of a view: 60,000 px are 6 % of LLNeRF's views but 32 % of LOM's
     laplacian_share: float = 0.5  # of the mask, drawn by high-frequency content; the rest is uniform
     window: int = 5  # px, edge of the neighbourhood that replacements come from
+    # Blind one colour channel of a pixel, not all three: the other two tell its texture. Only where the noise of the
+    # channels is independent (a three-chip camera, not a demosaiced one). False is the paper.
+    per_channel: bool = False
 
     def __post_init__(self) -> None:
         if self.mask_count is not None and self.mask_count < 1:
@@ -40,7 +44,7 @@ def laplacian_prior(images: Tensor) -> Tensor:
     """P(u, v) = |lap| / sum |lap| of the grey image (equations 6 and 7).
 
     Args:
-        images: [B, 3, H, W].
+        images: [B, D, H, W].
 
     Returns:
         [B, H, W], each summing to 1; uniform where an image is constant.
@@ -68,7 +72,7 @@ def sample_mask(images: Tensor, fraction: float, laplacian_share: float, generat
     """Blind spots from the mixture of the Laplacian prior and the uniform distribution, without repetition.
 
     Args:
-        images: [B, 3, H, W], the noisy enhanced images.
+        images: [B, D, H, W], the noisy enhanced images.
         fraction: Share of pixels to blind; at least one pixel is.
         laplacian_share: Share of the blind spots that follow `laplacian_prior`.
         generator: Source of randomness, on the images' device.
@@ -93,13 +97,13 @@ def replace_masked(images: Tensor, mask: Tensor, window: int, generator: torch.G
     The window is shifted inwards at the border, so that it always holds the same number of candidates.
 
     Args:
-        images: [B, 3, H, W].
+        images: [B, D, H, W].
         mask: bool [B, H, W].
         window: Edge of the neighbourhood, px; its centre pixel is excluded.
         generator: Source of randomness.
 
     Returns:
-        [B, 3, H, W], equal to `images` outside the mask.
+        [B, D, H, W], equal to `images` outside the mask.
 
     Raises:
         ValueError: If the image has a single pixel, hence no neighbour.
@@ -122,8 +126,8 @@ def n2v_loss(prediction: Tensor, noisy: Tensor, mask: Tensor) -> Tensor:
     """Sum of squared colour differences over the blind spots divided by their number (equation 8).
 
     Args:
-        prediction: [B, 3, H, W], the network's output for the blinded input.
-        noisy: [B, 3, H, W], the enhanced images themselves.
+        prediction: [B, D, H, W], the network's output for the blinded input.
+        noisy: [B, D, H, W], the enhanced images themselves.
         mask: bool [B, H, W], at least one True.
 
     Returns:

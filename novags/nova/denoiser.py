@@ -102,9 +102,11 @@ class Denoiser:
         """L_N2V of one random batch (equation 8)."""
         batch = self._draw_batch()
         spots = self.config.blind_spots
+        planes = batch.flatten(0, 1).unsqueeze(1) if spots.per_channel else batch
         fraction = spots.fraction(self.images.shape[-2] * self.images.shape[-1])
-        mask = sample_mask(batch, fraction, spots.laplacian_share, self.generator)
-        return n2v_loss(self.predict(replace_masked(batch, mask, spots.window, self.generator)), batch, mask)
+        mask = sample_mask(planes, fraction, spots.laplacian_share, self.generator)
+        blinded = replace_masked(planes, mask, spots.window, self.generator).view_as(batch)
+        return n2v_loss(self.predict(blinded).reshape(planes.shape), planes, mask)
 
     def train_step(self) -> float:
         """One optimiser step on L_N2V, plus whatever gradients the network already holds. Returns the loss."""

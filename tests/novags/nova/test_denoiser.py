@@ -157,3 +157,17 @@ def test_impossible_configurations_are_refused(wrong):
 def test_images_of_another_shape_are_refused():
     with pytest.raises(ValueError, match=r"\[C, H, W, 3\]"):
         Denoiser(torch.zeros(8, 8, 3), config(), total_steps=1, seed=0)
+
+
+def test_blinding_one_channel_lets_the_others_tell_a_texture_that_no_neighbour_knows():
+    generator = torch.Generator().manual_seed(3)
+    clean = (0.5 + 0.15 * torch.randn(3, 32, 32, 1, generator=generator)).expand(-1, -1, -1, 3)
+    noisy = clean + 0.1 * torch.randn(clean.shape, generator=generator)
+    error = {}
+    for per_channel in (False, True):
+        spots = BlindSpotConfig(mask_fraction=0.1, laplacian_share=0.0, per_channel=per_channel)
+        denoised = trained(noisy, config(blind_spots=spots), 150).denoise_all()
+        error[per_channel] = float((denoised - clean).square().mean())
+    # all three blinded: only the mean is left to say, 0.15² off; two channels' mean: 0.1² / 2
+    assert error[False] > 0.7 * 0.15**2
+    assert error[True] < 0.8 * 0.1**2
