@@ -1,6 +1,7 @@
 """The methods by name. All share one enhancement and one fit configuration, so that they differ in their idea alone."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 from novags.baselines import naive, oracle
@@ -8,6 +9,7 @@ from novags.baselines.naive import NaiveConfig
 from novags.nova import trainer
 from novags.nova.trainer import NovaConfig
 from novags.splats import MethodInput, MethodResult
+from sensor_model import Sensor
 
 METHODS = {
     "nova": "the paper: enhance, denoise with a network that learns from the noisy images alone, fit with geometric "
@@ -32,6 +34,17 @@ def method_config(method: str, nova: NovaConfig) -> NovaConfig | NaiveConfig:
         return nova
     shared = NaiveConfig(enhance=nova.enhance, init_scale=nova.init_scale, fit=nova.fit)
     return shared.with_l1() if method == "naive-l1" else shared
+
+
+def suited(nova: NovaConfig, sensor: Sensor) -> NovaConfig:
+    """The settings for pictures of this camera: behind a colour filter array all channels of a pixel are blinded.
+
+    Demosaicing gives the channels of a pixel the same noise; a network that sees two of them knows the third one's.
+    """
+    spots = nova.denoiser.blind_spots
+    if sensor.cfa is None or not spots.per_channel:
+        return nova
+    return replace(nova, denoiser=replace(nova.denoiser, blind_spots=replace(spots, per_channel=False)))
 
 
 def train(

@@ -17,7 +17,7 @@ from novags.testbed.cache import jsonable, write_text
 from novags.testbed.capture_folder import Capture, DarkSource
 from novags.testbed.console import Console, losses_text
 from novags.testbed.images import write_png
-from novags.testbed.methods import method_config, train
+from novags.testbed.methods import method_config, suited, train
 from novags.testbed.run_folder import CHECKPOINTS, EVENTS
 from simscenes.exr import write_exr
 from simscenes.multiview import MultiviewSet
@@ -68,7 +68,10 @@ def reconstruct_views(capture: Capture, folder: Path, config: ReconstructConfig,
     if len(trained_on) < 2:
         raise ValueError(f"{capture.path} has {len(trained_on)} training view(s), at least 2 are needed")
     inputs = method_input(capture, config, console)
-    settings = method_config(config.method, config.nova)
+    nova = suited(config.nova, capture.sensor)
+    if config.method == "nova" and nova != config.nova:
+        console.note("these pictures are demosaiced: all channels of a pixel are blinded, as their noise is the same")
+    settings = method_config(config.method, nova)
     with console.progress(f"reconstruct {config.method}") as progress, EventLog(folder / EVENTS) as log:
 
         def step(done: int, total: int, losses: dict[str, float]) -> None:

@@ -6,10 +6,11 @@ import pytest
 
 from novags.testbed.capture import CaptureConfig
 from novags.testbed.console import Console, losses_text
-from novags.testbed.methods import METHODS, method_config
+from novags.testbed.methods import METHODS, method_config, suited
 from novags.testbed.presets import PRESETS, adapted
 from novags.testbed.provenance import PeakMemory
 from novags.testbed.reconstruct import ReconstructConfig
+from sensor_model import PRESETS as SENSORS
 
 
 def test_adapting_changes_what_is_named_and_nothing_else() -> None:
@@ -33,6 +34,14 @@ def test_methods_share_enhancement_and_fit() -> None:
     assert all(config.enhance == nova.enhance for config in configs.values())
     assert configs["naive"].fit == configs["oracle"].fit == nova.fit
     assert configs["naive-l1"].fit.dssim_weight == 0
+
+
+def test_channels_are_blinded_alone_only_where_their_noise_is_independent() -> None:
+    nova = PRESETS["demo"].nova
+    assert nova.denoiser.blind_spots.per_channel
+    assert suited(nova, SENSORS["a7s2-iso6400-3chip"]) == nova
+    assert not suited(nova, SENSORS["a7s2-iso6400"]).denoiser.blind_spots.per_channel
+    assert suited(PRESETS["paper"].nova, SENSORS["a7s2-iso6400"]) == PRESETS["paper"].nova
 
 
 def test_a_denoiser_setting_does_not_make_the_naive_run_stale() -> None:
