@@ -92,48 +92,41 @@ def first_grids(begin, end, rows, order, first, n_chunks, n, tiles_x, tiles_y, o
 
 @kernel
 def visit(
-    begin, end, filling, rows, order, first, n_chunks, n, tiles_x, tiles_y, open_tiles, codes, histogram, totals, base,
-    members, places, slots,
+    begin, end, filling, rows, order, first, n_chunks, n, tiles_x, tiles_y, open_tiles, codes, histogram, members,
+    within, counts,
 ):  # fmt: skip
     """Count, or write, the lists of the Gaussians of depth rank first..first+n-1, in n_chunks chunks.
 
-    Counting: histogram [chunks, tiles] and totals [chunks] become numbers of (Gaussian, tile) pairs. Filling: both
-    hold where to write next; members[place] becomes a Gaussian, places[slot] one of its tiles' place plus base, slots
-    [N, 2] its range of slots. Only tiles in open_tiles (of `find_open`) take more.
+    Counting: histogram [chunks, tiles] becomes numbers of (Gaussian, tile) pairs. Filling: it holds where to write
+    next; members[place] becomes a Gaussian, within[place] the number of its tiles before this one, counts [N] of all.
+    Only tiles in open_tiles (of `find_open`) take more.
     """
     flat = rows.reshape(-1)
     for chunk in range(begin, end):
         if not filling:
             histogram[chunk] = 0
-            totals[chunk] = 0
-        slot = totals[chunk]
         for rank in range(first + chunk * n // n_chunks, first + (chunk + 1) * n // n_chunks):
-            i = np.int64(order[rank] & INDEX)
-            start, code = slot, codes[rank - first]
+            i, code = np.int64(order[rank] & INDEX), codes[rank - first]
             ahead = min(rank + AHEAD, first + n - 1)
             if codes[ahead - first] & MORE:
                 prefetch(flat, np.int64(order[ahead] & INDEX) * ROW)
-            slot = _list_grid(
-                filling, code & EVERY, code // CORNER, tiles_x, i, slot, chunk, histogram, base, members, places
-            )
+            corner = code // CORNER
+            count = _list_grid(filling, code & EVERY, corner, tiles_x, i, 0, chunk, histogram, members, within)
             if code & MORE:
                 left, right, top, bottom = _tile_box(rows, i, tiles_x, tiles_y)
                 for tile_y in range(top, bottom + 1, CELLS):
                     for tile_x in range(left, right + 1, CELLS):
-                        corner = tile_y * tiles_x + tile_x
-                        if open_tiles[corner] and corner != code // CORNER:
-                            todo = _grid(rows, i, tile_x, tile_y) & open_tiles[corner]
-                            slot = _list_grid(
-                                filling, todo, corner, tiles_x, i, slot, chunk, histogram, base, members, places
-                            )
+                        at = tile_y * tiles_x + tile_x
+                        if open_tiles[at] and at != corner:
+                            todo = _grid(rows, i, tile_x, tile_y) & open_tiles[at]
+                            count = _list_grid(filling, todo, at, tiles_x, i, count, chunk, histogram, members, within)
             if filling:
-                slots[i, 0], slots[i, 1] = start, slot
-        totals[chunk] = slot
+                counts[i] = count
 
 
 @inline
-def _list_grid(filling, todo, corner, tiles_x, i, slot, chunk, histogram, base, members, places):
-    """Count or list Gaussian i in the tiles `todo` of the grid at `corner`; returns the next slot."""
+def _list_grid(filling, todo, corner, tiles_x, i, count, chunk, histogram, members, within):
+    """Count or list Gaussian i in the tiles `todo` of the grid at `corner`; returns the number of its tiles so far."""
     while todo:
         cell = lowest_bit(todo)
         todo &= todo - 1
@@ -142,6 +135,6 @@ def _list_grid(filling, todo, corner, tiles_x, i, slot, chunk, histogram, base, 
         histogram[chunk, tile] = place + 1
         if filling:
             members[place] = i
-            places[slot] = base + place
-        slot += 1
-    return slot
+            within[place] = count
+        count += 1
+    return count

@@ -47,6 +47,7 @@ from .simd import (
     select,
     splat,
     store,
+    stream,
 )
 
 ZERO, HALF, ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
@@ -219,24 +220,29 @@ def from_image(begin, end, trans, width, height, tiles_x, first_channel, v_image
 
 @kernel
 def backward(
-    begin, end, rows, members, reached, starts, ends, list_ends, base, first_row, tiles_x, left, behind, v_color, last,
-    v_rows,
+    begin, end, rows, members, within, slots, reached, starts, ends, list_ends, base, first_row, tiles_x, left, behind,
+    v_color, last, v_rows,
 ):  # fmt: skip
     """Walk the lists of tiles begin..end-1 back to front; one gradient row of v_rows [rows, ROW] per entry.
 
-    Entry `place` writes row first_row + base + place. `left` and `behind` are the state behind the list, and
-    afterwards the state in front of it; list_ends is where the lists end that `ends` stopped looking at (those rows
-    become zero).
+    An entry's row is first_row + slots[its Gaussian] + within[its place], so that a Gaussian's rows lie together.
+    `left` and `behind` are the state behind the list, and afterwards the state in front of it; list_ends is where the
+    lists end that `ends` stopped looking at (those rows become zero).
     """
+    zero = splat(ZERO)
     for tile in range(begin, end):
-        for i in range((first_row + base + ends[tile]) * ROW, (first_row + base + list_ends[tile]) * ROW):
-            v_rows[i] = ZERO
+        for place in range(ends[tile], list_ends[tile]):
+            stream(v_rows, (first_row + slots[members[place]] + within[place]) * ROW, zero)
         x0, y0 = np.float32(tile % tiles_x * TILE), np.float32(tile // tiles_x * TILE)
         for place in range(ends[tile] - 1, starts[tile] - 1, -1):
             prefetch(rows, np.int64(members[max(place - AHEAD, starts[tile])]) * ROW)
+            out = (first_row + slots[members[place]] + within[place]) * ROW
+            if reached[place] == 0:
+                stream(v_rows, out, zero)
+                continue
             _backward_entry(
                 rows, np.int64(members[place]) * ROW, base + place, np.int64(reached[place]), x0, y0, tile, left,
-                behind, v_color, last, (first_row + base + place) * ROW, v_rows,
+                behind, v_color, last, out, v_rows,
             )  # fmt: skip
 
 
@@ -285,4 +291,4 @@ def _backward_entry(rows, p, place, todo, x0, y0, tile, left, behind, v_color, l
     high = pair_sums(pair_sums(sy, syy), pair_sums(v0, v1))
     rest = pair_sums(v2, v3)
     rest = pair_sums(rest, rest)
-    store(v_rows, out, pair_sums(pair_sums(low, high), pair_sums(rest, rest)))
+    stream(v_rows, out, pair_sums(pair_sums(low, high), pair_sums(rest, rest)))

@@ -5,9 +5,10 @@
 import numpy as np
 
 from ..sh import C0, C1, C2, C3
+from .columns import add3, gather3, transpose
 from .compiler import inline, kernel
 from .layout import CHANNEL
-from .simd import LANES, bits, load, maximum, select, splat, sqrt, store, transpose
+from .simd import LANES, bits, load, maximum, select, splat, sqrt, store
 
 ZERO, HALF, ONE, TWO, THREE, FOUR = (np.float32(v) for v in (0.0, 0.5, 1.0, 2.0, 3.0, 4.0))
 SIX, EIGHT = np.float32(6.0), np.float32(8.0)
@@ -54,9 +55,9 @@ def _basis(degree, x, y, z, basis):
 @inline
 def _gather(means, center, sh, first, count, n_coefficients, points, coefficients):
     """Transpose positions relative to the camera centre, and coefficients, into columns."""
-    for lane in range(count):
-        for j in range(3):
-            points[j * LANES + lane] = means[first + lane, j] - center[j]
+    gather3(means, first, count, points, 0)
+    for j in range(3):
+        store(points, j * LANES, load(points, j * LANES) - center[j])
     n, stride = 3 * n_coefficients, sh.shape[1]
     if count == LANES and n >= LANES:
         flat = sh.reshape(-1)
@@ -161,38 +162,33 @@ def _scatter(coefficients, first, count, n, v_sh):
 
 
 @kernel
-def backward(begin, end, block_size, degree, means, sh, center, radii, v_colors, v_sh, v_means, v_center):
+def backward(begin, end, block_size, degree, means, sh, center, v_colors, v_sh, v_means, v_center):
     """Gradients of blocks begin..end-1 of block_size Gaussians: v_sh [N, 3 K]; added to v_means [N, 3].
 
     Unless v_center is empty, writes its partial sums [blocks, 3] of the gradient of the camera centre.
     """
-    n = len(means)
-    n_coefficients = (degree + 1) * (degree + 1)
-    points, basis, v_basis = (
-        np.ones(3 * LANES, np.float32),
-        np.empty(16 * LANES, np.float32),
-        np.empty(16 * LANES, np.float32),
-    )
-    coefficients, v_color = np.zeros(48 * LANES, np.float32), np.zeros(3 * LANES, np.float32)
-    v_points, total = np.empty(3 * LANES, np.float32), np.empty(3, np.float32)
+    n, n_coefficients = len(means), (degree + 1) * (degree + 1)
+    points, basis = np.ones(3 * LANES, np.float32), np.empty(16 * LANES, np.float32)
+    v_basis, coefficients = np.empty(16 * LANES, np.float32), np.zeros(48 * LANES, np.float32)
+    v_color, v_points = np.zeros(3 * LANES, np.float32), np.empty(3 * LANES, np.float32)
+    total = np.empty(3, np.float32)
     for block in range(begin, end):
         total[:] = ZERO
         for first in range(block * block_size, min(n, (block + 1) * block_size), LANES):
             count = min(LANES, n - first)
+            v_color[:] = ZERO
+            gather3(v_colors, first, count, v_color, 0)
+            if not v_color.any():
+                v_sh[first : first + count] = ZERO
+                continue
             _gather(means, center, sh, first, count, n_coefficients, points, coefficients)
-            for lane in range(LANES):
-                seen = lane < count and radii[min(first + lane, n - 1)] > 0
-                for channel in range(3):
-                    v_color[channel * LANES + lane] = v_colors[first + lane, channel] if seen else ZERO
             _backward(degree, n_coefficients, points, basis, v_basis, coefficients, v_color, v_points)
             _scatter(coefficients, first, count, 3 * n_coefficients, v_sh)
-            for lane in range(count):
-                for j in range(3):
-                    v_means[first + lane, j] += v_points[j * LANES + lane]
-                    total[j] -= v_points[j * LANES + lane]
-        if len(v_center):
             for j in range(3):
-                v_center[block, j] = total[j]
+                total[j] -= v_points[j * LANES : j * LANES + count].sum()
+            add3(v_points, 0, first, count, v_means)
+        if len(v_center):
+            v_center[block] = total
 
 
 @inline

@@ -4,10 +4,11 @@
 
 import numpy as np
 
+from .columns import add3, gather3, to_columns4
 from .compiler import inline, kernel
 from .functions import exp, log2
 from .project import _rotation
-from .simd import LANES, load, sqrt, store
+from .simd import LANES, load, select, sqrt, store
 
 ZERO, ONE, TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 INPUTS = 8  # quaternion, log scales, logit opacity
@@ -48,15 +49,16 @@ def _normal(u, t):
 
 @inline
 def _displace(b, amount):
-    """Replace the uniform columns by Sigma xi amount sigmoid(100 (0.005 - o))."""
+    """Replace the uniform columns by Sigma xi amount sigmoid(100 (0.005 - o)), or zero where that is lost."""
     at = INPUTS * LANES
     xi0 = _normal(load(b, at), load(b, at + LANES))
     xi1 = _normal(load(b, at + 2 * LANES), load(b, at + 3 * LANES))
     xi2 = _normal(load(b, at + 4 * LANES), load(b, at + 5 * LANES))
     r = _rotation(load(b, 0), load(b, LANES), load(b, 2 * LANES), load(b, 3 * LANES))
     s0, s1, s2 = exp(load(b, 4 * LANES) * TWO), exp(load(b, 5 * LANES) * TWO), exp(load(b, 6 * LANES) * TWO)
-    o = ONE / (exp(-load(b, 7 * LANES)) + ONE)
-    gate = ONE / (exp((o - DEAD) * SHARPNESS) + ONE) * amount
+    logit = load(b, 7 * LANES)
+    o = ONE / (exp(-logit) + ONE)
+    gate = select(logit < OPAQUE, amount / (exp((o - DEAD) * SHARPNESS) + ONE), ZERO)
     l0 = (r[0] * xi0 + r[3] * xi1 + r[6] * xi2) * s0 * gate
     l1 = (r[1] * xi0 + r[4] * xi1 + r[7] * xi2) * s1 * gate
     l2 = (r[2] * xi0 + r[5] * xi1 + r[8] * xi2) * s2 * gate
@@ -65,28 +67,38 @@ def _displace(b, amount):
     store(b, at + 2 * LANES, r[6] * l0 + r[7] * l1 + r[8] * l2)
 
 
+@inline
+def _draw(key, first, columns):
+    """Six columns of uniform numbers for Gaussians first..first+15."""
+    for j in range(3):
+        for lane in range(LANES):
+            random = _bits(key, np.uint64(3 * (first + lane) + j))
+            columns[(INPUTS + 2 * j) * LANES + lane] = np.float32(np.int64(random >> np.uint64(40)) + 1) * UNIT
+            columns[(INPUTS + 2 * j + 1) * LANES + lane] = np.float32(np.int64(random & LOW24) - 8388608) * UNIT
+
+
+@inline
+def _gather(quats, log_scales, logit_opacities, first, count, columns):
+    gather3(log_scales, first, count, columns, 4)
+    if count == LANES:
+        to_columns4(quats.reshape(-1), 4 * first, columns, 0)
+        store(columns, 7 * LANES, load(logit_opacities, first))
+        return
+    for lane in range(count):
+        for j in range(4):
+            columns[j * LANES + lane] = quats[first + lane, j]
+        columns[7 * LANES + lane] = logit_opacities[first + lane]
+
+
 @kernel
 def add(begin, end, means, quats, log_scales, logit_opacities, amount, key):
     """Means += noise for Gaussians begin..end-1, with the stream `key` (uint64)."""
     columns = np.ones(COLUMNS * LANES, np.float32)
     for first in range(begin, end, LANES):
-        count, moving = min(LANES, end - first), False
-        for lane in range(count):
-            moving |= logit_opacities[first + lane] < OPAQUE
-        if not moving:
+        count = min(LANES, end - first)
+        if logit_opacities[first : first + count].min() >= OPAQUE:
             continue
-        for lane in range(count):
-            i = first + lane
-            for j in range(4):
-                columns[j * LANES + lane] = quats[i, j]
-            for j in range(3):
-                columns[(4 + j) * LANES + lane] = log_scales[i, j]
-                random = _bits(key, np.uint64(3 * i + j))
-                columns[(INPUTS + 2 * j) * LANES + lane] = np.float32((random >> np.uint64(40)) + np.uint64(1)) * UNIT
-                columns[(INPUTS + 2 * j + 1) * LANES + lane] = np.float32(np.int64(random & LOW24) - 8388608) * UNIT
-            columns[7 * LANES + lane] = logit_opacities[i]
+        _gather(quats, log_scales, logit_opacities, first, count, columns)
+        _draw(key, first, columns)
         _displace(columns, amount)
-        for lane in range(count):
-            if logit_opacities[first + lane] < OPAQUE:
-                for j in range(3):
-                    means[first + lane, j] += columns[(INPUTS + j) * LANES + lane]
+        add3(columns, INPUTS, first, count, means)

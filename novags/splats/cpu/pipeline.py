@@ -11,7 +11,7 @@ from .memory import empty
 from .parallel import run
 
 CHUNKS_PER_THREAD = 4
-WAVE = 512  # list entries per tile of the first wave; saturated tiles take none of the next, which is twice as long
+WAVE = 256  # list entries per tile of the first wave; saturated tiles take none of the next, which is twice as long
 GRAIN_TILES = 2
 
 
@@ -68,7 +68,7 @@ class Splats:
     depths: np.ndarray  # [N]
     radii: np.ndarray  # [N] int32, 0: not visible
     tiles: np.ndarray  # [N] int32, at most so many tiles
-    slots: np.ndarray  # [N, 2] int64, range of list entries by Gaussian
+    counts: np.ndarray  # [N] int32, entries in the tile lists
     suspect: bool  # some input is not finite or out of range
 
 
@@ -77,28 +77,21 @@ class Wave:
     """Tile lists of a range of depth ranks."""
 
     members: np.ndarray  # [I] int32: Gaussians, tile after tile
+    within: np.ndarray  # [I] int32: number of the tile among the Gaussian's tiles
     starts: np.ndarray  # [tiles] int64
     list_ends: np.ndarray  # [tiles] int64
     ends: np.ndarray  # [tiles] int64: where compositing stopped looking
     base: int  # entries of the waves before
 
 
-@dataclass(kw_only=True)
-class Lists:
-    """All tile lists of an image."""
-
-    waves: list[Wave]
-    places: np.ndarray  # [I] int32: entries in the order of the Gaussians
-
-
 def project_forward(shape: Shape, camera: Camera) -> Splats:
     """Project all Gaussians; channels are left out."""
     n = len(shape.means)
     rows, depths, radii = empty((n, ROW)), empty(n), empty(n, np.int32)
-    tiles, slots, suspect = empty(n, np.int32), empty((n, 2), np.int64), np.zeros(1, np.int64)
+    tiles, counts, suspect = empty(n, np.int32), empty(n, np.int32), np.zeros(1, np.int64)
     arrays = shape.means, shape.quats, shape.scales, shape.opacities
-    run(project.forward, n, project.GRAIN, *arrays, camera.vector, rows, depths, radii, tiles, slots, suspect)
-    return Splats(rows=rows, depths=depths, radii=radii, tiles=tiles, slots=slots, suspect=bool(suspect[0]))
+    run(project.forward, n, project.GRAIN, *arrays, camera.vector, rows, depths, radii, tiles, counts, suspect)
+    return Splats(rows=rows, depths=depths, radii=radii, tiles=tiles, counts=counts, suspect=bool(suspect[0]))
 
 
 def _n_chunks(n: int, grain: int) -> int:
@@ -133,42 +126,27 @@ def depth_order(splats: Splats) -> tuple[np.ndarray, int]:
     return pairs, int(n_tiles.sum())
 
 
-def _extended(old: np.ndarray, n: int) -> np.ndarray:
-    """A longer array with the old values in front."""
-    if len(old) == 0:
-        return empty(n, old.dtype)
-    new = empty(len(old) + n, old.dtype)
-    new[: len(old)] = old
-    return new
-
-
 def _wave(
-    splats: Splats, order: np.ndarray, first: int, n: int, camera: Camera, finished: np.ndarray, lists: Lists
+    splats: Splats, order: np.ndarray, first: int, n: int, base: int, camera: Camera, finished: np.ndarray
 ) -> Wave:
     """Lists of the Gaussians of depth rank first..first+n-1, for the tiles that are not finished."""
     n_chunks = _n_chunks(n, 1024)
     histogram, open_tiles = empty((n_chunks, len(finished)), np.int64), empty(len(finished), np.int64)
     run(bins.find_open, camera.tiles_y, 16, finished, camera.tiles_x, camera.tiles_y, open_tiles)
-    totals = np.empty(n_chunks, np.int64)
-    base = len(lists.places)
-    none = np.empty(0, np.int32)
-    codes = empty(n, np.int64)
+    codes, none = empty(n, np.int64), np.empty(0, np.int32)
     common = splats.rows, order, first, n_chunks, n, camera.tiles_x, camera.tiles_y, open_tiles, codes
     run(bins.first_grids, n_chunks, 1, *common)
-    arguments = *common, histogram, totals
-    run(bins.visit, n_chunks, 1, False, *arguments, base, none, none, splats.slots)
+    run(bins.visit, n_chunks, 1, False, *common, histogram, none, none, splats.counts)
     total = sort.exclusive_sums(histogram)
     if base + total >= 2**31:
         raise ValueError(
             f"the image must have fewer than 2^31 (Gaussian, tile) pairs, got {base + total}: make either smaller"
         )
     starts = histogram[0].copy()
-    totals[:] = base + np.cumsum(totals) - totals
-    members = empty(total, np.int32)
-    lists.places = _extended(lists.places, total)
-    run(bins.visit, n_chunks, 1, True, *arguments, base, members, lists.places, splats.slots)
+    members, within = empty(total, np.int32), empty(total, np.int32)
+    run(bins.visit, n_chunks, 1, True, *common, histogram, members, within, splats.counts)
     list_ends = np.append(starts[1:], total)
-    return Wave(members=members, starts=starts, list_ends=list_ends, ends=list_ends.copy(), base=base)
+    return Wave(members=members, within=within, starts=starts, list_ends=list_ends, ends=list_ends.copy(), base=base)
 
 
 @dataclass(kw_only=True)
@@ -187,7 +165,7 @@ class Frame:
 
     camera: Camera
     splats: Splats
-    lists: Lists
+    waves: list[Wave]
     passes: list[tuple[np.ndarray, TileState]]  # records [N, ROW] and tiles, four channels each
     sh_degree: int | None
     n_features: int
@@ -240,12 +218,13 @@ def _first_pass(frame: Frame, rows: np.ndarray) -> TileState:
     state, finished = _new_state(n_tiles), np.zeros(n_tiles, np.bool_)
     length = max(1024, len(order) * WAVE * n_tiles // max(tile_bound, 1))
     first = 0
-    while first < len(order) and not finished.all() or not frame.lists.waves:
+    while first < len(order) and not finished.all() or not frame.waves:
         left = len(order) - first
         n = left if left < 2 * length else length
-        wave = _wave(frame.splats, order, first, n, camera, finished, frame.lists)
+        base = sum(len(wave.members) for wave in frame.waves)
+        wave = _wave(frame.splats, order, first, n, base, camera, finished)
         _composite(camera, rows, wave, wave.ends, state, finished)
-        frame.lists.waves.append(wave)
+        frame.waves.append(wave)
         first, length = first + n, 2 * length
     return state
 
@@ -270,9 +249,8 @@ def forward(
     splats = project_forward(shape, camera)
     n_features = 0 if not with_color else colors.shape[-1]
     frame = Frame(
-        camera=camera, splats=splats, lists=Lists(waves=[], places=np.empty(0, np.int32)), passes=[],
-        sh_degree=sh_degree,
-        n_features=n_features, depth_channel=n_features if with_depth else -1,
+        camera=camera, splats=splats, waves=[], passes=[], sh_degree=sh_degree, n_features=n_features,
+        depth_channel=n_features if with_depth else -1,
     )  # fmt: skip
     plain = colors if with_color else np.empty((len(colors), 0), np.float32)
     copies, bad_colors = _channel_rows(frame, shape, plain)
@@ -288,7 +266,7 @@ def forward(
                 _new_state(camera.tiles_x * camera.tiles_y),
                 np.zeros(camera.tiles_x * camera.tiles_y, np.bool_),
             )
-            for wave in frame.lists.waves:
+            for wave in frame.waves:
                 _composite(camera, rows, wave, wave.list_ends.copy(), state, finished)
         arrays = state.trans, state.color, camera.width, camera.tiles_x, i * CHANNELS, image, alpha
         run(composite.to_image, camera.height, TILE, *arrays)
@@ -305,9 +283,9 @@ class Gradients:
     viewmat: np.ndarray  # [4, 4]
 
 
-def _composite_backward(frame: Frame, v_image: np.ndarray, v_alpha: np.ndarray) -> np.ndarray:
-    """Gradient rows [passes * I, ROW] of all list entries."""
-    camera, n_entries = frame.camera, len(frame.lists.places)
+def _composite_backward(frame: Frame, slots: np.ndarray, v_image: np.ndarray, v_alpha: np.ndarray) -> np.ndarray:
+    """Gradient rows [passes * I, ROW] of all list entries, Gaussian i's at slots[i]..slots[i + 1]."""
+    camera, n_entries = frame.camera, int(slots[-1])
     n_tiles = camera.tiles_x * camera.tiles_y
     v_rows = empty((len(frame.passes) * n_entries, ROW))
     left, behind = empty(n_tiles * composite.PIXELS), empty(n_tiles * composite.PIXELS)
@@ -317,11 +295,11 @@ def _composite_backward(frame: Frame, v_image: np.ndarray, v_alpha: np.ndarray) 
             composite.from_image, n_tiles, GRAIN_TILES, state.trans, camera.width, camera.height, camera.tiles_x,
             i * CHANNELS, v_image, v_alpha, left, behind, v_color,
         )  # fmt: skip
-        for wave, reached in reversed(list(zip(frame.lists.waves, state.reached, strict=True))):
+        for wave, reached in reversed(list(zip(frame.waves, state.reached, strict=True))):
             run(
-                composite.backward, n_tiles, GRAIN_TILES, rows.reshape(-1), wave.members, reached, wave.starts,
-                wave.ends, wave.list_ends, wave.base, i * n_entries, camera.tiles_x, left, behind, v_color, state.last,
-                v_rows.reshape(-1),
+                composite.backward, n_tiles, GRAIN_TILES, rows.reshape(-1), wave.members, wave.within, slots, reached,
+                wave.starts, wave.ends, wave.list_ends, wave.base, i * n_entries, camera.tiles_x, left, behind, v_color,
+                state.last, v_rows.reshape(-1),
             )  # fmt: skip
     return v_rows
 
@@ -331,16 +309,17 @@ def backward(
 ) -> Gradients:
     """Gradients from those of the image [H, W, channels] and alpha [H, W]; of the camera if asked for, else zero."""
     camera, splats, n = frame.camera, frame.splats, len(shape.means)
-    v_rows = _composite_backward(frame, v_image, v_alpha)
+    slots = np.zeros(n + 1, np.int64)
+    np.cumsum(splats.counts, out=slots[1:])
+    v_rows = _composite_backward(frame, slots, v_image, v_alpha)
     v_shape = Shape(means=empty((n, 3)), quats=empty((n, 4)), scales=empty((n, 3)), opacities=empty(n))
     v_features = empty((n, frame.n_features))
     blocks = -(-n // project_backward.BLOCK)
     v_view = np.empty((blocks if with_camera else 0, project_backward.V_VIEW), np.float32)
-    run(
-        project_backward.backward, blocks, 1, shape.means, shape.quats, shape.scales, shape.opacities, camera.vector,
-        splats.radii, v_rows.reshape(-1), frame.lists.places, splats.slots, len(frame.passes),
-        frame.depth_channel, v_shape.means, v_shape.quats, v_shape.scales, v_shape.opacities, v_features, v_view,
-    )  # fmt: skip
+    inputs = shape.means, shape.quats, shape.scales, shape.opacities, camera.vector
+    outputs = v_shape.means, v_shape.quats, v_shape.scales, v_shape.opacities, v_features, v_view
+    passes = len(frame.passes), frame.depth_channel
+    run(project_backward.backward, blocks, 1, *inputs, v_rows.reshape(-1), slots, *passes, *outputs)
     v_viewmat = np.zeros((4, 4), np.float32)
     v_viewmat[:3] = v_view.sum(0, dtype=np.float64).reshape(3, 4)
     if frame.sh_degree is None or not frame.n_features:
@@ -350,7 +329,7 @@ def backward(
         v_center = np.empty((blocks if with_camera else 0, 3), np.float32)
         run(
             harmonics.backward, blocks, 1, project_backward.BLOCK, frame.sh_degree, shape.means, colors.reshape(n, -1),
-            camera.center, splats.radii, v_features, v_colors.reshape(n, -1), v_shape.means, v_center,
+            camera.center, v_features, v_colors.reshape(n, -1), v_shape.means, v_center,
         )  # fmt: skip
         total = v_center.sum(0, dtype=np.float64)  # centre = -R^T t
         v_viewmat[:3, 3] -= camera.viewmat[:3, :3] @ total

@@ -4,6 +4,7 @@
 
 import numpy as np
 
+from .columns import to_columns3, to_columns4, transpose
 from .compiler import inline, kernel
 from .functions import log2
 from .layout import (
@@ -22,7 +23,7 @@ from .layout import (
     X,
     Y,
 )
-from .simd import LANES, bits, ceil, floor, load, maximum, minimum, select, sqrt, store, transpose
+from .simd import LANES, bits, ceil, floor, load, maximum, minimum, select, sqrt, store
 
 ZERO, HALF, ONE, TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 MARGIN = np.float32(0.15)  # of the image size beyond its border: where gsplat stops following the affine approximation
@@ -37,6 +38,12 @@ VIEW, FX, FY, CX, CY, WIDTH, HEIGHT, NEAR, FAR, EPS2D = 0, 12, 13, 14, 15, 16, 1
 @inline
 def _gather(means, quats, scales, opacities, first, count, columns):
     """Transpose `count` Gaussians into columns [INPUTS * LANES]."""
+    if count == LANES:
+        to_columns3(means.reshape(-1), 3 * first, columns, 0)
+        to_columns4(quats.reshape(-1), 4 * first, columns, 3)
+        to_columns3(scales.reshape(-1), 3 * first, columns, 7)
+        store(columns, 10 * LANES, load(opacities, first))
+        return
     for lane in range(count):
         i = first + lane
         for j in range(3):
@@ -119,11 +126,11 @@ def _footprint(m, eps):
 
 
 @kernel
-def forward(begin, end, means, quats, scales, opacities, camera, rows, depths, radii, tiles, slots, suspect):
+def forward(begin, end, means, quats, scales, opacities, camera, rows, depths, radii, tiles, counts, suspect):
     """Project Gaussians begin..end-1.
 
     Writes rows [N, ROW] (channels zero), depths [N], radii [N] int32 (0: cannot reach ALPHA_MIN in the image),
-    tiles [N] int32, an upper bound of the tiles that are touched, and zero to slots [N, 2]. Sets suspect[0] if a value
+    tiles [N] int32, an upper bound of the tiles that are touched, and zero to counts [N]. Sets suspect[0] if a value
     is not finite or out of range.
     """
     columns = np.ones(INPUTS * LANES, np.float32)
@@ -145,7 +152,7 @@ def forward(begin, end, means, quats, scales, opacities, camera, rows, depths, r
             i = first + lane
             depths[i] = rest[lane]
             radii[i], tiles[i] = np.int32(rest[LANES + lane]), np.int32(rest[2 * LANES + lane])
-            slots[i, 0] = slots[i, 1] = 0
+            counts[i] = 0
 
 
 @inline

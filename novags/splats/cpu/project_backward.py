@@ -8,10 +8,11 @@ alpha times 1, u, u^2, u dy, dy, dy^2, and of the four channels' gradients.
 
 import numpy as np
 
+from .columns import from_columns3, from_columns4, transpose
 from .compiler import inline, kernel
 from .layout import CHANNELS, ROW
 from .project import EPS2D, INPUTS, _footprint, _gather, _image_axes, _jacobian, _rotation, _times_rotation, _to_camera
-from .simd import LANES, load, prefetch, select, splat, store, transpose
+from .simd import LANES, load, select, splat, store
 
 ZERO, HALF, ONE, TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 SUMS = 6
@@ -20,15 +21,14 @@ V_VIEW = 12  # entries of the world-to-camera matrix, row by row
 
 
 @inline
-def _sum_rows(v_rows, places, starts, i, n_passes, depth_channel, lane, sums, v_features, v_depth):
-    """Add up the gradient rows of Gaussian i, in the fixed order of its tiles, to row `lane` of sums [LANES * ROW]."""
-    n_places = len(places)
+def _sum_rows(v_rows, first, last, n_entries, n_passes, i, depth_channel, lane, sums, v_features, v_depth):
+    """Add up the rows first..last-1, of Gaussian i's tiles in a fixed order, to row `lane` of sums [LANES * ROW]."""
     n_features = v_features.shape[1]
     geometry = splat(ZERO)
     for channels in range(n_passes):
         total = splat(ZERO)
-        for slot in range(starts[i, 0], starts[i, 1]):
-            total += load(v_rows, (np.int64(channels) * n_places + places[slot]) * ROW)
+        for slot in range(first, last):
+            total += load(v_rows, (channels * n_entries + slot) * ROW)
         geometry += total
         store(sums, lane * ROW, total)
         for j in range(CHANNELS):
@@ -42,39 +42,39 @@ def _sum_rows(v_rows, places, starts, i, n_passes, depth_channel, lane, sums, v_
 
 @kernel
 def backward(
-    begin, end, means, quats, scales, opacities, camera, radii, v_rows, places, starts, n_passes, depth_channel,
+    begin, end, means, quats, scales, opacities, camera, v_rows, slots, n_passes, depth_channel,
     v_means, v_quats, v_scales, v_opacities, v_features, v_view,
 ):  # fmt: skip
     """Gradients of blocks begin..end-1 of BLOCK Gaussians.
 
-    starts [N, 2] is each Gaussian's range in `places`, which are its rows in v_rows (one pass of four channels after
-    the other). Writes v_means, v_quats, v_scales [N, 3 or 4], v_opacities [N], v_features [N, D]; and the camera
+    Gaussian i's rows in v_rows are slots[i]..slots[i + 1] - 1 (none: no gradient), one pass of four channels after the
+    other. Writes v_means, v_quats, v_scales [N, 3 or 4], v_opacities [N], v_features [N, D]; and the camera
     gradient's partial sums v_view [blocks, V_VIEW] unless that is empty.
     """
     n = len(means)
     columns = np.ones(INPUTS * LANES, np.float32)
     sums, sum_columns = np.zeros(LANES * ROW, np.float32), np.empty(ROW * LANES, np.float32)
-    rest = np.zeros(2 * LANES, np.float32)  # gradient of the depth; 1 for visible Gaussians
+    rest = np.zeros(2 * LANES, np.float32)  # gradient of the depth; 1 for Gaussians in any tile's list
     row = np.empty(LANES, np.float32)
     camera_sums = np.empty(V_VIEW * LANES, np.float32)
     for block in range(begin, end):
         camera_sums[:] = ZERO
         for first in range(block * BLOCK, min(n, (block + 1) * BLOCK), LANES):
             count = min(LANES, n - first)
-            for i in range(first + LANES, min(n, first + 2 * LANES)):
-                for slot in range(starts[i, 0], starts[i, 1]):
-                    prefetch(v_rows, np.int64(places[slot]) * ROW)
             rest[:] = ZERO
-            any_visible = False
+            any_listed = False
             for lane in range(count):
                 i = first + lane
-                if radii[i] > 0:
-                    any_visible = True
+                if slots[i + 1] > slots[i]:
+                    any_listed = True
                     rest[LANES + lane] = ONE
-                    _sum_rows(v_rows, places, starts, i, n_passes, depth_channel, lane, sums, v_features, rest)
+                    _sum_rows(
+                        v_rows, slots[i], slots[i + 1], slots[n], n_passes, i, depth_channel, lane, sums, v_features,
+                        rest,
+                    )  # fmt: skip
                 else:
                     v_features[i] = ZERO
-            if not any_visible:
+            if not any_listed:
                 v_means[first : first + count] = ZERO
                 v_quats[first : first + count] = ZERO
                 v_scales[first : first + count] = ZERO
@@ -83,7 +83,7 @@ def backward(
             _gather(means, quats, scales, opacities, first, count, columns)
             transpose(sums, 0, ROW, sum_columns, 0, LANES)
             _backward(camera, columns, sum_columns, rest, camera_sums)
-            _scatter(first, count, radii, columns, v_means, v_quats, v_scales, v_opacities)
+            _scatter(first, count, columns, v_means, v_quats, v_scales, v_opacities)
         if len(v_view):
             for j in range(V_VIEW):
                 total = load(camera_sums, j * LANES)
@@ -92,16 +92,27 @@ def backward(
 
 
 @inline
-def _scatter(first, count, radii, columns, v_means, v_quats, v_scales, v_opacities):
+def _scatter(first, count, columns, v_means, v_quats, v_scales, v_opacities):
+    if count == LANES:
+        from_columns3(columns, 0, v_means.reshape(-1), 3 * first)
+        from_columns4(columns, 3, v_quats.reshape(-1), 4 * first)
+        from_columns3(columns, 7, v_scales.reshape(-1), 3 * first)
+        store(v_opacities, first, load(columns, 10 * LANES))
+        return
     for lane in range(count):
         i = first + lane
-        seen = radii[i] > 0
         for j in range(3):
-            v_means[i, j] = columns[j * LANES + lane] if seen else ZERO
-            v_scales[i, j] = columns[(7 + j) * LANES + lane] if seen else ZERO
+            v_means[i, j] = columns[j * LANES + lane]
+            v_scales[i, j] = columns[(7 + j) * LANES + lane]
         for j in range(4):
-            v_quats[i, j] = columns[(3 + j) * LANES + lane] if seen else ZERO
-        v_opacities[i] = columns[10 * LANES + lane] if seen else ZERO
+            v_quats[i, j] = columns[(3 + j) * LANES + lane]
+        v_opacities[i] = columns[10 * LANES + lane]
+
+
+@inline
+def _keep(b, column, seen, value):
+    # selected, not multiplied: a Gaussian that is in no list may be anywhere, even in the camera plane
+    store(b, column * LANES, select(seen, value, ZERO))
 
 
 @inline
@@ -175,20 +186,19 @@ def _backward(c, b, sums, rest, camera_sums):
     v_z += jxz * v_jxz * select(free_x, TWO, ONE) + jyz * v_jyz * select(free_y, TWO, ONE)
     v_z = load(rest, 0) - v_z * iz
 
-    o = load(b, 10 * LANES)
-    store(b, 10 * LANES, g / o)
     seen = load(rest, LANES) > ZERO
     _camera_backward(seen, v_x, v_y, v_z, mx, my, mz, jx, jy, jxz, jyz, vt, camera_sums)
-    store(b, 0 * LANES, v_x * c[0] + v_y * c[4] + v_z * c[8])
-    store(b, 1 * LANES, v_x * c[1] + v_y * c[5] + v_z * c[9])
-    store(b, 2 * LANES, v_x * c[2] + v_y * c[6] + v_z * c[10])
-    store(b, 3 * LANES, vw)
-    store(b, 4 * LANES, vx)
-    store(b, 5 * LANES, vy)
-    store(b, 6 * LANES, vz)
-    store(b, 7 * LANES, v_m[0] * tr[0] + v_m[3] * tr[3])
-    store(b, 8 * LANES, v_m[1] * tr[1] + v_m[4] * tr[4])
-    store(b, 9 * LANES, v_m[2] * tr[2] + v_m[5] * tr[5])
+    _keep(b, 0, seen, v_x * c[0] + v_y * c[4] + v_z * c[8])
+    _keep(b, 1, seen, v_x * c[1] + v_y * c[5] + v_z * c[9])
+    _keep(b, 2, seen, v_x * c[2] + v_y * c[6] + v_z * c[10])
+    _keep(b, 3, seen, vw)
+    _keep(b, 4, seen, vx)
+    _keep(b, 5, seen, vy)
+    _keep(b, 6, seen, vz)
+    _keep(b, 7, seen, v_m[0] * tr[0] + v_m[3] * tr[3])
+    _keep(b, 8, seen, v_m[1] * tr[1] + v_m[4] * tr[4])
+    _keep(b, 9, seen, v_m[2] * tr[2] + v_m[5] * tr[5])
+    _keep(b, 10, seen, g / load(b, 10 * LANES))
 
 
 @inline

@@ -107,6 +107,23 @@ def store(typingctx, array, index, value):
 
 
 @intrinsic
+def stream(typingctx, array, index, value):
+    """Like `store`, but past the caches, for a whole cache line that is read much later; its address is aligned.
+
+    An ordinary store to a line that is not cached reads it first (measured: such stores took half of the backward
+    compositing). The lock that ends a job makes the lines visible to other threads.
+    """
+
+    def codegen(context, builder, sig, args):
+        pointer = _pointer(context, builder, sig.args[0], args[0], args[1], _VEC)
+        instruction = builder.store(args[2], pointer, align=4 * LANES)
+        instruction.set_metadata("nontemporal", builder.module.add_metadata([ir.Constant(_I32, 1)]))
+        return context.get_dummy_value()
+
+    return types.void(array, types.int64, floats), codegen
+
+
+@intrinsic
 def above(typingctx, array, index, value):
     """Mask of array[index : index + 16] > value, for a flat int32 array and an integer."""
 
@@ -249,29 +266,3 @@ def pair_sums(typingctx, a, b):
         return builder.fadd(builder.shuffle_vector(*args, even), builder.shuffle_vector(*args, odd))
 
     return floats(floats, floats), codegen
-
-
-@intrinsic
-def transpose(typingctx, source, at, stride, target, target_at, target_stride):
-    """Sixteen rows of sixteen floats, `stride` apart, become columns `target_stride` apart; flat float32 arrays."""
-
-    def codegen(context, builder, sig, args):
-        index = ir.IntType(64)
-        rows = []
-        for i in range(LANES):
-            place = builder.add(args[1], builder.mul(args[2], ir.Constant(index, i)))
-            rows.append(builder.load(_pointer(context, builder, sig.args[0], args[0], place, _VEC), align=4))
-        for step in (1, 2, 4, 8):  # exchange the off-diagonal halves of ever larger squares
-            low = [lane if not lane & step else LANES + lane - step for lane in range(LANES)]
-            high = [lane + step if not lane & step else LANES + lane for lane in range(LANES)]
-            for i in (i for i in range(LANES) if not i & step):
-                pair = rows[i], rows[i + step]
-                rows[i] = builder.shuffle_vector(*pair, ir.Constant(_INTS, low))
-                rows[i + step] = builder.shuffle_vector(*pair, ir.Constant(_INTS, high))
-        for i in range(LANES):
-            place = builder.add(args[4], builder.mul(args[5], ir.Constant(index, i)))
-            builder.store(rows[i], _pointer(context, builder, sig.args[3], args[3], place, _VEC), align=4)
-        return context.get_dummy_value()
-
-    integers = (types.int64, types.int64)
-    return types.void(source, *integers, target, *integers), codegen
