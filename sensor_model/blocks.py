@@ -42,9 +42,9 @@ def address(draws: streams.Draws) -> tuple[np.uint64, ...]:
     return tuple(np.uint64(i) for i in (draws.view, draws.frame, *draws.key))
 
 
-def scratch() -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """One task's `b` and its list of places, see `kernels.py`."""
-    return np.empty(SCRATCH), np.empty(CHUNK, np.int64)
+def scratch() -> tuple[NDArray[np.float64], NDArray[np.float32], NDArray[np.int64]]:
+    """One task's `b` and `f`, see `kernels.py` and `kernels32.py`, and its list of places."""
+    return np.empty(SCRATCH), np.empty(SCRATCH, np.float32), np.empty(CHUNK, np.int64)
 
 
 def standard_normals(draws: streams.Draws, shape: tuple[int, ...], stream: int) -> NDArray[np.float64]:
@@ -108,7 +108,7 @@ def store_whole(flat, start, stride, b, source, n):  # type: ignore[no-untyped-d
 
 
 @jit
-def _normals(out, stream, shape, y0, y1, row0, col0, view, frame, k0, k1, b, where):  # type: ignore[no-untyped-def]
+def _normals(out, stream, shape, y0, y1, row0, col0, view, frame, k0, k1, b, f, where):  # type: ignore[no-untyped-def]
     _, w, channels = shape
     for y in range(y0, y1):
         for c in range(channels):

@@ -12,16 +12,21 @@ from numpy.typing import NDArray
 
 from sensor_model import effects, streams
 from sensor_model.blocks import STEP, address, in_blocks, load, row_uniform, scratch, store, store_whole
-from sensor_model.kernels import MU, C, N, P, W, jit, normal, poisson, tukey
+from sensor_model.kernels import MU, C, N, P, W, inline, jit, normal, tukey
+from sensor_model.kernels32 import NORMAL_ERROR, normal32
+from sensor_model.kernels_poisson import poisson
 from sensor_model.prepare import Prepared, charge_cap
 
+QUIET, NORMAL, TUKEY = range(3)
 SHOTS = {"poisson": 0, "normal": 1, "none": 2}
 _NOTHING = np.zeros(1, np.float32)  # stands in for a map that is off
 _NOTHING.flags.writeable = False  # as the maps are: numba compiles once more for writable arrays
 _ROUND = 6755399441055744.0  # 1.5 * 2**52: adding and subtracting it rounds to the nearest whole, halves to even
 
 
-def capture(inputs: Prepared, shot: str, threads: int | None) -> tuple[NDArray[np.uint16], NDArray[np.bool_], int]:
+def capture(
+    inputs: Prepared, shot: str, precision: str, threads: int | None
+) -> tuple[NDArray[np.uint16], NDArray[np.bool_], int]:
     """Codes and saturation of one frame, [h, w, c], and how many values of the light are not finite and >= 0."""
     s, shape = inputs.sensor, inputs.light.shape
     h, w, channels = shape
@@ -36,8 +41,18 @@ def capture(inputs: Prepared, shot: str, threads: int | None) -> tuple[NDArray[n
     # All floats: numba takes a tuple apart only if its items are of one type
     read = (*map(float, (s.mu_e_sat, s.droop, s.sigma_d / scale, s.tukey_lambda or 0, s.gain, s.max_dn)), *merge)
     given = [m is not None for m in maps]
-    before = (light, response, dark, *given[:2], s.eta, inputs.dark_e, charge_cap(s), SHOTS[shot])
-    after = (offset, given[2], inputs.rows, columns, inputs.black, read, s.tukey_lambda is not None)
+    before = (
+        light,
+        response,
+        dark,
+        *given[:2],
+        s.eta,
+        inputs.dark_e,
+        charge_cap(s),
+        SHOTS[shot],
+        precision == "float32",
+    )
+    after = (offset, given[2], inputs.rows, columns, inputs.black, read, *_noise(read, s.tukey_lambda, precision))
     where = (*inputs.draws.origin, *address(inputs.draws))
 
     def shoot(y0: int, y1: int, charge: NDArray) -> int:
@@ -64,10 +79,19 @@ def capture(inputs: Prepared, shot: str, threads: int | None) -> tuple[NDArray[n
     return dn.reshape(shape), saturated.view(np.bool_).reshape(shape), bad
 
 
+def _noise(read: tuple[float, ...], lam: float | None, precision: str) -> tuple[int, float]:
+    """Kind of the read noise; and how near to the next code a code must be for float32 to matter, DN."""
+    _, _, sigma, _, gain, _, _, sigma_low, _ = read
+    loudest = max(sigma, sigma_low)
+    kind = QUIET if loudest == 0 else NORMAL if lam is None else TUKEY
+    # The quantile's own error grows with it, up to 5.3 deviations; what else is computed is in float64
+    return kind, -1.0 if precision == "float32" else gain * loudest * NORMAL_ERROR * 6.3
+
+
 @jit
 def _shoot(  # type: ignore[no-untyped-def]
-    light, response, dark, with_response, with_dark, eta, dark_e, cap, shot, out, shape, y0, y1,
-    row0, col0, view, frame, k0, k1, b, where,
+    light, response, dark, with_response, with_dark, eta, dark_e, cap, shot, single, out, shape, y0, y1,
+    row0, col0, view, frame, k0, k1, b, f, where,
 ):  # fmt: skip
     """Light -> electrons of rows y0..y1, into out; returns the number of pixels whose light is not finite and >= 0."""
     bad = 0
@@ -97,23 +121,55 @@ def _shoot(  # type: ignore[no-untyped-def]
                 if shot < 2:
                     row_uniform(b, n, streams.SHOT, c, row0 + y, col0 + x0, view, frame, k0, k1)
                 if shot == 0:
-                    poisson(b, n, where)
+                    poisson(b, f, n, where)
                 elif shot == 1:
-                    normal(b, n, where)
+                    if single and normal32(b, f, n):
+                        for i in range(n):
+                            b[W + i] = np.float64(f[W + i])
+                    else:
+                        normal(b, n, where)
                     for i in range(n):
                         b[N + i] = b[MU + i] + np.sqrt(b[MU + i]) * b[W + i]
                 store(out, ((y - y0) * w + x0) * channels + c, channels, b, N, n)
     return bad
 
 
+@inline
+def _codes(b, n, even, odd, read, slack):  # type: ignore[no-untyped-def]
+    """Charge C, noise W and offset N -> codes N and saturation C; returns how many are within slack of another."""
+    full, droop, sigma, _, gain, top, threshold, sigma_low, ratio = read
+    near = 0
+    if threshold == np.inf:
+        for i in range(n):
+            held = min(b[C + i], full)
+            signal = (held - droop * held * held) + sigma * b[W + i] + b[N + i]
+            exact = gain * signal + (odd if i & 1 else even)
+            code = (exact + _ROUND) - _ROUND
+            near += 1 if 0.5 - abs(exact - code) < slack else 0
+            code = min(max(code, 0.0), top)
+            b[N + i] = code
+            b[C + i] = 1.0 if (held >= full) | (code == top) else 0.0
+        return near
+    for i in range(n):
+        held = min(b[C + i], full)
+        low = held > threshold
+        signal = (held - droop * held * held) + (sigma_low if low else sigma) * b[W + i] + b[N + i]
+        exact = (gain * signal + (odd if i & 1 else even)) * (1.0 / ratio if low else 1.0)
+        step = (exact + _ROUND) - _ROUND
+        near += 1 if 0.5 - abs(exact - step) < slack else 0
+        code = min(max((step * (ratio if low else 1.0) + _ROUND) - _ROUND, 0.0), top)
+        b[N + i] = code
+        b[C + i] = 1.0 if (held >= full) | (code == top) else 0.0
+    return near
+
+
 @jit
 def _read_out(  # type: ignore[no-untyped-def]
-    charge, offset, with_offset, rows, columns, black, read, tails, dn, saturated, shape, y0, y1,
-    row0, col0, view, frame, k0, k1, b, where,
+    charge, offset, with_offset, rows, columns, black, read, noise, slack, dn, saturated, shape, y0, y1,
+    row0, col0, view, frame, k0, k1, b, f, where,
 ):  # fmt: skip
     """Electrons of rows y0..y1 -> codes and saturation."""
-    full, droop, sigma, lam, gain, top, threshold, sigma_low, ratio = read
-    quiet = sigma == 0.0 and sigma_low == 0.0
+    lam, quiet = read[3], noise == QUIET
     _, w, channels = shape
     for y in range(y0, y1):
         for c in range(channels):
@@ -121,40 +177,33 @@ def _read_out(  # type: ignore[no-untyped-def]
             for x0 in range(0, w, STEP):
                 n = min(STEP, w - x0)
                 start = (y * w + x0) * channels + c
-                if quiet:
-                    for i in range(n):
-                        b[W + i] = 0.0
-                else:
+                row, column = rows[y, c], columns[c, x0 : x0 + n]
+                if not quiet:
                     row_uniform(b, n, streams.READ, c, row0 + y, col0 + x0, view, frame, k0, k1)
-                    if tails:
+                single = noise == NORMAL and slack < 0.01
+                while True:
+                    if quiet:
+                        for i in range(n):
+                            b[W + i] = 0.0
+                    elif noise == TUKEY:
                         tukey(b, n, lam)
+                    elif single:
+                        single = normal32(b, f, n)
+                        for i in range(n):
+                            b[W + i] = np.float64(f[W + i])
                     else:
                         normal(b, n, where)
-                row, column = rows[y, c], columns[c, x0 : x0 + n]
-                for i in range(n):
-                    b[N + i] = row + column[i]
-                if with_offset:
-                    load(b, P, offset, start, channels, n)
                     for i in range(n):
-                        b[N + i] += b[P + i]
-                load(b, C, charge, ((y - y0) * w + x0) * channels + c, channels, n)
-                if threshold == np.inf:
-                    for i in range(n):
-                        held = min(b[C + i], full)
-                        signal = (held - droop * held * held) + sigma * b[W + i] + b[N + i]
-                        code = gain * signal + (odd if i & 1 else even)
-                        code = min(max((code + _ROUND) - _ROUND, 0.0), top)
-                        b[N + i] = code
-                        b[C + i] = 1.0 if (held >= full) | (code == top) else 0.0
-                for i in range(n if threshold < np.inf else 0):
-                    held = min(b[C + i], full)
-                    low = held > threshold
-                    signal = (held - droop * held * held) + (sigma_low if low else sigma) * b[W + i] + b[N + i]
-                    code = gain * signal + (odd if i & 1 else even)
-                    code = ((code * (1.0 / ratio if low else 1.0) + _ROUND) - _ROUND) * (ratio if low else 1.0)
-                    code = min(max((code + _ROUND) - _ROUND, 0.0), top)
-                    b[N + i] = code
-                    b[C + i] = 1.0 if (held >= full) | (code == top) else 0.0
+                        b[N + i] = row + column[i]
+                    if with_offset:
+                        load(b, P, offset, start, channels, n)
+                        for i in range(n):
+                            b[N + i] += b[P + i]
+                    load(b, C, charge, ((y - y0) * w + x0) * channels + c, channels, n)
+                    near = _codes(b, n, even, odd, read, slack)
+                    if not single or near == 0:
+                        break
+                    single = False  # some code might be another in float64: all of them again
                 store_whole(dn, start, channels, b, N, n)
                 store_whole(saturated, start, channels, b, C, n)
     return 0

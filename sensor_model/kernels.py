@@ -1,4 +1,4 @@
-"""Vectorised numba twins of the samplers in `effects.py`: uniform, normal, Tukey-lambda, Poisson.
+"""Vectorised numba twins of the samplers in `effects.py`: uniform, normal, Tukey-lambda. Poisson: kernels_poisson.py.
 
 Everything works on CHUNK pixels at a time, in loops without branches or calls, which LLVM turns into SIMD code. All
 operands live in one float64 scratch array `b` (it stays in the first-level cache), each at a fixed offset: U, W, MU ...
@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 from zlib import crc32
 
 import numpy as np
@@ -29,12 +30,14 @@ _MASK, _S16, _S32 = np.uint64(streams.MASK), np.uint64(16), np.uint64(32)
 _S20, _S12, _TWO = np.uint64(20), np.uint64(12), np.uint64(2)
 _ROUNDS = streams.ROUNDS
 _LN2 = math.log(2)
-SMALL_MEAN = 4.0  # below: count through the distribution function; above: invert its asymptotic series
 
-_SOURCES = [Path(__file__).with_name(name) for name in ("kernels.py", "blocks.py", "fused.py", "streams.py")]
+_SOURCES = [
+    Path(__file__).with_name(name)
+    for name in ("kernels.py", "kernels32.py", "kernels_poisson.py", "blocks.py", "fused.py", "streams.py")
+]
 
 
-def jit(function: Callable, **options: str) -> Callable:
+def jit(function: Callable, **options: Any) -> Callable:
     """Compile to machine code, once for all processes."""
     # numba's cache sees a change of a function's own file, not of the files it inlines from. So each state of our
     # sources gets a directory of its own.
@@ -119,6 +122,17 @@ def exp16(x):  # type: ignore[no-untyped-def]
     p = p * p
     p = p * p
     return p * p
+
+
+@jit
+def quantile(u):  # type: ignore[no-untyped-def]
+    """One standard normal quantile."""
+    q = u - 0.5
+    if abs(q) <= 0.425:
+        return _central(q)
+    r = math.sqrt(-math.log(min(u, 1.0 - u)))
+    value = _tail(r - 1.6) if r <= 5.0 else _far_tail(r - 5.0)
+    return -value if q < 0.0 else value
 
 
 @inline
@@ -228,129 +242,3 @@ def tukey(b, n, lam):  # type: ignore[no-untyped-def]
             u = b[U + i]
             if min(u, 1.0 - u) < edge:
                 b[W + i] = (math.exp(lam * math.log(u)) - math.exp(lam * math.log1p(-u))) / lam
-
-
-@jit
-def poisson(b, n, where):  # type: ignore[no-untyped-def]
-    """b[N:N + n] = Poisson quantiles of b[U:] for means b[MU:] >= 0, all exact; twin of `effects.shot_noise`."""
-    large = 0
-    for i in range(n):
-        large += 1 if b[MU + i] >= SMALL_MEAN else 0
-    if large > 0:
-        normal(b, n, where)
-        _poisson_large(b, n, where)
-    if large < n:
-        _poisson_small(b, n)
-
-
-@jit
-def _poisson_small(b, n):  # type: ignore[no-untyped-def]
-    """Count k = 0, 1, 2, ... up the distribution function C, all pixels side by side."""
-    for i in range(n):
-        small = b[MU + i] < SMALL_MEAN
-        p = exp16(-b[MU + i]) if small else 0.0
-        b[P + i] = p
-        b[C + i] = p if small else 2.0  # 2 is above any u: larger means stay as they are
-        b[N + i] = 0.0 if small else b[N + i]
-    for k in range(1, 100):  # P(N >= 100) < 1e-98 at mean 4
-        inverse = 1.0 / k
-        higher = 0
-        for i in range(n):
-            up = b[U + i] > b[C + i]
-            b[N + i] += 1.0 if up else 0.0
-            higher += 1 if up else 0
-            b[P + i] *= b[MU + i] * inverse
-            b[C + i] += b[P + i]
-        if higher == 0:
-            break
-
-
-@jit
-def _poisson_large(b, n, where):  # type: ignore[no-untyped-def]
-    """Round down the asymptotic quantile; where its error could matter, decide by the distribution function.
-
-    Source: Giles, "Algorithm 955", ACM TOMS 42 (2016), the series to order 1/mu. Compared with the incomplete gamma
-    function for 4 <= mu <= 1e6 and max(-8, -max(3, sqrt(mu))) <= w <= 8, its error stays below 0.85 `slack`.
-    """
-    near = 0
-    for i in range(n):
-        mu = max(b[MU + i], SMALL_MEAN)
-        w = b[W + i]
-        s = w * w
-        root = math.sqrt(mu)
-        r = np.float64(np.float32(1.0) / np.float32(root))  # 24 bits do for the small terms, and divide faster
-        third = w * (2.0 + s) * r * (1 / 72)
-        fourth = (s * (7.0 + 3.0 * s) - 16.0) * r * r * (1 / 810)
-        x = mu + root * w + (2.0 + s) * (1 / 6) - third + fourth
-        k = np.floor(x)
-        # 2e-15, 3e-7: rounding of x and of the small terms, which without them could cross a whole number unseen
-        slack = (0.05 + s * s * abs(w) * 0.004) * r * r * r + 2e-15 * mu + 3e-7 * (abs(third) + abs(fourth))
-        b[N + i] = k
-        b[C + i] = min(x - k, k + 1.0 - x) - slack
-        # In the far lower tail, where the quantile nears 0, the series fails
-        b[X + i] = w + max(3.0, root)
-        near += 1 if (b[C + i] < 0.0) | (b[X + i] < 0.0) else 0
-    if near == 0:
-        return
-    count = 0
-    for i in range(n):
-        where[count] = i
-        count += 1 if (b[C + i] < 0.0) | (b[X + i] < 0.0) else 0
-    for j in range(count):
-        i = where[j]
-        if b[MU + i] >= SMALL_MEAN:
-            b[N + i] = _poisson_exact(b[U + i], b[MU + i], b[N + i])
-
-
-@jit
-def _poisson_exact(u, mu, guess):  # type: ignore[no-untyped-def]
-    """The smallest k with P(N <= k) >= u, walking from a guess near it; the smaller of the two tails is summed."""
-    k = max(guess, 0.0)
-    p = _poisson_pmf(k, mu)
-    if u < 0.5:
-        cdf, term, j = p, p, k  # P(N <= k)
-        while j > 0.0 and term > 1e-17 * cdf:
-            term *= j / mu
-            cdf += term
-            j -= 1.0
-        while cdf < u:
-            k += 1.0
-            p *= mu / k
-            cdf += p
-        while k > 0.0 and cdf - p >= u:
-            cdf -= p
-            p *= k / mu
-            k -= 1.0
-        return k
-    v = 1.0 - u
-    j = k + 1.0
-    term = p * mu / j
-    above = term  # P(N > k)
-    while term > 1e-17 * above:
-        j += 1.0
-        term *= mu / j
-        above += term
-    while above > v:
-        k += 1.0
-        p *= mu / k
-        above -= p
-    while k > 0.0 and above + p <= v:
-        above += p
-        p *= k / mu
-        k -= 1.0
-    return k
-
-
-@jit
-def _poisson_pmf(k, mu):  # type: ignore[no-untyped-def]
-    """P(N = k) by Loader's saddle point form: no large terms that cancel. Loader, "Fast and accurate ..." (2000)."""
-    if k == 0.0:
-        return math.exp(-mu)
-    if k < 16.0:
-        stirling = math.lgamma(k + 1.0) - (k + 0.5) * math.log(k) + k - 0.9189385332046727
-    else:
-        s = 1.0 / (k * k)
-        stirling = (1 / 12 - s * (1 / 360 - s * (1 / 1260 - s * (1 / 1680)))) / k
-    d = (mu - k) / k
-    deviance = k * (d - math.log1p(d))
-    return math.exp(-stirling - deviance) / math.sqrt(2.0 * math.pi * k)

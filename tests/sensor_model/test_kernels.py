@@ -93,3 +93,65 @@ def test_importing_the_package_stays_light():
     code = f"import sys, sensor_model; print(sorted({heavy} & set(sys.modules)))"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout.strip() == "[]"
+
+
+def run(kernel, u, mean):
+    """One kernel over any number of pixels; float64 results, and float32 ones."""
+    from sensor_model.kernels import CHUNK, MU, N, U, W
+
+    b, f, where = blocks.scratch()
+    counts, quantiles, bounded = np.empty(u.size), np.empty(u.size), True
+    for i in range(0, u.size, CHUNK):
+        n = min(CHUNK, u.size - i)
+        b[U : U + n], b[MU : MU + n] = u[i : i + n], mean[i : i + n]
+        bounded &= bool(kernel(b, f, n)) if kernel.__name__ == "normal32" else kernel(b, f, n, where) is None
+        counts[i : i + n], quantiles[i : i + n] = b[N : N + n], f[W : W + n]
+    return counts, quantiles, bounded
+
+
+def test_single_precision_quantiles_keep_their_stated_error():
+    """Rationale: frames equal those of float64 only if nothing is further off than `NORMAL_ERROR` says."""
+    from scipy.special import ndtri
+
+    from sensor_model.kernels32 import NORMAL_ERROR, TAIL, normal32
+
+    tail = np.exp(np.linspace(np.log(1.001 * TAIL), np.log(0.5), 100_000))
+    u = np.concatenate([tail, 1 - tail, 0.5 + np.linspace(-1e-3, 1e-3, 2000)])
+    _, found, bounded = run(normal32, u, np.ones(u.size))
+    assert bounded
+    assert (np.abs(found - ndtri(u)) <= 0.5 * NORMAL_ERROR * (1 + np.abs(ndtri(u)))).all()
+    assert not run(normal32, np.append(u, 0.5 * TAIL), np.ones(u.size + 1))[2]
+
+
+@pytest.mark.parametrize("order", ["mixed", "sorted"])
+def test_poisson_counts_are_exact_though_found_in_single_precision(order):
+    """Means from 1e-9 to 1e7 and numbers far into both tails, side by side and on their own."""
+    from sensor_model import effects
+    from sensor_model.kernels_poisson import poisson
+
+    rng = np.random.default_rng(0)
+    mean = np.exp(rng.uniform(np.log(1e-9), np.log(1e7), 150_000))
+    mean[::9] = 10 ** rng.uniform(-1, 2.5, mean[::9].size)
+    mean = np.sort(mean) if order == "sorted" else mean
+    u = rng.random(mean.size)
+    u[::5] = 2.0 ** -rng.uniform(1, 45, u[::5].size)
+    u[1::5] = 1 - 2.0 ** -rng.uniform(1, 30, u[1::5].size)
+    counts, _, _ = run(poisson, u, mean)
+    np.testing.assert_array_equal(counts, effects.shot_noise(u, mean))
+
+
+@pytest.mark.parametrize("shot", ["poisson", "normal", "none"])
+@pytest.mark.parametrize("chain", ["plain", "dual gain", "heavy tails", "no read noise"])
+def test_unchecked_single_precision_moves_few_codes_and_those_by_one(chain, shot):
+    sensor = Sensor(**(BASE | CHAINS[chain]))
+    photons = light(1, (600, 700))
+    whole = expose(photons, sensor, EXPOSURE, seed=7, view=1, shot=shot).dn.astype(int)
+    single = expose(photons, sensor, EXPOSURE, seed=7, view=1, shot=shot, precision="float32").dn.astype(int)
+    moved = np.abs(whole - single)
+    width = sensor.dual_gain.ratio if sensor.dual_gain else 1
+    assert moved.max() <= width
+    assert np.count_nonzero(moved) < 1e-3 * moved.size
+    if chain == "no read noise" and shot != "normal":
+        assert not moved.any()
+    with pytest.raises(ValueError, match="precision must be one of"):
+        expose(photons, sensor, EXPOSURE, seed=7, view=1, precision="half")
