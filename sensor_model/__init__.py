@@ -16,6 +16,7 @@ from sensor_model.isp import develop_linear as develop_linear
 from sensor_model.isp import from_linear16 as from_linear16
 from sensor_model.isp import linear_to_srgb as linear_to_srgb
 from sensor_model.isp import srgb_to_linear as srgb_to_linear
+from sensor_model.isp import to_srgb8 as to_srgb8
 from sensor_model.mosaic import mosaic as mosaic
 from sensor_model.params import Banding as Banding
 from sensor_model.params import Defects as Defects

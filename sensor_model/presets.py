@@ -5,7 +5,8 @@ PMN: megvii-research/PMN (Apache-2.0), data_process/process.py: photon transfer 
 ELD: Vandermode/ELD (MIT), camera_params/release: log-linear fits against the gain; profile 2 of the D850.
 Prime 95B: getframes (MIT), fitted from 200 dark frames per exposure at -20 deg C, low-signal leg of its 16-bit mode.
 PMN and ELD give noise in DN, and for Tukey's lambda distribution its scale: sigma = scale * tukey_sd(lambda) / gain.
-"assumed": no public measurement. "derived": what the ADC spans at the lowest ISO; at the ISO of the preset the ADC
+"assumed": no public measurement. An assumed `eta` matters only for light in physical units: light given in electrons
+divides it out. "derived": what the ADC spans at the lowest ISO; at the ISO of the preset the ADC
 saturates first.
 """
 

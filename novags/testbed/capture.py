@@ -40,6 +40,7 @@ class CaptureConfig:
     seed: int = 0
     max_size: int | None = None  # px; scale larger images down to this longest side
     demosaic: Demosaic = "menon"  # for sensors with a colour filter array
+    jpeg_quality: int | None = None  # 1..100: the 8-bit pictures show what JPEG leaves of them
     tolerance: float | None = 0.05  # leave out effects that change the noise by less; None simulates all
     camera: Sensor = field(init=False)  # what `sensor` stands for: a file is read once, and its content is hashed
 
@@ -49,6 +50,8 @@ class CaptureConfig:
             raise ValueError(f"electrons must be > 0 and finite, got {self.electrons}")
         if self.demosaic not in get_args(Demosaic):
             raise ValueError(f"demosaic must be one of {', '.join(get_args(Demosaic))}, got {self.demosaic!r}")
+        if self.jpeg_quality is not None and not 1 <= self.jpeg_quality <= 100:
+            raise ValueError(f"jpeg_quality must be None or in 1..100, got {self.jpeg_quality}")
         if self.seed < 0:
             raise ValueError(f"seed must be >= 0, got {self.seed}")
 
@@ -91,7 +94,7 @@ def capture_views(source: Source, folder: Path, config: CaptureConfig, console: 
                 )
                 light = mosaic(photons, sensor.cfa) if sensor.cfa else photons
                 frame = expose(light, sensor, exposure, seed=config.seed, view=i, plan=plan)
-                write_view(folder, name, frame, sensor, exposure, config.demosaic)
+                write_view(folder, name, frame, sensor, exposure, config.demosaic, config.jpeg_quality)
             progress(i + 1, len(names), f"view {name}")
     write_cameras(folder, names, source.rig, points=source.views.points())
     return {
@@ -107,6 +110,7 @@ def capture_views(source: Source, folder: Path, config: CaptureConfig, console: 
         "mean_green_radiance": mean_green,
         "signal_quantiles_e": dict(zip(map(str, QUANTILES), signal_e.tolist(), strict=True)),
         "demosaic": config.demosaic,
+        "jpeg_quality": config.jpeg_quality,
         "seed": config.seed,
         "views": len(names),
         "width": source.rig.width,

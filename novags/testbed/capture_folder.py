@@ -44,7 +44,13 @@ def has_view(folder: Path, name: str) -> bool:
 
 
 def write_view(
-    folder: Path, name: str, frame: RawFrame, sensor: Sensor, exposure: Exposure, demosaic: Demosaic
+    folder: Path,
+    name: str,
+    frame: RawFrame,
+    sensor: Sensor,
+    exposure: Exposure,
+    demosaic: Demosaic,
+    jpeg_quality: int | None = None,
 ) -> None:
     """Write everything about one exposure."""
     for part in ("raw", "truth"):
@@ -57,7 +63,7 @@ def write_view(
         **_planes("saturated", frame.saturated.astype(np.uint32)),
     }
     write_exr(folder / "truth" / f"{name}.exr", truth)
-    developed = develop(frame, sensor, demosaic=demosaic)
+    developed = develop(frame, sensor, demosaic=demosaic, jpeg_quality=jpeg_quality)
     write_png(folder / "images16" / f"{name}.png", developed.linear16)
     write_png(folder / "images" / f"{name}.png", developed.srgb8)
 

@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from novags.testbed import raw_files
+from sensor_model import to_srgb8
 from simscenes.exr import read_exr
 from simscenes.foreign import _transforms_lens
-from simscenes.multiview import MultiviewSet, encode_srgb
+from simscenes.multiview import MultiviewSet
 from simscenes.rigs import Rig, opengl_to_opencv
 
 SUFFIXES = (".exr", *raw_files.SUFFIXES)
@@ -32,7 +33,7 @@ class LinearPhotographs(MultiviewSet):
 
     def image(self, i: int) -> np.ndarray:
         """The picture of view `i` at the exposure of the whole set, 8-bit sRGB [h,w,3]."""
-        return encode_srgb(self.radiance(i) * np.float32(self.meta["exposure_scale"]))
+        return to_srgb8(self.radiance(i) * np.float32(self.meta["exposure_scale"]))
 
 
 def load_linear_set(folder: Path) -> LinearPhotographs | None:

@@ -107,3 +107,15 @@ def test_a_preset_written_to_a_file_takes_the_same_pictures(tmp_path: Path) -> N
         stages.capture(views, tmp_path / Path(name).stem, CaptureConfig(sensor=name), QUIET)
     first, second = ((tmp_path / stem / "raw" / "0001.dng").read_bytes() for stem in ("imx900-hcg", "copy"))
     assert first == second
+
+
+def test_jpeg_touches_the_8_bit_pictures_only(tmp_path: Path) -> None:
+    views = photographs(tmp_path / "set")
+    for quality in (None, 40):
+        config = CaptureConfig(sensor="ideal-3chip", electrons=500.0, jpeg_quality=quality)
+        stages.capture(views, tmp_path / str(quality), config, QUIET)
+    plain, jpeg = (open_capture(tmp_path / name) for name in ("None", "40"))
+    assert 0.001 < np.abs(plain.dark(0) - jpeg.dark(0)).mean() < 0.2
+    np.testing.assert_array_equal(plain.dark(0, "16bit"), jpeg.dark(0, "16bit"))
+    with pytest.raises(ValueError, match="jpeg_quality must be"):
+        CaptureConfig(jpeg_quality=0)
