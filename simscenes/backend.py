@@ -184,6 +184,12 @@ def choose_variant(variant: str = "auto", color: str = "rgb") -> str:
     return full
 
 
+def backend_of(variant: str = "auto") -> str:
+    """The one of `BACKENDS` that a variant, as for `choose_variant`, runs on."""
+    full = choose_variant(variant)
+    return next(b for b in BACKENDS if full.startswith(b))
+
+
 def activate(variant: str = "auto", color: str = "rgb") -> Any:
     """Set a working Mitsuba variant and return the `mitsuba` module.
 

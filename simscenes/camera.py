@@ -64,6 +64,14 @@ def srgb_curves() -> Float:
 
 
 @functools.lru_cache
+def daylight() -> Float:
+    """D65 on `WAVELENGTHS`, relative: the light in which sRGB, and so Mitsuba, takes the colour of a reflectance."""
+    import colour
+
+    return np.asarray(colour.SDS_ILLUMINANTS["D65"].copy().align(colour.SpectralShape(380, 780, 5)).values)
+
+
+@functools.lru_cache
 def camera_color(name: str) -> CameraColor:
     """Look up a camera's measured sensitivities and fit the matrix that RGB rendering needs.
 
@@ -77,7 +85,7 @@ def camera_color(name: str) -> CameraColor:
         raise ValueError(f"camera must be one of {sorted(known)}, got {name!r}")
     shape = colour.SpectralShape(380, 780, 5)
     curves = np.clip(np.nan_to_num(known[name].copy().align(shape).values), 0, None)
-    light = colour.SDS_ILLUMINANTS["D65"].copy().align(shape).values
+    light = daylight()
     patches = colour.SDS_COLOURCHECKERS["BabelColor Average"].values()
     reflectance = np.stack([p.copy().align(shape).values for p in patches] + [np.ones(len(light))])
     seen, exact = (reflectance * light) @ srgb_curves(), (reflectance * light) @ curves / curves[:, 1].sum()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -65,3 +66,6 @@ def export_llff(views: MultiviewSet, folder: str | Path) -> Path:
         shutil.copyfile(views.files[i], folder / "images" / f"{views.names[i]}.png")
     np.save(folder / "poses_bounds.npy", np.array(rows))
     return folder
+
+
+EXPORTS: dict[str, Callable[[MultiviewSet, str | Path], Path]] = {"blender": export_blender, "llff": export_llff}

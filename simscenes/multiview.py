@@ -13,12 +13,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from sensor_model import linear_to_srgb, srgb_to_linear
 from simscenes.exr import read_exr
 from simscenes.foreign import Lens, Photographs, find_colmap, read_colmap, read_reconstruction, read_transforms
 from simscenes.layout import is_test_view, write_cameras
 from simscenes.rigs import Rig
 
-__all__ = ["MultiviewSet", "encode_srgb", "load_set", "srgb_decode", "srgb_encode", "write_cameras"]
+__all__ = ["MultiviewSet", "encode_srgb", "load_set", "write_cameras"]
 
 Image = NDArray[np.uint8]
 Float32 = NDArray[np.float32]
@@ -78,7 +79,7 @@ class MultiviewSet:
         """Linear RGB of view `i`, float32 [h,w,3]: the rendered radiance, else the image with sRGB undone."""
         if self.kind == "rendered":
             return _stack(read_exr(self._gt(i))[0], "R", "G", "B")
-        return srgb_decode(self.image(i) / np.float32(255))
+        return srgb_to_linear(self.image(i) / np.float32(255))
 
     def variance(self, i: int) -> Float32 | None:
         """Estimated variance of `radiance(i)`, float32 [h,w,3]; None for photographs."""
@@ -124,21 +125,9 @@ def _stack(channels: dict[str, NDArray[Any]], *names: str) -> Float32:
     return np.stack([channels[n] for n in names], axis=-1).astype(np.float32)
 
 
-def srgb_encode(linear: NDArray[Any]) -> Float32:
-    """Linear 0..1 -> sRGB code 0..1 (IEC 61966-2-1), clipping to 0..1."""
-    x = np.clip(np.asarray(linear, dtype=np.float32), 0.0, 1.0)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * x ** np.float32(1 / 2.4) - 0.055).astype(np.float32)
-
-
-def srgb_decode(code: NDArray[Any]) -> Float32:
-    """The sRGB code 0..1 -> linear 0..1 (IEC 61966-2-1)."""
-    x = np.asarray(code, dtype=np.float32)
-    return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** np.float32(2.4)).astype(np.float32)
-
-
 def encode_srgb(linear: NDArray[Any]) -> Image:
     """Linear 0..1 -> 8-bit sRGB, rounded; values beyond 1 saturate."""
-    return np.round(srgb_encode(linear) * 255).astype(np.uint8)
+    return np.rint(255 * linear_to_srgb(np.clip(linear, 0, 1))).astype(np.uint8)
 
 
 def load_set(path: str | Path) -> MultiviewSet:

@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simscenes.backend import activate
-from simscenes.render.geometry import pixel_rays
+from simscenes.render.geometry import pixel_rays, shrunk
 from simscenes.render.source import LoadedScene, build_scene
 from simscenes.rigs import Rig, invert_rigid, look_at, mitsuba_to_intrinsics, mitsuba_to_opencv, there_and_back
 
 Float = NDArray[np.float64]
+MAX_PIXELS = 1 << 26  # an untrusted file must not ask for all memory
 CLEARANCE = 0.05  # of the distance to the target: nearer things would fill a new camera's image
 
 
@@ -37,6 +38,9 @@ def own_rig(loaded: LoadedScene, mi: Any, width: int | None = None, height: int 
     params = mi.traverse(sensors[0])
     film_width, film_height = (int(n) for n in sensors[0].film().crop_size())
     w, h = width or film_width, height or film_height
+    if w * h > MAX_PIXELS:
+        raise ValueError(f"scene {loaded.name!r} asks for a film of {w} x {h} pixels, more than {MAX_PIXELS >> 20} Mi; "
+                         "give width and height")  # fmt: skip
 
     def number(key: str) -> float:
         return float(np.array(params[key]).ravel()[0]) if key in params.keys() else 0.0  # noqa: SIM118
@@ -108,11 +112,8 @@ def _rays(loaded: LoadedScene, mi: Any, origins: Float, directions: Float) -> Fl
 
 def _distance_seen(loaded: LoadedScene, mi: Any, own: Rig) -> float:
     """Median distance along the middle third of the image."""
-    small = Rig(viewmats=own.viewmats, Ks=own.Ks, width=own.width, height=own.height)
-    origin, directions = pixel_rays(small, 0)
-    y, x = np.divmod(np.arange(len(directions)), own.width)
-    middle = (np.abs(x / own.width - 0.5) < 0.17) & (np.abs(y / own.height - 0.5) < 0.17)
-    chosen = directions[middle if middle.any() else slice(None)]
+    origin, directions = pixel_rays(shrunk(own, 0, 48), 0)
+    chosen = directions.reshape(48, 48, 3)[16:32, 16:32].reshape(-1, 3)
     distances = _rays(loaded, mi, np.broadcast_to(origin, chosen.shape), chosen)
     seen = distances[np.isfinite(distances)]
     if len(seen) == 0:

@@ -70,7 +70,7 @@ def check_cameras(mi: Any, loaded: LoadedScene, rig: Rig) -> None:
     scene = loaded.scene
     one_sided = np.array([False, *(not s.bsdf().flags() & int(mi.BSDFFlags.BackSide) for s in scene.shapes())])
     for i in range(len(rig)):
-        small = _shrunk(rig, i)
+        small = shrunk(rig, i)
         origin, directions = pixel_rays(small, 0)
         find = _intersect_scalar if mi.variant().startswith("scalar") else _intersect_wide
         hit, _, _, geometric, _, shape, _ = find(mi, scene, origin, directions)
@@ -82,7 +82,7 @@ def check_cameras(mi: Any, loaded: LoadedScene, rig: Rig) -> None:
                              "one-sided: move the camera out of it, or make the material twosided")  # fmt: skip
 
 
-def _shrunk(rig: Rig, i: int, size: int = 8) -> Rig:
+def shrunk(rig: Rig, i: int, size: int = 8) -> Rig:
     """View `i` alone, with a field of view as before and only a few pixels."""
     stretch = np.diag([size / rig.width, size / rig.height, 1.0])
     return Rig(viewmats=rig.viewmats[i : i + 1], Ks=stretch @ rig.Ks[i : i + 1], width=size, height=size)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from sensor_model.plan import Plan
-from simscenes.backend import activate, choose_variant
+from simscenes.backend import activate, backend_of
+from simscenes.export import EXPORTS
 from simscenes.exr import read_exr, write_exr
 from simscenes.layout import write_json
 from simscenes.multiview import MultiviewSet, load_set
@@ -29,6 +30,11 @@ from simscenes.scenes import default_rig
 
 DEFAULT_SPP = 256
 FORMAT = 3  # of the folder; a change renders again
+MEASURE_FROM = 10**8  # samples in a job: some minutes, beside which the planner's slower measurements cost little
+ERROR_SEEN = (
+    "relative_error is the spread between independent passes: noise only. It cannot see what every pass lacks, such as "
+    "paths beyond max_depth or a caustic that no pass has found, nor the error of three colour channels; see plan."
+)
 _KEY = "novagsKey"
 
 Progress = Callable[[int, int, str], None]
@@ -61,6 +67,7 @@ def render_set(
     variant: str = "auto",
     seed: int = 0,
     allow_outside: bool = False,
+    export: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> MultiviewSet:
     """Render a scene into a set folder: radiance with variance, geometry, 8-bit images, cameras, sparse points.
@@ -75,12 +82,13 @@ def render_set(
         out: Folder to write.
         spp: Samples per pixel, rounded up to whole passes; 256 if neither this nor `target_error`.
         target_error: Relative RMSE (root mean variance over mean radiance) at which each view stops.
-        plan: A plan from `plan_transport`; "auto" to make one, with polarisation bounded instead of measured; or "rgb"
-            for plain path tracing to depth 64 without asking.
+        plan: A plan from `plan_transport`; "auto" to make one, measuring everything if the job is long; or "rgb" for
+            plain path tracing to depth 64 without asking.
         optics: Aperture, motion and colour filters; None for a pinhole at rest that sees linear sRGB.
-        variant: Mitsuba variant, see `choose_variant`; the plan decides between RGB and spectral.
+        variant: Mitsuba variant, see `choose_variant`; only its backend counts, the plan decides on its colours.
         seed: Of the Monte Carlo noise; each view's noise depends on it and on the camera, not on the view's place.
         allow_outside: Let an XML scene read files outside its folder.
+        export: Further layouts to write, each into the folder of its name inside `out`: "blender", "llff".
         progress: Called with (views done, views in all, what is going on, with the time left).
 
     Raises:
@@ -88,9 +96,12 @@ def render_set(
             scene renders to impossible radiance.
     """
     _check_quality(spp, target_error)
+    if unknown := set(export) - set(EXPORTS):
+        raise ValueError(f"render_set: export must name layouts of {sorted(EXPORTS)}, got {sorted(unknown)}")
     report = progress or (lambda done, total, what: None)
     optics, watch, out = optics or Optics(), Stopwatch(), Path(out)
     with watch.stage("load"):
+        variant = backend_of(variant)
         mi = activate(variant)
         loaded = build_scene(scene, mi, allow_outside=allow_outside)
     if rig is None:
@@ -99,16 +110,17 @@ def render_set(
     config = {
         "format": FORMAT, "scene": loaded.name, "scene_digest": loaded.digest, "seed": seed, "optics": asdict(optics),
         "spp": spp if spp is not None or target_error is not None else DEFAULT_SPP, "target_error": target_error,
-        "plan": _without_nan(plan.to_dict()) if isinstance(plan, Plan) else plan, "variant": choose_variant(variant),
+        "plan": _without_nan(plan.to_dict()) if isinstance(plan, Plan) else plan, "variant": variant,
     }  # fmt: skip
     names = [f"{i:04d}" for i in range(len(rig))]
     digest = _digest(config, rig)
     if _is_complete(out, digest, names):
-        return load_set(out)
+        return _exported(load_set(out), export)
     (out / "set.json").unlink(missing_ok=True)
     with watch.stage("plan"):
         report(0, len(names), "planning the light transport")
-        made = _make_plan(scene, loaded, rig, optics, plan, variant, seed)
+        samples = len(rig) * rig.width * rig.height * (spp or DEFAULT_SPP)
+        made = _make_plan(scene, loaded, rig, optics, plan, variant, seed, samples >= MEASURE_FROM)
         mi, colored = _ready(scene, loaded, variant, made.color, allow_outside)
         set_light_weights(colored, made.light_weights, mi)
         method = Method(mi, mi.variant(), colored, mi.load_dict(made.integrator()), optics, made.subframes, seed)
@@ -121,11 +133,17 @@ def render_set(
         **config, "digest": digest, "kind": "rendered", "n_views": len(rig), "width": rig.width, "height": rig.height,
         "plan": _without_nan(made.to_dict()), "integrator": made.integrator(), "mitsuba_variant": method.variant,
         **finished,
-        "views": views, "shapes": list(loaded.shapes), "materials": list(loaded.materials),
+        "views": views, "error_seen": ERROR_SEEN, "shapes": list(loaded.shapes), "materials": list(loaded.materials),
         "seconds": watch.seconds, "predicted_seconds": predicted, "peak_bytes": peak_bytes(), "versions": versions(),
     }  # fmt: skip
     write_json(out / "set.json", meta)
-    return load_set(out)
+    return _exported(load_set(out), export)
+
+
+def _exported(views: MultiviewSet, layouts: Sequence[str]) -> MultiviewSet:
+    for layout in layouts:
+        EXPORTS[layout](views, views.path / layout)
+    return views
 
 
 def _without_nan(value: Any) -> Any:
@@ -147,12 +165,12 @@ def _check_quality(spp: int | None, target_error: float | None) -> None:
 
 
 def _make_plan(
-    scene: Any, loaded: LoadedScene, rig: Rig, optics: Optics, plan: str | Plan, variant: str, seed: int
+    scene: Any, loaded: LoadedScene, rig: Rig, optics: Optics, plan: str | Plan, variant: str, seed: int, measure: bool
 ) -> Any:
     from simscenes.transport.planner import default_plan, plan_loaded  # the planner's pilots use this package
 
     if plan == "auto":
-        return plan_loaded(scene, loaded, rig=rig, optics=optics, variant=variant, measure=False, seed=seed)
+        return plan_loaded(scene, loaded, rig=rig, optics=optics, variant=variant, measure=measure, seed=seed)
     if plan == "rgb":
         return default_plan(optics)
     if isinstance(plan, Plan):
@@ -162,8 +180,7 @@ def _make_plan(
 
 def _ready(scene: Any, loaded: LoadedScene, variant: str, color: str, allow_outside: bool) -> tuple[Any, LoadedScene]:
     """The mitsuba module and the scene in the variant the plan calls for."""
-    backend = choose_variant(variant).removesuffix("_rgb")
-    mi = activate(backend, color)
+    mi = activate(variant, color)
     return (mi, loaded) if color == "rgb" else (mi, build_scene(scene, mi, allow_outside=allow_outside))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import warnings
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -23,6 +24,7 @@ from simscenes.rigs import Rig
 
 MAX_SPP = 65536  # where target_error gives up
 PLANNED_PASSES = 6  # towards a target error, each of this part of the samples predicted
+MAX_BLOCKS = 1 << 20  # of several passes held at once; a single pass of a large image may be more
 FEWEST_PASSES = 4  # whose spread is worth asking whether the target is reached
 
 
@@ -79,17 +81,21 @@ class View:
             passes.add(self._in_camera_rgb(image))
 
     def run_uneven(self, passes: Passes, count: int, blocks: NDArray[np.int64], size: int) -> None:
-        """Add `count` passes with `blocks` [h,w] times `size` samples in each pixel, all traced together."""
-        owner = np.repeat(np.arange(blocks.size, dtype=np.uint32), blocks.ravel())
-        method = self.method
-        means = sample_blocks(
-            method.mi, method.loaded.scene, self.sensors[0], method.integrator, np.tile(owner, count), size,
-            self._next_seed(),
-        )  # fmt: skip
-        for part in means.reshape(count, len(owner), 3):
-            sums = np.stack([np.bincount(owner, part[:, c], blocks.size) for c in range(3)], axis=-1)
-            image = sums.reshape(*blocks.shape, 3) / blocks[..., None]
-            passes.add(self._in_camera_rgb(image))
+        """Add `count` passes with `blocks` [h,w] times `size` samples in each pixel, small ones traced together."""
+        owner = np.repeat(np.arange(blocks.size), blocks.ravel())
+        together = max(1, MAX_BLOCKS // len(owner))
+        for first in range(0, count, together):
+            number = min(together, count - first)
+            slots = (np.arange(number)[:, None] * blocks.size + owner).ravel()
+            sums = np.zeros((number * blocks.size, 3))
+            for part, means in self._blocks(slots % blocks.size, size):
+                sums += np.stack([np.bincount(slots[part], m, len(sums)) for m in means.T], axis=-1)
+            for image in sums.reshape(number, *blocks.shape, 3):
+                passes.add(self._in_camera_rgb(image / blocks[..., None]))
+
+    def _blocks(self, pixels: NDArray[np.intp], size: int) -> Iterator[tuple[slice, NDArray[np.float64]]]:
+        m = self.method
+        return sample_blocks(m.mi, m.loaded.scene, self.sensors[0], m.integrator, pixels, size, self._next_seed())
 
     def _in_camera_rgb(self, image: NDArray[np.float64]) -> NDArray[np.float64]:
         spectral = "spectral" in self.method.variant
@@ -131,7 +137,7 @@ class View:
             size = (
                 64 if each >= 256 else PILOT_SPP
             )  # larger blocks are stratified better, smaller ones are spread finer
-            blocks = np.maximum(np.rint(self._pilot[1] * each / size), 1).astype(np.int64)
+            blocks = np.maximum(np.rint(self.pilot[1] * each / size), 1).astype(np.int64)
             spp = size * blocks.mean()
         count = FEWEST_PASSES
         while passes.count == 0 or (passes.error() > target_error and passes.count * spp < MAX_SPP):
@@ -155,11 +161,14 @@ class View:
         return self.method.variant.startswith("scalar") or len(self._poses) > 1
 
     @cached_property
-    def _pilot(self) -> tuple[float, NDArray[np.float64]]:
+    def pilot(self) -> tuple[float, NDArray[np.float64]]:
         """Relative error with one sample per pixel, and the share of the samples each pixel should get, mean 1."""
         pilot = Passes((self.rig.height, self.rig.width))
         size = max(PILOT_SPP, len(self._poses))
-        self.run(pilot, 2, size)
+        if self._even:
+            self.run(pilot, 2, size)
+        else:
+            self.run_uneven(pilot, 2, np.ones((self.rig.height, self.rig.width), np.int64), size)
         seen = pilot.result(size)
         variance = seen.variance.astype(np.float64).mean(-1) * seen.spp
         shares = np.ones_like(variance) if self._even else sample_shares(variance)
@@ -168,7 +177,7 @@ class View:
 
     def predict_spp(self, target_error: float) -> int:
         """Samples per pixel that bring a pilot's error down to the target, if it falls as 1/sqrt(spp)."""
-        wanted = (self._pilot[0] / target_error) ** 2
+        wanted = (self.pilot[0] / target_error) ** 2
         return min(max(2 * PILOT_SPP, math.ceil(wanted)), MAX_SPP)
 
 

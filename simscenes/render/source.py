@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -54,6 +55,10 @@ def build_scene(scene: str | dict[str, Any] | Path, mi: Any, *, allow_outside: b
         raise ValueError(f"scene {name!r} cannot be loaded: {error}") from error
     if not isinstance(loaded, mi.Scene) or len(loaded.shapes()) == 0:
         raise ValueError(f"scene {name!r} has no shapes: there is nothing to see")
+    if "spectral" not in mi.variant() and re.search(r"(Irr|R)egularSpectrum\[", str(loaded)):
+        # Mitsuba would only find out while rendering.
+        raise ValueError(f"scene {name!r} holds a 'regular' or 'irregular' spectrum, which only spectral variants can "
+                         "read; write it as type 'spectrum' with pairs of wavelength and value")  # fmt: skip
     params = mi.traverse(loaded)
     check_parameters(params, mi)
     shapes = tuple(s.id() for s in loaded.shapes())

@@ -7,6 +7,7 @@ bits.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -16,9 +17,9 @@ MAX_WAVEFRONT = 1 << 22  # samples traced at once; bounds the memory to some 200
 
 
 def sample_blocks(
-    mi: Any, scene: Any, sensor: Any, integrator: Any, pixels: NDArray[np.uint32], spp: int, seed: int
-) -> NDArray[np.float64]:
-    """Mean of the film's channels over one stratified block of samples for each entry of `pixels`.
+    mi: Any, scene: Any, sensor: Any, integrator: Any, pixels: NDArray[np.integer[Any]], spp: int, seed: int
+) -> Iterator[tuple[slice, NDArray[np.float64]]]:
+    """Mean of the film's channels over one stratified block of samples for each entry of `pixels`, part by part.
 
     Args:
         mi: The mitsuba module, in a JIT variant.
@@ -29,19 +30,17 @@ def sample_blocks(
         spp: Samples in a block, as many as the sampler can stratify.
         seed: Of all blocks together.
 
-    Returns:
-        [n, channels], three channels or those of a film with sensitivities of its own.
+    Yields:
+        Which entries of `pixels`, and [their number, 3] of what the film's channels would hold.
     """
     step = max(1, MAX_WAVEFRONT // spp)
-    parts = [
-        _trace(mi, scene, sensor, integrator, pixels[first : first + step], spp, seed + 0x9E3779B9 * k)
-        for k, first in enumerate(range(0, len(pixels), step))
-    ]
-    return np.concatenate(parts)
+    for k, first in enumerate(range(0, len(pixels), step)):
+        part = slice(first, first + step)
+        yield part, _trace(mi, scene, sensor, integrator, pixels[part], spp, seed + 0x9E3779B9 * k)
 
 
 def _trace(
-    mi: Any, scene: Any, sensor: Any, integrator: Any, pixels: NDArray[np.uint32], spp: int, seed: int
+    mi: Any, scene: Any, sensor: Any, integrator: Any, pixels: NDArray[np.integer[Any]], spp: int, seed: int
 ) -> NDArray[np.float64]:
     import drjit as dr
 

@@ -1,7 +1,7 @@
 """What three colour channels cost: the spectral product of light, surface and camera against the RGB product.
 
 No rendering: the light that reaches each pilot pixel directly and the reflectance found there are taken as spectra,
-multiplied by wavelength, and compared with the product of their RGB values through the best 3x3 matrix.
+multiplied by wavelength, and compared with the product of their RGB values through the matrix that RGB renders use.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def light_and_surface(mi: Any, loaded: LoadedScene, rig: Rig, seed: int) -> tupl
 
 
 def color_error(light: NDArray[Any], surface: NDArray[Any], name: str | None, bounces: int = 1) -> float:
-    """Relative L1 error of RGB transport after `bounces` reflections, with the best 3x3 matrix to the camera.
+    """Relative L1 error of RGB transport after `bounces` reflections, seen through the camera's matrix for daylight.
 
     Args:
         light: Spectra of the light, [n, wavelength].
@@ -66,12 +66,14 @@ def color_error(light: NDArray[Any], surface: NDArray[Any], name: str | None, bo
     if len(light) == 0:
         return 0.0
     srgb = camera.srgb_curves()[::2]
-    curves = srgb if name is None else camera.camera_color(name).curves[::2]
+    color = None if name is None else camera.camera_color(name)
+    curves = srgb if color is None else color.curves[::2] / color.curves[:, 1].sum()
     exact = (light * surface**bounces) @ curves
-    # RGB of a reflectance, as Mitsuba's RGB variants have it: seen under equal-energy light, white being (1, 1, 1).
+    # RGB of a reflectance, as Mitsuba's RGB variants have it: seen in daylight, white being (1, 1, 1).
     rgb_light = np.clip(light @ srgb, 0, None)
-    rgb_surface = np.clip(surface @ srgb / srgb.sum(0), 0, 1)
+    white = camera.daylight()[::2]
+    rgb_surface = np.clip((surface * white) @ srgb / (white @ srgb), 0, 1)
     product = rgb_light * rgb_surface**bounces
-    if name is not None:
-        product = product @ np.linalg.lstsq(product, exact, rcond=None)[0]
+    if color is not None:
+        product = np.clip(product @ color.matrix.T, 0, None)
     return float(np.abs(product - exact).sum() / np.abs(exact).sum())

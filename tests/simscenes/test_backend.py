@@ -102,3 +102,8 @@ def test_report_covers_every_variant_and_explains_each_that_fails() -> None:
 def test_unknown_variants_are_refused(arguments: tuple) -> None:
     with pytest.raises(ValueError, match="must be"):
         backend.choose_variant(*arguments)
+
+
+def test_the_backend_of_any_variant_is_known() -> None:
+    assert backend.backend_of("scalar_spectral") == "scalar"
+    assert backend.backend_of("auto") == backend.choose_variant().removesuffix("_rgb")

@@ -160,8 +160,14 @@ def test_broken_scenes_are_refused_with_the_reason(reflectance: str, more: str, 
         ({"type": "scene", "a": {"type": "sphere", "radiu": 3}}, "radiu"),
         (ball(lamp={"type": "point", "intensity": {"type": "rgb", "value": float("inf")}}), "finite|inf"),
         (17, "scene must be"),
+        (
+            ball(
+                lamp={"type": "point", "intensity": {"type": "irregular", "wavelengths": "400, 700", "values": "1, 2"}}
+            ),
+            "type 'spectrum'",
+        ),
     ],
-    ids=["no shapes", "no scene", "misspelt", "infinite light", "a number"],
+    ids=["no shapes", "no scene", "misspelt", "infinite light", "a number", "raw spectrum"],
 )
 def test_broken_dicts_are_refused_with_the_reason(scene: Any, message: str) -> None:
     with pytest.raises(ValueError, match=message):
@@ -197,3 +203,11 @@ def test_a_view_of_nothing_has_no_points_and_infinite_depth(tmp_path: Path) -> N
 def test_a_scene_without_sensor_needs_a_rig() -> None:
     with pytest.raises(ValueError, match="perspective"):
         fit_rig(ball(), 3)
+
+
+def test_a_film_that_would_take_all_memory_is_refused(tmp_path: Path) -> None:
+    path = write_scene(tmp_path)
+    path.write_text(path.read_text().replace('value="24"', 'value="10000000"'))
+    with pytest.raises(ValueError, match="film"):
+        fit_rig(path, 3)
+    assert fit_rig(path, 3, 8, 6).width == 8

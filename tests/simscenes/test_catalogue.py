@@ -1,21 +1,54 @@
 """Every scene of the catalogue can be reconstructed from its default views: framed, textured, varied by its seed."""
 
+import functools
+from typing import Any
+
 import numpy as np
 import pytest
 
 from simscenes import SCENES, default_rig
-from simscenes.backend import activate
+from simscenes.backend import activate, backend_of
 from simscenes.render.geometry import geometry_channels
-from simscenes.render.source import build_scene
+from simscenes.render.source import LoadedScene, build_scene
 from simscenes.scenes import textures as t
+from simscenes.transport import pilot
+from simscenes.transport.effects import DEEPEST, RR_DEPTH, Pilot, depth_effects, media_effects
 
 OPEN_SKY = {"courtyard", "street"}
 
 
+@functools.lru_cache
+def built(name: str) -> tuple[Any, LoadedScene]:
+    mi = activate()
+    return mi, build_scene(name, mi)
+
+
+@pytest.mark.parametrize("name", sorted(SCENES))
+def test_paths_are_followed_deep_enough_for_the_stated_bound(name: str) -> None:
+    """Planned depth against paths to the end, with random numbers that the planner never saw, the same for both."""
+    mi, loaded = built(name)
+    rig = default_rig(name, 3, 24, 24)
+    p = Pilot(mi, name, loaded, rig, backend_of(), 0.005, 0)
+    media = media_effects(p)[0].on
+    assert media == (name == "street")
+    geometry = [geometry_channels(mi, loaded, rig, i) for i in range(3)]
+    depth, (_, deep, _) = depth_effects(p, media, pilot.most_reflected(mi, loaded, geometry), None)
+    kind = "volpath" if media else "path"
+    planned, everything = (
+        pilot.render_pilot(mi, loaded, rig, {"type": kind, "max_depth": d, "rr_depth": RR_DEPTH}, seed=77)
+        for d in (depth, DEEPEST)
+    )
+    lacking = (everything - planned).mean(-1).ravel()
+    error = lacking.std(ddof=1) / np.sqrt(lacking.size)
+    assert (everything >= planned - 1e-6 * everything.max()).all()
+    assert lacking.mean() <= deep.contribution * everything.mean() + 5 * error
+    assert 0 <= deep.contribution <= 0.005
+    assert error < 0.005 * everything.mean()
+
+
 @pytest.mark.parametrize("name", sorted(SCENES))
 def test_scene_is_framed_textured_and_repeatable(name: str) -> None:
-    mi = activate()
-    loaded = build_scene(name, mi)
+    mi, loaded = built(name)
     rig = default_rig(name, 8, 48, 48)
     views = [geometry_channels(mi, loaded, rig, i) for i in range(8)]
     surface = np.stack([v["id"] > 0 for v in views])

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pycolmap
 import pytest
 
 from simscenes import Rig, default_rig, load_set, orbit_rig, read_exr, render_set
@@ -200,9 +201,9 @@ def test_a_set_is_complete_consistent_and_readable(tmp_path: Path) -> None:
     assert meta["shapes"] == ["plane", "ball", "lamp"]
     image, exact = done.image(0), done.radiance(0) * meta["exposure_scale"]
     assert image.shape == (13, 17, 3)
-    from simscenes.multiview import srgb_encode
+    from sensor_model import linear_to_srgb
 
-    assert np.abs(image / 255 - srgb_encode(exact)).max() < 0.51 / 255
+    assert np.abs(image / 255 - linear_to_srgb(exact.clip(0, 1))).max() < 0.51 / 255
     geometry, points = done.geometry(1), done.points()
     assert geometry is not None
     assert geometry["normals"].shape == (13, 17, 3)
@@ -232,6 +233,44 @@ def test_interrupted_reordered_and_repeated_renders_are_bit_identical(tmp_path: 
     small_job(tmp_path / "b", shuffled)
     second = exr_arrays(tmp_path / "b")
     assert all(same(first[f"{i:04d}"], second[f"{k:04d}"]) for k, i in enumerate(order))
+
+
+def test_tracks_reproject_and_show_the_true_surface(tmp_path: Path) -> None:
+    """COLMAP's files through pycolmap, cameras through transforms.json and ten lines of our own: they must agree."""
+    small_job(tmp_path)
+    model = pycolmap.Reconstruction(str(tmp_path / "sparse" / "0"))
+    cameras = json.loads((tmp_path / "transforms.json").read_text())
+    poses = {Path(f["file_path"]).name: np.array(f["transform_matrix"]) for f in cameras["frames"]}
+    count = 0
+    for image in model.images.values():
+        c2w = poses[image.name]
+        z = read_exr(tmp_path / "gt" / f"{Path(image.name).stem}.exr")[0]["Z"]
+        for point in image.points2D:
+            xyz = model.points3D[point.point3D_id].xyz
+            x, y, back = c2w[:3, :3].T @ (xyz - c2w[:3, 3])  # OpenGL: y up, looking along -z
+            place = np.array([cameras["cx"] - cameras["fl_x"] * x / back, cameras["cy"] + cameras["fl_y"] * y / back])
+            assert np.abs(place - point.xy).max() < 1e-4
+            assert np.abs(image.project_point(xyz) - point.xy).max() < 1e-4
+            u, v = np.floor(place).astype(int)
+            near = z[max(v - 1, 0) : v + 2, max(u - 1, 0) : u + 2]
+            assert -back <= 1.05 * near.max()  # not behind what the view shows there
+            count += 1
+    assert count > 100
+    assert min(p.track.length() for p in model.points3D.values()) >= 2
+
+
+def test_other_layouts_are_written_on_request_also_beside_a_finished_set(tmp_path: Path) -> None:
+    small_job(tmp_path)
+    assert not (tmp_path / "blender").exists()
+    stamp = (tmp_path / "set.json").stat().st_mtime_ns
+    done = small_job(tmp_path, export=("blender", "llff"))
+    assert (tmp_path / "set.json").stat().st_mtime_ns == stamp
+    frames = json.loads((tmp_path / "blender" / "transforms_train.json").read_text())["frames"]
+    assert len(frames) == len(done.train_indices)
+    assert np.load(tmp_path / "llff" / "poses_bounds.npy").shape == (3, 17)
+    assert len(load_set(tmp_path)) == 3
+    with pytest.raises(ValueError, match="blender"):
+        small_job(tmp_path, export=("blend",))
 
 
 def test_another_process_renders_the_same_bits(tmp_path: Path) -> None:

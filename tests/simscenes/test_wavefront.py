@@ -7,8 +7,8 @@ import pytest
 
 from simscenes import Optics, Rig
 from simscenes.backend import activate, choose_variant
-from simscenes.render import wavefront
-from simscenes.render.passes import sample_shares
+from simscenes.render import radiance, wavefront
+from simscenes.render.passes import Passes, sample_shares
 from simscenes.render.radiance import Method, View
 from simscenes.render.sensors import sensor_dict
 from simscenes.render.source import LoadedScene, build_scene
@@ -51,7 +51,7 @@ def test_one_block_in_every_pixel_is_what_mitsuba_renders(color: str, camera: st
     sensor, integrator = mi.load_dict(settings), mi.load_dict({"type": "path", "max_depth": 6, "rr_depth": 2})
     film = np.array(mi.render(loaded.scene, sensor=sensor, integrator=integrator, spp=16, seed=5))[..., :3]
     pixels = np.arange(SIZE * SIZE, dtype=np.uint32)
-    blocks = wavefront.sample_blocks(mi, loaded.scene, sensor, integrator, pixels, 16, 5)
+    ((_, blocks),) = wavefront.sample_blocks(mi, loaded.scene, sensor, integrator, pixels, 16, 5)
     assert np.allclose(blocks.reshape(SIZE, SIZE, 3), film, rtol=1e-5, atol=1e-6)
 
 
@@ -60,9 +60,11 @@ def test_parts_of_a_wavefront_add_up_to_the_same_light(monkeypatch: pytest.Monke
     v = view(mi, shiny_corner(mi))
     pixels = np.repeat(np.arange(SIZE * SIZE, dtype=np.uint32), 16)
     arguments = (mi, v.method.loaded.scene, v.sensors[0], v.method.integrator, pixels, 16, 1)
-    whole = wavefront.sample_blocks(*arguments)
+    ((_, whole),) = wavefront.sample_blocks(*arguments)
     monkeypatch.setattr(wavefront, "MAX_WAVEFRONT", 1000)
-    parts = wavefront.sample_blocks(*arguments)
+    found = list(wavefront.sample_blocks(*arguments))
+    assert [part.start for part, _ in found] == list(range(0, len(pixels), 1000 // 16))
+    parts = np.concatenate([means for _, means in found])
     assert parts.shape == whole.shape
     spread = np.hypot(*(b.std() / np.sqrt(b.size / 3) for b in (whole, parts)))
     assert abs(parts.mean() - whole.mean()) < 5 * spread
@@ -87,6 +89,19 @@ def test_a_render_to_a_target_is_unbiased_and_its_variance_true() -> None:
     stated = np.array([r.variance.mean() for r in runs])
     assert stated.mean() == pytest.approx(true.mean(), rel=5 * np.sqrt(2 / (n - 1) / 10))  # some 10 pixels dominate
     assert all(r.error <= 0.03 for r in runs)
+
+
+def test_passes_traced_apart_or_together_are_as_good(monkeypatch: pytest.MonkeyPatch) -> None:
+    mi = activate()
+    loaded, blocks = shiny_corner(mi), np.arange(1, 1 + SIZE * SIZE).reshape(SIZE, SIZE) % 3 + 1
+    errors = []
+    for limit in (1 << 20, 1):
+        monkeypatch.setattr(radiance, "MAX_BLOCKS", limit)
+        passes = Passes((SIZE, SIZE))
+        view(mi, loaded).run_uneven(passes, 6, blocks, 16)
+        assert passes.count == 6
+        errors.append(passes.error())
+    assert errors[0] == pytest.approx(errors[1], rel=0.5)
 
 
 def test_samples_go_where_the_noise_is_and_save_work() -> None:
@@ -117,8 +132,6 @@ def test_shares_are_positive_even_out_the_noise_and_average_one() -> None:
 
 
 def test_giving_up_on_a_target_is_said_aloud(monkeypatch: pytest.MonkeyPatch) -> None:
-    from simscenes.render import radiance
-
     monkeypatch.setattr(radiance, "MAX_SPP", 64)
     mi = activate()
     with pytest.warns(UserWarning, match="before the target of 0.0001"):

@@ -1,0 +1,119 @@
+"""What accuracy costs in time: the renderer's cost curves, and equal error against plain Mitsuba.
+
+    python scripts/bench_render.py [--out FILE] [--scene tabletop] [--size 48] [--knobs spp sampler ...]
+    python scripts/bench_render.py --knobs none --equal-size 96 --equal-views 8 --target-error 0.03
+
+Writes JSON lines {"knob", "setting", "seconds", "error", "error_unit", "error_sd", "default"}, a curve a knob. The last
+lines, knob "method", compare whole jobs: `render_set` to a target error, everything included (reading the scene,
+planning, predicting, geometry, writing), and what `mi.render` needs with an independent sampler, depth 8 and roulette
+from 5 for the same error in every view, reading the scene included. Plain noise falls exactly as one over the
+root of the samples, so its time is scaled up from what --plain-spp samples take and their error, measured from
+independent seeds. Kernels are compiled beforehand for both.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from simscenes import activate, default_rig, render_set
+from simscenes.render.curves import KNOBS, NOISE, render_curves
+from simscenes.render.passes import Passes
+from simscenes.render.sensors import sensor_dict
+from simscenes.render.source import build_scene
+from simscenes.rigs import Rig
+
+PLAIN = {"type": "path", "max_depth": 8}
+SEEDS = 4
+
+
+class Clock:
+    """Seconds on the wall, and of the processors, which tell more on a machine that others use as well."""
+
+    def __init__(self) -> None:
+        self.start = np.array([time.perf_counter(), time.process_time()])
+
+    def read(self) -> np.ndarray:
+        """[wall, processor] since the start."""
+        return np.array([time.perf_counter(), time.process_time()]) - self.start
+
+
+def ours(scene: str, rig: Rig, target: float) -> tuple[list[float], np.ndarray]:
+    """Relative errors of the views of a set, and the seconds of the whole job."""
+    with tempfile.TemporaryDirectory() as folder:
+        render_set(scene, rig, Path(folder) / "warm", spp=4)
+        clock = Clock()
+        done = render_set(scene, rig, Path(folder) / "set", target_error=target)
+        spent = clock.read()
+        print(json.dumps({"stages": done.meta["seconds"], "views": done.meta["views"]}), flush=True)
+        return [view["relative_error"] for view in done.meta["views"].values()], spent
+
+
+def plain(scene: str, rig: Rig, errors: list[float], spp: int) -> tuple[np.ndarray, float]:
+    """Seconds that plain rendering needs for these errors, and its relative error at `spp`."""
+    mi = activate()
+    clock = Clock()
+    loaded = build_scene(scene, mi)
+    needed, integrator, found = clock.read(), mi.load_dict(PLAIN), []
+    for i, wanted in enumerate(errors):
+        sensor = mi.load_dict(sensor_dict(mi, rig, i, loaded) | {"sampler": {"type": "independent"}})
+        np.array(mi.render(loaded.scene, sensor=sensor, integrator=integrator, spp=spp, seed=99))
+        passes, clock = Passes((rig.height, rig.width)), Clock()
+        for seed in range(SEEDS):
+            image = mi.render(loaded.scene, sensor=sensor, integrator=integrator, spp=spp, seed=1000 * i + seed)
+            passes.add(np.array(image, dtype=np.float64)[..., :3])
+        seconds = clock.read() / SEEDS
+        found.append(passes.error() * SEEDS**0.5)
+        needed += seconds * (found[-1] / wanted) ** 2
+    return needed, float(np.sqrt(np.mean(np.square(found))))
+
+
+def equal_error(scene: str, size: int, views: int, target: float, spp: int) -> Iterator[dict[str, Any]]:
+    """Both ways to render the same views to the same errors."""
+    rig = default_rig(scene, views, size, size)
+    errors, seconds = ours(scene, rig, target)
+    needed, plain_error = plain(scene, rig, errors, spp)
+    reached = float(np.sqrt(np.mean(np.square(errors))))
+    spread = float(np.std(errors))
+    shared = {"knob": "method", "error_unit": NOISE, "error_sd": spread}
+    yield {**shared, "setting": "render_set", "seconds": seconds[0], "error": reached, "default": True}
+    yield {**shared, "setting": "plain mi.render", "seconds": needed[0], "error": reached, "default": False}
+    yield {
+        "scene": scene, "size": size, "views": views, "plain_spp": spp, "plain_error": plain_error,
+        "equal_error_speedup": needed[0] / seconds[0], "equal_error_speedup_cpu": needed[1] / seconds[1],
+    }  # fmt: skip
+
+
+def main() -> None:
+    """Run the sweeps and write the curves."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, help="file for the JSON lines beside stdout")
+    parser.add_argument("--scene", default="tabletop")
+    parser.add_argument("--size", type=int, default=48, help="width and height of the curves' images")
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--knobs", nargs="*", default=list(KNOBS), choices=[*KNOBS, "none"])
+    parser.add_argument("--equal-size", type=int, default=96, help="width and height where whole jobs are compared")
+    parser.add_argument("--equal-views", type=int, default=8, help="0 leaves the comparison out")
+    parser.add_argument("--target-error", type=float, default=0.03)
+    parser.add_argument("--plain-spp", type=int, default=256)
+    a = parser.parse_args()
+    curves = render_curves(a.scene, size=a.size, repeats=a.repeats, knobs=[k for k in a.knobs if k != "none"])
+    compared = equal_error(a.scene, a.equal_size, a.equal_views, a.target_error, a.plain_spp) if a.equal_views else ()
+    lines = []
+    for line in itertools.chain(curves, compared):
+        lines.append(json.dumps(line))
+        print(lines[-1], flush=True)
+    if a.out:
+        a.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,181 @@
+"""The single decisions: what each effect of light transport contributes, and whether that is more than allowed."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from sensor_model.plan import Effect
+from simscenes.backend import activate
+from simscenes.camera import camera_color
+from simscenes.optics import Optics
+from simscenes.render.source import LoadedScene, build_scene, has_measured_lights
+from simscenes.rigs import Rig
+from simscenes.transport import pilot, plan, spectra
+
+UNIT = "of all light"
+DEPTHS = (8, 16, 32)  # offered as max_depth
+DEEPEST = 64  # pilot paths end here
+RR_DEPTH = 2  # best 1/(MSE x seconds) on the catalogue; see scripts/bench_render.py
+SPECULAR = 0x8 | 0x10 | 0x20 | 0x40 | 0x80 | 0x100  # BSDFFlags: glossy and delta lobes, which polarise
+# Where two specular surfaces follow each other, polarisation changes a few per cent of what is seen in them: measured
+# 1.9 % (95th percentile) on `glassware`, 0.02 % on `tabletop`. Used only where nobody asked to measure.
+POLARISED_CHANGE = 0.05
+
+
+@dataclass(frozen=True)
+class Pilot:
+    """What all decisions start from."""
+
+    mi: Any
+    source: Any
+    loaded: LoadedScene  # in RGB
+    rig: Rig
+    backend: str
+    allowed: float
+    seed: int
+    scenes: dict[str, LoadedScene] = field(default_factory=dict)
+
+    def scene_in(self, color: str) -> tuple[Any, LoadedScene]:
+        """Mitsuba with a colour representation activated, and the scene loaded for it."""
+        mi = activate(self.backend, color)
+        if color != "rgb" and color not in self.scenes:
+            self.scenes[color] = build_scene(self.source, mi, allow_outside=True)
+        return mi, self.loaded if color == "rgb" else self.scenes[color]
+
+
+def _effect(name: str, on: bool, contribution: float, bound: float, reason: str, unit: str = UNIT) -> Effect:
+    return Effect(name=name, on=on, forced=False, contribution=contribution, bound=bound, unit=unit, reason=reason)
+
+
+def depth_effects(p: Pilot, media: bool, most: float, forced_depth: int | None) -> tuple[int, list[Effect]]:
+    """Direct or indirect, and how deep: the same paths, cut at several depths.
+
+    What a cut lacks lies in an interval: from what the pilot's deepest paths still found beyond it, to three standard
+    errors more than that and what would come after them if every later bounce kept `most` of the light.
+    """
+    kind = "volpath" if media else "path"
+    images = {}
+
+    def render(depth: int) -> Any:
+        if depth not in images:
+            integrator = {"type": kind, "max_depth": depth, "rr_depth": RR_DEPTH}
+            images[depth] = pilot.render_pilot(p.mi, p.loaded, p.rig, integrator, p.seed)
+        return images[depth]
+
+    full = render(DEEPEST)
+    indirect = pilot.missing_light(full, render(plan.DIRECT_DEPTH))
+
+    def tail(depth: int) -> pilot.Share:
+        if depth < DEEPEST:
+            return pilot.beyond(pilot.missing_light(full, render(depth)), DEEPEST - depth, most)
+        last = pilot.beyond(pilot.missing_light(full, render(DEEPEST // 2)), DEEPEST // 2, most)
+        return pilot.Share(0.0, last.upper - pilot.missing_light(full, render(DEEPEST // 2)).upper)
+
+    chosen = forced_depth or next((d for d in DEPTHS if tail(d).upper <= p.allowed), DEEPEST)
+    left = tail(chosen)
+    reason = f"max_depth {chosen}: beyond it {left.estimate:.2g}..{left.upper:.2g}"
+    return chosen, [
+        _effect(plan.INDIRECT, indirect.upper > p.allowed, indirect.upper, p.allowed,
+                f"{indirect.estimate:.1%} of the light has bounced more than once"),
+        Effect(name=plan.DEEP, on=False, forced=forced_depth is not None, contribution=left.upper,
+               bound=p.allowed, unit=UNIT, reason=reason),
+        _effect(plan.ROULETTE, True, 0.0, 0.0, f"from path length {RR_DEPTH}: changes noise and time, never the mean"),
+    ]  # fmt: skip
+
+
+def media_effects(p: Pilot) -> list[Effect]:
+    """Fog and other media: there or not, what they change, and whether their extinction has a colour."""
+    media = [m for s in p.loaded.scene.shapes() for m in (s.interior_medium(), s.exterior_medium()) if m is not None]
+    if not media:
+        return [_effect(plan.MEDIA, False, 0.0, p.allowed, "the scene holds no medium"),
+                _effect(plan.SPECTRAL_MIS, False, 0.0, 0.0, "no medium")]  # fmt: skip
+    settings = {"max_depth": DEPTHS[0], "rr_depth": RR_DEPTH}
+    seen = pilot.render_pilot(p.mi, p.loaded, p.rig, {"type": "volpath", **settings}, p.seed)
+    past = pilot.render_pilot(p.mi, p.loaded, p.rig, {"type": "path", **settings}, p.seed)
+    change = pilot.changed_light(seen, past)
+    chromatic = any(_is_chromatic(p.mi, m) for m in media)
+    reason = f"{len(media)} medium boundaries; ignoring them changes {change.estimate:.1%}"
+    return [
+        _effect(plan.MEDIA, change.upper > p.allowed, change.upper, p.allowed, reason),
+        _effect(plan.SPECTRAL_MIS, chromatic and change.upper > p.allowed, 0.0, 0.0,
+                "extinction differs between colours: spectral MIS tames its noise" if chromatic
+                else "extinction is the same for all colours; no bias either way"),
+    ]  # fmt: skip
+
+
+def _is_chromatic(mi: Any, medium: Any) -> bool:
+    """Whether a medium's extinction differs between colours; Mitsuba's own flag is up for every RGB medium."""
+    params = mi.traverse(medium)
+    keys = [k for k in params.keys() if k.startswith("sigma_t") and not k.endswith(("to_world", "filename"))]  # noqa: SIM118
+    channels = [np.array(params[k]).ravel() for k in keys]
+    return any(c.size % 3 == 0 and np.ptp(c.reshape(-1, 3), axis=1).max() > 1e-6 for c in channels if c.size)
+
+
+def polarisation_effect(p: Pilot, geometry: list[Any], measure: bool) -> Effect:
+    """Polarisation shows where two specular surfaces follow each other; diffuse surfaces undo it."""
+    specular = [bool(s.bsdf().flags() & SPECULAR) for s in p.loaded.scene.shapes()]
+    if not any(specular):
+        return _effect(plan.POLARISATION, False, 0.0, p.allowed, "all surfaces are diffuse, light comes unpolarised")
+    seen = np.array([False, *specular])[np.stack([g["id"] for g in geometry])]
+    guess = float(seen.mean()) * POLARISED_CHANGE
+    if not measure and guess <= p.allowed:
+        return _effect(
+            plan.POLARISATION, False, guess, p.allowed, f"bounded: {seen.mean():.1%} of pixels show specular"
+        )
+    images = []
+    for color in ("spectral", "spectral_polarized"):
+        other, loaded = p.scene_in(color)
+        settings = {"type": "path", "max_depth": DEPTHS[0], "rr_depth": 4}
+        images.append(pilot.render_pilot(other, loaded, p.rig, settings, p.seed))
+    p.scene_in("rgb")
+    change = pilot.changed_light(images[0], images[1])
+    return _effect(plan.POLARISATION, change.upper > p.allowed, change.upper, p.allowed,
+                   f"paired pilots with and without differ by {change.estimate:.2%}")  # fmt: skip
+
+
+def spectral_effect(p: Pilot, optics: Optics, indirect: float) -> Effect:
+    """Three channels or wavelengths, from light x surface x camera; `indirect` is the light's share that meets two."""
+    if not has_measured_lights(p.source):
+        reason, cost = "all lights are given as RGB: RGB transport is their definition", 0.0
+        if optics.camera is not None:
+            cost = camera_color(optics.camera).matrix_error
+            reason += f"; the camera's matrix errs by {cost:.1%} on a ColorChecker in daylight"
+        return _effect(plan.SPECTRAL, False, cost, p.allowed, reason)
+    if p.backend == "scalar":
+        return _effect(
+            plan.SPECTRAL, True, math.inf, p.allowed, "a light has a measured spectrum (not quantified in scalar)"
+        )
+    mi, loaded = p.scene_in("spectral")
+    light, surface = spectra.light_and_surface(mi, loaded, p.rig, p.seed)
+    p.scene_in("rgb")
+    once, twice = (spectra.color_error(light, surface, optics.camera, bounces) for bounces in (1, 2))
+    cost = once + min(indirect, 1.0) * max(twice - once, 0.0)
+    return _effect(plan.SPECTRAL, cost > p.allowed, cost, p.allowed,
+                   f"RGB errs by {once:.1%} after one bounce, {twice:.1%} after two")  # fmt: skip
+
+
+def aperture_effect(p: Pilot, geometry: list[Any], optics: Optics, scale: float) -> Effect:
+    """Depth of field, from the circle of confusion over the depths seen. Pixels of the full-size image."""
+    if optics.aperture_radius is None or optics.focus_distance is None:
+        return _effect(plan.APERTURE, False, 0.0, 0.5, "the camera is a pinhole", "px")
+    z = np.concatenate([g["Z"].ravel() for g in geometry])
+    focus = optics.focus_distance
+    # Similar triangles: rays through the lens rim and a point at z spread by this much in the plane of focus.
+    spread = 2 * optics.aperture_radius * np.abs(1 - focus / z)
+    blur = float(np.quantile(spread * p.rig.Ks[0, 0, 0] * scale / focus, 0.95))
+    return _effect(plan.APERTURE, blur > 0.5, blur, 0.5, f"circle of confusion {blur:.2g} px (95th percentile)", "px")
+
+
+def motion_effect(geometry: list[Any], rig: Rig, small: Rig, optics: Optics, scale: float) -> tuple[Effect, int]:
+    """Motion blur, from how far the points seen move across the image during the exposure."""
+    from simscenes.render.motion import image_motion
+
+    if optics.motion is None or len(rig) < 2:
+        return _effect(plan.MOTION, False, 0.0, 0.5, "the camera is at rest", "px"), 1
+    blur = image_motion(geometry, rig, small, optics.motion) * scale
+    frames = next((n for n in (4, 16) if n >= 2 * blur), 64)  # powers of four, as the passes they share
+    return _effect(plan.MOTION, blur > 0.5, blur, 0.5, f"points move {blur:.2g} px (95th percentile)", "px"), frames

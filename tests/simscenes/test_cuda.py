@@ -1,0 +1,32 @@
+"""On a GPU the same light is seen as on the CPU."""
+
+import numpy as np
+import pytest
+
+from simscenes import default_rig
+from simscenes.backend import activate, backend_status
+from simscenes.render.radiance import Method, View
+from simscenes.render.source import build_scene
+
+WORKS = backend_status("cuda_ad")[0] and backend_status("llvm_ad")[0]
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not WORKS, reason="needs both the cuda_ad and the llvm_ad variant")
+@pytest.mark.parametrize("target", [None, 0.05], ids=["even", "uneven"])
+def test_cuda_renders_tabletop_like_llvm(target: float | None) -> None:
+    rig, results = default_rig("tabletop", 3, 48, 48), []
+    for variant in ("llvm_ad", "cuda_ad"):
+        mi = activate(variant)
+        loaded = build_scene("tabletop", mi)
+        integrator = mi.load_dict({"type": "path", "max_depth": 8, "rr_depth": 2})
+        view = View(Method(mi, mi.variant(), loaded, integrator), rig, 1)
+        results.append(view.render(256 if target is None else None, target))
+    activate()
+    a, b = (r.mean.astype(np.float64) for r in results)
+    va, vb = (r.variance.astype(np.float64) for r in results)
+    error = np.sqrt(3 * (va + vb).sum()) / a.size  # the channels of a pixel err together
+    assert abs((a - b).mean()) < 5 * error
+    blocks = [x.mean(-1).reshape(6, 8, 6, 8).mean((1, 3)) for x in (a, b, va, vb)]
+    errors = np.sqrt((blocks[2] + blocks[3]) / 64)
+    assert (np.abs(blocks[0] - blocks[1]) < 5 * errors + 5 * np.median(errors)).all()

@@ -1,0 +1,35 @@
+"""Cost curves: every setting is measured, errors fall where they must."""
+
+import pytest
+
+from simscenes.backend import choose_variant
+from simscenes.render import curves
+from simscenes.render.curves import KNOBS, Setting, render_curves
+
+pytestmark = pytest.mark.skipif(choose_variant().startswith("scalar"), reason="curves are for JIT variants")
+
+
+def test_each_knob_has_its_default_among_its_settings() -> None:
+    for knob, values in KNOBS.items():
+        assert knob == "variant" or getattr(Setting(), knob) in values
+
+
+def test_curves_show_the_error_fall_with_the_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(curves, "REFERENCE_ERROR", 0.03)
+    monkeypatch.setattr(curves, "KNOBS", {"spp": (16, 256), "max_depth": (2, 8, 64)})
+    lines = list(render_curves("cornell", size=12, repeats=2, knobs=("spp", "max_depth")))
+    assert [line["setting"] for line in lines] == [16, 256, 2, 8, 64]
+    assert set(lines[0]) == {"knob", "setting", "seconds", "error", "error_unit", "error_sd", "default"}
+    assert all(line["seconds"] > 0 for line in lines)
+    assert [line["default"] for line in lines].count(True) == 2
+    noise = [line["error"] for line in lines if line["knob"] == "spp"]
+    missing = [line["error"] for line in lines if line["knob"] == "max_depth"]
+    assert noise[0] > 2.5 * noise[-1]  # 16 times the samples
+    assert missing == sorted(missing, reverse=True)
+    assert 0.02 < missing[0] < 0.2
+    assert missing[-1] == 0
+
+
+def test_unknown_knobs_are_refused() -> None:
+    with pytest.raises(ValueError, match="rr_depth"):
+        next(render_curves(knobs=("gamma",)))
