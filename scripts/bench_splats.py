@@ -3,7 +3,9 @@
     python scripts/bench_splats.py grid    --out DIR    forward, backward, iteration against N and image size; a plot
     python scripts/bench_splats.py common  --out DIR    the image-fitting workload that other engines publish
     python scripts/bench_splats.py knobs   --out DIR    error against seconds of every approximation, as JSON lines
-    python scripts/bench_splats.py fit     --out DIR    7,000 iterations, 256 x 256, 28 views, 50,000 Gaussians
+    python scripts/bench_splats.py memory  --out DIR    bytes per Gaussian, per (Gaussian, tile) pair and per pixel
+    python scripts/bench_splats.py fit     --out DIR    7,000 iterations, 256 x 256, 28 views, 50,000 Gaussians, with
+                                                        the time of each part; --capture CAP: the oracle's images
 
 Every measurement runs in a process of its own, so that peak memory is its own. Times are the best of several repeats.
 """
@@ -164,7 +166,7 @@ def measure_common(n: int, size: int, repeat: int, backend: str = "numba") -> di
 def in_child(what: str, **arguments: Any) -> dict[str, Any]:
     """Run measure_<what>(**arguments) in a new process."""
     command = [sys.executable, __file__, "child", json.dumps({"what": what, **arguments})]
-    output = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+    output = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
     result: dict[str, Any] = json.loads(output.splitlines()[-1])
     return result
 
@@ -217,51 +219,55 @@ def run_common(out: Path, repeat: int) -> None:
     (out / "common.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
 
 
-def measure_fit(iterations: int, n: int, size: int, n_views: int) -> dict[str, Any]:
-    """A whole training run on images of a random cloud."""
-    from novags.splats import FitConfig, Gaussians, Views, fit, rasterize
+def measure_memory() -> dict[str, Any]:
+    """All that one forward and backward pass allocates, split by least squares over scenes of different make-up."""
+    import numpy as np
 
-    g = torch.Generator().manual_seed(0)
-    points = torch.nn.functional.normalize(torch.randn(n, 3, generator=g), dim=1) * (
-        0.6 + 0.4 * torch.rand(n, 1, generator=g)
-    )
-    truth = Gaussians.from_points(points, (torch.sin(9 * points) + 1) / 2, sh_degree=0, init_opacity=0.8)
-    viewmats = torch.eye(4).repeat(n_views, 1, 1)
-    for k in range(n_views):
-        c, s = math.cos(2 * math.pi * k / n_views), math.sin(2 * math.pi * k / n_views)
-        viewmats[k, :3, :3] = torch.tensor([[c, 0, -s], [0, 1, 0], [s, 0, c]])
-        viewmats[k, 2, 3] = 3.0
-    K = torch.tensor([[1.2 * size, 0, size / 2], [0, 1.2 * size, size / 2], [0, 0, 1]])
-    views = Views(viewmats, K.repeat(n_views, 1, 1), size, size)
-    with torch.no_grad():
-        images, _, _ = rasterize(
-            truth.means,
-            truth.quats,
-            truth.scales,
-            truth.opacities,
-            truth.sh,
-            viewmats,
-            views.Ks,
-            size,
-            size,
-            sh_degree=0,
-        )
-    start = Gaussians.from_points(points[: n // 5], torch.full((n // 5, 3), 0.5), sh_degree=0)
-    result = fit(start, views, lambda i: images[i], FitConfig(iterations=iterations, cap_max=n, sh_degree=3))
-    with torch.no_grad():
-        r = result.gaussians
-        renders, _, _ = rasterize(
-            r.means, r.quats, r.scales, r.opacities, r.sh, viewmats, views.Ks, size, size, sh_degree=3
-        )
-    psnr = -10 * math.log10(float((renders - images).square().mean()))
-    return {"seconds": result.seconds, "psnr": psnr, "gaussians": len(r), "peak_mb": peak_mb()}
+    from novags.splats import rasterize
+    from novags.splats.cpu import memory, pipeline
+
+    total, pairs = 0, 0
+
+    def counting(shape: tuple[int, ...] | int, dtype: Any = np.float32) -> np.ndarray:
+        nonlocal total
+        array = memory.empty(shape, dtype)
+        total += array.nbytes
+        return array
+
+    forward, rows, bytes_ = pipeline.forward, [], []
+    pipeline.empty = counting  # type: ignore[attr-defined]
+    for n, size, width in ((20_000, 64, 1), (40_000, 64, 3), (80_000, 128, 1), (40_000, 256, 4), (20_000, 512, 1)):
+        scene, total = cube_scene(n, size), 0
+        scene["scales"] *= width
+        inputs = [scene[name].requires_grad_() for name in ("means", "quats", "scales", "opacities", "sh")]
+
+        def remember(*arguments: Any) -> Any:
+            nonlocal pairs
+            result = forward(*arguments)
+            pairs = int(result[0].splats.counts.sum())
+            return result
+
+        pipeline.forward = remember
+        image, _, _ = rasterize(*inputs, scene["viewmats"], scene["Ks"], size, size, sh_degree=3)
+        torch.autograd.grad(image.sum(), inputs)
+        rows.append([n, pairs, size * size])
+        bytes_.append(total)
+    parts = np.linalg.lstsq(np.array(rows, float), np.array(bytes_, float), rcond=None)[0]
+    return dict(zip(("bytes_per_gaussian", "bytes_per_pair", "bytes_per_pixel"), map(float, parts), strict=True))
 
 
-def run_fit(out: Path) -> None:
-    """7,000 iterations at the size of the test bed."""
-    row = in_child("fit", iterations=7000, n=50_000, size=256, n_views=28)
-    print(row)
-    (out / "fit.json").write_text(json.dumps(row))
+def measure_fit(**arguments: Any) -> dict[str, Any]:
+    """A whole training run."""
+    import bench_splats_fit
+
+    return bench_splats_fit.measure_fit(**arguments)
+
+
+def run_one(out: Path, what: str, **arguments: Any) -> None:
+    """One measurement, as JSON."""
+    row = in_child(what, **arguments)
+    print(json.dumps(row, indent=1))
+    (out / f"{what}.json").write_text(json.dumps(row, indent=1))
 
 
 def reference_image(n: int, size: int, *, exact: bool, supersample: int = 1, eps2d: float = 0.3) -> Tensor:
@@ -350,12 +356,16 @@ def run_knobs(out: Path, repeat: int) -> None:
 def main() -> None:
     """Parse and run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=["grid", "common", "knobs", "fit", "child"])
+    parser.add_argument("part", choices=["grid", "common", "knobs", "memory", "fit", "child"])
     parser.add_argument("arguments", nargs="?", help=argparse.SUPPRESS)
     parser.add_argument("--out", type=Path, default=Path("bench_splats"))
     parser.add_argument("--repeat", type=int, default=15)
     parser.add_argument("--largest", type=int, default=1_000_000, help="most Gaussians in the grid")
     parser.add_argument("--threads", type=int, default=None)
+    for name, default in (("iterations", 7000), ("gaussians", 50_000), ("size", 256), ("views", 28)):
+        parser.add_argument(f"--{name}", type=int, default=default, help="of the fit")
+    parser.add_argument("--capture", default=None, help="capture folder whose noise-free exposures the fit aims at")
+    parser.add_argument("--device", default="cpu", help="of the fit; cuda takes gsplat")
     options = parser.parse_args()
     if options.threads is not None:
         os.environ["OMP_NUM_THREADS"] = str(options.threads)  # children inherit it
@@ -369,8 +379,13 @@ def main() -> None:
         run_grid(options.out, options.repeat, options.largest)
     elif options.part == "common":
         run_common(options.out, options.repeat)
+    elif options.part == "memory":
+        run_one(options.out, "memory")
     elif options.part == "fit":
-        run_fit(options.out)
+        size = {"n": options.gaussians, "size": options.size, "n_views": options.views}
+        run_one(
+            options.out, "fit", iterations=options.iterations, capture=options.capture, device=options.device, **size
+        )
     else:
         run_knobs(options.out, options.repeat)
 

@@ -99,10 +99,10 @@ class _Photometric(torch.autograd.Function):
         weights = _kernel(torch.float32).numpy()
         n = x.size
         score_sums, l1_sums, v_image = np.zeros(height), np.empty(height), empty(x.shape)
-        stride = photometric.stride(width * channels)
-        slopes = empty(photometric.SLOPES * height * stride if dssim_weight else 0)
+        plane = photometric.plane(height, width * channels)
+        slopes = empty(photometric.SLOPES * plane if dssim_weight else 0)
         if dssim_weight:
-            moments = empty(photometric.MOMENTS * height * stride)
+            moments = empty(photometric.MOMENTS * plane)
             run(photometric.horizontal, height, 8, x, y, channels, weights, moments)
             run(photometric.score, height, 8, height, width * channels, moments, weights, slopes, score_sums)
         factors = np.float32((1 - dssim_weight) / n), np.float32(-dssim_weight / n)

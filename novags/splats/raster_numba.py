@@ -62,9 +62,8 @@ class _Render(torch.autograd.Function):
         if frame.splats.suspect:
             check_gaussians(tensors)
         ctx.frame, ctx.shape, ctx.colors = frame, shape, _array(colors)
-        radii = torch.from_numpy(frame.splats.radii)
-        means2d = torch.where(radii[:, None] > 0, torch.from_numpy(frame.splats.rows[:, :2]), 0.0)
-        info = means2d, radii, torch.from_numpy(frame.splats.depths)
+        splats = frame.splats
+        info = torch.from_numpy(splats.rows[:, :2]), torch.from_numpy(splats.radii), torch.from_numpy(splats.depths)
         ctx.mark_non_differentiable(*info)
         return torch.from_numpy(image), torch.from_numpy(alpha)[..., None], *info
 

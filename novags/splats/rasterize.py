@@ -85,10 +85,13 @@ def rasterize(
         render(means, quats, scales, opacities, colors, viewmat, K, width, height, **options)  # type: ignore[arg-type]
         for viewmat, K in zip(viewmats, Ks, strict=True)
     ]
-    renders = torch.stack([image for image, _, _ in views])
-    alphas = torch.stack([alpha for _, alpha, _ in views])
-    info = {key: torch.stack([entry[key] for _, _, entry in views]) for key in ("means2d", "radii", "depths")}
+    renders, alphas = _batch([image for image, _, _ in views]), _batch([alpha for _, alpha, _ in views])
+    info = {key: _batch([entry[key] for _, _, entry in views]) for key in ("means2d", "radii", "depths")}
     return _finish(renders, alphas, render_mode, background), alphas, info
+
+
+def _batch(tensors: list[Tensor]) -> Tensor:
+    return tensors[0][None] if len(tensors) == 1 else torch.stack(tensors)  # stacking copies
 
 
 def _finish(renders: Tensor, alphas: Tensor, render_mode: str, background: Tensor | None) -> Tensor:

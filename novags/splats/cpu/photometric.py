@@ -2,8 +2,8 @@
 
 A row is worked on as W * C interleaved floats, in which a horizontal neighbour is C floats away. Three passes over the
 rows, each parallel: horizontal window sums of the five products; vertical ones, the score and its three derivatives;
-both directions of the derivatives, and the gradient. Rows of `moments` and `slopes` are `stride` floats long, a
-multiple of LANES.
+both directions of the derivatives, and the gradient. Planes of `moments` and `slopes` are H + 2 HALF_WINDOW rows of
+`stride` floats, a multiple of LANES; the outer rows are zero, so that every window has all of its taps.
 """
 
 # mypy: allow-untyped-defs
@@ -20,6 +20,11 @@ C1, C2 = np.float32(0.01**2), np.float32(0.03**2)
 LANE = constant(list(range(LANES)))
 
 
+def plane(height: int, n: int) -> int:
+    """Floats that a plane of moments or slopes takes."""
+    return (height + 2 * HALF_WINDOW) * stride(n)
+
+
 def stride(n: int) -> int:
     """Floats that a row of n takes in moments and slopes."""
     return -(-n // LANES) * LANES
@@ -27,13 +32,12 @@ def stride(n: int) -> int:
 
 @kernel
 def horizontal(begin, end, image, target, channels, weights, moments):
-    """Window sums along rows begin..end-1 of image, target [H, W * C]; writes the flat moments [MOMENTS, H, stride]."""
+    """Window sums along rows begin..end-1 of image, target [H, W * C]; writes the flat moments [MOMENTS, plane]."""
     height, n = image.shape
     padding, step = HALF_WINDOW * channels, -(-n // LANES) * LANES
-    xs, ys = (
-        np.zeros(step + 2 * padding, np.float32),
-        np.zeros(step + 2 * padding, np.float32),
-    )  # outside counts as zero
+    size = (height + 2 * HALF_WINDOW) * step
+    # outside counts as zero
+    xs, ys = np.zeros(step + 2 * padding, np.float32), np.zeros(step + 2 * padding, np.float32)
     for row in range(begin, end):
         xs[padding : padding + n] = image[row]
         ys[padding : padding + n] = target[row]
@@ -48,27 +52,42 @@ def horizontal(begin, end, image, target, channels, weights, moments):
                 sxx += wx * x
                 syy += wy * y
                 sxy += wx * y
-            at = row * step + i
+            at = (row + HALF_WINDOW) * step + i
             store(moments, at, sx)
-            store(moments, at + height * step, sy)
-            store(moments, at + 2 * height * step, sxx)
-            store(moments, at + 3 * height * step, syy)
-            store(moments, at + 4 * height * step, sxy)
+            store(moments, at + size, sy)
+            store(moments, at + 2 * size, sxx)
+            store(moments, at + 3 * size, syy)
+            store(moments, at + 4 * size, sxy)
+        _clear_border(moments, MOMENTS, row, height, step)
 
 
 @inline
-def _vertical(source, plane, row, i, height, step, weights):
+def _clear_border(planes, n_planes, row, height, step):
+    """Whoever has the first or the last image row zeroes the rows beyond it."""
+    for index in range(n_planes):
+        start = index * (height + 2 * HALF_WINDOW) * step
+        if row == 0:
+            planes[start : start + HALF_WINDOW * step] = ZERO
+        if row == height - 1:
+            start += (height + HALF_WINDOW) * step
+            planes[start : start + HALF_WINDOW * step] = ZERO
+
+
+@inline
+def _vertical(source, index, row, i, height, step, weights):
     """Window sum over the rows around `row` of one plane, at sixteen columns."""
+    at = (index * (height + 2 * HALF_WINDOW) + row) * step + i
     total = splat(ZERO)
-    for tap in range(max(0, HALF_WINDOW - row), min(WINDOW, height + HALF_WINDOW - row)):
-        total += load(source, (plane * height + row + tap - HALF_WINDOW) * step + i) * weights[tap]
+    for tap in range(WINDOW):
+        total += load(source, at + tap * step) * weights[tap]
     return total
 
 
 @kernel
 def score(begin, end, height, n, moments, weights, slopes, sums):
-    """SSIM of rows begin..end-1, summed to sums [H] float64; its derivatives to the flat slopes [SLOPES, H, stride]."""
+    """SSIM of rows begin..end-1, summed to sums [H] float64; its derivatives to the flat slopes [SLOPES, plane]."""
     step = -(-n // LANES) * LANES
+    size = (height + 2 * HALF_WINDOW) * step
     lanes = np.empty(LANES, np.float32)
     for row in range(begin, end):
         total = splat(ZERO)
@@ -84,10 +103,11 @@ def score(begin, end, height, n, moments, weights, slopes, sums):
             s = a1 * a2 * inverse
             inside = LANE() < np.float32(n - i)  # columns beyond the image are no part of it
             total += select(inside, s, ZERO)
-            at = row * step + i
+            at = (row + HALF_WINDOW) * step + i
             store(slopes, at, select(inside, (my * (a2 - a1) - mx * s * (b2 - b1)) * inverse * TWO, ZERO))
-            store(slopes, at + height * step, select(inside, -(s * b1 * inverse), ZERO))
-            store(slopes, at + 2 * height * step, select(inside, a1 * inverse * TWO, ZERO))
+            store(slopes, at + size, select(inside, -(s * b1 * inverse), ZERO))
+            store(slopes, at + 2 * size, select(inside, a1 * inverse * TWO, ZERO))
+        _clear_border(slopes, SLOPES, row, height, step)
         store(lanes, 0, total)
         in_double = 0.0
         for lane in range(LANES):
@@ -107,15 +127,15 @@ def gradient(begin, end, image, target, channels, weights, slopes, l1_weight, ss
     padded, out = np.zeros(SLOPES * length, np.float32), np.zeros(SLOPES * step, np.float32)
     for row in range(begin, end):
         if ssim_weight != ZERO:
-            for plane in range(SLOPES):
+            for index in range(SLOPES):
                 for i in range(0, n, LANES):
-                    value = _vertical(slopes, plane, row, i, height, step, weights)
-                    store(padded, plane * length + padding + i, value)
+                    value = _vertical(slopes, index, row, i, height, step, weights)
+                    store(padded, index * length + padding + i, value)
                 for i in range(0, n, LANES):
                     total = splat(ZERO)
                     for tap in range(WINDOW):
-                        total += load(padded, plane * length + i + tap * channels) * weights[tap]
-                    store(out, plane * step + i, total)
+                        total += load(padded, index * length + i + tap * channels) * weights[tap]
+                    store(out, index * step + i, total)
         absolute = 0.0
         for i in range(n):
             a, b = image[row, i], target[row, i]

@@ -129,9 +129,9 @@ def _footprint(m, eps):
 def forward(begin, end, means, quats, scales, opacities, camera, rows, depths, radii, tiles, counts, suspect):
     """Project Gaussians begin..end-1.
 
-    Writes rows [N, ROW] (channels zero), depths [N], radii [N] int32 (0: cannot reach ALPHA_MIN in the image),
-    tiles [N] int32, an upper bound of the tiles that are touched, and zero to counts [N]. Sets suspect[0] if a value
-    is not finite or out of range.
+    Writes rows [N, ROW] (channels zero; X and Y too where not visible), depths [N], radii [N] int32 (0: cannot reach
+    ALPHA_MIN in the image), tiles [N] int32, an upper bound of the tiles that are touched, and zero to counts [N]. Sets
+    suspect[0] if a value is not finite or out of range.
     """
     columns = np.ones(INPUTS * LANES, np.float32)
     out = np.zeros(ROW * LANES, np.float32)
@@ -181,8 +181,8 @@ def _project(c, b, out, rest):
     visible = visible & (px + rx > ZERO) & (px - rx < c[WIDTH]) & (py + ry > ZERO) & (py - ry < c[HEIGHT])
     radius = select(visible, minimum(maximum(ceil(maximum(rx, ry)), ONE), MAX_RADIUS), ZERO)
 
-    store(out, X * LANES, px)
-    store(out, Y * LANES, py)
+    store(out, X * LANES, select(visible, px, ZERO))
+    store(out, Y * LANES, select(visible, py, ZERO))
     store(out, A * LANES, a * HALF_LOG2E)
     store(out, K * LANES, k)
     store(out, Q * LANES, q * HALF_LOG2E)
