@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -15,7 +12,7 @@ import numpy as np
 from sensor_model.plan import Plan
 from simscenes.backend import activate, backend_of
 from simscenes.export import EXPORTS
-from simscenes.exr import read_exr, write_exr
+from simscenes.exr import write_exr
 from simscenes.layout import write_json
 from simscenes.multiview import MultiviewSet, load_set
 from simscenes.optics import Optics
@@ -23,6 +20,15 @@ from simscenes.render.cost import Stopwatch, peak_bytes, predict_seconds, versio
 from simscenes.render.finish import finish_set
 from simscenes.render.fit import fit_rig
 from simscenes.render.geometry import check_cameras, geometry_channels
+from simscenes.render.identity import (
+    VIEW_KEY,
+    finished_header,
+    is_complete,
+    job_digest,
+    plan_identity,
+    view_key,
+    without_nan,
+)
 from simscenes.render.radiance import Method, View
 from simscenes.render.source import LoadedScene, build_scene, set_light_weights
 from simscenes.rigs import Rig
@@ -35,7 +41,6 @@ ERROR_SEEN = (
     "relative_error is the spread between independent passes: noise only. It cannot see what every pass lacks, such as "
     "paths beyond max_depth or a caustic that no pass has found, nor the error of three colour channels; see plan."
 )
-_KEY = "novagsKey"
 
 Progress = Callable[[int, int, str], None]
 
@@ -110,49 +115,43 @@ def render_set(
     config = {
         "format": FORMAT, "scene": loaded.name, "scene_digest": loaded.digest, "seed": seed, "optics": asdict(optics),
         "spp": spp if spp is not None or target_error is not None else DEFAULT_SPP, "target_error": target_error,
-        "plan": _without_nan(plan.to_dict()) if isinstance(plan, Plan) else plan, "variant": variant,
+        "plan": plan_identity(plan), "variant": variant,
     }  # fmt: skip
     names = [f"{i:04d}" for i in range(len(rig))]
-    digest = _digest(config, rig)
-    if _is_complete(out, digest, names):
+    digest = job_digest(config, rig)
+    if is_complete(out, digest, names):
         return _exported(load_set(out), export)
     (out / "set.json").unlink(missing_ok=True)
     with watch.stage("plan"):
         report(0, len(names), "planning the light transport")
         samples = len(rig) * rig.width * rig.height * (spp or DEFAULT_SPP)
         made = _make_plan(scene, loaded, rig, optics, plan, variant, seed, samples >= MEASURE_FROM)
-        mi, colored = _ready(scene, loaded, variant, made.color, allow_outside)
-        set_light_weights(colored, made.light_weights, mi)
-        method = Method(mi, mi.variant(), colored, mi.load_dict(made.integrator()), optics, made.subframes, seed)
+        method = _method(scene, loaded, variant, made, optics, seed, allow_outside)
     pixels = {**config, "integrator": made.integrator(), "lights": made.light_weights, "subframes": made.subframes}
     job = _Job(method, loaded, variant, rig, out, names, pixels, watch, report)
     views, predicted = _render_views(job)
     with watch.stage("write"):
         finished = finish_set(out, names, rig, seed, optics.camera)
-    meta = {
-        **config, "digest": digest, "kind": "rendered", "n_views": len(rig), "width": rig.width, "height": rig.height,
-        "plan": _without_nan(made.to_dict()), "integrator": made.integrator(), "mitsuba_variant": method.variant,
-        **finished,
-        "views": views, "error_seen": ERROR_SEEN, "shapes": list(loaded.shapes), "materials": list(loaded.materials),
-        "seconds": watch.seconds, "predicted_seconds": predicted, "peak_bytes": peak_bytes(), "versions": versions(),
-    }  # fmt: skip
-    write_json(out / "set.json", meta)
+    found = {**finished, "views": views, "predicted_seconds": predicted}
+    write_json(out / "set.json", {**config, "digest": digest, **_facts(job, made), **found})
     return _exported(load_set(out), export)
+
+
+def _facts(job: _Job, made: Any) -> dict[str, Any]:
+    """What set.json says beside the configuration and the results of the views."""
+    surfaces, rig = job.surfaces, job.rig
+    return {
+        "kind": "rendered", "n_views": len(rig), "width": rig.width, "height": rig.height,
+        "plan": without_nan(made.to_dict()), "integrator": made.integrator(), "mitsuba_variant": job.method.variant,
+        "error_seen": ERROR_SEEN, "shapes": list(surfaces.shapes), "materials": list(surfaces.materials),
+        "seconds": job.watch.seconds, "peak_bytes": peak_bytes(), "versions": versions(),
+    }  # fmt: skip
 
 
 def _exported(views: MultiviewSet, layouts: Sequence[str]) -> MultiviewSet:
     for layout in layouts:
         EXPORTS[layout](views, views.path / layout)
     return views
-
-
-def _without_nan(value: Any) -> Any:
-    """JSON has no nan and no inf: a number that was not measured becomes null."""
-    if isinstance(value, dict):
-        return {k: _without_nan(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_without_nan(v) for v in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _check_quality(spp: int | None, target_error: float | None) -> None:
@@ -178,31 +177,14 @@ def _make_plan(
     raise ValueError(f"plan must be 'auto', 'rgb' or a plan from plan_transport, got {plan!r}")
 
 
-def _ready(scene: Any, loaded: LoadedScene, variant: str, color: str, allow_outside: bool) -> tuple[Any, LoadedScene]:
-    """The mitsuba module and the scene in the variant the plan calls for."""
-    mi = activate(variant, color)
-    return (mi, loaded) if color == "rgb" else (mi, build_scene(scene, mi, allow_outside=allow_outside))
-
-
-def _digest(config: dict[str, Any], rig: Rig) -> str:
-    text = json.dumps([config, rig.width, rig.height], sort_keys=True).encode()
-    return hashlib.sha256(text + rig.viewmats.tobytes() + rig.Ks.tobytes()).hexdigest()
-
-
-def _view_key(config: dict[str, Any], rig: Rig, i: int) -> str:
-    """Identity of one view's pixels; with motion the neighbouring cameras matter too."""
-    chosen = slice(None) if config["optics"]["motion"] is not None else slice(i, i + 1)
-    view = Rig(viewmats=rig.viewmats[chosen], Ks=rig.Ks[chosen], width=rig.width, height=rig.height)
-    return _digest(config, view) + (f":{i}" if config["optics"]["motion"] is not None else "")
-
-
-def _is_complete(out: Path, digest: str, names: list[str]) -> bool:
-    try:
-        same = json.loads((out / "set.json").read_text(encoding="utf-8")).get("digest") == digest
-    except (OSError, ValueError, AttributeError):
-        return False
-    files = [out / "gt" / f"{n}.exr" for n in names] + [out / "images" / f"{n}.png" for n in names]
-    return same and all(f.is_file() for f in files)
+def _method(
+    scene: Any, loaded: LoadedScene, variant: str, made: Any, optics: Optics, seed: int, allow_outside: bool
+) -> Method:
+    """The scene in the variant the plan calls for, with the plan's lights and integrator."""
+    mi = activate(variant, made.color)
+    colored = loaded if made.color == "rgb" else build_scene(scene, mi, allow_outside=allow_outside)
+    set_light_weights(colored, made.light_weights, mi)
+    return Method(mi, mi.variant(), colored, mi.load_dict(made.integrator()), optics, made.subframes, seed)
 
 
 def _render_views(job: _Job) -> tuple[dict[str, Any], float]:
@@ -211,8 +193,8 @@ def _render_views(job: _Job) -> tuple[dict[str, Any], float]:
     paths = [job.out / "gt" / f"{name}.exr" for name in job.names]
     for stale in set((job.out / "gt").iterdir()) - set(paths):
         stale.unlink()
-    keys = [_view_key(job.config, job.rig, i) for i in range(len(paths))]
-    headers = [_finished_header(path, key) for path, key in zip(paths, keys, strict=True)]
+    keys = [view_key(job.config, job.rig, i) for i in range(len(paths))]
+    headers = [finished_header(path, key) for path, key in zip(paths, keys, strict=True)]
     missing = [i for i, header in enumerate(headers) if header is None]
     predicted, views = 0.0, {i: View(job.method, job.rig, i) for i in missing}
     if missing:
@@ -246,20 +228,9 @@ def _render_view(job: _Job, view: View, path: Path, key: str) -> dict[str, Any]:
         channels[c] = np.maximum(radiance.mean[..., k], 0)  # spectral light outside the sRGB triangle ends at its edge
         channels[f"var.{c}"] = radiance.variance[..., k]
     header = {
-        "spp": radiance.spp, "relativeError": radiance.error, "fireflies": radiance.fireflies, _KEY: key,
+        "spp": radiance.spp, "relativeError": radiance.error, "fireflies": radiance.fireflies, VIEW_KEY: key,
         "worldToCamera": job.rig.viewmats[view.i].astype(np.float32),
     }  # fmt: skip
     with job.watch.stage("write"):
         write_exr(path, channels, header)
     return header
-
-
-def _finished_header(path: Path, key: str) -> dict[str, Any] | None:
-    """Header of a view that was rendered before with the same settings, else None."""
-    if not path.is_file():
-        return None
-    try:
-        header = read_exr(path)[1]
-    except ValueError:
-        return None  # cut short by a crash of the machine: rendered again
-    return header if header.get(_KEY) == key else None

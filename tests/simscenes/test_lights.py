@@ -1,13 +1,15 @@
 """Lights are picked as often as they matter: the mean stays, the noise falls, the bits repeat."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from simscenes import Rig, orbit_rig, read_exr, render_set
+from simscenes import Rig, orbit_rig, plan_transport, read_exr, render_set
 from simscenes.backend import activate, choose_variant
+from simscenes.render.identity import plan_identity
 from simscenes.render.passes import Radiance
 from simscenes.render.radiance import Method, View
 from simscenes.render.source import LoadedScene, build_scene, set_light_weights
@@ -79,6 +81,13 @@ def test_weights_of_another_scene_are_refused() -> None:
     mi = activate()
     with pytest.raises(ValueError, match="3 lights"):
         set_light_weights(build_scene(two_lamps(), mi), (0.2, 0.3, 0.5), mi)
+
+
+def test_a_plan_measured_again_is_the_same_plan() -> None:
+    plan = plan_transport(two_lamps(), rig=ring(), measure=False)
+    slower = replace(plan, seconds={"planned": 2.0, "everything on": 3.0})
+    assert plan_identity(plan) == plan_identity(slower)
+    assert plan_identity(plan) != plan_identity(replace(plan, max_depth=plan.max_depth + 1))
 
 
 def test_a_planned_render_is_bit_identical_when_repeated_and_resumed(tmp_path: Path) -> None:
