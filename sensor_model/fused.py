@@ -41,18 +41,9 @@ def capture(
     # All floats: numba takes a tuple apart only if its items are of one type
     read = (*map(float, (s.mu_e_sat, s.droop, s.sigma_d / scale, s.tukey_lambda or 0, s.gain, s.max_dn)), *merge)
     given = [m is not None for m in maps]
-    before = (
-        light,
-        response,
-        dark,
-        *given[:2],
-        s.eta,
-        inputs.dark_e,
-        charge_cap(s),
-        SHOTS[shot],
-        precision == "float32",
-    )
-    after = (offset, given[2], inputs.rows, columns, inputs.black, read, *_noise(read, s.tukey_lambda, precision))
+    single = precision == "float32"
+    before = (light, response, dark, *given[:2], s.eta, inputs.dark_e, charge_cap(s), SHOTS[shot], single)
+    after = (offset, given[2], inputs.rows, columns, inputs.black, read, *_noise(read, s.tukey_lambda, single))
     where = (*inputs.draws.origin, *address(inputs.draws))
 
     def shoot(y0: int, y1: int, charge: NDArray) -> int:
@@ -79,13 +70,13 @@ def capture(
     return dn.reshape(shape), saturated.view(np.bool_).reshape(shape), bad
 
 
-def _noise(read: tuple[float, ...], lam: float | None, precision: str) -> tuple[int, float]:
+def _noise(read: tuple[float, ...], lam: float | None, single: bool) -> tuple[int, float]:
     """Kind of the read noise; and how near to the next code a code must be for float32 to matter, DN."""
     _, _, sigma, _, gain, _, _, sigma_low, _ = read
     loudest = max(sigma, sigma_low)
     kind = QUIET if loudest == 0 else NORMAL if lam is None else TUKEY
     # The quantile's own error grows with it, up to 5.3 deviations; what else is computed is in float64
-    return kind, -1.0 if precision == "float32" else gain * loudest * NORMAL_ERROR * 6.3
+    return kind, -1.0 if single else gain * loudest * NORMAL_ERROR * 6.3
 
 
 @jit
@@ -135,6 +126,24 @@ def _shoot(  # type: ignore[no-untyped-def]
 
 
 @inline
+def _read_noise(b, f, n, noise, single, lam, where):  # type: ignore[no-untyped-def]
+    """W = the read noise of U, over its scale; returns whether the error of float32 is as stated."""
+    bounded = True
+    if noise == QUIET:
+        for i in range(n):
+            b[W + i] = 0.0
+    elif noise == TUKEY:
+        tukey(b, n, lam)
+    elif single:
+        bounded = normal32(b, f, n)
+        for i in range(n):
+            b[W + i] = np.float64(f[W + i])
+    else:
+        normal(b, n, where)
+    return bounded
+
+
+@inline
 def _codes(b, n, even, odd, read, slack):  # type: ignore[no-untyped-def]
     """Charge C, noise W and offset N -> codes N and saturation C; returns how many are within slack of another."""
     full, droop, sigma, _, gain, top, threshold, sigma_low, ratio = read
@@ -169,7 +178,7 @@ def _read_out(  # type: ignore[no-untyped-def]
     row0, col0, view, frame, k0, k1, b, f, where,
 ):  # fmt: skip
     """Electrons of rows y0..y1 -> codes and saturation."""
-    lam, quiet = read[3], noise == QUIET
+    lam = read[3]
     _, w, channels = shape
     for y in range(y0, y1):
         for c in range(channels):
@@ -178,21 +187,11 @@ def _read_out(  # type: ignore[no-untyped-def]
                 n = min(STEP, w - x0)
                 start = (y * w + x0) * channels + c
                 row, column = rows[y, c], columns[c, x0 : x0 + n]
-                if not quiet:
+                if noise != QUIET:
                     row_uniform(b, n, streams.READ, c, row0 + y, col0 + x0, view, frame, k0, k1)
-                single = noise == NORMAL and slack < 0.01
-                while True:
-                    if quiet:
-                        for i in range(n):
-                            b[W + i] = 0.0
-                    elif noise == TUKEY:
-                        tukey(b, n, lam)
-                    elif single:
-                        single = normal32(b, f, n)
-                        for i in range(n):
-                            b[W + i] = np.float64(f[W + i])
-                    else:
-                        normal(b, n, where)
+                single, again = noise == NORMAL and slack < 0.01, True
+                while again:
+                    bounded = _read_noise(b, f, n, noise, single, lam, where)
                     for i in range(n):
                         b[N + i] = row + column[i]
                     if with_offset:
@@ -201,9 +200,7 @@ def _read_out(  # type: ignore[no-untyped-def]
                             b[N + i] += b[P + i]
                     load(b, C, charge, ((y - y0) * w + x0) * channels + c, channels, n)
                     near = _codes(b, n, even, odd, read, slack)
-                    if not single or near == 0:
-                        break
-                    single = False  # some code might be another in float64: all of them again
+                    again, single = single and (near > 0 or not bounded), False  # all of them again, in float64
                 store_whole(dn, start, channels, b, N, n)
                 store_whole(saturated, start, channels, b, C, n)
     return 0
