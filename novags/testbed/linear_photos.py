@@ -28,7 +28,7 @@ class LinearPhotographs(MultiviewSet):
 
     def radiance(self, i: int) -> np.ndarray:
         """Linear RGB of view `i`, float32 [h,w,3], undistorted."""
-        light = read_linear(self.files[i])
+        light = _middle(read_linear(self.files[i]), self.rig.height, self.rig.width)
         return light if self.lenses is None else self.lenses[i].undistort(light, self.rig.Ks[i])
 
     def image(self, i: int) -> np.ndarray:
@@ -57,7 +57,7 @@ def load_linear_set(folder: Path) -> LinearPhotographs | None:
     sizes = {_size(file) for file in files}
     if len(sizes) > 1:
         raise ValueError(f"the images of {source} must share one size, got {sorted(sizes)}")
-    width, height = sizes.pop()
+    width, height = _without_margins(sizes.pop(), listed[0][0]) if raw_files.is_raw(files[0]) else sizes.pop()
     lenses = tuple(_transforms_lens(listed[i][0], width, height, source) for i in order)
     rig = Rig(
         viewmats=opengl_to_opencv(np.stack([listed[i][2] for i in order])),
@@ -111,6 +111,18 @@ def _size(file: Path) -> tuple[int, int]:
     except Exception as error:  # OpenEXR raises several types
         raise ValueError(f"{file} is not a readable EXR file ({error})") from error
     return int(high[0] - low[0] + 1), int(high[1] - low[1] + 1)
+
+
+def _without_margins(size: tuple[int, int], camera: dict[str, Any]) -> tuple[int, int]:
+    """Raw files show some pixels around what the camera's own pictures show, which poses are usually found with."""
+    listed = int(camera.get("w", size[0])), int(camera.get("h", size[1]))
+    margins = all(0.95 * whole <= part <= whole for whole, part in zip(size, listed, strict=True))
+    return listed if margins else size
+
+
+def _middle(light: np.ndarray, height: int, width: int) -> np.ndarray:
+    y, x = (light.shape[0] - height) // 2, (light.shape[1] - width) // 2
+    return light[y : y + height, x : x + width]
 
 
 def _names(files: list[Path]) -> tuple[str, ...]:

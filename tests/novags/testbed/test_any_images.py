@@ -95,6 +95,17 @@ def test_distortion_of_linear_files_is_undone(tmp_path: Path) -> None:
     assert np.abs(bent.radiance(0) / straight.radiance(0) - 1).max() > 0.01
 
 
+def test_margins_around_the_picture_in_a_raw_file_are_cut_off_and_not_scaled(tmp_path: Path) -> None:
+    """Rationale: raw files show more of the sensor than the pictures that poses are found with."""
+    whole = load_linear_set(photographs(tmp_path / "a", ".dng"))
+    part = load_linear_set(photographs(tmp_path / "b", ".dng", w=38, h=29, cx=19.0, cy=14.5))
+    assert whole is not None
+    assert part is not None
+    assert (part.rig.width, part.rig.height) == (38, 29)
+    assert part.rig.Ks[0, 0, 0] == whole.rig.Ks[0, 0, 0]
+    np.testing.assert_array_equal(part.radiance(1), whole.radiance(1)[0:29, 1:39])
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
