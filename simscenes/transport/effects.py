@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sensor_model.plan import Effect
 from simscenes.backend import activate
@@ -15,15 +16,15 @@ from simscenes.optics import Optics
 from simscenes.render.source import LoadedScene, build_scene, has_measured_lights
 from simscenes.rigs import Rig
 from simscenes.transport import pilot, plan, spectra
+from simscenes.transport.specular import SPECULAR, chained_light
 
 UNIT = "of all light"
 DEPTHS = (8, 16, 32)  # offered as max_depth
 DEEPEST = 64  # pilot paths end here
 RR_DEPTH = 2  # best 1/(MSE x seconds) on the catalogue; see scripts/bench_render.py
-SPECULAR = 0x8 | 0x10 | 0x20 | 0x40 | 0x80 | 0x100  # BSDFFlags: glossy and delta lobes, which polarise
-# Where two specular surfaces follow each other, polarisation changes a few per cent of what is seen in them: measured
-# 1.9 % (95th percentile) on `glassware`, 0.02 % on `tabletop`. Used only where nobody asked to measure.
-POLARISED_CHANGE = 0.05
+# Of light that two specular surfaces have passed on, polarisation changes a few per cent: measured 1 % on `tabletop`,
+# 2 to 5 % on `glassware`. Used only where nobody asked to measure, with room to spare.
+POLARISED_CHANGE = 0.1
 
 
 @dataclass(frozen=True)
@@ -38,6 +39,14 @@ class Pilot:
     allowed: float
     seed: int
     scenes: dict[str, LoadedScene] = field(default_factory=dict)
+    images: dict[tuple[str, int], NDArray[np.float64]] = field(default_factory=dict)
+
+    def render(self, kind: str, depth: int) -> NDArray[np.float64]:
+        """The pilot views in RGB, by the same paths whatever the depth; rendered once."""
+        if (kind, depth) not in self.images:
+            integrator = {"type": kind, "max_depth": depth, "rr_depth": RR_DEPTH}
+            self.images[kind, depth] = pilot.render_pilot(self.mi, self.loaded, self.rig, integrator, self.seed)
+        return self.images[kind, depth]
 
     def scene_in(self, color: str) -> tuple[Any, LoadedScene]:
         """Mitsuba with a colour representation activated, and the scene loaded for it."""
@@ -58,13 +67,9 @@ def depth_effects(p: Pilot, media: bool, most: float, forced_depth: int | None) 
     errors more than that and what would come after them if every later bounce kept `most` of the light.
     """
     kind = "volpath" if media else "path"
-    images = {}
 
-    def render(depth: int) -> Any:
-        if depth not in images:
-            integrator = {"type": kind, "max_depth": depth, "rr_depth": RR_DEPTH}
-            images[depth] = pilot.render_pilot(p.mi, p.loaded, p.rig, integrator, p.seed)
-        return images[depth]
+    def render(depth: int) -> NDArray[np.float64]:
+        return p.render(kind, depth)
 
     full = render(DEEPEST)
     indirect = pilot.missing_light(full, render(plan.DIRECT_DEPTH))
@@ -93,10 +98,7 @@ def media_effects(p: Pilot) -> list[Effect]:
     if not media:
         return [_effect(plan.MEDIA, False, 0.0, p.allowed, "the scene holds no medium"),
                 _effect(plan.SPECTRAL_MIS, False, 0.0, 0.0, "no medium")]  # fmt: skip
-    settings = {"max_depth": DEPTHS[0], "rr_depth": RR_DEPTH}
-    seen = pilot.render_pilot(p.mi, p.loaded, p.rig, {"type": "volpath", **settings}, p.seed)
-    past = pilot.render_pilot(p.mi, p.loaded, p.rig, {"type": "path", **settings}, p.seed)
-    change = pilot.changed_light(seen, past)
+    change = pilot.changed_light(p.render("volpath", DEPTHS[0]), p.render("path", DEPTHS[0]))
     chromatic = any(_is_chromatic(p.mi, m) for m in media)
     reason = f"{len(media)} medium boundaries; ignoring them changes {change.estimate:.1%}"
     return [
@@ -120,12 +122,10 @@ def polarisation_effect(p: Pilot, geometry: list[Any], measure: bool) -> Effect:
     specular = [bool(s.bsdf().flags() & SPECULAR) for s in p.loaded.scene.shapes()]
     if not any(specular):
         return _effect(plan.POLARISATION, False, 0.0, p.allowed, "all surfaces are diffuse, light comes unpolarised")
-    seen = np.array([False, *specular])[np.stack([g["id"] for g in geometry])]
-    guess = float(seen.mean()) * POLARISED_CHANGE
-    if not measure and guess <= p.allowed:
-        return _effect(
-            plan.POLARISATION, False, guess, p.allowed, f"bounded: {seen.mean():.1%} of pixels show specular"
-        )
+    if not measure:
+        guess, reason = _bounded_polarisation(p, geometry, specular)
+        if guess <= p.allowed:
+            return _effect(plan.POLARISATION, False, guess, p.allowed, reason)
     images = []
     for color in ("spectral", "spectral_polarized"):
         other, loaded = p.scene_in(color)
@@ -135,6 +135,16 @@ def polarisation_effect(p: Pilot, geometry: list[Any], measure: bool) -> Effect:
     change = pilot.changed_light(images[0], images[1])
     return _effect(plan.POLARISATION, change.upper > p.allowed, change.upper, p.allowed,
                    f"paired pilots with and without differ by {change.estimate:.2%}")  # fmt: skip
+
+
+def _bounded_polarisation(p: Pilot, geometry: list[Any], specular: list[bool]) -> tuple[float, str]:
+    if p.backend == "scalar":
+        share = float(np.array([False, *specular])[np.stack([g["id"] for g in geometry])].mean())
+        return share * POLARISED_CHANGE, f"bounded: {share:.1%} of pixels show specular"
+    total = float(p.render("path", DEPTHS[0]).mean())
+    settings = {"type": "path", "max_depth": DEPTHS[0], "rr_depth": RR_DEPTH}
+    share = chained_light(p.mi, p.loaded, p.rig, settings, p.seed) / total if total > 0 else 0.0
+    return share * POLARISED_CHANGE, f"bounded: {share:.1%} of the light comes by two specular surfaces in a row"
 
 
 def spectral_effect(p: Pilot, optics: Optics, indirect: float) -> Effect:

@@ -27,7 +27,8 @@ class TransportPlan(Plan):
         max_depth: Longest path followed, as Mitsuba counts (2 is direct light).
         rr_depth: Path length from which Russian roulette may end a path; changes noise and time, never the mean.
         subframes: Poses averaged for motion blur; 1 without.
-        seconds: What a million samples take with this plan and with everything on; {} if not measured.
+        seconds: Processor time (on a GPU: time) of a million samples, "planned" and with "everything on"; {} if not
+            measured.
         light_weights: How often each light of the scene is picked, relative; () for equally often.
     """
 

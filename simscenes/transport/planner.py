@@ -124,7 +124,7 @@ def everything_on(made: TransportPlan) -> TransportPlan:
 
 
 def _measure_seconds(p: Pilot, made: TransportPlan) -> dict[str, float]:
-    """Seconds that a million samples take by the plan and with everything on, in this scene."""
+    """What a million samples take by the plan and with everything on, in this scene."""
     seconds = {}
     for name, one in (("planned", made), ("everything on", everything_on(made))):
         mi, loaded = p.scene_in(one.color)
