@@ -6,7 +6,7 @@ import numpy as np
 
 from .compiler import inline, kernel
 from .functions import exp
-from .simd import LANES, load, store
+from .simd import LANES, copy, load, store
 
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
 BLOCK = 4096  # values per partial sum: fixed, so that it does not depend on the threads
@@ -28,9 +28,9 @@ def forward(begin, end, is_sigmoid, inputs, outputs, sums):
             if first + LANES <= stop:
                 store(outputs, first, _activate(is_sigmoid, load(inputs, first)))
             else:
-                buffer[: stop - first] = inputs[first:stop]
+                copy(inputs, first, buffer, 0, stop - first)
                 store(buffer, 0, _activate(is_sigmoid, load(buffer, 0)))
-                outputs[first:stop] = buffer[: stop - first]
+                copy(buffer, 0, outputs, first, stop - first)
         for i in range(block * BLOCK, stop):
             total += outputs[i]
         sums[block] = total

@@ -161,6 +161,13 @@ def _scatter(coefficients, first, count, n, v_sh):
             v_sh[first + lane, j] = ZERO
 
 
+@inline
+def _any(columns):
+    """Whether one of three columns is not zero anywhere."""
+    zero = (load(columns, 0) == ZERO) & (load(columns, LANES) == ZERO) & (load(columns, 2 * LANES) == ZERO)
+    return bits(zero) != 0xFFFF
+
+
 @kernel
 def backward(begin, end, block_size, degree, means, sh, center, v_colors, v_sh, v_means, v_center):
     """Gradients of blocks begin..end-1 of block_size Gaussians: v_sh [N, 3 K]; added to v_means [N, 3].
@@ -178,17 +185,19 @@ def backward(begin, end, block_size, degree, means, sh, center, v_colors, v_sh, 
             count = min(LANES, n - first)
             v_color[:] = ZERO
             gather3(v_colors, first, count, v_color, 0)
-            if not v_color.any():
+            if not _any(v_color):
                 v_sh[first : first + count] = ZERO
                 continue
             _gather(means, center, sh, first, count, n_coefficients, points, coefficients)
             _backward(degree, n_coefficients, points, basis, v_basis, coefficients, v_color, v_points)
             _scatter(coefficients, first, count, 3 * n_coefficients, v_sh)
             for j in range(3):
-                total[j] -= v_points[j * LANES : j * LANES + count].sum()
+                for lane in range(count):
+                    total[j] -= v_points[j * LANES + lane]
             add3(v_points, 0, first, count, v_means)
         if len(v_center):
-            v_center[block] = total
+            for j in range(3):
+                v_center[block, j] = total[j]
 
 
 @inline

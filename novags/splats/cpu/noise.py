@@ -90,13 +90,21 @@ def _gather(quats, log_scales, logit_opacities, first, count, columns):
         columns[7 * LANES + lane] = logit_opacities[first + lane]
 
 
+@inline
+def _any_moves(logit_opacities, first, count):
+    for i in range(first, first + count):
+        if logit_opacities[i] < OPAQUE:
+            return True
+    return False
+
+
 @kernel
 def add(begin, end, means, quats, log_scales, logit_opacities, amount, key):
     """Means += noise for Gaussians begin..end-1, with the stream `key` (uint64)."""
     columns = np.ones(COLUMNS * LANES, np.float32)
     for first in range(begin, end, LANES):
         count = min(LANES, end - first)
-        if logit_opacities[first : first + count].min() >= OPAQUE:
+        if not _any_moves(logit_opacities, first, count):
             continue
         _gather(quats, log_scales, logit_opacities, first, count, columns)
         _draw(key, first, columns)

@@ -39,8 +39,8 @@ def horizontal(begin, end, image, target, channels, weights, moments):
     # outside counts as zero
     xs, ys = np.zeros(step + 2 * padding, np.float32), np.zeros(step + 2 * padding, np.float32)
     for row in range(begin, end):
-        xs[padding : padding + n] = image[row]
-        ys[padding : padding + n] = target[row]
+        for i in range(n):
+            xs[padding + i], ys[padding + i] = image[row, i], target[row, i]
         for i in range(0, n, LANES):
             zero = splat(ZERO)
             sx, sy, sxx, syy, sxy = zero, zero, zero, zero, zero

@@ -23,7 +23,7 @@ from .layout import (
     X,
     Y,
 )
-from .simd import LANES, bits, ceil, floor, load, maximum, minimum, select, sqrt, store
+from .simd import LANES, bits, ceil, copy, floor, load, maximum, minimum, select, sqrt, store
 
 ZERO, HALF, ONE, TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 MARGIN = np.float32(0.15)  # of the image size beyond its border: where gsplat stops following the affine approximation
@@ -147,7 +147,7 @@ def forward(begin, end, means, quats, scales, opacities, camera, rows, depths, r
             transpose(out, 0, LANES, flat, first * ROW, ROW)
         else:
             transpose(out, 0, LANES, last_rows, 0, ROW)
-            flat[first * ROW : end * ROW] = last_rows[: count * ROW]
+            copy(last_rows, 0, flat, first * ROW, count * ROW)
         for lane in range(count):
             i = first + lane
             depths[i] = rest[lane]

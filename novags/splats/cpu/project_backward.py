@@ -55,7 +55,6 @@ def backward(
     columns = np.ones(INPUTS * LANES, np.float32)
     sums, sum_columns = np.zeros(LANES * ROW, np.float32), np.empty(ROW * LANES, np.float32)
     rest = np.zeros(2 * LANES, np.float32)  # gradient of the depth; 1 for Gaussians in any tile's list
-    row = np.empty(LANES, np.float32)
     camera_sums = np.empty(V_VIEW * LANES, np.float32)
     for block in range(begin, end):
         camera_sums[:] = ZERO
@@ -86,9 +85,9 @@ def backward(
             _scatter(first, count, columns, v_means, v_quats, v_scales, v_opacities)
         if len(v_view):
             for j in range(V_VIEW):
-                total = load(camera_sums, j * LANES)
-                store(row, 0, total)
-                v_view[block, j] = row.sum()
+                v_view[block, j] = ZERO
+                for lane in range(LANES):
+                    v_view[block, j] += camera_sums[j * LANES + lane]
 
 
 @inline

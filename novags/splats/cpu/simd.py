@@ -16,7 +16,7 @@ from numba import types
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
-from .compiler import FLAGS
+from .compiler import FLAGS, inline
 
 LANES = 16
 _F32, _I1, _I32, _I64 = ir.FloatType(), ir.IntType(1), ir.IntType(32), ir.IntType(64)
@@ -104,6 +104,13 @@ def store(typingctx, array, index, value):
         return context.get_dummy_value()
 
     return types.void(array, types.int64, floats), codegen
+
+
+@inline
+def copy(source, at, target, target_at, n):
+    """Copy n scalars between flat arrays; a slice assignment compiles numba's error messages too."""
+    for i in range(n):
+        target[target_at + i] = source[at + i]
 
 
 @intrinsic
