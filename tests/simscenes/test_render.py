@@ -173,6 +173,16 @@ def test_target_error_is_reached_and_not_by_chance_only() -> None:
     assert actual < 0.02 * 1.5
 
 
+def test_a_scalar_variant_reaches_a_target_by_even_passes() -> None:
+    mi = activate("scalar")
+    loaded, rig = build_scene(ball_on_plane(), mi), view(8, 6)
+    integrator = mi.load_dict({"type": "path", "max_depth": 4, "rr_depth": 2})
+    result = View(Method(mi, mi.variant(), loaded, integrator), rig, 0).render(None, 0.1)
+    activate()
+    assert result.error <= 0.1
+    assert result.spp >= 16
+
+
 def small_job(out: Path, rig: Rig | None = None, **more: Any) -> Any:
     rig = rig or orbit_rig(3, 17, 13, 60, target=(0, 0, 0.8), radius=4.0)
     return render_set(ball_on_plane(), rig, out, **{"spp": 4, "plan": "rgb", **more})
@@ -214,9 +224,10 @@ def test_a_set_is_complete_consistent_and_readable(tmp_path: Path) -> None:
     assert np.allclose(header["worldToCamera"], done.rig.viewmats[1], atol=1e-6)
 
 
-def test_interrupted_reordered_and_repeated_renders_are_bit_identical(tmp_path: Path) -> None:
+@pytest.mark.parametrize("quality", [{}, {"spp": None, "target_error": 0.05}], ids=["spp", "target"])
+def test_interrupted_reordered_and_repeated_renders_are_bit_identical(quality: dict, tmp_path: Path) -> None:
     rig = orbit_rig(3, 17, 13, 60, target=(0, 0, 0.8), radius=4.0)
-    small_job(tmp_path / "a", rig)
+    small_job(tmp_path / "a", rig, **quality)
     first = exr_arrays(tmp_path / "a")
 
     kept = tmp_path / "a" / "gt" / "0000.exr"
@@ -224,13 +235,13 @@ def test_interrupted_reordered_and_repeated_renders_are_bit_identical(tmp_path: 
     (tmp_path / "a" / "gt" / "0001.exr").unlink()
     (tmp_path / "a" / "gt" / "0002.exr").write_bytes(b"cut short")
     (tmp_path / "a" / "set.json").unlink()
-    small_job(tmp_path / "a", rig)
+    small_job(tmp_path / "a", rig, **quality)
     assert kept.stat().st_mtime_ns == before  # a finished view is not rendered again
     assert all(same(first[k], v) for k, v in exr_arrays(tmp_path / "a").items())
 
     order = [2, 0, 1]
     shuffled = Rig(viewmats=rig.viewmats[order], Ks=rig.Ks[order], width=17, height=13)
-    small_job(tmp_path / "b", shuffled)
+    small_job(tmp_path / "b", shuffled, **quality)
     second = exr_arrays(tmp_path / "b")
     assert all(same(first[f"{i:04d}"], second[f"{k:04d}"]) for k, i in enumerate(order))
 
