@@ -68,10 +68,10 @@ def common_scene(n: int, size: int = 256) -> dict[str, Tensor]:
 
 
 def best(call: Callable[[], Any], repeat: int, seconds: float = 20.0) -> float:
-    """Smallest wall time of several calls, in seconds; at least three, then until `seconds` are used up."""
+    """Smallest wall time of up to `repeat` calls, in seconds; after three of them, only until `seconds` are used up."""
     times: list[float] = []
     started = time.perf_counter()
-    while len(times) < 3 or (len(times) < repeat and time.perf_counter() - started < seconds):
+    while len(times) < min(3, repeat) or (len(times) < repeat and time.perf_counter() - started < seconds):
         before = time.perf_counter()
         call()
         times.append(time.perf_counter() - before)
@@ -116,8 +116,11 @@ def measure_grid(n: int, size: int, repeat: int, backend: str = "numba") -> dict
     return {**times, "iteration": min(steps), "peak_mb": peak_mb()}
 
 
-def measure_common(n: int, size: int, repeat: int, backend: str = "numba") -> dict[str, Any]:
-    """Fit a two-colour image: render, MSE, backward, Adam on everything."""
+def measure_common(n: int, size: int, repeat: int, backend: str = "numba", strip: int | None = None) -> dict[str, Any]:
+    """Fit a two-colour image: render, MSE, backward, Adam on everything.
+
+    The readable reference keeps every pixel times Gaussian for its gradient; it gets `strip` image rows at a time.
+    """
     import numpy as np
 
     from novags.splats import rasterize
@@ -145,19 +148,23 @@ def measure_common(n: int, size: int, repeat: int, backend: str = "numba") -> di
             tensor.grad = None
 
     def once() -> None:
-        start = time.perf_counter()
-        image, _, _ = rasterize(
-            trained["means"], trained["quats"], trained["scales"].abs(), torch.sigmoid(trained["opacities"]),
-            torch.sigmoid(trained["colors"]), scene["viewmats"], scene["Ks"], size, size, backend=backend,
-        )  # fmt: skip
-        loss = torch.nn.functional.mse_loss(image[0], target)
-        middle = time.perf_counter()
-        loss.backward()
-        after = time.perf_counter()
+        clock = {"forward": 0.0, "backward": 0.0}
+        began, rows = time.perf_counter(), strip or size
+        for top in range(0, size, rows):
+            start = time.perf_counter()
+            scene["Ks"][:, 1, 2] = size / 2 - top
+            image, _, _ = rasterize(
+                trained["means"], trained["quats"], trained["scales"].abs(), torch.sigmoid(trained["opacities"]),
+                torch.sigmoid(trained["colors"]), scene["viewmats"], scene["Ks"], size, rows, backend=backend,
+            )  # fmt: skip
+            loss = torch.nn.functional.mse_loss(image[0], target[top : top + rows]) * (rows / size)
+            middle = time.perf_counter()
+            loss.backward()
+            clock["forward"] += middle - start
+            clock["backward"] += time.perf_counter() - middle
         step()
-        end = time.perf_counter()
-        for name, value in (("forward", middle - start), ("backward", after - middle), ("iteration", end - start)):
-            times[name] = min(times[name], value)
+        clock["iteration"] = time.perf_counter() - began
+        times.update({name: min(times[name], value) for name, value in clock.items()})
 
     best(once, repeat)
     return {**times, "peak_mb": peak_mb()}
@@ -207,15 +214,17 @@ def run_grid(out: Path, repeat: int, largest: int) -> None:
 
 
 def run_common(out: Path, repeat: int) -> None:
-    """The common workload on our kernels, and (small) on the readable reference."""
+    """The common workload on our kernels, and once on the readable reference."""
     rows = []
-    for n in (10_000, 100_000):
-        rows.append({"n": n, "size": 256, "backend": "numba", **in_child("common", n=n, size=256, repeat=repeat)})
+    for n, backend, options in (
+        (10_000, "numba", {"repeat": repeat}),
+        (100_000, "numba", {"repeat": repeat}),
+        (10_000, "torch", {"repeat": 1, "strip": 8}),
+    ):
+        row = {"n": n, "size": 256, "backend": backend}
+        rows.append({**row, **in_child("common", **row, **options)})
         print(show(rows[-1]), flush=True)
-    for backend in ("numba", "torch"):
-        row = {"n": 2000, "size": 64, "backend": backend}
-        rows.append({**row, **in_child("common", n=2000, size=64, repeat=5, backend=backend)})
-        print(show(rows[-1]), flush=True)
+    print(f"the reference takes {rows[2]['iteration'] / rows[0]['iteration']:.0f} times as long at N = 10,000")
     (out / "common.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
 
 
@@ -270,67 +279,11 @@ def run_one(out: Path, what: str, **arguments: Any) -> None:
     (out / f"{what}.json").write_text(json.dumps(row, indent=1))
 
 
-def reference_image(n: int, size: int, *, exact: bool, supersample: int = 1, eps2d: float = 0.3) -> Tensor:
-    """The knob scene in float64; `exact` drops both thresholds."""
-    from novags.splats import raster_torch, rasterize
+def measure_knob(**arguments: Any) -> dict[str, Any]:
+    """Error and time of one setting."""
+    import bench_splats_knobs
 
-    if exact:
-        raster_torch.ALPHA_MIN, raster_torch.TRANSMITTANCE_MIN = 1e-7, 0.0
-    scene = {name: value.double() for name, value in cube_scene(n, size).items()}
-    scene["Ks"][:, :2] *= supersample
-    shape = [scene[name] for name in ("means", "quats", "scales", "opacities", "sh")]
-    big = size * supersample
-    image, _, _ = rasterize(*shape, scene["viewmats"], scene["Ks"], big, big, sh_degree=3, eps2d=eps2d, backend="torch")
-    return image[0].reshape(size, supersample, size, supersample, 3).mean((1, 3))
-
-
-def measure_knob(knob: str, setting: float, n: int, size: int, repeat: int, references: str) -> dict[str, Any]:
-    """Error and time of one setting. The kernels are compiled anew, because their constants are compiled in."""
-    import numpy as np
-
-    from novags.splats.cpu import compiler, functions, layout
-
-    compiler._CACHE = tempfile.mkdtemp(prefix="novags-knob-")
-    if knob == "alpha_min":
-        layout.ALPHA_MIN, layout.LOG2_ALPHA_MIN = np.float32(setting), np.float32(np.log2(setting))
-    elif knob == "transmittance_min":
-        layout.TRANSMITTANCE_MIN = np.float32(setting)
-    elif knob == "tile":
-        layout.TILE = int(setting)
-    elif knob == "exp2_degree":
-        x = -4 + 4 * np.cos(np.pi * (np.arange(400) + 0.5) / 400)
-        fit = np.polynomial.Polynomial.fit(x, 2 ** (x / 8), int(setting), w=2 ** (-x / 8)).convert().coef
-        for i in range(6):
-            setattr(functions, f"_A{i}", np.float32(fit[i] if i < len(fit) else 0.0))
-    from novags.splats import rasterize
-
-    scene = cube_scene(n, size)
-    dtype, backend = (torch.float64, "torch") if (knob, setting) == ("float_bits", 64) else (torch.float32, "numba")
-    shape = [scene[name].to(dtype).requires_grad_() for name in ("means", "quats", "scales", "opacities", "sh")]
-    camera = (scene["viewmats"].to(dtype), scene["Ks"].to(dtype), size, size)
-    weights = torch.rand(1, size, size, 3, dtype=dtype)
-    options = {"eps2d": setting} if knob == "eps2d" else {}
-    image, _, _ = rasterize(*shape, *camera, sh_degree=3, backend=backend, **options)
-    truth = torch.load(references)["supersampled" if knob == "eps2d" else "exact"]
-    error = (image[0].detach().double() - truth).square().mean((1, 2)).sqrt()  # per row, for a spread
-
-    def once() -> None:
-        image, _, _ = rasterize(*shape, *camera, sh_degree=3, backend=backend, **options)
-        torch.autograd.grad(image, shape, weights)
-
-    seconds = best(once, repeat)
-    rmse = float(error.square().mean().sqrt())
-    return {"seconds": seconds, "error": rmse, "error_unit": "rmse", "error_sd": float(error.std() / math.sqrt(size))}
-
-
-KNOBS: dict[str, tuple[tuple[float, ...], float]] = {
-    "alpha_min": ((1 / 2550, 1 / 765, 1 / 255, 2 / 255, 4 / 255, 8 / 255), 1 / 255),
-    "transmittance_min": ((1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 3e-2), 1e-4),
-    "exp2_degree": ((2, 3, 4, 5), 5),
-    "eps2d": ((0.0, 0.1, 0.2, 0.3, 0.5), 0.3),
-    "float_bits": ((32, 64), 32),
-    "tile": ((8, 16), 16),
-}
+    return bench_splats_knobs.measure_knob(**arguments)
 
 
 def run_knobs(out: Path, repeat: int) -> None:
@@ -339,6 +292,8 @@ def run_knobs(out: Path, repeat: int) -> None:
     The truth is the float64 reference without thresholds; for the dilation, the same without dilation box-filtered from
     4 x 4 samples a pixel, because dilation stands in for that filter.
     """
+    from bench_splats_knobs import KNOBS, reference_image
+
     n, size = 2000, 64
     with tempfile.NamedTemporaryFile(suffix=".pt") as file, torch.no_grad():
         exact = reference_image(n, size, exact=True)
@@ -362,14 +317,19 @@ def main() -> None:
     parser.add_argument("--repeat", type=int, default=15)
     parser.add_argument("--largest", type=int, default=1_000_000, help="most Gaussians in the grid")
     parser.add_argument("--threads", type=int, default=None)
-    for name, default in (("iterations", 7000), ("gaussians", 50_000), ("size", 256), ("views", 28)):
-        parser.add_argument(f"--{name}", type=int, default=default, help="of the fit")
+    fit = (
+        ("iterations", "iterations", 7000),
+        ("gaussians", "n", 50_000),
+        ("size", "size", 256),
+        ("views", "n_views", 28),
+    )
+    for name, key, default in fit:
+        parser.add_argument(f"--{name}", dest=key, type=int, default=default, help="of the fit")
     parser.add_argument("--capture", default=None, help="capture folder whose noise-free exposures the fit aims at")
     parser.add_argument("--device", default="cpu", help="of the fit; cuda takes gsplat")
     options = parser.parse_args()
     if options.threads is not None:
         os.environ["OMP_NUM_THREADS"] = str(options.threads)  # children inherit it
-        torch.set_num_threads(options.threads)
     if options.part == "child":
         arguments = json.loads(options.arguments)
         print(json.dumps(globals()[f"measure_{arguments.pop('what')}"](**arguments)))
@@ -381,13 +341,11 @@ def main() -> None:
         run_common(options.out, options.repeat)
     elif options.part == "memory":
         run_one(options.out, "memory")
-    elif options.part == "fit":
-        size = {"n": options.gaussians, "size": options.size, "n_views": options.views}
-        run_one(
-            options.out, "fit", iterations=options.iterations, capture=options.capture, device=options.device, **size
-        )
-    else:
+    elif options.part == "knobs":
         run_knobs(options.out, options.repeat)
+    else:
+        keys = [key for _, key, _ in fit] + ["capture", "device"]
+        run_one(options.out, "fit", **{key: getattr(options, key) for key in keys})
 
 
 if __name__ == "__main__":

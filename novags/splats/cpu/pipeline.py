@@ -1,4 +1,8 @@
-"""From Gaussians to one camera's image and back: the order in which the kernels run."""
+"""From Gaussians to one camera's image and back: the order in which the kernels run.
+
+One pass forward and backward takes, and recycles, 352 bytes per Gaussian at SH degree 3 (of these 192 + 12 gradients of
+colour, 44 of the shape, and its record of 64), 74 per (Gaussian, tile) pair (of these 64 of gradients), 64 per pixel.
+"""
 
 from dataclasses import dataclass
 

@@ -2,7 +2,8 @@
 
 Float rounding may tip a Gaussian over the alpha or the transmittance threshold. Such pixels are found in float64 (some
 Gaussian within MARGIN of a threshold); there the value may differ by the threshold's own step, and the gradients are
-compared with those pixels weighted zero. They are counted, and must be rare.
+compared with those pixels weighted zero. They are counted: 507 of the 187,000 pixels of all scenes (0.3 %); the case of
+3,000 Gaussians behind one another, each near the alpha threshold, has 46 of 432.
 """
 
 from collections.abc import Callable
@@ -185,4 +186,4 @@ def test_values_and_gradients_match_the_float64_reference(case, make_scene, reco
         n_tipped += compare(scene, mode)
         n_pixels += width * height * cameras
     record_property("tipped_pixels", f"{n_tipped} of {n_pixels}")
-    print(f"{case}: {n_tipped} of {n_pixels} pixels have a Gaussian within {MARGIN} of a threshold")
+    assert n_tipped <= (0.12 if n > 2000 else 0.03) * n_pixels

@@ -2,12 +2,15 @@
 
 import math
 
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from novags.splats import rasterize
+from novags.splats.cpu import pipeline
+from novags.splats.cpu.memory import empty
 
 BACKENDS = ["torch", "numba"]
 
@@ -179,3 +182,23 @@ def test_colors_scale_and_alpha_stays_between_zero_and_one(width, height, seed, 
     assert alpha.min() >= 0
     assert alpha.max() <= 1 - 1e-4 * (1 - 1e-3)
     assert (image <= alpha + 1e-5).all()  # colours are at most 1, so a pixel is at most its alpha
+
+
+def test_a_pass_takes_the_memory_that_is_stated(make_scene, monkeypatch):
+    """Bytes: 352 per Gaussian at SH degree 3, 74 per (Gaussian, tile) pair and 64 per pixel, as the pipeline says."""
+    taken, frames, forward = [], [], pipeline.forward
+
+    def counting(shape, dtype=np.float32):
+        taken.append(np.prod(shape) * np.dtype(dtype).itemsize)
+        return empty(shape, dtype)
+
+    monkeypatch.setattr(pipeline, "empty", counting)
+    monkeypatch.setattr(pipeline, "forward", lambda *arguments: frames.append(forward(*arguments)) or frames[-1])
+    scene = as_float32(make_scene(6, 8000, 160, 96, sh_degree=3))
+    scene["scales"] *= 0.3
+    scene["means"].requires_grad_()
+    image, _, _ = rasterize(**scene, backend="numba")
+    image.sum().backward()
+    pairs = int(frames[0][0].splats.counts.sum())
+    assert pairs > 8000
+    assert sum(taken) == pytest.approx(352 * 8000 + 74 * pairs + 64 * 160 * 96, rel=0.05)

@@ -1,0 +1,75 @@
+"""The accuracy knobs of the splat engine. Run by `bench_splats.py knobs`.
+
+Nothing of novags is imported before a knob is set: the kernels take their constants when they are imported.
+"""
+
+import math
+import tempfile
+from typing import Any
+
+import torch
+from bench_splats import best, cube_scene
+from torch import Tensor
+
+
+def reference_image(n: int, size: int, *, exact: bool, supersample: int = 1, eps2d: float = 0.3) -> Tensor:
+    """The knob scene in float64; `exact` drops both thresholds."""
+    from novags.splats import raster_torch, rasterize
+
+    if exact:
+        raster_torch.ALPHA_MIN, raster_torch.TRANSMITTANCE_MIN = 1e-7, 0.0
+    scene = {name: value.double() for name, value in cube_scene(n, size).items()}
+    scene["Ks"][:, :2] *= supersample
+    shape = [scene[name] for name in ("means", "quats", "scales", "opacities", "sh")]
+    big = size * supersample
+    image, _, _ = rasterize(*shape, scene["viewmats"], scene["Ks"], big, big, sh_degree=3, eps2d=eps2d, backend="torch")
+    return image[0].reshape(size, supersample, size, supersample, 3).mean((1, 3))
+
+
+def measure_knob(knob: str, setting: float, n: int, size: int, repeat: int, references: str) -> dict[str, Any]:
+    """Error and time of one setting. The kernels are compiled anew, because their constants are compiled in."""
+    import numpy as np
+
+    from novags.splats.cpu import compiler, functions, layout
+
+    compiler._CACHE = tempfile.mkdtemp(prefix="novags-knob-")
+    if knob == "alpha_min":
+        layout.ALPHA_MIN, layout.LOG2_ALPHA_MIN = np.float32(setting), np.float32(np.log2(setting))
+    elif knob == "transmittance_min":
+        layout.TRANSMITTANCE_MIN = np.float32(setting)
+    elif knob == "tile":
+        layout.TILE = int(setting)
+    elif knob == "exp2_degree":
+        x = -4 + 4 * np.cos(np.pi * (np.arange(400) + 0.5) / 400)
+        fit = np.polynomial.Polynomial.fit(x, 2 ** (x / 8), int(setting), w=2 ** (-x / 8)).convert().coef
+        for i in range(6):
+            setattr(functions, f"_A{i}", np.float32(fit[i] if i < len(fit) else 0.0))
+    from novags.splats import rasterize
+
+    scene = cube_scene(n, size)
+    dtype, backend = (torch.float64, "torch") if (knob, setting) == ("float_bits", 64) else (torch.float32, "numba")
+    shape = [scene[name].to(dtype).requires_grad_() for name in ("means", "quats", "scales", "opacities", "sh")]
+    camera = (scene["viewmats"].to(dtype), scene["Ks"].to(dtype), size, size)
+    weights = torch.rand(1, size, size, 3, dtype=dtype)
+    options = {"eps2d": setting} if knob == "eps2d" else {}
+    image, _, _ = rasterize(*shape, *camera, sh_degree=3, backend=backend, **options)
+    truth = torch.load(references)["supersampled" if knob == "eps2d" else "exact"]
+    error = (image[0].detach().double() - truth).square().mean((1, 2)).sqrt()  # per row, for a spread
+
+    def once() -> None:
+        image, _, _ = rasterize(*shape, *camera, sh_degree=3, backend=backend, **options)
+        torch.autograd.grad(image, shape, weights)
+
+    seconds = best(once, repeat)
+    rmse = float(error.square().mean().sqrt())
+    return {"seconds": seconds, "error": rmse, "error_unit": "rmse", "error_sd": float(error.std() / math.sqrt(size))}
+
+
+KNOBS: dict[str, tuple[tuple[float, ...], float]] = {
+    "alpha_min": ((1 / 2550, 1 / 765, 1 / 255, 2 / 255, 4 / 255, 8 / 255), 1 / 255),
+    "transmittance_min": ((1e-6, 1e-5, 1e-4, 1e-3, 1e-2, 3e-2), 1e-4),
+    "exp2_degree": ((2, 3, 4, 5), 5),
+    "eps2d": ((0.0, 0.1, 0.2, 0.3, 0.5), 0.3),
+    "float_bits": ((32, 64), 32),
+    "tile": ((8, 16), 16),
+}
