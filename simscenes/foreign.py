@@ -119,10 +119,10 @@ def read_transforms(folder: Path) -> Photographs:
                          f"({type(error).__name__}: {error})") from error  # fmt: skip
     viewmats = opengl_to_opencv(poses)
     entries = [(_find(folder, path), v, camera) for (camera, path, _), v in zip(frames, viewmats, strict=True)]
-    return _collect(entries, source, lambda c, w, h: _transforms_lens(c, w, h, source))
+    return _collect(entries, source, lambda c, w, h: transforms_lens(c, w, h, source))
 
 
-def _transforms_lens(camera: dict[str, Any], width: int, height: int, source: Path) -> Lens:
+def transforms_lens(camera: dict[str, Any], width: int, height: int, source: Path) -> Lens:
     model = "OPENCV_FISHEYE" if camera.get("is_fisheye") else camera.get("camera_model", "OPENCV")
     if model not in ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL") or camera.get("k4"):
         raise ValueError(f"load_set: {source} has a {model} camera (k4 = {camera.get('k4', 0)}); only pinholes with "

@@ -86,7 +86,8 @@ def render_set(
         rig: Cameras; None for 32 views: of the scene's default rig at 128 x 128, or around a foreign scene's sensor.
         out: Folder to write.
         spp: Samples per pixel, rounded up to whole passes; 256 if neither this nor `target_error`.
-        target_error: Relative RMSE (root mean variance over mean radiance) at which each view stops.
+        target_error: Relative RMSE (root mean variance over mean radiance) at which each view stops; its samples then
+            go where a short pilot saw noise, instead of evenly over all pixels.
         plan: A plan from `plan_transport`; "auto" to make one, measuring everything if the job is long; or "rgb" for
             plain path tracing to depth 64 without asking.
         optics: Aperture, motion and colour filters; None for a pinhole at rest that sees linear sRGB.
