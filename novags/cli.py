@@ -68,7 +68,7 @@ def run(
 
 def plan(
     scene: Name, *, sensor: str, electrons: float, time: float = 1 / 30, tolerance: float = 0.05,
-    light_tolerance: float = 0.02,
+    light_tolerance: float = 0.02, on: tuple[str, ...] = (), off: tuple[str, ...] = (),
 ) -> None:  # fmt: skip
     """What would be simulated, what would not, why, and the bound on the error of leaving it out.
 
@@ -79,12 +79,14 @@ def plan(
         time: Exposure time in seconds; only the dark current depends on it.
         tolerance: Relative error of the noise's standard deviation that may be made.
         light_tolerance: Share of all light that may be wrong or missing.
+        on: Effects of light to simulate whatever the plan says, by the names it prints.
+        off: Effects of light to leave out.
     """
     from novags.testbed.capture import CaptureConfig
     from novags.testbed.forecast import light_plan, sensor_plan
 
     config, console = CaptureConfig(sensor=sensor, electrons=electrons, time=time, tolerance=tolerance), _console()
-    light = light_plan(scene, light_tolerance, console)
+    light = light_plan(scene, light_tolerance, console, on=on, off=off)
     print(f"Light of {scene}: {'as it is in the folder' if light is None else ''}\n{light or ''}".rstrip())
     found, signal_e = sensor_plan(scene, config, console)
     signal = ", ".join(f"{name} {value:.3g} e-" for name, value in signal_e.items())
@@ -93,7 +95,8 @@ def plan(
 
 def render(
     scene: Name, *, out: Path, views: int = 32, width: int = 128, height: int = 128, spp: int | None = None,
-    target_error: float | None = None, variant: str = "auto", seed: int = 0,
+    target_error: float | None = None, variant: str = "auto", on: tuple[str, ...] = (), off: tuple[str, ...] = (),
+    allow_outside: bool = False, export: tuple[Literal["blender", "llff"], ...] = (), seed: int = 0,
 ) -> None:  # fmt: skip
     """Render a scene into a ground-truth multiview set.
 
@@ -106,6 +109,10 @@ def render(
         spp: Samples per pixel; 256 if neither this nor target_error is given.
         target_error: Relative error at which each view stops instead.
         variant: Mitsuba variant.
+        on: Effects of light to simulate whatever the plan says, by the names that `novags plan` prints.
+        off: Effects of light to leave out.
+        allow_outside: Let a Mitsuba file read files outside its folder.
+        export: Further layouts of the set to write, each into a folder of its own in it.
         seed: Of the Monte Carlo noise.
     """
     from novags.testbed import stages
@@ -114,7 +121,7 @@ def render(
     samples = 256 if spp is None and target_error is None else spp
     config = RenderConfig(
         scene=scene, n_views=views, width=width, height=height, spp=samples, target_error=target_error,
-        variant=variant, seed=seed,
+        variant=variant, on=on, off=off, allow_outside=allow_outside, export=export, seed=seed,
     )  # fmt: skip
     stages.render(out, config, _console())
     print(out)
@@ -123,7 +130,7 @@ def render(
 def capture(
     set: Folder, *, out: Path, sensor: str = "a7s2-iso6400-3chip", electrons: float = 20.0, time: float = 1 / 30,
     max_size: int | None = None, demosaic: Literal["menon", "malvar", "bilinear"] = "menon",
-    tolerance: float | None = 0.05, seed: int = 0,
+    jpeg_quality: int | None = None, tolerance: float | None = 0.05, seed: int = 0,
 ) -> None:  # fmt: skip
     """Photograph a multiview set in the dark: a rendered one, or real posed photographs.
 
@@ -136,6 +143,7 @@ def capture(
         time: Exposure time in seconds; only the dark current depends on it.
         max_size: Scale larger images down to this longest side, in pixels.
         demosaic: Interpolation of the colour filter array.
+        jpeg_quality: 1 to 100: put the 8-bit pictures through JPEG.
         tolerance: Leave out effects that change the noise by less than this share; None simulates all.
         seed: Of the noise.
     """
@@ -143,8 +151,8 @@ def capture(
     from novags.testbed.capture import CaptureConfig
 
     config = CaptureConfig(
-        sensor=sensor, electrons=electrons, time=time, max_size=max_size, demosaic=demosaic, tolerance=tolerance,
-        seed=seed,
+        sensor=sensor, electrons=electrons, time=time, max_size=max_size, demosaic=demosaic,
+        jpeg_quality=jpeg_quality, tolerance=tolerance, seed=seed,
     )  # fmt: skip
     stages.capture(set, out, config, _console())
     print(out)

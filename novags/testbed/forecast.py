@@ -6,7 +6,7 @@ from pathlib import Path
 
 from novags.testbed.capture import CaptureConfig, measure_light, plan_capture
 from novags.testbed.console import Console
-from novags.testbed.render import RenderConfig, render_views, rig_of
+from novags.testbed.render import RenderConfig, plan_of, render_views
 from novags.testbed.source import open_source, warnings_as_notes
 from sensor_model import Exposure, Plan
 
@@ -14,24 +14,25 @@ from sensor_model import Exposure, Plan
 PILOT = RenderConfig(n_views=8, width=48, height=48, spp=32)
 
 
-def light_plan(scene: str, tolerance: float, console: Console) -> Plan | None:
+def light_plan(
+    scene: str, tolerance: float, console: Console, *, on: tuple[str, ...] = (), off: tuple[str, ...] = ()
+) -> Plan | None:
     """The plan of the light transport; None for a folder, whose light is there already.
 
     Args:
         scene: A multiview set folder, a scene of the catalogue, or a Mitsuba file.
         tolerance: Share of all light that may be wrong or missing.
         console: Where notes go.
+        on: Effects that are simulated whatever the plan says.
+        off: Effects that are not.
 
     Raises:
-        ValueError: If there is no such scene.
+        ValueError: If there is no such scene or effect.
     """
     if Path(scene).is_dir():
         return None
-    from simscenes import plan_transport
-
-    config = replace(PILOT, scene=scene)
     with warnings_as_notes(console):
-        return plan_transport(config.file or config.scene, tolerance, rig=rig_of(config))
+        return plan_of(replace(PILOT, scene=scene, on=on, off=off), tolerance)
 
 
 def sensor_plan(scene: str, config: CaptureConfig, console: Console) -> tuple[Plan | None, dict[str, float]]:

@@ -14,7 +14,7 @@ import numpy as np
 from novags.testbed import raw_files
 from sensor_model import to_srgb8
 from simscenes.exr import read_exr
-from simscenes.foreign import _transforms_lens
+from simscenes.foreign import transforms_lens
 from simscenes.multiview import MultiviewSet
 from simscenes.rigs import Rig, opengl_to_opencv
 
@@ -58,7 +58,7 @@ def load_linear_set(folder: Path) -> LinearPhotographs | None:
     if len(sizes) > 1:
         raise ValueError(f"the images of {source} must share one size, got {sorted(sizes)}")
     width, height = _without_margins(sizes.pop(), listed[0][0]) if raw_files.is_raw(files[0]) else sizes.pop()
-    lenses = tuple(_transforms_lens(listed[i][0], width, height, source) for i in order)
+    lenses = tuple(transforms_lens(listed[i][0], width, height, source) for i in order)
     rig = Rig(
         viewmats=opengl_to_opencv(np.stack([listed[i][2] for i in order])),
         Ks=np.stack([lens.pinhole(width, height) for lens in lenses]),

@@ -9,6 +9,7 @@ from typing import Any
 from novags.testbed.cache import read_json
 from novags.testbed.console import Console
 from novags.testbed.source import warnings_as_notes
+from sensor_model import Plan
 from simscenes import Rig
 
 RECORD = "set.json"
@@ -25,6 +26,10 @@ class RenderConfig:
     spp: int | None = 256  # samples per pixel; None: as many as `target_error` asks for
     target_error: float | None = None  # relative RMSE of a view
     variant: str = "auto"  # of Mitsuba
+    on: tuple[str, ...] = ()  # effects of light that are simulated whatever the plan says
+    off: tuple[str, ...] = ()  # and that are not
+    allow_outside: bool = False  # let a Mitsuba file read files outside its folder
+    export: tuple[str, ...] = ()  # further layouts of the set: "blender", "llff"
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -73,9 +78,30 @@ def render_views(out: Path, config: RenderConfig, console: Console) -> dict[str,
     with console.progress("render") as progress, warnings_as_notes(console):
         render_set(
             config.file or config.scene, rig_of(config), out, spp=config.spp, target_error=config.target_error,
-            variant=config.variant, seed=config.seed, progress=progress,
+            plan=plan_of(config) if config.on or config.off else "auto", variant=config.variant, seed=config.seed,
+            allow_outside=config.allow_outside, export=config.export, progress=progress,
         )  # fmt: skip
     return read_json(out / RECORD)
+
+
+def plan_of(config: RenderConfig, tolerance: float = 0.02) -> Plan:
+    """The plan of the light transport, with what the configuration forces.
+
+    Args:
+        config: Scene, cameras and forced effects.
+        tolerance: Share of all light that may be wrong or missing.
+
+    Raises:
+        ValueError: If the scene cannot be planned for, or an effect is unknown or forced both ways.
+    """
+    from simscenes import plan_transport
+
+    if both := set(config.on) & set(config.off):
+        raise ValueError(f"{', '.join(sorted(both))}: forced on and off at once; name each effect once")
+    return plan_transport(
+        config.file or config.scene, tolerance, rig=rig_of(config), variant=config.variant,
+        force=dict.fromkeys(config.on, True) | dict.fromkeys(config.off, False), allow_outside=config.allow_outside,
+    )  # fmt: skip
 
 
 def rig_of(config: RenderConfig) -> Rig:
@@ -87,4 +113,6 @@ def rig_of(config: RenderConfig) -> Rig:
     from simscenes import default_rig, fit_rig
 
     size = (config.n_views, config.width, config.height)
-    return default_rig(config.scene, *size) if config.file is None else fit_rig(config.file, *size)
+    if config.file is None:
+        return default_rig(config.scene, *size)
+    return fit_rig(config.file, *size, allow_outside=config.allow_outside)
