@@ -10,6 +10,7 @@ from novags.testbed.methods import METHODS, method_config, suited
 from novags.testbed.presets import PRESETS, adapted
 from novags.testbed.provenance import PeakMemory
 from novags.testbed.reconstruct import ReconstructConfig
+from novags.testbed.render import RenderConfig, plan_of
 from sensor_model import PRESETS as SENSORS
 
 
@@ -97,3 +98,9 @@ def test_peak_memory_sees_a_large_array_and_forgets_it() -> None:
     after = PeakMemory().peak_bytes()
     assert during - before > 0.8 * size
     assert during - after > 0.8 * size
+
+
+def test_an_effect_of_light_is_forced_one_way() -> None:
+    config = RenderConfig(n_views=3, width=16, height=16, on=("indirect light",), off=("indirect light",))
+    with pytest.raises(ValueError, match="indirect light: forced on and off"):
+        plan_of(config)
