@@ -1,12 +1,15 @@
 """The accuracy knobs of the splat engine. Run by `bench_splats.py knobs`.
 
-Nothing of novags is imported before a knob is set: the kernels take their constants when they are imported.
+A kernel takes its constants when it is compiled, so every setting compiles them anew, in a process of its own.
 """
 
 import math
+import os
+import sys
 import tempfile
 from typing import Any
 
+import numpy as np
 import torch
 from bench_splats import best, cube_scene
 from torch import Tensor
@@ -26,26 +29,32 @@ def reference_image(n: int, size: int, *, exact: bool, supersample: int = 1, eps
     return image[0].reshape(size, supersample, size, supersample, 3).mean((1, 3))
 
 
+def bake(**constants: Any) -> None:
+    """Change constants in all modules of kernels that have them, before any kernel is compiled."""
+    for name, module in list(sys.modules.items()):
+        if name.startswith("novags.splats.cpu"):
+            for constant in constants.keys() & vars(module).keys():
+                setattr(module, constant, constants[constant])
+
+
 def measure_knob(knob: str, setting: float, n: int, size: int, repeat: int, references: str) -> dict[str, Any]:
-    """Error and time of one setting. The kernels are compiled anew, because their constants are compiled in."""
-    import numpy as np
+    """Error and time of one setting."""
+    cache = tempfile.TemporaryDirectory(prefix="novags-knob-")
+    os.environ["NUMBA_CACHE_DIR"] = cache.name  # before numba is imported
+    from novags.splats import rasterize
+    from novags.splats.cpu import functions
 
-    from novags.splats.cpu import compiler, functions, layout
-
-    compiler._CACHE = tempfile.mkdtemp(prefix="novags-knob-")
     if knob == "alpha_min":
-        layout.ALPHA_MIN, layout.LOG2_ALPHA_MIN = np.float32(setting), np.float32(np.log2(setting))
+        bake(ALPHA_MIN=np.float32(setting), LOG2_ALPHA_MIN=np.float32(np.log2(setting)))
     elif knob == "transmittance_min":
-        layout.TRANSMITTANCE_MIN = np.float32(setting)
+        bake(TRANSMITTANCE_MIN=np.float32(setting))
     elif knob == "tile":
-        layout.TILE = int(setting)
+        bake(TILE=int(setting), PER_TILE=np.float32(1 / setting))
     elif knob == "exp2_degree":
         x = -4 + 4 * np.cos(np.pi * (np.arange(400) + 0.5) / 400)
         fit = np.polynomial.Polynomial.fit(x, 2 ** (x / 8), int(setting), w=2 ** (-x / 8)).convert().coef
         for i in range(6):
             setattr(functions, f"_A{i}", np.float32(fit[i] if i < len(fit) else 0.0))
-    from novags.splats import rasterize
-
     scene = cube_scene(n, size)
     dtype, backend = (torch.float64, "torch") if (knob, setting) == ("float_bits", 64) else (torch.float32, "numba")
     shape = [scene[name].to(dtype).requires_grad_() for name in ("means", "quats", "scales", "opacities", "sh")]
