@@ -6,8 +6,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import torch
-from safetensors import safe_open
+from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
+from torch import Tensor
 
 from .adam import Adam
 from .gaussians import Gaussians
@@ -32,6 +33,22 @@ class TrainingState:
     seconds: float = 0.0
 
 
+def write_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, str] | None = None) -> None:
+    """Write a safetensors file that appears whole or not at all.
+
+    Raises:
+        OSError: If it cannot be written, for a full disk for example.
+    """
+    temporary = path.with_name(path.name + f".tmp{os.getpid()}")
+    try:
+        save_file({name: t.contiguous() for name, t in tensors.items()}, temporary, metadata=metadata)
+        temporary.replace(path)
+    except SafetensorError as error:  # what it makes of the system's own errors
+        raise OSError(f"cannot write {path}: {error}") from error
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
 def save_checkpoint(path: Path, state: TrainingState, settings: dict[str, object]) -> None:
     """Write the state, atomically.
 
@@ -47,19 +64,20 @@ def save_checkpoint(path: Path, state: TrainingState, settings: dict[str, object
         "iteration": state.iteration, "adam": state.adam.count, "losses": state.losses, "seconds": state.seconds,
         "settings": settings,
     }  # fmt: skip
-    temporary = path.with_name(path.name + f".tmp{os.getpid()}")
-    save_file({name: t.contiguous() for name, t in tensors.items()}, temporary, metadata={"state": json.dumps(rest)})
-    temporary.replace(path)
+    write_tensors(path, tensors, metadata={"state": json.dumps(rest)})
 
 
 def load_checkpoint(path: Path, settings: dict[str, object], device: torch.device) -> TrainingState:
     """Read what `save_checkpoint` wrote.
 
     Raises:
-        ValueError: If the checkpoint belongs to a run with other settings.
+        ValueError: If the file is no training checkpoint, or belongs to a run with other settings.
     """
     with safe_open(path, framework="pt", device=str(device)) as file:
-        rest = json.loads(file.metadata()["state"])
+        metadata = file.metadata() or {}
+        if "state" not in metadata:
+            raise ValueError(f"{path} is no training checkpoint of this version: delete it to start anew")
+        rest = json.loads(metadata["state"])
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
     saved, now = rest["settings"], json.loads(json.dumps(settings))
     different = sorted(key for key in saved.keys() | now.keys() if saved.get(key) != now.get(key))

@@ -5,6 +5,7 @@ import math
 
 import pytest
 import torch
+from safetensors.torch import save_file
 
 from novags.splats import FitConfig, Gaussians, LearningRates, McmcConfig, Step, Views, fit, rasterize
 
@@ -80,6 +81,7 @@ def test_a_stopped_run_resumes_to_the_same_bits(tmp_path):
     resumed = fit(start, views, lambda i: images[i], interrupted, before_step=seen.append, checkpoint=path)
     assert seen == list(range(50, 80))
     assert same(whole.gaussians, resumed.gaussians)
+    assert resumed.losses == whole.losses
     assert same(whole.gaussians, fit(start, views, lambda i: images[i], interrupted, checkpoint=path).gaussians)
     assert [p.name for p in tmp_path.iterdir()] == ["state.safetensors"]
 
@@ -90,6 +92,13 @@ def test_a_checkpoint_of_another_run_is_refused_with_the_difference(tmp_path):
     fit(start, views, lambda i: images[i], config(iterations=3), checkpoint=path)
     with pytest.raises(ValueError, match="seed: 0 there, 5 now"):
         fit(start, views, lambda i: images[i], config(iterations=3, seed=5), checkpoint=path)
+
+
+def test_a_file_that_is_no_checkpoint_is_refused(tmp_path):
+    start, views, images = problem(20)
+    save_file({"means": start.means}, tmp_path / "other.safetensors")
+    with pytest.raises(ValueError, match="other.safetensors is no training checkpoint"):
+        fit(start, views, lambda i: images[i], config(iterations=1), checkpoint=tmp_path / "other.safetensors")
 
 
 def test_every_epoch_sees_every_view_once():
