@@ -23,6 +23,7 @@ def write_exr(path: str | Path, channels: dict[str, NDArray[Any]], header: dict[
     Raises:
         ValueError: If there is no channel, shapes differ, a type is one EXR cannot hold, or a float16 channel has
             overflowed to inf.
+        OSError: If the file cannot be written.
     """
     import OpenEXR
 
@@ -46,6 +47,8 @@ def write_exr(path: str | Path, channels: dict[str, NDArray[Any]], header: dict[
         with OpenEXR.File(attributes, {n: np.ascontiguousarray(a) for n, a in channels.items()}) as file:
             file.write(str(temporary))
         os.replace(temporary, path)
+    except RuntimeError as error:  # what it makes of the system's own errors, a full disk for example
+        raise OSError(f"cannot write {path}: {error}") from error
     finally:
         temporary.unlink(missing_ok=True)
 

@@ -123,6 +123,17 @@ def read_transforms(folder: Path) -> Photographs:
 
 
 def transforms_lens(camera: dict[str, Any], width: int, height: int, source: Path) -> Lens:
+    """Intrinsics and distortion that a transforms.json states for images of this size.
+
+    Args:
+        camera: A frame's entries over those of the whole file.
+        width: Of the image, px.
+        height: Of the image, px.
+        source: The file, for messages.
+
+    Raises:
+        ValueError: If it is no pinhole with k1 k2 k3 p1 p2, or focal length or size is missing or wrong.
+    """
     model = "OPENCV_FISHEYE" if camera.get("is_fisheye") else camera.get("camera_model", "OPENCV")
     if model not in ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL") or camera.get("k4"):
         raise ValueError(f"load_set: {source} has a {model} camera (k4 = {camera.get('k4', 0)}); only pinholes with "

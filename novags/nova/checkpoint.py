@@ -1,9 +1,8 @@
 """Networks in training on disk, as safetensors: weights, Adam moments and whatever else the next step depends on."""
 
-import os
 from pathlib import Path
 
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.optim import Adam
 
@@ -40,15 +39,8 @@ def unpack(prefix: str, tensors: dict[str, Tensor], network: nn.Module, adam: Ad
             adam.state[parameter] = {k: v if k == "step" else v.to(parameter) for k, v in moments.items()}
 
 
-def write(path: Path, tensors: dict[str, Tensor]) -> None:
-    """Save tensors; the file appears whole or not at all."""
-    temporary = path.with_name(path.name + f".tmp{os.getpid()}")
-    save_file({name: value.contiguous() for name, value in tensors.items()}, temporary)
-    temporary.replace(path)
-
-
 def read(path: Path) -> dict[str, Tensor]:
-    """The tensors `write` saved.
+    """The tensors `write_tensors` saved.
 
     Raises:
         ValueError: If the file is no safetensors file.

@@ -10,11 +10,12 @@ import torch
 from torch import Tensor
 
 from novags.cameras.start import start_gaussians
-from novags.nova.checkpoint import read, write
+from novags.nova.checkpoint import read
 from novags.nova.consistency import ConsistencyConfig, ConsistencyLoss
 from novags.nova.denoiser import Denoiser, DenoiserConfig
 from novags.nova.enhance import EnhanceConfig, enhance
 from novags.nova.sh_penalty import noise_map, sh_penalty
+from novags.splats.checkpoint import write_tensors
 from novags.splats.fit import FitConfig, Step, fit
 from novags.splats.method import MethodInput, MethodResult
 
@@ -116,7 +117,7 @@ class _Training:
     def save(self) -> None:
         """Write the state of both networks beside the fit's checkpoint."""
         if self.path is not None:
-            write(self.path, self.denoiser.state() | (self.geo.state() if self.geo is not None else {}))
+            write_tensors(self.path, self.denoiser.state() | (self.geo.state() if self.geo is not None else {}))
 
 
 def train(

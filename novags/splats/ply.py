@@ -44,10 +44,13 @@ def write_ply(path: str | Path, gaussians: Gaussians) -> None:
     header += [f"property float {name}" for name in _names(k)] + ["end_header"]
     path = Path(path)
     temporary = path.with_name(path.name + f".tmp{os.getpid()}")
-    with temporary.open("wb") as file:
-        file.write(("\n".join(header) + "\n").encode("ascii"))
-        file.write(table.tobytes())
-    temporary.replace(path)
+    try:
+        with temporary.open("wb") as file:
+            file.write(("\n".join(header) + "\n").encode("ascii"))
+            file.write(table.tobytes())
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def _read_header(file: BinaryIO, path: Path) -> tuple[str, int, np.dtype]:

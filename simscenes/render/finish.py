@@ -43,9 +43,12 @@ def write_png(path: Path, image: NDArray[np.uint8]) -> None:
     import cv2
 
     temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp.png")
-    if not cv2.imwrite(str(temporary), np.ascontiguousarray(image[..., ::-1])):
-        raise OSError(f"cannot write {temporary}")
-    os.replace(temporary, path)
+    try:
+        if not cv2.imwrite(str(temporary), np.ascontiguousarray(image[..., ::-1])):
+            raise OSError(f"cannot write {path}")
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
 
 
 def exposure_scale(radiance: list[NDArray[np.float32]]) -> float:

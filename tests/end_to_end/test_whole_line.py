@@ -3,25 +3,28 @@
 import json
 import math
 import re
+import resource
 import shutil
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
-from novags.splats import read_ply
+from novags.splats import Gaussians, read_ply, write_ply
+from novags.splats.checkpoint import write_tensors
 from novags.testbed import stages
-from novags.testbed.cache import folder_digest, read_json
+from novags.testbed.cache import folder_digest, read_json, write_text
 from novags.testbed.capture_folder import open_capture
 from novags.testbed.console import Console, Update
 from novags.testbed.experiment import run
-from novags.testbed.images import read_png
+from novags.testbed.images import read_png, write_png
 from novags.testbed.presets import Preset
 from novags.testbed.reconstruct import ReconstructConfig
-from simscenes import load_set, read_exr
+from simscenes import load_set, read_exr, write_exr
 
 SCORES = {"psnr", "aligned_psnr", "ssim", "aligned_ssim", "flip", "lpips"}
 
@@ -270,3 +273,40 @@ def test_the_report_states_the_scores_that_were_measured(experiment: Path, tiny:
         for kind in ("enhanced", "lit"):
             assert f"{methods[method]['mean'][kind]['aligned_psnr']:.2f}" in page
     assert "unavailable" in page  # LPIPS has no weights here
+
+
+@contextmanager
+def no_file_beyond(size: int) -> Iterator[None]:
+    """Writing more bytes to a file fails, as on a full disk."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize("writer", ["exr", "tensors", "png", "ply", "text"])
+def test_a_full_disk_is_an_os_error_and_leaves_no_half_file(writer: str, tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).random((64, 64, 3), dtype=np.float32)
+    gaussians = Gaussians.from_points(torch.from_numpy(noise[0]), torch.from_numpy(noise[1]), sh_degree=1)
+    write: dict[str, Callable[[Path], object]] = {
+        "exr": lambda path: write_exr(path, {"R": noise[..., 0]}),
+        "tensors": lambda path: write_tensors(path, {"a": torch.from_numpy(noise)}),
+        "png": lambda path: write_png(path, noise),
+        "ply": lambda path: write_ply(path, gaussians),
+        "text": lambda path: write_text(path, "x" * 5000),
+    }
+    with no_file_beyond(4096), pytest.raises(OSError):
+        write[writer](tmp_path / f"file.{writer}")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_capture_on_a_full_disk_stops_and_goes_on_when_there_is_room(
+    experiment: Path, tiny: Preset, quiet: Console, tmp_path: Path
+) -> None:
+    with no_file_beyond(2048), pytest.raises(OSError):
+        stages.capture(experiment / "set", tmp_path / "capture", tiny.capture, quiet)
+    stages.capture(experiment / "set", tmp_path / "capture", tiny.capture, quiet)
+    for name in ("images/0000.png", "truth/0000.exr"):
+        assert (tmp_path / "capture" / name).read_bytes() == (experiment / "capture" / name).read_bytes()
