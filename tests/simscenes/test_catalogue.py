@@ -1,6 +1,7 @@
 """Every scene of the catalogue can be reconstructed from its default views: framed, textured, varied by its seed."""
 
-import functools
+import gc
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -17,16 +18,17 @@ from simscenes.transport.effects import DEEPEST, RR_DEPTH, Pilot, depth_effects,
 OPEN_SKY = {"courtyard", "street"}
 
 
-@functools.lru_cache
-def built(name: str) -> tuple[Any, LoadedScene]:
+@pytest.fixture(scope="module", params=sorted(SCENES))
+def built(request: pytest.FixtureRequest) -> Iterator[tuple[str, Any, LoadedScene]]:
+    """One scene after the other: Dr.Jit compiles every material alive into every kernel."""
     mi = activate()
-    return mi, build_scene(name, mi)
+    yield request.param, mi, build_scene(request.param, mi)
+    gc.collect()
 
 
-@pytest.mark.parametrize("name", sorted(SCENES))
-def test_paths_are_followed_deep_enough_for_the_stated_bound(name: str) -> None:
+def test_paths_are_followed_deep_enough_for_the_stated_bound(built: tuple[str, Any, LoadedScene]) -> None:
     """Planned depth against paths to the end, with random numbers that the planner never saw, the same for both."""
-    mi, loaded = built(name)
+    name, mi, loaded = built
     rig = default_rig(name, 3, 24, 24)
     p = Pilot(mi, name, loaded, rig, backend_of(), 0.005, 0)
     media = media_effects(p)[0].on
@@ -46,9 +48,8 @@ def test_paths_are_followed_deep_enough_for_the_stated_bound(name: str) -> None:
     assert error < 0.005 * everything.mean()
 
 
-@pytest.mark.parametrize("name", sorted(SCENES))
-def test_scene_is_framed_textured_and_repeatable(name: str) -> None:
-    mi, loaded = built(name)
+def test_scene_is_framed_textured_and_repeatable(built: tuple[str, Any, LoadedScene]) -> None:
+    name, mi, loaded = built
     rig = default_rig(name, 8, 48, 48)
     views = [geometry_channels(mi, loaded, rig, i) for i in range(8)]
     surface = np.stack([v["id"] > 0 for v in views])
