@@ -74,6 +74,7 @@ class _Training:
         total = config.denoiser.total_steps(iterations)
         self.denoiser = Denoiser(enhanced, config.denoiser, total_steps=total, seed=inputs.seed)
         self.clean = _PseudoClean(self.denoiser, config)
+        self.noise: dict[int, tuple[Tensor, Tensor]] = {}  # view -> a pseudo-clean image and the noise map made of it
         self.geo: ConsistencyLoss | None = None
         if config.consistency is not None and config.consistency.weight > 0:
             self.geo = ConsistencyLoss(
@@ -111,7 +112,11 @@ class _Training:
         """Weighted L_SH of this iteration."""
         if not self.config.sh_weight:
             return None
-        noise = noise_map(self.enhanced[step.view], self.clean(step.view))
+        clean = self.clean(step.view)
+        known = self.noise.get(step.view)
+        if known is None or known[0] is not clean:
+            known = self.noise[step.view] = (clean, noise_map(self.enhanced[step.view], clean))
+        noise = known[1]
         return self.config.sh_weight * sh_penalty(step.gaussians.sh, step.info["means2d"], step.info["radii"], noise)
 
     def save(self) -> None:
