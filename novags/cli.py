@@ -275,8 +275,6 @@ def _announce(path: Path) -> None:
 
 def main() -> None:
     """Entry point: run a command; wrong input is one line on standard error and exit code 2."""
-    # Threads of torch that wait would otherwise spin, and halve the speed of everything else on a shared machine.
-    os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     try:
         tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="novags", description=DESCRIPTION)
     except KeyboardInterrupt:

@@ -45,7 +45,7 @@ class Preset:
 FAST_DENOISER = DenoiserConfig(
     network=ResUNetConfig(widths=(16, 32, 64), bottleneck=96, normalization="none"),
     blind_spots=BlindSpotConfig(mask_fraction=0.2, laplacian_share=0.0, per_channel=True),
-    warmup_steps=500,
+    warmup_steps=400,
     denoise_every=None,
     batch=4,
     crop=48,
@@ -58,7 +58,7 @@ FAST_DENOISER = DenoiserConfig(
 
 PRESETS = {
     "demo": Preset(
-        render=RenderConfig(scene="tabletop", n_views=20, width=160, height=160, spp=96),
+        render=RenderConfig(scene="tabletop", n_views=20, width=160, height=160, spp=64),
         capture=CaptureConfig(sensor="a7s2-iso6400-3chip", electrons=20.0),
         points=20_000,
         nova=NovaConfig(
