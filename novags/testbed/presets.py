@@ -58,12 +58,12 @@ FAST_DENOISER = DenoiserConfig(
 
 PRESETS = {
     "demo": Preset(
-        render=RenderConfig(scene="tabletop", n_views=20, width=160, height=160, spp=64),
+        render=RenderConfig(scene="tabletop", n_views=20, width=160, height=160, spp=96),
         capture=CaptureConfig(sensor="a7s2-iso6400-3chip", electrons=20.0),
         points=20_000,
         nova=NovaConfig(
             denoiser=FAST_DENOISER,
-            consistency=ConsistencyConfig(every=8),
+            consistency=ConsistencyConfig(every=16),
             fit=FitConfig(
                 iterations=2400, sh_degree=1, sh_every=400, mcmc=McmcConfig(refine_start=100), checkpoint_every=250
             ),
