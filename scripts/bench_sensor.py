@@ -86,7 +86,7 @@ def getframes_chain(shape: tuple[int, int], s: Sensor) -> Callable[[np.ndarray],
     try:
         import getframes
     except ImportError:
-        return None
+        return None  # a peer to compare with, not a part of novags: its columns stay empty
     config = getframes.CameraConfig(
         name="bench", sensor_type="CMOS", resolution=shape, pixel_size_um=3.0, quantum_efficiency=s.eta,
         full_well_e=s.mu_e_sat, bit_depth=s.bits, gain_e_per_adu=1 / s.gain, bias_offset_adu=s.black_level,

@@ -56,7 +56,7 @@ def hardware() -> dict[str, Any]:
 def _processor() -> str:
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:
+    except OSError:  # not Linux: the platform module knows some name
         lines = []
     names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
     return names[0] if names else platform.processor() or platform.machine()
@@ -72,7 +72,7 @@ class PeakMemory:
         try:
             Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # 5: reset VmHWM only
         except OSError:
-            pass
+            pass  # not Linux, or not allowed: the peak then counts from the start of the process, as said above
         torch = sys.modules.get("torch")
         if torch is not None and torch.cuda.is_available():
             torch.cuda.reset_peak_memory_stats()

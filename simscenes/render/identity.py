@@ -49,7 +49,7 @@ def is_complete(out: Path, digest: str, names: list[str]) -> bool:
     try:
         same = json.loads((out / "set.json").read_text(encoding="utf-8")).get("digest") == digest
     except (OSError, ValueError, AttributeError):
-        return False
+        return False  # no set.json, or a damaged one: the set is rendered and written again
     files = [out / "gt" / f"{n}.exr" for n in names] + [out / "images" / f"{n}.png" for n in names]
     return same and all(f.is_file() for f in files)
 

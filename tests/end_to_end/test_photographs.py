@@ -14,15 +14,11 @@ from novags.testbed.presets import Preset
 from novags.testbed.reconstruct import ReconstructConfig
 from novags.testbed.report import write_report
 
-FOX = Path(__file__).resolve().parents[3] / "shared" / "data" / "fox"
-
-pytestmark = pytest.mark.skipif(not FOX.is_dir(), reason="the fox photographs are not beside this checkout")
-
 
 @pytest.fixture(scope="module")
-def capture(tmp_path_factory: pytest.TempPathFactory, quiet: Console) -> Path:
+def capture(fox: Path, tmp_path_factory: pytest.TempPathFactory, quiet: Console) -> Path:
     folder = tmp_path_factory.mktemp("fox") / "capture"
-    stages.capture(FOX, folder, CaptureConfig(sensor="a7s2-iso6400", electrons=20.0, max_size=40), quiet)
+    stages.capture(fox, folder, CaptureConfig(sensor="a7s2-iso6400", electrons=20.0, max_size=40), quiet)
     return folder
 
 

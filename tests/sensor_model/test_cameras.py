@@ -1,5 +1,6 @@
 """Cameras: their parameters, presets with sources, TOML files, and characterisation from frames."""
 
+import logging
 from dataclasses import replace
 
 import numpy as np
@@ -249,36 +250,24 @@ def test_characterisation_sees_a_bent_response_and_is_not_misled_by_it(bent):
 
 
 @pytest.mark.parametrize("name", ["imx900-lcg", "imx900-hcg", "odd"])
-def test_characterisation_agrees_with_emva_1288_on_the_same_frames(name):
+def test_characterisation_agrees_with_emva_1288_on_the_same_frames(name, emva1288):
     """Independent reference, on real statistics rather than on the truth: both see the same frames.
 
     The package counts temporal row noise as dark noise; so this camera has none.
     """
-    pytest.importorskip("emva1288")
-    import logging
-    import warnings
-
-    if not hasattr(np, "asfarray"):
-        np.asfarray = lambda a, dtype=np.float64: np.asarray(a, dtype=dtype)  # noqa: NPY201
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        from emva1288.process import routines
-        from emva1288.process.data import Data1288
-        from emva1288.process.results import Results1288
-
     odd = replace(ODD, sigma_row=0.0, sigma_column=0.0)
     sensor = odd if name == "odd" else replace(PRESETS[name], cfa=None, dark_current=PRESETS[name].mu_e_sat / 30)
     dark, flat = stacks(sensor)
     raw = {"temporal": {}, "spatial": {}, "height": 200, "width": 200}
     for d, f in zip(dark, flat, strict=True):
-        pair = {s.photons: routines.get_int_imgs(list(s.frames)) for s in (d, f)}
+        pair = {s.photons: emva1288.routines.get_int_imgs(list(s.frames)) for s in (d, f)}
         if len(d.frames) > 2:
             raw["spatial"][d.time * 1e9] = pair
             continue
         raw["temporal"][d.time * 1e9] = {
             p: {"sum": i["sum"].sum(), "pvar": i["pvar"].sum(), "dmean": i["dmean"]} for p, i in pair.items()
         }
-    theirs = Results1288(Data1288(raw, loglevel=logging.ERROR).data, loglevel=logging.ERROR)
+    theirs = emva1288.Results1288(emva1288.Data1288(raw, loglevel=logging.ERROR).data, loglevel=logging.ERROR)
     ours = characterise(dark, flat)
     assert ours.gain == pytest.approx(theirs.K, rel=0.005)
     assert 100 * ours.eta == pytest.approx(theirs.QE, rel=0.005)

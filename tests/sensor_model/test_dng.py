@@ -5,12 +5,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import rawpy
 
 from sensor_model import PRESETS, Exposure, develop, expose, mosaic, write_dng
 from sensor_model.dng import XYZ_TO_SRGB
 from sensor_model.params import CFAS
 
-rawpy = pytest.importorskip("rawpy")
 EXPOSURE = Exposure(time=0.02)
 
 

@@ -6,7 +6,6 @@ error under 0.05 %. Read noise is kept above 0.5 DN, below which rounding hides 
 """
 
 import logging
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -25,17 +24,6 @@ CAMERAS = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def routines():
-    pytest.importorskip("emva1288")
-    if not hasattr(np, "asfarray"):  # emva1288 1.0.2 still calls what numpy 2 dropped
-        np.asfarray = lambda a, dtype=np.float64: np.asarray(a, dtype=dtype)  # noqa: NPY201
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # its imports use deprecated names
-        from emva1288.process import routines
-    return routines
-
-
 def frames(sensor, photons, seconds, n, seed):
     """Frames of uniform light, each with a noise of its own."""
     light, exposure = np.full(SIZE, photons), Exposure(time=seconds)
@@ -49,12 +37,9 @@ def exposures(sensor):
     return times, 1.08 * sensor.mu_e_sat / sensor.eta * times / longest
 
 
-def measured_by_emva1288(sensor, routines):
-    from emva1288.process.data import Data1288
-    from emva1288.process.results import Results1288
-
+def measured(sensor, emva1288):
     def temporal(images):
-        found = routines.get_int_imgs(images)
+        found = emva1288.routines.get_int_imgs(images)
         return {"sum": found["sum"].sum(), "pvar": found["pvar"].sum(), "dmean": found["dmean"]}
 
     raw = {"temporal": {}, "spatial": {}, "height": SIZE[0], "width": SIZE[1]}
@@ -63,15 +48,15 @@ def measured_by_emva1288(sensor, routines):
         dark, bright = (temporal(frames(sensor, q, t, 2, 2 * i + (q > 0))) for q in (0.0, p))
         raw["temporal"][t * 1e9] = {0.0: dark, p: bright}
     t, p = times[12], photons[12]
-    stacks = {q: routines.get_int_imgs(frames(sensor, q, t, 40, 1000 + (q > 0))) for q in (0.0, p)}
+    stacks = {q: emva1288.routines.get_int_imgs(frames(sensor, q, t, 40, 1000 + (q > 0))) for q in (0.0, p)}
     raw["spatial"][t * 1e9] = stacks
-    return Results1288(Data1288(raw, loglevel=logging.ERROR).data, loglevel=logging.ERROR)
+    return emva1288.Results1288(emva1288.Data1288(raw, loglevel=logging.ERROR).data, loglevel=logging.ERROR)
 
 
 @pytest.mark.parametrize("name", list(CAMERAS))
-def test_emva1288_finds_the_parameters_that_were_put_in(name, routines):
+def test_emva1288_finds_the_parameters_that_were_put_in(name, emva1288):
     sensor = CAMERAS[name]
-    found = measured_by_emva1288(sensor, routines)
+    found = measured(sensor, emva1288)
     assert pytest.approx(sensor.gain, rel=0.005) == found.K
     assert pytest.approx(100 * sensor.eta, rel=0.005) == found.QE
     assert found.sigma_d == pytest.approx(sensor.sigma_d, rel=0.01)

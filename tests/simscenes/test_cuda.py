@@ -8,6 +8,7 @@ from simscenes.backend import activate, backend_status
 from simscenes.render.radiance import Method, View
 from simscenes.render.source import build_scene
 
+# Comparing two backends takes both, and few machines have a GPU; the CPU's own correctness is tested everywhere else.
 WORKS = backend_status("cuda_ad")[0] and backend_status("llvm_ad")[0]
 
 

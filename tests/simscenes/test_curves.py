@@ -2,11 +2,10 @@
 
 import pytest
 
-from simscenes.backend import choose_variant
 from simscenes.render import curves
 from simscenes.render.curves import KNOBS, Setting, render_curves
 
-pytestmark = pytest.mark.skipif(choose_variant().startswith("scalar"), reason="curves are for JIT variants")
+pytestmark = pytest.mark.usefixtures("jit")
 
 
 def test_each_knob_has_its_default_among_its_settings() -> None:

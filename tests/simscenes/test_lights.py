@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from simscenes import Rig, orbit_rig, plan_transport, read_exr, render_set
-from simscenes.backend import activate, choose_variant
+from simscenes.backend import activate
 from simscenes.render.identity import plan_identity
 from simscenes.render.passes import Radiance
 from simscenes.render.radiance import Method, View
 from simscenes.render.source import LoadedScene, build_scene, set_light_weights
 from simscenes.transport.lights import light_weights
 
-pytestmark = pytest.mark.skipif(choose_variant().startswith("scalar"), reason="scalar variants do not weigh lights")
+pytestmark = pytest.mark.usefixtures("jit")
 
 
 def two_lamps(dim: float = 0.5, **more: Any) -> dict[str, Any]:

@@ -13,8 +13,6 @@ from simscenes import load_set, orbit_rig, write_cameras
 from simscenes.multiview import encode_srgb
 from simscenes.rigs import Rig, intrinsics, opencv_to_opengl
 
-FOX = Path(__file__).parents[3] / "shared" / "data" / "fox"
-
 
 def make_images(folder: Path, names: list[str], width: int, height: int) -> None:
     folder.mkdir(parents=True, exist_ok=True)
@@ -115,19 +113,18 @@ def test_unsorted_names_are_refused(tmp_path: Path) -> None:
         write_cameras(tmp_path, ["b", "a"], small_rig(2))
 
 
-@pytest.mark.skipif(not FOX.is_dir(), reason="the photographs are not on this machine")
-def test_fox_photographs_load_undistorted_with_one_warning() -> None:
+def test_fox_photographs_load_undistorted_with_one_warning(fox: Path) -> None:
     with pytest.warns(UserWarning, match="17 of 67") as caught:
-        fox = load_set(FOX)
+        views = load_set(fox)
     assert len(caught) == 1
-    assert (len(fox), fox.kind, fox.meta, fox.points()) == (50, "photographs", {}, None)
-    assert (fox.rig.width, fox.rig.height) == (270, 480)
-    assert fox.image(0).shape == (480, 270, 3)
-    assert fox.image(0).min(-1).max() > 100
-    assert fox.radiance(0).max() <= 1
-    centre = fox.rig.positions.mean(0)
-    forward = fox.rig.viewmats[:, 2, :3]
-    assert (np.einsum("cj,cj->c", forward, fox.rig.positions - centre) < 0).mean() > 0.5  # they look inwards
+    assert (len(views), views.kind, views.meta, views.points()) == (50, "photographs", {}, None)
+    assert (views.rig.width, views.rig.height) == (270, 480)
+    assert views.image(0).shape == (480, 270, 3)
+    assert views.image(0).min(-1).max() > 100
+    assert views.radiance(0).max() <= 1
+    centre = views.rig.positions.mean(0)
+    forward = views.rig.viewmats[:, 2, :3]
+    assert (np.einsum("cj,cj->c", forward, views.rig.positions - centre) < 0).mean() > 0.5  # they look inwards
 
 
 def test_distortion_is_removed_with_pixel_centres_at_one_half(tmp_path: Path) -> None:

@@ -139,7 +139,7 @@ def test_lens_and_motion_are_weighed_in_pixels() -> None:
     assert plans[1]["depth of field"].contribution <= 1.001 * worst
 
 
-@pytest.mark.skipif(choose_variant().startswith("scalar"), reason="the spectral number needs a JIT variant")
+@pytest.mark.usefixtures("jit")
 def test_measured_lamps_call_for_spectra_and_rgb_lamps_do_not() -> None:
     market = plan_transport("market", rig=default_rig("market", 2, 32, 32), measure=False)
     assert market.is_on("spectral transport")
@@ -167,7 +167,7 @@ def lamp_over_colours(lamp: Any) -> dict[str, Any]:
     return {"type": "scene", "ball": ball, "sky": {"type": "constant", "radiance": lamp}}
 
 
-@pytest.mark.skipif(choose_variant().startswith("scalar"), reason="the spectral number needs a JIT variant")
+@pytest.mark.usefixtures("jit")
 def test_camera_rgb_through_the_matrix_costs_what_the_plan_says(tmp_path: Path) -> None:
     """Camera RGB straight from spectra (specfilm) against RGB light through the camera's matrix, in finished sets."""
     line = {"type": "spectrum", "value": [(380.0, 0.1), (570.0, 0.1), (590.0, 4.0), (610.0, 0.1), (780.0, 0.1)]}

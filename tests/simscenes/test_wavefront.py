@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from simscenes import Optics, Rig
-from simscenes.backend import activate, choose_variant
+from simscenes.backend import activate
 from simscenes.render import radiance, wavefront
 from simscenes.render.passes import Passes, sample_shares
 from simscenes.render.radiance import Method, View
@@ -14,7 +14,7 @@ from simscenes.render.sensors import sensor_dict
 from simscenes.render.source import LoadedScene, build_scene
 from simscenes.rigs import intrinsics, look_at
 
-pytestmark = pytest.mark.skipif(choose_variant().startswith("scalar"), reason="needs a JIT variant")
+pytestmark = pytest.mark.usefixtures("jit")
 SIZE = 12
 
 

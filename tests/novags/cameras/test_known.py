@@ -1,5 +1,4 @@
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,7 +10,6 @@ from novags.cameras.known import known, perturb
 from simscenes.multiview import load_set
 from simscenes.rigs import Rig, orbit_rig
 
-FOX = Path(__file__).resolve().parents[4] / "shared" / "data" / "fox"
 SIZE = 20
 
 
@@ -168,10 +166,9 @@ def test_images_of_another_number_or_size_are_refused():
         known(FakeSet(cameras()), [0, 1], shaded(1), n_points=50)
 
 
-@pytest.mark.skipif(not FOX.is_dir(), reason="the fox photographs are not on this machine")
-def test_real_photographs_give_cameras_and_points_around_the_fox():
+def test_real_photographs_give_cameras_and_points_around_the_fox(fox):
     with pytest.warns(UserWarning, match="have no image"):
-        multiview = load_set(FOX)
+        multiview = load_set(fox)
     indices = multiview.train_indices[:4]
     images = torch.from_numpy(np.stack([multiview.image(i) for i in indices]).astype(np.float32) / 255)
     start = known(multiview, indices, 0.1 * images, n_points=300)
