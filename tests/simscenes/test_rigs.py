@@ -47,6 +47,7 @@ def test_intrinsics_survive_mitsubas_parameters(fov: float, ppx: float, ppy: flo
     assert np.allclose(rigs.intrinsics_to_mitsuba(K, 64, 48), (fov, ppx, ppy), rtol=1e-12, atol=1e-12)
 
 
+@pytest.mark.usefixtures("jit")
 def test_projection_agrees_with_mitsubas_sensor_at_every_pixel_centre() -> None:
     mi = backend.activate()
     K = np.array([[70.0, 0, 25.0], [0, 70.0, 31.5], [0, 0, 1]])  # off-centre principal point

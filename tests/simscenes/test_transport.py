@@ -107,6 +107,7 @@ def test_glass_goes_deeper_than_matt_things() -> None:
     assert plan["polarisation"].contribution > 0
 
 
+@pytest.mark.usefixtures("jit")
 def test_light_by_two_mirrors_in_a_row_is_told_from_the_rest() -> None:
     """A mirror facing a mirrored corner shows a sky of 1 by one, two or three reflections; matt things show none."""
     mi = activate()
