@@ -1,7 +1,8 @@
 """Time, memory and accuracy of the CPU splat engine.
 
     python scripts/bench_splats.py grid    --out DIR    forward, backward, iteration against N and image size; a plot
-    python scripts/bench_splats.py common  --out DIR    the image-fitting workload that other engines publish
+    python scripts/bench_splats.py common  --out DIR    the image-fitting workload that other engines publish, the
+                                                        readable reference on it, and 100,000 small splats at 400²
     python scripts/bench_splats.py knobs   --out DIR    error against seconds of every approximation, as JSON lines
     python scripts/bench_splats.py memory  --out DIR    bytes per Gaussian, per (Gaussian, tile) pair and per pixel
     python scripts/bench_splats.py fit     --out DIR    7,000 iterations, 256 x 256, 28 views, 50,000 Gaussians, with
@@ -214,7 +215,7 @@ def run_grid(out: Path, repeat: int, largest: int) -> None:
 
 
 def run_common(out: Path, repeat: int) -> None:
-    """The common workload on our kernels, and once on the readable reference."""
+    """The common workload on our kernels, and once on the readable reference; then many small Gaussians."""
     rows = []
     for n, backend, options in (
         (10_000, "numba", {"repeat": repeat}),
@@ -225,6 +226,9 @@ def run_common(out: Path, repeat: int) -> None:
         rows.append({**row, **in_child("common", **row, **options)})
         print(show(rows[-1]), flush=True)
     print(f"the reference takes {rows[2]['iteration'] / rows[0]['iteration']:.0f} times as long at N = 10,000")
+    small = {"n": 100_000, "size": 400}
+    rows.append({**small, "scene": "small", **in_child("grid", **small, repeat=repeat)})
+    print(show(rows[-1]), flush=True)
     (out / "common.jsonl").write_text("".join(json.dumps(row) + "\n" for row in rows))
 
 
@@ -294,7 +298,7 @@ def run_knobs(out: Path, repeat: int) -> None:
     """
     from bench_splats_knobs import KNOBS, reference_image
 
-    n, size = 2000, 64
+    n, size = 10_000, 128
     with tempfile.NamedTemporaryFile(suffix=".pt") as file, torch.no_grad():
         exact = reference_image(n, size, exact=True)
         supersampled = reference_image(n, size, exact=True, supersample=4, eps2d=0.0)
