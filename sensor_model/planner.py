@@ -169,11 +169,42 @@ def _sd_to_black(s: Sensor, signal_e: float) -> float:
 
 
 def simplify(sensor: Sensor, plan: Plan | None) -> Sensor:
-    """The camera without the effects its plan leaves out."""
-    for effect in plan.effects if plan else ():
-        if not effect.on and effect.name in REMOVE:
-            sensor = REMOVE[effect.name](sensor)
+    """The camera without the effects its plan leaves out; the others stay as they were."""
+    off = {effect.name for effect in plan.effects if not effect.on} if plan else ()
+    for name, without in REMOVE.items():
+        if name in off:
+            sensor = without(sensor)
     return sensor
+
+
+FAINT = 2.0**-60  # of an amplitude that another effect multiplies: no frame shows it, and scaling back is exact
+
+
+def _without_dark_current(sensor: Sensor) -> Sensor:
+    """Hot pixels, which multiply it, keep theirs."""
+    d = sensor.defects
+    if d is None or d.hot_fraction == 0 or d.hot_factor == 1:
+        return replace(sensor, dark_current=0.0)
+    hot = replace(d, hot_factor=d.hot_factor / FAINT)
+    return replace(sensor, dark_current=FAINT * sensor.dark_current, defects=hot)
+
+
+def _without_read_noise(sensor: Sensor) -> Sensor:
+    """Telegraph pixels, which multiply it, keep their jumps, and a dual gain its steps."""
+    d, gains = sensor.defects, sensor.dual_gain
+    sensor = replace(sensor, dual_gain=replace(gains, sigma_d=0.0) if gains else None)
+    if d is None or d.rts_fraction == 0 or d.rts_factor == 1:
+        return replace(sensor, sigma_d=0.0)
+    jumps = replace(d, rts_factor=sqrt(d.rts_factor**2 - 1) / FAINT)
+    return replace(sensor, sigma_d=FAINT * sensor.sigma_d, defects=jumps)
+
+
+def _without_full_well(sensor: Sensor) -> Sensor:
+    """A non-linearity, which is relative to it, bends on: to where more light would give no more signal."""
+    if sensor.nonlinearity == 0:
+        return replace(sensor, mu_e_sat=inf, blooming=False)
+    further = 0.499 / sensor.nonlinearity  # `Sensor` takes less than a half
+    return replace(sensor, mu_e_sat=further * sensor.mu_e_sat, nonlinearity=0.499, blooming=False)
 
 
 def _clear(**fields: Any) -> Callable[[Sensor], Sensor]:
@@ -188,22 +219,23 @@ def _clear_part(part: str, **fields: Any) -> Callable[[Sensor], Sensor]:
     return without
 
 
+# In this order: what depends on another effect goes before it
 REMOVE: dict[str, Callable[[Sensor], Sensor]] = {
-    "read_noise": _clear(sigma_d=0.0, dual_gain=None),
+    "hot_pixels": _clear_part("defects", hot_fraction=0.0),
+    "dark_current": _without_dark_current,
+    "telegraph_noise": _clear_part("defects", rts_fraction=0.0),
+    "dual_gain": _clear(dual_gain=None),
     "read_tails": _clear(tukey_lambda=None),
-    "dark_current": _clear(dark_current=0.0),
+    "read_noise": _without_read_noise,
+    "nonlinearity": _clear(nonlinearity=0.0),
+    "blooming": _clear(blooming=False),
+    "full_well": _without_full_well,
     "dsnu": _clear(dsnu=0.0),
     "prnu": _clear(prnu=0.0),
     "row_noise": _clear(sigma_row=0.0),
     "column_noise": _clear(sigma_column=0.0),
     "banding": _clear(banding=None),
     "black_bias": _clear(rgb_bias=(0.0, 0.0, 0.0)),
-    "nonlinearity": _clear(nonlinearity=0.0),
-    "full_well": _clear(mu_e_sat=inf, nonlinearity=0.0, blooming=False),
-    "blooming": _clear(blooming=False),
-    "dual_gain": _clear(dual_gain=None),
-    "hot_pixels": _clear_part("defects", hot_fraction=0.0),
-    "telegraph_noise": _clear_part("defects", rts_fraction=0.0),
     "vignetting": _clear_part("optics", corner_angle=0.0, falloff=None),
     "crosstalk": _clear_part("optics", crosstalk=0.0, psf=None),
     "coupling": _clear(coupling=0.0),

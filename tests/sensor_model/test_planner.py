@@ -3,12 +3,25 @@
 import json
 import math
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
 
-from sensor_model import PRESETS, Banding, Defects, Exposure, Limits, Optics, Plan, Sensor, expose, plan_effects
-from sensor_model.planner import REMOVE, kept_variance, simplify
+from sensor_model import (
+    PRESETS,
+    Banding,
+    Defects,
+    DualGain,
+    Exposure,
+    Limits,
+    Optics,
+    Plan,
+    Sensor,
+    expose,
+    plan_effects,
+)
+from sensor_model.planner import kept_variance, simplify
 
 EXPOSURE = Exposure(time=0.05)
 CAMERAS = [name for name in PRESETS if not name.endswith("-3chip")]
@@ -19,6 +32,17 @@ EVERYTHING = Sensor(
     banding=Banding(amplitude=0.1, period=9), optics=Optics(corner_angle=5, crosstalk=0.001), blooming=True,
     defects=Defects(hot_fraction=1e-4, hot_factor=30, rts_fraction=1e-3, rts_factor=1.1, rts_traps=2), coupling=2e-4,
 )  # fmt: skip
+
+LOUD = Sensor(
+    gain=2.0, eta=0.6, mu_e_sat=2000.0, black_level=200.0, bits=14, sigma_d=4.0, tukey_lambda=-0.1, cfa=None, serial=3,
+    sigma_row=5.0, sigma_column=5.0, dsnu=5.0, prnu=0.05, dark_current=200.0, nonlinearity=0.1, rgb_bias=(5.0,) * 3,
+    banding=Banding(amplitude=5.0, period=9), optics=Optics(corner_angle=20, crosstalk=0.05), blooming=True,
+    defects=Defects(hot_fraction=0.05, hot_factor=30, rts_fraction=0.05, rts_factor=4), coupling=0.02,
+    dual_gain=DualGain(threshold=500.0, sigma_d=9.0, ratio=8.0),
+)  # fmt: skip
+# What shapes another effect goes with it: there is nothing else to see it in
+SHAPES = {("poisson", "photon_shot"), ("read_tails", "read_noise"), ("blooming", "full_well")}
+NAMES = plan_effects(LOUD, EXPOSURE, [5.0, 50.0]).names
 
 
 def flat_field(sensor, electrons, plan=None):
@@ -47,6 +71,37 @@ def test_the_planned_noise_differs_from_the_whole_by_at_most_the_stated_bound(na
     assert plan.bound <= 0.05
     assert abs(whole.std() - planned.std()) <= plan.bound * planned.std() + chance(whole, planned)
     assert abs((whole - planned).mean()) <= plan.biases["DN of bias"] + chance(whole, planned)
+
+
+@pytest.mark.parametrize(
+    ("sensor", "signal", "tolerance", "on", "off"),
+    [
+        (
+            Sensor(
+                gain=2.0, eta=0.6, mu_e_sat=2000.0, black_level=200.0, bits=14, sigma_d=2.0, cfa=None, dark_current=0.2,
+                defects=Defects(hot_fraction=0.01, hot_factor=1e4),
+            ),
+            (20.0, 40.0), 0.05, "hot_pixels", "dark_current",
+        ),
+        (
+            Sensor(
+                gain=2.0, eta=0.6, mu_e_sat=20_000.0, black_level=200.0, bits=16, sigma_d=2.0, cfa=None,
+                nonlinearity=0.2,
+            ),
+            (20.0, 5000.0), 0.05, "nonlinearity", "full_well",
+        ),
+        (PRESETS["prime-95b"], (20.0, 20_000.0), 0.001, "nonlinearity", "full_well"),
+    ],
+)  # fmt: skip
+def test_an_effect_that_stays_keeps_what_it_shares_with_one_that_is_left_out(sensor, signal, tolerance, on, off):
+    """Rationale: hot pixels multiply the dark current, non-linearity is relative to full well."""
+    plan = plan_effects(sensor, EXPOSURE, signal, tolerance)
+    assert plan.is_on(on)
+    assert not plan.is_on(off)
+    for electrons in signal:
+        whole, planned = flat_field(sensor, electrons), flat_field(sensor, electrons, plan)
+        assert abs((whole - planned).mean()) <= plan.biases["DN of bias"] + chance(whole, planned)
+        assert planned.max() == pytest.approx(whole.max(), rel=0.01)
 
 
 @pytest.mark.parametrize("tolerance", [0.002, 0.01, 0.05, 0.3])
@@ -101,7 +156,6 @@ def test_row_noise_counts_by_the_length_of_the_rows_that_get_averaged():
     ("sensor", "signal", "effect"),
     [
         (replace(EVERYTHING, mu_e_sat=5000.0), [1.0, 4900.0], "full_well"),
-        (replace(EVERYTHING, bits=12), [1.0, 1900.0], "full_well"),  # the ADC
         (EVERYTHING, [1.0, 1990.0], "blooming"),
         (replace(EVERYTHING, nonlinearity=0.2), [1.0, 1000.0], "nonlinearity"),
         (replace(EVERYTHING, optics=Optics(corner_angle=30)), 5.0, "vignetting"),
@@ -112,7 +166,7 @@ def test_row_noise_counts_by_the_length_of_the_rows_that_get_averaged():
             "crosstalk",
         ),
         (replace(EVERYTHING, coupling=0.01), 5.0, "coupling"),
-        (replace(EVERYTHING, rgb_bias=(0.0, 0.0, -9.0)), 5.0, "black_bias"),
+        (replace(EVERYTHING, rgb_bias=(0.0, -9.0, 0.0)), 5.0, "black_bias"),
         (replace(EVERYTHING, dark_current=300.0), 5.0, "dark_current"),
         (replace(EVERYTHING, defects=Defects(hot_fraction=0.01, hot_factor=1e4)), 5.0, "hot_pixels"),
         (replace(EVERYTHING, defects=Defects(rts_fraction=0.01, rts_factor=3)), 5.0, "telegraph_noise"),
@@ -121,8 +175,16 @@ def test_row_noise_counts_by_the_length_of_the_rows_that_get_averaged():
         (EVERYTHING, 2.0, "poisson"),
     ],
 )
-def test_each_effect_is_kept_where_it_shows(sensor, signal, effect):
-    assert plan_effects(sensor, EXPOSURE, signal, 0.01).is_on(effect)
+def test_each_effect_is_kept_where_it_shows_and_then_is_in_the_frame(sensor, signal, effect):
+    plan = plan_effects(sensor, EXPOSURE, signal, 0.01)
+    assert plan.is_on(effect)
+    light = np.tile(np.linspace(np.min(signal), np.max(signal), 400), (100, 1)) / sensor.eta
+    kept, without = (expose(light, sensor, EXPOSURE, seed=0, view=0, plan=p) for p in (plan, plan.force(off=[effect])))
+    assert (kept.dn != without.dn).any()
+
+
+def test_room_below_saturation_counts_to_the_adc_where_that_saturates_first():
+    assert plan_effects(replace(EVERYTHING, bits=12), EXPOSURE, [1.0, 1900.0], 0.01).is_on("full_well")
 
 
 def test_near_clipping_nothing_that_contributes_is_left_out():
@@ -141,20 +203,66 @@ def test_defects_too_rare_to_occur_are_left_out():
     assert not plan.is_on("telegraph_noise")
 
 
-@pytest.mark.parametrize("name", list(REMOVE))
-def test_any_effect_can_be_forced_off_by_name(name):
-    plan = plan_effects(EVERYTHING, EXPOSURE, [5.0, 50.0], 0.05)
-    plan = plan.force(on=set(plan.names) - {name}, off=[name])
-    assert plan[name].forced
-    assert not plan[name].on
-    bare = simplify(EVERYTHING, plan)
-    assert (bare == EVERYTHING) is (name == "dual_gain")
-    expose(np.ones((4, 4)), EVERYTHING, EXPOSURE, seed=0, view=0, plan=plan)
+def steep_field(sensor, off=(), peak=1e5):
+    """Codes of light from none to `peak` e-, some effects forced off and all others on."""
+    light = np.append(0.0, np.geomspace(0.5, peak, 48 * 32 - 1)).reshape(48, 32).T / sensor.eta  # columns bloom
+    plan = plan_effects(sensor, EXPOSURE, [5.0, 50.0])
+    plan = plan.force(on=set(plan.names) - set(off), off=off)
+    return expose(light, sensor, EXPOSURE, seed=0, view=0, plan=plan).dn.astype(np.float64)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_effect_that_is_on_shows_in_the_frame_whatever_else_is_off(name):
+    for other in NAMES:
+        off = {other} - {name}
+        shown = (steep_field(LOUD, off) != steep_field(LOUD, off | {name})).any()
+        assert shown == ((name, other) not in SHAPES), f"without {other}"
+
+
+@pytest.mark.parametrize(("first", "second"), list(permutations(["full_well", "nonlinearity", "blooming"], 2)))
+def test_what_is_left_out_does_not_depend_on_the_order_of_the_table(first, second):
+    plan = plan_effects(LOUD, EXPOSURE, [5.0, 50.0]).force(on=NAMES, off=[first, second])
+    turned = replace(plan, effects=plan.effects[::-1])
+    assert simplify(LOUD, plan) == simplify(LOUD, turned)
+
+
+def test_without_dark_current_hot_pixels_keep_theirs():
+    sensor = replace(PRESETS["ideal"], cfa=None, dark_current=20.0, defects=Defects(hot_fraction=0.2, hot_factor=300))
+    plan = plan_effects(sensor, EXPOSURE, 5.0).force(on=["hot_pixels"], off=["dark_current"])
+    dark = np.zeros((200, 300))
+    whole, planned = (expose(dark, sensor, EXPOSURE, seed=0, view=0, plan=p) for p in (None, plan))
+    hot = whole.mean_dn > whole.mean_dn.min() + 1
+    np.testing.assert_array_equal(planned.dn[hot], whole.dn[hot])
+    assert (planned.dn[~hot] == sensor.black_level).all()
+    assert whole.dn[~hot].max() > sensor.black_level
+
+
+def test_without_full_well_the_response_bends_as_before_and_nothing_saturates_at_it():
+    sensor = replace(EVERYTHING, nonlinearity=0.1, bits=16, blooming=False, defects=None)
+    np.testing.assert_array_equal(steep_field(sensor, {"full_well"}, peak=1500.0), steep_field(sensor, peak=1500.0))
+    assert steep_field(sensor, {"full_well"}, peak=4000.0).max() > 1.3 * steep_field(sensor, peak=4000.0).max()
+
+
+def test_without_read_noise_telegraph_pixels_jump_and_a_dual_gain_keeps_its_codes():
+    defects = Defects(rts_fraction=0.5, rts_factor=3)
+    sensor = replace(
+        PRESETS["ideal"], cfa=None, gain=16.0, bits=16, black_level=6400.0, sigma_d=2.0, defects=defects,
+        dual_gain=DualGain(threshold=50.0, sigma_d=9.0, ratio=16.0),
+    )  # fmt: skip
+    plan = plan_effects(sensor, EXPOSURE, 5.0).force(off=["read_noise", "photon_shot"])
+    frame = expose(np.zeros((300, 300)), sensor, EXPOSURE, seed=0, view=0, plan=plan.force(on=["telegraph_noise"]))
+    jumps = 16.0 * math.sqrt(2 * (3**2 - 1)) * 2.0
+    np.testing.assert_array_equal(np.unique(frame.dn), np.rint(6400 + np.array([-jumps, 0, jumps])))
+    np.testing.assert_allclose(np.unique(frame.variance_dn), [0, jumps**2 / 2], rtol=1e-3, atol=1e-3)
+    bright = np.linspace(60.0, 90.0, 300)[None] / sensor.eta
+    codes = expose(bright, sensor, EXPOSURE, seed=0, view=0, plan=plan.force(on=["dual_gain"], off=["telegraph_noise"]))
+    assert (codes.dn % 16 == 0).all()
 
 
 def test_forcing_everything_off_leaves_a_noiseless_camera_and_on_restores_it():
     plan = plan_effects(EVERYTHING, EXPOSURE, [5.0, 50.0], 0.05)
     off = plan.force(off=plan.names)
+    assert all(e.forced and not e.on for e in off.effects)
     assert flat_field(EVERYTHING, 20.0, off).std() == 0
     on = plan.force(on=plan.names)
     np.testing.assert_array_equal(flat_field(EVERYTHING, 20.0, on), flat_field(EVERYTHING, 20.0))
