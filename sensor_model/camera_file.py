@@ -11,6 +11,8 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from sensor_model.params import Banding, Defects, DualGain, Optics, Sensor, require
 
 if sys.version_info >= (3, 11):
@@ -123,6 +125,8 @@ def _assignments(owner: Any) -> list[str]:
 
 
 def _literal(value: Any) -> str:
+    if isinstance(value, np.generic):  # its repr, np.float64(1.5), is not TOML
+        value = value.item()
     if value is None:
         return '"none"'
     if isinstance(value, bool):

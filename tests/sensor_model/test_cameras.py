@@ -154,6 +154,15 @@ def test_a_camera_file_reads_back_exactly(sensor, tmp_path):
     assert path.read_text().startswith("# my camera\n# measured today\ngain = ")
 
 
+@pytest.mark.parametrize("number", [np.float64, np.float32])
+def test_a_camera_of_numpy_numbers_is_written_as_plain_ones(number, tmp_path):
+    defects = Defects(hot_fraction=number(0.25), rts_traps=np.int64(3))
+    fields = {"gain": number(1.5), "bits": np.int64(12), "mu_e_sat": number(np.inf), "blooming": np.bool_(True)}
+    sensor = Sensor(**(BASE | fields), rgb_response=(number(0.5), 1.0, number(0.75)), defects=defects)
+    write_sensor(tmp_path / "camera.toml", sensor)
+    assert read_sensor(tmp_path / "camera.toml") == sensor
+
+
 GOOD = "gain = 1.5\neta = 0.6\nmu_e_sat = 5000\nblack_level = 64\nbits = 12\n"
 
 
