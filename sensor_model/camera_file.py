@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from sensor_model.atomic import write_atomically
 from sensor_model.params import Banding, Defects, DualGain, Optics, Sensor, require
 
 if sys.version_info >= (3, 11):
@@ -68,10 +69,7 @@ def write_sensor(path: str | os.PathLike[str], sensor: Sensor, *, comment: str =
     for part in PARTS:
         if (value := getattr(sensor, part)) is not None:
             lines += ["", f"[{part}]", *_assignments(value)]
-    target = Path(path)
-    partial = target.with_name(target.name + ".partial")
-    partial.write_text("\n".join([*lines, ""]), encoding="utf-8")
-    partial.replace(target)
+    write_atomically(path, "\n".join([*lines, ""]).encode())
 
 
 def _values(kind: type, data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -7,12 +7,12 @@ because it subtracts a black level given per channel from the data but not from 
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sensor_model.atomic import write_atomically
 from sensor_model.params import Exposure, Sensor, require
 
 # CIE XYZ -> linear sRGB, D65 (IEC 61966-2-1): the channels are linear sRGB times the response of the filters.
@@ -40,10 +40,7 @@ def write_dng(path: str | os.PathLike[str], dn: NDArray[np.uint16], sensor: Sens
     require(dn.dtype == np.uint16, "dn", "uint16", dn.dtype)
     converter = RAW2DNG()
     converter.options(_tags(dn.shape, sensor, exposure), path="", compress=False)
-    target = Path(path)
-    partial = target.with_name(target.name + ".partial")
-    partial.write_bytes(converter.convert(np.ascontiguousarray(dn)))
-    partial.replace(target)
+    write_atomically(path, converter.convert(np.ascontiguousarray(dn)))
 
 
 def _tags(shape: tuple[int, ...], sensor: Sensor, exposure: Exposure) -> Any:
