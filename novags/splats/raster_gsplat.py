@@ -2,6 +2,8 @@
 
 from torch import Tensor
 
+from .raster_torch import unit_largest
+
 try:
     from gsplat import rasterization
 except ImportError as error:
@@ -40,7 +42,7 @@ def render(
         raise ValueError(f"backend='gsplat' needs CUDA tensors, got {means.device}; use backend='numba' on the CPU")
     mode = {(True, False): "RGB", (False, True): "D", (True, True): "RGB+D"}[with_color, with_depth]
     image, alpha, meta = rasterization(
-        means, quats, scales, opacities, colors, viewmat[None], K[None], width, height,
+        means, unit_largest(quats), scales, opacities, colors, viewmat[None], K[None], width, height,
         sh_degree=sh_degree, near_plane=near_plane, far_plane=far_plane, eps2d=eps2d, render_mode=mode, packed=False,
     )  # fmt: skip
     radii = meta["radii"][0]

@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from .cpu import pipeline
-from .validation import check_gaussians
+from .validation import check_gaussians, refuse_overflow
 
 
 def render(
@@ -61,6 +61,7 @@ class _Render(torch.autograd.Function):
         frame, image, alpha = pipeline.forward(shape, _array(colors), camera, sh_degree, with_color, with_depth)
         if frame.splats.suspect:
             check_gaussians(tensors)
+            refuse_overflow({**tensors, "viewmats": viewmat[None], "Ks": K[None]})
         ctx.frame, ctx.shape, ctx.colors = frame, shape, _array(colors)
         splats = frame.splats
         info = torch.from_numpy(splats.rows[:, :2]), torch.from_numpy(splats.radii), torch.from_numpy(splats.depths)

@@ -14,9 +14,15 @@ TRANSMITTANCE_MIN = 1e-4  # a pixel stops before its transmittance would fall be
 PIXELS_PER_CHUNK = 4096  # bounds memory: chunk x Gaussians numbers live at once
 
 
+def unit_largest(quats: Tensor) -> Tensor:
+    """The quaternions [N, 4] over their largest components: the squares of long or short ones leave their dtype."""
+    # detached: what only depends on the direction has the same gradient with the factor held fixed
+    return quats / quats.detach().abs().amax(-1, keepdim=True)
+
+
 def quat_to_rotmat(quats: Tensor) -> Tensor:
     """Rotation matrices [N, 3, 3] of quaternions wxyz [N, 4] of any non-zero length."""
-    w, x, y, z = torch.nn.functional.normalize(quats, dim=-1, eps=0.0).unbind(-1)
+    w, x, y, z = torch.nn.functional.normalize(unit_largest(quats), dim=-1, eps=0.0).unbind(-1)
     rows = [
         1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
         2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),

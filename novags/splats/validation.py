@@ -1,5 +1,7 @@
 """Checks of what `rasterize` is given. Every message says which tensor, which rule, what was found and where."""
 
+from typing import NoReturn
+
 import torch
 from torch import Tensor
 
@@ -73,3 +75,16 @@ def check_gaussians(tensors: dict[str, Tensor]) -> None:
             first = int(torch.nonzero(wrong)[0, 0])
             value, count = tensors[name][first].tolist(), int(wrong.sum())
             raise ValueError(f"{name} {rule}, got {value} at Gaussian {first} ({count} of {len(wrong)})")
+
+
+def refuse_overflow(tensors: dict[str, Tensor]) -> NoReturn:
+    """Raise ValueError for finite numbers that are too large to be projected in float32; says where the largest are."""
+    places = []
+    for name, value in tensors.items():
+        at = int(value.abs().argmax())
+        index = torch.unravel_index(torch.tensor(at), value.shape)
+        places.append(f"{name} {float(value.flatten()[at]):.3g} at {[int(i) for i in index]}")
+    raise ValueError(
+        "projection or colours overflow float32, values must be smaller; the largest are "
+        f"{', '.join(places)}: remove that Gaussian or rescale the scene, or use backend='torch' in float64"
+    )

@@ -23,11 +23,13 @@ from .layout import (
     X,
     Y,
 )
-from .simd import LANES, bits, ceil, copy, floor, load, maximum, minimum, select, sqrt, store
+from .simd import LANES, bits, ceil, copy, floor, load, maximum, minimum, negative_abs, select, sqrt, store
 
 ZERO, HALF, ONE, TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 MARGIN = np.float32(0.15)  # of the image size beyond its border: where gsplat stops following the affine approximation
 MAX_RADIUS = np.float32(2**30)  # still an int32
+INFINITY, LARGEST = np.float32(np.inf), np.finfo(np.float32).max
+EVEN = np.float32(1e23)  # px^2: variance of a splat whose exponent falls by less than rounding over any image
 PER_TILE = np.float32(1 / TILE)
 INPUTS = 11  # per Gaussian: mean 3, quaternion 4, scale 3, opacity
 GRAIN = 512  # Gaussians per range
@@ -66,8 +68,12 @@ def _to_camera(c, x, y, z):
 @inline
 def _rotation(w, x, y, z):
     """Rotation matrix of a quaternion, row by row, then the normalised quaternion and 1 / |q|."""
+    # by the largest component first: the squares of long or short quaternions leave float32
+    largest = -minimum(minimum(negative_abs(w), negative_abs(x)), minimum(negative_abs(y), negative_abs(z)))
+    w, x, y, z = w / largest, x / largest, y / largest, z / largest
     inv = ONE / sqrt(w * w + x * x + y * y + z * z)
     w, x, y, z = w * inv, x * inv, y * inv, z * inv
+    inv = minimum(inv / largest, LARGEST)  # of a subnormal length it would be infinite, and no gradient times it nan
     return (
         ONE - TWO * (y * y + z * z), TWO * (x * y - w * z), TWO * (x * z + w * y),
         TWO * (x * y + w * z), ONE - TWO * (x * x + z * z), TWO * (y * z - w * x),
@@ -131,7 +137,7 @@ def forward(begin, end, means, quats, scales, opacities, camera, rows, depths, r
 
     Writes rows [N, ROW] (channels zero; X and Y too where not visible), depths [N], radii [N] int32 (0: cannot reach
     ALPHA_MIN in the image), tiles [N] int32, an upper bound of the tiles that are touched, and zero to counts [N]. Sets
-    suspect[0] if a value is not finite or out of range.
+    suspect[0] if a value is not finite, out of range, or so large that the projection overflows.
     """
     columns = np.ones(INPUTS * LANES, np.float32)
     out = np.zeros(ROW * LANES, np.float32)
@@ -161,11 +167,6 @@ def _project(c, b, out, rest):
     mx, my, mz = load(b, 0 * LANES), load(b, 1 * LANES), load(b, 2 * LANES)
     qw, qx, qy, qz = load(b, 3 * LANES), load(b, 4 * LANES), load(b, 5 * LANES), load(b, 6 * LANES)
     s0, s1, s2, o = load(b, 7 * LANES), load(b, 8 * LANES), load(b, 9 * LANES), load(b, 10 * LANES)
-    norm2 = qw * qw + qx * qx + qy * qy + qz * qz
-    # 0 * x is 0 for finite x and nan otherwise
-    zeros = ZERO * (mx + my + mz + s0 + s1 + s2 + norm2)
-    good = (zeros == ZERO) & (o >= ZERO) & (o <= ONE) & (norm2 > ZERO) & (minimum(minimum(s0, s1), s2) >= ZERO)
-
     x, y, z = _to_camera(c, mx, my, mz)
     iz = ONE / z
     jx, jy, jxz, jyz, _, _ = _jacobian(c, x, y, iz)
@@ -177,7 +178,12 @@ def _project(c, b, out, rest):
     top = log2(maximum(o, ALPHA_MIN))
     log2_reach = (top - LOG2_ALPHA_MIN) / HALF_LOG2E
     rx, ry = sqrt(log2_reach * cxx), sqrt(log2_reach / q)
+    # 0 * x is 0 for finite x and nan otherwise; a zero or non-finite quaternion has no unit quaternion
+    zeros = ZERO * (x + y + z + s0 + s1 + s2 + r[9])
+    good = (zeros == ZERO) & (o >= ZERO) & (o <= ONE) & (minimum(minimum(s0, s1), s2) >= ZERO)
     visible = (z > c[NEAR]) & (z < c[FAR]) & (o >= ALPHA_MIN) & (det > ZERO)
+    # an infinite determinant gives a = 0, which is wrong unless q is as good as 0 too
+    good = good & ((det < INFINITY) | ((cxx < EVEN) & (q * EVEN > ONE)) | (z <= c[NEAR]) | (z >= c[FAR]))
     visible = visible & (px + rx > ZERO) & (px - rx < c[WIDTH]) & (py + ry > ZERO) & (py - ry < c[HEIGHT])
     radius = select(visible, minimum(maximum(ceil(maximum(rx, ry)), ONE), MAX_RADIUS), ZERO)
 

@@ -78,6 +78,7 @@ _define(operator.gt, lambda b, x, y: b.fcmp_ordered(">", x, y), mask, _PAIRS)
 _define(operator.ge, lambda b, x, y: b.fcmp_ordered(">=", x, y), mask, _PAIRS)
 _define(operator.eq, lambda b, x, y: b.fcmp_ordered("==", x, y), mask, _PAIRS)
 _define(operator.and_, lambda b, x, y: b.and_(x, y), mask, [(mask, mask)])
+_define(operator.or_, lambda b, x, y: b.or_(x, y), mask, [(mask, mask)])
 
 
 def _pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any, vector: ir.VectorType) -> Any:

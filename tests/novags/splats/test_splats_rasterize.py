@@ -1,6 +1,7 @@
 """The rasteriser's border: what it refuses, its edge cases, and that threads do not change a bit."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -76,6 +77,76 @@ def test_wrong_arguments_are_refused(make_scene, change, message):
 def test_the_cpu_kernels_refuse_float64_and_say_what_to_do(make_scene):
     with pytest.raises(ValueError, match=r"convert with \.float\(\)\.cpu\(\), or use backend='torch'"):
         rasterize(**make_scene(0, 5, 8, 8), backend="numba")
+
+
+@pytest.mark.parametrize("length", [1e-42, 1e-25, 1e20, 3e38])
+def test_quaternions_of_any_length_turn_alike(make_scene, length):
+    scene = as_float32(make_scene(12, 60, 24, 20))
+    unit = torch.nn.functional.normalize(scene["quats"], dim=-1)
+    expected = rasterize(**{**scene, "quats": unit}, backend="numba")[0]
+    factor = 0.5 * length if length > 1 else length
+    quats = (unit.double() * factor).float().requires_grad_()
+    tolerance = 1e-2 if length < 1e-38 else 1e-5  # a subnormal number has few digits
+    for backend in BACKENDS:
+        image = rasterize(**{**scene, "quats": quats}, backend=backend)[0]
+        torch.testing.assert_close(image, expected, atol=tolerance, rtol=0)
+        (gradient,) = torch.autograd.grad(image.sum(), quats)
+        assert not gradient.isnan().any()
+
+
+def test_quaternion_gradients_shrink_as_the_length_grows(make_scene):
+    scene, gradients = as_float32(make_scene(12, 60, 24, 20)), []
+    for factor in (1.0, 2.0**-80, 2.0**70):
+        quats = (scene["quats"] * factor).requires_grad_()
+        rasterize(**{**scene, "quats": quats}, backend="numba")[0].square().sum().backward()
+        gradients.append(quats.grad.double() * factor)
+    for other in gradients[1:]:
+        torch.testing.assert_close(other, gradients[0], rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "value"),
+    [
+        ("means", 3, 3e38),
+        ("means", 0, -2e38),
+        ("scales", (5, 0), 1e24),
+        ("scales", (5, 1), 1e19),
+        ("scales", (0, 2), 3e38),
+        ("colors", slice(40), 3e38),
+        ("colors", slice(40), -3e38),
+        ("Ks", (0, 0, 0), 1e25),
+    ],
+)
+def test_finite_values_that_overflow_float32_are_refused_with_their_place(make_scene, name, place, value):
+    scene = as_float32(make_scene(7, 40, 16, 16, sh_degree=2))
+    scene["opacities"][:] = 0.9
+    scene["means"][5] = 0
+    scene[name][place] = value
+    first = int(torch.nonzero(scene[name] == value)[0, 0])
+    with pytest.raises(ValueError, match=rf"overflow float32.*{name} {re.escape(str(value))} at \[{first}"):
+        rasterize(**scene, backend="numba")
+
+
+@pytest.mark.parametrize(("place", "value"), [((3, 0), 1e38), ((3, 1), -1e37), ((3, 2), 1e30)])
+def test_a_far_away_gaussian_that_does_not_overflow_changes_nothing(make_scene, place, value):
+    scene = as_float32(make_scene(0, 40, 16, 16))
+    scene["opacities"][3] = 0
+    expected = rasterize(**scene, backend="numba")[0]
+    scene["opacities"][3], scene["means"][place] = 1, value
+    assert torch.equal(rasterize(**scene, backend="numba")[0], expected)
+
+
+@pytest.mark.parametrize("scale", [1e3, 1e6, 1e9, 1e10])
+def test_a_gaussian_much_larger_than_the_image_covers_it_evenly(make_scene, scale):
+    scene = make_scene(0, 3, 16, 16)
+    scene["means"][0], scene["scales"][0], scene["opacities"][0] = 0, scale, 0.9
+    image, alpha, _ = rasterize(**scene, backend="torch")
+    inputs = {k: v.requires_grad_() for k, v in as_float32(scene).items() if k in ("means", "quats", "scales")}
+    image32, alpha32, _ = rasterize(**{**as_float32(scene), **inputs}, backend="numba")
+    torch.testing.assert_close(image32.double(), image, atol=1e-5, rtol=0)
+    torch.testing.assert_close(alpha32.double(), alpha, atol=1e-5, rtol=0)
+    for gradient in torch.autograd.grad(image32.sum(), list(inputs.values())):
+        assert gradient.isfinite().all()
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
