@@ -7,6 +7,7 @@ because it subtracts a black level given per channel from the data but not from 
 from __future__ import annotations
 
 import os
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -28,16 +29,18 @@ def write_dng(path: str | os.PathLike[str], dn: NDArray[np.uint16], sensor: Sens
         path: File to write; appears whole or not at all.
         dn: uint16, [h, w] for a mosaic or a monochrome sensor, [h, w, 3] for three chips.
         sensor: The camera. A black level between two codes stays exact in the file; LibRaw rounds it.
-        exposure: Its time goes into the file.
+        exposure: Its time goes into the file; 0, or what a rational of the format holds: 1e-9 s to 2e9 s.
 
     Raises:
-        ValueError: if the shape or dtype does not fit the sensor.
+        ValueError: if the shape or dtype does not fit the sensor, or the time the file.
     """
     from pidng.core import RAW2DNG  # heavy for those who never write a DNG
 
     fits = dn.ndim == 2 or (dn.ndim == 3 and dn.shape[2] == 3 and sensor.cfa is None)
     require(fits, "dn", "[h, w], or [h, w, 3] without colour filter array", dn.shape)
     require(dn.dtype == np.uint16, "dn", "uint16", dn.dtype)
+    holds = exposure.time == 0 or 1e-9 <= exposure.time <= 2e9
+    require(holds, "time", "0 or in [1e-9, 2e9] s for a DNG", exposure.time)
     converter = RAW2DNG()
     converter.options(_tags(dn.shape, sensor, exposure), path="", compress=False)
     write_atomically(path, converter.convert(np.ascontiguousarray(dn)))
@@ -82,4 +85,7 @@ def _tags(shape: tuple[int, ...], sensor: Sensor, exposure: Exposure) -> Any:
 
 
 def _rationals(values: NDArray) -> list[list[int]]:
-    return [[round(float(v) * 1_000_000), 1_000_000] for v in values.ravel()]
+    """Numerators and denominators below 2**31, which both types of rational hold, signed and unsigned."""
+    most = 2**31 - 1
+    near = (Fraction(v).limit_denominator(int(most / max(abs(v), 1))) for v in map(float, values.ravel()))
+    return [[fraction.numerator, fraction.denominator] for fraction in near]

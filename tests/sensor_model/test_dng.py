@@ -100,14 +100,35 @@ def test_what_does_not_fit_the_camera_is_refused(name, dn, message, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
+def rationals(path, tag):
+    """Numerators and denominators of a tag of type RATIONAL (5), [n, 2]."""
+    data = path.read_bytes()
+    _, _, count, where = struct.unpack_from("<HHII", data, data.index(struct.pack("<HH", tag, 5)))
+    return np.frombuffer(data, "<u4", 2 * count, where).reshape(count, 2).astype(float)
+
+
 @pytest.mark.parametrize("cfa", ["RGGB", None])
 def test_a_black_level_between_two_codes_stays_exact_in_the_file(cfa, tmp_path):
     """Rationale: measured cameras have such levels. LibRaw itself takes a whole number beside it."""
     sensor = replace(PRESETS["imx900-hcg"], black_level=240.375, cfa=cfa)
     write_dng(tmp_path / "a.dng", noise(sensor), sensor, EXPOSURE)
-    data = (tmp_path / "a.dng").read_bytes()
-    _, _, count, where = struct.unpack_from("<HHII", data, data.index(struct.pack("<HH", 50714, 5)))
-    levels = np.frombuffer(data, "<u4", 2 * count, where).reshape(count, 2)
+    levels = rationals(tmp_path / "a.dng", 50714)
     assert set(levels[:, 0] / levels[:, 1]) == {240.375}
     with rawpy.imread(str(tmp_path / "a.dng")) as raw:
         assert abs(raw.black_level_per_channel[0] - 240.375) < 1
+
+
+@pytest.mark.parametrize("black", [0.0, 5000.0, 5000 + 1 / 3, 60_000.5])
+@pytest.mark.parametrize("time", [0.0, 1e-9, 1e-7, 1 / 3, 0.02, 5000.0, 86_400.0, 2e9])
+def test_any_black_level_and_exposure_time_fit_the_rationals_of_the_file(black, time, tmp_path):
+    sensor = replace(PRESETS["imx900-hcg"], bits=16, black_level=black)
+    write_dng(tmp_path / "a.dng", np.zeros((16, 16), np.uint16), sensor, Exposure(time=time))
+    for tag, value in ((50714, black), (33434, time)):
+        found = rationals(tmp_path / "a.dng", tag)
+        assert found[0, 0] / found[0, 1] == pytest.approx(value, rel=1e-8)
+
+
+@pytest.mark.parametrize("time", [1e-10, 1e10])
+def test_a_time_no_rational_of_the_file_holds_is_refused(time, tmp_path):
+    with pytest.raises(ValueError, match="time must be"):
+        write_dng(tmp_path / "a.dng", np.zeros((16, 16), np.uint16), PRESETS["imx900-hcg"], Exposure(time=time))
