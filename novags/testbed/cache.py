@@ -4,6 +4,7 @@ A stage writes into one folder and puts its record there last (`set.json`, `capt
 with a record is complete. The record's `stage` entry holds the key: a hash of the stage's name, the contents of its
 input folders and its resolved configuration. Same key: not run again. While a stage is under way, `unfinished.json`
 holds the key of the work in the folder; a later start with the same key continues it, another key clears it first.
+Nothing is cleared before the inputs of the new work have been read and found good.
 """
 
 import hashlib
@@ -16,12 +17,14 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from novags.testbed.console import Console
 from novags.testbed.provenance import PeakMemory, environment, package_version
+
+Prepared = TypeVar("Prepared")
 
 UNFINISHED = "unfinished.json"
 # Entries of a record that say what it cost, not what it is.
@@ -139,7 +142,8 @@ def run_stage(
     inputs: Mapping[str, str],
     config: Mapping[str, Any],
     owns: Sequence[str],
-    work: Callable[[], Mapping[str, Any]],
+    prepare: Callable[[], Prepared],
+    work: Callable[[Prepared], Mapping[str, Any]],
     console: Console,
 ) -> dict[str, Any]:
     """Do a stage's work unless its folder already holds the result of the same inputs and configuration.
@@ -151,14 +155,15 @@ def run_stage(
         inputs: Content hash of each input, by name.
         config: The resolved configuration (JSON-able).
         owns: Names in `folder` that the stage writes; nothing else is ever removed.
-        work: Fills the folder (picking up what is there) and returns the record's body.
+        prepare: Reads and checks the inputs. An earlier result stays untouched until it has returned.
+        work: Fills the folder (picking up what is there) with what `prepare` read, and returns the record's body.
         console: Where progress goes.
 
     Returns:
         The record, as it stands in the folder.
 
     Raises:
-        ValueError: If `folder` holds files that no stage of this kind has written, or the work itself raises one.
+        ValueError: If `folder` holds files that no stage of this kind has written, or an input is wrong.
     """
     config = jsonable(config)
     key = digest({"stage": name, "version": package_version("novags"), "inputs": inputs, "config": config})
@@ -166,21 +171,23 @@ def run_stage(
     if record_path.exists() and (record := read_json(record_path)).get("stage", {}).get("key") == key:
         console.note(f"{name}: unchanged, kept {folder}")
         return record
-    earlier = _prepare(name, folder, record_name, key, owns, console)
+    earlier = _earlier_seconds(name, folder, record_name, key, owns, console)
     start = time.perf_counter()
     memory = PeakMemory()
+    prepared = prepare()
+    if earlier is None:
+        _clear(name, folder, key, (record_name, *owns))
     try:
-        body = dict(work())
+        body = dict(work(prepared))
     except BaseException:
-        spent = earlier + time.perf_counter() - start
-        write_json(folder / UNFINISHED, {"stage": name, "key": key, "seconds": spent})
+        _mark(name, folder, key, (earlier or 0.0) + time.perf_counter() - start)
         raise
     body["stage"] = {
         "name": name,
         "key": key,
         "inputs": dict(inputs),
         "config": config,
-        "seconds": earlier + time.perf_counter() - start,
+        "seconds": (earlier or 0.0) + time.perf_counter() - start,
         "peak_bytes": memory.peak_bytes(),
         **environment(),
     }
@@ -189,12 +196,12 @@ def run_stage(
     return read_json(record_path)
 
 
-def _prepare(name: str, folder: Path, record_name: str, key: str, owns: Sequence[str], console: Console) -> float:
-    """Make the folder ready for work under `key`; return the seconds that interrupted attempts at it already took."""
-    folder.mkdir(parents=True, exist_ok=True)
-    unfinished = folder / UNFINISHED
-    if unfinished.exists():
-        state = read_json(unfinished)
+def _earlier_seconds(
+    name: str, folder: Path, record_name: str, key: str, owns: Sequence[str], console: Console
+) -> float | None:
+    """The seconds that interrupted attempts at the work of `key` took; None if the folder has to be cleared for it."""
+    if (folder / UNFINISHED).exists():
+        state = read_json(folder / UNFINISHED)
         if state.get("key") == key:
             console.note(f"{name}: continuing in {folder}")
             return float(state.get("seconds", 0.0))
@@ -202,15 +209,25 @@ def _prepare(name: str, folder: Path, record_name: str, key: str, owns: Sequence
         if "stage" not in read_json(folder / record_name):
             raise ValueError(f"{folder} holds a {record_name} that novags {name} did not write: choose another --out")
         console.note(f"{name}: inputs or configuration changed, doing {folder} again")
-    elif taken := sorted(p.name for p in folder.iterdir() if p.name in owns):
+    elif taken := sorted(owned for owned in owns if (folder / owned).exists()):
         raise ValueError(
             f"{folder} already holds {', '.join(taken)}, and novags {name} did not write them: choose another --out"
         )
-    for owned in owns:
-        target = folder / owned
+    return None
+
+
+def _clear(name: str, folder: Path, key: str, owns: Sequence[str]) -> None:
+    """Remove what the stage owns, the record first; what an interruption leaves behind counts as nobody's work."""
+    folder.mkdir(parents=True, exist_ok=True)
+    _mark(name, folder, None, 0.0)
+    for target in (folder / owned for owned in owns):
         if target.is_dir() and not target.is_symlink():
             shutil.rmtree(target)
         else:
             target.unlink(missing_ok=True)
-    write_json(unfinished, {"stage": name, "key": key, "seconds": 0.0})
-    return 0.0
+    _mark(name, folder, key, 0.0)
+
+
+def _mark(name: str, folder: Path, key: str | None, seconds: float) -> None:
+    """Say whose unfinished work lies in the folder; a key of None: remains that are being cleared away."""
+    write_json(folder / UNFINISHED, {"stage": name, "key": key, "seconds": seconds})

@@ -54,6 +54,18 @@ class CaptureConfig:
             raise ValueError(f"jpeg_quality must be None or in 1..100, got {self.jpeg_quality}")
         if self.seed < 0:
             raise ValueError(f"seed must be >= 0, got {self.seed}")
+        self.exposure, self.limits(1)  # they check the rest
+
+    @property
+    def exposure(self) -> Exposure:
+        """What the sensor model calls it."""
+        return Exposure(time=self.time)
+
+    def limits(self, pixels: int) -> Limits | None:
+        """What leaving effects out of images of so many pixels may cost; None: nothing is left out."""
+        if self.tolerance is None:
+            return None
+        return Limits(sd=self.tolerance, row_length=ROW_LENGTH, pixels=pixels)
 
 
 def camera_named(name: str) -> Sensor:
@@ -69,31 +81,56 @@ def camera_named(name: str) -> Sensor:
     return read_sensor(name)
 
 
-def capture_views(source: Source, folder: Path, config: CaptureConfig, console: Console) -> dict[str, Any]:
-    """Expose every view of the source and write it; views that are complete are kept.
+@dataclass(frozen=True)
+class Light:
+    """What all views of a capture share, because they share one exposure."""
 
-    One view is in memory at a time. Two passes: all views share one exposure, so the light has to be known first.
+    mean_green: float  # radiance over the set
+    signal_e: np.ndarray  # `QUANTILES` of what the sensor's channels collect, e-
+    plan: Plan | None  # which effects to simulate; None: all of them
+
+
+def meter(source: Source, config: CaptureConfig, console: Console, pixels: int | None = None) -> Light:
+    """Measure the light of a whole set, view by view, and plan its capture.
+
+    Args:
+        source: The set.
+        config: Camera and light.
+        console: Where progress goes.
+        pixels: Of an image of the capture; None: those of the source.
+
+    Raises:
+        ValueError: If the set is black or holds bad radiance.
+    """
+    with console.progress("capture: light") as progress:
+        mean_green, signal = measure_light(source, config.camera, progress)
+    signal_e = signal * config.electrons / mean_green
+    if (limits := config.limits(pixels or source.rig.width * source.rig.height)) is None:
+        return Light(mean_green, signal_e, None)
+    return Light(mean_green, signal_e, plan_effects(config.camera, config.exposure, signal_e, limits))
+
+
+def capture_views(
+    source: Source, light: Light, folder: Path, config: CaptureConfig, console: Console
+) -> dict[str, Any]:
+    """Expose every view of the source and write it; views that are complete are kept. One is in memory at a time.
 
     Returns:
         The body of capture.json.
 
     Raises:
-        ValueError: If the set is black or holds bad radiance.
+        ValueError: If the set holds bad radiance.
     """
-    sensor, exposure = config.camera, Exposure(time=config.time)
-    with console.progress("capture: light") as progress:
-        mean_green, signal = measure_light(source, sensor, progress)
-    signal_e = signal * config.electrons / mean_green
-    plan = plan_capture(sensor, exposure, signal_e, source.rig.width * source.rig.height, config.tolerance)
+    sensor, exposure, plan = config.camera, config.exposure, light.plan
     names = source.views.names
     with console.progress("capture") as progress:
         for i, name in enumerate(names):
             if not has_view(folder, name):
                 photons = photons_for_electrons(
-                    source.radiance(i), electrons=config.electrons, mean_green=mean_green, sensor=sensor
+                    source.radiance(i), electrons=config.electrons, mean_green=light.mean_green, sensor=sensor
                 )
-                light = mosaic(photons, sensor.cfa) if sensor.cfa else photons
-                frame = expose(light, sensor, exposure, seed=config.seed, view=i, plan=plan)
+                seen = mosaic(photons, sensor.cfa) if sensor.cfa else photons
+                frame = expose(seen, sensor, exposure, seed=config.seed, view=i, plan=plan)
                 write_view(folder, name, frame, sensor, exposure, config.demosaic, config.jpeg_quality)
             progress(i + 1, len(names), f"view {name}")
     write_cameras(folder, names, source.rig, points=source.views.points())
@@ -107,8 +144,8 @@ def capture_views(source: Source, folder: Path, config: CaptureConfig, console: 
         "sensor": sensor,
         "exposure": exposure,
         "electrons": config.electrons,
-        "mean_green_radiance": mean_green,
-        "signal_quantiles_e": dict(zip(map(str, QUANTILES), signal_e.tolist(), strict=True)),
+        "mean_green_radiance": light.mean_green,
+        "signal_quantiles_e": dict(zip(map(str, QUANTILES), light.signal_e.tolist(), strict=True)),
         "demosaic": config.demosaic,
         "jpeg_quality": config.jpeg_quality,
         "seed": config.seed,
@@ -117,15 +154,6 @@ def capture_views(source: Source, folder: Path, config: CaptureConfig, console: 
         "height": source.rig.height,
         "plan": None if plan is None else plan.to_dict(),
     }
-
-
-def plan_capture(
-    sensor: Sensor, exposure: Exposure, signal_e: np.ndarray, pixels: int, tolerance: float | None
-) -> Plan | None:
-    """Which effects to simulate for these quantiles of the mean signal (e-) and so many pixels; None: all of them."""
-    if tolerance is None:
-        return None
-    return plan_effects(sensor, exposure, signal_e, Limits(sd=tolerance, row_length=ROW_LENGTH, pixels=pixels))
 
 
 def measure_light(source: Source, sensor: Sensor, progress: Update) -> tuple[float, np.ndarray]:

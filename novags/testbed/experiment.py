@@ -8,7 +8,6 @@ from novags.testbed import stages
 from novags.testbed.cache import write_json
 from novags.testbed.console import Console
 from novags.testbed.presets import Preset
-from novags.testbed.reconstruct import ReconstructConfig
 from novags.testbed.report import EXPERIMENT, find_runs, write_report
 from novags.testbed.run_folder import RECORD
 from novags.testbed.score import METRICS, merge
@@ -30,8 +29,7 @@ def run(preset: Preset, out: Path, console: Console, *, command: str | None = No
     stages.render(out / "set", preset.render, console)
     stages.capture(out / "set", out / "capture", preset.capture, console)
     for method in preset.methods:
-        config = ReconstructConfig(method=method, points=preset.points, seed=preset.capture.seed, nova=preset.nova)
-        stages.reconstruct(out / "capture", out / method, config, console)
+        stages.reconstruct(out / "capture", out / method, preset.reconstruct(method), console)
     write_json(out / EXPERIMENT, {"command": command, "methods": preset.methods, "preset": asdict(preset)})
     score_all(out, console)
     return write_report(out, console)

@@ -4,11 +4,11 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
-from novags.testbed.capture import CaptureConfig, measure_light, plan_capture
+from novags.testbed.capture import CaptureConfig, meter
 from novags.testbed.console import Console
-from novags.testbed.render import RenderConfig, plan_of, render_views
+from novags.testbed.render import RenderConfig, plan_of, prepare_render, render_views
 from novags.testbed.source import open_source, warnings_as_notes
-from sensor_model import Exposure, Plan
+from sensor_model import Plan
 
 # Enough to know the range of brightness and what the light does; it takes seconds.
 PILOT = RenderConfig(n_views=8, width=48, height=48, spp=32)
@@ -49,17 +49,13 @@ def sensor_plan(scene: str, config: CaptureConfig, console: Console) -> tuple[Pl
     if Path(scene).is_dir():
         return _plan(Path(scene), config, console)
     with tempfile.TemporaryDirectory(prefix="novags-plan-") as folder:
-        render_views(Path(folder), replace(PILOT, scene=scene), console)
+        pilot = replace(PILOT, scene=scene)
+        render_views(Path(folder), pilot, *prepare_render(pilot, console), console)
         return _plan(Path(folder), config, console)
 
 
 def _plan(folder: Path, config: CaptureConfig, console: Console) -> tuple[Plan | None, dict[str, float]]:
-    sensor = config.camera
-    source = open_source(folder, console, config.max_size)
-    with console.progress("light") as progress:
-        mean_green, signal = measure_light(source, sensor, progress)
-    signal_e = signal * config.electrons / mean_green
+    light = meter(open_source(folder, console, config.max_size), config, console)
+    signal_e = light.signal_e
     named = {"darkest": signal_e[0], "median": signal_e[len(signal_e) // 2], "brightest": signal_e[-1]}
-    exposure, pixels = Exposure(time=config.time), source.rig.width * source.rig.height
-    plan = plan_capture(sensor, exposure, signal_e, pixels, config.tolerance)
-    return plan, {name: float(value) for name, value in named.items()}
+    return light.plan, {name: float(value) for name, value in named.items()}

@@ -11,6 +11,7 @@ from novags.nova.trainer import NovaConfig
 from novags.splats import FitConfig, McmcConfig
 from novags.testbed.capture import CaptureConfig
 from novags.testbed.methods import METHODS
+from novags.testbed.reconstruct import ReconstructConfig
 from novags.testbed.render import RenderConfig
 
 if TYPE_CHECKING:
@@ -34,6 +35,12 @@ class Preset:
             raise ValueError(f"unknown method(s) {', '.join(unknown)}; there are {', '.join(METHODS)}")
         if not self.methods or len(set(self.methods)) < len(self.methods):
             raise ValueError(f"methods must be named once each, got {', '.join(self.methods) or 'none'}")
+        for method in self.methods:  # it checks the rest
+            self.reconstruct(method)
+
+    def reconstruct(self, method: str) -> ReconstructConfig:
+        """How the experiment reconstructs by one of its methods."""
+        return ReconstructConfig(method=method, points=self.points, seed=self.capture.seed, nova=self.nova)
 
 
 # What a CPU can afford. In a prototype instance normalisation cost 1.3 dB in so short a training, because it erases

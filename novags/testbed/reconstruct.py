@@ -55,19 +55,17 @@ def initial_set(capture: Capture, console: Console) -> MultiviewSet:
     return capture.cameras if source.scaled else source.views
 
 
-def reconstruct_views(capture: Capture, folder: Path, config: ReconstructConfig, console: Console) -> dict[str, Any]:
-    """Train the method on the capture's training views and write everything but the record.
+def reconstruct_views(
+    capture: Capture, inputs: MethodInput, folder: Path, config: ReconstructConfig, console: Console
+) -> dict[str, Any]:
+    """Train the method on the capture's training views, `inputs`, and write everything but the record.
 
     Returns:
         The body of run.json.
 
     Raises:
-        ValueError: If the capture has too few views or the method refuses its input.
+        ValueError: If the method refuses its input.
     """
-    trained_on = capture.cameras.train_indices
-    if len(trained_on) < 2:
-        raise ValueError(f"{capture.path} has {len(trained_on)} training view(s), at least 2 are needed")
-    inputs = method_input(capture, config, console)
     nova = suited(config.nova, capture.sensor)
     if config.method == "nova" and nova != config.nova:
         console.note("these pictures are demosaiced: all channels of a pixel are blinded, as their noise is the same")
@@ -97,14 +95,20 @@ def reconstruct_views(capture: Capture, folder: Path, config: ReconstructConfig,
         "config": result.config,
         "seed": config.seed,
         "gaussians": len(result.gaussians),
-        "training_views": len(trained_on),
+        "training_views": len(inputs.views),
         "seconds": result.seconds,
     }
 
 
 def method_input(capture: Capture, config: ReconstructConfig, console: Console) -> MethodInput:
-    """The training views as arrays. Only the oracle is given the noise-free exposures."""
+    """The training views as arrays. Only the oracle is given the noise-free exposures.
+
+    Raises:
+        ValueError: If the capture has too few views, or a file of it or of its set cannot be read.
+    """
     indices = capture.cameras.train_indices
+    if len(indices) < 2:
+        raise ValueError(f"{capture.path} has {len(indices)} training view(s), at least 2 are needed")
     dark = stack([capture.dark(i, config.source) for i in indices])
     clean = stack([capture.clean(i) for i in indices]) if config.method == "oracle" else None
     start = known(initial_set(capture, console), indices, dark, n_points=config.points, seed=config.seed)

@@ -10,9 +10,12 @@ from novags.testbed.cache import read_json
 from novags.testbed.console import Console
 from novags.testbed.source import warnings_as_notes
 from sensor_model import Plan
-from simscenes import Rig
+from simscenes import EXPORTS, Rig
+from simscenes.backend import BACKENDS, COLORS
+from simscenes.transport.plan import EFFECTS
 
 RECORD = "set.json"
+VARIANTS = ("auto", *BACKENDS, *(f"{backend}_{color}" for backend in BACKENDS for color in COLORS))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +41,23 @@ class RenderConfig:
             raise ValueError(f"width and height must be >= 16 px, got {self.width} x {self.height}")
         if self.n_views < 3:
             raise ValueError(f"n_views must be >= 3 (one is held out, two are trained on), got {self.n_views}")
+        if (self.spp is None) == (self.target_error is None):
+            raise ValueError(f"give either spp or target_error, got {self.spp} and {self.target_error}")
+        if self.spp is not None and self.spp < 2:
+            raise ValueError(f"spp must be >= 2, because the variance needs two halves, got {self.spp}")
+        if self.target_error is not None and not 0 < self.target_error < 1:
+            raise ValueError(f"target_error must lie in (0, 1), got {self.target_error}")
+        if self.seed < 0:
+            raise ValueError(f"seed must be >= 0, got {self.seed}")
+        for what, given, known in (
+            ("variant", (self.variant,), VARIANTS),
+            ("on and off", (*self.on, *self.off), EFFECTS),
+            ("export", self.export, EXPORTS),
+        ):
+            if unknown := [name for name in given if name not in known]:
+                raise ValueError(f"{what} must be of {', '.join(known)}; got {', '.join(unknown)}")
+        if both := set(self.on) & set(self.off):
+            raise ValueError(f"{', '.join(sorted(both))}: forced on and off at once; name each effect once")
 
     @property
     def file(self) -> Path | None:
@@ -67,19 +87,29 @@ def scene_digest(config: RenderConfig) -> str:
     return content.hexdigest()
 
 
-def render_views(out: Path, config: RenderConfig, console: Console) -> dict[str, Any]:
+def prepare_render(config: RenderConfig, console: Console) -> tuple[Rig, Plan | str]:
+    """The cameras, and what the plan has to be ("auto" where no effect is forced).
+
+    Raises:
+        ValueError: If the scene is unknown or cannot be loaded.
+    """
+    with warnings_as_notes(console):
+        return rig_of(config), plan_of(config) if config.on or config.off else "auto"
+
+
+def render_views(out: Path, config: RenderConfig, rig: Rig, plan: Plan | str, console: Console) -> dict[str, Any]:
     """Render every view that is not there yet; returns the body of set.json.
 
     Raises:
-        ValueError: If the scene is unknown or cannot be loaded or rendered.
+        ValueError: If the scene cannot be rendered.
     """
     from simscenes import render_set
 
     with console.progress("render") as progress, warnings_as_notes(console):
         render_set(
-            config.file or config.scene, rig_of(config), out, spp=config.spp, target_error=config.target_error,
-            plan=plan_of(config) if config.on or config.off else "auto", variant=config.variant, seed=config.seed,
-            allow_outside=config.allow_outside, export=config.export, progress=progress,
+            config.file or config.scene, rig, out, spp=config.spp, target_error=config.target_error, plan=plan,
+            variant=config.variant, seed=config.seed, allow_outside=config.allow_outside, export=config.export,
+            progress=progress,
         )  # fmt: skip
     return read_json(out / RECORD)
 
@@ -92,12 +122,10 @@ def plan_of(config: RenderConfig, tolerance: float = 0.02) -> Plan:
         tolerance: Share of all light that may be wrong or missing.
 
     Raises:
-        ValueError: If the scene cannot be planned for, or an effect is unknown or forced both ways.
+        ValueError: If the scene cannot be planned for.
     """
     from simscenes import plan_transport
 
-    if both := set(config.on) & set(config.off):
-        raise ValueError(f"{', '.join(sorted(both))}: forced on and off at once; name each effect once")
     return plan_transport(
         config.file or config.scene, tolerance, rig=rig_of(config), variant=config.variant,
         force=dict.fromkeys(config.on, True) | dict.fromkeys(config.off, False), allow_outside=config.allow_outside,

@@ -6,13 +6,13 @@ from typing import Any
 
 from novags.testbed import capture_folder, run_folder
 from novags.testbed.cache import folder_digest, run_stage
-from novags.testbed.capture import CaptureConfig, capture_views
+from novags.testbed.capture import CaptureConfig, capture_views, meter
 from novags.testbed.capture_folder import Capture, open_capture
 from novags.testbed.console import Console
 from novags.testbed.metrics import PerceptualDistance
-from novags.testbed.reconstruct import ReconstructConfig, reconstruct_views
+from novags.testbed.reconstruct import ReconstructConfig, method_input, reconstruct_views
 from novags.testbed.render import RECORD as RENDER_RECORD
-from novags.testbed.render import RenderConfig, render_views, scene_digest
+from novags.testbed.render import RenderConfig, prepare_render, render_views, scene_digest
 from novags.testbed.run_folder import Run, open_run
 from novags.testbed.score import METRICS, score_test_views, score_training_images
 from novags.testbed.source import Source, open_source
@@ -31,7 +31,8 @@ def render(out: Path, config: RenderConfig, console: Console) -> dict[str, Any]:
         inputs={"scene": scene_digest(config)},
         config=asdict(config),
         owns=(RENDER_RECORD, "gt", "images", *capture_folder.CAMERA_FILES),
-        work=lambda: render_views(out, config, console),
+        prepare=lambda: prepare_render(config, console),
+        work=lambda prepared: render_views(out, config, *prepared, console),
         console=console,
     )
 
@@ -52,7 +53,8 @@ def capture(set_path: Path, out: Path, config: CaptureConfig, console: Console) 
         inputs={"set": set_hash},
         config=asdict(config),
         owns=capture_folder.OWNS,
-        work=lambda: capture_views(source, out, config, console),
+        prepare=lambda: meter(source, config, console),
+        work=lambda light: capture_views(source, light, out, config, console),
         console=console,
     )
 
@@ -73,7 +75,8 @@ def reconstruct(capture_path: Path, out: Path, config: ReconstructConfig, consol
         inputs={"capture": folder_digest(capture_path), "set": folder_digest(set_path)},
         config=config.resolved(),
         owns=run_folder.OWNS,
-        work=lambda: reconstruct_views(captured, out, config, console),
+        prepare=lambda: method_input(captured, config, console),
+        work=lambda inputs: reconstruct_views(captured, inputs, out, config, console),
         console=console,
     )
 
@@ -100,7 +103,7 @@ def score(run_path: Path, console: Console) -> dict[str, Any]:
         "set": folder_digest(lit.views.path),
     }
 
-    def work() -> dict[str, Any]:
+    def work(_: None) -> dict[str, Any]:
         lpips = PerceptualDistance() if missing is None else None
         with console.progress(f"score {run.method}") as progress:
             scores = score_test_views(run, captured, lit, lpips, progress)
@@ -115,8 +118,9 @@ def score(run_path: Path, console: Console) -> dict[str, Any]:
 
     config = {"lpips": missing is None}
     return run_stage(
-        "score", run_path, METRICS, inputs=inputs, config=config, owns=(METRICS,), work=work, console=console
-    )
+        "score", run_path, METRICS, inputs=inputs, config=config, owns=(METRICS,), prepare=lambda: None, work=work,
+        console=console,
+    )  # fmt: skip
 
 
 def stage_seconds(run: Run, captured: Capture, lit: Source) -> dict[str, float]:

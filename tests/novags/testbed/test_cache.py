@@ -12,15 +12,16 @@ from novags.testbed.console import Console
 QUIET = Console(quiet=True)
 
 
-def stage(folder: Path, work, *, config: dict | None = None, inputs: dict | None = None, owns=("a.txt", "record.json")):
+def stage(folder: Path, work, *, config: dict | None = None, inputs: dict | None = None, prepare=lambda: None):
     return run_stage(
         "toy",
         folder,
         "record.json",
         inputs=inputs or {"in": "1"},
         config=config or {},
-        owns=owns,
-        work=work,
+        owns=("record.json", "a.txt", "parts"),
+        prepare=prepare,
+        work=lambda _: work(),
         console=QUIET,
     )
 
@@ -84,6 +85,39 @@ def test_an_interrupted_stage_starts_afresh_under_another_configuration(tmp_path
         stage(tmp_path, interrupted)
     stage(tmp_path, lambda: {"had": (tmp_path / "a.txt").exists()}, config={"x": 1})
     assert read_json(tmp_path / "record.json")["had"] is False
+
+
+def test_a_wrong_input_costs_no_finished_work(tmp_path: Path) -> None:
+    stage(tmp_path, writes(tmp_path, []))
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def refuse() -> None:
+        raise ValueError("an input is damaged")
+
+    with pytest.raises(ValueError, match="damaged"):
+        stage(tmp_path, writes(tmp_path, []), config={"x": 1}, prepare=refuse)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_an_interruption_while_clearing_leaves_nothing_that_counts_as_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fills() -> dict:
+        (tmp_path / "parts").mkdir()
+        (tmp_path / "parts" / "0").write_text("old")
+        return writes(tmp_path, [])()
+
+    def interrupted(_: Path) -> None:
+        raise KeyboardInterrupt
+
+    stage(tmp_path, fills)
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        patch.setattr("shutil.rmtree", interrupted)
+        stage(tmp_path, fills, config={"x": 1})
+    assert (tmp_path / "parts" / "0").exists()
+    for config in ({"x": 1}, {}):  # the same work once more, then that of before
+        record = stage(tmp_path, lambda: {"had": (tmp_path / "parts").exists()}, config=config)
+        assert record["had"] is False
 
 
 def test_files_of_other_origin_are_never_overwritten(tmp_path: Path) -> None:

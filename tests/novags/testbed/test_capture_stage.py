@@ -109,6 +109,17 @@ def test_a_preset_written_to_a_file_takes_the_same_pictures(tmp_path: Path) -> N
     assert first == second
 
 
+def test_a_set_that_turned_black_costs_no_finished_capture(tmp_path: Path) -> None:
+    views, out = photographs(tmp_path / "set"), tmp_path / "cap"
+    stages.capture(views, out, CaptureConfig(), QUIET)
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+    for image in (views / "images").iterdir():
+        cv2.imwrite(str(image), np.zeros((16, 20, 3), np.uint8))
+    with pytest.raises(ValueError, match="is black in green"):
+        stages.capture(views, out, CaptureConfig(), QUIET)
+    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+
+
 def test_jpeg_touches_the_8_bit_pictures_only(tmp_path: Path) -> None:
     views = photographs(tmp_path / "set")
     for quality in (None, 40):

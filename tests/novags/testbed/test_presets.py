@@ -10,7 +10,7 @@ from novags.testbed.methods import METHODS, method_config, suited
 from novags.testbed.presets import PRESETS, adapted
 from novags.testbed.provenance import PeakMemory
 from novags.testbed.reconstruct import ReconstructConfig
-from novags.testbed.render import RenderConfig, plan_of
+from novags.testbed.render import RenderConfig
 from sensor_model import PRESETS as SENSORS
 
 
@@ -63,6 +63,8 @@ def test_a_denoiser_setting_does_not_make_the_naive_run_stale() -> None:
         ({"sensor": "kodak"}, "unknown sensor"),
         ({"demosaic": "none"}, "demosaic"),
         ({"seed": -1}, "seed"),
+        ({"time": -1.0}, "time"),
+        ({"tolerance": -1.0}, "sd must be > 0"),
     ],
 )
 def test_impossible_captures_are_refused(values: dict, message: str) -> None:
@@ -100,7 +102,25 @@ def test_peak_memory_sees_a_large_array_and_forgets_it() -> None:
     assert during - after > 0.8 * size
 
 
-def test_an_effect_of_light_is_forced_one_way() -> None:
-    config = RenderConfig(n_views=3, width=16, height=16, on=("indirect light",), off=("indirect light",))
-    with pytest.raises(ValueError, match="indirect light: forced on and off"):
-        plan_of(config)
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"spp": 0}, "spp must be >= 2"),
+        ({"spp": None}, "either spp or target_error"),
+        ({"target_error": 0.1}, "either spp or target_error"),
+        ({"spp": None, "target_error": -1.0}, "target_error must lie in"),
+        ({"seed": -1}, "seed"),
+        ({"variant": "nope"}, "variant must be of auto, .* got nope"),
+        ({"on": ("foo",)}, "on and off must be of indirect light, .* got foo"),
+        ({"on": ("indirect light",), "off": ("indirect light",)}, "indirect light: forced on and off"),
+        ({"export": ("fbx",)}, "export must be of blender, llff; got fbx"),
+    ],
+)
+def test_impossible_renders_are_refused(values: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        RenderConfig(**values)
+
+
+def test_settings_that_only_the_last_stage_needs_are_checked_before_the_first() -> None:
+    with pytest.raises(ValueError, match="points must be >= 4, got -5"):
+        adapted(PRESETS["demo"], points=-5)
