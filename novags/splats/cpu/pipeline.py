@@ -176,13 +176,18 @@ class Frame:
     depth_channel: int  # -1: no depth
 
 
+def _rows(sh: np.ndarray) -> np.ndarray:
+    """[N, K, 3] as [N, 3 K]."""
+    return sh.reshape(len(sh), 3 * sh.shape[1])  # said in full: numpy cannot tell what -1 is for no Gaussians
+
+
 def _channel_rows(frame: Frame, shape: Shape, colors: np.ndarray) -> tuple[list[np.ndarray], bool]:
     """The records with colours and depth written in, one copy per four channels; and whether a colour is not finite."""
     splats, n, with_depth = frame.splats, len(shape.means), frame.depth_channel >= 0
     suspect = np.zeros(1, np.int64)
     if frame.sh_degree is not None and frame.n_features:
         run(
-            harmonics.forward, n, project.GRAIN, frame.sh_degree, shape.means, colors.reshape(n, -1),
+            harmonics.forward, n, project.GRAIN, frame.sh_degree, shape.means, _rows(colors),
             frame.camera.center, splats.depths, np.float32(with_depth), splats.radii, splats.rows, suspect,
         )  # fmt: skip
         return [splats.rows], bool(suspect[0])
@@ -332,8 +337,8 @@ def backward(
         v_colors = empty(colors.shape)
         v_center = np.empty((blocks if with_camera else 0, 3), np.float32)
         run(
-            harmonics.backward, blocks, 1, project_backward.BLOCK, frame.sh_degree, shape.means, colors.reshape(n, -1),
-            camera.center, v_features, v_colors.reshape(n, -1), v_shape.means, v_center,
+            harmonics.backward, blocks, 1, project_backward.BLOCK, frame.sh_degree, shape.means, _rows(colors),
+            camera.center, v_features, _rows(v_colors), v_shape.means, v_center,
         )  # fmt: skip
         total = v_center.sum(0, dtype=np.float64)  # centre = -R^T t
         v_viewmat[:3, 3] -= camera.viewmat[:3, :3] @ total

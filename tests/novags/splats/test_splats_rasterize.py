@@ -151,9 +151,11 @@ def test_a_gaussian_much_larger_than_the_image_covers_it_evenly(make_scene, scal
 
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("mode", ["RGB", "D", "ED", "RGB+D", "RGB+ED"])
-def test_no_gaussians_give_the_background_and_empty_gradients(make_scene, backend, mode):
-    scene = as_float32(make_scene(0, 0, 9, 5))
+@pytest.mark.parametrize("sh_degree", [None, 0, 3])
+def test_no_gaussians_give_the_background_and_empty_gradients(make_scene, backend, mode, sh_degree):
+    scene = as_float32(make_scene(0, 0, 9, 5, sh_degree=sh_degree))
     scene["means"].requires_grad_()
+    scene["colors"].requires_grad_()
     background = torch.tensor([0.1, 0.2, 0.3])
     image, alpha, info = rasterize(**scene, background=background, render_mode=mode, backend=backend)
     n_color = 3 if mode.startswith("RGB") else 0
@@ -163,7 +165,8 @@ def test_no_gaussians_give_the_background_and_empty_gradients(make_scene, backen
     assert not image[..., n_color:].any()
     assert not alpha.any()
     image.sum().backward()
-    assert scene["means"].grad is None or scene["means"].grad.shape == (0, 3)
+    for name in ("means", "colors"):
+        assert scene[name].grad is None or scene[name].grad.shape == scene[name].shape
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
