@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import re
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from simscenes.render.untrusted import check_parameters, check_xml
+from simscenes.render.physical import check_parameters
+from simscenes.render.untrusted import check_plugin, check_xml, searching_only
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,7 @@ def _load_dict(scene: Any, mi: Any) -> Any:
         raise ValueError(
             f"scene must be a name from SCENES, a .xml file or a Mitsuba dict of type 'scene', got {scene!r:.80}"
         )
+    _check_plugins(description)
     for key, value in description.items():
         if isinstance(value, mi.Object):
             value.set_id(key)  # meshes made in Python do not know the name they have in the dict
@@ -101,9 +104,18 @@ def _load_dict(scene: Any, mi: Any) -> Any:
     return mi.load_dict(description, optimize=False)
 
 
+def _check_plugins(node: dict[str, Any]) -> None:
+    if isinstance(kind := node.get("type"), str):
+        check_plugin(kind)
+    for child in node.values():
+        if isinstance(child, dict):
+            _check_plugins(child)
+
+
 def _load_xml(path: Path, mi: Any, allow_outside: bool) -> Any:
-    check_xml(path, allow_outside=allow_outside)
-    return mi.load_file(str(path.resolve()), optimize=False)
+    file, *_ = check_xml(path, allow_outside=allow_outside)
+    with nullcontext() if allow_outside else searching_only(file.parent, mi):
+        return mi.load_file(str(file), optimize=False)
 
 
 def set_light_weights(loaded: LoadedScene, weights: tuple[float, ...], mi: Any) -> None:

@@ -1,94 +1,195 @@
-"""Checks on scenes before they cost anything: what a file may read, and numbers no physical scene has."""
+"""Scene files that nobody vouches for: what they may read, what they may run, how much work they may ask for."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-import numpy as np
+MAX_TEXT = 64 << 20  # characters of all files together, parameters written out
+MAX_INCLUDES = 1000
+MAX_INCLUDE_DEPTH = 15  # Mitsuba's own limit on nested files
+MAX_DEPTH = 128  # of nested elements; Python's recursion over the loaded scene ends not far beyond
+MAX_PARAMETERS = 256
+PATH_TAGS = ("string", "path", "include")  # whose value may be the name of a file
+PLUGIN = re.compile("[A-Za-z0-9_]+")
+DECLARED = re.compile(rb"""\s*<\?xml[^>]*\sencoding\s*=\s*["']([^"']*)""")
 
-MAX_XML_BYTES = 64 << 20
-MAX_INCLUDES = 15  # Mitsuba's own limit on nested files
 
-
-def check_xml(path: Path, *, allow_outside: bool = False) -> None:
+def check_xml(path: Path, *, allow_outside: bool = False) -> tuple[Path, ...]:
     """Read a scene file as plain XML and refuse it if it reaches for files outside its own folder.
 
-    Mitsuba reads included files and spectra while it parses, so this happens before it sees the file.
+    Mitsuba reads included files and spectra while it parses, so this happens before it sees the file. A name that is
+    not found where Mitsuba searches is opened as it stands, from the working directory: that is outside as well.
 
     Args:
-        path: The scene file.
-        allow_outside: Let it name files anywhere.
+        path: The scene file; of a link, what it points to, and the folder of that.
+        allow_outside: The file is trusted: it may name files and plugins anywhere, in any encoding.
+
+    Returns:
+        The scene file, then all files that it and the files it includes name and that exist, links resolved.
 
     Raises:
-        ValueError: If the file is not XML, is too large, declares entities, nests includes too deeply, or names a file
-            outside its folder.
+        ValueError: If the file is not XML or not UTF-8, declares entities, names a file outside its folder, sets a
+            search path, asks for a plugin by a path, comes with plugins, or is too large or too deep.
     """
-    _check_file(path, path.parent.resolve(), {}, 0, allow_outside)
+    path = path.resolve()
+    reader = _Reader(path.parent, allow_outside)
+    reader.read(path, 0, 0)
+    return tuple(reader.files)
 
 
-def _check_file(path: Path, root: Path, known: dict[str, str], depth: int, allow_outside: bool) -> None:
-    if depth > MAX_INCLUDES:
-        raise ValueError(f"scene file {path} includes files more than {MAX_INCLUDES} deep; does one include itself?")
+@contextmanager
+def searching_only(folder: Path, mi: Any) -> Iterator[None]:
+    """Let Mitsuba search this folder and its own data, not the working directory."""
+    before, only = mi.file_resolver(), mi.FileResolver()
+    only.clear()
+    only.append(str(folder))
+    only.append(str(mitsuba_folder()))
+    mi.set_file_resolver(only)
     try:
-        if path.stat().st_size > MAX_XML_BYTES:
-            raise ValueError(
-                f"scene file {path} is larger than {MAX_XML_BYTES >> 20} MiB; keep meshes in files of their own"
-            )
-        text = path.read_bytes()
-        if b"<!DOCTYPE" in text or b"<!ENTITY" in text:
-            raise ValueError(f"scene file {path} declares entities, which can grow without bound; write them out")
-        tree = ElementTree.fromstring(text)
-    except (OSError, ElementTree.ParseError) as error:
-        raise ValueError(f"scene file {path} cannot be read as XML: {error}") from error
-    for element in tree.iter():
-        attributes = {name: _substitute(value, known) for name, value in element.attrib.items()}
-        if element.tag == "default":
-            known.setdefault(attributes.get("name", ""), attributes.get("value", ""))
-        for name in ("value", "filename"):
-            if not allow_outside and _is_outside(attributes.get(name, ""), root):
-                raise ValueError(f"scene file {path.name} names {attributes[name]!r}, outside its folder {root}; "
-                                 "move the file there, or set allow_outside=True if you trust the scene")  # fmt: skip
-        if element.tag == "include" and "filename" in attributes:
-            _check_file(root / attributes["filename"], root, known, depth + 1, allow_outside)
+        yield
+    finally:
+        mi.set_file_resolver(before)
 
 
-def _substitute(value: str, known: dict[str, str]) -> str:
-    for name in sorted(known, key=len, reverse=True):  # $ab before $a, as Mitsuba does
-        value = value.replace(f"${name}", known[name])
-    return value
-
-
-def _is_outside(value: str, root: Path) -> bool:
-    """Whether this is a path (plain words and numbers are not) that leaves the folder, also through a link."""
-    if "\0" in value or len(value) > 4096 or ("/" not in value and "\\" not in value and not (root / value).exists()):
-        return False
-    return not (root / value.replace("\\", "/")).resolve().is_relative_to(root)
-
-
-def check_parameters(params: Any, mi: Any) -> None:
-    """Refuse a loaded scene whose numbers are not physical.
+def check_plugin(kind: str) -> None:
+    """Refuse the name of a plugin that is a path, or that code in the working directory would answer to.
 
     Raises:
-        ValueError: If a parameter is nan or infinite, a reflectance or albedo leaves 0..1, or a light is negative.
+        ValueError: If it is.
     """
-    if "spectral" in mi.variant():
-        return  # colours are stored there as the coefficients of fitted curves, of any sign and size
-    for key in params.keys():  # noqa: SIM118  mitsuba's SceneParameters does not iterate over keys
-        value = params[key]
-        if isinstance(value, (str, bool, mi.Object)) or "Transform" in type(value).__name__:
-            continue
-        numbers = np.array(value)
-        if numbers.dtype.kind != "f" or numbers.size == 0:
-            continue
-        lowest, highest = float(numbers.min()), float(numbers.max())  # nan in any element makes both nan
-        if not np.isfinite([lowest, highest]).all():
-            raise ValueError(f"scene parameter {key} must be finite, got {lowest}..{highest}")
-        if ("reflectance" in key or "albedo" in key) and key.endswith(("value", "values", "data")):
-            # 1e-4: spectra given as RGB are fitted by Mitsuba, and white comes out a rounding error above 1.
-            if lowest < 0 or highest > 1 + 1e-4:
-                raise ValueError(f"scene parameter {key} must lie in 0..1 (what is reflected of the light), "
-                                 f"got {lowest:.6g}..{highest:.6g}")  # fmt: skip
-        if any(word in key for word in ("radiance", "irradiance", "intensity")) and lowest < 0:
-            raise ValueError(f"scene parameter {key} must be >= 0 (light), got {lowest:.6g}")
+    if not PLUGIN.fullmatch(kind) or any(Path("plugins").glob(f"{kind}.*")):
+        raise ValueError(f"plugin type {kind!r} is not one of Mitsuba's own: names are letters, digits and _, and "
+                         "none may lie in a folder 'plugins' beside the scene or in the working directory")  # fmt: skip
+
+
+def mitsuba_folder() -> Path:
+    """Where Mitsuba's own data and plugins are, without importing it."""
+    spec = find_spec("mitsuba")
+    assert spec is not None
+    assert spec.origin is not None
+    return Path(spec.origin).resolve().parent
+
+
+@dataclass
+class _Reader:
+    """Reads as Mitsuba does: in document order, the first definition of a parameter wins, also across files."""
+
+    root: Path
+    trusted: bool
+    files: dict[Path, None] = field(default_factory=dict)  # in order
+    parameters: dict[str, str] = field(default_factory=dict)
+    text_left: int = MAX_TEXT
+    includes_left: int = MAX_INCLUDES
+
+    def __post_init__(self) -> None:
+        self.inside = (self.root, mitsuba_folder())
+        self.searched = [*self.inside, Path()]
+        if not self.trusted and (self.root / "plugins").exists():
+            raise ValueError(f"scene folder {self.root} holds a folder 'plugins', whose code Mitsuba would run; rename "
+                             "it, or set allow_outside=True if you trust the scene")  # fmt: skip
+
+    def read(self, path: Path, includes: int, depth: int) -> None:
+        if includes > MAX_INCLUDE_DEPTH:
+            raise ValueError(
+                f"scene file {path} includes files more than {MAX_INCLUDE_DEPTH} deep; does one include itself?"
+            )
+        self.files[path.resolve()] = None
+        for element, level in _elements(self._parse(path), path, depth):
+            attributes = {name: self._written_out(value, path) for name, value in element.attrib.items()}
+            if element.tag == "default":
+                self._define(attributes.get("name", ""), attributes.get("value", ""), path)
+            if not self.trusted and "type" in attributes:
+                check_plugin(attributes["type"])
+            if element.tag in PATH_TAGS and "value" in attributes:
+                self._name(attributes["value"], element.tag, path)
+            if "filename" in attributes:
+                found = self._name(attributes["filename"], element.tag, path)
+                if element.tag == "include":
+                    self._include(found or path.parent / attributes["filename"], path, includes, level)
+
+    def _parse(self, path: Path) -> ElementTree.Element:
+        try:
+            self._spend(path.stat().st_size, path)
+            text = path.read_bytes()
+            if not self.trusted:
+                _check_encoding(text, path)
+            if b"<!DOCTYPE" in text or b"<!ENTITY" in text:
+                raise ValueError(f"scene file {path} declares entities, which can grow without bound; write them out")
+            return ElementTree.fromstring(text)
+        except (OSError, ElementTree.ParseError) as error:
+            raise ValueError(f"scene file {path} cannot be read as XML: {error}") from error
+
+    def _include(self, found: Path, path: Path, includes: int, depth: int) -> None:
+        self.includes_left -= 1
+        if self.includes_left < 0:
+            raise ValueError(f"scene file {path} includes more than {MAX_INCLUDES} files in all; merge some")
+        self.read(found, includes + 1, depth)
+
+    def _spend(self, characters: int, path: Path) -> None:
+        self.text_left -= characters
+        if self.text_left < 0:
+            raise ValueError(f"scene file {path} with what it includes, all $parameters written out, is larger than "
+                             f"{MAX_TEXT >> 20} MiB; keep meshes in files of their own")  # fmt: skip
+
+    def _define(self, name: str, value: str, path: Path) -> None:
+        self.parameters.setdefault(name, value)
+        if len(self.parameters) > MAX_PARAMETERS:
+            raise ValueError(f"scene file {path} defines more than {MAX_PARAMETERS} parameters; write some out")
+
+    def _written_out(self, value: str, path: Path) -> str:
+        if "$" not in value:
+            return value
+        self._spend(len(self.parameters), path)
+        for name in sorted(self.parameters, key=len, reverse=True):  # $ab before $a, as Mitsuba does
+            self._spend(value.count(f"${name}") * len(self.parameters[name]), path)  # before it is in memory
+            value = value.replace(f"${name}", self.parameters[name])
+        return value
+
+    def _name(self, name: str, tag: str, path: Path) -> Path | None:
+        """Note the file that Mitsuba would open for this word, which may also be no name of a file at all."""
+        if tag == "path":
+            self.searched.append(self.root / name)
+        places = [path.parent, *self.searched] if tag == "include" else self.searched
+        try:
+            found = next((place / name for place in places if (place / name).is_file()), None) if name else None
+            target = (found or self.root / name).resolve()
+            is_inside = tag != "path" and any(target.is_relative_to(folder) for folder in self.inside)
+        except OSError:  # too long for a path as it stands, but Mitsuba shortens before it opens
+            found, is_inside = None, "/" not in name
+        if not self.trusted and not is_inside:
+            shown = name if len(name) < 200 else f"{name[:200]}..."
+            raise ValueError(f"scene file {path.name} names {shown!r} by <{tag}>, outside its folder {self.root} or a "
+                             "further one to search; move the file there, or set allow_outside=True if you trust the "
+                             "scene")  # fmt: skip
+        if found is not None:
+            self.files[target] = None
+        return found
+
+
+def _elements(tree: ElementTree.Element, path: Path, depth: int) -> Iterator[tuple[ElementTree.Element, int]]:
+    """Elements in document order, each with how deep it lies."""
+    waiting = [(tree, depth + 1)]
+    while waiting:
+        element, level = waiting.pop()
+        if level > MAX_DEPTH:
+            raise ValueError(f"scene file {path} nests elements more than {MAX_DEPTH} deep; refer to inner ones by id")
+        yield element, level
+        waiting.extend((child, level + 1) for child in reversed(element))
+
+
+def _check_encoding(text: bytes, path: Path) -> None:
+    """Other encodings may read differently here and in Mitsuba's parser."""
+    declared = DECLARED.match(text.removeprefix(b"\xef\xbb\xbf"))
+    try:
+        plain = "\0" not in text.decode("utf-8")
+    except UnicodeDecodeError:
+        plain = False
+    if not plain or (declared and declared[1].lower() not in (b"utf-8", b"us-ascii")):
+        raise ValueError(f"scene file {path} must be UTF-8; convert it, or set allow_outside=True if you trust it")

@@ -1,0 +1,122 @@
+"""Scene files nobody vouches for: nothing outside their folder is read or run, and checking them always ends."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from simscenes.backend import activate
+from simscenes.render.source import build_scene
+from simscenes.render.untrusted import check_xml
+
+BALL = '<shape type="sphere" id="ball">{}</shape>'
+TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
+
+
+def mesh(name: str) -> str:
+    return f'<shape type="obj" id="mesh"><string name="filename" value="{name}"/></shape>'
+
+
+def wrapped(content: str) -> str:
+    return f'<scene version="3.0.0">{content}</scene>'
+
+
+def write(path: Path, content: str, encoding: str = "utf-8") -> Path:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(content, encoding=encoding)
+    return path
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A scene's folder, beside it a mesh that is none of its business."""
+    write(tmp_path / "secret" / "mesh.obj", TRIANGLE)
+    (tmp_path / "scene").mkdir()
+    return tmp_path / "scene"
+
+
+def refused(path: Path, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        build_scene(path, activate())
+
+
+@pytest.mark.parametrize("kind", ["evil", "../../secret/evil", "./evil", "sphere.so"])
+def test_code_beside_the_scene_is_not_run(kind: str, folder: Path) -> None:
+    for plugins in (folder / "plugins", folder.parent / "secret"):
+        write(plugins / "evil.so", "no library, but Mitsuba would hand it to the loader")
+    path = write(folder / "scene.xml", wrapped(BALL.format("") + f'<shape type="{kind}"/>'))
+    refused(path, "'plugins'")
+    shutil.rmtree(folder / "plugins")
+    refused(path, "plugin")
+
+
+def test_code_in_the_working_directory_is_not_run(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    write(folder.parent / "plugins" / "evil.so", "")
+    monkeypatch.chdir(folder.parent)
+    refused(write(folder / "scene.xml", wrapped('<shape type="evil"/>')), "plugin type 'evil'")
+    with pytest.raises(ValueError, match="plugin type 'evil'"):
+        build_scene({"type": "scene", "ball": {"type": "sphere", "bsdf": {"type": "evil"}}}, activate())
+
+
+def test_the_working_directory_is_not_searched(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(folder.parent / "secret")
+    mi = activate()
+    before = str(mi.file_resolver())
+    path = write(folder / "scene.xml", wrapped(mesh("mesh.obj")))
+    refused(path, "outside its folder")
+    assert build_scene(path, mi, allow_outside=True).shapes == ("mesh",)
+    write(folder / "mesh.obj", TRIANGLE)
+    assert build_scene(path, mi).shapes == ("mesh",)
+    assert str(mi.file_resolver()) == before
+
+
+def test_a_path_is_no_shorter_for_its_slashes(folder: Path) -> None:
+    name = "/" * 5000 + str(folder.parent / "secret" / "mesh.obj")
+    refused(write(folder / "scene.xml", wrapped(mesh(name))), "outside its folder")
+
+
+def test_no_further_folder_is_searched(folder: Path) -> None:
+    (folder / "deep").mkdir()
+    (folder / "deep" / "link.obj").symlink_to(folder.parent / "secret" / "mesh.obj")
+    path = write(folder / "scene.xml", wrapped('<path value="deep"/>' + mesh("link.obj")))
+    refused(path, "outside its folder")
+    assert build_scene(path, activate(), allow_outside=True).shapes == ("mesh",)
+
+
+def test_an_include_is_sought_beside_the_file_that_names_it(folder: Path) -> None:
+    write(folder / "scene.xml", wrapped('<include filename="deep/part.xml"/>'))
+    write(folder / "deep" / "part.xml", wrapped('<include filename="leaf.xml"/>'))
+    write(folder / "leaf.xml", wrapped(BALL.format("")))
+    write(folder / "deep" / "leaf.xml", wrapped(mesh("../secret/mesh.obj")))
+    refused(folder / "scene.xml", "outside its folder")
+    write(folder / "deep" / "leaf.xml", wrapped(BALL.format("")))
+    assert build_scene(folder / "scene.xml", activate()).shapes == ("ball",)
+
+
+def test_another_encoding_hides_nothing(folder: Path) -> None:
+    (folder / "&a;").mkdir()
+    text = '<!DOCTYPE x [<!ENTITY a "q/w/e/r/t">]>' + wrapped(mesh("&a;/../../secret/mesh.obj"))
+    for encoding in ("utf-16", "utf-16-le", "utf-32"):
+        refused(write(folder / "scene.xml", text, encoding), "UTF-8")
+    declared = '<?xml version="1.0" encoding="{}"?>' + wrapped(BALL.format(""))
+    refused(write(folder / "scene.xml", declared.format("latin1")), "UTF-8")
+    assert build_scene(write(folder / "scene.xml", declared.format("UTF-8"), "utf-8-sig"), activate()).shapes
+
+
+def test_a_link_to_a_scene_is_the_scene_it_points_to(folder: Path) -> None:
+    write(folder / "mesh.obj", TRIANGLE)
+    real = write(folder / "scene.xml", wrapped(mesh("mesh.obj")))
+    link = folder.parent / "link.xml"
+    link.symlink_to(real)
+    assert build_scene(link, activate()).shapes == ("mesh",)
+    (folder / "mesh.obj").unlink()
+    (folder / "mesh.obj").symlink_to(folder.parent / "secret" / "mesh.obj")
+    refused(link, "outside its folder")
+
+
+def test_the_files_a_scene_names_are_listed(folder: Path) -> None:
+    parts = '<default name="m" value="mesh"/><include filename="part.xml"/>'
+    write(folder / "scene.xml", wrapped(parts + mesh("no.obj")))
+    write(folder / "part.xml", wrapped(mesh("$m.obj")))
+    write(folder / "mesh.obj", TRIANGLE)
+    assert check_xml(folder / "scene.xml") == tuple(folder / name for name in ("scene.xml", "part.xml", "mesh.obj"))
