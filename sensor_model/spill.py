@@ -75,6 +75,7 @@ def positive_part(mean: Array, variance: Array) -> tuple[Array, Array]:
     """Mean and variance of max(X, 0) for normal X."""
     sd = np.sqrt(variance)
     z = np.divide(mean, sd, out=np.copysign(np.inf, mean), where=sd > 0)
+    z = np.clip(z, -40, 40)  # where density and tail are 0 already; the square of a much larger z overflows
     above, density = special.ndtr(z), np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi)
     first = mean * above + sd * density
     second = (mean * mean + variance) * above + mean * sd * density

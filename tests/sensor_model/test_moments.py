@@ -11,6 +11,7 @@ import pytest
 
 from sensor_model import PRESETS, Banding, Defects, DualGain, Exposure, Sensor, expose
 from sensor_model.moments import code_moments
+from sensor_model.spill import positive_part
 
 FRAMES = 10_000
 EXPOSURE = Exposure(time=0.1)
@@ -120,6 +121,14 @@ def test_blooming_moments_match_frames():
     np.testing.assert_allclose(np.sqrt(frame.variance_dn), sd, rtol=0.05, atol=0.3 * sensor.gain)
     spilled = frame.variance_dn[:, 1] > 2 * frame.variance_dn[0, 0]
     assert spilled.sum() >= 1  # the last pixel that the charge reaches
+
+
+@pytest.mark.parametrize("variance", [0.0, 1e-320, 1e-30])
+def test_charge_with_a_trace_of_noise_overflows_or_it_does_not(variance):
+    """Far down a column that blooms next to no noise is left. Warnings are errors here."""
+    mean, spread = positive_part(np.array([5.0, -5.0]), np.full(2, variance))
+    np.testing.assert_array_equal(mean, [5.0, 0.0])
+    np.testing.assert_allclose(spread, 0.0, atol=1e-14)
 
 
 @pytest.mark.parametrize("sd", [0.05, 0.2, 0.3, 0.5, 0.7999, 0.8, 3.0, 40.0])
