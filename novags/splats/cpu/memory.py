@@ -1,33 +1,85 @@
 """Recycled arrays: what one iteration frees, the next one takes, without new pages from the operating system."""
 
 import math
+import os
+import threading
+from collections import deque
 from typing import Any
 
 import numpy as np
 
 LINE = 64  # bytes; one cache line, one AVX-512 register
 SMALL = 1 << 14  # bytes below which malloc is as good
-KEEP = 1 << 29  # bytes of free blocks kept at most
-
-_free: dict[int, list[np.ndarray]] = {}
-_kept = 0
+KEEP = 2  # free bytes at most, in units of the bytes lately in use at once: views differ in size, so one unit is tight
+FORGET = 1 / 4096  # part of that number that every array asked for takes away from it; about 50 make an iteration
 
 
 class _Lease:
     """Owner of a block while any array looks into it; gives it back when the last one is gone."""
 
-    def __init__(self, block: np.ndarray, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
-        self.block = block
+    def __init__(
+        self, block: np.ndarray, shape: tuple[int, ...], dtype: np.dtype[Any], back: deque[np.ndarray]
+    ) -> None:
+        self.block, self.back = block, back
         address = block.__array_interface__["data"][0]
         self.__array_interface__ = {
             "version": 3, "shape": shape, "typestr": dtype.str, "data": (address + -address % LINE, False),
         }  # fmt: skip
 
     def __del__(self) -> None:
-        global _kept
-        if _kept + len(self.block) <= KEEP:
-            _kept += len(self.block)
-            _free.setdefault(len(self.block), []).append(self.block)
+        self.back.append(self.block)  # nothing else: the garbage collector may be here in any thread, at any time
+
+
+class Recycler:
+    """Free blocks by size, the size used last at the end."""
+
+    def __init__(self) -> None:
+        self.lock = threading.Lock()
+        self.free_bytes = 0
+        self._free: dict[int, list[np.ndarray]] = {}
+        self._back: deque[np.ndarray] = deque()
+        self._in_use, self._lately = 0, 0.0  # bytes now; bytes at once, lately
+
+    def empty(self, shape: tuple[int, ...] | int, dtype: Any = np.float32) -> np.ndarray:
+        """Like `np.empty`, aligned to cache lines; the memory is recycled once no array refers to it."""
+        dtype = np.dtype(dtype)
+        shape = (shape,) if isinstance(shape, int) else shape
+        size = _size_class(max(math.prod(shape) * dtype.itemsize, 1)) + LINE
+        if size < SMALL:
+            return np.asarray(_Lease(np.empty(size, np.uint8), shape, dtype, deque(maxlen=0)))
+        with self.lock:
+            self._collect()
+            block = self._take(size)
+        return np.asarray(_Lease(np.empty(size, np.uint8) if block is None else block, shape, dtype, self._back))
+
+    def _take(self, size: int) -> np.ndarray | None:
+        self._in_use += size
+        self._lately = max(self._in_use, self._lately * (1 - FORGET))
+        blocks = self._free.pop(size, None)
+        if blocks is None:
+            return None
+        block = blocks.pop()
+        self.free_bytes -= size
+        if blocks:
+            self._free[size] = blocks
+        return block
+
+    def _collect(self) -> None:
+        """Shelve what came back, and let go of what was not wanted for longest."""
+        while self._back:
+            block = self._back.popleft()
+            size = len(block)
+            self._in_use -= size
+            self.free_bytes += size
+            blocks = self._free.pop(size, [])
+            blocks.append(block)
+            self._free[size] = blocks
+        while self.free_bytes > KEEP * self._lately:
+            size, blocks = next(iter(self._free.items()))
+            blocks.pop()
+            self.free_bytes -= size
+            if not blocks:
+                del self._free[size]
 
 
 def _size_class(n_bytes: int) -> int:
@@ -36,17 +88,9 @@ def _size_class(n_bytes: int) -> int:
     return -(-n_bytes // quarter) * quarter
 
 
-def empty(shape: tuple[int, ...] | int, dtype: Any = np.float32) -> np.ndarray:
-    """Like `np.empty`, aligned to cache lines; the memory is recycled once no array refers to it."""
-    global _kept
-    dtype = np.dtype(dtype)
-    shape = (shape,) if isinstance(shape, int) else shape
-    n_bytes = math.prod(shape) * dtype.itemsize
-    size = _size_class(max(n_bytes, 1)) + LINE
-    blocks = _free.get(size)
-    if blocks and n_bytes >= SMALL:
-        block = blocks.pop()
-        _kept -= size
-    else:
-        block = np.empty(size, np.uint8)
-    return np.asarray(_Lease(block, shape, dtype))
+_shared = Recycler()
+empty = _shared.empty
+# a fork while another thread holds the lock would leave the child waiting for ever
+os.register_at_fork(
+    before=_shared.lock.acquire, after_in_parent=_shared.lock.release, after_in_child=_shared.lock.release
+)

@@ -3,12 +3,13 @@
 import gc
 import multiprocessing
 import threading
+import time
 
 import numpy as np
 import pytest
 import torch
 
-from novags.splats.cpu.memory import SMALL, empty
+from novags.splats.cpu.memory import SMALL, Recycler, empty
 from novags.splats.cpu.parallel import run
 
 
@@ -104,3 +105,49 @@ def test_any_shape_and_type(shape):
     assert array.shape == ((shape,) if isinstance(shape, int) else shape)
     assert array.dtype == np.int64
     array[...] = 1
+
+
+def test_repeated_passes_keep_no_more_memory_than_the_first():
+    memory, kept = Recycler(), []
+    for _ in range(300):
+        arrays = [memory.empty(size, np.uint8) for size in (9216, 20_000, 20_000, 1 << 20)]
+        del arrays
+        memory.empty(SMALL)
+        kept.append(memory.free_bytes)
+    assert kept[0] > 1 << 20
+    assert set(kept[1:]) == {kept[1]}
+
+
+def test_sizes_out_of_use_are_let_go_and_those_in_use_are_not():
+    memory, size = Recycler(), 1 << 20
+    for step in range(40):  # a scene that grows, through many sizes
+        arrays = [memory.empty(int(size * 1.2**step), np.uint8) for _ in range(3)]
+        in_use = sum(array.nbytes for array in arrays)
+        del arrays
+    memory.empty(SMALL)
+    assert in_use < memory.free_bytes < 2.6 * in_use  # sizes are rounded up by at most a quarter
+    before = memory.empty(int(size * 1.2**39), np.uint8).ctypes.data
+    assert memory.empty(int(size * 1.2**39), np.uint8).ctypes.data == before
+    for _ in range(100_000):  # and then a small one
+        memory.empty(size, np.uint8)
+    assert memory.free_bytes < 4 * size
+
+
+def test_several_threads_never_get_the_same_memory():
+    memory, clashes = Recycler(), []
+
+    def work(number: int) -> None:
+        for _ in range(2000):
+            array = memory.empty(SMALL, np.uint8)
+            array[:] = number
+            time.sleep(0)
+            clashes.append(not (array == number).all())
+
+    threads = [threading.Thread(target=work, args=(number,)) for number in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not any(clashes)
+    memory.empty(SMALL, np.uint8)
+    assert len(clashes) == 8000
