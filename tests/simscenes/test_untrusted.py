@@ -120,3 +120,14 @@ def test_the_files_a_scene_names_are_listed(folder: Path) -> None:
     write(folder / "part.xml", wrapped(mesh("$m.obj")))
     write(folder / "mesh.obj", TRIANGLE)
     assert check_xml(folder / "scene.xml") == tuple(folder / name for name in ("scene.xml", "part.xml", "mesh.obj"))
+
+
+def test_long_lists_of_numbers_are_no_paths(folder: Path) -> None:
+    matrix = " ".join(f"{float(k % 5 == 0):.17f}" for k in range(16))
+    pairs = ", ".join(f"{w}:0.5{w:014d}" for w in range(390, 700, 10))
+    assert min(len(matrix), len(pairs)) > 255
+    turned = f'<transform name="to_world"><matrix value="{matrix}"/></transform>'
+    painted = f'<bsdf type="diffuse"><spectrum name="reflectance" value="{pairs}"/></bsdf>'
+    ball = f'<shape type="cube" id="ball">{painted}{turned}</shape>'
+    for default in ("", f'<default name="numbers" value="{"0.25 " * 2000}"/>'):
+        assert build_scene(write(folder / "scene.xml", wrapped(default + ball)), activate()).shapes == ("ball",)
