@@ -131,3 +131,38 @@ def test_long_lists_of_numbers_are_no_paths(folder: Path) -> None:
     ball = f'<shape type="cube" id="ball">{painted}{turned}</shape>'
     for default in ("", f'<default name="numbers" value="{"0.25 " * 2000}"/>'):
         assert build_scene(write(folder / "scene.xml", wrapped(default + ball)), activate()).shapes == ("ball",)
+
+
+def doubling() -> str:
+    defaults = "".join(
+        f'<default name="{b}" value="{f"${a}" * 10}"/>' for a, b in zip("abcdefgh", "bcdefghi", strict=True)
+    )
+    return f'<default name="a" value="{"x" * 1000}"/>' + defaults
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (doubling(), "larger than"),
+        (
+            '<default name="a" value="x"/>' + "".join(f'<default name="p{i}" value="1"/>' for i in range(300)),
+            "parameters",
+        ),
+        (BALL.format('<bsdf type="mask">' * 60_000 + '<bsdf type="diffuse"/>' + "</bsdf>" * 60_000), "128 deep"),
+    ],
+    ids=["parameters that double", "parameters without number", "nests"],
+)
+def test_a_small_file_cannot_ask_for_endless_work(content: str, message: str, folder: Path) -> None:
+    refused(write(folder / "scene.xml", wrapped(content)), message)
+
+
+def test_includes_are_limited_in_number_as_well_as_in_depth(folder: Path) -> None:
+    for i in range(15):
+        write(folder / f"part{i}.xml", wrapped(f'<include filename="part{i + 1}.xml"/>' * 2))
+    write(folder / "part15.xml", wrapped(""))
+    refused(folder / "part0.xml", "1000 files")
+
+
+def test_a_deep_scene_within_the_limit_loads(folder: Path) -> None:
+    nested = '<bsdf type="mask">' * 120 + '<bsdf type="diffuse"/>' + "</bsdf>" * 120
+    assert build_scene(write(folder / "scene.xml", wrapped(BALL.format(nested))), activate()).shapes == ("ball",)
