@@ -35,21 +35,30 @@ def own_rig(loaded: LoadedScene, mi: Any, width: int | None = None, height: int 
         found = sensors[0].class_name() if sensors else "none"
         raise ValueError(f"scene {loaded.name!r} needs a perspective or thinlens sensor to find cameras by, it has "
                          f"{found}; add one, or give the rig")  # fmt: skip
-    params = mi.traverse(sensors[0])
-    film_width, film_height = (int(n) for n in sensors[0].film().crop_size())
-    w, h = width or film_width, height or film_height
+    film = sensors[0].film()
+    crop_width, crop_height = (int(n) for n in film.crop_size())
+    w, h = width or crop_width, height or crop_height
     if w * h > MAX_PIXELS:
         raise ValueError(f"scene {loaded.name!r} asks for a film of {w} x {h} pixels, more than {MAX_PIXELS >> 20} Mi; "
                          "give width and height")  # fmt: skip
+    K = _film_intrinsics(mi.traverse(sensors[0]), film)
+    K[0] *= w / crop_width  # the field of view is kept across, pixels stay square, the centre keeps its relative place
+    K[1, 1], K[1, 2] = K[0, 0], K[1, 2] * h / crop_height
+    to_world = np.array(sensors[0].world_transform().matrix, dtype=np.float64).reshape(4, 4, -1)[..., 0]
+    to_world[:3, :3] /= np.linalg.norm(to_world[:3, :3], axis=0)  # some exporters leave a scale in the pose
+    return Rig(viewmats=mitsuba_to_opencv(to_world)[None], Ks=K[None], width=w, height=h)
+
+
+def _film_intrinsics(params: Any, film: Any) -> Float:
+    """Intrinsics [3,3] of a sensor in pixels of its crop; Mitsuba's angle and offsets belong to the whole film."""
 
     def number(key: str) -> float:
         return float(np.array(params[key]).ravel()[0]) if key in params.keys() else 0.0  # noqa: SIM118
 
     ppx, ppy = number("principal_point_offset_x"), number("principal_point_offset_y")
-    K = mitsuba_to_intrinsics(number("x_fov"), ppx, ppy, w, h)
-    to_world = np.array(sensors[0].world_transform().matrix, dtype=np.float64).reshape(4, 4, -1)[..., 0]
-    to_world[:3, :3] /= np.linalg.norm(to_world[:3, :3], axis=0)  # some exporters leave a scale in the pose
-    return Rig(viewmats=mitsuba_to_opencv(to_world)[None], Ks=K[None], width=w, height=h)
+    K = mitsuba_to_intrinsics(number("x_fov"), ppx, ppy, *(int(n) for n in film.size()))
+    K[:2, 2] -= np.array(film.crop_offset(), dtype=np.float64).ravel()
+    return K
 
 
 def fit_rig(
