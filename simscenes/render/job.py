@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ from simscenes.render.identity import (
     view_key,
     without_nan,
 )
-from simscenes.render.radiance import Method, View
+from simscenes.render.radiance import Method, Tick, View
 from simscenes.render.source import LoadedScene, build_scene, set_light_weights
 from simscenes.rigs import Rig
 from simscenes.scenes import default_rig
@@ -128,11 +129,15 @@ def render_set(
         samples = len(rig) * rig.width * rig.height * (spp or DEFAULT_SPP)
         made = _make_plan(scene, loaded, rig, optics, plan, variant, seed, samples >= MEASURE_FROM)
         method = _method(scene, loaded, variant, made, optics, seed, allow_outside)
-    pixels = {**config, "integrator": made.integrator(), "lights": made.light_weights, "subframes": made.subframes}
+    pixels = {
+        **config, "integrator": made.integrator(), "color": made.color, "lights": made.light_weights,
+        "lens": method.optics.aperture_radius, "subframes": made.subframes,
+    }  # fmt: skip
     job = _Job(method, loaded, variant, rig, out, names, pixels, watch, report)
     views, predicted = _render_views(job)
     with watch.stage("write"):
         finished = finish_set(out, names, rig, seed, optics.camera)
+    # After an interruption `seconds` and the prediction are those of the last call; each view keeps its own.
     found = {**finished, "views": views, "predicted_seconds": predicted}
     write_json(out / "set.json", {**config, "digest": digest, **_facts(job, made), **found})
     return _exported(load_set(out), export)
@@ -181,10 +186,14 @@ def _make_plan(
 def _method(
     scene: Any, loaded: LoadedScene, variant: str, made: Any, optics: Optics, seed: int, allow_outside: bool
 ) -> Method:
-    """The scene in the variant the plan calls for, with the plan's lights and integrator."""
+    """The scene in the variant the plan calls for, with the plan's lights, integrator and lens."""
+    from simscenes.transport.plan import APERTURE
+
     mi = activate(variant, made.color)
     colored = loaded if made.color == "rgb" else build_scene(scene, mi, allow_outside=allow_outside)
     set_light_weights(colored, made.light_weights, mi)
+    if not made.is_on(APERTURE):
+        optics = replace(optics, aperture_radius=None, focus_distance=None)
     return Method(mi, mi.variant(), colored, mi.load_dict(made.integrator()), optics, made.subframes, seed)
 
 
@@ -192,45 +201,56 @@ def _render_views(job: _Job) -> tuple[dict[str, Any], float]:
     """Render what is missing: samples, error and fireflies of every view, and the seconds predicted beforehand."""
     (job.out / "gt").mkdir(parents=True, exist_ok=True)
     paths = [job.out / "gt" / f"{name}.exr" for name in job.names]
-    for stale in set((job.out / "gt").iterdir()) - set(paths):
+    for stale in set((job.out / "gt").glob("[0-9]*.exr")) - set(paths):  # of a larger set; other files are not ours
         stale.unlink()
     keys = [view_key(job.config, job.rig, i) for i in range(len(paths))]
     headers = [finished_header(path, key) for path, key in zip(paths, keys, strict=True)]
     missing = [i for i, header in enumerate(headers) if header is None]
     predicted, views = 0.0, {i: View(job.method, job.rig, i) for i in missing}
     if missing:
+        job.progress(len(paths) - len(missing), len(paths), "predicting the time")
         with job.watch.stage("predict"):
             check_cameras(activate(job.variant), job.surfaces, job.rig)
             activate(job.method.variant)
             predicted = predict_seconds(job.method, job.rig, views, job.config["spp"], job.config["target_error"])
-    left = predicted
+    left = predicted / max(len(missing), 1)  # seconds a view
     for done, i in enumerate(missing):
-        job.progress(len(paths) - len(missing) + done, len(paths), f"view {job.names[i]}, about {left:.0f} s left")
-        headers[i] = _render_view(job, views.pop(i), paths[i], keys[i])
+
+        def tick(part: float, i: int = i, done: int = done, each: float = left) -> None:
+            seconds = each * (len(missing) - done - part)
+            what = f"view {job.names[i]}, {part:.0%}, about {seconds:.0f} s left"
+            job.progress(len(paths) - len(missing) + done, len(paths), what)
+
+        tick(0.0)
+        headers[i] = _render_view(job, views.pop(i), paths[i], keys[i], tick)
         # From here on the past predicts better than the pilot did; radiance and geometry are what repeats per view.
-        spent = job.watch.seconds["radiance"] + job.watch.seconds["geometry"]
-        left = spent / (done + 1) * (len(missing) - done - 1)
-    job.progress(len(paths), len(paths), "images")
+        left = (job.watch.seconds["radiance"] + job.watch.seconds["geometry"]) / (done + 1)
     found = {
-        name: {"spp": int(h["spp"]), "relative_error": float(h["relativeError"]), "fireflies": int(h["fireflies"])}
+        name: {
+            "spp": int(h["spp"]), "relative_error": float(h["relativeError"]), "fireflies": int(h["fireflies"]),
+            "seconds": round(float(h["seconds"]), 3),
+        }
         for name, h in zip(job.names, headers, strict=True)
         if h is not None
-    }
+    }  # fmt: skip
+    fireflies = sum(view["fireflies"] for view in found.values())
+    job.progress(len(paths), len(paths), f"images; {fireflies} fireflies, see set.json" if fireflies else "images")
     return found, predicted
 
 
-def _render_view(job: _Job, view: View, path: Path, key: str) -> dict[str, Any]:
+def _render_view(job: _Job, view: View, path: Path, key: str, tick: Tick) -> dict[str, Any]:
     with job.watch.stage("geometry"):
         channels = geometry_channels(activate(job.variant), job.surfaces, job.rig, view.i)
+    began = time.perf_counter()
     with job.watch.stage("radiance"):
         activate(job.method.variant)
-        radiance = view.render(job.config["spp"], job.config["target_error"])
+        radiance = view.render(job.config["spp"], job.config["target_error"], tick)
     for k, c in enumerate("RGB"):
         channels[c] = np.maximum(radiance.mean[..., k], 0)  # spectral light outside the sRGB triangle ends at its edge
         channels[f"var.{c}"] = radiance.variance[..., k]
     header = {
         "spp": radiance.spp, "relativeError": radiance.error, "fireflies": radiance.fireflies, VIEW_KEY: key,
-        "worldToCamera": job.rig.viewmats[view.i].astype(np.float32),
+        "seconds": time.perf_counter() - began, "worldToCamera": job.rig.viewmats[view.i].astype(np.float32),
     }  # fmt: skip
     with job.watch.stage("write"):
         write_exr(path, channels, header)

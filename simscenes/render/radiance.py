@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import math
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -22,6 +22,7 @@ from simscenes.render.source import LoadedScene
 from simscenes.render.wavefront import sample_blocks
 from simscenes.rigs import Rig
 
+Tick = Callable[[float], None]
 MAX_SPP = 65536  # where target_error gives up
 PLANNED_PASSES = 6  # towards a target error, each of this part of the samples predicted
 MAX_BLOCKS = 1 << 20  # of several passes held at once; a single pass of a large image may be more
@@ -108,7 +109,7 @@ class View:
             return image / camera.green_integral
         return np.clip(image @ camera.matrix.T, 0, None)  # the matrix makes colours no filter can see negative
 
-    def render(self, spp: int | None, target_error: float | None) -> Radiance:
+    def render(self, spp: int | None, target_error: float | None, tick: Tick = lambda part: None) -> Radiance:
         """Render with `spp` samples in every pixel, or until the relative RMSE of the view is `target_error`.
 
         The error seen is the spread between independent passes: noise only. It cannot see what every pass lacks, such
@@ -117,18 +118,22 @@ class View:
         Towards a target, samples go where a short pilot saw noise. The pilot itself is thrown away: an average that
         kept it would be biased, since it decided how much each pixel's other samples count.
 
+        `tick` hears after every pass what part of the work is done.
+
         Raises:
             ValueError: If a pixel is nan, infinite or negative: the scene has an impossible emitter or reflectance.
         """
         if target_error is not None:
-            return self._render_to(target_error)
+            return self._render_to(target_error, tick)
         count, size = split_passes(spp or 2)
         size = max(size, len(self._poses))  # both powers of four: each sub-frame gets its whole share
         passes = Passes((self.rig.height, self.rig.width))
-        self.run(passes, count, size)
+        for done in range(count):
+            self.run(passes, 1, size)
+            tick((done + 1) / count)
         return passes.result(size)
 
-    def _render_to(self, target_error: float) -> Radiance:
+    def _render_to(self, target_error: float, tick: Tick) -> Radiance:
         each = self.predict_spp(target_error) / PLANNED_PASSES
         passes = Passes((self.rig.height, self.rig.width))
         if self._even:
@@ -148,6 +153,7 @@ class View:
             # As the error falls with the root of the samples, but never more than doubled on one estimate's word.
             lacking = passes.count * ((passes.error() / target_error) ** 2 - 1)
             count = min(max(math.ceil(lacking), 1), passes.count)
+            tick(passes.count / max(passes.count + lacking, passes.count))
         if (reached := passes.error()) > target_error:
             warnings.warn(
                 f"view {self.i} stopped at a relative error of {reached:.3g} after {MAX_SPP} samples per pixel, before "

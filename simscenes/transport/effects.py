@@ -13,15 +13,19 @@ from sensor_model.plan import Effect
 from simscenes.backend import activate
 from simscenes.camera import camera_color
 from simscenes.optics import Optics
-from simscenes.render.source import LoadedScene, build_scene, has_measured_lights
+from simscenes.render.source import LoadedScene, build_scene
 from simscenes.rigs import Rig
+from simscenes.scenes import MEASURED_LIGHTS, split_name
 from simscenes.transport import pilot, plan, spectra
+from simscenes.transport.roulette import most_efficient, path_lengths
 from simscenes.transport.specular import SPECULAR, chained_light
 
 UNIT = "of all light"
 DEPTHS = (8, 16, 32)  # offered as max_depth
 DEEPEST = 64  # pilot paths end here
-RR_DEPTH = 2  # best 1/(MSE x seconds) on the catalogue; see scripts/bench_render.py
+RR_DEPTH = 2  # where nothing is measured, and unless another is clearly better
+RR_OFFERED = (RR_DEPTH, 5)  # 5 is Mitsuba's own
+AGAIN = 7919  # far from any seed in use: the second, independent pilot
 # Of light that two specular surfaces have passed on, polarisation changes a few per cent: measured 1 % on `tabletop`,
 # 2 to 5 % on `glassware`. Used only where nobody asked to measure, with room to spare.
 POLARISED_CHANGE = 0.1
@@ -39,14 +43,21 @@ class Pilot:
     allowed: float
     seed: int
     scenes: dict[str, LoadedScene] = field(default_factory=dict)
-    images: dict[tuple[str, int], NDArray[np.float64]] = field(default_factory=dict)
+    images: dict[tuple[str, int, int, int], NDArray[np.float64]] = field(default_factory=dict)
 
-    def render(self, kind: str, depth: int) -> NDArray[np.float64]:
-        """The pilot views in RGB, by the same paths whatever the depth; rendered once."""
-        if (kind, depth) not in self.images:
-            integrator = {"type": kind, "max_depth": depth, "rr_depth": RR_DEPTH}
-            self.images[kind, depth] = pilot.render_pilot(self.mi, self.loaded, self.rig, integrator, self.seed)
-        return self.images[kind, depth]
+    def render(self, kind: str, depth: int, rr_depth: int = RR_DEPTH, again: int = 0) -> NDArray[np.float64]:
+        """The pilot views in RGB, by the same paths whatever the depth; rendered once. `again`: with other paths."""
+        key = (kind, depth, rr_depth, again)
+        if key not in self.images:
+            integrator = {"type": kind, "max_depth": depth, "rr_depth": rr_depth}
+            seed = self.seed + AGAIN * again
+            self.images[key] = pilot.render_pilot(self.mi, self.loaded, self.rig, integrator, seed)
+        return self.images[key]
+
+    @property
+    def colors(self) -> tuple[str, ...]:
+        """The colour representations that the scene can be loaded in: objects made in Python belong to one."""
+        return ("rgb",) if _holds_objects(self.mi, self.source) else ("rgb", "spectral", "spectral_polarized")
 
     def scene_in(self, color: str) -> tuple[Any, LoadedScene]:
         """Mitsuba with a colour representation activated, and the scene loaded for it."""
@@ -54,6 +65,10 @@ class Pilot:
         if color != "rgb" and color not in self.scenes:
             self.scenes[color] = build_scene(self.source, mi, allow_outside=True)
         return mi, self.loaded if color == "rgb" else self.scenes[color]
+
+
+def _holds_objects(mi: Any, node: Any) -> bool:
+    return isinstance(node, mi.Object) or (isinstance(node, dict) and any(_holds_objects(mi, v) for v in node.values()))
 
 
 def _effect(name: str, on: bool, contribution: float, bound: float, reason: str, unit: str = UNIT) -> Effect:
@@ -88,8 +103,26 @@ def depth_effects(p: Pilot, media: bool, most: float, forced_depth: int | None) 
                 f"{indirect.estimate:.1%} of the light has bounced more than once"),
         Effect(name=plan.DEEP, on=False, forced=forced_depth is not None, contribution=left.upper,
                bound=p.allowed, unit=UNIT, reason=reason),
-        _effect(plan.ROULETTE, True, 0.0, 0.0, f"from path length {RR_DEPTH}: changes noise and time, never the mean"),
     ]  # fmt: skip
+
+
+def roulette_effect(p: Pilot, media: bool, depth: int, measure: bool) -> tuple[int, Effect]:
+    """Where roulette starts, or that it never does: the least variance times work. It changes no mean."""
+    if depth <= RR_DEPTH or not measure or p.backend == "scalar":
+        reason = f"from path length {RR_DEPTH}, not measured: changes noise and time, never the mean"
+        return RR_DEPTH, _effect(plan.ROULETTE, True, 0.0, 0.0, reason)
+    kind, starts = "volpath" if media else "path", (*(s for s in RR_OFFERED if s <= depth), depth + 1)
+    lengths = path_lengths(p.mi, p.loaded, p.rig, depth, starts, p.seed)
+    pairs = [(p.render(kind, depth, s), p.render(kind, depth, s, again=1)) for s in starts]
+    noise = np.stack([np.square(a - b).mean(-1).ravel() for a, b in pairs])
+    best = most_efficient(noise, lengths, 0)
+    on, ratio = best < len(starts) - 1, math.sqrt(noise[best].mean() / max(noise[-1].mean(), 1e-300))
+    reason = (
+        f"from path length {starts[best]}: {lengths[best]:.2g} surfaces a path instead of {lengths[-1]:.2g}, noise x "
+        f"{ratio:.2f}; never changes the mean" if on
+        else f"would save {1 - lengths[:-1].min() / lengths[-1]:.0%} of the surfaces, and cost more in noise"
+    )  # fmt: skip
+    return starts[best] if on else RR_DEPTH, _effect(plan.ROULETTE, on, 0.0, 0.0, reason)
 
 
 def media_effects(p: Pilot) -> list[Effect]:
@@ -117,14 +150,17 @@ def _is_chromatic(mi: Any, medium: Any) -> bool:
     return any(c.size % 3 == 0 and np.ptp(c.reshape(-1, 3), axis=1).max() > 1e-6 for c in channels if c.size)
 
 
-def polarisation_effect(p: Pilot, geometry: list[Any], measure: bool) -> Effect:
-    """Polarisation shows where two specular surfaces follow each other; diffuse surfaces undo it."""
+def polarisation_effect(p: Pilot, media: bool, geometry: list[Any], measure: bool) -> Effect:
+    """Polarisation shows where two specular surfaces follow each other; diffuse surfaces undo it.
+
+    Together with media it cannot be simulated: Mitsuba's integrators for them treat light as unpolarised.
+    """
     specular = [bool(s.bsdf().flags() & SPECULAR) for s in p.loaded.scene.shapes()]
     if not any(specular):
         return _effect(plan.POLARISATION, False, 0.0, p.allowed, "all surfaces are diffuse, light comes unpolarised")
-    if not measure:
+    if not measure or p.colors == ("rgb",):
         guess, reason = _bounded_polarisation(p, geometry, specular)
-        if guess <= p.allowed:
+        if guess <= p.allowed or p.colors == ("rgb",):
             return _effect(plan.POLARISATION, False, guess, p.allowed, reason)
     images = []
     for color in ("spectral", "spectral_polarized"):
@@ -133,8 +169,10 @@ def polarisation_effect(p: Pilot, geometry: list[Any], measure: bool) -> Effect:
         images.append(pilot.render_pilot(other, loaded, p.rig, settings, p.seed))
     p.scene_in("rgb")
     change = pilot.changed_light(images[0], images[1])
-    return _effect(plan.POLARISATION, change.upper > p.allowed, change.upper, p.allowed,
-                   f"paired pilots with and without differ by {change.estimate:.2%}")  # fmt: skip
+    on, reason = change.upper > p.allowed, f"paired pilots with and without differ by {change.estimate:.2%}"
+    if on and media:
+        on, reason = False, f"{reason}; Mitsuba cannot follow it through media"
+    return _effect(plan.POLARISATION, on, change.upper, p.allowed, reason)
 
 
 def _bounded_polarisation(p: Pilot, geometry: list[Any], specular: list[bool]) -> tuple[float, str]:
@@ -147,25 +185,47 @@ def _bounded_polarisation(p: Pilot, geometry: list[Any], specular: list[bool]) -
     return share * POLARISED_CHANGE, f"bounded: {share:.1%} of the light comes by two specular surfaces in a row"
 
 
-def spectral_effect(p: Pilot, optics: Optics, indirect: float) -> Effect:
-    """Three channels or wavelengths, from light x surface x camera; `indirect` is the light's share that meets two."""
-    if not has_measured_lights(p.source):
-        reason, cost = "all lights are given as RGB: RGB transport is their definition", 0.0
-        if optics.camera is not None:
-            cost = camera_color(optics.camera).matrix_error
-            reason += f"; the camera's matrix errs by {cost:.1%} on a ColorChecker in daylight"
-        return _effect(plan.SPECTRAL, False, cost, p.allowed, reason)
-    if p.backend == "scalar":
+def spectral_effect(p: Pilot, optics: Optics, indirect: float, measure: bool) -> tuple[Effect, dict[str, float]]:
+    """Three channels or wavelengths, from light x surface x camera; `indirect` is the light's share that meets two.
+
+    Also what spectra would change in a scene that has none: colours given as RGB are followed as RGB by definition, but
+    a renderer that makes smooth spectra of them sees another picture, and by how much belongs to the bounds.
+    """
+    if p.colors == ("rgb",):
         return _effect(
-            plan.SPECTRAL, True, math.inf, p.allowed, "a light has a measured spectrum (not quantified in scalar)"
-        )
+            plan.SPECTRAL, False, 0.0, p.allowed, "it holds objects made for RGB, and cannot have others"
+        ), {}
+    measured = _has_measured_spectra(p)
+    if p.backend == "scalar" and measured:
+        return _effect(
+            plan.SPECTRAL, True, math.inf, p.allowed, "the scene has measured spectra (not quantified in scalar)"
+        ), {}
+    cost = _color_cost(p, optics, indirect) if p.backend != "scalar" and (measured or measure) else (0.0, 0.0, 0.0)
+    if measured:
+        reason = f"RGB errs by {cost[1]:.1%} after one bounce, {cost[2]:.1%} after two"
+        return _effect(plan.SPECTRAL, cost[0] > p.allowed, cost[0], p.allowed, reason), {}
+    reason, matrix = "lights and surfaces are given as RGB: RGB transport is their definition", 0.0
+    if optics.camera is not None:
+        matrix = camera_color(optics.camera).matrix_error
+        reason += f"; the camera's matrix errs by {matrix:.1%} on a ColorChecker in daylight"
+    return _effect(plan.SPECTRAL, False, matrix, p.allowed, reason), {plan.MADE_UP: cost[0]} if measure else {}
+
+
+def _color_cost(p: Pilot, optics: Optics, indirect: float) -> tuple[float, float, float]:
+    """What RGB costs in this scene; after one bounce; after two."""
     mi, loaded = p.scene_in("spectral")
     light, surface = spectra.light_and_surface(mi, loaded, p.rig, p.seed)
     p.scene_in("rgb")
     once, twice = (spectra.color_error(light, surface, optics.camera, bounces) for bounces in (1, 2))
-    cost = once + min(indirect, 1.0) * max(twice - once, 0.0)
-    return _effect(plan.SPECTRAL, cost > p.allowed, cost, p.allowed,
-                   f"RGB errs by {once:.1%} after one bounce, {twice:.1%} after two")  # fmt: skip
+    return once + min(indirect, 1.0) * max(twice - once, 0.0), once, twice
+
+
+def _has_measured_spectra(p: Pilot) -> bool:
+    if isinstance(p.source, str) and not p.source.endswith(".xml"):
+        return split_name(p.source)[0] in MEASURED_LIGHTS
+    _, loaded = p.scene_in("spectral")
+    p.scene_in("rgb")
+    return spectra.has_measured(loaded)
 
 
 def aperture_effect(p: Pilot, geometry: list[Any], optics: Optics, scale: float) -> Effect:

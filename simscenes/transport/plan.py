@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,6 +17,10 @@ SPECTRAL = "spectral transport"
 POLARISATION = "polarisation"
 APERTURE = "depth of field"
 MOTION = "motion blur"
+MADE_UP = "of all light, if RGB stood for smooth spectra"  # a unit of its own: nobody knows, RGB is what is given
+EFFECTS = (
+    INDIRECT, DEEP, ROULETTE, MEDIA, SPECTRAL_MIS, POLARISATION, SPECTRAL, APERTURE, MOTION,
+)  # in the order of the table  # fmt: skip
 DIRECT_DEPTH = 2  # Mitsuba counts path vertices: 1 sees lamps only, 2 adds what they light directly
 
 
@@ -41,7 +46,12 @@ class TransportPlan(Plan):
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> TransportPlan:
         """Inverse of `to_dict`, also after JSON made lists of the tuples."""
-        made = super().from_dict(data | {"light_weights": tuple(data.get("light_weights", ()))})
+        effects = [
+            {**e, **{key: math.nan for key in ("contribution", "bound") if e[key] is None}} for e in data["effects"]
+        ]
+        bound = math.nan if data["bound"] is None else data["bound"]  # null stands for what nobody measured
+        lights = tuple(data.get("light_weights", ()))
+        made = super().from_dict(data | {"effects": effects, "bound": bound, "light_weights": lights})
         assert isinstance(made, cls)
         return made
 
@@ -66,4 +76,6 @@ class TransportPlan(Plan):
         if self.is_on(MEDIA):
             kind = "volpathmis" if self.is_on(SPECTRAL_MIS) else "volpath"
         depth = self.max_depth if self.is_on(INDIRECT) else DIRECT_DEPTH
+        if self.is_on(DEEP) and self.is_on(INDIRECT):
+            return {"type": kind, "max_depth": -1, "rr_depth": self.rr_depth}  # to Mitsuba: without end
         return {"type": kind, "max_depth": depth, "rr_depth": self.rr_depth if self.is_on(ROULETTE) else depth + 1}

@@ -27,6 +27,7 @@ from simscenes.transport.effects import (
     media_effects,
     motion_effect,
     polarisation_effect,
+    roulette_effect,
     spectral_effect,
 )
 from simscenes.transport.lights import light_weights
@@ -50,13 +51,15 @@ def plan_transport(
 
     Args:
         scene: As for `render_set`.
-        tolerance: Share of all light that may be wrong or missing in total; each effect may use a quarter of it.
+        tolerance: Share of all light that may be wrong or missing in total; each of the five effects counted in it may
+            use a fifth.
         rig: The cameras; None for the scene's default rig, or one around its own sensor.
         optics: Camera properties; None for a pinhole at rest that sees linear sRGB.
         force: Effect name -> True or False, decided by the user.
         max_depth: Longest path, decided by the user.
-        measure: Measure polarisation, and the time the plan saves, with pilots of their own (some seconds); else
-            polarisation is bounded from the surfaces, where that suffices, and the time is not known.
+        measure: Measure polarisation, where Russian roulette pays, what made-up spectra would change, and the time the
+            plan saves, with pilots of their own (some seconds); else polarisation is bounded from the surfaces, where
+            that suffices, roulette starts at path length 2, and the rest is not known.
         variant: Mitsuba variant for the pilots.
         seed: Of the pilots' random numbers.
         allow_outside: Let an XML scene read files outside its folder.
@@ -95,24 +98,45 @@ def plan_loaded(
     """`plan_transport` for a scene that is loaded already, in the RGB variant."""
     if not 0 < tolerance < 1:
         raise ValueError(f"tolerance is a share of all light and must lie between 0 and 1, got {tolerance}")
+    _check_wishes(dict(force or {}), max_depth, optics)  # before the pilots, which take seconds
     mi = activate(backend_of(variant))
-    p = Pilot(mi, scene, loaded, pilot.pilot_rig(rig), backend_of(variant), tolerance / 4, seed)
+    p = Pilot(mi, scene, loaded, pilot.pilot_rig(rig), backend_of(variant), tolerance / 5, seed)
     weights = light_weights(mi, loaded, p.rig, seed)
     set_light_weights(loaded, weights, mi)
     geometry = [geometry_channels(mi, loaded, p.rig, i) for i in range(len(p.rig))]
     scale = rig.width / p.rig.width
     media = media_effects(p)
     depth, transport = depth_effects(p, media[0].on, pilot.most_reflected(mi, loaded, geometry), max_depth)
+    rr_depth, roulette = roulette_effect(p, media[0].on, depth, measure)
+    spectral, made_up = spectral_effect(p, optics, transport[0].contribution, measure)
     effects = [
-        *transport, *media,
-        polarisation_effect(p, geometry, measure),
-        spectral_effect(p, optics, transport[0].contribution),
+        *transport, roulette, *media,
+        polarisation_effect(p, media[0].on, geometry, measure),
+        spectral,
         aperture_effect(p, geometry, optics, scale),
     ]  # fmt: skip
     blur, subframes = motion_effect(geometry, rig, p.rig, optics, scale)
-    made = _decide([*effects, blur], dict(force or {}), depth, subframes)
-    made = replace(made, light_weights=weights)
+    made = _decide([*effects, blur], dict(force or {}), depth, rr_depth, subframes)
+    made = replace(made, light_weights=weights, biases={**made.biases, **made_up})
     return replace(made, seconds=_measure_seconds(p, made)) if measure else made
+
+
+def _check_wishes(force: dict[str, bool], max_depth: int | None, optics: Optics) -> None:
+    """Refuse what cannot be simulated."""
+    if unknown := set(force) - set(plan.EFFECTS):
+        raise ValueError(f"force: an effect must be one of {', '.join(plan.EFFECTS)}, got {', '.join(sorted(unknown))}")
+    if max_depth is not None and max_depth < plan.DIRECT_DEPTH:
+        raise ValueError(f"max_depth must be at least {plan.DIRECT_DEPTH} (lamps and what they light), got {max_depth}")
+    on = {name for name, wanted in force.items() if wanted}
+    if plan.APERTURE in on and optics.aperture_radius is None:
+        raise ValueError(f"{plan.APERTURE!r} is forced on, but the camera is a pinhole: give Optics an aperture_radius")
+    if plan.MOTION in on and optics.motion is None:
+        raise ValueError(f"{plan.MOTION!r} is forced on, but the camera is at rest: give Optics a motion")
+    if plan.DEEP in on and force.get(plan.ROULETTE) is False:
+        raise ValueError(f"{plan.DEEP!r} on and {plan.ROULETTE!r} off: nothing would ever end a path; change one")
+    if {plan.POLARISATION, plan.MEDIA} <= on:
+        raise ValueError(f"{plan.POLARISATION!r} and {plan.MEDIA!r} are both forced on, but Mitsuba's integrators for "
+                         "media treat light as unpolarised; change one")  # fmt: skip
 
 
 def everything_on(made: TransportPlan) -> TransportPlan:
@@ -124,8 +148,10 @@ def everything_on(made: TransportPlan) -> TransportPlan:
 
 
 def _measure_seconds(p: Pilot, made: TransportPlan) -> dict[str, float]:
-    """What a million samples take by the plan and with everything on, in this scene."""
-    seconds = {}
+    """What a million samples take by the plan and with everything on; {} if the scene cannot have everything."""
+    seconds: dict[str, float] = {}
+    if everything_on(made).color not in p.colors:
+        return seconds
     for name, one in (("planned", made), ("everything on", everything_on(made))):
         mi, loaded = p.scene_in(one.color)
         seconds[name] = pilot.seconds_per_sample(mi, loaded, p.rig, one.integrator(), p.seed) * 1e6
@@ -136,7 +162,7 @@ def _measure_seconds(p: Pilot, made: TransportPlan) -> dict[str, float]:
 def default_plan(optics: Optics) -> TransportPlan:
     """Path tracing in RGB to a depth where nothing is left, media included; nothing is measured, nothing is bounded."""
     blurred = {plan.APERTURE: optics.aperture_radius is not None, plan.MOTION: optics.motion is not None}
-    wanted = {plan.INDIRECT: True, plan.ROULETTE: True, plan.MEDIA: True, plan.SPECTRAL_MIS: False,
+    wanted = {plan.INDIRECT: True, plan.DEEP: False, plan.ROULETTE: True, plan.MEDIA: True, plan.SPECTRAL_MIS: False,
               plan.SPECTRAL: False, plan.POLARISATION: False, **blurred}  # fmt: skip
     effects = tuple(
         Effect(name=name, on=on, forced=True, contribution=math.nan, bound=math.nan, unit=UNIT, reason="not asked")
@@ -148,13 +174,19 @@ def default_plan(optics: Optics) -> TransportPlan:
     )
 
 
-def _decide(effects: list[Effect], force: dict[str, bool], max_depth: int, subframes: int) -> TransportPlan:
-    made = TransportPlan(effects=tuple(effects), bound=0.0, unit=UNIT, max_depth=max_depth, rr_depth=RR_DEPTH)
+def _decide(
+    effects: list[Effect], force: dict[str, bool], max_depth: int, rr_depth: int, subframes: int
+) -> TransportPlan:
+    made = TransportPlan(effects=tuple(effects), bound=0.0, unit=UNIT, max_depth=max_depth, rr_depth=rr_depth)
+    if force.get(plan.DEEP):
+        force = {plan.ROULETTE: True, **force}  # nothing else ends a path
+    if force.get(plan.POLARISATION) and made.is_on(plan.MEDIA):
+        force = {plan.MEDIA: False, **force}  # cannot be had together
     forced = made.force(on=[n for n, on in force.items() if on], off=[n for n, on in force.items() if not on])
     left_out = [e for e in forced.effects if not e.on]
     bound = sum(e.contribution for e in left_out if e.unit == UNIT)
     blur = sum(e.contribution for e in left_out if e.unit == "px")
     return TransportPlan(
         effects=forced.effects, bound=bound, unit=UNIT, biases={"px": blur},
-        max_depth=max_depth, rr_depth=RR_DEPTH, subframes=subframes if forced.is_on(plan.MOTION) else 1,
+        max_depth=max_depth, rr_depth=rr_depth, subframes=subframes if forced.is_on(plan.MOTION) else 1,
     )  # fmt: skip

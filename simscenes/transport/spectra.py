@@ -6,6 +6,7 @@ multiplied by wavelength, and compared with the product of their RGB values thro
 
 from __future__ import annotations
 
+import re
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,18 @@ from simscenes.rigs import Rig
 
 WAVELENGTHS = camera.WAVELENGTHS[::2]  # nm
 LIGHT_SAMPLES = 16
+MEASURED = re.compile(r"((Irr|R)egularSpectrum|BlackBodySpectrum|SunskyEmitter)\[")  # as Mitsuba prints them
+
+
+def has_measured(loaded: LoadedScene) -> bool:
+    """Whether a scene, loaded in spectra, has a light or a matt surface that was given as a spectrum.
+
+    What was given as RGB has no spectrum but the smooth one that Mitsuba makes up. Metals do not count: their measured
+    indices become RGB once, whatever the light.
+    """
+    lights = "".join(str(light) for light in loaded.scene.emitters())
+    surfaces = "".join(str(shape.bsdf()) for shape in loaded.scene.shapes())
+    return bool(MEASURED.search(lights) or re.search(f"reflectance = {MEASURED.pattern}", surfaces))
 
 
 def light_and_surface(mi: Any, loaded: LoadedScene, rig: Rig, seed: int) -> tuple[NDArray[Any], NDArray[Any]]:

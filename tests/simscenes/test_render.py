@@ -200,9 +200,14 @@ def test_a_set_is_complete_consistent_and_readable(tmp_path: Path) -> None:
     calls: list[tuple[int, int, str]] = []
     done = small_job(tmp_path / "set", progress=lambda *a: calls.append(a))
     assert done.kind == "rendered"
-    assert [c[0] for c in calls] == [0, 0, 1, 2, 3]
-    assert "s left" in calls[1][2]
+    assert [c[0] for c in calls] == sorted(c[0] for c in calls)
+    assert {c[0] for c in calls} == {0, 1, 2, 3}
+    rendering = [what for done, _, what in calls if done == 1]
+    assert rendering[0].startswith("view 0001, 0%, about")
+    assert rendering[-1].startswith("view 0001, 100%")
+    assert all("s left" in what for what in rendering)
     meta = done.meta
+    assert all(0 < view["seconds"] < meta["seconds"]["radiance"] + 0.1 for view in meta["views"].values())
     assert set(meta["seconds"]) == {"load", "plan", "predict", "radiance", "geometry", "write"}
     assert meta["predicted_seconds"] > 0
     assert meta["integrator"] == {"type": "volpath", "max_depth": 64, "rr_depth": 2}

@@ -1,0 +1,72 @@
+"""From which path length Russian roulette pays: shorter paths against more noise, both told by pilots.
+
+Seconds would decide differently from run to run, and with them the pixels; the number of surfaces that a path meets
+does not, and a path tracer's time goes with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simscenes.render.geometry import first_surfaces, pixel_rays
+from simscenes.render.source import LoadedScene
+from simscenes.rigs import Rig
+
+SAMPLES = 8  # paths from each pixel of the pilot views
+MOST_SURVIVE = 0.95  # Mitsuba lets no path live on with more certainty, however bright it is
+
+
+def path_lengths(
+    mi: Any, loaded: LoadedScene, rig: Rig, max_depth: int, starts: Sequence[int], seed: int
+) -> NDArray[np.float64]:
+    """Mean number of surfaces that a path of the pilot views meets, for each `rr_depth` of `starts`; in a JIT variant.
+
+    Every path is followed to its end, and counts with its chance to have lived that long: Mitsuba divides what survives
+    by its chance, so a path of throughput t has, after roulette, lived on with min(t eta^2, 0.95 of the chance before).
+    Media are passed as if they were empty.
+    """
+    import drjit as dr
+
+    lengths = np.zeros(len(starts))
+    for i in range(len(rig)):
+        _, seen = first_surfaces(mi, loaded.scene, *pixel_rays(rig, i))
+        count = SAMPLES * rig.width * rig.height
+        place = np.tile(np.arange(rig.width * rig.height, dtype=np.uint32), SAMPLES)
+        sampler = mi.load_dict({"type": "independent"})
+        sampler.seed(1000 * seed + i, count)
+        si = dr.gather(mi.SurfaceInteraction3f, seen, mi.UInt32(place))
+        through, eta, alive = mi.Color3f(1), mi.Float(1), si.is_valid()
+        chances = [mi.Float(1) for _ in starts]
+        for surface in range(1, max_depth):
+            lengths += [float(dr.sum(dr.select(alive, chance, 0))[0]) / (count * len(rig)) for chance in chances]
+            sample, weight = si.bsdf().sample(mi.BSDFContext(), si, sampler.next_1d(), sampler.next_2d(), alive)
+            through *= dr.select(alive, weight, 0)
+            eta *= dr.select(alive, sample.eta, 1)
+            bright = dr.max(through)
+            for k, start in enumerate(starts):
+                if surface >= start:
+                    chances[k] = dr.minimum(bright * eta**2, MOST_SURVIVE * chances[k])
+            alive &= bright > 0
+            si = loaded.scene.ray_intersect(si.spawn_ray(si.to_world(sample.wo)), alive)
+            alive &= si.is_valid()
+            dr.eval(si, sampler, through, eta, alive, chances)
+    return lengths
+
+
+def most_efficient(noise: NDArray[np.float64], lengths: NDArray[np.float64], default: int) -> int:
+    """Place of the setting with the least noise times work, unless the `default` may well be as good.
+
+    Args:
+        noise: Squared differences between two seeds, [setting, pixel]; the settings share their random numbers.
+        lengths: Mean surfaces a path, [setting].
+        default: Place of the setting that is kept unless another one's lead is three of its standard errors.
+    """
+    rays = 1 + 2 * lengths  # one from the camera, and from each surface one to a light and one onwards
+    work = noise * rays[:, None]
+    best = int(work.mean(1).argmin())
+    lead = work[default] - work[best]
+    return best if lead.mean() > 3 * lead.std() / np.sqrt(lead.size) else default

@@ -1,0 +1,70 @@
+"""Russian roulette starts where it pays: path lengths are right, and the choice follows noise and work."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simscenes import Rig, default_rig
+from simscenes.backend import activate, backend_of
+from simscenes.render.source import build_scene
+from simscenes.rigs import intrinsics, look_at
+from simscenes.transport.effects import Pilot, roulette_effect
+from simscenes.transport.pilot import pilot_rig
+from simscenes.transport.roulette import MOST_SURVIVE, most_efficient, path_lengths
+
+
+def inside_a_ball(albedo: float) -> tuple[Any, Any, Rig]:
+    """A camera in a closed matt ball, which every path meets again and again."""
+    mi = activate()
+    wall = {"type": "diffuse", "reflectance": {"type": "rgb", "value": albedo}}
+    ball = {"type": "sphere", "radius": 2.0, "flip_normals": True, "bsdf": wall}
+    lamp = {"type": "point", "intensity": 1.0}
+    rig = Rig(viewmats=look_at((0, 0, 0), (1, 0, 0))[None], Ks=intrinsics(4, 4, 60)[None], width=4, height=4)
+    return mi, build_scene({"type": "scene", "ball": ball, "lamp": lamp}, mi), rig
+
+
+@pytest.mark.usefixtures("jit")
+@pytest.mark.parametrize("albedo", [0.3, 0.9, 0.99])
+def test_paths_in_a_closed_room_are_as_long_as_their_chances_say(albedo: float) -> None:
+    depth, starts = 10, (1, 2, 5, 11)
+    mi, loaded, rig = inside_a_ball(albedo)
+    found = path_lengths(mi, loaded, rig, depth, starts, seed=0)
+    for start, length in zip(starts, found, strict=True):
+        chance, expected = 1.0, 0.0
+        for surface in range(1, depth):  # a path of 10 segments ends on its 9th surface or lamp
+            expected += chance
+            if surface >= start:
+                chance = min(albedo**surface, MOST_SURVIVE * chance)
+        assert length == pytest.approx(expected, rel=1e-4)
+    assert found[-1] == pytest.approx(depth - 1)
+
+
+@pytest.mark.usefixtures("jit")
+def test_the_start_depends_on_the_scene_and_not_on_the_clock() -> None:
+    """Dark walls end paths anyway; in `hall` the light that roulette drops is missed."""
+    chosen = {}
+    for name in ("cornell", "hall"):
+        mi = activate()
+        rig = pilot_rig(default_rig(name, 8, 64, 64))
+        twice = [
+            roulette_effect(Pilot(mi, name, build_scene(name, mi), rig, backend_of(), 0.005, 0), False, 8, True)
+            for _ in range(2)
+        ]
+        assert twice[0] == twice[1]
+        chosen[name], effect = twice[0]
+        assert effect.on
+        assert (effect.contribution, effect.bound) == (0, 0)
+    assert chosen["cornell"] < chosen["hall"]
+
+
+def test_the_choice_weighs_noise_against_rays_and_keeps_the_default_in_doubt() -> None:
+    rng = np.random.default_rng(0)
+    base = rng.exponential(1.0, 3000)
+    lengths = np.array([2.0, 4.0, 8.0])
+    assert most_efficient(np.stack([base, base, base]), lengths, 0) == 0
+    assert most_efficient(np.stack([base, 0.3 * base, 0.3 * base]), lengths, 0) == 1
+    assert most_efficient(np.stack([base, base, 0.1 * base]), lengths, 0) == 2
+    # As good on average, and told apart by luck alone.
+    rivals = np.stack([5 * rng.exponential(1.0, 3000), 2.75 * rng.exponential(1.0, 3000)])
+    assert most_efficient(rivals, lengths[:2], 0) == 0
