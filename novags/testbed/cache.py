@@ -31,7 +31,7 @@ UNFINISHED = "unfinished.json"
 VOLATILE = ("stage", "seconds", "predicted_seconds", "peak_bytes", "versions")
 
 
-def jsonable(value: Any) -> Any:  # noqa: ANN401 - the border between Python objects and JSON
+def jsonable(value: Any) -> Any:
     """Plain JSON types for dataclasses, paths, numpy numbers and containers; infinities and NaN become strings.
 
     Raises:
@@ -72,7 +72,7 @@ def write_text(path: Path, text: str) -> None:
         temporary.write_text(text, encoding="utf-8")
 
 
-def write_json(path: Path, value: Any) -> None:  # noqa: ANN401
+def write_json(path: Path, value: Any) -> None:
     """Write `jsonable(value)` atomically, indented so that people can read and compare it."""
     write_text(path, json.dumps(jsonable(value), indent=1, allow_nan=False) + "\n")
 
@@ -96,42 +96,81 @@ def read_json(path: Path) -> dict[str, Any]:
     return value
 
 
-def digest(value: Any) -> str:  # noqa: ANN401
+def digest(value: Any) -> str:
     """Hash of a value's canonical JSON: equal configurations hash equally whatever their key order."""
     text = json.dumps(jsonable(value), sort_keys=True, separators=(",", ":"), allow_nan=False)
     return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
 
-def folder_digest(folder: Path, *, skip: Sequence[str] = ()) -> str:
-    """Hash of every file's relative name and content; hidden files and the names in `skip` are left out.
+def folder_digest(folder: Path, names: Sequence[str] | None = None, *, beside: Mapping[str, Path] | None = None) -> str:
+    """Hash of every file's relative name and content; hidden files are left out.
 
     Of a record, costs and versions are left out as well: work that is done again with the same outcome does not make
     what builds on it stale.
+
+    Args:
+        folder: Where to look.
+        names: The entries of `folder` that count, where they exist; None: all of them.
+        beside: Further files by any name, wherever they lie.
 
     Raises:
         ValueError: If `folder` is not a folder.
     """
     if not folder.is_dir():
         raise ValueError(f"{folder} is not a folder")
+    roots = [folder] if names is None else [folder / name for name in names]
+    found = {path for root in roots for path in (root, *root.rglob("*")) if path.is_file()}
+    files = {path.relative_to(folder).as_posix(): path for path in found} | dict(beside or {})
     total = hashlib.blake2b(digest_size=16)
-    for path in sorted(p for p in folder.rglob("*") if p.is_file()):
-        relative = path.relative_to(folder)
-        if relative.parts[0] in {*skip, UNFINISHED} or any(part.startswith(".") for part in relative.parts):
-            continue
-        total.update(f"{relative.as_posix()}\0".encode())
-        total.update(_content_digest(path, is_record=path.suffix == ".json" and len(relative.parts) == 1))
+    for name, path in sorted(files.items()):
+        if name != UNFINISHED and not any(part.startswith(".") for part in name.split("/")):
+            total.update(f"{name}\0".encode())
+            total.update(_content_digest(path))
     return total.hexdigest()
 
 
-def _content_digest(path: Path, *, is_record: bool) -> bytes:
-    if is_record:
-        record = read_json(path)
-        return digest({name: value for name, value in record.items() if name not in VOLATILE}).encode()
+_CONTENTS: dict[
+    tuple[Path, int, int, int], bytes
+] = {}  # hashes of files as they were: every method has the same inputs
+SETTLED = 2_000_000_000  # ns; a file changed more recently may change again without its time stamp showing it
+
+
+def _content_digest(path: Path) -> bytes:
+    path = path.resolve()
+    stat = path.stat()
+    key = (path, stat.st_ino, stat.st_mtime_ns, stat.st_size)
+    if key in _CONTENTS:
+        return _CONTENTS[key]
+    content = _read_digest(path)
+    if time.time_ns() - stat.st_mtime_ns > SETTLED:
+        _CONTENTS[key] = content
+    return content
+
+
+def _read_digest(path: Path) -> bytes:
+    if path.suffix == ".json" and (record := _record(path)) is not None:
+        return digest(_lasting(record)).encode()
     content = hashlib.blake2b()
     with path.open("rb") as file:
         while chunk := file.read(1 << 20):
             content.update(chunk)
     return content.digest()
+
+
+def _record(path: Path) -> dict[str, Any] | None:
+    """The record of a stage, or None for any other JSON file."""
+    try:
+        value = json.loads(path.read_bytes())
+    except ValueError:
+        return None
+    return value if isinstance(value, dict) and "stage" in value else None
+
+
+def _lasting(value: Any) -> Any:
+    """The value without what it cost, at any depth."""
+    if isinstance(value, dict):
+        return {name: _lasting(part) for name, part in value.items() if name not in VOLATILE}
+    return [_lasting(part) for part in value] if isinstance(value, list) else value
 
 
 def run_stage(

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from novags.testbed.cache import read_json
+from novags.testbed.cache import folder_digest, read_json
 from novags.testbed.console import Console
 from novags.testbed.images import read_codes, read_png, write_png
 from novags.testbed.source import Source, open_source
@@ -109,6 +109,10 @@ class Capture:
         else:
             dn = np.stack([channels[f"clean.{colour}"] for colour in "RGB"], axis=-1)
         return encode(develop_linear(dn, self.sensor, demosaic=self.record["demosaic"]))
+
+    def digest(self) -> str:
+        """Hash of all that the capture stage wrote."""
+        return folder_digest(self.path, OWNS)
 
     def source(self, console: Console) -> Source:
         """The set this capture was made of.

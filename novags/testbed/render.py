@@ -1,17 +1,17 @@
 """Render: a scene of the catalogue or a Mitsuba file in, a ground-truth multiview set out."""
 
 import hashlib
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import read_json
+from novags.testbed.cache import digest, read_json
 from novags.testbed.console import Console
 from novags.testbed.source import warnings_as_notes
 from sensor_model import Plan
 from simscenes import EXPORTS, Rig
 from simscenes.backend import BACKENDS, COLORS
+from simscenes.render.untrusted import check_xml
 from simscenes.transport.plan import EFFECTS
 
 RECORD = "set.json"
@@ -69,22 +69,15 @@ def scene_digest(config: RenderConfig) -> str:
     """What the scene is: the name of a catalogue scene, or a hash of a file and of the files that it names.
 
     Raises:
-        ValueError: If the file cannot be read or the name is unknown.
+        ValueError: If the name is unknown, or the file cannot be read or is not to be trusted.
     """
     if (file := config.file) is None:
         from simscenes.scenes import split_name
 
         split_name(config.scene)
         return config.scene
-    content = hashlib.blake2b(digest_size=16)
-    try:
-        content.update(file.read_bytes())
-        for name in re.findall(r'name="filename"\s+value="([^"$]+)"', file.read_text(encoding="utf-8")):
-            if (named := file.parent / name).is_file():  # a missing one is for Mitsuba to complain about
-                content.update(named.read_bytes())
-    except (OSError, UnicodeDecodeError) as error:
-        raise ValueError(f"cannot read the scene file {file}: {error}") from error
-    return content.hexdigest()
+    files = check_xml(file, allow_outside=config.allow_outside)
+    return digest([hashlib.blake2b(named.read_bytes()).hexdigest() for named in files if named.is_file()])
 
 
 def prepare_render(config: RenderConfig, console: Console) -> tuple[Rig, Plan | str]:

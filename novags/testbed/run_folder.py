@@ -13,13 +13,13 @@ from pathlib import Path
 from typing import Any
 
 from novags.nova.enhance import EnhanceConfig
-from novags.testbed.cache import read_json
+from novags.testbed.cache import folder_digest, read_json
 from novags.testbed.capture_folder import Capture, DarkSource, open_capture
 
 RECORD = "run.json"
 EVENTS = "events.jsonl"
 CHECKPOINTS = ("checkpoint.safetensors", "checkpoint.denoiser.safetensors")  # there while a run is under way
-OWNS = (
+RESULT = (
     RECORD,
     *CHECKPOINTS,
     "point_cloud.ply",
@@ -29,9 +29,8 @@ OWNS = (
     "renders",
     "renders_train",
     "depth",
-    "metrics.json",
-    "report.html",
 )
+OWNS = (*RESULT, "metrics.json", "report.html")
 
 
 @dataclass(frozen=True)
@@ -70,6 +69,10 @@ class Run:
                 "put it back or reconstruct again"
             )
         return open_capture(path)
+
+    def digest(self) -> str:
+        """Hash of all that the method made, scores not included."""
+        return folder_digest(self.path, RESULT)
 
     def events(self) -> list[dict[str, Any]]:
         """The losses, one dict per logged step, in order."""

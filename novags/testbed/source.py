@@ -11,11 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
+from novags.testbed.cache import folder_digest
 from novags.testbed.console import Console
 from novags.testbed.linear_photos import load_linear_set
 from sensor_model import linear_to_srgb
 from simscenes.multiview import MultiviewSet, load_set
 from simscenes.rigs import Rig
+
+# What a set is read from beside its images: our own record and truth, and the cameras in every form that is read.
+MODEL = tuple(f"{part}.{suffix}" for part in ("cameras", "images", "points3D") for suffix in ("bin", "txt"))
+CAMERA_FILES = ("set.json", "capture.json", "transforms.json", "nb-info.json", "sparse", "gt", *MODEL)
 
 
 @dataclass(frozen=True)
@@ -52,6 +57,11 @@ class Source:
             return self.views.image(i).astype(np.float32) / 255
         exposure = float(self.views.meta.get("exposure_scale", 1.0))
         return linear_to_srgb(np.clip(self.radiance(i) * exposure, 0.0, 1.0)).astype(np.float32)
+
+    def digest(self) -> str:
+        """Hash of all that is read of the set, wherever its files lie."""
+        images = {f"images/{name}": file for name, file in zip(self.views.names, self.views.files, strict=True)}
+        return folder_digest(self.views.path, CAMERA_FILES, beside=images)
 
     def _fit(self, image: np.ndarray) -> np.ndarray:
         if not self.scaled:

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed import capture_folder, run_folder
-from novags.testbed.cache import folder_digest, run_stage
+from novags.testbed.cache import run_stage
 from novags.testbed.capture import CaptureConfig, capture_views, meter
 from novags.testbed.capture_folder import Capture, open_capture
 from novags.testbed.console import Console
@@ -45,12 +45,11 @@ def capture(set_path: Path, out: Path, config: CaptureConfig, console: Console) 
     """
     _keep_apart(out, set_path)
     source = open_source(set_path, console, config.max_size)
-    set_hash = folder_digest(set_path)
     return run_stage(
         "capture",
         out,
         capture_folder.RECORD,
-        inputs={"set": set_hash},
+        inputs={"set": source.digest()},
         config=asdict(config),
         owns=capture_folder.OWNS,
         prepare=lambda: meter(source, config, console),
@@ -67,12 +66,12 @@ def reconstruct(capture_path: Path, out: Path, config: ReconstructConfig, consol
     """
     _keep_apart(out, capture_path)
     captured = open_capture(capture_path)
-    set_path = captured.source(console).views.path
+    source = captured.source(console)
     return run_stage(
         f"reconstruct {config.method}",
         out,
         run_folder.RECORD,
-        inputs={"capture": folder_digest(capture_path), "set": folder_digest(set_path)},
+        inputs={"capture": captured.digest(), "set": source.digest()},
         config=config.resolved(),
         owns=run_folder.OWNS,
         prepare=lambda: method_input(captured, config, console),
@@ -97,11 +96,7 @@ def score(run_path: Path, console: Console) -> dict[str, Any]:
     captured = run.capture()
     lit = captured.source(console)
     missing = PerceptualDistance.missing()
-    inputs = {
-        "run": folder_digest(run_path, skip=(METRICS, "report.html")),
-        "capture": folder_digest(captured.path),
-        "set": folder_digest(lit.views.path),
-    }
+    inputs = {"run": run.digest(), "capture": captured.digest(), "set": lit.digest()}
 
     def work(_: None) -> dict[str, Any]:
         lpips = PerceptualDistance() if missing is None else None

@@ -60,7 +60,7 @@ def test_every_command_explains_every_option(
         (["score", "."], "neither a run"),
         (["report", "."], "neither a run"),
         (["render", "no-such-scene", "--out", "x"], "no-such-scene"),
-        (["render", "missing.xml", "--out", "x"], "cannot read the scene file"),
+        (["render", "missing.xml", "--out", "x"], "missing.xml cannot be read"),
         (["run", "--methods", "nova", "nova"], "once each"),
         (["run", "--views", "1"], "n_views must be >= 3"),
     ],

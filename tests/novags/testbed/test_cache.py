@@ -1,6 +1,8 @@
 """Claims about stages as folders."""
 
+import json
 import math
+import os
 from pathlib import Path
 
 import numpy as np
@@ -111,9 +113,10 @@ def test_an_interruption_while_clearing_leaves_nothing_that_counts_as_work(
         raise KeyboardInterrupt
 
     stage(tmp_path, fills)
-    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+    with monkeypatch.context() as patch:
         patch.setattr("shutil.rmtree", interrupted)
-        stage(tmp_path, fills, config={"x": 1})
+        with pytest.raises(KeyboardInterrupt):
+            stage(tmp_path, fills, config={"x": 1})
     assert (tmp_path / "parts" / "0").exists()
     for config in ({"x": 1}, {}):  # the same work once more, then that of before
         record = stage(tmp_path, lambda: {"had": (tmp_path / "parts").exists()}, config=config)
@@ -161,6 +164,45 @@ def test_folder_digest_sees_content_and_names_but_not_costs(tmp_path: Path) -> N
     changed = folder_digest(tmp_path)
     (tmp_path / "sub" / "a.bin").rename(tmp_path / "sub" / "b.bin")
     assert len({before, changed, folder_digest(tmp_path)}) == 3
+
+
+def test_folder_digest_follows_links_and_sees_files_elsewhere(tmp_path: Path) -> None:
+    """Rationale: images often lie on another disk, behind a link or named by a path that leaves the folder."""
+    (tmp_path / "far").mkdir()
+    (tmp_path / "near").mkdir()
+    image = tmp_path / "far" / "0.png"
+    image.write_bytes(b"1")
+    (tmp_path / "near" / "images").symlink_to(tmp_path / "far")
+
+    def digests() -> set[str]:
+        return {folder_digest(tmp_path / "near", ["images"]), folder_digest(tmp_path / "near", [], beside={"0": image})}
+
+    before = digests()
+    image.write_bytes(b"2")
+    assert len(before | digests()) == 4
+
+
+def test_folder_digest_takes_only_records_of_stages_for_records(tmp_path: Path) -> None:
+    def changes(first: object, second: object) -> bool:
+        seen = set()
+        for value in (first, second):
+            (tmp_path / "cameras.json").write_text(json.dumps(value))
+            seen.add(folder_digest(tmp_path))
+        return len(seen) == 2
+
+    assert changes([{"id": 0}], [{"id": 1}])  # the cameras.json of 3DGS is a list
+    assert changes({"seconds": 1.0}, {"seconds": 2.5})
+    assert not changes({"stage": {}, "views": [{"seconds": 1.0}]}, {"stage": {"x": 1}, "views": [{"seconds": 2.5}]})
+
+
+def test_a_file_that_was_hashed_before_is_read_again_once_it_changed(tmp_path: Path) -> None:
+    path = tmp_path / "a.bin"
+    path.write_bytes(b"1")
+    os.utime(path, (1e9, 1e9))
+    before = folder_digest(tmp_path)
+    assert folder_digest(tmp_path) == before
+    path.write_bytes(b"2")
+    assert folder_digest(tmp_path) != before
 
 
 def test_digest_ignores_key_order_and_sees_values() -> None:
