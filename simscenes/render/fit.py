@@ -90,7 +90,7 @@ def fit_rig(
     """
     if n_views < 1:
         raise ValueError(f"n_views must be >= 1, got {n_views}")
-    mi = activate()
+    mi = activate(scene.variant if isinstance(scene, LoadedScene) else "auto")
     loaded = scene if isinstance(scene, LoadedScene) else build_scene(scene, mi, allow_outside=allow_outside)
     own = own_rig(loaded, mi, width, height)
     c2w = invert_rigid(own.viewmats[0])

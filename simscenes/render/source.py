@@ -21,6 +21,7 @@ class LoadedScene:
 
     Attributes:
         name: Catalogue name, name of the file, or "custom".
+        variant: The Mitsuba variant it was loaded in, and the only one it can be used in.
         scene: The Mitsuba scene.
         digest: Hash of everything the picture depends on but the camera and the random numbers.
         shapes: Names of the shapes; the id of a pixel is 1 + place in this list.
@@ -29,6 +30,7 @@ class LoadedScene:
     """
 
     name: str
+    variant: str
     scene: Any
     digest: str
     shapes: tuple[str, ...]
@@ -66,7 +68,7 @@ def build_scene(scene: str | dict[str, Any] | Path, mi: Any, *, allow_outside: b
     shapes = tuple(s.id() for s in loaded.shapes())
     materials = tuple(_material_name(s) for s in unique_materials(loaded))
     extent = float(np.linalg.norm(np.array(loaded.bbox().extents())))
-    return LoadedScene(str(name), loaded, scene_digest(loaded, params), shapes, materials, extent)
+    return LoadedScene(str(name), mi.variant(), loaded, scene_digest(loaded, params), shapes, materials, extent)
 
 
 def has_measured_lights(scene: str | dict[str, Any] | Path) -> bool:

@@ -1,10 +1,12 @@
 """The sensor that comes with a scene: its lens, film and fog become the rig's, whichever way they are written."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from simscenes import fit_rig, plan_transport, render_set
 from simscenes.backend import activate
 from simscenes.render.fit import own_rig
 from simscenes.render.geometry import pixel_rays
@@ -47,3 +49,14 @@ def test_a_crop_shifts_the_principal_point_and_leaves_the_focal_length() -> None
     assert np.allclose(K, [[focal, 0, 0], [0, focal, 10], [0, 0, 1]], atol=1e-3)
     twice = own_rig(build_scene(scene(CROPPED), mi), mi, 100, 80).Ks[0]
     assert np.allclose(twice, [[2 * focal, 0, 0], [0, 2 * focal, 20], [0, 0, 1]], atol=1e-3)
+
+
+def test_cameras_are_fitted_in_the_variant_the_scene_was_loaded_in(tmp_path: Path) -> None:
+    small = scene({"width": 6, "height": 5}, fov=40.0)
+    small["sky"] = {"type": "constant"}
+    fitted = fit_rig(small, 32)
+    done = render_set(small, None, tmp_path, spp=2, variant="scalar", plan="rgb")
+    assert (done.meta["mitsuba_variant"], len(done)) == ("scalar_rgb", 32)
+    assert np.allclose(done.rig.viewmats, fitted.viewmats, atol=1e-5)
+    assert plan_transport(small, 0.5, variant="scalar", measure=False).max_depth >= 2
+    activate()
