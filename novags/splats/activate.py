@@ -9,6 +9,7 @@ from torch import Tensor
 from .cpu import activations
 from .cpu.memory import empty
 from .cpu.parallel import run
+from .first_order import first_order
 from .gaussians import Gaussians
 
 
@@ -31,12 +32,14 @@ class _Activate(torch.autograd.Function):
         blocks = -(-inputs.size // activations.BLOCK)
         outputs, sums = empty(inputs.shape), np.empty(blocks)
         run(activations.forward, blocks, 1, is_sigmoid, inputs, outputs, sums)
-        ctx.is_sigmoid, ctx.outputs = is_sigmoid, outputs
-        return torch.from_numpy(outputs).reshape(values.shape), values.new_tensor(sums.sum() / inputs.size)
+        ctx.is_sigmoid, activated = is_sigmoid, torch.from_numpy(outputs).reshape(values.shape)
+        ctx.save_for_backward(activated)
+        return activated, values.new_tensor(sums.sum() / inputs.size)
 
     @staticmethod
+    @first_order
     def backward(ctx: Any, v_values: Tensor, v_mean: Tensor) -> tuple[Tensor, None]:
-        outputs = ctx.outputs
+        outputs = ctx.saved_tensors[0].numpy().reshape(-1)
         v_outputs = v_values.contiguous().numpy().reshape(-1)
         v_inputs, share = empty(outputs.shape), np.float32(float(v_mean) / outputs.size)
         blocks = -(-outputs.size // activations.BLOCK)

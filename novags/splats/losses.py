@@ -10,6 +10,7 @@ from torch import Tensor
 from .cpu import photometric
 from .cpu.memory import empty
 from .cpu.parallel import run
+from .first_order import first_order
 
 WINDOW, SIGMA = 11, 1.5  # Wang et al. 2004, and every 3DGS code since
 C1, C2 = 0.01**2, 0.03**2
@@ -112,5 +113,6 @@ class _Photometric(torch.autograd.Function):
         return image.new_tensor(value)
 
     @staticmethod
+    @first_order
     def backward(ctx: Any, v_loss: Tensor) -> tuple[Tensor, None, None]:
         return v_loss * ctx.v_image, None, None

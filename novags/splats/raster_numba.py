@@ -7,6 +7,7 @@ import torch
 from torch import Tensor
 
 from .cpu import pipeline
+from .first_order import first_order
 from .validation import check_gaussians, refuse_overflow
 
 
@@ -49,6 +50,10 @@ def _array(tensor: Tensor) -> np.ndarray:
     return tensor.detach().contiguous().numpy()
 
 
+def _shape(means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor) -> pipeline.Shape:
+    return pipeline.Shape(means=_array(means), quats=_array(quats), scales=_array(scales), opacities=_array(opacities))
+
+
 class _Render(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, means, quats, scales, opacities, colors, viewmat, K, settings):  # type: ignore
@@ -57,22 +62,25 @@ class _Render(torch.autograd.Function):
         camera = pipeline.Camera(
             viewmat=_array(viewmat), K=_array(K), width=width, height=height, near=near, far=far, eps2d=eps2d
         )
-        shape = pipeline.Shape(**{name: _array(tensors[name]) for name in ("means", "quats", "scales", "opacities")})
+        shape = _shape(means, quats, scales, opacities)
         frame, image, alpha = pipeline.forward(shape, _array(colors), camera, sh_degree, with_color, with_depth)
         if frame.splats.suspect:
             check_gaussians(tensors)
             refuse_overflow({**tensors, "viewmats": viewmat[None], "Ks": K[None]})
-        ctx.frame, ctx.shape, ctx.colors = frame, shape, _array(colors)
         splats = frame.splats
         info = torch.from_numpy(splats.rows[:, :2]), torch.from_numpy(splats.radii), torch.from_numpy(splats.depths)
         ctx.mark_non_differentiable(*info)
+        # All that `backward` reads and others can write to, K and the record's positions too: changes are then noticed.
+        ctx.save_for_backward(means, quats, scales, opacities, colors, viewmat, K, info[0])
+        ctx.frame = frame
         return torch.from_numpy(image), torch.from_numpy(alpha)[..., None], *info
 
     @staticmethod
+    @first_order
     def backward(ctx: Any, v_image, v_alpha, *_):  # type: ignore[no-untyped-def]
-        gradients = pipeline.backward(
-            ctx.frame, ctx.shape, ctx.colors, _array(v_image), _array(v_alpha)[..., 0], ctx.needs_input_grad[5]
-        )
+        means, quats, scales, opacities, colors, *_ = ctx.saved_tensors
+        shape, v_pixels = _shape(means, quats, scales, opacities), (_array(v_image), _array(v_alpha)[..., 0])
+        gradients = pipeline.backward(ctx.frame, shape, _array(colors), *v_pixels, ctx.needs_input_grad[5])
         s = gradients.shape
         arrays = s.means, s.quats, s.scales, s.opacities, gradients.colors, gradients.viewmat
         return *(torch.from_numpy(array) for array in arrays), None, None

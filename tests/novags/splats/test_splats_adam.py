@@ -90,3 +90,20 @@ def test_opacities_stay_finite_at_the_ends_of_float32():
     assert torch.isfinite(opacities).all()
     assert opacities.min() >= 0
     assert opacities.max() <= 1
+
+
+@pytest.mark.parametrize("what", ["scales", "opacities"])
+def test_an_activation_changed_before_its_gradient_is_noticed(what):
+    gaussians = cloud(20).requires_grad_()
+    scales, opacities, regularizer = activate(gaussians, 0.01, 0.01)
+    with torch.no_grad():
+        {"scales": scales, "opacities": opacities}[what].mul_(2)
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        regularizer.backward()
+
+
+def test_a_second_derivative_of_an_activation_is_refused():
+    gaussians = cloud(20).requires_grad_()
+    scales, _, _ = activate(gaussians, 0.01, 0.01)
+    with pytest.raises(RuntimeError, match="no second derivative"):
+        torch.autograd.grad(scales.sum(), gaussians.log_scales, create_graph=True)

@@ -60,3 +60,14 @@ def test_different_shapes_are_refused():
         photometric_loss(torch.zeros(4, 4, 3), torch.zeros(4, 5, 3), 0.2)
     with pytest.raises(ValueError, match=r"must both be \[H, W, C\]"):
         ssim(torch.zeros(4, 4), torch.zeros(4, 4))
+
+
+def test_a_second_derivative_is_refused_by_the_fused_loss_and_given_in_float64():
+    a, b = images(8, 8)
+    x = a.clone().requires_grad_()
+    with pytest.raises(RuntimeError, match="no second derivative"):
+        torch.autograd.grad(photometric_loss(x, b, 0.2), x, create_graph=True)
+    x = a.double().requires_grad_()
+    (gradient,) = torch.autograd.grad(photometric_loss(x, b.double(), 0.2), x, create_graph=True)
+    gradient.square().sum().backward()
+    assert x.grad.abs().sum() > 0

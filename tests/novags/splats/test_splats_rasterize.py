@@ -240,6 +240,26 @@ def test_a_graph_can_be_walked_twice_and_two_graphs_at_once(make_scene):
     assert not torch.equal(once, other)
 
 
+@pytest.mark.parametrize("name", ["means", "quats", "scales", "opacities", "colors", "viewmats", "Ks", "means2d"])
+def test_what_changes_between_forward_and_backward_is_noticed(make_scene, name):
+    scene = as_float32(make_scene(8, 50, 20, 20))
+    scene["means"].requires_grad_()
+    image, _, info = rasterize(**scene, backend="numba")
+    with torch.no_grad():
+        (info if name == "means2d" else scene)[name].mul_(1.5)
+    with pytest.raises(RuntimeError, match="modified by an inplace operation"):
+        image.sum().backward()
+
+
+def test_a_second_derivative_is_refused_not_left_out(make_scene):
+    scene = as_float32(make_scene(8, 50, 20, 20))
+    scene["means"].requires_grad_()
+    image, _, _ = rasterize(**scene, backend="numba")
+    for loss in (image.sum(), image.square().sum()):
+        with pytest.raises(RuntimeError, match=r"no second derivative.*backend='torch'"):
+            torch.autograd.grad(loss, scene["means"], create_graph=True)
+
+
 @settings(derandomize=True, deadline=None, max_examples=25)
 @given(st.integers(1, 40), st.integers(1, 40), st.integers(0, 10_000), st.floats(0.1, 10.0))
 def test_colors_scale_and_alpha_stays_between_zero_and_one(width, height, seed, factor):
