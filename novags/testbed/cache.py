@@ -184,6 +184,7 @@ def run_stage(
     prepare: Callable[[], Prepared],
     work: Callable[[Prepared], Mapping[str, Any]],
     console: Console,
+    stale: Sequence[Path] = (),
 ) -> dict[str, Any]:
     """Do a stage's work unless its folder already holds the result of the same inputs and configuration.
 
@@ -197,6 +198,7 @@ def run_stage(
         prepare: Reads and checks the inputs. An earlier result stays untouched until it has returned.
         work: Fills the folder (picking up what is there) with what `prepare` read, and returns the record's body.
         console: Where progress goes.
+        stale: Files elsewhere that tell of an earlier result in `folder`; removed together with it.
 
     Returns:
         The record, as it stands in the folder.
@@ -215,7 +217,8 @@ def run_stage(
     memory = PeakMemory()
     prepared = prepare()
     if earlier is None:
-        _clear(name, folder, key, (record_name, *owns))
+        told = stale if record_path.exists() else ()
+        _clear(name, folder, key, [*told, *(folder / owned for owned in (record_name, *owns))])
     try:
         body = dict(work(prepared))
     except BaseException:
@@ -255,11 +258,11 @@ def _earlier_seconds(
     return None
 
 
-def _clear(name: str, folder: Path, key: str, owns: Sequence[str]) -> None:
-    """Remove what the stage owns, the record first; what an interruption leaves behind counts as nobody's work."""
+def _clear(name: str, folder: Path, key: str, targets: Sequence[Path]) -> None:
+    """Remove files and folders, in this order; what an interruption leaves of them counts as nobody's work."""
     folder.mkdir(parents=True, exist_ok=True)
     _mark(name, folder, None, 0.0)
-    for target in (folder / owned for owned in owns):
+    for target in targets:
         if target.is_dir() and not target.is_symlink():
             shutil.rmtree(target)
         else:

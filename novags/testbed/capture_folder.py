@@ -118,7 +118,7 @@ class Capture:
         """The set this capture was made of.
 
         Raises:
-            ValueError: If the set is no longer where it was.
+            ValueError: If the set is no longer where it was, or no longer what it was.
         """
         made_of = self.record["set"]
         path = (self.path / made_of["path"]).resolve()
@@ -127,7 +127,10 @@ class Capture:
                 f"{self.path} was made of the set {made_of['path']} (relative to it), which is not there: put it back "
                 "or capture again"
             )
-        return open_source(path, console, made_of["max_size"])
+        source = open_source(path, console, made_of["max_size"])
+        if source.digest() != self.record["stage"]["inputs"]["set"]:
+            raise ValueError(f"{path} has changed since {self.path} was made of it: put it back or capture again")
+        return source
 
 
 def open_capture(path: Path) -> Capture:
@@ -141,7 +144,7 @@ def open_capture(path: Path) -> Capture:
     if not (path / RECORD).exists():
         raise ValueError(f"{path} holds no {RECORD}: it is no capture, or an unfinished one (run novags capture again)")
     record = read_json(path / RECORD)
-    missing = [key for key in ("sensor", "set", "demosaic") if key not in record]
+    missing = [key for key in ("sensor", "set", "demosaic", "stage") if key not in record]
     if missing:
         raise ValueError(f"{path / RECORD} lacks {', '.join(missing)}: capture again")
     return Capture(path=path, record=record, cameras=load_set(path), sensor=sensor_from_dict(record["sensor"]))

@@ -8,9 +8,9 @@ from novags.testbed import stages
 from novags.testbed.cache import write_json
 from novags.testbed.console import Console
 from novags.testbed.presets import Preset
-from novags.testbed.report import EXPERIMENT, find_runs, write_report
-from novags.testbed.run_folder import RECORD
-from novags.testbed.score import METRICS, merge
+from novags.testbed.report import EXPERIMENT, REPORT, find_runs, write_report
+from novags.testbed.run_folder import METRICS, RECORD
+from novags.testbed.score import merge
 
 
 def run(preset: Preset, out: Path, console: Console, *, command: str | None = None) -> Path:
@@ -26,10 +26,11 @@ def run(preset: Preset, out: Path, console: Console, *, command: str | None = No
         ValueError: If an input is wrong or `out` holds other things.
     """
     out.mkdir(parents=True, exist_ok=True)
-    stages.render(out / "set", preset.render, console)
-    stages.capture(out / "set", out / "capture", preset.capture, console)
+    told = [out / name for name in (EXPERIMENT, METRICS, REPORT)]
+    stages.render(out / "set", preset.render, console, stale=told)
+    stages.capture(out / "set", out / "capture", preset.capture, console, stale=told)
     for method in preset.methods:
-        stages.reconstruct(out / "capture", out / method, preset.reconstruct(method), console)
+        stages.reconstruct(out / "capture", out / method, preset.reconstruct(method), console, stale=told)
     write_json(out / EXPERIMENT, {"command": command, "methods": preset.methods, "preset": asdict(preset)})
     score_all(out, console)
     return write_report(out, console)

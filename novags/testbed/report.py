@@ -25,10 +25,10 @@ from novags.testbed.report_facts import (
     what_was_done,
 )
 from novags.testbed.report_images import ERROR_CEILING, pick_views, view_tiles
-from novags.testbed.run_folder import RECORD, Run, open_run
-from novags.testbed.score import METRICS
+from novags.testbed.run_folder import METRICS, RECORD, Run, open_run
 
 EXPERIMENT = "experiment.json"
+REPORT = "report.html"
 
 
 def find_runs(folder: Path) -> dict[str, Run]:
@@ -44,27 +44,31 @@ def find_runs(folder: Path) -> dict[str, Run]:
         return {run.method: run}
     if (folder / EXPERIMENT).exists():
         return {method: open_run(folder / method) for method in read_json(folder / EXPERIMENT)["methods"]}
-    raise ValueError(f"{folder} is neither a run (no {RECORD}) nor an experiment (no {EXPERIMENT})")
+    raise ValueError(
+        f"{folder} is neither a run (no {RECORD}) nor an experiment (no {EXPERIMENT}; if it is "
+        "an unfinished one, run the same command again)"
+    )
 
 
 def read_material(folder: Path, console: Console) -> Material:
     """Read a scored experiment or run.
 
     Raises:
-        ValueError: If it is not there, not scored, or its runs were made from different captures.
+        ValueError: If it is not there or not scored, or its runs were made from different captures or from others than
+            lie there now.
     """
     runs = find_runs(folder)
     if not (folder / METRICS).exists():
         raise ValueError(f"{folder} has no {METRICS}: run novags score {folder} first")
     metrics = read_json(folder / METRICS)
-    captures = {run.capture().path: run.capture() for run in runs.values()}
-    if len(captures) > 1:
-        raise ValueError(f"the runs in {folder} were made from different captures: {', '.join(map(str, captures))}")
-    if missing := sorted(runs.keys() - metrics["methods"].keys()):
-        raise ValueError(f"{folder / METRICS} lacks {', '.join(missing)}: run novags score {folder} again")
-    capture = next(iter(captures.values()))
+    inputs = {captured.path: (captured, lit) for captured, lit in (run.inputs(console) for run in runs.values())}
+    if len(inputs) > 1:
+        raise ValueError(f"the runs in {folder} were made from different captures: {', '.join(map(str, inputs))}")
+    if old := [name for name, run in runs.items() if run.scores() != metrics["methods"].get(name)]:
+        raise ValueError(f"{folder / METRICS} has no scores of {', '.join(old)} as of now: run novags score {folder}")
+    capture, lit = next(iter(inputs.values()))
     experiment = read_json(folder / EXPERIMENT) if (folder / EXPERIMENT).exists() else {}
-    return Material(folder, experiment, runs, metrics, capture, capture.source(console))
+    return Material(folder, experiment, runs, metrics, capture, lit)
 
 
 def write_report(folder: Path, console: Console) -> Path:
@@ -82,7 +86,7 @@ def write_report(folder: Path, console: Console) -> Path:
     templates.filters.update(number=number, duration=duration, size=size, signed=signed)
     with console.progress("report") as progress:
         context = report_context(material, progress)
-    path = folder / "report.html"
+    path = folder / REPORT
     write_text(path, templates.get_template("report.html").render(context))
     return path
 

@@ -9,8 +9,7 @@ from typing import Any
 from novags.testbed.cache import read_json
 from novags.testbed.capture_folder import Capture
 from novags.testbed.report_charts import line_chart
-from novags.testbed.run_folder import Run
-from novags.testbed.score import METRICS
+from novags.testbed.run_folder import METRICS, Run
 from novags.testbed.source import Source
 
 COLUMNS = (
@@ -165,7 +164,9 @@ def plans(material: Material) -> list[dict[str, Any]]:
     """The plan tables: light transport (rendered sets) and sensor."""
     found = []
     if (transport := material.lit.views.meta.get("plan")) is not None:
-        found.append({"heading": "Light transport", "plan": plan_table(transport)})
+        table = plan_table(transport)
+        table["saved"] = f"{time_saved(transport['seconds'])} {render_quality(material.lit.views.meta)}".strip()
+        found.append({"heading": "Light transport", "plan": table})
     if (sensor := material.capture.record["plan"]) is not None:
         found.append({"heading": "Sensor", "plan": plan_table(sensor)})
     return found
@@ -177,15 +178,28 @@ def plan_table(plan: dict[str, Any]) -> dict[str, Any]:
     absent = [e["name"].replace("_", " ") for e in plan["effects"] if e not in matters]
     bounds = {plan["unit"]: plan["bound"], **plan.get("biases", {})}
     costs = [f"{number(b, 4)} ({unit})" for unit, b in bounds.items()]
-    return {"shown": matters, "absent": absent, "costs": costs, "saved": time_saved(plan.get("seconds") or {})}
+    return {"shown": matters, "absent": absent, "costs": costs}
 
 
 def time_saved(seconds: dict[str, float]) -> str:
     """What a plan saved, where that was measured: seconds "planned" and with "everything on"."""
-    if not {"planned", "everything on"} <= seconds.keys():
-        return ""
+    if not seconds:
+        return "The time that the plan saves was not measured in so short a render; novags plan measures it."
     planned, everything = seconds["planned"], seconds["everything on"]
-    return f"A million samples took {planned:.3g} s so, and {everything:.3g} s with everything simulated."
+    return (
+        f"A million samples took {planned:.3g} s of processor time so, and {everything:.3g} s with everything simulated: "
+        f"{everything / planned:.2g} times as long."
+    )
+
+
+def render_quality(meta: dict[str, Any]) -> str:
+    """The noise that is left in the truth, and the pixels that rare bright paths spoil."""
+    views = meta["views"].values()
+    noise, fireflies = max(view["relative_error"] for view in views), sum(view["fireflies"] for view in views)
+    return (
+        f"The renders' own noise is at most {noise:.1%} of a view's mean light (RMSE), and "
+        f"{fireflies if fireflies else 'no'} pixel{'s' if fireflies != 1 else ''} stand out as fireflies."
+    )
 
 
 def configurations(material: Material) -> dict[str, str]:

@@ -15,8 +15,11 @@ from typing import Any
 from novags.nova.enhance import EnhanceConfig
 from novags.testbed.cache import folder_digest, read_json
 from novags.testbed.capture_folder import Capture, DarkSource, open_capture
+from novags.testbed.console import Console
+from novags.testbed.source import Source
 
 RECORD = "run.json"
+METRICS = "metrics.json"
 EVENTS = "events.jsonl"
 CHECKPOINTS = ("checkpoint.safetensors", "checkpoint.denoiser.safetensors")  # there while a run is under way
 RESULT = (
@@ -30,7 +33,7 @@ RESULT = (
     "renders_train",
     "depth",
 )
-OWNS = (*RESULT, "metrics.json", "report.html")
+OWNS = (*RESULT, METRICS, "report.html")
 
 
 @dataclass(frozen=True)
@@ -56,11 +59,11 @@ class Run:
         """The enhancement that its training images went through, and that the references have to go through."""
         return EnhanceConfig(**self.record["enhance"])
 
-    def capture(self) -> Capture:
-        """The capture it was made from.
+    def inputs(self, console: Console) -> tuple[Capture, Source]:
+        """The capture it was made from, and the set that this was made of.
 
         Raises:
-            ValueError: If the capture is no longer where it was.
+            ValueError: If they are no longer where they were, or no longer what they were.
         """
         path = (self.path / self.record["capture"]).resolve()
         if not path.is_dir():
@@ -68,7 +71,15 @@ class Run:
                 f"{self.path} was made from the capture {self.record['capture']} (relative to it), which is not there: "
                 "put it back or reconstruct again"
             )
-        return open_capture(path)
+        capture = open_capture(path)
+        source = capture.source(console)
+        if {"capture": capture.digest(), "set": source.digest()} != self.record["stage"]["inputs"]:
+            raise ValueError(f"{path} has changed since {self.path} was made from it: put it back or reconstruct again")
+        return capture, source
+
+    def scores(self) -> dict[str, Any] | None:
+        """Its part of metrics.json; None if it was not scored since it was made."""
+        return read_json(self.path / METRICS)["methods"][self.method] if (self.path / METRICS).exists() else None
 
     def digest(self) -> str:
         """Hash of all that the method made, scores not included."""
@@ -96,6 +107,6 @@ def open_run(path: Path) -> Run:
             f"{path} holds no {RECORD}: it is no run, or an unfinished one (run novags reconstruct again, it resumes)"
         )
     record = read_json(path / RECORD)
-    if missing := [key for key in ("method", "capture", "dark_source", "enhance") if key not in record]:
+    if missing := [key for key in ("method", "capture", "dark_source", "enhance", "stage") if key not in record]:
         raise ValueError(f"{path / RECORD} lacks {', '.join(missing)}: reconstruct again")
     return Run(path=path, record=record)

@@ -26,7 +26,6 @@ from novags.testbed.metrics import (
 from novags.testbed.run_folder import Run
 from novags.testbed.source import Source
 
-METRICS = "metrics.json"
 BLUR_SIGMA = 1.2  # px; the fixed bar a denoiser has to clear
 BLUR_GRID = tuple(float(s) for s in np.geomspace(0.4, 8.0, 20))  # px; the harder bar: the best of these for the images
 

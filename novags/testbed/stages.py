@@ -1,5 +1,9 @@
-"""The stages, folder in, folder out. What makes them resumable and keeps finished work is `cache.run_stage`."""
+"""The stages, folder in, folder out. What makes them resumable and keeps finished work is `cache.run_stage`.
 
+`stale` names files elsewhere that tell of an earlier result; they go when it goes.
+"""
+
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -13,12 +17,12 @@ from novags.testbed.metrics import PerceptualDistance
 from novags.testbed.reconstruct import ReconstructConfig, method_input, reconstruct_views
 from novags.testbed.render import RECORD as RENDER_RECORD
 from novags.testbed.render import RenderConfig, prepare_render, render_views, scene_digest
-from novags.testbed.run_folder import Run, open_run
-from novags.testbed.score import METRICS, score_test_views, score_training_images
+from novags.testbed.run_folder import METRICS, Run, open_run
+from novags.testbed.score import score_test_views, score_training_images
 from novags.testbed.source import Source, open_source
 
 
-def render(out: Path, config: RenderConfig, console: Console) -> dict[str, Any]:
+def render(out: Path, config: RenderConfig, console: Console, *, stale: Sequence[Path] = ()) -> dict[str, Any]:
     """Render a scene into the set folder `out`; returns set.json.
 
     Raises:
@@ -34,10 +38,13 @@ def render(out: Path, config: RenderConfig, console: Console) -> dict[str, Any]:
         prepare=lambda: prepare_render(config, console),
         work=lambda prepared: render_views(out, config, *prepared, console),
         console=console,
+        stale=stale,
     )
 
 
-def capture(set_path: Path, out: Path, config: CaptureConfig, console: Console) -> dict[str, Any]:
+def capture(
+    set_path: Path, out: Path, config: CaptureConfig, console: Console, *, stale: Sequence[Path] = ()
+) -> dict[str, Any]:
     """Photograph the set at `set_path` in the dark; returns capture.json.
 
     Raises:
@@ -55,10 +62,13 @@ def capture(set_path: Path, out: Path, config: CaptureConfig, console: Console) 
         prepare=lambda: meter(source, config, console),
         work=lambda light: capture_views(source, light, out, config, console),
         console=console,
+        stale=stale,
     )
 
 
-def reconstruct(capture_path: Path, out: Path, config: ReconstructConfig, console: Console) -> dict[str, Any]:
+def reconstruct(
+    capture_path: Path, out: Path, config: ReconstructConfig, console: Console, *, stale: Sequence[Path] = ()
+) -> dict[str, Any]:
     """Reconstruct the capture at `capture_path` by one method; returns run.json.
 
     Raises:
@@ -77,6 +87,7 @@ def reconstruct(capture_path: Path, out: Path, config: ReconstructConfig, consol
         prepare=lambda: method_input(captured, config, console),
         work=lambda inputs: reconstruct_views(captured, inputs, out, config, console),
         console=console,
+        stale=stale,
     )
 
 
@@ -90,11 +101,10 @@ def score(run_path: Path, console: Console) -> dict[str, Any]:
     """Score the run at `run_path` against the truth of its capture; returns its metrics.json.
 
     Raises:
-        ValueError: If the run, its capture or its set cannot be read.
+        ValueError: If the run, its capture or its set cannot be read, or the run was not made from them as they are.
     """
     run = open_run(run_path)
-    captured = run.capture()
-    lit = captured.source(console)
+    captured, lit = run.inputs(console)
     missing = PerceptualDistance.missing()
     inputs = {"run": run.digest(), "capture": captured.digest(), "set": lit.digest()}
 

@@ -20,10 +20,11 @@ from novags.testbed import stages
 from novags.testbed.cache import folder_digest, read_json, write_text
 from novags.testbed.capture_folder import open_capture
 from novags.testbed.console import Console, Update
-from novags.testbed.experiment import run
+from novags.testbed.experiment import run, score_all
 from novags.testbed.images import read_png, write_png
 from novags.testbed.presets import Preset
 from novags.testbed.reconstruct import ReconstructConfig
+from novags.testbed.report import write_report
 from simscenes import load_set, read_exr, write_exr
 
 SCORES = {"psnr", "aligned_psnr", "ssim", "aligned_ssim", "flip", "lpips"}
@@ -171,6 +172,63 @@ def test_a_changed_light_captures_again_but_does_not_render_again(
     assert all(after[name] != when for name, when in before.items() if name.startswith("capture/images/"))
 
 
+def test_a_changed_capture_is_reconstructed_and_scored_again_and_until_then_refused(
+    experiment: Path, tiny: Preset, quiet: Console, tmp_path: Path
+) -> None:
+    folder = copy(experiment, tmp_path, "set", "capture", "naive")
+    before = (folder / "naive" / "point_cloud.ply").read_bytes(), stages.score(folder / "naive", quiet)
+    stages.capture(folder / "set", folder / "capture", replace(tiny.capture, electrons=5.0), quiet)
+    for use in (stages.score, write_report):
+        with pytest.raises(ValueError, match=r"capture has changed since .*naive was made .* reconstruct again"):
+            use(folder / "naive", quiet)
+    stages.reconstruct(folder / "capture", folder / "naive", tiny.reconstruct("naive"), quiet)
+    assert (folder / "naive" / "point_cloud.ply").read_bytes() != before[0]
+    assert not (folder / "naive" / "metrics.json").exists()
+    assert stages.score(folder / "naive", quiet)["methods"]["naive"]["mean"] != before[1]["methods"]["naive"]["mean"]
+
+
+def test_a_capture_of_a_set_that_has_changed_is_refused(
+    experiment: Path, tiny: Preset, quiet: Console, tmp_path: Path
+) -> None:
+    folder = copy(experiment, tmp_path, "set", "capture", "naive")
+    stages.render(folder / "set", replace(tiny.render, seed=1), quiet)
+    for use in (
+        lambda: stages.reconstruct(folder / "capture", tmp_path / "run", tiny.reconstruct("naive"), quiet),
+        lambda: stages.score(folder / "naive", quiet),
+    ):
+        with pytest.raises(ValueError, match=r"set has changed since .*capture was made .* capture again"):
+            use()
+
+
+def test_an_interrupted_second_configuration_leaves_no_report_that_mixes_both(
+    experiment: Path, tiny: Preset, quiet: Console, tmp_path: Path
+) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(experiment, folder)
+    other = replace(tiny, nova=replace(tiny.nova, fit=replace(tiny.nova.fit, iterations=20)))
+    with pytest.raises(KeyboardInterrupt):
+        run(other, folder, Interrupting("reconstruct naive", 10))
+    assert not {"experiment.json", "metrics.json", "report.html"} & {path.name for path in folder.iterdir()}
+    for use in (score_all, write_report):
+        with pytest.raises(ValueError, match=r"neither a run .* run the same command again"):
+            use(folder, quiet)
+    run(other, folder, quiet)
+    assert (folder / "report.html").exists()
+
+
+def test_scores_of_an_earlier_run_are_not_reported(
+    experiment: Path, tiny: Preset, quiet: Console, tmp_path: Path
+) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(experiment, folder)
+    config = replace(tiny.reconstruct("naive"), seed=1)
+    stages.reconstruct(folder / "capture", folder / "naive", config, quiet)
+    with pytest.raises(ValueError, match="no scores of naive as of now: run novags score"):
+        write_report(folder, quiet)
+    score_all(folder, quiet)
+    write_report(folder, quiet)
+
+
 def test_an_interrupted_capture_continues_and_ends_up_the_same(
     experiment: Path, tiny: Preset, quiet: Console, tmp_path: Path
 ) -> None:
@@ -230,8 +288,10 @@ def test_a_damaged_picture_gives_one_clear_error(
 def test_missing_truth_gives_one_clear_error(experiment: Path, quiet: Console, tmp_path: Path) -> None:
     folder = copy(experiment, tmp_path, "set", "capture", "naive")
     (folder / "capture" / "truth" / "0008.exr").unlink()
-    with pytest.raises(ValueError, match=r"0008\.exr"):
+    with pytest.raises(ValueError, match="capture has changed"):
         stages.score(folder / "naive", quiet)
+    with pytest.raises(ValueError, match=r"0008\.exr"):
+        open_capture(folder / "capture").clean(8)
 
 
 def test_a_moved_set_gives_one_clear_error(experiment: Path, quiet: Console, tmp_path: Path) -> None:
