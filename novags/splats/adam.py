@@ -73,7 +73,16 @@ class Adam:
             rates: Learning rates of all but the means.
             means_rate: Learning rate of the means, world units.
             sh_degree: Spherical harmonics above it are left alone: where they never had a gradient, a step is none.
+
+        Raises:
+            ValueError: If a tensor is not contiguous: its copy would be updated in its place.
         """
+        for name, tensor in gaussians.tensors().items():
+            if not tensor.is_contiguous():
+                raise ValueError(
+                    f"{name} must be contiguous to be updated in place, got strides {tensor.stride()} for shape "
+                    f"{list(tensor.shape)}: call .contiguous() on it before the first step"
+                )
         self.count += 1
         for name, tensor in gaussians.tensors().items():
             if tensor.grad is None:

@@ -210,7 +210,9 @@ def fit(
 
 def _prepared(gaussians: Gaussians, config: FitConfig) -> Gaussians:
     """A copy of the initial Gaussians with room for the SH degree and no more of them than the cap."""
-    gaussians = Gaussians(**{name: t.detach().clone() for name, t in gaussians.tensors().items()})
+    layout = torch.contiguous_format  # a clone keeps the strides else, and the optimiser works in place
+    copies = {name: t.detach().clone(memory_format=layout) for name, t in gaussians.tensors().items()}
+    gaussians = Gaussians(**copies)
     if config.cap_max is not None:
         gaussians = prune_to_cap(gaussians, config.cap_max, _generator(config.seed, 0, 0))
     k = (config.sh_degree + 1) ** 2

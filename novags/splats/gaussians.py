@@ -118,7 +118,7 @@ class Gaussians:
         quats = torch.zeros(len(points), 4, device=points.device)
         quats[:, 0] = 1
         return Gaussians(
-            means=points.float().clone(),
+            means=points.float().clone(memory_format=torch.contiguous_format),
             quats=quats,
             log_scales=torch.log(scale).float()[:, None].repeat(1, 3),
             logit_opacities=torch.full_like(quats[:, 0], float(torch.logit(torch.tensor(init_opacity)))),

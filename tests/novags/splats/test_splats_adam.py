@@ -107,3 +107,15 @@ def test_a_second_derivative_of_an_activation_is_refused():
     scales, _, _ = activate(gaussians, 0.01, 0.01)
     with pytest.raises(RuntimeError, match="no second derivative"):
         torch.autograd.grad(scales.sum(), gaussians.log_scales, create_graph=True)
+
+
+@pytest.mark.parametrize("name", ["means", "quats", "sh"])
+def test_a_tensor_that_could_not_be_updated_in_place_is_refused(name):
+    gaussians = cloud(20)
+    setattr(gaussians, name, getattr(gaussians, name).mT.contiguous().mT)
+    for tensor in gaussians.tensors().values():
+        tensor.grad = torch.ones_like(tensor)
+    before = gaussians.logit_opacities.clone()
+    with pytest.raises(ValueError, match=rf"{name} must be contiguous.*call \.contiguous\(\)"):
+        Adam(gaussians).step(gaussians, LearningRates(), 1e-3)
+    assert torch.equal(gaussians.logit_opacities, before)

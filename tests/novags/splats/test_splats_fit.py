@@ -213,3 +213,19 @@ def test_views_know_their_centres_and_extent():
     assert views.extent == pytest.approx(1.1 * 3.5, rel=1e-5)
     with pytest.raises(ValueError, match="must be float32"):
         Views(views.viewmats.double(), views.Ks.double(), 4, 4)
+
+
+def test_a_start_in_any_memory_layout_is_trained_alike():
+    start, views, images = problem(100)
+    transposed = Gaussians(**{name: t.mT.contiguous().mT if t.ndim > 1 else t for name, t in start.tensors().items()})
+    assert not transposed.means.is_contiguous()
+    settings = config(iterations=20, mcmc=McmcConfig(refine_start=5, refine_every=10, refine_stop=15))
+    a, b = (fit(g, views, lambda i: images[i], settings).gaussians for g in (start, transposed))
+    assert same(a, b)
+    assert not torch.equal(b.means[:100], start.means)
+
+
+def test_points_in_any_memory_layout_give_contiguous_gaussians():
+    points = torch.rand(3, 50, generator=torch.Generator().manual_seed(0)).T
+    gaussians = Gaussians.from_points(points, points.flip(1), sh_degree=1)
+    assert all(t.is_contiguous() for t in gaussians.tensors().values())
