@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.render.source import LoadedScene, unique_materials
+from simscenes.render.contents import unique_materials
+from simscenes.render.source import LoadedScene
 from simscenes.rigs import Rig, invert_rigid
 
 MAX_INTERFACES = 16  # borders of fog and the like, which bend no ray and are looked through
@@ -67,14 +68,14 @@ def check_cameras(mi: Any, loaded: LoadedScene, rig: Rig) -> None:
     Raises:
         ValueError: If most of what a view sees are the unlit backs of one-sided surfaces.
     """
-    scene = loaded.scene
-    one_sided = np.array([False, *(not s.bsdf().flags() & int(mi.BSDFFlags.BackSide) for s in scene.shapes())])
+    sides = [s.bsdf().flags() & int(mi.BSDFFlags.BackSide) for s in unique_materials(loaded.scene, mi)]
+    one_sided = np.array([False, *(not back for back in sides)])
     for i in range(len(rig)):
         small = shrunk(rig, i)
         origin, directions = pixel_rays(small, 0)
         find = _intersect_scalar if mi.variant().startswith("scalar") else _intersect_wide
-        hit, _, _, geometric, _, shape, _ = find(mi, scene, origin, directions)
-        back = hit & one_sided[shape] & (np.einsum("pj,pj->p", geometric, directions) > 0)
+        hit, _, _, geometric, _, shape, material = find(mi, loaded.scene, origin, directions)
+        back = hit & one_sided[material] & (np.einsum("pj,pj->p", geometric, directions) > 0)
         if back.mean() > 0.5:
             names = ["", *loaded.shapes]
             inside = names[int(np.bincount(shape[back]).argmax())]
@@ -111,8 +112,9 @@ def _intersect_wide(mi: Any, scene: Any, origin: NDArray[Any], directions: NDArr
     ray, si = first_surfaces(mi, scene, origin, directions)
     albedo = si.bsdf(ray).eval_diffuse_reflectance(si, si.is_valid())
     columns = [np.array(v, dtype=np.float64).T for v in (si.p, si.sh_frame.n, si.n, mi.Color3f(albedo))]
-    shapes = _numbers(dr, mi.UInt32, [mi.ShapePtr(s) for s in scene.shapes()], si.shape)
-    materials = _numbers(dr, mi.UInt32, [mi.BSDFPtr(s.bsdf()) for s in unique_materials(scene)], si.bsdf(ray))
+    seen = dr.select(si.instance != mi.ShapePtr(None), si.instance, si.shape)
+    shapes = _numbers(dr, mi.UInt32, [mi.ShapePtr(s) for s in scene.shapes()], seen)
+    materials = _numbers(dr, mi.UInt32, [mi.BSDFPtr(s.bsdf()) for s in unique_materials(scene, mi)], si.bsdf(ray))
     return np.array(si.is_valid()), *columns, shapes, materials
 
 
@@ -130,7 +132,7 @@ def _intersect_scalar(mi: Any, scene: Any, origin: NDArray[Any], directions: NDA
     hit, vectors = np.zeros(count, dtype=bool), np.zeros((4, count, 3))
     numbers = np.zeros((2, count), dtype=np.uint32)
     shapes = {s: k + 1 for k, s in enumerate(scene.shapes())}
-    materials = {s.bsdf(): k + 1 for k, s in enumerate(unique_materials(scene))}
+    materials = {s.bsdf(): k + 1 for k, s in enumerate(unique_materials(scene, mi))}
     for p, direction in enumerate(directions.tolist()):
         ray = mi.Ray3f(origin.tolist(), direction)
         si = scene.ray_intersect(ray)
@@ -142,5 +144,5 @@ def _intersect_scalar(mi: Any, scene: Any, origin: NDArray[Any], directions: NDA
             continue
         hit[p], bsdf = True, si.bsdf(ray)
         vectors[:, p] = si.p, si.sh_frame.n, si.n, bsdf.eval_diffuse_reflectance(si)
-        numbers[:, p] = shapes.get(si.shape, 0), materials.get(bsdf, 0)
+        numbers[:, p] = shapes.get(si.instance or si.shape, 0), materials.get(bsdf, 0)
     return hit, *vectors, *numbers

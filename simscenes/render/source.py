@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from simscenes.render.contents import unique_materials
 from simscenes.render.physical import check_parameters
 from simscenes.render.untrusted import check_plugin, check_xml, searching_only
 
@@ -24,8 +25,8 @@ class LoadedScene:
         variant: The Mitsuba variant it was loaded in, and the only one it can be used in.
         scene: The Mitsuba scene.
         digest: Hash of everything the picture depends on but the camera and the random numbers.
-        shapes: Names of the shapes; the id of a pixel is 1 + place in this list.
-        materials: Names of the materials, likewise.
+        shapes: Names of the shapes and instances; the id of a pixel is 1 + place in this list.
+        materials: Names of the materials, likewise; those within instances too.
         extent: Diagonal of the bounding box, scene units.
     """
 
@@ -66,7 +67,7 @@ def build_scene(scene: str | dict[str, Any] | Path, mi: Any, *, allow_outside: b
     params = mi.traverse(loaded)
     check_parameters(params, mi)
     shapes = tuple(s.id() for s in loaded.shapes())
-    materials = tuple(_material_name(s) for s in unique_materials(loaded))
+    materials = tuple(_material_name(s) for s in unique_materials(loaded, mi))
     extent = float(np.linalg.norm(np.array(loaded.bbox().extents())))
     return LoadedScene(str(name), mi.variant(), loaded, scene_digest(loaded, params), shapes, materials, extent)
 
@@ -135,16 +136,6 @@ def set_light_weights(loaded: LoadedScene, weights: tuple[float, ...], mi: Any) 
         params["sampling_weight"] = weight
         params.update()
     loaded.scene.parameters_changed([])
-
-
-def unique_materials(scene: Any) -> list[Any]:
-    """One shape for each distinct material, in the order of the shapes."""
-    seen, first = set(), []
-    for shape in scene.shapes():
-        if shape.bsdf() is not None and shape.bsdf() not in seen:
-            seen.add(shape.bsdf())
-            first.append(shape)
-    return first
 
 
 def _material_name(shape: Any) -> str:

@@ -13,6 +13,7 @@ from sensor_model.plan import Effect
 from simscenes.backend import activate
 from simscenes.camera import camera_color
 from simscenes.optics import Optics
+from simscenes.render.contents import media_in, unique_materials
 from simscenes.render.source import LoadedScene, build_scene
 from simscenes.rigs import Rig
 from simscenes.scenes import MEASURED_LIGHTS, split_name
@@ -127,7 +128,7 @@ def roulette_effect(p: Pilot, media: bool, depth: int, measure: bool) -> tuple[i
 
 def media_effects(p: Pilot) -> list[Effect]:
     """Fog and other media: there or not, what they change, and whether their extinction has a colour."""
-    media = [m for s in p.loaded.scene.shapes() for m in (s.interior_medium(), s.exterior_medium()) if m is not None]
+    media = media_in(p.loaded.scene, p.mi)
     if not media:
         return [_effect(plan.MEDIA, False, 0.0, p.allowed, "the scene holds no medium"),
                 _effect(plan.SPECTRAL_MIS, False, 0.0, 0.0, "no medium")]  # fmt: skip
@@ -155,7 +156,7 @@ def polarisation_effect(p: Pilot, media: bool, geometry: list[Any], measure: boo
 
     Together with media it cannot be simulated: Mitsuba's integrators for them treat light as unpolarised.
     """
-    specular = [bool(s.bsdf().flags() & SPECULAR) for s in p.loaded.scene.shapes()]
+    specular = [bool(s.bsdf().flags() & SPECULAR) for s in unique_materials(p.loaded.scene, p.mi)]
     if not any(specular):
         return _effect(plan.POLARISATION, False, 0.0, p.allowed, "all surfaces are diffuse, light comes unpolarised")
     if not measure or p.colors == ("rgb",):
@@ -177,7 +178,7 @@ def polarisation_effect(p: Pilot, media: bool, geometry: list[Any], measure: boo
 
 def _bounded_polarisation(p: Pilot, geometry: list[Any], specular: list[bool]) -> tuple[float, str]:
     if p.backend == "scalar":
-        share = float(np.array([False, *specular])[np.stack([g["id"] for g in geometry])].mean())
+        share = float(np.array([False, *specular])[np.stack([g["material"] for g in geometry])].mean())
         return share * POLARISED_CHANGE, f"bounded: {share:.1%} of pixels show specular"
     total = float(p.render("path", DEPTHS[0]).mean())
     settings = {"type": "path", "max_depth": DEPTHS[0], "rr_depth": RR_DEPTH}

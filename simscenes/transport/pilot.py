@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simscenes.render.contents import unique_materials
 from simscenes.render.radiance import view_seed
 from simscenes.render.sensors import sensor_dict
 from simscenes.render.source import LoadedScene
@@ -82,7 +83,7 @@ def beyond(cut: Share, bounces: int, most: float) -> Share:
 def most_reflected(mi: Any, loaded: LoadedScene, geometry: Sequence[dict[str, NDArray[Any]]]) -> float:
     """The most of the light that a bounce keeps: the largest albedo seen, or 0.99 if not all is matt."""
     lobes, matt = int(mi.BSDFFlags.All), int(mi.BSDFFlags.DiffuseReflection)
-    if any(shape.bsdf().flags() & lobes & ~matt for shape in loaded.scene.shapes()):
+    if any(shape.bsdf().flags() & lobes & ~matt for shape in unique_materials(loaded.scene, mi)):
         return MOST
     albedo = max((float(g[f"albedo.{c}"].max()) for g in geometry for c in "RGB"), default=0.0)
     return min(albedo, MOST)

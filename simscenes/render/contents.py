@@ -1,0 +1,49 @@
+"""What a loaded scene holds, also what only its instances show."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def objects_in(scene: Any, mi: Any) -> list[Any]:
+    """Every object of a scene once, in the order in which Mitsuba comes to it; shared ones cost no more than others."""
+    found: dict[Any, None] = {}
+
+    class Walk(mi.TraversalCallback):
+        def put(self, name: str, value: Any, *flags: Any) -> None:
+            if isinstance(value, mi.Object) and value not in found:
+                found[value] = None
+                value.traverse(Walk())  # of its own: one that is in use cannot be called again
+
+    scene.traverse(Walk())
+    return list(found)
+
+
+def surfaces_in(scene: Any, mi: Any) -> list[Any]:
+    """The shapes that rays meet: those of the scene, then those of its groups, which its instances repeat.
+
+    Instances and groups have materials too, but ones that Mitsuba makes up and no ray meets.
+    """
+    shapes = scene.shapes()
+    if any(_repeats(shape) for shape in shapes):
+        shapes = [*shapes, *(o for o in objects_in(scene, mi) if isinstance(o, mi.Shape) and o not in set(shapes))]
+    return [shape for shape in shapes if not _repeats(shape)]
+
+
+def unique_materials(scene: Any, mi: Any) -> list[Any]:
+    """One shape for each distinct material, in the order of `surfaces_in`."""
+    first: dict[Any, Any] = {}
+    for shape in surfaces_in(scene, mi):
+        if shape.bsdf() is not None:
+            first.setdefault(shape.bsdf(), shape)
+    return list(first.values())
+
+
+def media_in(scene: Any, mi: Any) -> list[Any]:
+    """The media on either side of the surfaces, then those around the scene's own sensors."""
+    sides = [m for s in surfaces_in(scene, mi) for m in (s.interior_medium(), s.exterior_medium())]
+    return [m for m in (*sides, *(sensor.get_medium() for sensor in scene.sensors())) if m is not None]
+
+
+def _repeats(shape: Any) -> bool:
+    return shape.class_name().startswith(("Instance", "ShapeGroup"))
