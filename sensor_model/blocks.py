@@ -2,7 +2,8 @@
 
 Importing this module imports numba.
 """
-# mypy: disable-error-code="no-untyped-call, untyped-decorator"
+# numba infers the types of what it compiles, and gives its decorators none.
+# mypy: disable-error-code="no-untyped-call, no-untyped-def, untyped-decorator"
 
 from __future__ import annotations
 
@@ -57,7 +58,7 @@ def standard_normals(draws: streams.Draws, shape: tuple[int, ...], stream: int) 
 
 
 @jit
-def row_uniform(b, n, stream, channel, row, col, view, frame, k0, k1):  # type: ignore[no-untyped-def]
+def row_uniform(b, n, stream, channel, row, col, view, frame, k0, k1):
     """b[U:U + n] = the draws of columns col.. of one row, whatever the parity of col."""
     effect = np.uint64(stream * streams.CHANNELS + channel)
     odd = col % 2
@@ -68,7 +69,7 @@ def row_uniform(b, n, stream, channel, row, col, view, frame, k0, k1):  # type: 
 
 
 @inline
-def load(b, to, flat, start, stride, n):  # type: ignore[no-untyped-def]
+def load(b, to, flat, start, stride, n):
     """b[to:to + n] = every stride-th value of flat.
 
     The common stride 1 has a loop of its own, over a slice: there numba sees that no index is negative, which it would
@@ -84,7 +85,7 @@ def load(b, to, flat, start, stride, n):  # type: ignore[no-untyped-def]
 
 
 @inline
-def store(flat, start, stride, b, source, n):  # type: ignore[no-untyped-def]
+def store(flat, start, stride, b, source, n):
     """The way back."""
     if stride == 1:
         part = flat[start : start + n]
@@ -96,7 +97,7 @@ def store(flat, start, stride, b, source, n):  # type: ignore[no-untyped-def]
 
 
 @inline
-def store_whole(flat, start, stride, b, source, n):  # type: ignore[no-untyped-def]
+def store_whole(flat, start, stride, b, source, n):
     """The way back for whole numbers, by 32-bit integers: from float64 straight to 8 or 16 bits there is no SIMD."""
     if stride == 1:
         part = flat[start : start + n]
@@ -108,7 +109,7 @@ def store_whole(flat, start, stride, b, source, n):  # type: ignore[no-untyped-d
 
 
 @jit
-def _normals(out, stream, shape, y0, y1, row0, col0, view, frame, k0, k1, b, f, where):  # type: ignore[no-untyped-def]
+def _normals(out, stream, shape, y0, y1, row0, col0, view, frame, k0, k1, b, f, where):
     _, w, channels = shape
     for y in range(y0, y1):
         for c in range(channels):

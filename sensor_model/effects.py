@@ -92,7 +92,7 @@ def shot_noise(u: Array, mu_e: Array) -> Array:
     """
     shape, u, mu_e = np.shape(mu_e), np.ravel(u), np.ravel(mu_e)
     w, root = standard_normal(u), np.sqrt(mu_e)
-    # Giles, "Algorithm 955", ACM TOMS 42 (2016): the quantile to about 5 / mu**1.5 e-, and to one or two below mu = 1
+    # Giles, "Algorithm 955", ACM TOMS 42 (2016): close to the quantile, the closer the larger mu; not below mu = 1
     m = np.maximum(mu_e, 1)
     series = -w * (2 + w * w) / (72 * np.sqrt(m)) + (w * w * (7 + 3 * w * w) - 16) / (810 * m)
     n = np.maximum(np.floor(mu_e + root * w + (2 + w * w) / 6 + series), 0)
@@ -144,7 +144,7 @@ def nonlinear(charge: Array, droop: float) -> Array:
 
 def tukey_sd(lam: float) -> float:
     """Standard deviation of Tukey's lambda distribution of scale 1: published "scales" times this are sigmas."""
-    if abs(lam) < 1e-4:  # the bracket below vanishes as lam**2 and loses its digits: the logistic limit, to 1e-8
+    if abs(lam) < 1e-4:  # the bracket below vanishes as lam**2 and loses its digits: the logistic limit and its slope
         return float(np.pi / np.sqrt(3) * (1 - lam * (1 + 6 * special.zeta(3) / np.pi**2)))
     return float(np.sqrt(2 / lam**2 * (1 / (1 + 2 * lam) - special.beta(lam + 1, lam + 1))))
 

@@ -3,7 +3,8 @@
 Bit for bit the same frame as the numpy reference, for any number of threads and any size of block, because every pixel
 owns its random numbers and nothing is summed across pixels. Importing this module imports numba.
 """
-# mypy: disable-error-code="no-untyped-call, untyped-decorator"
+# numba infers the types of what it compiles, and gives its decorators none.
+# mypy: disable-error-code="no-untyped-call, no-untyped-def, untyped-decorator"
 
 from __future__ import annotations
 
@@ -80,7 +81,7 @@ def _noise(read: tuple[float, ...], lam: float | None, single: bool) -> tuple[in
 
 
 @jit
-def _shoot(  # type: ignore[no-untyped-def]
+def _shoot(
     light, response, dark, with_response, with_dark, eta, dark_e, cap, shot, single, out, shape, y0, y1,
     row0, col0, view, frame, k0, k1, b, f, where,
 ):  # fmt: skip
@@ -126,7 +127,7 @@ def _shoot(  # type: ignore[no-untyped-def]
 
 
 @inline
-def _read_noise(b, f, n, noise, single, lam, where):  # type: ignore[no-untyped-def]
+def _read_noise(b, f, n, noise, single, lam, where):
     """W = the read noise of U, over its scale; returns whether the error of float32 is as stated."""
     bounded = True
     if noise == QUIET:
@@ -144,7 +145,7 @@ def _read_noise(b, f, n, noise, single, lam, where):  # type: ignore[no-untyped-
 
 
 @inline
-def _codes(b, n, even, odd, read, slack):  # type: ignore[no-untyped-def]
+def _codes(b, n, even, odd, read, slack):
     """Charge C, noise W and offset N -> codes N and saturation C; returns how many are within slack of another."""
     full, droop, sigma, _, gain, top, threshold, sigma_low, ratio = read
     near = 0
@@ -173,7 +174,7 @@ def _codes(b, n, even, odd, read, slack):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _read_out(  # type: ignore[no-untyped-def]
+def _read_out(
     charge, offset, with_offset, rows, columns, black, read, noise, slack, dn, saturated, shape, y0, y1,
     row0, col0, view, frame, k0, k1, b, f, where,
 ):  # fmt: skip

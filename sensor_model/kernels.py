@@ -6,7 +6,8 @@ Distances known at compile time are what lets LLVM vectorise without testing eve
 Only + - * / and sqrt in float64 are used on the common path and nothing is re-associated, so results do not depend on
 the machine, the vector width or the place in a chunk. Importing this module imports numba: do so inside functions only.
 """
-# mypy: disable-error-code="no-untyped-call, untyped-decorator"
+# numba infers the types of what it compiles, and gives its decorators none.
+# mypy: disable-error-code="no-untyped-call, no-untyped-def, untyped-decorator"
 
 from __future__ import annotations
 
@@ -57,7 +58,7 @@ def inline(function: Callable) -> Callable:
 
 
 @inline
-def philox(c0, c1, c2, c3, k0, k1):  # type: ignore[no-untyped-def]
+def philox(c0, c1, c2, c3, k0, k1):
     """Twin of `streams.philox` for one counter."""
     for _ in range(_ROUNDS):
         # Cut to 32 bits at the product only, where the SIMD multiplication does so by itself
@@ -69,7 +70,7 @@ def philox(c0, c1, c2, c3, k0, k1):  # type: ignore[no-untyped-def]
 
 
 @jit
-def uniform(b, n, row, col, effect, view, frame, k0, k1):  # type: ignore[no-untyped-def]
+def uniform(b, n, row, col, effect, view, frame, k0, k1):
     """b[U:U + n] = uniforms of columns col.. of one row, col even; twin of `streams.Draws.uniforms`."""
     base = np.uint64(row) << _S16
     first = np.uint64(col) // _TWO
@@ -80,7 +81,7 @@ def uniform(b, n, row, col, effect, view, frame, k0, k1):  # type: ignore[no-unt
 
 
 @inline
-def log(x):  # type: ignore[no-untyped-def]
+def log(x):
     """Natural logarithm of a normal positive float64, to 1e-15: 2 atanh((m - 1)/(m + 1)) + e ln 2."""
     bits = np.float64(x).view(np.int64)
     e = (bits >> 52) - 1023
@@ -103,7 +104,7 @@ def log(x):  # type: ignore[no-untyped-def]
 
 
 @inline
-def exp16(x):  # type: ignore[no-untyped-def]
+def exp16(x):
     """exp(x) for |x| <= 4, to 1e-14: the Taylor series of exp(x/16), squared four times."""
     y = x * 0.0625
     p = 1 / 39916800
@@ -125,7 +126,7 @@ def exp16(x):  # type: ignore[no-untyped-def]
 
 
 @jit
-def quantile(u):  # type: ignore[no-untyped-def]
+def quantile(u):
     """One standard normal quantile."""
     q = u - 0.5
     if abs(q) <= 0.425:
@@ -136,7 +137,7 @@ def quantile(u):  # type: ignore[no-untyped-def]
 
 
 @inline
-def _central(q):  # type: ignore[no-untyped-def]
+def _central(q):
     """Wichura's PPND16 for |q| <= 0.425, q = u - 1/2 (Applied Statistics algorithm AS 241, 1988)."""
     r = 0.180625 - q * q
     a = 2.5090809287301226727e3 * r + 3.3430575583588128105e4
@@ -156,7 +157,7 @@ def _central(q):  # type: ignore[no-untyped-def]
 
 
 @inline
-def _tail(r):  # type: ignore[no-untyped-def]
+def _tail(r):
     """PPND16 for 1.6 <= r + 1.6 <= 5, r = sqrt(-log(tail probability)) - 1.6."""
     a = 7.74545014278341407640e-4 * r + 2.27238449892691845833e-2
     a = a * r + 2.41780725177450611770e-1
@@ -175,7 +176,7 @@ def _tail(r):  # type: ignore[no-untyped-def]
 
 
 @inline
-def _far_tail(r):  # type: ignore[no-untyped-def]
+def _far_tail(r):
     """PPND16 beyond r = 5 (probabilities under 1e-11), r = sqrt(-log(tail probability)) - 5."""
     a = 2.01033439929228813265e-7 * r + 2.71155556874348757815e-5
     a = a * r + 1.24266094738807843860e-3
@@ -194,7 +195,7 @@ def _far_tail(r):  # type: ignore[no-untyped-def]
 
 
 @jit
-def normal(b, n, where):  # type: ignore[no-untyped-def]
+def normal(b, n, where):
     """b[W:W + n] = standard normal quantiles of b[U:]; twin of `effects.standard_normal`. where: CHUNK integers."""
     for i in range(n):
         b[W + i] = _central(b[U + i] - 0.5)
@@ -215,7 +216,7 @@ def normal(b, n, where):  # type: ignore[no-untyped-def]
 
 
 @jit
-def tukey(b, n, lam):  # type: ignore[no-untyped-def]
+def tukey(b, n, lam):
     """b[W:W + n] = Tukey-lambda quantiles, scale 1, of b[U:]; twin of `effects.tukey_quantile`.
 
     (u**lam - v**lam)/lam with v = 1 - u equals exp(lam m) (a - c) sinh(z)/z, a = log u, c = log v, m = (a + c)/2,

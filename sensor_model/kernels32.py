@@ -4,7 +4,8 @@ Whoever rounds their result looks whether it lies so near to a step that the err
 double-precision kernel. So frames stay those of float64, bit for bit, at nearly the speed of float32.
 `f` is a float32 scratch array with the offsets of `b`. Importing this module imports numba.
 """
-# mypy: disable-error-code="no-untyped-call, untyped-decorator"
+# numba infers the types of what it compiles, and gives its decorators none.
+# mypy: disable-error-code="no-untyped-call, no-untyped-def, untyped-decorator"
 
 from __future__ import annotations
 
@@ -30,13 +31,13 @@ _OUTER = tuple(map(_F, (-0.000200214257, 0.000100950558, 0.00134934322, -0.00367
                         -0.0076224613, 0.00943887047, 1.00167406, 2.83297682)))  # fmt: skip
 
 
-def fast(function):  # type: ignore[no-untyped-def]
+def fast(function):
     """Fused multiply-adds, where the machine has them: what is bounded here is the error, not the last bit."""
     return jit(function, fastmath={"contract", "nnan", "ninf", "nsz"})
 
 
 @inline
-def log32(x):  # type: ignore[no-untyped-def]
+def log32(x):
     """Natural logarithm of a normal positive float32, to 2e-7 of the larger of itself and 1."""
     # numba computes integers in 64 bits, which halves the pixels to a register: so exponents stay floats
     e = (_F(_F(x).view(np.int32)) * _STEP - _CUT + _WHOLE) - _WHOLE
@@ -54,7 +55,7 @@ def log32(x):  # type: ignore[no-untyped-def]
 
 
 @fast
-def normal32(b, f, n):  # type: ignore[no-untyped-def]
+def normal32(b, f, n):
     """f[W:W + n] = standard normal quantiles of b[U:]; returns whether none is beyond TAIL, where there is no bound."""
     outside = 0
     for i in range(n):

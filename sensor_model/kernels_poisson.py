@@ -3,7 +3,8 @@
 Single precision finds the count; where its error could matter, the distribution function decides in double precision.
 Importing this module imports numba.
 """
-# mypy: disable-error-code="no-untyped-call, untyped-decorator"
+# numba infers the types of what it compiles, and gives its decorators none.
+# mypy: disable-error-code="no-untyped-call, no-untyped-def, untyped-decorator"
 
 from __future__ import annotations
 
@@ -16,7 +17,7 @@ from sensor_model.kernels import MU, C, N, P, U, W, X, exp16, jit, quantile
 from sensor_model.kernels32 import NORMAL_ERROR, TAIL, fast, normal32
 
 SMALL_MEAN = 4.0  # below: count through the distribution function; above: invert its asymptotic series
-SMALL_SLACK = np.float32(4e-6)  # error of the distribution function summed in float32, with u rounded to it
+SMALL_SLACK = np.float32(4e-6)  # bound on the error of the distribution function in float32, u rounded to it
 _F = np.float32
 _ZERO, _ONE, _TWO, _THREE, _SEVEN, _SIXTEEN = (_F(i) for i in (0, 1, 2, 3, 7, 16))
 _SIXTH, _72TH, _810TH, _SLACK1, _SLACK2 = _F(1 / 6), _F(1 / 72), _F(1 / 810), _F(0.05), _F(0.004)
@@ -24,7 +25,7 @@ _ROUNDING, _NORMAL = _F(1e-6), _F(NORMAL_ERROR)
 
 
 @jit
-def poisson(b, f, n, where):  # type: ignore[no-untyped-def]
+def poisson(b, f, n, where):
     """b[N:N + n] = quantiles of b[U:] for means b[MU:] >= 0."""
     large = 0
     for i in range(n):
@@ -38,7 +39,7 @@ def poisson(b, f, n, where):  # type: ignore[no-untyped-def]
 
 
 @partial(jit, fastmath={"contract", "nnan", "ninf", "nsz", "reassoc"})
-def _count_up(f, n):  # type: ignore[no-untyped-def]
+def _count_up(f, n):
     """Count k = 0, 1, 2, ... up the distribution function C, all pixels side by side; X: how near u came to it."""
     for k in range(1, 100):  # P(N >= 100) < 1e-98 at mean 4
         inverse = _F(1.0 / k)
@@ -57,7 +58,7 @@ def _count_up(f, n):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _small(b, f, n, where):  # type: ignore[no-untyped-def]
+def _small(b, f, n, where):
     for i in range(n):
         small = b[MU + i] < SMALL_MEAN
         f[U + i] = _F(b[U + i])
@@ -79,7 +80,7 @@ def _small(b, f, n, where):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _counted(u, mu):  # type: ignore[no-untyped-def]
+def _counted(u, mu):
     """The same count for one pixel, in double precision."""
     p = exp16(-mu)
     cdf, k = p, 0.0
@@ -91,11 +92,11 @@ def _counted(u, mu):  # type: ignore[no-untyped-def]
 
 
 @fast
-def _series(f, n):  # type: ignore[no-untyped-def]
+def _series(f, n):
     """N = quantile less mean, of f[MU:] and the normal quantiles f[W:]; C = by how much it may be wrong.
 
-    Source: Giles, "Algorithm 955", ACM TOMS 42 (2016), the series to order 1/mu. Compared with the incomplete gamma
-    function for 4 <= mu <= 1e6 and max(-8, -max(3, sqrt(mu))) <= w <= 8, its error stays below 0.85 of the first slack.
+    Source: Giles, "Algorithm 955", ACM TOMS 42 (2016), the series to order 1/mu; the first slack is a bound on the rest
+    of it, found by comparison with the incomplete gamma function.
     """
     for i in range(n):
         w = f[W + i]
@@ -117,7 +118,7 @@ def _series(f, n):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _large(b, f, n, where):  # type: ignore[no-untyped-def]
+def _large(b, f, n, where):
     """Round down the asymptotic quantile; where its error could matter, decide by the distribution function."""
     _series(f, n)
     near = 0
@@ -141,7 +142,7 @@ def _large(b, f, n, where):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _rounded(u, mu):  # type: ignore[no-untyped-def]
+def _rounded(u, mu):
     """The same for one pixel, in double precision."""
     w = quantile(u)
     s, size, root = w * w, abs(w), math.sqrt(mu)
@@ -156,7 +157,7 @@ def _rounded(u, mu):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _decided(u, mu, guess):  # type: ignore[no-untyped-def]
+def _decided(u, mu, guess):
     """The smallest k with P(N <= k) >= u, walking from a guess near it; the smaller of the two tails is summed."""
     k = max(guess, 0.0)
     p = _pmf(k, mu)
@@ -195,7 +196,7 @@ def _decided(u, mu, guess):  # type: ignore[no-untyped-def]
 
 
 @jit
-def _pmf(k, mu):  # type: ignore[no-untyped-def]
+def _pmf(k, mu):
     """P(N = k) by Loader's saddle point form: no large terms that cancel. Loader, "Fast and accurate ..." (2000)."""
     if k == 0.0:
         return math.exp(-mu)

@@ -145,7 +145,8 @@ def _shapes(s: Sensor, low: float, high: float, limits: Limits, clips: bool) -> 
     tails = 0.0
     if s.tukey_lambda is not None and s.sigma_d:
         tails = abs(excess_kurtosis(s.tukey_lambda)) * (s.sigma_d**2 / kept_variance(s, low)) ** 2
-    # Skewness, plus the steps of whole electrons where the read noise does not blur them
+    # Skewness (1 / (6 sqrt(2 pi)) of it, by Edgeworth's expansion), plus the steps of whole electrons where the read
+    # noise does not blur them
     skew = (0.0665 + 0.2 * exp(-2 * (pi * s.sigma_d) ** 2)) / sqrt(low) if low > 0 else inf
     full = max(0.0, CLEAR - _sd_to_white(s, high))
     switch = inf if s.dual_gain is None else _ratio(s.dual_gain.threshold - high, sqrt(kept_variance(s, high)))

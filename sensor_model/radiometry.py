@@ -131,7 +131,7 @@ def electrons_from_luminance(luminance: float, lens: Lens, exposure: Exposure, *
     """Charge of a green pixel that looks at a surface of this luminance: the `electrons` of `photons_for_electrons`.
 
     All light is counted as of 555 nm. For a green channel 100 nm wide (full width at half maximum, at 535 nm) that is
-    right to 1 % under D65 and 20 % too high under tungsten; use `photons_from_spectrum` where it matters.
+    right to 1 % under D65 and 22 % too high under tungsten; use `photons_from_spectrum` where it matters.
 
     Args:
         luminance: cd/m**2, e.g. from `luminance_from_lux` or `luminance_from_ev`.
