@@ -37,7 +37,7 @@ from simscenes.scenes import default_rig
 
 DEFAULT_SPP = 256
 FORMAT = 3  # of the folder; a change renders again
-MEASURE_FROM = 10**8  # samples in a job: some minutes, beside which the planner's slower measurements cost little
+MEASURE_FROM = 3 * 10**7  # samples in a job: some 30 s, beside which the planner's slower measurements cost little
 ERROR_SEEN = (
     "relative_error is the spread between independent passes: noise only. It cannot see what every pass lacks, such as "
     "paths beyond max_depth or a caustic that no pass has found, nor the error of three colour channels; see plan."

@@ -41,24 +41,26 @@ def light_and_surface(mi: Any, loaded: LoadedScene, rig: Rig, seed: int) -> tupl
     import drjit as dr
 
     lights, surfaces = [], []
+    # Four wavelengths at a time, as many as a Mitsuba spectrum holds; the last group repeats the end.
+    groups = np.minimum(np.arange(0, len(WAVELENGTHS), 4)[:, None] + np.arange(4), len(WAVELENGTHS) - 1)
     for i in range(len(rig)):
         origin, directions = pixel_rays(rig, i)
-        ray, si = first_surfaces(mi, loaded.scene, origin, directions)
+        pixels = len(directions)
+        ray, seen = first_surfaces(mi, loaded.scene, origin, directions)
+        picks = np.random.default_rng([seed, i]).random((LIGHT_SAMPLES, 2, pixels), dtype=np.float32)
+        # Every group of wavelengths, pick and pixel at once, the pixels fastest.
+        lanes = [len(groups), LIGHT_SAMPLES, pixels]
+        place = np.broadcast_to(np.arange(pixels, dtype=np.uint32), lanes).ravel()
+        si, ray = (dr.gather(type(v), v, mi.UInt32(place)) for v in (seen, ray))
+        si.wavelengths = mi.Spectrum(*(np.repeat(w, LIGHT_SAMPLES * pixels) for w in WAVELENGTHS[groups].T))
         valid = si.is_valid()
-        rng = np.random.default_rng([seed, i])
-        picks = rng.random((LIGHT_SAMPLES, 2, len(directions)), dtype=np.float32)
-        light = np.zeros((len(WAVELENGTHS), len(directions)))
-        surface = np.zeros_like(light)
-        # Four wavelengths at a time, as many as a Mitsuba spectrum holds; the last group repeats the end.
-        for first in range(0, len(WAVELENGTHS), 4):
-            group = np.minimum(np.arange(first, first + 4), len(WAVELENGTHS) - 1)
-            si.wavelengths = mi.Spectrum(*(dr.full(mi.Float, w, len(directions)) for w in WAVELENGTHS[group]))
-            surface[group] = np.array(si.bsdf(ray).eval_diffuse_reflectance(si, valid)).reshape(4, -1)
-            for pick in picks:
-                ds, weight = loaded.scene.sample_emitter_direction(si, mi.Point2f(pick), True, valid)
-                cosine = dr.maximum(dr.dot(ds.d, dr.select(dr.dot(si.n, ray.d) > 0, -si.n, si.n)), 0)
-                light[group] += np.array(weight * cosine).reshape(4, -1) / LIGHT_SAMPLES
-        lit = np.array(valid) & (light.sum(0) > 0) & (surface.sum(0) > 0)
+        pick = mi.Point2f(*(np.broadcast_to(picks[:, k], lanes).ravel() for k in range(2)))
+        ds, weight = loaded.scene.sample_emitter_direction(si, pick, True, valid)
+        facing = dr.select(dr.dot(si.n, ray.d) > 0, -si.n, si.n)
+        found = np.array(weight * dr.maximum(dr.dot(ds.d, facing), 0)).reshape(4, *lanes).mean(2)
+        reflected = np.array(si.bsdf(ray).eval_diffuse_reflectance(si, valid)).reshape(4, *lanes)[:, :, 0]
+        light, surface = (v.swapaxes(0, 1).reshape(-1, pixels)[: len(WAVELENGTHS)] for v in (found, reflected))
+        lit = np.array(seen.is_valid()) & (light.sum(0) > 0) & (surface.sum(0) > 0)
         lights.append(light[:, lit].T)
         surfaces.append(surface[:, lit].T)
     return np.concatenate(lights), np.concatenate(surfaces)
