@@ -1,5 +1,6 @@
 """Training state on disk, as safetensors: a run that is stopped and resumed gives the same bits as one that was not."""
 
+import hashlib
 import json
 import os
 from dataclasses import dataclass, field
@@ -31,6 +32,15 @@ class TrainingState:
     iteration: int = 0
     losses: list[dict[str, float]] = field(default_factory=list)
     seconds: float = 0.0
+
+
+def digest(*tensors: Tensor) -> str:
+    """Sixteen hexadecimal digits that tell tensors of other values, shapes or dtypes apart."""
+    sums = hashlib.sha256()
+    for tensor in tensors:
+        sums.update(f"{tensor.dtype} {list(tensor.shape)} ".encode())
+        sums.update(tensor.detach().cpu().contiguous().numpy().data)
+    return sums.hexdigest()[:16]
 
 
 def write_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, str] | None = None) -> None:
@@ -73,12 +83,15 @@ def load_checkpoint(path: Path, settings: dict[str, object], device: torch.devic
     Raises:
         ValueError: If the file is no training checkpoint, or belongs to a run with other settings.
     """
-    with safe_open(path, framework="pt", device=str(device)) as file:
-        metadata = file.metadata() or {}
-        if "state" not in metadata:
-            raise ValueError(f"{path} is no training checkpoint of this version: delete it to start anew")
-        rest = json.loads(metadata["state"])
-        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+    try:
+        with safe_open(path, framework="pt", device=str(device)) as file:
+            rest = json.loads((file.metadata() or {})["state"])
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+    except (SafetensorError, KeyError) as error:
+        reason = f"{type(error).__name__}: {error}"
+        raise ValueError(
+            f"{path} is no training checkpoint of this version ({reason}): delete it to start anew"
+        ) from error
     saved, now = rest["settings"], json.loads(json.dumps(settings))
     different = sorted(key for key in saved.keys() | now.keys() if saved.get(key) != now.get(key))
     if different:

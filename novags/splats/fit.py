@@ -13,7 +13,7 @@ from torch import Tensor
 
 from .activate import activate
 from .adam import Adam, LearningRates
-from .checkpoint import TrainingState, load_checkpoint, save_checkpoint
+from .checkpoint import TrainingState, digest, load_checkpoint, save_checkpoint
 from .gaussians import Gaussians
 from .losses import photometric_loss
 from .mcmc import McmcConfig, add_noise, grow, prune_to_cap, relocate
@@ -161,7 +161,8 @@ def fit(
         needs_depth: Render expected depth too; a function is asked in every iteration, by its number.
         progress: Called every LOG_EVERY iterations with (iterations done, of how many, log entry).
         checkpoint: File of the training state. Written every `checkpoint_every` iterations and at the end; if it is
-            there already, the run goes on from it. State that `target` and `extra_losses` keep is theirs to save.
+            there already, and of a run with this start, these views and this config (but maybe other targets), the
+            run goes on from it. State that `target` and `extra_losses` keep is theirs to save.
 
     Returns:
         FitResult.
@@ -173,7 +174,7 @@ def fit(
         raise ValueError("views must hold at least one camera, got none")
     started = time.perf_counter()
     extent = config.extent if config.extent is not None else views.extent
-    settings: dict[str, object] = {**dataclasses.asdict(config), "extent": extent, "views": len(views)}
+    settings = {} if checkpoint is None else _identity(gaussians, views, config, extent)
     if checkpoint is not None and checkpoint.exists():
         state = load_checkpoint(checkpoint, settings, gaussians.means.device)
         started -= state.seconds
@@ -206,6 +207,15 @@ def fit(
         gaussians=state.gaussians.detach(), losses=state.losses, seconds=time.perf_counter() - started,
         peak_bytes=_peak_bytes(state.gaussians),
     )  # fmt: skip
+
+
+def _identity(gaussians: Gaussians, views: Views, config: FitConfig, extent: float) -> dict[str, object]:
+    """What a run is started with, targets and extra losses apart: a checkpoint of another run must not be taken."""
+    size = torch.tensor([views.width, views.height])
+    return {
+        **dataclasses.asdict(config), "extent": extent, "views": len(views),
+        "start": digest(*gaussians.tensors().values()), "cameras": digest(views.viewmats, views.Ks, size),
+    }  # fmt: skip
 
 
 def _prepared(gaussians: Gaussians, config: FitConfig) -> Gaussians:

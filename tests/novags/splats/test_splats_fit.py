@@ -94,11 +94,31 @@ def test_a_checkpoint_of_another_run_is_refused_with_the_difference(tmp_path):
         fit(start, views, lambda i: images[i], config(iterations=3, seed=5), checkpoint=path)
 
 
-def test_a_file_that_is_no_checkpoint_is_refused(tmp_path):
+@pytest.mark.parametrize("what", ["means", "sh", "viewmats", "Ks", "size"])
+def test_a_checkpoint_of_another_start_or_other_cameras_is_refused(tmp_path, what):
+    start, views, images = problem(50)
+    path = tmp_path / "state.safetensors"
+    fit(start, views, lambda i: images[i], config(iterations=3), checkpoint=path)
+    if what in ("means", "sh"):
+        getattr(start, what)[7] += 1e-3
+    elif what == "size":
+        views, images = dataclasses.replace(views, width=SIZE + 1), images.new_zeros(N_VIEWS, SIZE, SIZE + 1, 3)
+    else:
+        views = dataclasses.replace(views, **{what: getattr(views, what) * 1.001})
+    different = "start" if what in ("means", "sh") else "cameras"
+    with pytest.raises(ValueError, match=rf"other settings .*{different}: '\w+' there, '\w+' now"):
+        fit(start, views, lambda i: images[i], config(iterations=3), checkpoint=path)
+
+
+@pytest.mark.parametrize("content", ["tensors", "text", "nothing", "cut"])
+def test_a_file_that_is_no_checkpoint_is_refused(tmp_path, content):
     start, views, images = problem(20)
-    save_file({"means": start.means}, tmp_path / "other.safetensors")
-    with pytest.raises(ValueError, match="other.safetensors is no training checkpoint"):
-        fit(start, views, lambda i: images[i], config(iterations=1), checkpoint=tmp_path / "other.safetensors")
+    path = tmp_path / "other.safetensors"
+    save_file({"means": start.means}, path)
+    if content != "tensors":
+        path.write_bytes({"text": b"no tensors" * 9, "nothing": b"", "cut": path.read_bytes()[:-8]}[content])
+    with pytest.raises(ValueError, match="other.safetensors is no training checkpoint.*delete it to start anew"):
+        fit(start, views, lambda i: images[i], config(iterations=1), checkpoint=path)
 
 
 def test_every_epoch_sees_every_view_once():
