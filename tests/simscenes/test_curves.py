@@ -29,6 +29,18 @@ def test_curves_show_the_error_fall_with_the_work(monkeypatch: pytest.MonkeyPatc
     assert missing[-1] == 0
 
 
+def test_every_knob_can_be_turned(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(curves, "REFERENCE_ERROR", 0.1)
+    ends = {knob: (values[0], values[-1]) for knob, values in KNOBS.items() if knob not in ("spp", "max_depth")}
+    monkeypatch.setattr(curves, "KNOBS", ends | {"variant": ("scalar", "llvm_ad")})
+    lines = list(render_curves("cornell", size=8, repeats=1, knobs=tuple(ends)))
+    assert [line["setting"] for line in lines] == [v for values in curves.KNOBS.values() for v in values]
+    assert all(line["error"] < 0.5 and line["seconds"] > 0 for line in lines)
+    errors = {(line["knob"], line["setting"]): line["error"] for line in lines}
+    # Paths are the same where no medium is, whichever integrator follows them, up to the random numbers it draws.
+    assert errors["integrator", "path"] == pytest.approx(errors["integrator", "volpath"], abs=0.1)
+
+
 def test_unknown_knobs_are_refused() -> None:
     with pytest.raises(ValueError, match="rr_depth"):
         next(render_curves(knobs=("gamma",)))

@@ -325,8 +325,26 @@ def test_fewer_views_remove_the_stale_ones(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (2, 1), (7, 3)])
 def test_tiny_images_render(width: int, height: int, tmp_path: Path) -> None:
-    done = small_job(tmp_path, orbit_rig(2, width, height, 20, target=(0, 0, 0.8), radius=4.0))
-    assert done.radiance(1).shape == (height, width, 3)
+    """Plainly, and with a plan and towards an error, which measure what they see in the image."""
+    rig = orbit_rig(2, width, height, 20, target=(0, 0, 0.8), radius=4.0)
+    plain = small_job(tmp_path / "plain", rig, spp=256)
+    planned = small_job(tmp_path / "planned", rig, spp=None, target_error=0.05, plan="auto")
+    for done in (plain, planned):
+        assert done.radiance(1).shape == (height, width, 3)
+    assert planned.radiance(1).mean() == pytest.approx(plain.radiance(1).mean(), rel=0.3)
+
+
+def test_fireflies_are_said_in_the_set_and_on_the_way(tmp_path: Path) -> None:
+    """A ball lit through glass by a tiny bright lamp: few paths find it, and those that do are blinding."""
+    lamp = {"type": "sphere", "center": [0, 0, 3], "radius": 0.01}
+    lamp["emitter"] = {"type": "area", "radiance": {"type": "rgb", "value": 1e5}}
+    glass = {"type": "sphere", "center": [0, 0, 3], "radius": 0.5, "bsdf": {"type": "dielectric"}}
+    scene, said = ball_on_plane() | {"tiny": lamp, "shell": glass}, []
+    rig = orbit_rig(2, 32, 32, 60, target=(0, 0, 0.8), radius=4.0)
+    done = render_set(scene, rig, tmp_path, spp=16, plan="rgb", progress=lambda a, b, what: said.append(what))
+    count = sum(view["fireflies"] for view in done.meta["views"].values())
+    assert count > 0
+    assert said[-1] == f"images; {count} fireflies, see set.json"
 
 
 @pytest.mark.parametrize(

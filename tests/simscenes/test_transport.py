@@ -195,9 +195,8 @@ def test_a_scene_with_objects_made_in_python_is_planned_in_their_colours() -> No
 def test_a_measured_lamp_in_an_included_file_is_found(tmp_path: Path) -> None:
     spectrum = '<spectrum name="intensity" value="450:0.1, 580:0.1, 590:9, 600:0.1, 700:0.1"/>'
     red = '<bsdf type="diffuse"><spectrum name="reflectance" value="400:0.1, 580:0.1, 620:0.9, 700:0.9"/></bsdf>'
-    (tmp_path / "lamp.xml").write_text(
-        f'<scene version="3.0.0"><emitter type="point"><point name="position" x="3" y="0" z="0"/>{spectrum}</emitter></scene>'
-    )
+    lamp = f'<emitter type="point"><point name="position" x="3" y="0" z="0"/>{spectrum}</emitter>'
+    (tmp_path / "lamp.xml").write_text(f'<scene version="3.0.0">{lamp}</scene>')
     ball = f'<shape type="sphere">{red}</shape>'
     (tmp_path / "scene.xml").write_text(f'<scene version="3.0.0"><include filename="lamp.xml"/>{ball}</scene>')
     effect = plan_transport(tmp_path / "scene.xml", rig=ring(), measure=False)["spectral transport"]

@@ -1,0 +1,55 @@
+"""Every scene is hard for what its docstring says, in numbers, and the others are less so."""
+
+import gc
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simscenes import default_rig
+from simscenes.backend import activate
+from simscenes.render.geometry import geometry_channels
+from simscenes.render.source import build_scene
+from simscenes.transport import pilot
+from simscenes.transport.specular import SPECULAR
+
+
+def facts(name: str) -> dict[str, float]:
+    """What three small views of a scene show."""
+    mi = activate()
+    loaded, rig = build_scene(name, mi), default_rig(name, 3, 32, 32)
+    found: dict[str, Any] = {}
+    images = {
+        depth: pilot.render_pilot(mi, loaded, rig, {"type": "path", "max_depth": depth, "rr_depth": 99}, seed=1)
+        for depth in (2, 5, 64)
+    }
+    light = images[64].mean(-1)
+    found["indirect"], found["fifth bounce"] = (1 - float(images[d].mean() / images[64].mean()) for d in (2, 5))
+    found["range"] = float(light.max() / np.median(light))
+    found["contrast"] = float(np.quantile(light, 0.98) / np.quantile(light, 0.02))
+    views = [geometry_channels(mi, loaded, rig, i) for i in range(3)]
+    z = np.minimum(np.stack([v["Z"] for v in views]), 1e6)  # the sky is far away
+    steps = np.abs(np.diff(z, axis=2)) / np.minimum(z[:, :, 1:], z[:, :, :-1])
+    found["depth edges"] = float((steps > 0.1).mean())
+    specular = np.array([False, *(bool(s.bsdf().flags() & SPECULAR) for s in loaded.scene.shapes())])
+    found["specular pixels"] = float(specular[np.stack([v["id"] for v in views])].mean())
+    del loaded
+    gc.collect()  # Dr.Jit compiles every material alive into every kernel
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "fact", "least", "most"),
+    [
+        ("cornell", "indirect", 0.06, 0.15),  # "a tenth of it here"
+        ("courtyard", "contrast", 30, 1e3),  # "more than 30 to 1"
+        ("studio", "specular pixels", 0, 0),  # "every surface is diffuse"
+        ("gallery", "fifth bounce", 0.2, 1),  # "much of the light has bounced four times and more"
+        ("lantern", "range", 1e4, 1e6),  # "tens of thousands of times brighter than the walls"
+        ("thicket", "depth edges", 0.4, 1),  # "every pixel mixes foreground and background"
+        ("glassware", "specular pixels", 0.15, 1),
+        ("tabletop", "specular pixels", 0.05, 0.5),
+    ],
+)
+def test_a_scene_is_hard_for_what_it_says(name: str, fact: str, least: float, most: float) -> None:
+    assert least <= facts(name)[fact] <= most
