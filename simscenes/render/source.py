@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from simscenes.render.contents import unique_materials
-from simscenes.render.physical import check_parameters
+from simscenes.render.physical import check_parameters, scene_extent
 from simscenes.render.untrusted import check_plugin, check_xml, searching_only
 
 
@@ -64,11 +64,11 @@ def build_scene(scene: str | dict[str, Any] | Path, mi: Any, *, allow_outside: b
         # Mitsuba would only find out while rendering.
         raise ValueError(f"scene {name!r} holds a 'regular' or 'irregular' spectrum, which only spectral variants can "
                          "read; write it as type 'spectrum' with pairs of wavelength and value")  # fmt: skip
+    extent = scene_extent(loaded)
     params = mi.traverse(loaded)
-    check_parameters(params, mi)
+    check_parameters(loaded, params, mi)
     shapes = tuple(s.id() for s in loaded.shapes())
     materials = tuple(_material_name(s) for s in unique_materials(loaded, mi))
-    extent = float(np.linalg.norm(np.array(loaded.bbox().extents())))
     return LoadedScene(str(name), mi.variant(), loaded, scene_digest(loaded, params), shapes, materials, extent)
 
 

@@ -174,6 +174,69 @@ def test_broken_dicts_are_refused_with_the_reason(scene: Any, message: str) -> N
         build_scene(scene, activate())
 
 
+def bitmap(mi: Any, value: float) -> dict[str, Any]:
+    return {"type": "bitmap", "raw": True, "bitmap": mi.Bitmap(np.full((4, 8, 3), value, np.float32))}
+
+
+def unphysical(kind: str, mi: Any) -> dict[str, Any]:
+    def box(**medium: Any) -> dict[str, Any]:
+        return {"type": "sphere", "bsdf": {"type": "null"}, "interior": {"type": "homogeneous", **medium}}
+
+    def painted(**bsdf: Any) -> dict[str, Any]:
+        return {"type": "sphere", "bsdf": bsdf}
+
+    def moved(*diagonal: float) -> dict[str, Any]:
+        return {"type": "sphere", "to_world": mi.ScalarTransform4f(np.diag([*diagonal, 1.0]))}
+
+    return {
+        "negative pixel of the sky": ball(sky={"type": "envmap", "bitmap": bitmap(mi, -1.0)["bitmap"]}),
+        "negative sky": ball(sky={"type": "envmap", "bitmap": bitmap(mi, 1.0)["bitmap"], "scale": -2.0}),
+        "negative slide": ball(lamp={"type": "projector", "irradiance": bitmap(mi, -1.0)}),
+        "negative paint": ball(ball=painted(type="principled", base_color=bitmap(mi, -1.0))),
+        "glass that makes light": ball(ball=painted(type="dielectric", specular_transmittance=3.0)),
+        "negative fog": ball(fog=box(sigma_t=-1.0)),
+        "negative fog scale": ball(fog=box(scale=-1.0)),
+        "nan in a transform": ball(far=moved(np.nan, 1.0, 1.0)),
+        "nan in the only transform": ball(ball=moved(np.nan, np.nan, np.nan)),
+        "nan in a texture's transform": ball(
+            ball=painted(
+                type="diffuse",
+                reflectance={"type": "checkerboard", "to_uv": mi.ScalarTransform4f(np.diag([np.nan, 1.0, 1.0, 1.0]))},
+            )
+        ),
+        "no room": ball(ball=moved(0.0, 0.0, 0.0)),
+    }[kind]
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("negative pixel of the sky", "data of EnvironmentMapEmitter 'sky' must be >= 0"),
+        ("negative sky", "scale of EnvironmentMapEmitter 'sky' must be >= 0"),
+        ("negative slide", "irradiance.data of .* 'lamp' must be >= 0"),
+        ("negative paint", "base_color.data must lie in 0..1"),
+        ("glass that makes light", "specular_transmittance.value must lie in 0..1"),
+        ("negative fog", "sigma_t.value.value of HomogeneousMedium .* must be >= 0"),
+        ("negative fog scale", "scale of HomogeneousMedium .* must be >= 0"),
+        ("nan in a transform", "finite"),
+        ("nan in the only transform", "finite box"),
+        ("nan in a texture's transform", "reflectance.to_uv must be finite"),
+        ("no room", "finite box of some size"),
+    ],
+)
+def test_unphysical_numbers_are_refused_by_their_name(kind: str, message: str) -> None:
+    mi = activate()
+    with pytest.raises(ValueError, match=message):
+        build_scene(unphysical(kind, mi), mi)
+
+
+def test_places_and_angles_may_be_negative() -> None:
+    mi = activate()
+    lamp = {"type": "point", "position": [-1, -2, -3], "intensity": 2.0}
+    sun = {"type": "sunsky", "latitude": -30.0, "longitude": -70.0}
+    assert build_scene(ball(sky=sun, lamp=lamp), mi).shapes == ("ball",)
+
+
 def test_a_camera_inside_an_object_is_refused_by_its_name(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="inside of 'ball'"):
         render_set(ball(), rig_at((0.1, 0.2, 0.0)), tmp_path, spp=4, plan="rgb")
