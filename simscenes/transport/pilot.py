@@ -7,7 +7,6 @@ paths, cut at another depth, followed through fog or past it, with or without po
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -80,13 +79,17 @@ def beyond(cut: Share, bounces: int, most: float) -> Share:
     return Share(cut.estimate, cut.upper / (1 - kept))
 
 
-def most_reflected(mi: Any, loaded: LoadedScene, geometry: Sequence[dict[str, NDArray[Any]]]) -> float:
-    """The most of the light that a bounce keeps: the largest albedo seen, or 0.99 if not all is matt."""
+def most_reflected(mi: Any, loaded: LoadedScene) -> float:
+    """The most of the light that a bounce keeps: the largest albedo of any surface, or 0.99 where that is not known."""
     lobes, matt = int(mi.BSDFFlags.All), int(mi.BSDFFlags.DiffuseReflection)
-    if any(shape.bsdf().flags() & lobes & ~matt for shape in unique_materials(loaded.scene, mi)):
-        return MOST
-    albedo = max((float(g[f"albedo.{c}"].max()) for g in geometry for c in "RGB"), default=0.0)
-    return min(albedo, MOST)
+    albedos = []
+    for bsdf in (shape.bsdf() for shape in unique_materials(loaded.scene, mi)):
+        params = mi.traverse(bsdf)
+        names = [k for k in params.keys() if "reflectance" in k and k.endswith((".value", ".data"))]  # noqa: SIM118
+        if bsdf.flags() & lobes & ~matt or not names:
+            return MOST
+        albedos += [float(np.array(params[k]).max()) for k in names]
+    return min(max(albedos, default=MOST), MOST)
 
 
 def seconds_per_sample(mi: Any, loaded: LoadedScene, rig: Rig, integrator: dict[str, Any], seed: int) -> float:

@@ -12,7 +12,7 @@ from sensor_model.plan import Effect
 from simscenes.backend import activate, backend_of
 from simscenes.optics import Optics
 from simscenes.render.fit import fit_rig
-from simscenes.render.geometry import geometry_channels
+from simscenes.render.geometry import check_cameras, geometry_channels
 from simscenes.render.source import LoadedScene, build_scene, set_light_weights
 from simscenes.rigs import Rig
 from simscenes.scenes import default_rig
@@ -69,13 +69,15 @@ def plan_transport(
         those left out. Pilots see what paths find: a caustic that none of some 10^5 paths meets is in no number.
 
     Raises:
-        ValueError: If the scene cannot be loaded, `tolerance` is not in (0, 1), or a forced effect does not exist.
+        ValueError: If the scene cannot be loaded, a camera is inside an object, `tolerance` is not in (0, 1), or a
+            forced effect does not exist or cannot be simulated.
     """
     mi = activate(backend_of(variant))
     loaded = build_scene(scene, mi, allow_outside=allow_outside)
     if rig is None:
         by_name = isinstance(scene, str) and not scene.endswith(".xml")
         rig = default_rig(str(scene), 8, 64, 64) if by_name else fit_rig(loaded, 8)
+    check_cameras(mi, loaded, rig)
     return plan_loaded(
         scene, loaded, tolerance, rig=rig, optics=optics or Optics(), force=force, max_depth=max_depth,
         measure=measure, variant=variant, seed=seed,
@@ -106,7 +108,7 @@ def plan_loaded(
     geometry = [geometry_channels(mi, loaded, p.rig, i) for i in range(len(p.rig))]
     scale = rig.width / p.rig.width
     media = media_effects(p)
-    depth, transport = depth_effects(p, media[0].on, pilot.most_reflected(mi, loaded, geometry), max_depth)
+    depth, transport = depth_effects(p, media[0].on, pilot.most_reflected(mi, loaded), max_depth)
     rr_depth, roulette = roulette_effect(p, media[0].on, depth, measure)
     spectral, made_up = spectral_effect(p, optics, transport[0].contribution, measure)
     effects = [

@@ -33,8 +33,7 @@ def test_paths_are_followed_deep_enough_for_the_stated_bound(built: tuple[str, A
     p = Pilot(mi, name, loaded, rig, backend_of(), 0.005, 0)
     media = media_effects(p)[0].on
     assert media == (name == "street")
-    geometry = [geometry_channels(mi, loaded, rig, i) for i in range(3)]
-    depth, (_, deep) = depth_effects(p, media, pilot.most_reflected(mi, loaded, geometry), None)
+    depth, (_, deep) = depth_effects(p, media, pilot.most_reflected(mi, loaded), None)
     kind = "volpath" if media else "path"
     planned, everything = (
         pilot.render_pilot(mi, loaded, rig, {"type": kind, "max_depth": d, "rr_depth": RR_DEPTH}, seed=77)

@@ -15,7 +15,7 @@ from simscenes.render.source import build_scene
 from simscenes.rigs import intrinsics, look_at
 from simscenes.scenes import MEASURED_LIGHTS, SCENES
 from simscenes.transport import TransportPlan
-from simscenes.transport.pilot import Share, beyond, changed_light, missing_light, pilot_rig
+from simscenes.transport.pilot import MOST, Share, beyond, changed_light, missing_light, most_reflected, pilot_rig
 from simscenes.transport.plan import MADE_UP
 from simscenes.transport.planner import everything_on
 from simscenes.transport.spectra import WAVELENGTHS, color_error, has_measured
@@ -301,6 +301,17 @@ def test_the_interval_beyond_a_cut_holds_a_geometric_series() -> None:
             cut = beyond(Share(found, found), 64 - depth, albedo)
             assert cut.estimate <= albedo**depth
             assert cut.upper == pytest.approx(albedo**depth)
+
+
+def test_the_most_a_bounce_keeps_is_that_of_the_brightest_surface_seen_or_not() -> None:
+    mi = activate()
+    hidden = {"type": "sphere", "center": [0, 0, -50], "bsdf": {"type": "diffuse", "reflectance": 0.9}}
+    bitmap = {"type": "bitmap", "bitmap": mi.Bitmap(np.full((4, 4, 3), 0.95, np.float32)), "raw": True}
+    textured = {"type": "sphere", "bsdf": {"type": "twosided", "b": {"type": "diffuse", "reflectance": bitmap}}}
+    for more, most in (({}, 0.7), ({"h": hidden}, 0.9), ({"h": hidden, "t": textured}, 0.95)):
+        assert most_reflected(mi, build_scene(diffuse_box(**more), mi)) == pytest.approx(most)
+    metal = {"type": "sphere", "bsdf": {"type": "conductor"}}
+    assert most_reflected(mi, build_scene(diffuse_box(m=metal), mi)) == MOST
 
 
 def test_changed_light_averages_noise_away_but_not_change() -> None:
