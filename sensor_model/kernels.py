@@ -31,6 +31,28 @@ _MASK, _S16, _S32 = np.uint64(streams.MASK), np.uint64(16), np.uint64(32)
 _S20, _S12, _TWO = np.uint64(20), np.uint64(12), np.uint64(2)
 _ROUNDS = streams.ROUNDS
 _LN2 = math.log(2)
+_ATANH = tuple(1 / k for k in range(19, 1, -2))  # atanh(s) / s - 1 by s**2, over s**2
+_EXP = tuple(1 / math.factorial(k) for k in range(11, -1, -1))
+_SINH = tuple(1 / math.factorial(k) for k in range(17, 0, -2))  # sinh(z) / z by z**2
+# Wichura, algorithm AS 241, Applied Statistics 37 (1988): PPND16, numerators and denominators
+_CENTRAL_A = (2.5090809287301226727e3, 3.3430575583588128105e4, 6.7265770927008700853e4,
+              4.5921953931549871457e4, 1.3731693765509461125e4, 1.9715909503065514427e3,
+              1.3314166789178437745e2, 3.3871328727963666080)  # fmt: skip
+_CENTRAL_B = (5.2264952788528545610e3, 2.8729085735721942674e4, 3.9307895800092710610e4,
+              2.1213794301586595867e4, 5.3941960214247511077e3, 6.8718700749205790830e2,
+              4.2313330701600911252e1, 1.0)  # fmt: skip
+_TAIL_A = (7.74545014278341407640e-4, 2.27238449892691845833e-2, 2.41780725177450611770e-1,
+           1.27045825245236838258, 3.64784832476320460504, 5.76949722146069140550,
+           4.63033784615654529590, 1.42343711074968357734)  # fmt: skip
+_TAIL_B = (1.05075007164441684324e-9, 5.47593808499534494600e-4, 1.51986665636164571966e-2,
+           1.48103976427480074590e-1, 6.89767334985100004550e-1, 1.67638483018380384940,
+           2.05319162663775882187, 1.0)  # fmt: skip
+_FAR_A = (2.01033439929228813265e-7, 2.71155556874348757815e-5, 1.24266094738807843860e-3,
+          2.65321895265761230930e-2, 2.96560571828504891230e-1, 1.78482653991729133580,
+          5.46378491116411436990, 6.65790464350110377720)  # fmt: skip
+_FAR_B = (2.04426310338993978564e-15, 1.42151175831644588870e-7, 1.84631831751005468180e-5,
+          7.86869131145613259100e-4, 1.48753612908506148525e-2, 1.36929880922735805310e-1,
+          5.99832206555887937690e-1, 1.0)  # fmt: skip
 
 _SOURCES = [
     Path(__file__).with_name(name)
@@ -81,6 +103,15 @@ def uniform(b, n, row, col, effect, view, frame, k0, k1):
 
 
 @inline
+def polynomial(x, coefficients):
+    """The highest power first, by Horner's rule; LLVM unrolls it."""
+    p = coefficients[0]
+    for i in range(1, len(coefficients)):
+        p = p * x + coefficients[i]
+    return p
+
+
+@inline
 def log(x):
     """Natural logarithm of a normal positive float64, to 1e-15: 2 atanh((m - 1)/(m + 1)) + e ln 2."""
     bits = np.float64(x).view(np.int64)
@@ -91,34 +122,13 @@ def log(x):
     e = e + 1 if big else e
     s = (m - 1.0) / (m + 1.0)
     z = s * s
-    p = 1 / 19
-    p = p * z + 1 / 17
-    p = p * z + 1 / 15
-    p = p * z + 1 / 13
-    p = p * z + 1 / 11
-    p = p * z + 1 / 9
-    p = p * z + 1 / 7
-    p = p * z + 1 / 5
-    p = p * z + 1 / 3
-    return 2.0 * s * (1.0 + z * p) + np.float64(e) * _LN2
+    return 2.0 * s * (1.0 + z * polynomial(z, _ATANH)) + np.float64(e) * _LN2
 
 
 @inline
 def exp16(x):
     """exp(x) for |x| <= 4, to 1e-14: the Taylor series of exp(x/16), squared four times."""
-    y = x * 0.0625
-    p = 1 / 39916800
-    p = p * y + 1 / 3628800
-    p = p * y + 1 / 362880
-    p = p * y + 1 / 40320
-    p = p * y + 1 / 5040
-    p = p * y + 1 / 720
-    p = p * y + 1 / 120
-    p = p * y + 1 / 24
-    p = p * y + 1 / 6
-    p = p * y + 0.5
-    p = p * y + 1.0
-    p = p * y + 1.0
+    p = polynomial(x * 0.0625, _EXP)
     p = p * p
     p = p * p
     p = p * p
@@ -138,60 +148,21 @@ def quantile(u):
 
 @inline
 def _central(q):
-    """Wichura's PPND16 for |q| <= 0.425, q = u - 1/2 (Applied Statistics algorithm AS 241, 1988)."""
+    """PPND16 for |q| <= 0.425, q = u - 1/2."""
     r = 0.180625 - q * q
-    a = 2.5090809287301226727e3 * r + 3.3430575583588128105e4
-    a = a * r + 6.7265770927008700853e4
-    a = a * r + 4.5921953931549871457e4
-    a = a * r + 1.3731693765509461125e4
-    a = a * r + 1.9715909503065514427e3
-    a = a * r + 1.3314166789178437745e2
-    a = a * r + 3.3871328727963666080
-    b = 5.2264952788528545610e3 * r + 2.8729085735721942674e4
-    b = b * r + 3.9307895800092710610e4
-    b = b * r + 2.1213794301586595867e4
-    b = b * r + 5.3941960214247511077e3
-    b = b * r + 6.8718700749205790830e2
-    b = b * r + 4.2313330701600911252e1
-    return q * a / (b * r + 1.0)
+    return q * polynomial(r, _CENTRAL_A) / polynomial(r, _CENTRAL_B)
 
 
 @inline
 def _tail(r):
     """PPND16 for 1.6 <= r + 1.6 <= 5, r = sqrt(-log(tail probability)) - 1.6."""
-    a = 7.74545014278341407640e-4 * r + 2.27238449892691845833e-2
-    a = a * r + 2.41780725177450611770e-1
-    a = a * r + 1.27045825245236838258
-    a = a * r + 3.64784832476320460504
-    a = a * r + 5.76949722146069140550
-    a = a * r + 4.63033784615654529590
-    a = a * r + 1.42343711074968357734
-    b = 1.05075007164441684324e-9 * r + 5.47593808499534494600e-4
-    b = b * r + 1.51986665636164571966e-2
-    b = b * r + 1.48103976427480074590e-1
-    b = b * r + 6.89767334985100004550e-1
-    b = b * r + 1.67638483018380384940
-    b = b * r + 2.05319162663775882187
-    return a / (b * r + 1.0)
+    return polynomial(r, _TAIL_A) / polynomial(r, _TAIL_B)
 
 
 @inline
 def _far_tail(r):
     """PPND16 beyond r = 5 (probabilities under 1e-11), r = sqrt(-log(tail probability)) - 5."""
-    a = 2.01033439929228813265e-7 * r + 2.71155556874348757815e-5
-    a = a * r + 1.24266094738807843860e-3
-    a = a * r + 2.65321895265761230930e-2
-    a = a * r + 2.96560571828504891230e-1
-    a = a * r + 1.78482653991729133580
-    a = a * r + 5.46378491116411436990
-    a = a * r + 6.65790464350110377720
-    b = 2.04426310338993978564e-15 * r + 1.42151175831644588870e-7
-    b = b * r + 1.84631831751005468180e-5
-    b = b * r + 7.86869131145613259100e-4
-    b = b * r + 1.48753612908506148525e-2
-    b = b * r + 1.36929880922735805310e-1
-    b = b * r + 5.99832206555887937690e-1
-    return a / (b * r + 1.0)
+    return polynomial(r, _FAR_A) / polynomial(r, _FAR_B)
 
 
 @jit
@@ -226,16 +197,7 @@ def tukey(b, n, lam):
         a = log(b[U + i])
         c = log(1.0 - b[U + i])
         z = 0.5 * lam * (a - c)
-        s = z * z
-        p = 1 / 355687428096000
-        p = p * s + 1 / 1307674368000
-        p = p * s + 1 / 6227020800
-        p = p * s + 1 / 39916800
-        p = p * s + 1 / 362880
-        p = p * s + 1 / 5040
-        p = p * s + 1 / 120
-        p = p * s + 1 / 6
-        b[W + i] = exp16(0.5 * lam * (a + c)) * (a - c) * (p * s + 1.0)
+        b[W + i] = exp16(0.5 * lam * (a + c)) * (a - c) * polynomial(z * z, _SINH)
     # The series end at |z| = 2 and exp16 at 4: further out, which takes |lambda| > 0.1, use the library functions
     edge = 1.0 / (1.0 + math.exp(4.0 / abs(lam))) if abs(lam) > 0.1 else 0.0
     if edge > 0.0:

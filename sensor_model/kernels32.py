@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from sensor_model.kernels import P, U, W, X, inline, jit
+from sensor_model.kernels import P, U, W, X, inline, jit, polynomial
 
 TAIL = 1e-7  # smallest tail probability of the quantiles here
 NORMAL_ERROR = 1e-6  # of `normal32` down to TAIL (5.2 standard deviations), over 1 + |quantile|
@@ -43,15 +43,7 @@ def log32(x):
     e = (_F(_F(x).view(np.int32)) * _STEP - _CUT + _WHOLE) - _WHOLE
     m = x * np.int32((_BIAS - e) * _EXPONENT).view(_F)
     x = m - _ONE
-    p = _LOG[0] * x + _LOG[1]
-    p = p * x + _LOG[2]
-    p = p * x + _LOG[3]
-    p = p * x + _LOG[4]
-    p = p * x + _LOG[5]
-    p = p * x + _LOG[6]
-    p = p * x + _LOG[7]
-    p = p * x + _LOG[8]
-    return ((p * x - _HALF) * x * x + x) + e * _LN2
+    return ((polynomial(x, _LOG) * x - _HALF) * x * x + x) + e * _LN2
 
 
 @fast
@@ -66,23 +58,7 @@ def normal32(b, f, n):
     for i in range(n):
         t = f[P + i]
         w = -log32(_FOUR * t * (_ONE - t))
-        v = w - _SHIFT
-        p = _MIDDLE[0] * v + _MIDDLE[1]
-        p = p * v + _MIDDLE[2]
-        p = p * v + _MIDDLE[3]
-        p = p * v + _MIDDLE[4]
-        p = p * v + _MIDDLE[5]
-        p = p * v + _MIDDLE[6]
-        p = p * v + _MIDDLE[7]
-        p = p * v + _MIDDLE[8]
-        r = np.sqrt(max(w, _EDGE)) - _THREE
-        q = _OUTER[0] * r + _OUTER[1]
-        q = q * r + _OUTER[2]
-        q = q * r + _OUTER[3]
-        q = q * r + _OUTER[4]
-        q = q * r + _OUTER[5]
-        q = q * r + _OUTER[6]
-        q = q * r + _OUTER[7]
-        q = q * r + _OUTER[8]
-        f[W + i] = (p if w < _EDGE else q) * f[X + i] * _ROOT8
+        middle = polynomial(w - _SHIFT, _MIDDLE)
+        outer = polynomial(np.sqrt(max(w, _EDGE)) - _THREE, _OUTER)
+        f[W + i] = (middle if w < _EDGE else outer) * f[X + i] * _ROOT8
     return outside == 0
