@@ -51,11 +51,12 @@ def scene_extent(scene: Any) -> float:
     Raises:
         ValueError: If the shapes take up no room, or not a finite one.
     """
-    extents = np.array(scene.bbox().extents(), dtype=np.float64)
-    if not (np.isfinite(extents).all() and extents.min() >= 0 and extents.max() > 0):
+    extents = np.array(scene.bbox().extents())
+    diagonal = float(np.linalg.norm(extents))
+    if not (np.isfinite(diagonal) and diagonal > 0 and extents.min() >= 0):
         raise ValueError(f"the shapes of a scene must fill a finite box of some size, got extents "
                          f"{extents.ravel().tolist()}; is there a nan or a zero in a transform?")  # fmt: skip
-    return float(np.linalg.norm(extents))
+    return diagonal
 
 
 def _numbers(value: Any, mi: Any) -> NDArray[Any]:
