@@ -8,7 +8,7 @@ from torch import Tensor
 
 from .cpu import pipeline
 from .first_order import first_order
-from .validation import check_gaussians, refuse_overflow
+from .validation import check_gaussians, refuse_overflow, used_colors
 
 
 def render(
@@ -58,13 +58,14 @@ class _Render(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, means, quats, scales, opacities, colors, viewmat, K, settings):  # type: ignore
         width, height, sh_degree, near, far, eps2d, with_color, with_depth = settings
-        tensors = {"means": means, "quats": quats, "scales": scales, "opacities": opacities, "colors": colors}
         camera = pipeline.Camera(
             viewmat=_array(viewmat), K=_array(K), width=width, height=height, near=near, far=far, eps2d=eps2d
         )
         shape = _shape(means, quats, scales, opacities)
         frame, image, alpha = pipeline.forward(shape, _array(colors), camera, sh_degree, with_color, with_depth)
         if frame.splats.suspect:
+            used = used_colors(colors, sh_degree, with_color)
+            tensors = {"means": means, "quats": quats, "scales": scales, "opacities": opacities, "colors": used}
             check_gaussians(tensors)
             refuse_overflow({**tensors, "viewmats": viewmat[None], "Ks": K[None]})
         splats = frame.splats

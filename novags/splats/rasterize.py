@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from .validation import check_camera, check_gaussians, check_numbers, check_shapes
+from .validation import check_camera, check_gaussians, check_numbers, check_shapes, used_colors
 
 RENDER_MODES = ("RGB", "D", "ED", "RGB+D", "RGB+ED")
 BACKENDS = ("auto", "torch", "numba", "gsplat")
@@ -39,14 +39,14 @@ def rasterize(
         opacities: [N], 0..1.
         colors: [N, D] if `sh_degree` is None, else spherical harmonics [N, K, 3], K >= (sh_degree + 1)^2.
         viewmats: [C, 4, 4] world to camera, OpenCV axes.
-        Ks: [C, 3, 3] intrinsics in pixels; pixel centres are at +0.5.
+        Ks: [C, 3, 3] intrinsics in pixels, without skew; pixel centres are at +0.5.
         width: Image width.
         height: Image height.
         sh_degree: Highest spherical-harmonics degree to use (0..3), or None for plain colours.
         near_plane: Smallest visible camera z, > 0.
         far_plane: Largest visible camera z.
         eps2d: Variance added to every splat on the image, px^2.
-        background: [D] or [C, D], shown through what alpha leaves; None is black. Not applied to depth.
+        background: [D] or [C, D], dtype as the rest, shown through what alpha leaves; None is black. Not behind depth.
         render_mode: "RGB", "D" (accumulated depth), "ED" (expected depth: accumulated over alpha), "RGB+D", "RGB+ED".
         backend: "auto" (gsplat for CUDA tensors, else numba), "torch", "numba" (float32, CPU), "gsplat" (CUDA).
 
@@ -56,13 +56,16 @@ def rasterize(
         memory (64 bytes per Gaussian): copy what you keep.
 
     Raises:
-        ValueError: For a wrong shape, dtype or device, values outside their range, or non-finite input.
+        ValueError: For a wrong shape, dtype or device, values outside their range, non-finite input (of the colours
+            only what is rendered counts), or, with "numba", finite input so large that float32 overflows.
     """
     tensors = {
         "means": means, "quats": quats, "scales": scales, "opacities": opacities, "colors": colors,
         "viewmats": viewmats, "Ks": Ks,
     }  # fmt: skip
-    check_shapes(tensors, sh_degree, background)
+    if background is not None:
+        tensors["background"] = background
+    check_shapes(tensors, sh_degree)
     check_numbers(width, height, near_plane, far_plane, eps2d)
     if render_mode not in RENDER_MODES:
         raise ValueError(f"render_mode must be one of {RENDER_MODES}, got {render_mode!r}")
@@ -75,7 +78,7 @@ def rasterize(
     # Imported at use: gsplat compiles CUDA code, and the readable reference must work where numba does not.
     check_camera(tensors)
     if backend != "numba":  # the CPU kernels notice bad numbers in passing, and ask for this only then
-        check_gaussians(tensors)
+        check_gaussians({**tensors, "colors": used_colors(colors, sh_degree, render_mode.startswith("RGB"))})
     if backend == "numba":
         from .raster_numba import render
     elif backend == "torch":

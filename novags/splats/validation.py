@@ -1,13 +1,19 @@
 """Checks of what `rasterize` is given. Every message says which tensor, which rule, what was found and where."""
 
-from typing import NoReturn
+from numbers import Integral
+from typing import Any, NoReturn
 
 import torch
 from torch import Tensor
 
+from .sh import n_coefficients
 
-def check_shapes(tensors: dict[str, Tensor], sh_degree: int | None, background: Tensor | None) -> None:
+
+def check_shapes(tensors: dict[str, Tensor], sh_degree: int | None) -> None:
     """Raise ValueError unless shapes, dtypes and devices agree; `tensors` by argument name of `rasterize`."""
+    for name, sizes in (("means", "[N, 3]"), ("viewmats", "[C, 4, 4]")):
+        if tensors[name].ndim == 0:
+            raise ValueError(f"{name} must have shape {sizes}, got []")
     n, c = len(tensors["means"]), len(tensors["viewmats"])
     want: dict[str, tuple[int, ...]] = {"means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,)}
     want |= {"viewmats": (c, 4, 4), "Ks": (c, 3, 3)}
@@ -20,12 +26,13 @@ def check_shapes(tensors: dict[str, Tensor], sh_degree: int | None, background: 
     if sh_degree is None:
         if colors.ndim != 2 or len(colors) != n or colors.shape[1] == 0:
             raise ValueError(f"colors must be [N={n}, D] when sh_degree is None, got {list(colors.shape)}")
-    elif sh_degree not in (0, 1, 2, 3):
+    elif not isinstance(sh_degree, int) or sh_degree not in (0, 1, 2, 3):
         raise ValueError(f"sh_degree must be 0, 1, 2, 3 or None, got {sh_degree}")
     elif colors.ndim != 3 or len(colors) != n or colors.shape[2] != 3 or colors.shape[1] < (sh_degree + 1) ** 2:
         k = (sh_degree + 1) ** 2
         raise ValueError(f"colors must be [N={n}, K >= {k}, 3] for sh_degree={sh_degree}, got {list(colors.shape)}")
     channels = colors.shape[1] if sh_degree is None else 3
+    background = tensors.get("background")
     if background is not None and background.shape not in ((channels,), (c, channels)):
         raise ValueError(f"background must be [{channels}] or [{c}, {channels}], got {list(background.shape)}")
     for name, value in tensors.items():
@@ -36,8 +43,11 @@ def check_shapes(tensors: dict[str, Tensor], sh_degree: int | None, background: 
             )
 
 
-def check_numbers(width: int, height: int, near_plane: float, far_plane: float, eps2d: float) -> None:
+def check_numbers(width: Any, height: Any, near_plane: float, far_plane: float, eps2d: float) -> None:
     """Raise ValueError unless the image has pixels, the planes are in order and the dilation is not negative."""
+    for name, value in (("width", width), ("height", height)):
+        if not isinstance(value, Integral):
+            raise ValueError(f"{name} must be an integer, got {value!r}")
     if width < 1 or height < 1:
         raise ValueError(f"width and height must be at least 1 pixel, got {width} x {height}")
     if not 0 < near_plane < far_plane:
@@ -55,11 +65,22 @@ def check_finite(tensors: dict[str, Tensor]) -> None:
 
 
 def check_camera(tensors: dict[str, Tensor]) -> None:
-    """Raise ValueError for a camera that is not finite or has no positive focal lengths."""
-    check_finite({name: tensors[name] for name in ("viewmats", "Ks")})
-    focal = tensors["Ks"][:, (0, 1), (0, 1)]
+    """Raise ValueError for a camera or background that is not finite, or a camera that is no pinhole without skew."""
+    check_finite({name: tensors[name] for name in ("viewmats", "Ks", "background") if name in tensors})
+    Ks = tensors["Ks"]
+    focal = Ks[:, (0, 1), (0, 1)]
     if (focal <= 0).any():
         raise ValueError(f"Ks must have positive focal lengths, got {focal.tolist()}")
+    fixed = Ks[:, (0, 1, 2, 2, 2), (1, 0, 0, 1, 2)]
+    if (fixed != fixed.new_tensor([0, 0, 0, 0, 1])).any():
+        raise ValueError(f"Ks must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], no skew is rendered, got {Ks.tolist()}")
+
+
+def used_colors(colors: Tensor, sh_degree: int | None, with_color: bool) -> Tensor:
+    """What of the colours [N, D] or [N, K, 3] is rendered. The rest may hold anything, and is not checked."""
+    if not with_color:
+        return colors[:, :0]
+    return colors if sh_degree is None else colors[:, : n_coefficients(sh_degree)]
 
 
 def check_gaussians(tensors: dict[str, Tensor]) -> None:
@@ -80,7 +101,7 @@ def check_gaussians(tensors: dict[str, Tensor]) -> None:
 def refuse_overflow(tensors: dict[str, Tensor]) -> NoReturn:
     """Raise ValueError for finite numbers that are too large to be projected in float32; says where the largest are."""
     places = []
-    for name, value in tensors.items():
+    for name, value in ((name, value) for name, value in tensors.items() if value.numel()):
         at = int(value.abs().argmax())
         index = torch.unravel_index(torch.tensor(at), value.shape)
         places.append(f"{name} {float(value.flatten()[at]):.3g} at {[int(i) for i in index]}")

@@ -68,11 +68,35 @@ def test_values_out_of_range_are_refused_with_place_and_number(make_scene, backe
         ({"viewmats": torch.zeros(0, 4, 4), "Ks": torch.zeros(0, 3, 3)}, "at least one camera"),
         ({"opacities": torch.zeros(40, dtype=torch.float64)}, "share one float dtype"),
         ({"Ks": -torch.eye(3)[None]}, "positive focal lengths"),
+        ({"Ks": torch.eye(3)[None] + torch.eye(3)[None].roll(1, 2)}, r"Ks must be \[\[fx, 0, cx\].*no skew"),
+        ({"Ks": 2 * torch.eye(3)[None]}, r"Ks must be \[\[fx, 0, cx\]"),
+        ({"width": 16.0}, "width must be an integer, got 16.0"),
+        ({"height": "16"}, "height must be an integer, got '16'"),
+        ({"sh_degree": 1.0}, "sh_degree must be 0, 1, 2, 3 or None"),
+        ({"means": torch.tensor(1.0)}, r"means must have shape \[N, 3\], got \[\]"),
+        ({"viewmats": torch.tensor(1.0)}, r"viewmats must have shape \[C, 4, 4\], got \[\]"),
+        ({"background": torch.tensor([0, math.nan, 0])}, "background must be finite, got 1 non-finite of 3"),
+        ({"background": torch.zeros(3, dtype=torch.float64)}, "background is torch.float64"),
     ],
 )
-def test_wrong_arguments_are_refused(make_scene, change, message):
+@pytest.mark.parametrize("backend", ["auto", "torch"])
+def test_wrong_arguments_are_refused(make_scene, change, message, backend):
     with pytest.raises(ValueError, match=message):
-        rasterize(**{**as_float32(make_scene(0, 40, 16, 16)), **change})
+        rasterize(**{**as_float32(make_scene(0, 40, 16, 16)), "backend": backend, **change})
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+def test_colours_that_are_not_rendered_may_hold_anything(make_scene, backend):
+    scene = as_float32(make_scene(0, 40, 16, 16, sh_degree=1))
+    expected = rasterize(**scene, render_mode="RGB+D", backend=backend)[0]
+    scene["colors"][:, 4:] = math.nan
+    scene["colors"].requires_grad_()
+    image = rasterize(**scene, render_mode="RGB+D", backend=backend)[0]
+    assert torch.equal(image, expected)
+    image.sum().backward()
+    assert not scene["colors"].grad[:, 4:].any()
+    scene["colors"] = torch.full_like(scene["colors"], math.nan)
+    torch.testing.assert_close(rasterize(**scene, render_mode="D", backend=backend)[0], expected[..., 3:])
 
 
 def test_the_cpu_kernels_refuse_float64_and_say_what_to_do(make_scene):
