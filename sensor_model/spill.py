@@ -60,15 +60,11 @@ def _pass_on(
 
 def coupled_variance(variance: Array, share: float) -> Array:
     """Variance of `effects.crosstalk` of independent pixels: the squares of its weights."""
-    own = np.full(variance.shape, 1 - 4 * share)
-    for edge in (own[0], own[-1], own[:, 0], own[:, -1]):
-        edge += share  # reflected at the border
-    out, moved = own**2 * variance, share**2 * variance
-    for axis in (0, 1):
-        here, there = out.swapaxes(0, axis), moved.swapaxes(0, axis)
-        here[1:] += there[:-1]
-        here[:-1] += there[1:]
-    return out
+    given = np.full(variance.shape, 4.0)  # how many neighbours receive a share
+    for edge in (given[0], given[-1], given[:, 0], given[:, -1]):
+        edge -= 1  # reflected at the border
+    own = (1 - given * share) ** 2
+    return effects.crosstalk(variance, share**2) + (own - (1 - given * share**2)) * variance
 
 
 def positive_part(mean: Array, variance: Array) -> tuple[Array, Array]:

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sensor_model import PRESETS, Banding, Defects, DualGain, Exposure, Sensor, expose
+from sensor_model import PRESETS, Banding, Defects, DualGain, Exposure, Sensor, effects, expose
 from sensor_model.moments import code_moments
-from sensor_model.spill import positive_part
+from sensor_model.spill import coupled_variance, positive_part
 
 FRAMES = 10_000
 EXPOSURE = Exposure(time=0.1)
@@ -121,6 +121,18 @@ def test_blooming_moments_match_frames():
     np.testing.assert_allclose(np.sqrt(frame.variance_dn), sd, rtol=0.05, atol=0.3 * sensor.gain)
     spilled = frame.variance_dn[:, 1] > 2 * frame.variance_dn[0, 0]
     assert spilled.sum() >= 1  # the last pixel that the charge reaches
+
+
+@pytest.mark.parametrize("shape", [(1, 1, 1), (1, 5, 1), (4, 1, 2), (4, 5, 3)])
+def test_coupled_variance_is_the_sum_of_the_squared_weights(shape):
+    """Independent reference: what crosstalk makes of a single pixel gives the weights."""
+    variance, share = np.random.default_rng(0).random(shape), 0.07
+    expected = np.zeros(shape)
+    for place in np.ndindex(shape):
+        alone = np.zeros(shape)
+        alone[place] = 1.0
+        expected += effects.crosstalk(alone, share) ** 2 * variance[place]
+    np.testing.assert_allclose(coupled_variance(variance, share), expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("variance", [0.0, 1e-320, 1e-30])
