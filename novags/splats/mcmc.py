@@ -43,8 +43,8 @@ class McmcConfig:
             raise ValueError(f"noise_lr must be >= 0 or None, got {self.noise_lr}")
 
 
-def relocation(opacities: Tensor, scales: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:
-    """Opacity and scale of each of N coinciding Gaussians that together look like one (eq. 9 of the paper).
+def relocation(opacities: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:
+    """Opacity, and factor of the scale, of each of N coinciding Gaussians that together look like one (paper's eq. 9).
 
     The paper's scale factor is o / sum_i sum_k binom(i-1, k) (-1)^k o'^(k+1) / sqrt(k+1), with o' = 1 - (1 - o)^(1/N).
     Its alternating sum overflows and cancels for large N. Summed over i it is the line integral
@@ -56,11 +56,10 @@ def relocation(opacities: Tensor, scales: Tensor, copies: Tensor) -> tuple[Tenso
 
     Args:
         opacities: [M], 0 < o < 1.
-        scales: [M, 3], world units.
         copies: N >= 1 [M], integer: the Gaussian itself and those moved onto it.
 
     Returns:
-        New opacities [M] and scales [M, 3] in the input's dtype, opacities not yet clamped.
+        New opacities, not yet clamped, and factors of the scales, [M] in the input's dtype.
     """
     o, n = opacities.double(), copies.double()
     log_left = torch.log1p(-o) / n  # ln(1 - o')
@@ -68,8 +67,7 @@ def relocation(opacities: Tensor, scales: Tensor, copies: Tensor) -> tuple[Tenso
     x = torch.linspace(0, REACH, NODES, dtype=torch.float64, device=o.device)
     integrand = -torch.expm1(n[:, None] * torch.log1p(-new[:, None] * torch.exp(-x * x)))
     total = 2 / np.sqrt(np.pi) * torch.trapezoid(integrand, x, dim=-1)
-    factor = o / total
-    return new.to(opacities.dtype), (factor[:, None] * scales.double()).to(scales.dtype)
+    return new.to(opacities.dtype), (o / total).to(opacities.dtype)
 
 
 def _draw(weights: Tensor, count: int, generator: torch.Generator) -> Tensor:
@@ -82,11 +80,13 @@ def _draw(weights: Tensor, count: int, generator: torch.Generator) -> Tensor:
 def _split(gaussians: Gaussians, sources: Tensor) -> None:
     """Shrink the drawn Gaussians in place so that they and their copies together look like before."""
     drawn, times = torch.unique(sources, return_counts=True)
-    opacities, scales = relocation(gaussians.opacities[drawn], gaussians.scales[drawn], times + 1)
+    # float64: the sigmoid of a logit above 17 is 1 in float32
+    opacities, factors = relocation(torch.sigmoid(gaussians.logit_opacities[drawn].double()), times + 1)
     # eps: an opacity of exactly 1 has an infinite logit
-    opacities = opacities.clamp(DEAD_OPACITY, 1 - torch.finfo(torch.float32).eps)
-    gaussians.logit_opacities[drawn] = torch.logit(opacities)
-    gaussians.log_scales[drawn] = torch.log(scales)
+    opacities = opacities.clamp(DEAD_OPACITY, 1 - torch.finfo(torch.float64).eps)
+    gaussians.logit_opacities[drawn] = torch.logit(opacities).float()
+    # in logs: a scale below e^-103 or above e^88 is none in float32
+    gaussians.log_scales[drawn] += torch.log(factors).float()[:, None]
 
 
 @torch.no_grad()
@@ -130,7 +130,7 @@ def prune_to_cap(gaussians: Gaussians, cap: int, generator: torch.Generator) -> 
     """The `cap` most opaque Gaussians in their old order, ties drawn at random; the same object if no more."""
     if len(gaussians) <= cap:
         return gaussians
-    shuffled = torch.randperm(len(gaussians), generator=generator)
+    shuffled = torch.randperm(len(gaussians), generator=generator).to(gaussians.means.device)
     ranking = torch.argsort(gaussians.opacities[shuffled], descending=True, stable=True)
     keep = torch.sort(shuffled[ranking[:cap]]).values
     return Gaussians(**{name: tensor[keep].clone() for name, tensor in gaussians.tensors().items()})

@@ -38,27 +38,40 @@ def paper_factor(o: Fraction, new: Fraction, n: int) -> float:
 @pytest.mark.parametrize("n", [1, 2, 3, 10, 51])
 def test_relocation_equals_the_papers_sum_in_exact_arithmetic(opacity, n):
     o = torch.tensor([opacity], dtype=torch.float64)
-    new, scales = relocation(o, torch.ones(1, 3, dtype=torch.float64), torch.tensor([n]))
+    new, factor = relocation(o, torch.tensor([n]))
     assert new.item() == pytest.approx(1 - (1 - opacity) ** (1 / n), rel=1e-12)
     expected = paper_factor(Fraction(opacity), Fraction(new.item()), n)
-    assert scales[0, 0].item() == pytest.approx(expected, rel=1e-10)
+    assert factor.item() == pytest.approx(expected, rel=1e-10)
 
 
 @settings(derandomize=True, deadline=None, max_examples=60)
 @given(st.floats(1e-6, 1 - 2**-24), st.integers(1, 100_000))
 def test_relocation_is_finite_and_keeps_the_opacity_for_any_number_of_copies(opacity, n):
-    new, scales = relocation(torch.tensor([opacity], dtype=torch.float64), torch.ones(1, 3).double(), torch.tensor([n]))
+    new, factor = relocation(torch.tensor([opacity], dtype=torch.float64), torch.tensor([n]))
     assert 0 < new.item() <= opacity
-    assert math.isfinite(scales[0, 0].item())
-    assert 0 < scales[0, 0].item() <= 1 + 1e-9
+    assert 0 < factor.item() <= 1 + 1e-9
     together = -math.expm1(n * math.log1p(-new.item()))
     assert together == pytest.approx(opacity, rel=1e-7)
 
 
 def test_one_copy_changes_nothing():
-    new, scales = relocation(torch.tensor([0.4]), torch.tensor([[1.0, 2.0, 3.0]]), torch.tensor([1]))
+    new, factor = relocation(torch.tensor([0.4]), torch.tensor([1]))
     torch.testing.assert_close(new, torch.tensor([0.4]))
-    torch.testing.assert_close(scales, torch.tensor([[1.0, 2.0, 3.0]]))
+    torch.testing.assert_close(factor, torch.tensor([1.0]))
+
+
+@pytest.mark.parametrize("move", [relocate, lambda gaussians, generator: grow(gaussians, 3, generator)])
+def test_a_drawn_gaussian_of_any_size_and_opacity_shrinks_by_the_papers_factor(move):
+    for log_scale, logit in ((-104.0, 1.0), (95.0, 1.0), (-2.0, 25.0), (-2.0, 17.0)):
+        gaussians = cloud(2)
+        gaussians.log_scales[0] = log_scale
+        gaussians.logit_opacities[:] = torch.tensor([logit, -200.0])
+        move(gaussians, torch.Generator().manual_seed(0))
+        opacity = torch.sigmoid(torch.tensor([logit], dtype=torch.float64))
+        new, factor = relocation(opacity, torch.tensor([2]))
+        expected = torch.full((3,), log_scale + math.log(factor.item()))
+        torch.testing.assert_close(gaussians.log_scales[0], expected, rtol=1e-6, atol=0)
+        assert gaussians.logit_opacities[0].item() == pytest.approx(torch.logit(new).item(), rel=1e-5)
 
 
 def test_dead_gaussians_move_onto_live_ones_in_proportion_to_opacity():
@@ -119,6 +132,23 @@ def test_pruning_keeps_the_most_opaque_in_order():
     expected = torch.sort(torch.topk(gaussians.logit_opacities, 20).indices).values
     assert torch.equal(kept.means, gaussians.means[expected])
     assert prune_to_cap(gaussians, 50, torch.Generator()) is gaussians
+
+
+def test_pruning_works_on_the_device_of_the_gaussians():
+    """The meta device, which computes nothing, stands in for CUDA: it too refuses indices that are elsewhere."""
+    elsewhere = Gaussians(**{name: t.to("meta") for name, t in cloud(50).tensors().items()})
+    kept = prune_to_cap(elsewhere, 20, torch.Generator().manual_seed(0))
+    assert len(kept) == 20
+    assert kept.means.is_meta
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_pruning_on_a_gpu_keeps_the_same_gaussians():
+    gaussians = cloud(50)
+    kept = prune_to_cap(gaussians, 20, torch.Generator().manual_seed(0))
+    on_gpu = Gaussians(**{name: t.cuda() for name, t in gaussians.tensors().items()})
+    assert torch.equal(prune_to_cap(on_gpu, 20, torch.Generator().manual_seed(0)).means.cpu(), kept.means)
 
 
 def test_pruning_equal_opacities_is_a_random_choice_without_preference_for_early_ones():
