@@ -1,7 +1,12 @@
-"""Networks in training on disk, as safetensors: weights, Adam moments and whatever else the next step depends on."""
+"""Networks in training on disk, as safetensors: weights, Adam moments and whatever else the next step depends on.
 
+Networks that learn beside a fit keep the fit's own checkpoint in the same file: the two then always belong together.
+"""
+
+import os
 from pathlib import Path
 
+import torch
 from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.optim import Adam
@@ -10,11 +15,13 @@ _MOMENTS = ("step", "exp_avg", "exp_avg_sq")
 
 
 def pack(prefix: str, network: nn.Module, adam: Adam) -> dict[str, Tensor]:
-    """Weights and Adam moments by name, each name starting with `prefix`."""
+    """Weights, Adam moments and gradients that wait for the next step, each name starting with `prefix`."""
     tensors = {f"{prefix}.weights.{name}": value.detach() for name, value in network.state_dict().items()}
     for name, parameter in network.named_parameters():
         for key, value in adam.state.get(parameter, {}).items():
             tensors[f"{prefix}.{key}.{name}"] = value
+        if parameter.grad is not None:
+            tensors[f"{prefix}.grad.{name}"] = parameter.grad
     return tensors
 
 
@@ -37,6 +44,10 @@ def unpack(prefix: str, tensors: dict[str, Tensor], network: nn.Module, adam: Ad
             moments = {key: tensors[f"{prefix}.{key}.{name}"] for key in _MOMENTS}
             # torch keeps Adam's step count on the CPU whatever the device of the weights.
             adam.state[parameter] = {k: v if k == "step" else v.to(parameter) for k, v in moments.items()}
+        if (gradient := tensors.get(f"{prefix}.grad.{name}")) is not None:
+            parameter.grad = torch.zeros_like(parameter).copy_(
+                gradient
+            )  # in the layout that autograd goes on adding to
 
 
 def read(path: Path) -> dict[str, Tensor]:
@@ -49,3 +60,18 @@ def read(path: Path) -> dict[str, Tensor]:
         return load_file(path)
     except Exception as error:  # safetensors raises its own class, which it does not promise to keep
         raise ValueError(f"{path} is damaged ({error}): delete it, the run then starts over") from error
+
+
+def file_as_tensor(path: Path) -> Tensor:
+    """The bytes of a file, uint8."""
+    return torch.frombuffer(bytearray(path.read_bytes()), dtype=torch.uint8)
+
+
+def tensor_as_file(content: Tensor, path: Path) -> None:
+    """Write the bytes that `file_as_tensor` read; the file appears whole or not at all."""
+    temporary = path.with_name(path.name + f".tmp{os.getpid()}")
+    try:
+        temporary.write_bytes(content.numpy().tobytes())
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)

@@ -10,16 +10,18 @@ import torch
 from torch import Tensor
 
 from novags.cameras.start import start_gaussians
-from novags.nova.checkpoint import read
+from novags.nova.checkpoint import file_as_tensor, read, tensor_as_file
 from novags.nova.consistency import ConsistencyConfig, ConsistencyLoss
 from novags.nova.denoiser import Denoiser, DenoiserConfig
 from novags.nova.enhance import EnhanceConfig, enhance
 from novags.nova.sh_penalty import noise_map, sh_penalty
 from novags.splats.checkpoint import write_tensors
 from novags.splats.fit import FitConfig, Step, fit
+from novags.splats.gaussians import Gaussians
 from novags.splats.method import MethodInput, MethodResult
 
 Progress = Callable[[int, int, dict[str, float]], None]
+SAVE_INTERVAL = 60.0  # s between two checkpoints of the warm-up: its steps take from milliseconds to many seconds
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,9 +66,26 @@ class _PseudoClean:
         """[H, W, 3], with gradient into the denoiser if it takes part in L_recon."""
         return self(view) if self.config.detach_target else self.denoiser.denoise(view)
 
+    def state(self) -> dict[str, Tensor]:
+        """The images that the denoiser as it stands might not give again, by view and denoiser step."""
+        if self.config.refresh_after == 1:
+            return {}
+        return {f"clean.{view}.{step}": image for view, (step, image) in self.cached.items()}
+
+    def restore(self, tensors: dict[str, Tensor]) -> None:
+        """Continue from `state`."""
+        for name, image in tensors.items():
+            if name.startswith("clean."):
+                view, step = map(int, name.split(".")[1:])
+                self.cached[view] = (step, image.to(self.denoiser.images))
+
 
 class _Training:
-    """Denoiser, confidence network and their schedule beside the splat iterations."""
+    """Denoiser, confidence network and their schedule beside the splat iterations.
+
+    What they need to go on is saved together with the fit's checkpoint, in one file: were the two apart, an
+    interruption between them would pair networks and splats of different iterations.
+    """
 
     def __init__(self, inputs: MethodInput, enhanced: Tensor, config: NovaConfig, checkpoint: Path | None) -> None:
         iterations = config.fit.iterations
@@ -80,32 +99,45 @@ class _Training:
             self.geo = ConsistencyLoss(
                 inputs.views, self.clean, config.consistency, iterations=iterations, seed=inputs.seed
             )
+        self.start: Gaussians | None = None
+        self.seconds = 0.0  # until the splats start, of interrupted attempts too
+        self.fit_path = checkpoint
         self.path = None if checkpoint is None else checkpoint.with_name(f"{checkpoint.stem}.denoiser.safetensors")
         if self.path is not None and self.path.exists():
-            tensors = read(self.path)
-            self.denoiser.restore(tensors)
-            if self.geo is not None:
-                self.geo.restore(tensors)
+            self._restore(read(self.path))
+        elif checkpoint is not None and checkpoint.exists():
+            raise ValueError(f"{checkpoint} lacks the networks that belong to it: delete it, the run then starts over")
 
-    def warm_up(self, progress: Progress | None) -> None:
-        """Train the denoiser alone until the splats may start."""
-        steps, every = self.config.denoiser.warmup_steps, self.config.fit.checkpoint_every
+    def warm_up(self, inputs: MethodInput, progress: Progress | None) -> Gaussians:
+        """Train the denoiser alone, then make the Gaussians that the splats start from, coloured by it."""
+        if self.start is not None:
+            return self.start
+        saved = time.perf_counter()
+        started = saved - self.seconds
+        steps = self.config.denoiser.warmup_steps
         while self.denoiser.step < steps:
             loss = self.denoiser.train_step()
+            self.seconds = time.perf_counter() - started
+            if time.perf_counter() - saved > SAVE_INTERVAL:
+                self.save()
+                saved = time.perf_counter()
             if progress is not None:
                 progress(self.denoiser.step, steps + self.config.fit.iterations, {"denoiser": loss})
-            if self.denoiser.step % every == 0 or self.denoiser.step == steps:
-                self.save()
+        clean = torch.stack([self.clean(i) for i in range(len(inputs.views))])
+        sh_degree, init_scale = self.config.fit.sh_degree, self.config.init_scale
+        self.start = start_gaussians(inputs.init, inputs.dark, clean, sh_degree=sh_degree, init_scale=init_scale)
+        self.seconds = time.perf_counter() - started
+        self.save()
+        return self.start
 
     def before_step(self, iteration: int) -> None:
         """Bring both networks up to a splat iteration, then save if the fit has just saved."""
         if self.geo is not None:
             self.geo.update()
-        due = self.config.denoiser.total_steps(iteration)
-        # More than one step only after a crash between the fit's checkpoint and this one's.
-        while self.denoiser.step < due:
+        if self.denoiser.step < self.config.denoiser.total_steps(iteration):
             self.denoiser.train_step()
-        if iteration and iteration % self.config.fit.checkpoint_every == 0:
+        fit = self.config.fit
+        if iteration and (iteration % fit.checkpoint_every == 0 or iteration == fit.iterations):
             self.save()
 
     def noise_penalty(self, step: Step) -> Tensor | None:
@@ -120,9 +152,30 @@ class _Training:
         return self.config.sh_weight * sh_penalty(step.gaussians.sh, step.info["means2d"], step.info["radii"], noise)
 
     def save(self) -> None:
-        """Write the state of both networks beside the fit's checkpoint."""
-        if self.path is not None:
-            write_tensors(self.path, self.denoiser.state() | (self.geo.state() if self.geo is not None else {}))
+        """Write all that the next iteration depends on, the fit's checkpoint included."""
+        if self.path is None or self.fit_path is None:
+            return
+        tensors = self.denoiser.state() | self.clean.state() | (self.geo.state() if self.geo is not None else {})
+        tensors["seconds"] = torch.tensor(self.seconds, dtype=torch.float64)
+        if self.start is not None:
+            tensors |= {f"start.{name}": tensor for name, tensor in self.start.tensors().items()}
+        if self.fit_path.exists():
+            tensors["fit"] = file_as_tensor(self.fit_path)
+        write_tensors(self.path, tensors)
+
+    def _restore(self, tensors: dict[str, Tensor]) -> None:
+        self.denoiser.restore(tensors)
+        self.clean.restore(tensors)
+        if self.geo is not None:
+            self.geo.restore(tensors)
+        self.seconds = float(tensors["seconds"])
+        start = {name.removeprefix("start."): t for name, t in tensors.items() if name.startswith("start.")}
+        self.start = Gaussians(**start) if start else None
+        assert self.fit_path is not None
+        if "fit" in tensors:
+            tensor_as_file(tensors["fit"], self.fit_path)
+        else:  # the fit's first checkpoint may be there, but without the networks of that moment
+            self.fit_path.unlink(missing_ok=True)
 
 
 def train(
@@ -138,25 +191,23 @@ def train(
         inputs: Views, dark images, initial points and seed.
         config: All choices; `config.fit.seed` and `config.fit.extent` are overridden by `inputs`.
         progress: Called with (steps done, of how many, losses); denoiser warm-up and splat iterations count alike.
-        checkpoint: The fit's checkpoint file. The networks' state lies beside it, `<stem>.denoiser.safetensors`. If the
-            files are there already, the run goes on from them.
+        checkpoint: The fit's checkpoint file. All that a run goes on from lies beside it, in
+            `<stem>.denoiser.safetensors`, with a copy of the fit's; if that is there already, it does.
 
     Returns:
         MethodResult; `targets` are the denoised images. Seconds: "enhance", "denoise" (warm-up), "fit" (with the
-        concurrent denoiser steps).
+        concurrent denoiser steps), the latter two of interrupted attempts too.
+
+    Raises:
+        ValueError: If a checkpoint is damaged or belongs to another run.
     """
     fit_config = dataclasses.replace(config.fit, seed=inputs.seed, extent=inputs.init.extent)
     config = dataclasses.replace(config, fit=fit_config)
-    clock = [time.perf_counter()]
+    started = time.perf_counter()
     enhanced, _ = enhance(inputs.dark, config.enhance)
-    clock.append(time.perf_counter())
+    enhancing = time.perf_counter() - started
     training = _Training(inputs, enhanced, config, checkpoint)
-    training.warm_up(progress)
-    start = start_gaussians(
-        inputs.init, inputs.dark, torch.stack([training.clean(i) for i in range(len(inputs.views))]),
-        sh_degree=fit_config.sh_degree, init_scale=config.init_scale,
-    )  # fmt: skip
-    clock.append(time.perf_counter())
+    start = training.warm_up(inputs, progress)
     warmup = config.denoiser.warmup_steps
     result = fit(
         start, inputs.views, training.clean.target, fit_config,
@@ -166,15 +217,11 @@ def train(
         progress=progress and (lambda done, total, entry: progress(warmup + done, warmup + total, entry)),
     )  # fmt: skip
     training.before_step(fit_config.iterations)
-    training.save()
-    clock.append(time.perf_counter())
     return MethodResult(
         gaussians=result.gaussians,
         enhanced=enhanced,
         targets=training.denoiser.denoise_all(),
         losses=result.losses,
-        seconds=dict(
-            zip(("enhance", "denoise", "fit"), (b - a for a, b in zip(clock, clock[1:], strict=False)), strict=True)
-        ),
+        seconds={"enhance": enhancing, "denoise": training.seconds, "fit": result.seconds},
         config=dataclasses.asdict(config),
     )

@@ -93,7 +93,7 @@ PRESETS = {
         capture=CaptureConfig(sensor="a7s2-iso6400", electrons=20.0),
         methods=("nova", "naive", "naive-l1", "oracle"),
         points=100_000,
-        nova=NovaConfig(fit=FitConfig(iterations=7000, cap_max=1_000_000)),
+        nova=NovaConfig(fit=FitConfig(iterations=7000, cap_max=1_000_000, checkpoint_every=250)),
     ),
 }
 

@@ -1,15 +1,19 @@
 import dataclasses
+import sys
 from pathlib import Path
 
 import pytest
 import torch
+from safetensors.torch import load_file
 
-from novags.nova.consistency import ConsistencyConfig
+from novags.nova import trainer
+from novags.nova.consistency import ConsistencyConfig, ConsistencyLoss
 from novags.nova.denoiser import Denoiser, DenoiserConfig
 from novags.nova.resunet import ResUNetConfig
 from novags.nova.trainer import NovaConfig, _Training, train
 from novags.splats import FitConfig
 from novags.splats.fit import Step
+from novags.testbed.presets import PRESETS
 
 DENOISER = DenoiserConfig(
     network=ResUNetConfig(widths=(4,), bottleneck=6, normalization="none"),
@@ -144,6 +148,130 @@ def test_an_interrupted_run_resumes_to_the_same_bits(method_input, tmp_path: Pat
     assert torch.equal(sh(again), sh(whole))
 
 
+class Plug:
+    """Pulled at the n-th of the moments before and after everything that a run saves or learns."""
+
+    WATCHED = (
+        (sys.modules["novags.splats.fit"], "save_checkpoint"),
+        (trainer, "write_tensors"),
+        (Denoiser, "train_step"),
+        (ConsistencyLoss, "update"),
+    )
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.moments: list[str] = []
+        self.at: int | None = None
+        for place, name in self.WATCHED:
+            monkeypatch.setattr(place, name, self.watched(getattr(place, name), name))
+
+    def watched(self, function, name: str):
+        def call(*args, **keywords):
+            self.pass_by(name)
+            result = function(*args, **keywords)
+            self.pass_by(name)
+            return result
+
+        return call
+
+    def pass_by(self, name: str) -> None:
+        self.moments.append(name)
+        if len(self.moments) == self.at:
+            raise Stop
+
+
+@pytest.mark.parametrize(
+    "changes", [{}, {"refresh_after": 3}, {"detach_target": False}], ids=["paper", "stale images", "joint"]
+)
+def test_wherever_a_run_is_interrupted_it_resumes_to_the_same_bits(method_input, tmp_path: Path, monkeypatch, changes):
+    """Rationale: fit and networks learn from each other, so they must go on from one and the same moment."""
+    inputs, plug = method_input(), Plug(monkeypatch)
+    config = changed(
+        denoiser=dataclasses.replace(DENOISER, warmup_steps=1, denoise_every=2),
+        consistency=dataclasses.replace(CONFIG.consistency, start=0.0),
+        fit=dataclasses.replace(CONFIG.fit, iterations=5, sh_every=1, checkpoint_every=3),
+        **changes,
+    )
+    whole = train(inputs, config, checkpoint=tmp_path / "whole.safetensors")
+    first = plug.moments.index("save_checkpoint")
+    around = range(first, first + 8)
+    assert {plug.moments[moment] for moment in around} == {name for _, name in Plug.WATCHED}
+    for moment in around:
+        checkpoint = tmp_path / f"{moment}.safetensors"
+        plug.moments, plug.at = [], moment + 1
+        with pytest.raises(Stop):
+            train(inputs, config, checkpoint=checkpoint)
+        plug.at = None
+        resumed = train(inputs, config, checkpoint=checkpoint)
+        assert torch.equal(resumed.targets, whole.targets), moment
+        for name, tensor in whole.gaussians.tensors().items():
+            assert torch.equal(resumed.gaussians.tensors()[name], tensor), (moment, name)
+
+
+def test_a_long_warm_up_is_saved_as_it_goes(method_input, tmp_path: Path, monkeypatch):
+    monkeypatch.setattr(trainer, "SAVE_INTERVAL", 0.0)
+
+    def pull(done: int, total: int, losses: dict[str, float]) -> None:
+        if done == 3:
+            raise Stop
+
+    with pytest.raises(Stop):
+        train(method_input(), CONFIG, progress=pull, checkpoint=tmp_path / "run.safetensors")
+    seen = []
+    train(
+        method_input(), CONFIG, progress=lambda *entry: seen.append(entry[0]), checkpoint=tmp_path / "run.safetensors"
+    )
+    assert seen[0] == 4
+
+
+def test_seconds_count_interrupted_attempts_too(method_input, tmp_path: Path):
+    def pull(done: int, total: int, losses: dict[str, float]) -> None:
+        if done == 14:
+            raise Stop
+
+    checkpoint = tmp_path / "run.safetensors"
+    with pytest.raises(Stop):
+        train(method_input(), CONFIG, progress=pull, checkpoint=checkpoint)
+    spent = float(load_file(tmp_path / "run.denoiser.safetensors")["seconds"])
+    resumed = train(method_input(), CONFIG, checkpoint=checkpoint)
+    assert 0 < spent == resumed.seconds["denoise"]
+    again = train(method_input(), CONFIG, checkpoint=checkpoint)
+    assert again.seconds["denoise"] == spent
+    assert again.seconds["fit"] >= 0.99 * resumed.seconds["fit"] > 0
+
+
+def test_a_fit_without_its_networks_is_not_continued(method_input, tmp_path: Path):
+    checkpoint = tmp_path / "run.safetensors"
+    train(method_input(), CONFIG, checkpoint=checkpoint)
+    (tmp_path / "run.denoiser.safetensors").unlink()
+    with pytest.raises(ValueError, match=r"run\.safetensors lacks the networks"):
+        train(method_input(), CONFIG, checkpoint=checkpoint)
+
+
+def test_the_papers_preset_resumes_to_the_same_bits(method_input, tmp_path: Path):
+    """Rationale: its settings, but for size and length, are what takes days and gets interrupted."""
+    paper = PRESETS["paper"].nova
+    assert paper == NovaConfig(fit=FitConfig(iterations=7000, cap_max=1_000_000, checkpoint_every=250))
+    tiny = dataclasses.replace(paper.denoiser, network=ResUNetConfig(widths=(4,), bottleneck=6), warmup_steps=2)
+    short = dataclasses.replace(paper.fit, iterations=12, checkpoint_every=5)
+    config = dataclasses.replace(paper, denoiser=tiny, fit=short)
+    whole = train(method_input(), config)
+
+    def pull(done: int, total: int, losses: dict[str, float]) -> None:
+        if done == 2 + 12:
+            raise Stop
+
+    with pytest.raises(Stop):
+        train(method_input(), config, progress=pull, checkpoint=tmp_path / "run.safetensors")
+    seen = []
+    resumed = train(
+        method_input(), config, progress=lambda *entry: seen.append(entry[0]), checkpoint=tmp_path / "run.safetensors"
+    )
+    assert seen == [2 + 12]  # fit logs every tenth iteration and the last: it went on from the tenth
+    assert torch.equal(resumed.targets, whole.targets)
+    assert torch.equal(resumed.gaussians.means, whole.gaussians.means)
+    assert torch.equal(sh(resumed), sh(whole))
+
+
 def test_a_damaged_checkpoint_is_named(method_input, tmp_path: Path):
     (tmp_path / "run.denoiser.safetensors").write_bytes(b"half a file")
     with pytest.raises(ValueError, match=r"run\.denoiser\.safetensors is damaged"):
@@ -151,8 +279,6 @@ def test_a_damaged_checkpoint_is_named(method_input, tmp_path: Path):
 
 
 def test_the_confidence_network_learns_while_the_splats_do(method_input, monkeypatch):
-    from novags.nova.consistency import ConsistencyLoss
-
     kept: list[ConsistencyLoss] = []
     original = ConsistencyLoss.__init__
     monkeypatch.setattr(
