@@ -1,9 +1,10 @@
 """Capture: photograph a multiview set in the dark, one exposure per view, view by view."""
 
+import math
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
@@ -21,12 +22,13 @@ from sensor_model import (
     plan_effects,
     read_sensor,
 )
-from sensor_model.isp import Demosaic
+from sensor_model.isp import DEMOSAIC, Demosaic
 from sensor_model.planner import Limits
 from simscenes.multiview import write_cameras
 
 QUANTILES = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
-PIXELS_PER_VIEW, PIXELS = 4096, 1 << 20  # kept for the quantiles of the signal: enough for the 1 % ones
+PIXELS_PER_VIEW, PIXELS = 1365, 350_000  # kept for the quantiles of the signal: enough for the 1 % ones
+FULL_SIZE = tuple(name for name in DEMOSAIC if name != "half")  # pictures must be as large as their cameras say
 ROW_LENGTH = 33  # px; the enhancement averages over such windows, so noise that rows share adds up in them
 
 
@@ -48,8 +50,8 @@ class CaptureConfig:
         object.__setattr__(self, "camera", camera_named(self.sensor))
         if not (np.isfinite(self.electrons) and self.electrons > 0):
             raise ValueError(f"electrons must be > 0 and finite, got {self.electrons}")
-        if self.demosaic not in get_args(Demosaic):
-            raise ValueError(f"demosaic must be one of {', '.join(get_args(Demosaic))}, got {self.demosaic!r}")
+        if self.demosaic not in FULL_SIZE:
+            raise ValueError(f"demosaic must be one of {', '.join(FULL_SIZE)}, got {self.demosaic!r}")
         if self.jpeg_quality is not None and not 1 <= self.jpeg_quality <= 100:
             raise ValueError(f"jpeg_quality must be None or in 1..100, got {self.jpeg_quality}")
         if self.seed < 0:
@@ -169,7 +171,7 @@ def measure_light(source: Source, sensor: Sensor, progress: Update) -> tuple[flo
         radiance = source.radiance(i)
         total += float(radiance[..., 1].mean(dtype=np.float64)) / count
         seen = radiance * np.asarray(sensor.rgb_response, np.float32)
-        samples.append(seen.reshape(-1)[:: max(1, seen.size // kept)].copy())  # a view would keep the whole image
+        samples.append(some_pixels(seen, kept))
         least, most = min(least, float(seen.min())), max(most, float(seen.max()))
         progress(i + 1, count, f"view {source.views.names[i]}")
     if not total > 0:
@@ -177,3 +179,12 @@ def measure_light(source: Source, sensor: Sensor, progress: Update) -> tuple[flo
     quantiles = np.quantile(np.concatenate(samples).astype(np.float64), QUANTILES)
     quantiles[0], quantiles[-1] = least, most  # exact: saturation hangs on the brightest pixel
     return total, quantiles
+
+
+def some_pixels(image: np.ndarray, count: int) -> np.ndarray:
+    """About `count` pixels [n,3] of an image [h,w,3], spread evenly over rows and columns."""
+    height, width = image.shape[:2]
+    stride = max(1, height * width // count)
+    while math.gcd(stride, width) > 1:  # it would meet the same columns in every row
+        stride += 1
+    return image.reshape(-1, 3)[::stride].copy()  # a view would keep the whole image in memory

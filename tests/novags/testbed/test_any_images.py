@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from novags.testbed import stages
-from novags.testbed.capture import CaptureConfig, measure_light
+from novags.testbed.capture import QUANTILES, CaptureConfig, measure_light
 from novags.testbed.capture_folder import open_capture
 from novags.testbed.console import Console
 from novags.testbed.linear_photos import load_linear_set
@@ -123,6 +123,27 @@ def test_a_broken_set_of_linear_files_says_which_file(spoil, message: str, tmp_p
     spoil(photographs(tmp_path, ".exr"))
     with pytest.raises(ValueError, match=message):
         open_source(tmp_path, QUIET).radiance(1)
+
+
+@pytest.mark.parametrize("side", [128, 160, 256])
+def test_quantiles_of_the_signal_are_those_of_all_pixels_and_colours(side: int, tmp_path: Path) -> None:
+    """Rationale: a regular choice of pixels must see every colour and, in a picture of stripes, every column.
+
+    Expectation: among n chosen pixels, a share p of the picture is found up to 5 sqrt(p (1 - p) / n) at random, with n =
+    1365 here; colours and columns take whole shares of a third and a half.
+    """
+    folder = photographs(tmp_path, ".exr", n=2, size=(side, side))
+    light = np.ones((side, side, 3), np.float32) * np.array([1.0, 10.0, 100.0], np.float32)
+    light[:, ::2] *= 2
+    for i in range(2):
+        write_exr(folder / "images" / f"{i:04d}.exr", dict(zip("RGB", np.moveaxis(light, -1, 0), strict=True)))
+    sensor = PRESETS["ideal-3chip"]
+    _, found = measure_light(open_source(folder, QUIET), sensor, lambda *_: None)
+    everything = light * np.asarray(sensor.rgb_response, np.float32)
+    for quantile, value in zip(QUANTILES, found, strict=True):
+        below, up_to = np.mean(everything < value * (1 - 1e-6)), np.mean(everything <= value * (1 + 1e-6))
+        slack = 5 * np.sqrt(quantile * (1 - quantile) / 1365)
+        assert below - slack <= quantile <= up_to + slack
 
 
 @pytest.mark.parametrize("suffix", [".png", ".exr", ".dng"])

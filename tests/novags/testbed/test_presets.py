@@ -62,6 +62,7 @@ def test_a_denoiser_setting_does_not_make_the_naive_run_stale() -> None:
         ({"electrons": float("nan")}, "electrons"),
         ({"sensor": "kodak"}, "unknown sensor"),
         ({"demosaic": "none"}, "demosaic"),
+        ({"demosaic": "half"}, "demosaic must be one of menon, malvar, bilinear, got 'half'"),
         ({"seed": -1}, "seed"),
         ({"time": -1.0}, "time"),
         ({"tolerance": -1.0}, "sd must be > 0"),
