@@ -84,28 +84,24 @@ def load(b, to, flat, start, stride, n):
             b[to + i] = flat[start + i * stride]
 
 
-@inline
-def store(flat, start, stride, b, source, n):
-    """The way back."""
-    if stride == 1:
-        part = flat[start : start + n]
-        for i in range(n):
-            part[i] = b[source + i]
-    else:
-        for i in range(n):
-            flat[start + i * stride] = b[source + i]
+def _way_back(cast: type) -> Callable:
+    """The inverse of `load`, by way of a type."""
+
+    @inline
+    def store(flat, start, stride, b, source, n):
+        if stride == 1:
+            part = flat[start : start + n]
+            for i in range(n):
+                part[i] = cast(b[source + i])
+        else:
+            for i in range(n):
+                flat[start + i * stride] = cast(b[source + i])
+
+    return store
 
 
-@inline
-def store_whole(flat, start, stride, b, source, n):
-    """The way back for whole numbers, by 32-bit integers: from float64 straight to 8 or 16 bits there is no SIMD."""
-    if stride == 1:
-        part = flat[start : start + n]
-        for i in range(n):
-            part[i] = np.int32(b[source + i])
-    else:
-        for i in range(n):
-            flat[start + i * stride] = np.int32(b[source + i])
+store = _way_back(np.float64)
+store_whole = _way_back(np.int32)  # whole numbers: from float64 straight to 8 or 16 bits there is no SIMD
 
 
 @jit
