@@ -5,6 +5,7 @@ of set, one file in memory at a time.
 """
 
 import json
+import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,18 +41,23 @@ def load_linear_set(folder: Path) -> LinearPhotographs | None:
     """The set, or None if the folder has no transforms.json that lists linear files.
 
     Raises:
-        ValueError: If linear and other files are mixed, one is missing, or their sizes differ.
+        ValueError: If linear and other files are mixed, all are missing, or their sizes differ. Listed files that are
+            missing are skipped and counted in one warning, as `load_set` does.
     """
     source = folder / "transforms.json"
-    listed = _listed(source)
-    files = [folder / path for _, path, _ in listed]
-    linear = [file.suffix.lower() in SUFFIXES for file in files]
+    named = _listed(source)
+    linear = [Path(path).suffix.lower() in SUFFIXES for _, path, _ in named]
     if not any(linear):
         return None
     if not all(linear):
         raise ValueError(f"{source} must list either linear files ({', '.join(SUFFIXES)}) or others, not both")
-    if missing := [file for file in files if not file.is_file()]:
-        raise ValueError(f"{source} lists {len(missing)} files that are not there, such as {missing[0].name}")
+    listed = [entry for entry in named if (folder / entry[1]).is_file()]
+    if not listed:
+        raise ValueError(f"none of the {len(named)} images listed in {source} exists; put them where it says")
+    if len(listed) < len(named):
+        missing = f"{len(named) - len(listed)} of {len(named)} views listed in {source} have no image file"
+        warnings.warn(f"{missing} and are skipped", stacklevel=2)
+    files = [folder / path for _, path, _ in listed]
     order = sorted(range(len(files)), key=lambda i: str(files[i]))
     files = [files[i] for i in order]
     sizes = {_size(file) for file in files}

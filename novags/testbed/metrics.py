@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter
 
 Image: TypeAlias = np.ndarray
 
+SSIM_WINDOW = 11  # px; smaller images have no SSIM
 PSNR_CEILING = 100.0  # dB; two identical images have no finite PSNR, and JSON has no infinity
 
 
@@ -59,8 +60,9 @@ def ssim(image: Image, reference: Image) -> float:
     from torchmetrics.functional.image import structural_similarity_index_measure
 
     _same_shape(image, reference)
-    if min(image.shape[:2]) < 11:
-        raise ValueError(f"SSIM needs images of at least 11 x 11 pixels, got {image.shape[1]} x {image.shape[0]}")
+    if min(image.shape[:2]) < SSIM_WINDOW:
+        size = f"{SSIM_WINDOW} x {SSIM_WINDOW} pixels"
+        raise ValueError(f"SSIM needs images of at least {size}, got {image.shape[1]} x {image.shape[0]}")
     a, b = (
         torch.from_numpy(np.ascontiguousarray(x.transpose(2, 0, 1)[None], dtype=np.float32)) for x in (image, reference)
     )

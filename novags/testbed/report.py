@@ -5,6 +5,7 @@ from typing import Any
 
 from novags.testbed.cache import UNFINISHED, read_json, write_text
 from novags.testbed.console import Console, Update
+from novags.testbed.linear_photos import LinearPhotographs
 from novags.testbed.methods import METHODS
 from novags.testbed.report_facts import (
     COLUMNS,
@@ -115,6 +116,7 @@ def report_context(material: Material, progress: Update) -> dict[str, Any]:
         "costs": costs(material),
         "plans": plans(material),
         "kind": material.lit.views.kind,
+        "linear": isinstance(material.lit.views, LinearPhotographs),
         "record": material.capture.record,
         "unavailable": material.metrics["unavailable"],
         "configurations": configurations(material),

@@ -14,6 +14,7 @@ import numpy as np
 from novags.testbed.cache import folder_digest
 from novags.testbed.console import Console
 from novags.testbed.linear_photos import load_linear_set
+from novags.testbed.metrics import SSIM_WINDOW
 from sensor_model import linear_to_srgb
 from simscenes.multiview import MultiviewSet, load_set
 from simscenes.rigs import Rig
@@ -22,6 +23,8 @@ from simscenes.rigs import Rig
 MODEL = tuple(f"{part}.{suffix}" for part in ("cameras", "images", "points3D") for suffix in ("bin", "txt"))
 CAMERA_FILES = ("set.json", "capture.json", "transforms.json", "nb-info.json", "sparse", "gt", *MODEL)
 
+NOISE = 0.01  # of a photograph's bright light: further below 0 than this is no noise
+
 
 @dataclass(frozen=True)
 class Source:
@@ -29,6 +32,7 @@ class Source:
 
     views: MultiviewSet
     rig: Rig  # of the scaled images
+    console: Console  # where notes on single views go
 
     @property
     def scaled(self) -> bool:
@@ -38,16 +42,23 @@ class Source:
     def radiance(self, i: int) -> np.ndarray:
         """Linear RGB of view `i`, averaged over each larger pixel where the source is scaled down.
 
+        Photographs with black taken off hold noise around zero: what is slightly negative counts as 0, with a note.
+
         Raises:
-            ValueError: If a value is negative or not finite, or the file cannot be read.
+            ValueError: If a value is not finite or more than slightly negative, or the file cannot be read.
         """
         radiance = self.views.radiance(i)
+        rendered = self.views.kind == "rendered"
+        if not rendered and -NOISE * np.quantile(radiance, 0.99) <= radiance.min() < 0:
+            self.console.warn(f"{self.views.path} holds light slightly below 0 (noise around black): it counts as 0")
+            radiance = np.maximum(radiance, 0)
         bad = ~(np.isfinite(radiance) & (radiance >= 0))
         if bad.any():
             first = tuple(int(k) for k in np.argwhere(bad)[0])
+            help = "render the set again" if rendered else f"correct {self.views.files[i].name}, or remove it"
             raise ValueError(
                 f"radiance must be finite and >= 0, got {radiance[first]} at {first} in view {self.views.names[i]} of "
-                f"{self.views.path} ({int(bad.sum())} values): render the set again"
+                f"{self.views.path} ({int(bad.sum())} values): {help}"
             )
         return self._fit(radiance)
 
@@ -80,19 +91,22 @@ def open_source(path: Path, console: Console, max_size: int | None = None) -> So
         max_size: Longest image side in pixels; larger images are scaled down to it. None keeps them.
 
     Raises:
-        ValueError: If the folder holds no posed images, or `max_size` leaves no image.
+        ValueError: If the folder holds no posed images, or their shortest side is, or gets, too short to be scored.
     """
-    if max_size is not None and max_size < 16:
-        raise ValueError(f"max_size must be at least 16 pixels, got {max_size}")
     with warnings_as_notes(console):
         views = load_linear_set(path) or load_set(path)
-    return Source(views=views, rig=scaled_rig(views.rig, max_size))
+    rig = views.rig if max_size is None else scaled_rig(views.rig, max_size)
+    if min(rig.width, rig.height) < SSIM_WINDOW:
+        larger = "" if max_size is None else f": choose a max_size larger than {max_size}"
+        size = f"{rig.width} x {rig.height}"
+        raise ValueError(f"the images of {path} must be at least {SSIM_WINDOW} px wide and high, got {size}{larger}")
+    return Source(views=views, rig=rig, console=console)
 
 
-def scaled_rig(rig: Rig, max_size: int | None) -> Rig:
+def scaled_rig(rig: Rig, max_size: int) -> Rig:
     """The same cameras with the longest image side at most `max_size` pixels (aspect kept to the nearest pixel)."""
     longest = max(rig.width, rig.height)
-    if max_size is None or longest <= max_size:
+    if longest <= max_size:
         return rig
     width, height = (max(1, round(side * max_size / longest)) for side in (rig.width, rig.height))
     # Pixel edges, not centres, are what scaling keeps in place, so with centres at +0.5 whole rows of K scale.

@@ -13,6 +13,9 @@ from novags.testbed.console import Console
 from novags.testbed.presets import Preset
 from novags.testbed.reconstruct import ReconstructConfig
 from novags.testbed.report import write_report
+from simscenes import orbit_rig
+from simscenes.exr import write_exr
+from simscenes.multiview import write_cameras
 
 
 @pytest.fixture(scope="module")
@@ -48,3 +51,25 @@ def test_photographs_are_reconstructed_scored_and_reported(
     assert "render" not in metrics["methods"]["nova"]["seconds"]
     page = write_report(tmp_path / "run", quiet).read_text(encoding="utf-8")
     assert "The light was not simulated" in page
+    assert "made linear by undoing the sRGB curve" in page
+
+
+def test_the_report_does_not_undo_a_curve_that_linear_files_never_had(
+    tiny: Preset, quiet: Console, tmp_path: Path
+) -> None:
+    names = [f"{i:04d}" for i in range(4)]
+    write_cameras(tmp_path / "set", names, orbit_rig(4, 24, 24, 50.0, radius=3.0))
+    transforms = tmp_path / "set" / "transforms.json"
+    transforms.write_text(transforms.read_text().replace(".png", ".exr"))
+    (tmp_path / "set" / "images").mkdir()
+    light = np.random.default_rng(0).random((24, 24, 3), dtype=np.float32)
+    for name in names:
+        write_exr(tmp_path / "set" / "images" / f"{name}.exr", dict(zip("RGB", np.moveaxis(light, -1, 0), strict=True)))
+    stages.capture(tmp_path / "set", tmp_path / "capture", CaptureConfig(), quiet)
+    nova = replace(tiny.nova, fit=replace(tiny.nova.fit, iterations=2))
+    config = ReconstructConfig(method="naive", points=50, nova=nova)
+    stages.reconstruct(tmp_path / "capture", tmp_path / "run", config, quiet)
+    stages.score(tmp_path / "run", quiet)
+    page = write_report(tmp_path / "run", quiet).read_text(encoding="utf-8")
+    assert "photographs, their linear light taken as radiance" in page
+    assert "sRGB curve" not in page

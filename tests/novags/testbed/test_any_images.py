@@ -1,5 +1,6 @@
 """Claims about what a capture can be made of, and that no set is too large for the memory."""
 
+import io
 import json
 import tracemalloc
 from pathlib import Path
@@ -106,10 +107,45 @@ def test_margins_around_the_picture_in_a_raw_file_are_cut_off_and_not_scaled(tmp
     np.testing.assert_array_equal(part.radiance(1), whole.radiance(1)[0:29, 1:39])
 
 
+def spoilt(value: float) -> dict[str, np.ndarray]:
+    """An EXR image of light 1 with another value in one pixel."""
+    channel = np.ones((30, 40), np.float32)
+    channel[0, 0] = value
+    return dict.fromkeys("RGB", channel)
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".png"])
+def test_listed_files_that_are_missing_are_skipped_with_a_note(suffix: str, tmp_path: Path) -> None:
+    folder, stream = photographs(tmp_path, suffix), io.StringIO()
+    (folder / "images" / f"0001{suffix}").unlink()
+    source = open_source(folder, Console(stream=stream))
+    assert source.views.names == ("0000", "0002")
+    assert "1 of 3 views listed in" in stream.getvalue()
+    np.testing.assert_allclose(source.rig.viewmats, orbit_rig(3, 40, 30, 50.0, radius=3.0).viewmats[[0, 2]], atol=1e-9)
+
+
+def test_noise_around_black_in_a_photograph_counts_as_zero_and_is_said(tmp_path: Path) -> None:
+    folder, stream = photographs(tmp_path, ".exr"), io.StringIO()
+    write_exr(folder / "images" / "0001.exr", spoilt(-1e-3))
+    light = open_source(folder, Console(stream=stream)).radiance(1)
+    assert (light[0, 0] == 0).all()
+    assert (light[1:] == 1).all()
+    assert "light slightly below 0" in stream.getvalue()
+
+
+def test_images_too_small_to_be_scored_are_refused_before_the_work(tmp_path: Path) -> None:
+    folder = photographs(tmp_path, ".png", size=(64, 36))
+    assert open_source(folder, QUIET, 20).rig.height == 11
+    with pytest.raises(ValueError, match=r"at least 11 px .* got 16 x 9: choose a max_size larger than 16"):
+        open_source(folder, QUIET, 16)
+
+
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (lambda f: (f / "images" / "0001.exr").unlink(), "1 files that are not there, such as 0001.exr"),
+        (lambda f: [p.unlink() for p in (f / "images").iterdir()], "none of the 3 images listed in"),
+        (lambda f: write_exr(f / "images" / "0001.exr", spoilt(-0.5)), "got -0.5 at .* correct 0001.exr, or remove it"),
+        (lambda f: write_exr(f / "images" / "0001.exr", spoilt(np.nan)), "got nan at .* correct 0001.exr"),
         (lambda f: (f / "images" / "0001.exr").write_bytes(b"no picture"), "not a readable EXR"),
         (lambda f: write_view(f / "images" / "0001.exr", 0, (20, 30)), "must share one size"),
         (lambda f: write_exr(f / "images" / "0001.exr", {"Y": np.ones((30, 40), np.float32)}), "channels R, G, B"),
@@ -129,8 +165,8 @@ def test_a_broken_set_of_linear_files_says_which_file(spoil, message: str, tmp_p
 def test_quantiles_of_the_signal_are_those_of_all_pixels_and_colours(side: int, tmp_path: Path) -> None:
     """Rationale: a regular choice of pixels must see every colour and, in a picture of stripes, every column.
 
-    Expectation: among n chosen pixels, a share p of the picture is found up to 5 sqrt(p (1 - p) / n) at random, with n =
-    1365 here; colours and columns take whole shares of a third and a half.
+    Expectation: among n chosen pixels, a share p of the picture is found up to 5 sqrt(p (1 - p) / n) at random. Here n
+    is 1365; colours and columns take whole shares of a third and a half.
     """
     folder = photographs(tmp_path, ".exr", n=2, size=(side, side))
     light = np.ones((side, side, 3), np.float32) * np.array([1.0, 10.0, 100.0], np.float32)
