@@ -1,9 +1,11 @@
 """The figures of the README: the demo over seeds, on other scenes, over iterations.
 
-    python scripts/bench_demo.py --out DIR                                        the demo, three seeds, all methods
-    python scripts/bench_demo.py --out DIR --scenes cornell courtyard --seeds 0   scenes that no setting was chosen on
-    python scripts/bench_demo.py --out DIR --scenes tabletop:1 --seeds 0 --methods nova naive --iterations 1200 2000 2400
-                                                                                  what longer training brings
+    python scripts/bench_demo.py --out DIR
+        the demo, three seeds, all methods
+    python scripts/bench_demo.py --out DIR --scenes cornell courtyard --seeds 0
+        scenes that no setting was chosen on
+    python scripts/bench_demo.py --out DIR --scenes tabletop:1 --seeds 0 --iterations 1200 2000 2400
+        what longer training brings
 
 Every run is `novags run` in a process of its own; what is done already is kept, and so are all reports. Prints one
 Markdown table a scene and number of iterations: means over seeds and test views, with the aligned PSNR of each seed.
