@@ -67,8 +67,9 @@ def run(
 
 
 def plan(
-    scene: Name, *, sensor: str, electrons: float, time: float = 1 / 30, tolerance: float = 0.05,
-    light_tolerance: float = 0.02, on: tuple[str, ...] = (), off: tuple[str, ...] = (),
+    scene: Name, *, sensor: str, electrons: float, time: float = 1 / 30, preset: PresetName = "demo",
+    width: int | None = None, height: int | None = None, tolerance: float = 0.05, light_tolerance: float = 0.02,
+    on: tuple[str, ...] = (), off: tuple[str, ...] = (),
 ) -> None:  # fmt: skip
     """What would be simulated, what would not, why, and the bound on the error of leaving it out.
 
@@ -77,6 +78,9 @@ def plan(
         sensor: A camera of sensor_model.PRESETS, or a TOML file of your own.
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
         time: Exposure time in seconds; only the dark current depends on it.
+        preset: Where the image size comes from that is not given here, unless the scene is a folder.
+        width: Image width in pixels; with more pixels, rarer defects of the sensor count.
+        height: Image height in pixels.
         tolerance: Relative error of the noise's standard deviation that may be made.
         light_tolerance: Share of all light that may be wrong or missing.
         on: Effects of light to simulate whatever the plan says, by the names it prints.
@@ -84,11 +88,13 @@ def plan(
     """
     from novags.testbed.capture import CaptureConfig
     from novags.testbed.forecast import light_plan, sensor_plan
+    from novags.testbed.presets import PRESETS, adapted
 
     config, console = CaptureConfig(sensor=sensor, electrons=electrons, time=time, tolerance=tolerance), _console()
+    size = adapted(PRESETS[preset], width=width, height=height).render
     light = light_plan(scene, light_tolerance, console, on=on, off=off)
     print(f"Light of {scene}: {'as it is in the folder' if light is None else ''}\n{light or ''}".rstrip())
-    found, signal_e = sensor_plan(scene, config, console)
+    found, signal_e = sensor_plan(scene, config, size.width * size.height, console)
     signal = ", ".join(f"{name} {value:.3g} e-" for name, value in signal_e.items())
     print(f"\nCamera {sensor}, mean green signal {electrons:g} e-; {signal}\n{found}")
 

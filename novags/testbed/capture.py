@@ -2,7 +2,7 @@
 
 import math
 import os
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +57,15 @@ class CaptureConfig:
         if self.seed < 0:
             raise ValueError(f"seed must be >= 0, got {self.seed}")
         self.exposure, self.limits(1)  # they check the rest
+
+    @property
+    def sensor_name(self) -> str:
+        """Name of the preset or of the camera's file."""
+        return self.sensor if self.sensor in PRESETS else Path(self.sensor).stem
+
+    def resolved(self) -> dict[str, Any]:
+        """What decides the pictures: the camera itself, not the path of its file as somebody typed it."""
+        return {**asdict(self), "sensor": self.sensor_name}
 
     @property
     def exposure(self) -> Exposure:
@@ -142,7 +151,7 @@ def capture_views(
             "kind": source.views.kind,
             "max_size": config.max_size,
         },
-        "sensor_name": Path(config.sensor).stem if config.sensor not in PRESETS else config.sensor,
+        "sensor_name": config.sensor_name,
         "sensor": sensor,
         "exposure": exposure,
         "electrons": config.electrons,

@@ -35,27 +35,33 @@ def light_plan(
         return plan_of(replace(PILOT, scene=scene, on=on, off=off), tolerance)
 
 
-def sensor_plan(scene: str, config: CaptureConfig, console: Console) -> tuple[Plan | None, dict[str, float]]:
+def sensor_plan(
+    scene: str, config: CaptureConfig, pixels: int, console: Console
+) -> tuple[Plan | None, dict[str, float]]:
     """The sensor's plan for a scene, and the range of its mean signal in electrons.
 
     Args:
         scene: A multiview set folder, a scene of the catalogue, or a Mitsuba file (the latter two get a coarse render).
         config: Camera and light.
+        pixels: Of an image of the capture, if the scene is not a folder: the more there are, the rarer the defects that
+            have to be simulated.
         console: Where progress goes.
 
     Raises:
         ValueError: If there is no such scene, or it is black.
     """
     if Path(scene).is_dir():
-        return _plan(Path(scene), config, console)
+        return _plan(Path(scene), config, None, console)
     with tempfile.TemporaryDirectory(prefix="novags-plan-") as folder:
         pilot = replace(PILOT, scene=scene)
         render_views(Path(folder), pilot, *prepare_render(pilot, console), console)
-        return _plan(Path(folder), config, console)
+        return _plan(Path(folder), config, pixels, console)
 
 
-def _plan(folder: Path, config: CaptureConfig, console: Console) -> tuple[Plan | None, dict[str, float]]:
-    light = meter(open_source(folder, console, config.max_size), config, console)
+def _plan(
+    folder: Path, config: CaptureConfig, pixels: int | None, console: Console
+) -> tuple[Plan | None, dict[str, float]]:
+    light = meter(open_source(folder, console, config.max_size), config, console, pixels)
     signal_e = light.signal_e
     named = {"darkest": signal_e[0], "median": signal_e[len(signal_e) // 2], "brightest": signal_e[-1]}
     return light.plan, {name: float(value) for name, value in named.items()}

@@ -1,7 +1,8 @@
 """Render: a scene of the catalogue or a Mitsuba file in, a ground-truth multiview set out."""
 
 import hashlib
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ from novags.testbed.cache import digest, read_json
 from novags.testbed.console import Console
 from novags.testbed.source import warnings_as_notes
 from sensor_model import Plan
-from simscenes import EXPORTS, Rig
+from simscenes import EXPORTS, Rig, load_set
 from simscenes.backend import BACKENDS, COLORS
 from simscenes.render.untrusted import check_xml
 from simscenes.transport.plan import EFFECTS
@@ -59,6 +60,11 @@ class RenderConfig:
         if both := set(self.on) & set(self.off):
             raise ValueError(f"{', '.join(sorted(both))}: forced on and off at once; name each effect once")
 
+    def resolved(self) -> dict[str, Any]:
+        """What decides the pixels, the content of the scene aside: no path as somebody typed it, no further layouts."""
+        scene = self.scene if self.file is None else self.file.stem
+        return {name: value for name, value in asdict(self).items() if name != "export"} | {"scene": scene}
+
     @property
     def file(self) -> Path | None:
         """The Mitsuba file, or None for a scene of the catalogue."""
@@ -101,10 +107,20 @@ def render_views(out: Path, config: RenderConfig, rig: Rig, plan: Plan | str, co
     with console.progress("render") as progress, warnings_as_notes(console):
         render_set(
             config.file or config.scene, rig, out, spp=config.spp, target_error=config.target_error, plan=plan,
-            variant=config.variant, seed=config.seed, allow_outside=config.allow_outside, export=config.export,
-            progress=progress,
+            variant=config.variant, seed=config.seed, allow_outside=config.allow_outside, progress=progress,
         )  # fmt: skip
     return read_json(out / RECORD)
+
+
+def write_layouts(folder: Path, layouts: Sequence[str], console: Console) -> None:
+    """Write further layouts of a finished set, each into the folder of its name.
+
+    Raises:
+        ValueError: If a layout cannot hold these cameras.
+    """
+    for layout in layouts:
+        with warnings_as_notes(console):
+            EXPORTS[layout](load_set(folder), folder / layout)
 
 
 def plan_of(config: RenderConfig, tolerance: float = 0.02) -> Plan:

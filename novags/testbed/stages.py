@@ -4,7 +4,6 @@
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +15,11 @@ from novags.testbed.console import Console
 from novags.testbed.metrics import PerceptualDistance
 from novags.testbed.reconstruct import ReconstructConfig, method_input, reconstruct_views
 from novags.testbed.render import RECORD as RENDER_RECORD
-from novags.testbed.render import RenderConfig, prepare_render, render_views, scene_digest
+from novags.testbed.render import RenderConfig, prepare_render, render_views, scene_digest, write_layouts
 from novags.testbed.run_folder import METRICS, Run, open_run
 from novags.testbed.score import score_test_views, score_training_images
 from novags.testbed.source import Source, open_source
+from simscenes import EXPORTS
 
 
 def render(out: Path, config: RenderConfig, console: Console, *, stale: Sequence[Path] = ()) -> dict[str, Any]:
@@ -28,18 +28,20 @@ def render(out: Path, config: RenderConfig, console: Console, *, stale: Sequence
     Raises:
         ValueError: If the scene is unknown or cannot be rendered, or `out` holds other things.
     """
-    return run_stage(
+    record = run_stage(
         "render",
         out,
         RENDER_RECORD,
         inputs={"scene": scene_digest(config)},
-        config=asdict(config),
-        owns=(RENDER_RECORD, "gt", "images", *capture_folder.CAMERA_FILES),
+        config=config.resolved(),
+        owns=(RENDER_RECORD, "gt", "images", *capture_folder.CAMERA_FILES, *EXPORTS),
         prepare=lambda: prepare_render(config, console),
         work=lambda prepared: render_views(out, config, *prepared, console),
         console=console,
         stale=stale,
     )
+    write_layouts(out, config.export, console)
+    return record
 
 
 def capture(
@@ -57,7 +59,7 @@ def capture(
         out,
         capture_folder.RECORD,
         inputs={"set": source.digest()},
-        config=asdict(config),
+        config=config.resolved(),
         owns=capture_folder.OWNS,
         prepare=lambda: meter(source, config, console),
         work=lambda light: capture_views(source, light, out, config, console),

@@ -31,7 +31,9 @@ def photographs(folder: Path, n: int = 3, size: tuple[int, int] = (20, 16)) -> P
     return folder
 
 
-def test_a_camera_file_takes_the_pictures_and_its_content_decides_what_is_done_again(tmp_path: Path) -> None:
+def test_a_camera_file_takes_the_pictures_and_its_content_decides_what_is_done_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     views, file, out = photographs(tmp_path / "set"), tmp_path / "mine.toml", tmp_path / "cap"
     file.write_text(CAMERA)
 
@@ -50,14 +52,30 @@ def test_a_camera_file_takes_the_pictures_and_its_content_decides_what_is_done_a
     assert key != first[0]
     assert written > first[1]
     assert open_capture(out).sensor.sigma_d == 9.0
+    last = take()
+    monkeypatch.chdir(tmp_path)
+    file = Path("mine.toml")
+    assert take() == last
 
 
 def test_the_plan_is_made_for_the_camera_in_the_file(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(CAMERA + "sigma_row = 5.0\n")
     config = CaptureConfig(sensor=str(tmp_path / "mine.toml"), electrons=50.0)
-    plan, _ = sensor_plan(str(photographs(tmp_path / "set")), config, QUIET)
+    plan, _ = sensor_plan(str(photographs(tmp_path / "set")), config, 1, QUIET)
     assert plan is not None
     assert plan.is_on("row_noise")
+
+
+def test_defects_are_planned_for_the_pixels_of_the_capture_not_of_the_pilot(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(
+        CAMERA + "dark_current = 10.0\n[defects]\nhot_fraction = 1e-6\nhot_factor = 1e5\n"
+    )
+    config = CaptureConfig(sensor=str(tmp_path / "mine.toml"))
+    few, many = (sensor_plan("cornell", config, side * side, QUIET)[0] for side in (48, 160))
+    assert few is not None
+    assert many is not None
+    assert not few.is_on("hot_pixels")
+    assert many.is_on("hot_pixels")
 
 
 @pytest.mark.parametrize(

@@ -63,7 +63,29 @@ def test_a_set_is_rendered_again_only_if_a_file_of_its_scene_changed(scene: Path
         stages.render(tmp_path / "set", RenderConfig(scene=str(scene), **TINY), QUIET)
         return (tmp_path / "set" / "gt" / "0001.exr").read_bytes()
 
-    first = render()
+    first = render()  # with its seconds in the header, so that another render has other bytes
     assert render() == first
     (scene.parent / "ball.ply").write_text(PLY.replace("0 1 0", "0 2 0"))
     assert render() != first
+
+
+def test_another_way_to_write_the_same_path_renders_nothing_again(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(scene.parent)
+    found = set()
+    for path in ("scene.xml", "./scene.xml", str(scene)):
+        stages.render(tmp_path / "set", RenderConfig(scene=path, **TINY), QUIET)
+        found.add((tmp_path / "set" / "gt" / "0001.exr").read_bytes())
+    assert len(found) == 1
+
+
+def test_a_further_layout_renders_nothing_again_and_never_outlives_its_set(scene: Path, tmp_path: Path) -> None:
+    out = tmp_path / "set"
+    stages.render(out, RenderConfig(scene=str(scene), **TINY), QUIET)
+    before = (out / "gt" / "0001.exr").read_bytes()
+    stages.render(out, RenderConfig(scene=str(scene), export=("blender",), **TINY), QUIET)
+    assert (out / "gt" / "0001.exr").read_bytes() == before
+    assert (out / "blender" / "transforms_train.json").exists()
+    stages.render(out, RenderConfig(scene=str(scene), seed=1, **TINY), QUIET)
+    assert not (out / "blender").exists()
