@@ -5,12 +5,13 @@ import platform
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
 from novags.testbed.metrics import PerceptualDistance
 from novags.testbed.provenance import hardware, package_version
+
+GSPLAT_USE = "only for novags.splats.rasterize with CUDA tensors of your own"
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,6 @@ def examine() -> Iterator[Finding]:
     yield _kernels()
     missing = PerceptualDistance.missing()
     yield Finding("LPIPS", "missing" if missing else "ok", missing or "package and weights found")
-    yield _vggt()
 
 
 def _python() -> Finding:
@@ -51,16 +51,17 @@ def _package(name: str, how: str) -> Finding:
 
 def _cuda(gpu: str | None) -> Finding:
     if gpu:
-        return Finding("CUDA", "ok", gpu)
+        return Finding(
+            "CUDA", "ok", f"{gpu}; Mitsuba renders on it if cuda_ad works below, training uses the processor"
+        )
     return Finding("CUDA", "missing", "no GPU that torch can use; everything runs on the processor")
 
 
 def _gsplat(gpu: str | None) -> Finding:
     if (version := package_version("gsplat")) is not None:
-        return Finding("gsplat", "ok", version)
-    return Finding(
-        "gsplat", "missing", f"only for a CUDA GPU{'' if gpu else ', which is not here'}: scripts/setup cuda"
-    )
+        return Finding("gsplat", "ok", f"{version}; {GSPLAT_USE}")
+    where = "" if gpu else ", and there is no GPU here"
+    return Finding("gsplat", "missing", f"{GSPLAT_USE}{where}: scripts/setup cuda")
 
 
 def _mitsuba() -> Iterator[Finding]:
@@ -85,10 +86,3 @@ def _kernels() -> Finding:
     return Finding(
         "numba", "missing", f"{version}, but {folder} is not writable, so kernels compile anew each time: {how}"
     )
-
-
-def _vggt() -> Finding:
-    if find_spec("vggt") is not None:
-        return Finding("VGGT", "ok", "package found; its weights are loaded on first use")
-    how = "install it and its weights from its own project; cameras come from the data until then"
-    return Finding("VGGT", "missing", f"optional camera estimator, not installed: {how}")

@@ -99,6 +99,17 @@ def test_an_interruption_says_how_to_continue(
     assert "the same command again continues" in capsys.readouterr().err
 
 
+def test_doctor_does_not_promise_a_gpu_to_what_runs_on_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
+    from novags.testbed import doctor
+
+    machine = doctor.hardware() | {"gpu": "some card"}
+    monkeypatch.setattr(doctor, "hardware", lambda: machine)
+    findings = {finding.name: finding.detail for finding in doctor.examine()}
+    assert findings["CUDA"].startswith("some card; ")
+    assert "training uses the processor" in findings["CUDA"]
+    assert "VGGT" not in findings  # nothing here uses it
+
+
 def test_doctor_finds_what_the_tests_themselves_need(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
