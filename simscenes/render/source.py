@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
-import re
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from simscenes.render.contents import unique_materials
+from simscenes.render.contents import objects_in, unique_materials
+from simscenes.render.digest import scene_digest
 from simscenes.render.physical import check_parameters, scene_extent
 from simscenes.render.untrusted import check_plugin, check_xml, searching_only
 
@@ -55,12 +52,13 @@ def build_scene(scene: str | dict[str, Any] | Path, mi: Any, *, allow_outside: b
     is_file = isinstance(scene, Path) or (isinstance(scene, str) and scene.endswith(".xml"))
     name = Path(str(scene)).stem if is_file else scene if isinstance(scene, str) else "custom"
     try:
-        loaded = _load_xml(Path(str(scene)), mi, allow_outside) if is_file else _load_dict(scene, mi)
+        loaded, description = _load_xml(Path(str(scene)), mi, allow_outside) if is_file else _load_dict(scene, mi)
     except (RuntimeError, TypeError, KeyError, AttributeError) as error:  # what Mitsuba and its bindings raise
         raise ValueError(f"scene {name!r} cannot be loaded: {error}") from error
     if not isinstance(loaded, mi.Scene) or len(loaded.shapes()) == 0:
         raise ValueError(f"scene {name!r} has no shapes: there is nothing to see")
-    if "spectral" not in mi.variant() and re.search(r"(Irr|R)egularSpectrum\[", str(loaded)):
+    raw = ("RegularSpectrum", "IrregularSpectrum")
+    if "spectral" not in mi.variant() and any(part.class_name() in raw for part in objects_in(loaded, mi)):
         # Mitsuba would only find out while rendering.
         raise ValueError(f"scene {name!r} holds a 'regular' or 'irregular' spectrum, which only spectral variants can "
                          "read; write it as type 'spectrum' with pairs of wavelength and value")  # fmt: skip
@@ -69,29 +67,10 @@ def build_scene(scene: str | dict[str, Any] | Path, mi: Any, *, allow_outside: b
     check_parameters(loaded, params, mi)
     shapes = tuple(s.id() for s in loaded.shapes())
     materials = tuple(_material_name(s) for s in unique_materials(loaded, mi))
-    return LoadedScene(str(name), mi.variant(), loaded, scene_digest(loaded, params), shapes, materials, extent)
+    return LoadedScene(str(name), mi.variant(), loaded, scene_digest(description, params), shapes, materials, extent)
 
 
-def has_measured_lights(scene: str | dict[str, Any] | Path) -> bool:
-    """Whether a light is given as a spectrum; what is given as RGB has no spectrum but the one Mitsuba makes up."""
-    from simscenes.scenes import MEASURED_LIGHTS, split_name
-
-    if isinstance(scene, dict):
-        return _has_spectral_light(scene)
-    if isinstance(scene, str) and not scene.endswith(".xml"):
-        return split_name(scene)[0] in MEASURED_LIGHTS
-    text = Path(str(scene)).read_text(encoding="utf-8", errors="replace")
-    return any(word in text for word in ("<spectrum", '"blackbody"', '"irregular"', '"regular"'))
-
-
-def _has_spectral_light(node: dict[str, Any]) -> bool:
-    kinds = ("spectrum", "regular", "irregular", "blackbody")
-    nested = [(k, v) for k, v in node.items() if isinstance(v, dict)]
-    lit = any(k in ("radiance", "irradiance", "intensity") and v.get("type") in kinds for k, v in nested)
-    return lit or any(_has_spectral_light(v) for _, v in nested)
-
-
-def _load_dict(scene: Any, mi: Any) -> Any:
+def _load_dict(scene: Any, mi: Any) -> tuple[Any, Any]:
     from simscenes.scenes import build
 
     description = build(scene) if isinstance(scene, str) else scene
@@ -104,7 +83,7 @@ def _load_dict(scene: Any, mi: Any) -> Any:
         if isinstance(value, mi.Object):
             value.set_id(key)  # meshes made in Python do not know the name they have in the dict
     # optimize=True orders merged objects by memory address: other light order, other noise in every process.
-    return mi.load_dict(description, optimize=False)
+    return mi.load_dict(description, optimize=False), description
 
 
 def _check_plugins(node: dict[str, Any]) -> None:
@@ -115,10 +94,10 @@ def _check_plugins(node: dict[str, Any]) -> None:
             _check_plugins(child)
 
 
-def _load_xml(path: Path, mi: Any, allow_outside: bool) -> Any:
-    file, *_ = check_xml(path, allow_outside=allow_outside)
-    with nullcontext() if allow_outside else searching_only(file.parent, mi):
-        return mi.load_file(str(file), optimize=False)
+def _load_xml(path: Path, mi: Any, allow_outside: bool) -> tuple[Any, Any]:
+    files = check_xml(path, allow_outside=allow_outside)
+    with nullcontext() if allow_outside else searching_only(files[0].parent, mi):
+        return mi.load_file(str(files[0]), optimize=False), files
 
 
 def set_light_weights(loaded: LoadedScene, weights: tuple[float, ...], mi: Any) -> None:
@@ -141,15 +120,3 @@ def set_light_weights(loaded: LoadedScene, weights: tuple[float, ...], mi: Any) 
 def _material_name(shape: Any) -> str:
     own = shape.bsdf().id()
     return own if own and not own.startswith("__") else f"{shape.id()}.{shape.bsdf().class_name()}"
-
-
-def scene_digest(scene: Any, params: Any) -> str:
-    """Hash the structure and every parameter of a loaded scene (sha256, 64 hex digits)."""
-    digest = hashlib.sha256(str(scene).encode())
-    for key in sorted(params.keys()):
-        value = params[key]
-        if "Transform" in type(value).__name__:
-            value = value.matrix
-        digest.update(key.encode())
-        digest.update(np.ascontiguousarray(np.array(value)).tobytes())
-    return digest.hexdigest()

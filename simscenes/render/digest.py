@@ -1,0 +1,55 @@
+"""Whether two scenes are the same: a hash of how they are written and of every number that came of it."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def scene_digest(description: dict[str, Any] | tuple[Path, ...], params: Any) -> str:
+    """Hash a scene (sha256, 64 hex digits).
+
+    The description counts because Mitsuba does not list all it holds as parameters: how a texture is continued, a kind
+    of phase function; the parameters count because a description may name what lies elsewhere.
+
+    Args:
+        description: A scene dict, or the files that make up an XML scene, in order.
+        params: What `mi.traverse` finds in the loaded scene.
+    """
+    digest = hashlib.sha256()
+    if isinstance(description, dict):
+        _feed(digest, description)
+    else:
+        for file in description:
+            digest.update(f"{file.stat().st_size}:".encode() + file.read_bytes())
+    # Mitsuba calls what has no id by its address, which differs from load to load.
+    named = [(re.sub(r"object_\d+", "object", key).encode(), _content(params[key])) for key in params.keys()]  # noqa: SIM118
+    for part in sorted(hashlib.sha256(key + b":" + content).digest() for key, content in named):
+        digest.update(part)
+    return digest.hexdigest()
+
+
+def _feed(digest: Any, node: Any) -> None:
+    """In the order as written: it is the order of the lights, and so part of the noise."""
+    if isinstance(node, (dict, list, tuple)):
+        digest.update(f"{type(node).__name__}:{len(node)}:".encode())
+        for key, value in node.items() if isinstance(node, dict) else enumerate(node):
+            digest.update(f"{key!r}:".encode())
+            _feed(digest, value)
+    else:
+        digest.update(f"{type(node).__name__}:".encode())
+        digest.update(_content(node))
+
+
+def _content(value: Any) -> bytes:
+    """Numbers as their bytes; of what is more than numbers, such as a mesh, what it says of itself."""
+    if "Transform" in type(value).__name__:
+        value = value.matrix
+    numbers = np.ascontiguousarray(np.array(value))
+    if numbers.dtype.kind in "OU":  # the bytes of an object would be its address
+        return str(value).encode()
+    return f"{numbers.dtype}{numbers.shape}".encode() + numbers.tobytes()

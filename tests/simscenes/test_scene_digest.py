@@ -1,0 +1,70 @@
+"""A scene's digest: it tells apart what looks different, and nothing else."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simscenes.backend import activate
+from simscenes.render.source import build_scene
+
+
+def scene(mi: Any, change: str = "") -> dict[str, Any]:
+    """A painted mesh made in Python in a little fog; `change` names the one thing that is different."""
+
+    def either(name: str, changed: Any, usual: Any) -> Any:
+        return changed if change == name else usual
+
+    pixels = np.linspace(0.1, 0.9, 48, dtype=np.float32).reshape(4, 4, 3)
+    paint = {
+        "type": "bitmap",
+        "bitmap": mi.Bitmap(either("pixels", pixels[::-1].copy(), pixels)),
+        "wrap_mode": either("wrap_mode", "mirror", "repeat"),
+        "filter_type": either("filter_type", "nearest", "bilinear"),
+    }
+    fog = {"type": "homogeneous", "phase": {"type": either("phase", "rayleigh", "isotropic")}}
+    triangle = mi.Mesh("triangle", 3, 1)
+    params = mi.traverse(triangle)
+    params["vertex_positions"] = np.array([0, 0, 0, 1, 0, 0, 0, 1, either("vertex", 1, 0)], np.float32)
+    params["faces"] = np.array([0, 1, 2], np.uint32)
+    params.update()
+    sphere = {
+        "type": "sphere",
+        "flip_normals": either("flip_normals", True, False),
+        "to_world": mi.ScalarTransform4f().translate([0, 0, either("to_world", 1.0, 0.0)]),
+    }
+    ball = {**sphere, "bsdf": {"type": "diffuse", "reflectance": paint}}
+    cloud = {"type": "sphere", "center": [3, 0, 0], "bsdf": {"type": "null"}, "interior": fog}
+    lights = [("sky", {"type": "constant"}), ("lamp", {"type": "point"})]
+    return {
+        "type": "scene",
+        "ball": ball,
+        "cloud": cloud,
+        "triangle": triangle,
+        **dict(either("order", lights[::-1], lights)),
+    }
+
+
+CHANGES = "pixels wrap_mode filter_type phase vertex flip_normals to_world order".split()
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_whatever_changes_the_picture_changes_the_digest(change: str) -> None:
+    mi = activate()
+    same, again, other = (build_scene(scene(mi, c), mi).digest for c in ("", "", change))
+    assert same == again
+    assert other != same
+
+
+def test_a_file_is_known_by_what_it_and_its_includes_say_not_by_where_it_lies(tmp_path: Path) -> None:
+    mi = activate()
+
+    def digest(folder: str, normals: str) -> str:
+        (tmp_path / folder).mkdir()
+        ball = f'<shape type="sphere"><boolean name="flip_normals" value="{normals}"/></shape>'
+        for name, content in (("scene", '<include filename="part.xml"/>'), ("part", ball)):
+            (tmp_path / folder / f"{name}.xml").write_text(f'<scene version="3.0.0">{content}</scene>')
+        return build_scene(tmp_path / folder / "scene.xml", mi).digest
+
+    assert digest("a", "false") == digest("b", "false") != digest("c", "true")
