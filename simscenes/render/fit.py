@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simscenes.backend import activate
+from simscenes.optics import Optics
 from simscenes.render.geometry import pixel_rays, shrunk
 from simscenes.render.source import LoadedScene, build_scene
 from simscenes.rigs import Rig, invert_rigid, look_at, mitsuba_to_intrinsics, mitsuba_to_opencv, there_and_back
@@ -47,6 +48,19 @@ def own_rig(loaded: LoadedScene, mi: Any, width: int | None = None, height: int 
     to_world = np.array(sensors[0].world_transform().matrix, dtype=np.float64).reshape(4, 4, -1)[..., 0]
     to_world[:3, :3] /= np.linalg.norm(to_world[:3, :3], axis=0)  # some exporters leave a scale in the pose
     return Rig(viewmats=mitsuba_to_opencv(to_world)[None], Ks=K[None], width=w, height=h)
+
+
+def own_optics(loaded: LoadedScene, mi: Any) -> Optics:
+    """The lens of the scene's own (first) sensor; a pinhole if it has none.
+
+    A thin lens keeps its focus distance for all cameras of a rig: those of `fit_rig` are as far from what they see.
+    """
+    sensors = loaded.scene.sensors()
+    if not sensors or sensors[0].class_name() != "ThinLensCamera":
+        return Optics()
+    lens = mi.traverse(sensors[0])
+    radius, focus = (float(np.array(lens[key]).item()) for key in ("aperture_radius", "focus_distance"))
+    return Optics(aperture_radius=radius, focus_distance=focus)
 
 
 def _film_intrinsics(params: Any, film: Any) -> Float:

@@ -19,7 +19,7 @@ from simscenes.multiview import MultiviewSet, load_set
 from simscenes.optics import Optics
 from simscenes.render.cost import Stopwatch, peak_bytes, predict_seconds, versions
 from simscenes.render.finish import finish_set
-from simscenes.render.fit import fit_rig
+from simscenes.render.fit import fit_rig, own_optics
 from simscenes.render.geometry import check_cameras, geometry_channels
 from simscenes.render.identity import (
     VIEW_KEY,
@@ -91,7 +91,8 @@ def render_set(
             go where a short pilot saw noise, instead of evenly over all pixels.
         plan: A plan from `plan_transport`; "auto" to make one, measuring everything if the job is long; or "rgb" for
             plain path tracing to depth 64 without asking.
-        optics: Aperture, motion and colour filters; None for a pinhole at rest that sees linear sRGB.
+        optics: Aperture, motion and colour filters; None for the lens of the scene's own sensor, else a pinhole, at
+            rest and seeing linear sRGB.
         variant: Mitsuba variant, see `choose_variant`; only its backend counts, the plan decides on its colours.
         seed: Of the Monte Carlo noise; each view's noise depends on it and on the camera, not on the view's place.
         allow_outside: Let an XML scene read files outside its folder.
@@ -106,11 +107,12 @@ def render_set(
     if unknown := set(export) - set(EXPORTS):
         raise ValueError(f"render_set: export must name layouts of {sorted(EXPORTS)}, got {sorted(unknown)}")
     report = progress or (lambda done, total, what: None)
-    optics, watch, out = optics or Optics(), Stopwatch(), Path(out)
+    watch, out = Stopwatch(), Path(out)
     with watch.stage("load"):
         variant = backend_of(variant)
         mi = activate(variant)
         loaded = build_scene(scene, mi, allow_outside=allow_outside)
+    optics = optics or own_optics(loaded, mi)
     if rig is None:
         by_name = isinstance(scene, str) and not scene.endswith(".xml")
         rig = default_rig(str(scene), 32, 128, 128) if by_name else fit_rig(loaded, 32)

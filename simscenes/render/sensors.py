@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from simscenes.camera import camera_color
 from simscenes.optics import Optics
+from simscenes.render.contents import media_in
 from simscenes.render.source import LoadedScene
 from simscenes.rigs import Rig, intrinsics_to_mitsuba, opencv_to_mitsuba
 
@@ -32,7 +33,7 @@ def sensor_dict(mi: Any, rig: Rig, i: int, loaded: LoadedScene, optics: Optics =
     if optics.aperture_radius is not None:
         if max(abs(ppx), abs(ppy)) > 1e-9:
             raise ValueError(f"Mitsuba's thin lens has its principal point in the image centre, got an offset of "
-                             f"({ppx:.3g}, {ppy:.3g}) image sizes; centre it or use a pinhole")  # fmt: skip
+                             f"({ppx:.3g}, {ppy:.3g}) image sizes; centre it, or give Optics() for a pinhole")  # fmt: skip
         lens = {"type": "thinlens", "aperture_radius": optics.aperture_radius, "focus_distance": optics.focus_distance}
     medium = medium_at(mi, loaded, rig.positions[i])
     if medium is not None:
@@ -56,19 +57,35 @@ def sensor_dict(mi: Any, rig: Rig, i: int, loaded: LoadedScene, optics: Optics =
 def medium_at(mi: Any, loaded: LoadedScene, position: NDArray[np.float64]) -> Any:
     """The medium around a point, or None: a camera in fog has to be told so.
 
-    Found from the first border of a medium along +z; other surfaces in between are passed through.
+    Found from the first border of a medium along +z; where there is none, on the way to the scene's own sensor, and
+    where nothing lies between, that sensor's own medium.
     """
-    scene = loaded.scene
-    borders = [s for s in scene.shapes() if s.is_medium_transition()]
-    if not borders:
+    if not media_in(loaded.scene, mi):
         return None
-    ray = mi.Ray3f(mi.Point3f(*(float(v) for v in position)), mi.Vector3f(0, 0, 1))
+    found, medium = _first_border(mi, loaded.scene, position, np.array([0.0, 0.0, 1.0]), np.inf)
+    if found or not loaded.scene.sensors():
+        return medium
+    sensor = loaded.scene.sensors()[0]
+    way = np.array(sensor.world_transform().matrix, dtype=np.float64).reshape(4, 4, -1)[:3, 3, 0] - position
+    distance = float(np.linalg.norm(way))
+    if distance > 0:
+        found, medium = _first_border(mi, loaded.scene, position, way / distance, distance)
+    return medium if found else sensor.get_medium()
+
+
+def _first_border(
+    mi: Any, scene: Any, position: NDArray[np.float64], direction: NDArray[np.float64], distance: float
+) -> tuple[bool, Any]:
+    """Whether a border of a medium lies on a way, and the medium on this side of it; other surfaces are passed."""
+    ray = mi.Ray3f(mi.Point3f(*position.tolist()), mi.Vector3f(*direction.tolist()))
     for _ in range(MAX_INTERFACES):
         si = scene.ray_intersect(ray)
-        if not np.array(si.is_valid()).all():
-            return None
+        reached = np.array(si.p, dtype=np.float64).ravel() - position
+        if not np.array(si.is_valid()).all() or np.linalg.norm(reached) > distance:
+            break
         shape = si.shape if mi.variant().startswith("scalar") else si.shape[0]
         if shape.is_medium_transition():
-            return shape.interior_medium() if np.array(si.n.z).item() > 0 else shape.exterior_medium()
+            leaves = float(np.dot(np.array(si.n, dtype=np.float64).ravel(), direction)) > 0
+            return True, shape.interior_medium() if leaves else shape.exterior_medium()
         ray = si.spawn_ray(ray.d)
-    return None
+    return False, None

@@ -11,7 +11,7 @@ from typing import Any
 from sensor_model.plan import Effect
 from simscenes.backend import activate, backend_of
 from simscenes.optics import Optics
-from simscenes.render.fit import fit_rig
+from simscenes.render.fit import fit_rig, own_optics
 from simscenes.render.geometry import check_cameras, geometry_channels
 from simscenes.render.source import LoadedScene, build_scene, set_light_weights
 from simscenes.rigs import Rig
@@ -54,7 +54,8 @@ def plan_transport(
         tolerance: Share of all light that may be wrong or missing in total; each of the five effects counted in it may
             use a fifth.
         rig: The cameras; None for the scene's default rig, or one around its own sensor.
-        optics: Camera properties; None for a pinhole at rest that sees linear sRGB.
+        optics: Camera properties; None for the lens of the scene's own sensor, else a pinhole, at rest and seeing
+            linear sRGB.
         force: Effect name -> True or False, decided by the user.
         max_depth: Longest path, decided by the user.
         measure: Measure polarisation, where Russian roulette pays, what made-up spectra would change, and the time the
@@ -79,7 +80,7 @@ def plan_transport(
         rig = default_rig(str(scene), 8, 64, 64) if by_name else fit_rig(loaded, 8)
     check_cameras(mi, loaded, rig)
     return plan_loaded(
-        scene, loaded, tolerance, rig=rig, optics=optics or Optics(), force=force, max_depth=max_depth,
+        scene, loaded, tolerance, rig=rig, optics=optics or own_optics(loaded, mi), force=force, max_depth=max_depth,
         measure=measure, variant=variant, seed=seed,
     )  # fmt: skip
 

@@ -6,11 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simscenes import fit_rig, plan_transport, render_set
+from simscenes import Rig, fit_rig, plan_transport, render_set
 from simscenes.backend import activate
-from simscenes.render.fit import own_rig
+from simscenes.optics import Optics
+from simscenes.render.fit import own_optics, own_rig
 from simscenes.render.geometry import pixel_rays
+from simscenes.render.sensors import medium_at
 from simscenes.render.source import build_scene
+from simscenes.rigs import intrinsics, look_at
 
 CROPPED = {"crop_width": 50, "crop_height": 40, "crop_offset_x": 50, "crop_offset_y": 30}
 
@@ -60,3 +63,49 @@ def test_cameras_are_fitted_in_the_variant_the_scene_was_loaded_in(tmp_path: Pat
     assert np.allclose(done.rig.viewmats, fitted.viewmats, atol=1e-5)
     assert plan_transport(small, 0.5, variant="scalar", measure=False).max_depth >= 2
     activate()
+
+
+def test_the_aperture_of_a_scenes_own_lens_is_used_unless_another_is_asked_for(tmp_path: Path) -> None:
+    mi = activate()
+    lens = scene({"width": 24, "height": 20}, type="thinlens", aperture_radius=0.4, focus_distance=2.0)
+    lens["sky"] = {"type": "constant"}
+    found = own_optics(build_scene(lens, mi), mi)
+    assert (found.aperture_radius, found.focus_distance) == (pytest.approx(0.4), pytest.approx(2.0))
+    assert plan_transport(lens, 0.5, measure=False).is_on("depth of field")
+    rig = fit_rig(lens, 1)
+    done = render_set(lens, rig, tmp_path / "own", spp=4, plan="rgb")
+    sharp = render_set(lens, rig, tmp_path / "pinhole", spp=4, plan="rgb", optics=Optics())
+    assert (done.meta["optics"]["aperture_radius"], sharp.meta["optics"]["aperture_radius"]) == (
+        pytest.approx(0.4),
+        None,
+    )
+    assert not np.array_equal(done.radiance(0), sharp.radiance(0))
+
+
+def in_fog(box: bool) -> dict[str, Any]:
+    """A sensor in fog: within a box of it from y = -5 to -3, or in fog without end."""
+    mi = activate()
+    fog = {"type": "homogeneous", "sigma_t": 0.5, "albedo": 0.5, "id": "fog"}
+    foggy = scene({"width": 6, "height": 5}, medium={"type": "ref", "id": "fog"})
+    place = mi.ScalarTransform4f().translate([1, -4, 2])
+    walls = {"type": "cube", "to_world": place, "bsdf": {"type": "null"}, "interior": {"type": "ref", "id": "fog"}}
+    lit = {"type": "scene", "fog": fog, **{k: v for k, v in foggy.items() if k != "type"}, "sky": {"type": "constant"}}
+    return {**lit, "walls": walls} if box else lit
+
+
+@pytest.mark.parametrize("variant", ["auto", "scalar"])
+def test_fog_around_the_own_sensor_is_around_all_cameras_that_no_border_parts_from_it(variant: str) -> None:
+    described = [in_fog(box) for box in (False, True)]
+    mi = activate(variant)
+    endless, box = (build_scene(d, mi) for d in described)
+    for position in ([1, -4, 2], [3, 3, 3]):
+        assert medium_at(mi, endless, np.array(position, float)) is not None
+    assert medium_at(mi, box, np.array([1.2, -4.1, 2.3])) is not None
+    for position in ([1, -4, 5], [4, -4, 2], [1, 0, 9]):
+        assert medium_at(mi, box, np.array(position, float)) is None
+    activate()
+
+
+def test_fog_that_only_the_sensor_knows_of_is_planned_for() -> None:
+    rig = Rig(viewmats=look_at((1, -4, 2), (0, 0, 0))[None], Ks=intrinsics(8, 8, 60)[None], width=8, height=8)
+    assert plan_transport(in_fog(box=False), 0.1, rig=rig, measure=False).is_on("participating media")
