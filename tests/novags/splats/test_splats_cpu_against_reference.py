@@ -1,12 +1,16 @@
 """The CPU kernels in float32 against the readable rasteriser in float64: values and gradients, 200 scenes.
 
-Float rounding may tip a Gaussian over the alpha or the transmittance threshold. Such pixels are found in float64 (some
-Gaussian within MARGIN of a threshold); there the value may differ by the threshold's own step, and the gradients are
-compared with those pixels weighted zero. They are counted: 507 of the 187,000 pixels of all scenes (0.3 %); the case of
-3,000 Gaussians behind one another, each near the alpha threshold, has 46 of 432.
+Values: within 1e-4 of the image's largest (measured: 7e-6). Float rounding may tip a Gaussian over the alpha or the
+transmittance threshold; pixels with a Gaussian within MARGIN of a threshold are found in float64, and may be off by the
+weight of just those Gaussians. They are 51 of the 187,000 pixels of all scenes; in one of them the value does differ.
+
+Gradients: of every Gaussian on its own, relative to its own gradient plus FLOOR of the largest of the tensor, which
+keeps gradients that vanish from being compared with rounding. 99 % of the Gaussians of a case are within 1e-3
+(measured: 5e-4 at most; in most cases 5e-5), all are within 2e-2 (measured: 6e-3; opacities, whose gradients are sums
+over pixels that may cancel). The tipped pixels are left out of the loss.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -15,10 +19,12 @@ from torch import Tensor
 
 from novags.splats import rasterize
 from novags.splats.raster_torch import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN, project
+from novags.splats.sh import sh_colors
 
 Scene = dict[str, Any]
-MARGIN = 1e-3  # relative
-VALUE_BOUND, GRADIENT_BOUND = 1e-4, 1e-3
+MARGIN = 1e-4  # relative
+VALUE_BOUND = 1e-4
+FLOOR, MOST_WITHIN, ALL_WITHIN = 1e-4, 1e-3, 2e-2
 TRAINED = ["means", "quats", "scales", "opacities", "colors", "viewmats"]
 
 
@@ -91,37 +97,46 @@ def unchanged(scene: Scene) -> Scene:
     return scene
 
 
-# name: (change, Gaussians, width, height, scenes)
-CASES: dict[str, tuple[Callable[[Scene], Scene], int, int, int, int]] = {
-    "random": (unchanged, 120, 37, 23, 50),
-    "one_gaussian": (unchanged, 1, 20, 20, 6),
-    "several_cameras": (unchanged, 60, 24, 20, 6),
-    "one_pixel": (unchanged, 80, 1, 1, 12),
-    "thin_image": (unchanged, 80, 49, 2, 6),
-    "dense": (unchanged, 1500, 25, 17, 6),
-    "covering_everything": (covering_everything, 40, 40, 33, 12),
-    "many_behind_one_another": (many_behind_one_another, 3000, 9, 8, 6),
-    "behind_the_camera": (behind_the_camera, 100, 31, 33, 12),
-    "at_the_near_plane": (at_the_near_plane, 60, 32, 31, 12),
-    "needles": (needles, 60, 48, 40, 18),
-    "sub_pixel": (sub_pixel, 120, 35, 32, 12),
-    "transparent_and_opaque": (transparent_and_opaque, 80, 34, 30, 12),
-    "equal_depths": (equal_depths, 80, 32, 32, 12),
-    "off_screen": (off_screen, 100, 30, 32, 9),
-    "flat": (flat, 80, 32, 30, 9),
+# name: (change, Gaussians, width, height, scenes, pixels near a threshold)
+CASES: dict[str, tuple[Callable[[Scene], Scene], int, int, int, int, int]] = {
+    "random": (unchanged, 120, 37, 23, 50, 12),
+    "one_gaussian": (unchanged, 1, 20, 20, 6, 0),
+    "several_cameras": (unchanged, 60, 24, 20, 6, 1),
+    "one_pixel": (unchanged, 80, 1, 1, 12, 0),
+    "thin_image": (unchanged, 80, 49, 2, 6, 0),
+    "dense": (unchanged, 1500, 25, 17, 6, 6),
+    "covering_everything": (covering_everything, 40, 40, 33, 12, 5),
+    "many_behind_one_another": (many_behind_one_another, 3000, 9, 8, 6, 6),
+    "behind_the_camera": (behind_the_camera, 100, 31, 33, 12, 1),
+    "at_the_near_plane": (at_the_near_plane, 60, 32, 31, 12, 6),
+    "needles": (needles, 60, 48, 40, 18, 4),
+    "sub_pixel": (sub_pixel, 120, 35, 32, 12, 2),
+    "transparent_and_opaque": (transparent_and_opaque, 80, 34, 30, 12, 1),
+    "equal_depths": (equal_depths, 80, 32, 32, 12, 3),
+    "off_screen": (off_screen, 100, 30, 32, 9, 1),
+    "flat": (flat, 80, 32, 30, 9, 3),
 }
 
 
 def test_there_are_200_scenes():
-    assert sum(count for *_, count in CASES.values()) == 200
+    assert sum(case[4] for case in CASES.values()) == 200
 
 
-def tipped_pixels(scene: Scene) -> tuple[Tensor, float]:
-    """Pixels [C, H, W] with a Gaussian close to a threshold, and the largest change of a weight that it can make."""
+def scenes(case: str, make_scene: Callable[..., Scene]) -> Iterator[tuple[Scene, str]]:
+    """The scenes of a case, with their render modes."""
+    change, n, width, height, count, _ = CASES[case]
+    cameras = 3 if case == "several_cameras" else 1
+    for seed in range(count):
+        sh_degree, mode = [None, 3, 1, None, 0, 2][seed % 6], ["RGB", "RGB+D", "RGB+ED", "RGB"][seed % 4]
+        yield change(make_scene(1000 + seed, n, width, height, sh_degree=sh_degree, cameras=cameras)), mode
+
+
+def threshold_steps(scene: Scene) -> Tensor:
+    """By how much weights may change in each pixel [C, H, W] if Gaussians close to a threshold tip over; else 0."""
     width, height = scene["width"], scene["height"]
     y, x = torch.meshgrid(torch.arange(height), torch.arange(width), indexing="ij")
     pixels = torch.stack([x, y], -1).reshape(-1, 1, 2) + 0.5
-    masks, step = [], 0.0
+    steps = []
     for viewmat, K in zip(scene["viewmats"], scene["Ks"], strict=True):
         z = scene["means"] @ viewmat[2, :3] + viewmat[2, 3]
         seen = torch.nonzero((z > 0.01) & (scene["opacities"] > 0))[:, 0]
@@ -134,56 +149,82 @@ def tipped_pixels(scene: Scene) -> tuple[Tensor, float]:
         alpha = torch.where(raw >= ALPHA_MIN, raw.clamp_max(ALPHA_MAX), 0.0)
         after = torch.cumprod(1 - alpha, 1)
         before = torch.cat([torch.ones_like(after[:, :1]), after[:, :-1]], 1)
-        alive = before >= TRANSMITTANCE_MIN * (1 - MARGIN)
-        near_alpha = ((raw / ALPHA_MIN - 1).abs() < MARGIN) | ((raw / ALPHA_MAX - 1).abs() < 1e-5)
+        near_alpha = (raw / ALPHA_MIN - 1).abs() < MARGIN
         near_stop = ((after / TRANSMITTANCE_MIN - 1).abs() < MARGIN) & (alpha * before > 1e-5)
-        masks.append(((near_alpha | near_stop) & alive).any(1).reshape(height, width))
-        steps = torch.where(near_stop & alive, alpha * before, 0.0)
-        step = max(step, float(steps.max()) if steps.numel() else 0.0)
-    return torch.stack(masks), max(step, ALPHA_MIN)
+        alive = before >= TRANSMITTANCE_MIN * (1 - MARGIN)
+        # what is left out or added, and past a stop all that comes behind
+        step = torch.where(near_alpha, ALPHA_MIN * before, 0.0) + torch.where(near_stop, alpha * before + after, 0.0)
+        steps.append((step * alive).sum(1).reshape(height, width))
+    return torch.stack(steps)
 
 
-def render(scene: Scene, dtype: torch.dtype, backend: str, mode: str, weights: Tensor) -> tuple[Tensor, Tensor, Scene]:
+def largest_feature(scene: Scene, mode: str) -> float:
+    """Of the colours as seen, the background (1) and, where rendered, the depths."""
+    largest = [1.0]
+    for viewmat in scene["viewmats"]:
+        colors, z = scene["colors"], scene["means"] @ viewmat[2, :3] + viewmat[2, 3]
+        if scene["sh_degree"] is not None:
+            center = -viewmat[:3, :3].T @ viewmat[:3, 3]
+            colors = sh_colors(scene["sh_degree"], scene["means"] - center, colors)
+        largest += [float(colors.max()), float(z.max()) if mode.endswith("D") else 1.0]
+    return max(largest)
+
+
+def render(
+    scene: Scene, dtype: torch.dtype, backend: str, mode: str, weights: Tensor, device: str = "cpu"
+) -> tuple[Tensor, Tensor, Scene]:
     """Image, alpha, and the gradients of their weighted sum."""
     arguments = dict(scene)
     for name in [*TRAINED, "Ks"]:
-        arguments[name] = scene[name].clone().to(dtype).requires_grad_(name in TRAINED)
-    background = torch.tensor([0.2, 0.7, 0.4], dtype=dtype)
+        arguments[name] = scene[name].clone().to(device, dtype).requires_grad_(name in TRAINED)
+    background = torch.tensor([0.2, 0.7, 0.4], dtype=dtype, device=device)
     image, alpha, _ = rasterize(**arguments, background=background, render_mode=mode, backend=backend)
-    ((image * weights[..., : image.shape[-1]].to(dtype)).sum() + (alpha * weights[..., -1:].to(dtype)).sum()).backward()
-    return image.detach(), alpha.detach(), {name: arguments[name].grad for name in TRAINED}
+    weights = weights.to(device, dtype)
+    ((image * weights[..., : image.shape[-1]]).sum() + (alpha * weights[..., -1:]).sum()).backward()
+    return image.detach().cpu(), alpha.detach().cpu(), {name: arguments[name].grad.cpu() for name in TRAINED}
 
 
-def compare(scene: Scene, mode: str) -> int:
-    """Assert the bounds on one scene; returns its number of tipped pixels."""
-    tipped, step = tipped_pixels(scene)
+def compare(scene: Scene, mode: str, backend: str, device: str, bound: float) -> tuple[int, dict[str, Tensor]]:
+    """Assert the bound on values; returns the number of tipped pixels, and each Gaussian's relative gradient errors."""
+    steps = threshold_steps(scene)
+    tipped = steps > 0
     g = torch.Generator().manual_seed(1)
     weights = torch.randn(*tipped.shape, 5, generator=g, dtype=torch.float64) * ~tipped[..., None]
     image, alpha, gradients = render(scene, torch.float64, "torch", mode, weights)
-    image32, alpha32, gradients32 = render(scene, torch.float32, "numba", mode, weights)
+    image32, alpha32, gradients32 = render(scene, torch.float32, backend, mode, weights, device)
+    if mode.endswith("ED"):  # the ratio knows no bound where a tipped Gaussian is all there is: accumulated depth does
+        for pixels, opacity in ((image, alpha), (image32, alpha32)):
+            pixels[..., 3] = torch.where(tipped, pixels[..., 3] * opacity[..., 0], pixels[..., 3])
     largest = torch.clamp_min(image.abs().amax(dim=(0, 1, 2)), 1.0)  # depth is not of order one
     error = torch.maximum(((image32 - image).abs() / largest).amax(-1), (alpha32 - alpha).abs()[..., 0])
-    assert error[~tipped].max() < VALUE_BOUND if (~tipped).any() else True
-    assert (error[tipped] < VALUE_BOUND + 4 * step).all()
+    assert (error < bound + steps * largest_feature(scene, mode)).all()
+    errors = {}
     for name, expected in gradients.items():
-        got = gradients32[name].double()
+        got, expected = (gradient.double().reshape(len(gradient), -1) for gradient in (gradients32[name], expected))
         assert torch.isfinite(got).all(), name
-        # the mixed bound keeps gradients that vanish by symmetry from being compared relatively with rounding
-        bound = GRADIENT_BOUND * float(expected.abs().max()) + 1e-6
-        assert (got - expected).abs().max() < bound, name
-    return int(tipped.sum())
+        size = expected.abs().amax(1)
+        # 1e-9: all gradients of a tensor are 0 where nothing is seen
+        errors[name] = (got - expected).abs().amax(1) / (size + FLOOR * size.max() + 1e-9)
+    return int(tipped.sum()), errors
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_values_and_gradients_match_the_float64_reference(case, make_scene, record_property):
-    change, n, width, height, count = CASES[case]
-    n_tipped = n_pixels = 0
-    for seed in range(count):
-        sh_degree = [None, 3, 1, None, 0, 2][seed % 6]
-        mode = ["RGB", "RGB+D", "RGB+ED", "RGB"][seed % 4]
-        cameras = 3 if case == "several_cameras" else 1
-        scene = change(make_scene(1000 + seed, n, width, height, sh_degree=sh_degree, cameras=cameras))
-        n_tipped += compare(scene, mode)
-        n_pixels += width * height * cameras
-    record_property("tipped_pixels", f"{n_tipped} of {n_pixels}")
-    assert n_tipped <= (0.12 if n > 2000 else 0.03) * n_pixels
+    tipped, errors = zip(*(compare(*s, "numba", "cpu", VALUE_BOUND) for s in scenes(case, make_scene)), strict=True)
+    record_property("tipped_pixels", sum(tipped))
+    assert abs(sum(tipped) - CASES[case][5]) <= 2
+    for name in TRAINED:
+        of_all = torch.cat([error[name] for error in errors])
+        assert torch.quantile(of_all, 0.99) < MOST_WITHIN, name
+        assert of_all.max() < ALL_WITHIN, name
+
+
+@pytest.mark.gpu
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="gsplat's kernels need a CUDA device, there is none")
+@pytest.mark.parametrize("case", CASES)
+def test_gsplat_matches_the_float64_reference(case, make_scene):
+    """Bounds ten times as wide: its kernels are built with fast mathematics, and keep the conic, which cancels."""
+    results = (compare(*s, "gsplat", "cuda", 10 * VALUE_BOUND) for s in scenes(case, make_scene))
+    _, errors = zip(*results, strict=True)
+    for name in TRAINED:
+        assert torch.quantile(torch.cat([error[name] for error in errors]), 0.9) < 10 * MOST_WITHIN, name
