@@ -1,5 +1,6 @@
 """The CUDA rasteriser: gsplat behind the same call. The only file that imports gsplat."""
 
+import torch
 from torch import Tensor
 
 from .raster_torch import unit_largest
@@ -38,8 +39,11 @@ def render(
     Raises:
         ValueError: If the tensors are not float32 on a CUDA device.
     """
-    if not means.is_cuda:
-        raise ValueError(f"backend='gsplat' needs CUDA tensors, got {means.device}; use backend='numba' on the CPU")
+    if not means.is_cuda or means.dtype != torch.float32:
+        raise ValueError(
+            f"backend='gsplat' needs float32 CUDA tensors, got {means.dtype} on {means.device}: convert with "
+            ".float().cuda(), or use backend='numba' (float32, CPU) or 'torch' (any float dtype)"
+        )
     mode = {(True, False): "RGB", (False, True): "D", (True, True): "RGB+D"}[with_color, with_depth]
     image, alpha, meta = rasterization(
         means, unit_largest(quats), scales, opacities, colors, viewmat[None], K[None], width, height,
