@@ -6,7 +6,6 @@ rewarding its contrast.
 
 import dataclasses
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -14,10 +13,9 @@ from torch import Tensor
 
 from novags.cameras.start import start_gaussians
 from novags.nova.enhance import EnhanceConfig, enhance
+from novags.nova.trainer import Progress
 from novags.splats.fit import FitConfig, fit
 from novags.splats.method import MethodInput, MethodResult
-
-Progress = Callable[[int, int, dict[str, float]], None]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -82,8 +82,8 @@ class Denoiser:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.network = ResUNet(config.network).to(enhanced.device)
-        # 1.7 times as fast on a CPU.
-        self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+        # The layout that convolutions on a CPU are fastest in.
+        self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch's stubs lack this one
         if config.residual_blur is not None:
             # A network that starts at zero starts at the blur.
             for parameter in self.network.head.parameters():

@@ -22,7 +22,6 @@ class EnhanceConfig:
     window: int = 33  # px, odd; shrunk to fit images smaller than it
     target: float = 0.5  # tau, mean of L**gamma
     eta: float = 1e-4  # in R = L**gamma / (L + eta)
-    eta_relative: bool = False  # multiply eta by max(L): 16-bit data whose whole range lies near eta
     noise_estimator: Literal["patch-pca", "immerkaer"] = "patch-pca"
     noise_factor: float = 1.0  # epsilon = noise_factor * estimated noise variance
     gamma_min: float = 0.02
@@ -148,11 +147,7 @@ def enhance(
             raise ValueError(f"params hold {tuple(params.gamma.shape)} gammas, images are {tuple(dark.shape[:-3])}")
         epsilon, radius = params.epsilon.reshape(-1), params.radius
     smooth = guided_filter(images, radius, epsilon)
-    eta = torch.full_like(epsilon, config.eta)
-    if config.eta_relative:
-        # Floor: an all-black image has max(L) = 0, and its ratio would be 0 / 0.
-        eta = eta * smooth.detach().flatten(1).amax(1).clamp_min(1e-6)
-    eta = eta.to(images.dtype).reshape(-1, 1, 1, 1)
+    eta = images.new_tensor(config.eta)
     # Clamp: 0**gamma has an infinite slope for gamma < 1, which would turn gradients into NaN.
     bounded = smooth.clamp_min(eta)
     gamma = solve_gamma(bounded, config) if params is None else params.gamma.reshape(-1)

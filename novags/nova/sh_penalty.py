@@ -45,6 +45,6 @@ def sh_penalty(sh: Tensor, means2d: Tensor, radii: Tensor, noise: Tensor) -> Ten
     visible = (radii > 0) & inside
     if sh.shape[1] == 1 or not visible.any():
         return sh.new_zeros(())
-    # Weights of zero instead of an index: half the time, since nothing is gathered, nor scattered in the backward pass.
+    # Weights of zero instead of an index: nothing has to be gathered, nor scattered in the backward pass.
     weights = torch.where(visible, noise_weights(noise, means2d), 0.0)
     return (weights * sh[:, 1:].square().sum((1, 2))).sum() / visible.sum()

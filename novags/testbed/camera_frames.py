@@ -169,7 +169,7 @@ def _stack(path: Path, files: list[_File], note: dict[str, float]) -> Stack:
     return Stack(np.concatenate([f.dn for f in files]), float(time), note.get("photons"))
 
 
-def _agreed(what: str, given: Any, found: list[Any], where: Path, default: Any) -> Any:  # noqa: ANN401
+def _agreed(what: str, given: Any, found: list[Any], where: Path, default: Any) -> Any:
     """What frames.toml gives, else what all files say, else the default."""
     told = {value for value in found if value is not None}
     if given is None and len(told) > 1:
@@ -187,7 +187,7 @@ def _plane(stacks: list[Stack], place: int) -> list[Stack]:
 
 def _colours(frames: Frames) -> dict[str, Any]:
     """Relative response of the filters to the flat light, and the error of each colour's black level."""
-    kinds = channel_index((2, 2), frames.cfa).ravel()  # type: ignore[arg-type]
+    kinds = channel_index((2, 2), frames.cfa).ravel()  # type: ignore[arg-type]  # there is a filter array here
     black, bright = (np.array([[s.frames.mean() for s in _plane(stacks, i)] for i in range(4)])
                      for stacks in (frames.dark, frames.flat))  # fmt: skip
     rise, level = np.polyfit([s.time for s in frames.dark], black.T, 1)

@@ -1,13 +1,12 @@
 """The methods by name. All share one enhancement and one fit configuration, so that they differ in their idea alone."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 from novags.baselines import naive, oracle
 from novags.baselines.naive import NaiveConfig
 from novags.nova import trainer
-from novags.nova.trainer import NovaConfig
+from novags.nova.trainer import NovaConfig, Progress
 from novags.splats import MethodInput, MethodResult
 from sensor_model import Sensor
 
@@ -18,8 +17,6 @@ METHODS = {
     "naive-l1": "enhance, then fit the noisy images with L1 alone, which averages noise over the views",
     "oracle": "enhance the noise-free exposures, then fit: what no real method can see, so the ceiling",
 }
-
-Progress = Callable[[int, int, dict[str, float]], None]
 
 
 def method_config(method: str, nova: NovaConfig) -> NovaConfig | NaiveConfig:

@@ -98,9 +98,9 @@ def mean_scores(scores: list[ImageScores]) -> ImageScores:
         raise ValueError("there are no views to average")
     mean = {}
     for name in ImageScores.__annotations__:
-        values = [s[name] for s in scores if s[name] is not None]  # type: ignore[literal-required]
+        values = [s[name] for s in scores if s[name] is not None]  # type: ignore[literal-required]  # a loop
         mean[name] = float(np.mean(values)) if values else None
-    return mean  # type: ignore[return-value]
+    return mean  # type: ignore[return-value]  # filled in a loop over all its keys
 
 
 def gaussian_blur(image: Image, sigma: float) -> Image:
@@ -143,7 +143,7 @@ class PerceptualDistance:
         return None
 
     def __call__(self, image: Image, reference: Image) -> float:
-        """Perceptual distance, 0 for equal images; about 0.1 is barely visible."""
+        """Perceptual distance, 0 for equal images."""
         import torch
 
         a, b = (torch.from_numpy(x.transpose(2, 0, 1)[None].astype(np.float32) * 2 - 1) for x in (image, reference))

@@ -43,12 +43,10 @@ class Preset:
         return ReconstructConfig(method=method, points=self.points, seed=self.capture.seed, nova=self.nova)
 
 
-# What a CPU can afford. In a prototype instance normalisation cost 1.3 dB in so short a training, because it erases
-# brightness, and targeted blind spots cost up to 0.6 dB, because they favour pixels for their own noise. Starting at a
-# blur saves the steps of learning one. Blinding one channel at a time gained 0.6 dB on the training images of
-# tabletop:1. A blind spot knows less of a pixel than the pixel does: mixing some of it in gave 25.0, 25.3, 25.4 and
-# 25.4 dB on new views of that scene at shares of 0, 0.2, 0.35 and 0.5 (1200 iterations). Many steps on small batches
-# learn more in the same time; a rate of 4e-3 diverged.
+# What a CPU can afford. No instance normalisation, because it erases brightness; no targeted blind spots, because they
+# favour pixels for their own noise. Starting at a blur saves the steps of learning one. Where its channels are
+# independent, blinding one at a time leaves the others to tell about it. A blind spot knows less of a pixel than the
+# pixel does, so some of it is mixed in. Many steps on small batches learn more in the same time than few on large ones.
 FAST_DENOISER = DenoiserConfig(
     network=ResUNetConfig(widths=(16, 32, 64), bottleneck=96, normalization="none"),
     blind_spots=BlindSpotConfig(mask_fraction=0.2, laplacian_share=0.0, per_channel=True),
@@ -87,7 +85,7 @@ PRESETS = {
             fit=FitConfig(iterations=3000, sh_degree=2, sh_every=500, checkpoint_every=250),
         ),
     ),
-    # The paper's settings where it states them, the defaults of 3DGS-MCMC where it does not. Days on a CPU.
+    # The paper's settings where it states them, the defaults of 3DGS-MCMC where it does not.
     "paper": Preset(
         render=RenderConfig(scene="tabletop", n_views=128, width=800, height=800, spp=1024),
         capture=CaptureConfig(sensor="a7s2-iso6400", electrons=20.0),
@@ -134,5 +132,5 @@ def adapted(
     )
 
 
-def _changed(config: Config, **values: Any) -> Config:  # noqa: ANN401
+def _changed(config: Config, **values: Any) -> Config:
     return replace(config, **{name: value for name, value in values.items() if value is not None})

@@ -43,7 +43,7 @@ def read_mosaic(path: Path) -> Mosaic:
         return Mosaic(np.array(dn), _pattern(raw, path), time, int(raw.white_level).bit_length())
 
 
-def _pattern(raw: Any, path: Path) -> Cfa | None:  # noqa: ANN401 - rawpy has no types
+def _pattern(raw: Any, path: Path) -> Cfa | None:
     if raw.num_colors == 1:
         return None
     letters = "".join(chr(raw.color_desc[i]) for i in np.ravel(raw.raw_pattern))

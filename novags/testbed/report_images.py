@@ -92,7 +92,7 @@ def _render_note(method: str, name: str, held_out: bool, metrics: Mapping[str, A
     return f"held out; aligned PSNR {scores['aligned_psnr']:.1f} dB"
 
 
-def _add_depths(add: Any, i: int, run: Run, main: str, lit: Source, name: str) -> tuple[float, float] | None:  # noqa: ANN401
+def _add_depths(add: Any, i: int, run: Run, main: str, lit: Source, name: str) -> tuple[float, float] | None:
     channels, _ = read_exr(run.path / "depth" / f"{name}.exr")
     z, seen = channels["Z"], channels["alpha"] > 0.5
     if not seen.any():

@@ -117,7 +117,7 @@ def recovered_fractions(methods: dict[str, Any]) -> tuple[dict[str, float], str 
         return {}, f"the recovered fraction needs the method(s) {' and '.join(missing)}: reconstruct and score them too"
     value = {name: method["mean"]["enhanced"]["aligned_psnr"] for name, method in methods.items()}
     span = value["oracle"] - value["naive"]
-    if span < 0.1:  # dB; a fraction of less than the seed-to-seed scatter would be noise divided by noise
+    if span < 0.1:  # dB; a fraction of so little would be scatter divided by scatter
         return {}, f"the oracle is only {span:+.2f} dB from naive: noise costs too little here to speak of a fraction"
     others = [name for name in methods if name not in ("naive", "oracle")]
     return {name: (value[name] - value["naive"]) / span for name in others}, None
