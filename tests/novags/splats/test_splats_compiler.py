@@ -1,0 +1,49 @@
+"""Where machine code is kept between runs: never that of other sources, and not for ever."""
+
+import os
+import shutil
+import time
+from pathlib import Path
+
+import pytest
+
+from novags.splats import sh
+from novags.splats.cpu import compiler
+
+
+@pytest.fixture
+def sources(tmp_path, monkeypatch):
+    """A copy of the package's sources that the compiler takes for its own."""
+    package = Path(sh.__file__).parent
+    (tmp_path / "cpu").mkdir()
+    for path in [*package.glob("*.py"), *(package / "cpu").glob("*.py")]:
+        shutil.copy(path, tmp_path / path.relative_to(package))
+    monkeypatch.setattr(compiler.config, "CACHE_DIR", "")
+    monkeypatch.setattr(compiler, "__file__", str(tmp_path / "cpu" / "compiler.py"))
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", ["cpu/simd.py", "cpu/layout.py", "sh.py"])
+def test_a_change_of_anything_that_kernels_are_made_of_gives_another_folder(sources, name):
+    before = compiler.cache_folder()
+    (sources / name).write_text((sources / name).read_text() + "\n# changed\n")
+    after = compiler.cache_folder()
+    assert after != before
+    assert after.parent == before.parent
+
+
+def test_folders_of_other_sources_go_when_unused_for_a_month(sources):
+    used = compiler.cache_folder()
+    old, recent, other = (used.parent / name for name in ("kernels-old", "kernels-recent", "elsewhere"))
+    for folder in (used, old, recent, other):
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "code.nbc").write_bytes(b"")
+    month_ago = time.time() - 31 * 86400
+    for folder in (used, old, other):
+        os.utime(folder, (month_ago, month_ago))
+    assert compiler.cache_folder() == used
+    assert used.exists()
+    assert used.stat().st_mtime > month_ago + 86400  # marked as used
+    assert not old.exists()
+    assert recent.exists()
+    assert other.exists()
