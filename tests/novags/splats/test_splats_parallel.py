@@ -1,4 +1,4 @@
-"""The thread pool and the recycled memory."""
+"""The thread pool, that it changes no result, and the recycled memory."""
 
 import gc
 import multiprocessing
@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 import torch
 
+from novags.splats import FitConfig, Gaussians, McmcConfig, Views, fit, photometric_loss
+from novags.splats.activate import activate
 from novags.splats.cpu.memory import SMALL, Recycler, empty
 from novags.splats.cpu.parallel import run
+from novags.splats.mcmc import add_noise
 
 
 @pytest.fixture
@@ -151,3 +154,53 @@ def test_several_threads_never_get_the_same_memory():
     assert not any(clashes)
     memory.empty(SMALL, np.uint8)
     assert len(clashes) == 8000
+
+
+def _photometric() -> list[torch.Tensor]:
+    image, target = torch.rand(2, 130, 70, 3, generator=torch.Generator().manual_seed(0))
+    image.requires_grad_()
+    loss = photometric_loss(image, target, 0.2)
+    return [loss, *torch.autograd.grad(loss, image)]
+
+
+def _cloud(n: int = 20_000) -> Gaussians:
+    g = torch.Generator().manual_seed(1)
+    points = torch.randn(n, 3, generator=g)
+    gaussians = Gaussians.from_points(points, torch.rand(n, 3, generator=g), sh_degree=0)
+    gaussians.logit_opacities += torch.randn(n, generator=g) - 3
+    return gaussians
+
+
+def _activations() -> list[torch.Tensor]:
+    gaussians = _cloud().requires_grad_()
+    scales, opacities, regularizer = activate(gaussians, 0.01, 0.01)
+    (scales.sum() + opacities.square().sum() + regularizer).backward()
+    return [scales, opacities, regularizer, gaussians.log_scales.grad, gaussians.logit_opacities.grad]
+
+
+def _noise() -> list[torch.Tensor]:
+    gaussians = _cloud()
+    add_noise(gaussians, 0.1, torch.Generator().manual_seed(2))
+    return [gaussians.means]
+
+
+def _fit() -> list[torch.Tensor]:
+    view = torch.eye(4)
+    view[2, 3] = 6.0
+    views = Views(view[None], torch.tensor([[[50.0, 0, 32], [0, 50, 32], [0, 0, 1]]]), 64, 64)
+    config = FitConfig(iterations=9, sh_every=3, mcmc=McmcConfig(refine_start=2, refine_every=3), cap_max=8500)
+    image = torch.rand(64, 64, 3, generator=torch.Generator().manual_seed(3))
+    return list(fit(_cloud(8000), views, lambda i: image, config).gaussians.tensors().values())
+
+
+@pytest.mark.parametrize("call", [_photometric, _activations, _noise, _fit])
+def test_results_have_the_same_bits_for_any_number_of_threads(call):
+    before, results = torch.get_num_threads(), []
+    try:
+        for threads in (1, 2, 5):
+            torch.set_num_threads(threads)
+            results.append(call())
+    finally:
+        torch.set_num_threads(before)
+    for others in results[1:]:
+        assert all(torch.equal(a, b) for a, b in zip(results[0], others, strict=True))
