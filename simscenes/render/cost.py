@@ -16,10 +16,16 @@ from simscenes.rigs import Rig
 
 
 class Stopwatch:
-    """Seconds per named stage."""
+    """Seconds per named stage: of this call, and of earlier ones that were interrupted."""
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = {}
+        self.earlier: dict[str, float] = {}
+
+    def with_earlier(self) -> dict[str, float]:
+        """All that the job has cost."""
+        names = dict.fromkeys((*self.earlier, *self.seconds))
+        return {name: self.earlier.get(name, 0.0) + self.seconds.get(name, 0.0) for name in names}
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:

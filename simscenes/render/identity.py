@@ -13,6 +13,7 @@ from simscenes.exr import read_exr
 from simscenes.rigs import Rig
 
 VIEW_KEY = "novagsKey"
+SPENT = "seconds.json"  # what an unfinished job has cost so far; in no EXR, whose bytes must not depend on the clock
 
 
 def plan_identity(plan: str | Plan) -> Any:
@@ -52,6 +53,15 @@ def is_complete(out: Path, digest: str, names: list[str]) -> bool:
         return False  # no set.json, or a damaged one: the set is rendered and written again
     files = [out / "gt" / f"{n}.exr" for n in names] + [out / "images" / f"{n}.png" for n in names]
     return same and all(f.is_file() for f in files)
+
+
+def seconds_spent(out: Path, digest: str) -> dict[str, float]:
+    """Seconds per stage that the same job took before it was interrupted."""
+    try:
+        spent = json.loads((out / SPENT).read_text(encoding="utf-8"))
+        return dict(spent["seconds"]) if spent["digest"] == digest else {}
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}  # not interrupted, or in the middle of writing this; it only adds to a sum
 
 
 def finished_header(path: Path, key: str) -> dict[str, Any] | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -22,11 +21,13 @@ from simscenes.render.finish import finish_set
 from simscenes.render.fit import fit_rig, own_optics
 from simscenes.render.geometry import check_cameras, geometry_channels
 from simscenes.render.identity import (
+    SPENT,
     VIEW_KEY,
     finished_header,
     is_complete,
     job_digest,
     plan_identity,
+    seconds_spent,
     view_key,
     without_nan,
 )
@@ -57,6 +58,7 @@ class _Job:
     out: Path
     names: list[str]
     config: dict[str, Any]  # all that the pixels depend on
+    digest: str  # of the whole job
     watch: Stopwatch
     progress: Progress
 
@@ -135,13 +137,14 @@ def render_set(
         **config, "integrator": made.integrator(), "color": made.color, "lights": made.light_weights,
         "lens": method.optics.aperture_radius, "subframes": made.subframes,
     }  # fmt: skip
-    job = _Job(method, loaded, variant, rig, out, names, pixels, watch, report)
+    watch.earlier = seconds_spent(out, digest)
+    job = _Job(method, loaded, variant, rig, out, names, pixels, digest, watch, report)
     views, predicted = _render_views(job)
     with watch.stage("write"):
         finished = finish_set(out, names, rig, seed, optics.camera)
-    # After an interruption `seconds` and the prediction are those of the last call; each view keeps its own.
     found = {**finished, "views": views, "predicted_seconds": predicted}
     write_json(out / "set.json", {**config, "digest": digest, **_facts(job, made), **found})
+    (out / SPENT).unlink(missing_ok=True)
     return _exported(load_set(out), export)
 
 
@@ -152,7 +155,7 @@ def _facts(job: _Job, made: Any) -> dict[str, Any]:
         "kind": "rendered", "n_views": len(rig), "width": rig.width, "height": rig.height,
         "plan": without_nan(made.to_dict()), "integrator": made.integrator(), "mitsuba_variant": job.method.variant,
         "error_seen": ERROR_SEEN, "shapes": list(surfaces.shapes), "materials": list(surfaces.materials),
-        "seconds": job.watch.seconds, "peak_bytes": peak_bytes(), "versions": versions(),
+        "seconds": job.watch.with_earlier(), "peak_bytes": peak_bytes(), "versions": versions(),
     }  # fmt: skip
 
 
@@ -225,16 +228,14 @@ def _render_views(job: _Job) -> tuple[dict[str, Any], float]:
 
         tick(0.0)
         headers[i] = _render_view(job, views.pop(i), paths[i], keys[i], tick)
+        write_json(job.out / SPENT, {"digest": job.digest, "seconds": job.watch.with_earlier()})
         # From here on the past predicts better than the pilot did; radiance and geometry are what repeats per view.
         left = (job.watch.seconds["radiance"] + job.watch.seconds["geometry"]) / (done + 1)
     found = {
-        name: {
-            "spp": int(h["spp"]), "relative_error": float(h["relativeError"]), "fireflies": int(h["fireflies"]),
-            "seconds": round(float(h["seconds"]), 3),
-        }
+        name: {"spp": int(h["spp"]), "relative_error": float(h["relativeError"]), "fireflies": int(h["fireflies"])}
         for name, h in zip(job.names, headers, strict=True)
         if h is not None
-    }  # fmt: skip
+    }
     fireflies = sum(view["fireflies"] for view in found.values())
     job.progress(len(paths), len(paths), f"images; {fireflies} fireflies, see set.json" if fireflies else "images")
     return found, predicted
@@ -243,7 +244,6 @@ def _render_views(job: _Job) -> tuple[dict[str, Any], float]:
 def _render_view(job: _Job, view: View, path: Path, key: str, tick: Tick) -> dict[str, Any]:
     with job.watch.stage("geometry"):
         channels = geometry_channels(activate(job.variant), job.surfaces, job.rig, view.i)
-    began = time.perf_counter()
     with job.watch.stage("radiance"):
         activate(job.method.variant)
         radiance = view.render(job.config["spp"], job.config["target_error"], tick)
@@ -252,7 +252,7 @@ def _render_view(job: _Job, view: View, path: Path, key: str, tick: Tick) -> dic
         channels[f"var.{c}"] = radiance.variance[..., k]
     header = {
         "spp": radiance.spp, "relativeError": radiance.error, "fireflies": radiance.fireflies, VIEW_KEY: key,
-        "seconds": time.perf_counter() - began, "worldToCamera": job.rig.viewmats[view.i].astype(np.float32),
+        "worldToCamera": job.rig.viewmats[view.i].astype(np.float32),
     }  # fmt: skip
     with job.watch.stage("write"):
         write_exr(path, channels, header)
