@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from graphlib import CycleError, TopologicalSorter
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ MAX_INCLUDES = 1000
 MAX_INCLUDE_DEPTH = 15  # Mitsuba's own limit on nested files
 MAX_DEPTH = 128  # of nested elements; Python's recursion over the loaded scene ends not far beyond
 MAX_PARAMETERS = 256
+MAX_OBJECTS = 10**7  # with all references written out: Mitsuba visits each, some million a second
 PATH_TAGS = ("string", "path", "include")  # whose value may be the name of a file
 PLUGIN = re.compile("[A-Za-z0-9_]+")
 DECLARED = re.compile(rb"""\s*<\?xml[^>]*\sencoding\s*=\s*["']([^"']*)""")
@@ -40,7 +42,8 @@ def check_xml(path: Path, *, allow_outside: bool = False) -> tuple[Path, ...]:
     """
     path = path.resolve()
     reader = _Reader(path.parent, allow_outside)
-    reader.read(path, 0, 0)
+    reader.read(path, 0, 0, "")
+    reader.check_references()
     return tuple(reader.files)
 
 
@@ -85,6 +88,7 @@ class _Reader:
     trusted: bool
     files: dict[Path, None] = field(default_factory=dict)  # in order
     parameters: dict[str, str] = field(default_factory=dict)
+    holds: dict[str, list[str]] = field(default_factory=dict)  # ids within each id, as definition or as reference
     text_left: int = MAX_TEXT
     includes_left: int = MAX_INCLUDES
 
@@ -95,24 +99,28 @@ class _Reader:
             raise ValueError(f"scene folder {self.root} holds a folder 'plugins', whose code Mitsuba would run; rename "
                              "it, or set allow_outside=True if you trust the scene")  # fmt: skip
 
-    def read(self, path: Path, includes: int, depth: int) -> None:
+    def read(self, path: Path, includes: int, depth: int, owner: str) -> None:
+        """Check one file where it is included: so deep, in the object with the id `owner`."""
         if includes > MAX_INCLUDE_DEPTH:
             raise ValueError(
                 f"scene file {path} includes files more than {MAX_INCLUDE_DEPTH} deep; does one include itself?"
             )
         self.files[path.resolve()] = None
-        for element, level in _elements(self._parse(path), path, depth):
-            attributes = {name: self._written_out(value, path) for name, value in element.attrib.items()}
-            if element.tag == "default":
+        for tag, attributes, level, within in self._elements(path, depth, owner):
+            if "id" in attributes:
+                holder = attributes.get("as", "") if tag == "alias" else within
+                self.holds.setdefault(holder, []).append(attributes["id"])
+            if tag == "default":
                 self._define(attributes.get("name", ""), attributes.get("value", ""), path)
             if not self.trusted and "type" in attributes:
                 check_plugin(attributes["type"])
-            if element.tag in PATH_TAGS and "value" in attributes:
-                self._name(attributes["value"], element.tag, path)
+            if tag in PATH_TAGS and "value" in attributes:
+                self._name(attributes["value"], tag, path)
             if "filename" in attributes:
-                found = self._name(attributes["filename"], element.tag, path)
-                if element.tag == "include":
-                    self._include(found or path.parent / attributes["filename"], path, includes, level)
+                found = self._name(attributes["filename"], tag, path)
+                if tag == "include":
+                    self._count_include(path)
+                    self.read(found or path.parent / attributes["filename"], includes + 1, level, within)
 
     def _parse(self, path: Path) -> ElementTree.Element:
         try:
@@ -126,11 +134,36 @@ class _Reader:
         except (OSError, ElementTree.ParseError) as error:
             raise ValueError(f"scene file {path} cannot be read as XML: {error}") from error
 
-    def _include(self, found: Path, path: Path, includes: int, depth: int) -> None:
+    def _elements(self, path: Path, depth: int, owner: str) -> Iterator[tuple[str, dict[str, str], int, str]]:
+        """Tags and attributes in document order, each with how deep it lies and the id of the object around it."""
+        waiting = [(self._parse(path), depth + 1, owner)]
+        while waiting:
+            element, level, within = waiting.pop()
+            if level > MAX_DEPTH:
+                raise ValueError(
+                    f"scene file {path} nests elements more than {MAX_DEPTH} deep; refer to inner ones by id"
+                )
+            attributes = {name: self._written_out(value, path) for name, value in element.attrib.items()}
+            yield element.tag, attributes, level, within
+            inner = attributes.get("id", within)
+            waiting.extend((child, level + 1, inner) for child in reversed(element))
+
+    def check_references(self) -> None:
+        sizes: dict[str, int] = {}
+        try:
+            for name in TopologicalSorter(self.holds).static_order():  # what is held first
+                size = 1 + sum(sizes[inner] for inner in self.holds.get(name, ()))
+                sizes[name] = min(size, MAX_OBJECTS + 1)  # more has too many digits to count with
+        except CycleError as error:
+            raise ValueError(f"scene objects hold each other in a circle: {' in '.join(error.args[1])}") from error
+        if sizes.get("", 0) > MAX_OBJECTS:
+            raise ValueError(f"scene has more than {MAX_OBJECTS} objects once its references are written out; "
+                             "refer to fewer of those that refer to others")  # fmt: skip
+
+    def _count_include(self, path: Path) -> None:
         self.includes_left -= 1
         if self.includes_left < 0:
             raise ValueError(f"scene file {path} includes more than {MAX_INCLUDES} files in all; merge some")
-        self.read(found, includes + 1, depth)
 
     def _spend(self, characters: int, path: Path) -> None:
         self.text_left -= characters
@@ -171,17 +204,6 @@ class _Reader:
         if found is not None:
             self.files[target] = None
         return found
-
-
-def _elements(tree: ElementTree.Element, path: Path, depth: int) -> Iterator[tuple[ElementTree.Element, int]]:
-    """Elements in document order, each with how deep it lies."""
-    waiting = [(tree, depth + 1)]
-    while waiting:
-        element, level = waiting.pop()
-        if level > MAX_DEPTH:
-            raise ValueError(f"scene file {path} nests elements more than {MAX_DEPTH} deep; refer to inner ones by id")
-        yield element, level
-        waiting.extend((child, level + 1) for child in reversed(element))
 
 
 def _check_encoding(text: bytes, path: Path) -> None:

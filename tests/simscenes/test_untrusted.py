@@ -166,3 +166,24 @@ def test_includes_are_limited_in_number_as_well_as_in_depth(folder: Path) -> Non
 def test_a_deep_scene_within_the_limit_loads(folder: Path) -> None:
     nested = '<bsdf type="mask">' * 120 + '<bsdf type="diffuse"/>' + "</bsdf>" * 120
     assert build_scene(write(folder / "scene.xml", wrapped(BALL.format(nested))), activate()).shapes == ("ball",)
+
+
+def blends(count: int) -> str:
+    """Each blend holds the one before it twice: with references written out, 2**count materials."""
+    halves = '<float name="weight" value="0.5"/><ref id="b{0}"/><ref id="b{0}"/>'
+    made = (f'<bsdf type="blendbsdf" id="b{i + 1}">{halves.format(i)}</bsdf>' for i in range(count))
+    return '<bsdf type="diffuse" id="b0"/>' + "".join(made) + BALL.format(f'<ref id="b{count}"/>')
+
+
+def test_references_cannot_multiply_without_end(folder: Path) -> None:
+    refused(write(folder / "scene.xml", wrapped(blends(30))), "objects once its references")
+    renamed = blends(30).replace('<ref id="b', '<ref id="c').replace("</bsdf><bsdf", "</bsdf>{}<bsdf")
+    aliases = (f'<alias id="b{i}" as="c{i}"/>' for i in range(1, 31))
+    first = '<bsdf type="diffuse" id="c0"/>'
+    refused(write(folder / "scene.xml", wrapped(first + renamed.format(*aliases))), "objects once its references")
+    assert build_scene(write(folder / "scene.xml", wrapped(blends(10))), activate()).shapes == ("ball",)
+
+
+def test_objects_that_hold_each_other_are_refused(folder: Path) -> None:
+    pair = '<bsdf type="twosided" id="a"><ref id="b"/></bsdf><bsdf type="twosided" id="b"><ref id="a"/></bsdf>'
+    refused(write(folder / "scene.xml", wrapped(pair + BALL.format('<ref id="a"/>'))), "circle")
