@@ -102,7 +102,9 @@ def plan(
 def render(
     scene: Name, *, out: Path, views: int = 32, width: int = 128, height: int = 128, spp: int | None = None,
     target_error: float | None = None, variant: str = "auto", on: tuple[str, ...] = (), off: tuple[str, ...] = (),
-    allow_outside: bool = False, export: tuple[Literal["blender", "llff"], ...] = (), seed: int = 0,
+    max_depth: int | None = None, aperture_radius: float | None = None, focus_distance: float | None = None,
+    motion: float | None = None, response: str | None = None, allow_outside: bool = False,
+    export: tuple[Literal["blender", "llff"], ...] = (), seed: int = 0,
 ) -> None:  # fmt: skip
     """Render a scene into a ground-truth multiview set.
 
@@ -117,17 +119,26 @@ def render(
         variant: Mitsuba variant.
         on: Effects of light to simulate whatever the plan says, by the names that `novags plan` prints.
         off: Effects of light to leave out.
+        max_depth: Longest path of light, as Mitsuba counts; the plan chooses if not given.
+        aperture_radius: Radius of the lens opening in scene units; a pinhole, or a file's own lens, if not given.
+        focus_distance: Depth that is sharp, in scene units.
+        motion: How far the cameras travel during the exposure, as a fraction of the way to the next view.
+        response: Measured colour sensitivities of a camera, by colour-science's name ("Nikon 5100 (NPL)"): the set then
+            holds what its filters see instead of linear sRGB, from spectra where the scene calls for them.
         allow_outside: Let a Mitsuba file read files outside its folder.
         export: Further layouts of the set to write, each into a folder of its own in it.
         seed: Of the Monte Carlo noise.
     """
     from novags.testbed import stages
     from novags.testbed.render import RenderConfig
+    from simscenes import Optics
 
+    optics = Optics(aperture_radius=aperture_radius, focus_distance=focus_distance, motion=motion, camera=response)
     samples = 256 if spp is None and target_error is None else spp
     config = RenderConfig(
         scene=scene, n_views=views, width=width, height=height, spp=samples, target_error=target_error,
-        variant=variant, on=on, off=off, allow_outside=allow_outside, export=export, seed=seed,
+        variant=variant, on=on, off=off, max_depth=max_depth, allow_outside=allow_outside, export=export, seed=seed,
+        optics=optics if optics != Optics() else None,
     )  # fmt: skip
     stages.render(out, config, _console())
     print(out)

@@ -2,7 +2,7 @@
 
 import math
 import os
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -92,6 +92,11 @@ def camera_named(name: str) -> Sensor:
     return read_sensor(name)
 
 
+def camera_for(source: Source, config: CaptureConfig) -> Sensor:
+    """The camera; with the colour filters that a set was rendered through, if it was."""
+    return config.camera if source.response is None else replace(config.camera, rgb_response=source.response)
+
+
 @dataclass(frozen=True)
 class Light:
     """What all views of a capture share, because they share one exposure."""
@@ -113,12 +118,13 @@ def meter(source: Source, config: CaptureConfig, console: Console, pixels: int |
     Raises:
         ValueError: If the set is black or holds bad radiance.
     """
+    sensor = camera_for(source, config)
     with console.progress("capture: light") as progress:
-        mean_green, signal = measure_light(source, config.camera, progress)
+        mean_green, signal = measure_light(source, sensor, progress)
     signal_e = signal * config.electrons / mean_green
     if (limits := config.limits(pixels or source.rig.width * source.rig.height)) is None:
         return Light(mean_green, signal_e, None)
-    return Light(mean_green, signal_e, plan_effects(config.camera, config.exposure, signal_e, limits))
+    return Light(mean_green, signal_e, plan_effects(sensor, config.exposure, signal_e, limits))
 
 
 def capture_views(
@@ -132,7 +138,7 @@ def capture_views(
     Raises:
         ValueError: If the set holds bad radiance.
     """
-    sensor, exposure, plan = config.camera, config.exposure, light.plan
+    sensor, exposure, plan = camera_for(source, config), config.exposure, light.plan
     names = source.views.names
     with console.progress("capture") as progress:
         for i, name in enumerate(names):

@@ -10,7 +10,7 @@ from novags.testbed.cache import digest, read_json
 from novags.testbed.console import Console
 from novags.testbed.source import warnings_as_notes
 from sensor_model import Plan
-from simscenes import EXPORTS, Rig, load_set
+from simscenes import EXPORTS, Optics, Rig, load_set
 from simscenes.backend import BACKENDS, COLORS
 from simscenes.render.untrusted import check_xml
 from simscenes.transport.plan import EFFECTS
@@ -32,6 +32,8 @@ class RenderConfig:
     variant: str = "auto"  # of Mitsuba
     on: tuple[str, ...] = ()  # effects of light that are simulated whatever the plan says
     off: tuple[str, ...] = ()  # and that are not
+    max_depth: int | None = None  # longest path of light, as Mitsuba counts; None: as long as the plan finds worth it
+    optics: Optics | None = None  # lens, motion and colour filters; None: a pinhole, or a file's own lens
     allow_outside: bool = False  # let a Mitsuba file read files outside its folder
     export: tuple[str, ...] = ()  # further layouts of the set: "blender", "llff"
     seed: int = 0
@@ -93,7 +95,8 @@ def prepare_render(config: RenderConfig, console: Console) -> tuple[Rig, Plan | 
         ValueError: If the scene is unknown or cannot be loaded.
     """
     with warnings_as_notes(console):
-        return rig_of(config), plan_of(config) if config.on or config.off else "auto"
+        decided = bool(config.on or config.off or config.max_depth is not None)
+        return rig_of(config), plan_of(config) if decided else "auto"
 
 
 def render_views(out: Path, config: RenderConfig, rig: Rig, plan: Plan | str, console: Console) -> dict[str, Any]:
@@ -107,7 +110,8 @@ def render_views(out: Path, config: RenderConfig, rig: Rig, plan: Plan | str, co
     with console.progress("render") as progress, warnings_as_notes(console):
         render_set(
             config.file or config.scene, rig, out, spp=config.spp, target_error=config.target_error, plan=plan,
-            variant=config.variant, seed=config.seed, allow_outside=config.allow_outside, progress=progress,
+            optics=config.optics, variant=config.variant, seed=config.seed, allow_outside=config.allow_outside,
+            progress=progress,
         )  # fmt: skip
     return read_json(out / RECORD)
 
@@ -136,7 +140,8 @@ def plan_of(config: RenderConfig, tolerance: float = 0.02) -> Plan:
     from simscenes import plan_transport
 
     return plan_transport(
-        config.file or config.scene, tolerance, rig=rig_of(config), variant=config.variant,
+        config.file or config.scene, tolerance, rig=rig_of(config), optics=config.optics, variant=config.variant,
+        max_depth=config.max_depth, seed=config.seed,
         force=dict.fromkeys(config.on, True) | dict.fromkeys(config.off, False), allow_outside=config.allow_outside,
     )  # fmt: skip
 

@@ -39,8 +39,18 @@ class Source:
         """Whether images differ in size from the set's own."""
         return (self.rig.width, self.rig.height) != (self.views.rig.width, self.views.rig.height)
 
+    @property
+    def response(self) -> tuple[float, float, float] | None:
+        """What a set's own colour filters make of white, green = 1; None for a set in linear sRGB."""
+        if (matrix := self.views.meta.get("camera_matrix")) is None:
+            return None
+        red, green, blue = np.asarray(matrix).sum(1)
+        return float(red / green), 1.0, float(blue / green)
+
     def radiance(self, i: int) -> np.ndarray:
         """Linear RGB of view `i`, averaged over each larger pixel where the source is scaled down.
+
+        A set seen through colour filters of its own is balanced, so that white is white: `response` undoes that.
 
         Photographs with black taken off hold noise around zero: what is slightly negative counts as 0, with a note.
 
@@ -60,6 +70,8 @@ class Source:
                 f"radiance must be finite and >= 0, got {radiance[first]} at {first} in view {self.views.names[i]} of "
                 f"{self.views.path} ({int(bad.sum())} values): {help}"
             )
+        if self.response is not None:
+            radiance = radiance / np.asarray(self.response, np.float32)
         return self._fit(radiance)
 
     def lit(self, i: int) -> np.ndarray:
@@ -67,7 +79,11 @@ class Source:
         if not self.scaled:
             return self.views.image(i).astype(np.float32) / 255
         exposure = float(self.views.meta.get("exposure_scale", 1.0))
-        return linear_to_srgb(np.clip(self.radiance(i) * exposure, 0.0, 1.0)).astype(np.float32)
+        light: np.ndarray = self.radiance(i)
+        if self.response is not None:  # back through the matrix, as the set's own images were made
+            inverse: np.ndarray = np.linalg.inv(np.array(self.views.meta["camera_matrix"]))
+            light = (light * np.asarray(self.response, np.float32)) @ inverse.T.astype(np.float32)
+        return linear_to_srgb(np.clip(light * exposure, 0.0, 1.0)).astype(np.float32)
 
     def digest(self) -> str:
         """Hash of all that is read of the set, wherever its files lie."""

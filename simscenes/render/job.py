@@ -131,7 +131,8 @@ def render_set(
     with watch.stage("plan"):
         report(0, len(names), "planning the light transport")
         samples = len(rig) * rig.width * rig.height * (spp or DEFAULT_SPP)
-        made = _make_plan(scene, loaded, rig, optics, plan, variant, seed, samples >= MEASURE_FROM)
+        wishes = {"variant": variant, "seed": seed, "measure": samples >= MEASURE_FROM, "allow_outside": allow_outside}
+        made = _make_plan(scene, loaded, rig, optics, plan, wishes)
         method = _method(scene, loaded, variant, made, optics, seed, allow_outside)
     pixels = {
         **config, "integrator": made.integrator(), "color": made.color, "lights": made.light_weights,
@@ -175,12 +176,12 @@ def _check_quality(spp: int | None, target_error: float | None) -> None:
 
 
 def _make_plan(
-    scene: Any, loaded: LoadedScene, rig: Rig, optics: Optics, plan: str | Plan, variant: str, seed: int, measure: bool
+    scene: Any, loaded: LoadedScene, rig: Rig, optics: Optics, plan: str | Plan, wishes: dict[str, Any]
 ) -> Any:
     from simscenes.transport.planner import default_plan, plan_loaded  # the planner's pilots use this package
 
     if plan == "auto":
-        return plan_loaded(scene, loaded, rig=rig, optics=optics, variant=variant, measure=measure, seed=seed)
+        return plan_loaded(scene, loaded, rig=rig, optics=optics, **wishes)
     if plan == "rgb":
         return default_plan(optics)
     if isinstance(plan, Plan):

@@ -43,6 +43,7 @@ class Pilot:
     backend: str
     allowed: float
     seed: int
+    allow_outside: bool = False
     scenes: dict[str, LoadedScene] = field(default_factory=dict)
     images: dict[tuple[str, int, int, int], NDArray[np.float64]] = field(default_factory=dict)
 
@@ -64,7 +65,7 @@ class Pilot:
         """Mitsuba with a colour representation activated, and the scene loaded for it."""
         mi = activate(self.backend, color)
         if color != "rgb" and color not in self.scenes:
-            self.scenes[color] = build_scene(self.source, mi, allow_outside=True)
+            self.scenes[color] = build_scene(self.source, mi, allow_outside=self.allow_outside)
         return mi, self.loaded if color == "rgb" else self.scenes[color]
 
 
@@ -224,9 +225,10 @@ def _color_cost(p: Pilot, optics: Optics, indirect: float) -> tuple[float, float
 def _has_measured_spectra(p: Pilot) -> bool:
     if isinstance(p.source, str) and not p.source.endswith(".xml"):
         return split_name(p.source)[0] in MEASURED_LIGHTS
-    _, loaded = p.scene_in("spectral")
+    mi, loaded = p.scene_in("spectral")
+    measured = spectra.has_measured(mi, loaded)
     p.scene_in("rgb")
-    return spectra.has_measured(loaded)
+    return measured
 
 
 def aperture_effect(p: Pilot, geometry: list[Any], optics: Optics, scale: float) -> Effect:

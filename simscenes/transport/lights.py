@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simscenes.render.contents import media_in
 from simscenes.render.geometry import first_surfaces, pixel_rays
 from simscenes.render.source import LoadedScene
 from simscenes.rigs import Rig
@@ -27,7 +28,7 @@ def light_weights(mi: Any, loaded: LoadedScene, rig: Rig, seed: int) -> tuple[fl
     light there: the choice that minimises relative variance when one light is picked per point.
     """
     lights = loaded.scene.emitters()
-    foggy = any(shape.is_medium_transition() for shape in loaded.scene.shapes())
+    foggy = bool(media_in(loaded.scene, mi))
     if foggy or not 1 < len(lights) <= MAX_LIGHTS or mi.variant().startswith("scalar"):
         return ()
     light = np.concatenate([_direct_light(mi, loaded, rig, i, len(lights), seed) for i in range(len(rig))], axis=1)

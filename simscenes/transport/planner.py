@@ -81,7 +81,7 @@ def plan_transport(
     check_cameras(mi, loaded, rig)
     return plan_loaded(
         scene, loaded, tolerance, rig=rig, optics=optics or own_optics(loaded, mi), force=force, max_depth=max_depth,
-        measure=measure, variant=variant, seed=seed,
+        measure=measure, variant=variant, seed=seed, allow_outside=allow_outside,
     )  # fmt: skip
 
 
@@ -97,13 +97,14 @@ def plan_loaded(
     measure: bool = True,
     variant: str = "auto",
     seed: int = 0,
+    allow_outside: bool = False,
 ) -> TransportPlan:
     """`plan_transport` for a scene that is loaded already, in the RGB variant."""
     if not 0 < tolerance < 1:
         raise ValueError(f"tolerance is a share of all light and must lie between 0 and 1, got {tolerance}")
     _check_wishes(dict(force or {}), max_depth, optics)  # before the pilots, which take seconds
     mi = activate(backend_of(variant))
-    p = Pilot(mi, scene, loaded, pilot.pilot_rig(rig), backend_of(variant), tolerance / 5, seed)
+    p = Pilot(mi, scene, loaded, pilot.pilot_rig(rig), backend_of(variant), tolerance / 5, seed, allow_outside)
     weights = light_weights(mi, loaded, p.rig, seed)
     set_light_weights(loaded, weights, mi)
     geometry = [geometry_channels(mi, loaded, p.rig, i) for i in range(len(p.rig))]

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simscenes import camera
+from simscenes.render.contents import unique_materials
 from simscenes.render.geometry import first_surfaces, pixel_rays
 from simscenes.render.source import LoadedScene
 from simscenes.rigs import Rig
@@ -22,14 +23,14 @@ LIGHT_SAMPLES = 16
 MEASURED = re.compile(r"((Irr|R)egularSpectrum|BlackBodySpectrum|SunskyEmitter)\[")  # as Mitsuba prints them
 
 
-def has_measured(loaded: LoadedScene) -> bool:
+def has_measured(mi: Any, loaded: LoadedScene) -> bool:
     """Whether a scene, loaded in spectra, has a light or a matt surface that was given as a spectrum.
 
     What was given as RGB has no spectrum but the smooth one that Mitsuba makes up. Metals do not count: their measured
     indices become RGB once, whatever the light.
     """
     lights = "".join(str(light) for light in loaded.scene.emitters())
-    surfaces = "".join(str(shape.bsdf()) for shape in loaded.scene.shapes())
+    surfaces = "".join(str(shape.bsdf()) for shape in unique_materials(loaded.scene, mi))
     return bool(MEASURED.search(lights) or re.search(f"reflectance = {MEASURED.pattern}", surfaces))
 
 

@@ -177,7 +177,7 @@ def test_measured_lamps_call_for_spectra_and_rgb_lamps_do_not() -> None:
 def test_the_list_of_scenes_with_measured_lamps_is_right() -> None:
     """A scene by name is not loaded in spectra to find out."""
     mi = activate(backend_of(), "spectral")
-    found = {name: has_measured(build_scene(name, mi)) for name in ("market", "cornell", "lantern")}
+    found = {name: has_measured(mi, build_scene(name, mi)) for name in ("market", "cornell", "lantern")}
     activate()
     assert found == {name: name in MEASURED_LIGHTS for name in found}
 

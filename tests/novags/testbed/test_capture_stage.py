@@ -14,6 +14,7 @@ from novags.testbed.console import Console
 from novags.testbed.forecast import sensor_plan
 from sensor_model import PRESETS, read_sensor, write_sensor
 from simscenes import orbit_rig
+from simscenes.exr import read_exr, write_exr
 from simscenes.multiview import write_cameras
 
 QUIET = Console(quiet=True)
@@ -148,3 +149,27 @@ def test_jpeg_touches_the_8_bit_pictures_only(tmp_path: Path) -> None:
     np.testing.assert_array_equal(plain.dark(0, "16bit"), jpeg.dark(0, "16bit"))
     with pytest.raises(ValueError, match="jpeg_quality must be"):
         CaptureConfig(jpeg_quality=0)
+
+
+def test_a_set_seen_through_a_cameras_own_filters_is_captured_with_them(tmp_path: Path) -> None:
+    """Grey in the set's balanced RGB collects what the filters let through, and develops to grey again."""
+    matrix = np.array([[0.5, 0.2, 0.1], [0.1, 0.8, 0.1], [0.0, 0.1, 0.5]])
+    white = matrix.sum(1)
+    views, names = tmp_path / "set", [f"{i:04d}" for i in range(3)]
+    write_cameras(views, names, orbit_rig(3, 32, 24, 50.0, radius=3.0))
+    for part in ("images", "gt"):
+        (views / part).mkdir()
+    for name in names:
+        cv2.imwrite(str(views / "images" / f"{name}.png"), np.full((24, 32, 3), 200, np.uint8))
+        light = np.broadcast_to(0.4 * white, (24, 32, 3)).astype(np.float32)
+        write_exr(views / "gt" / f"{name}.exr", {c: light[..., k].copy() for k, c in enumerate("RGB")})
+    meta = {"kind": "rendered", "camera_matrix": matrix.tolist(), "exposure_scale": 1.0}
+    (views / "set.json").write_text(json.dumps(meta))
+    stages.capture(views, tmp_path / "cap", CaptureConfig(sensor="ideal-3chip", electrons=2000), QUIET)
+    opened = open_capture(tmp_path / "cap")
+    assert np.allclose(opened.sensor.rgb_response, white / white[1])
+    truth, _ = read_exr(tmp_path / "cap" / "truth" / "0000.exr")
+    signal = np.array([truth[f"mean.{c}"].mean() for c in "RGB"])
+    assert np.allclose(signal, 2000 * white / white[1], rtol=1e-3)
+    picture = cv2.imread(str(tmp_path / "cap" / "images" / "0001.png")).astype(float).mean((0, 1))
+    assert np.ptp(picture) < 2
