@@ -71,7 +71,7 @@ class Source:
                 f"{self.views.path} ({int(bad.sum())} values): {help}"
             )
         if self.response is not None:
-            radiance = radiance / np.asarray(self.response, np.float32)
+            radiance = np.divide(radiance, self.response, dtype=np.float32)
         return self._fit(radiance)
 
     def lit(self, i: int) -> np.ndarray:
@@ -79,10 +79,10 @@ class Source:
         if not self.scaled:
             return self.views.image(i).astype(np.float32) / 255
         exposure = float(self.views.meta.get("exposure_scale", 1.0))
-        light: np.ndarray = self.radiance(i)
+        light = self.radiance(i)
         if self.response is not None:  # back through the matrix, as the set's own images were made
             inverse: np.ndarray = np.linalg.inv(np.array(self.views.meta["camera_matrix"]))
-            light = (light * np.asarray(self.response, np.float32)) @ inverse.T.astype(np.float32)
+            light = np.asarray((light * self.response) @ inverse.T, np.float32)
         return linear_to_srgb(np.clip(light * exposure, 0.0, 1.0)).astype(np.float32)
 
     def digest(self) -> str:
