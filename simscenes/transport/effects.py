@@ -48,7 +48,11 @@ class Pilot:
     images: dict[tuple[str, int, int, int], NDArray[np.float64]] = field(default_factory=dict)
 
     def render(self, kind: str, depth: int, rr_depth: int = RR_DEPTH, again: int = 0) -> NDArray[np.float64]:
-        """The pilot views in RGB, by the same paths whatever the depth; rendered once. `again`: with other paths."""
+        """The pilot views in RGB, by the same paths whatever the depth; rendered once. `again`: with other paths.
+
+        In scalar variants the paths differ, since their samplers run on from one to the next: differences are noisier
+        there, and bounds wider.
+        """
         key = (kind, depth, rr_depth, again)
         if key not in self.images:
             integrator = {"type": kind, "max_depth": depth, "rr_depth": rr_depth}

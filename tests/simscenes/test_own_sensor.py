@@ -29,6 +29,7 @@ def scene(film: dict[str, Any], **sensor: Any) -> dict[str, Any]:
     }
 
 
+@pytest.mark.usefixtures("jit")
 @pytest.mark.parametrize("film", [{}, CROPPED], ids=["whole", "cropped"])
 @pytest.mark.parametrize(
     "lens", [{}, {"principal_point_offset_x": 0.1, "principal_point_offset_y": -0.2}, {"fov_axis": "y"}]
