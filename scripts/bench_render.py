@@ -2,13 +2,15 @@
 
     python scripts/bench_render.py [--out FILE] [--scene tabletop] [--size 48] [--knobs spp sampler ...]
     python scripts/bench_render.py --knobs none --equal-size 96 --equal-views 8 --target-error 0.03
+    python scripts/bench_render.py --knobs none --equal-views 0 --predict tabletop gallery street
 
 Writes JSON lines {"knob", "setting", "seconds", "error", "error_unit", "error_sd", "default"}, a curve a knob. The last
 lines, knob "method", compare whole jobs: `render_set` to a target error, everything included (reading the scene,
 planning, predicting, geometry, writing), and what `mi.render` needs with an independent sampler, depth 8 and roulette
 from 5 for the same error in every view, reading the scene included. Plain noise falls exactly as one over the
 root of the samples, so its time is scaled up from what --plain-spp samples take and their error, measured from
-independent seeds. Kernels are compiled beforehand for both.
+independent seeds. Kernels are compiled beforehand for both. With --predict: what `render_set` foretold of its time,
+and what it took, once with a number of samples and once towards the target error.
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ import itertools
 import json
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -92,6 +94,24 @@ def equal_error(scene: str, size: int, views: int, target: float, spp: int) -> I
     }  # fmt: skip
 
 
+def predictions(scenes: Sequence[str], size: int, target: float) -> Iterator[dict[str, Any]]:
+    """Seconds of radiance foretold and spent, for a fixed number of samples and for a target error."""
+    for scene in scenes:
+        rig = default_rig(scene, 8, size, size)
+        for quality in ({"spp": 256}, {"target_error": target}):
+            with tempfile.TemporaryDirectory() as folder:
+                meta = render_set(scene, rig, folder, **quality).meta  # type: ignore[arg-type]  # one of two keywords
+            foretold, spent = meta["predicted_seconds"], meta["seconds"]["radiance"]
+            yield {
+                "scene": scene,
+                "size": size,
+                **quality,
+                "predicted": foretold,
+                "radiance": spent,
+                "ratio": foretold / spent,
+            }
+
+
 def main() -> None:
     """Run the sweeps and write the curves."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -103,12 +123,14 @@ def main() -> None:
     parser.add_argument("--equal-size", type=int, default=96, help="width and height where whole jobs are compared")
     parser.add_argument("--equal-views", type=int, default=8, help="0 leaves the comparison out")
     parser.add_argument("--target-error", type=float, default=0.03)
+    parser.add_argument("--predict", nargs="*", default=[], help="scenes whose predicted times are checked")
     parser.add_argument("--plain-spp", type=int, default=256)
     a = parser.parse_args()
     curves = render_curves(a.scene, size=a.size, repeats=a.repeats, knobs=[k for k in a.knobs if k != "none"])
     compared = equal_error(a.scene, a.equal_size, a.equal_views, a.target_error, a.plain_spp) if a.equal_views else ()
+    foretold = predictions(a.predict, a.equal_size, a.target_error)
     lines = []
-    for line in itertools.chain(curves, compared):
+    for line in itertools.chain(curves, compared, foretold):
         lines.append(json.dumps(line))
         print(lines[-1], flush=True)
     if a.out:

@@ -160,8 +160,6 @@ def render_curves(
             if knob == "variant" and not backend_status(value)[0]:
                 continue
             chosen = replace(DEFAULT, **{knob: value})
-            if knob == "variant":
-                chosen = replace(chosen, spp=16)  # the scalar variant takes a hundred times longer
             if knob == "max_depth":
                 found = bench.missing(chosen)
             else:
