@@ -4,8 +4,9 @@ import os
 import signal
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import tyro
 
@@ -15,6 +16,44 @@ if TYPE_CHECKING:  # heavy: torch and its friends load when a command runs, so t
 PresetName = Literal["demo", "small", "paper"]
 Folder = Annotated[Path, tyro.conf.Positional]
 Name = Annotated[str, tyro.conf.Positional]
+
+
+@dataclass(frozen=True)
+class LightOptions:
+    """How light gets from the lamps to the sensor."""
+
+    variant: str = "auto"
+    """Mitsuba variant."""
+    on: tuple[str, ...] = ()
+    """Effects of light to simulate whatever the plan says, by the names that `novags plan` prints."""
+    off: tuple[str, ...] = ()
+    """Effects of light to leave out."""
+    max_depth: int | None = None
+    """Longest path of light, as Mitsuba counts; the plan chooses if not given."""
+    aperture_radius: float | None = None
+    """Radius of the lens opening in scene units; a file's own lens, else a pinhole, if not given; 0 for a pinhole."""
+    focus_distance: float | None = None
+    """Depth that is sharp, in scene units."""
+    motion: float | None = None
+    """How far the cameras travel during the exposure, as a fraction of the way to the next view."""
+    response: str | None = None
+    """Measured colour sensitivities of a camera, by colour-science's name ("Nikon 5100 (NPL)"): the set then holds what
+    its filters see instead of linear sRGB, from spectra where the scene calls for them."""
+    allow_outside: bool = False
+    """Trust a Mitsuba file: let it read files outside its folder."""
+
+    def settings(self) -> dict[str, Any]:
+        """As `RenderConfig` takes them."""
+        from simscenes import Optics
+
+        lens = {"aperture_radius": self.aperture_radius, "focus_distance": self.focus_distance}
+        return {
+            "variant": self.variant, "on": self.on, "off": self.off, "max_depth": self.max_depth,
+            "allow_outside": self.allow_outside, "optics": Optics(**lens, motion=self.motion, camera=self.response),
+        }  # fmt: skip
+
+
+Light = Annotated[LightOptions, tyro.conf.arg(name=""), tyro.conf.OmitArgPrefixes]
 
 
 def run(
@@ -69,7 +108,7 @@ def run(
 def plan(
     scene: Name, *, sensor: str, electrons: float, time: float = 1 / 30, preset: PresetName = "demo",
     width: int | None = None, height: int | None = None, tolerance: float = 0.05, light_tolerance: float = 0.02,
-    on: tuple[str, ...] = (), off: tuple[str, ...] = (),
+    light: Light = LightOptions(),
 ) -> None:  # fmt: skip
     """What would be simulated, what would not, why, and the bound on the error of leaving it out.
 
@@ -83,27 +122,25 @@ def plan(
         height: Image height in pixels.
         tolerance: Relative error of the noise's standard deviation that may be made.
         light_tolerance: Share of all light that may be wrong or missing.
-        on: Effects of light to simulate whatever the plan says, by the names it prints.
-        off: Effects of light to leave out.
+        light: How light gets from the lamps to the sensor.
     """
     from novags.testbed.capture import CaptureConfig
-    from novags.testbed.forecast import light_plan, sensor_plan
+    from novags.testbed.forecast import PILOT, light_plan, sensor_plan
     from novags.testbed.presets import PRESETS, adapted
 
     config, console = CaptureConfig(sensor=sensor, electrons=electrons, time=time, tolerance=tolerance), _console()
     size = adapted(PRESETS[preset], width=width, height=height).render
-    light = light_plan(scene, light_tolerance, console, on=on, off=off)
-    print(f"Light of {scene}: {'as it is in the folder' if light is None else ''}\n{light or ''}".rstrip())
-    found, signal_e = sensor_plan(scene, config, size.width * size.height, console)
+    pilot = replace(PILOT, scene=scene, **light.settings())
+    found = light_plan(pilot, light_tolerance, console)
+    print(f"Light of {scene}: {'as it is in the folder' if found is None else ''}\n{found or ''}".rstrip())
+    noise, signal_e = sensor_plan(pilot, config, size.width * size.height, console)
     signal = ", ".join(f"{name} {value:.3g} e-" for name, value in signal_e.items())
-    print(f"\nCamera {sensor}, mean green signal {electrons:g} e-; {signal}\n{found}")
+    print(f"\nCamera {sensor}, mean green signal {electrons:g} e-; {signal}\n{noise}")
 
 
 def render(
     scene: Name, *, out: Path, views: int = 32, width: int = 128, height: int = 128, spp: int | None = None,
-    target_error: float | None = None, variant: str = "auto", on: tuple[str, ...] = (), off: tuple[str, ...] = (),
-    max_depth: int | None = None, aperture_radius: float | None = None, focus_distance: float | None = None,
-    motion: float | None = None, response: str | None = None, allow_outside: bool = False,
+    target_error: float | None = None, light: Light = LightOptions(),
     export: tuple[Literal["blender", "llff"], ...] = (), seed: int = 0,
 ) -> None:  # fmt: skip
     """Render a scene into a ground-truth multiview set.
@@ -116,29 +153,17 @@ def render(
         height: Image height in pixels.
         spp: Samples per pixel; 256 if neither this nor target_error is given.
         target_error: Relative error at which each view stops instead.
-        variant: Mitsuba variant.
-        on: Effects of light to simulate whatever the plan says, by the names that `novags plan` prints.
-        off: Effects of light to leave out.
-        max_depth: Longest path of light, as Mitsuba counts; the plan chooses if not given.
-        aperture_radius: Radius of the lens opening in scene units; a pinhole, or a file's own lens, if not given.
-        focus_distance: Depth that is sharp, in scene units.
-        motion: How far the cameras travel during the exposure, as a fraction of the way to the next view.
-        response: Measured colour sensitivities of a camera, by colour-science's name ("Nikon 5100 (NPL)"): the set then
-            holds what its filters see instead of linear sRGB, from spectra where the scene calls for them.
-        allow_outside: Let a Mitsuba file read files outside its folder.
+        light: How light gets from the lamps to the sensor.
         export: Further layouts of the set to write, each into a folder of its own in it.
         seed: Of the Monte Carlo noise.
     """
     from novags.testbed import stages
     from novags.testbed.render import RenderConfig
-    from simscenes import Optics
 
-    optics = Optics(aperture_radius=aperture_radius, focus_distance=focus_distance, motion=motion, camera=response)
     samples = 256 if spp is None and target_error is None else spp
     config = RenderConfig(
         scene=scene, n_views=views, width=width, height=height, spp=samples, target_error=target_error,
-        variant=variant, on=on, off=off, max_depth=max_depth, allow_outside=allow_outside, export=export, seed=seed,
-        optics=optics if optics != Optics() else None,
+        export=export, seed=seed, **light.settings(),
     )  # fmt: skip
     stages.render(out, config, _console())
     print(out)

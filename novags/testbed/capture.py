@@ -148,7 +148,8 @@ def capture_views(
                 )
                 seen = mosaic(photons, sensor.cfa) if sensor.cfa else photons
                 frame = expose(seen, sensor, exposure, seed=config.seed, view=i, plan=plan)
-                write_view(folder, name, frame, sensor, exposure, config.demosaic, config.jpeg_quality)
+                matrix = source.color_matrix
+                write_view(folder, name, frame, sensor, exposure, config.demosaic, matrix, config.jpeg_quality)
             progress(i + 1, len(names), f"view {name}")
     write_cameras(folder, names, source.rig, points=source.views.points())
     return {
@@ -164,6 +165,7 @@ def capture_views(
         "mean_green_radiance": light.mean_green,
         "signal_quantiles_e": dict(zip(map(str, QUANTILES), light.signal_e.tolist(), strict=True)),
         "demosaic": config.demosaic,
+        "color_matrix": source.color_matrix,
         "jpeg_quality": config.jpeg_quality,
         "seed": config.seed,
         "views": len(names),

@@ -50,9 +50,10 @@ def write_view(
     sensor: Sensor,
     exposure: Exposure,
     demosaic: Demosaic,
+    color_matrix: np.ndarray | None,
     jpeg_quality: int | None = None,
 ) -> None:
-    """Write everything about one exposure."""
+    """Write everything about one exposure. `color_matrix`: as for `develop`."""
     for part in ("raw", "truth"):
         (folder / part).mkdir(parents=True, exist_ok=True)
     write_dng(folder / "raw" / f"{name}.dng", frame.dn, sensor, exposure)
@@ -63,7 +64,7 @@ def write_view(
         **_planes("saturated", frame.saturated.astype(np.uint32)),
     }
     write_exr(folder / "truth" / f"{name}.exr", truth)
-    developed = develop(frame, sensor, demosaic=demosaic, jpeg_quality=jpeg_quality)
+    developed = develop(frame, sensor, demosaic=demosaic, color_matrix=color_matrix, jpeg_quality=jpeg_quality)
     write_png(folder / "images16" / f"{name}.png", developed.linear16)
     write_png(folder / "images" / f"{name}.png", developed.srgb8)
 
@@ -108,7 +109,8 @@ class Capture:
             dn = channels["clean"]
         else:
             dn = np.stack([channels[f"clean.{colour}"] for colour in "RGB"], axis=-1)
-        return encode(develop_linear(dn, self.sensor, demosaic=self.record["demosaic"]))
+        matrix = self.record["color_matrix"]
+        return encode(develop_linear(dn, self.sensor, demosaic=self.record["demosaic"], color_matrix=matrix))
 
     def digest(self) -> str:
         """Hash of all that the capture stage wrote."""
@@ -144,7 +146,7 @@ def open_capture(path: Path) -> Capture:
     if not (path / RECORD).exists():
         raise ValueError(f"{path} holds no {RECORD}: it is no capture, or an unfinished one (run novags capture again)")
     record = read_json(path / RECORD)
-    missing = [key for key in ("sensor", "set", "demosaic", "stage") if key not in record]
+    missing = [key for key in ("sensor", "set", "demosaic", "color_matrix", "stage") if key not in record]
     if missing:
         raise ValueError(f"{path / RECORD} lacks {', '.join(missing)}: capture again")
     return Capture(path=path, record=record, cameras=load_set(path), sensor=sensor_from_dict(record["sensor"]))

@@ -1,7 +1,6 @@
 """What a capture of a scene would simulate, what it would leave out, and the bounds: the plans, before any work."""
 
 import tempfile
-from dataclasses import replace
 from pathlib import Path
 
 from novags.testbed.capture import CaptureConfig, meter
@@ -14,34 +13,30 @@ from sensor_model import Plan
 PILOT = RenderConfig(n_views=8, width=48, height=48, spp=32)
 
 
-def light_plan(
-    scene: str, tolerance: float, console: Console, *, on: tuple[str, ...] = (), off: tuple[str, ...] = ()
-) -> Plan | None:
+def light_plan(pilot: RenderConfig, tolerance: float, console: Console) -> Plan | None:
     """The plan of the light transport; None for a folder, whose light is there already.
 
     Args:
-        scene: A multiview set folder, a scene of the catalogue, or a Mitsuba file.
+        pilot: `PILOT` of a multiview set folder, a scene of the catalogue, or a Mitsuba file.
         tolerance: Share of all light that may be wrong or missing.
         console: Where notes go.
-        on: Effects that are simulated whatever the plan says.
-        off: Effects that are not.
 
     Raises:
-        ValueError: If there is no such scene or effect.
+        ValueError: If there is no such scene.
     """
-    if Path(scene).is_dir():
+    if Path(pilot.scene).is_dir():
         return None
     with warnings_as_notes(console):
-        return plan_of(replace(PILOT, scene=scene, on=on, off=off), tolerance)
+        return plan_of(pilot, tolerance)
 
 
 def sensor_plan(
-    scene: str, config: CaptureConfig, pixels: int, console: Console
+    pilot: RenderConfig, config: CaptureConfig, pixels: int, console: Console
 ) -> tuple[Plan | None, dict[str, float]]:
     """The sensor's plan for a scene, and the range of its mean signal in electrons.
 
     Args:
-        scene: A multiview set folder, a scene of the catalogue, or a Mitsuba file (the latter two get a coarse render).
+        pilot: As for `light_plan`; what is no folder gets this coarse render.
         config: Camera and light.
         pixels: Of an image of the capture, if the scene is not a folder: the more there are, the rarer the defects that
             have to be simulated.
@@ -50,10 +45,9 @@ def sensor_plan(
     Raises:
         ValueError: If there is no such scene, or it is black.
     """
-    if Path(scene).is_dir():
-        return _plan(Path(scene), config, None, console)
+    if Path(pilot.scene).is_dir():
+        return _plan(Path(pilot.scene), config, None, console)
     with tempfile.TemporaryDirectory(prefix="novags-plan-") as folder:
-        pilot = replace(PILOT, scene=scene)
         render_views(Path(folder), pilot, *prepare_render(pilot, console), console)
         return _plan(Path(folder), config, pixels, console)
 

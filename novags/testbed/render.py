@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,8 @@ from novags.testbed.console import Console
 from novags.testbed.source import warnings_as_notes
 from sensor_model import Plan
 from simscenes import EXPORTS, Optics, Rig, load_set
-from simscenes.backend import BACKENDS, COLORS
+from simscenes.backend import BACKENDS, COLORS, choose_variant
+from simscenes.camera import camera_color
 from simscenes.render.untrusted import check_xml
 from simscenes.transport.plan import EFFECTS
 
@@ -33,7 +34,7 @@ class RenderConfig:
     on: tuple[str, ...] = ()  # effects of light that are simulated whatever the plan says
     off: tuple[str, ...] = ()  # and that are not
     max_depth: int | None = None  # longest path of light, as Mitsuba counts; None: as long as the plan finds worth it
-    optics: Optics | None = None  # lens, motion and colour filters; None: a pinhole, or a file's own lens
+    optics: Optics = field(default_factory=Optics)  # lens (None: a file's own, else a pinhole), motion, colour filters
     allow_outside: bool = False  # let a Mitsuba file read files outside its folder
     export: tuple[str, ...] = ()  # further layouts of the set: "blender", "llff"
     seed: int = 0
@@ -92,9 +93,12 @@ def prepare_render(config: RenderConfig, console: Console) -> tuple[Rig, Plan | 
     """The cameras, and what the plan has to be ("auto" where no effect is forced).
 
     Raises:
-        ValueError: If the scene is unknown or cannot be loaded.
+        ValueError: If the scene, the variant or the camera is unknown, or cannot be loaded or used on this machine.
     """
     with warnings_as_notes(console):
+        choose_variant(config.variant)
+        if config.optics.camera is not None:
+            camera_color(config.optics.camera)
         decided = bool(config.on or config.off or config.max_depth is not None)
         return rig_of(config), plan_of(config) if decided else "auto"
 

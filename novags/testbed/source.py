@@ -40,12 +40,23 @@ class Source:
         return (self.rig.width, self.rig.height) != (self.views.rig.width, self.views.rig.height)
 
     @property
+    def filters(self) -> np.ndarray | None:
+        """Linear sRGB -> what the set's own colour filters see, [3,3]; None for a set in linear sRGB."""
+        matrix = self.views.meta.get("camera_matrix")
+        return None if matrix is None else np.array(matrix, np.float64)
+
+    @property
     def response(self) -> tuple[float, float, float] | None:
-        """What a set's own colour filters make of white, green = 1; None for a set in linear sRGB."""
-        if (matrix := self.views.meta.get("camera_matrix")) is None:
+        """What the set's own colour filters make of white, green = 1."""
+        if self.filters is None:
             return None
-        red, green, blue = np.asarray(matrix).sum(1)
+        red, green, blue = self.filters.sum(1)
         return float(red / green), 1.0, float(blue / green)
+
+    @property
+    def color_matrix(self) -> np.ndarray | None:
+        """From white-balanced RGB of the set's own colour filters to linear sRGB, [3,3], white staying as it is."""
+        return None if self.filters is None else np.linalg.inv(self.filters) * self.filters.sum(1)
 
     def radiance(self, i: int) -> np.ndarray:
         """Linear RGB of view `i`, averaged over each larger pixel where the source is scaled down.
@@ -80,9 +91,8 @@ class Source:
             return self.views.image(i).astype(np.float32) / 255
         exposure = float(self.views.meta.get("exposure_scale", 1.0))
         light = self.radiance(i)
-        if self.response is not None:  # back through the matrix, as the set's own images were made
-            inverse: np.ndarray = np.linalg.inv(np.array(self.views.meta["camera_matrix"]))
-            light = np.asarray((light * self.response) @ inverse.T, np.float32)
+        if self.filters is not None:  # back through the matrix, as the set's own images were made
+            light = np.asarray((light * self.response) @ np.linalg.inv(self.filters).T, np.float32)
         return linear_to_srgb(np.clip(light * exposure, 0.0, 1.0)).astype(np.float32)
 
     def digest(self) -> str:

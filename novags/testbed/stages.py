@@ -20,6 +20,7 @@ from novags.testbed.run_folder import METRICS, Run, open_run
 from novags.testbed.score import score_test_views, score_training_images
 from novags.testbed.source import Source, open_source
 from simscenes import EXPORTS
+from simscenes.render.identity import SPENT
 
 
 def render(out: Path, config: RenderConfig, console: Console, *, stale: Sequence[Path] = ()) -> dict[str, Any]:
@@ -34,7 +35,7 @@ def render(out: Path, config: RenderConfig, console: Console, *, stale: Sequence
         RENDER_RECORD,
         inputs={"scene": scene_digest(config)},
         config=config.resolved(),
-        owns=(RENDER_RECORD, "gt", "images", *capture_folder.CAMERA_FILES, *EXPORTS),
+        owns=(RENDER_RECORD, "gt", "images", SPENT, *capture_folder.CAMERA_FILES, *EXPORTS),
         prepare=lambda: prepare_render(config, console),
         work=lambda prepared: render_views(out, config, *prepared, console),
         console=console,

@@ -26,7 +26,8 @@ def surfaces_in(scene: Any, mi: Any) -> list[Any]:
     """
     shapes = scene.shapes()
     if any(_repeats(shape) for shape in shapes):
-        shapes = [*shapes, *(o for o in objects_in(scene, mi) if isinstance(o, mi.Shape) and o not in set(shapes))]
+        known = set(shapes)
+        shapes = [*shapes, *(o for o in objects_in(scene, mi) if isinstance(o, mi.Shape) and o not in known)]
     return [shape for shape in shapes if not _repeats(shape)]
 
 

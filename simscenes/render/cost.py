@@ -9,6 +9,8 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import numpy as np
+
 from simscenes.render.passes import Passes, pass_spp
 from simscenes.render.radiance import Method, View
 from simscenes.render.sensors import PILOT_SPP
@@ -40,24 +42,32 @@ class Stopwatch:
 def predict_seconds(
     method: Method, rig: Rig, views: dict[int, View], spp: int | None, target_error: float | None
 ) -> float:
-    """Predict the seconds that rendering these views will take, at a cost of some 3 % of them.
+    """Predict the seconds that rendering these views will take, at a cost of some 6 % of them.
 
-    One tiny pass compiles the kernel, a longer one is timed; with `target_error` the samples needed are predicted from
-    pilots of up to three of `views`, which keep them for their render. Samples take equal time from 16 per pixel up.
+    A pass is timed the second time, when its kernel is compiled. With `target_error` it is a pass of the kind that
+    spreads samples unevenly, and the samples needed are predicted from pilots of up to three of `views`, which keep
+    them for their render.
     """
     numbers = sorted(views)
     first = View(method, rig, numbers[0])  # a view of its own: those in `views` must not depend on being predicted
-    passes = Passes((rig.height, rig.width))
-    first.run(passes, 1, 1)
-    size = pass_spp(min((spp or 256) * len(views) / 32, 64))
-    start = time.perf_counter()
-    first.run(passes, 1, size)
-    per_sample = (time.perf_counter() - start) / size
     if target_error is None:
-        return per_sample * (spp or 2) * len(views)
+        size = pass_spp(min((spp or 256) * len(views) / 32, 64))
+        return _seconds_per_sample(first, size, even=True) * (spp or 2) * len(views)
     chosen = sorted({numbers[0], numbers[len(views) // 2], numbers[-1]})
     needed = [views[i].predict_spp(target_error) + 2 * PILOT_SPP for i in chosen]
-    return per_sample * sum(needed) / len(needed) * len(views)
+    return _seconds_per_sample(first, PILOT_SPP, even=first.even) * sum(needed) / len(needed) * len(views)
+
+
+def _seconds_per_sample(view: View, size: int, *, even: bool) -> float:
+    """Seconds that one sample in every pixel takes, in a pass of `size`."""
+    image = (view.rig.height, view.rig.width)
+    for _ in range(2):
+        passes, start = Passes(image), time.perf_counter()
+        if even:
+            view.run(passes, 1, size)
+        else:
+            view.run_uneven(passes, 1, np.ones(image, np.int64), size)
+    return (time.perf_counter() - start) / size
 
 
 def peak_bytes() -> int:

@@ -27,8 +27,8 @@ def scene_digest(description: dict[str, Any] | tuple[Path, ...], params: Any) ->
         for file in description:
             digest.update(f"{file.stat().st_size}:".encode() + file.read_bytes())
     # Mitsuba calls what has no id by its address, which differs from load to load.
-    named = [(re.sub(r"object_\d+", "object", key).encode(), _content(params[key])) for key in params.keys()]  # noqa: SIM118
-    for part in sorted(hashlib.sha256(key + b":" + content).digest() for key, content in named):
+    names = {key: re.sub(r"object_\d+", "object", key).encode() for key in params.keys()}  # noqa: SIM118
+    for part in sorted(hashlib.sha256(name + b":" + _content(params[key])).digest() for key, name in names.items()):
         digest.update(part)
     return digest.hexdigest()
 

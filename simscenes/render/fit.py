@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -50,17 +51,20 @@ def own_rig(loaded: LoadedScene, mi: Any, width: int | None = None, height: int 
     return Rig(viewmats=mitsuba_to_opencv(to_world)[None], Ks=K[None], width=w, height=h)
 
 
-def own_optics(loaded: LoadedScene, mi: Any) -> Optics:
-    """The lens of the scene's own (first) sensor; a pinhole if it has none.
+def with_lens(asked: Optics | None, loaded: LoadedScene, mi: Any) -> Optics:
+    """What was asked for, with the lens of the scene's own (first) sensor where none was; a pinhole has none.
 
     A thin lens keeps its focus distance for all cameras of a rig: those of `fit_rig` are as far from what they see.
     """
+    asked = asked or Optics()
     sensors = loaded.scene.sensors()
-    if not sensors or sensors[0].class_name() != "ThinLensCamera":
-        return Optics()
+    if asked.aperture_radius == 0:
+        return replace(asked, aperture_radius=None)
+    if asked.aperture_radius is not None or not sensors or sensors[0].class_name() != "ThinLensCamera":
+        return asked
     lens = mi.traverse(sensors[0])
     radius, focus = (float(np.array(lens[key]).item()) for key in ("aperture_radius", "focus_distance"))
-    return Optics(aperture_radius=radius, focus_distance=focus)
+    return replace(asked, aperture_radius=radius, focus_distance=focus)
 
 
 def _film_intrinsics(params: Any, film: Any) -> Float:

@@ -18,7 +18,7 @@ from simscenes.multiview import MultiviewSet, load_set
 from simscenes.optics import Optics
 from simscenes.render.cost import Stopwatch, peak_bytes, predict_seconds, versions
 from simscenes.render.finish import finish_set
-from simscenes.render.fit import fit_rig, own_optics
+from simscenes.render.fit import fit_rig, with_lens
 from simscenes.render.geometry import check_cameras, geometry_channels
 from simscenes.render.identity import (
     SPENT,
@@ -93,8 +93,8 @@ def render_set(
             go where a short pilot saw noise, instead of evenly over all pixels.
         plan: A plan from `plan_transport`; "auto" to make one, measuring everything if the job is long; or "rgb" for
             plain path tracing to depth 64 without asking.
-        optics: Aperture, motion and colour filters; None for the lens of the scene's own sensor, else a pinhole, at
-            rest and seeing linear sRGB.
+        optics: Aperture, motion and colour filters; None for the lens of the scene's own sensor, at rest and seeing
+            linear sRGB.
         variant: Mitsuba variant, see `choose_variant`; only its backend counts, the plan decides on its colours.
         seed: Of the Monte Carlo noise; each view's noise depends on it and on the camera, not on the view's place.
         allow_outside: Let an XML scene read files outside its folder.
@@ -114,7 +114,7 @@ def render_set(
         variant = backend_of(variant)
         mi = activate(variant)
         loaded = build_scene(scene, mi, allow_outside=allow_outside)
-    optics = optics or own_optics(loaded, mi)
+    optics = with_lens(optics, loaded, mi)
     if rig is None:
         by_name = isinstance(scene, str) and not scene.endswith(".xml")
         rig = default_rig(str(scene), 32, 128, 128) if by_name else fit_rig(loaded, 32)
@@ -127,7 +127,6 @@ def render_set(
     digest = job_digest(config, rig)
     if is_complete(out, digest, names):
         return _exported(load_set(out), export)
-    (out / "set.json").unlink(missing_ok=True)
     with watch.stage("plan"):
         report(0, len(names), "planning the light transport")
         samples = len(rig) * rig.width * rig.height * (spp or DEFAULT_SPP)
@@ -136,8 +135,9 @@ def render_set(
         method = _method(scene, loaded, variant, made, optics, seed, allow_outside)
     pixels = {
         **config, "integrator": made.integrator(), "color": made.color, "lights": made.light_weights,
-        "lens": method.optics.aperture_radius, "subframes": made.subframes,
+        "lens": method.optics.aperture_radius, "subframes": method.subframes,
     }  # fmt: skip
+    (out / "set.json").unlink(missing_ok=True)
     watch.earlier = seconds_spent(out, digest)
     job = _Job(method, loaded, variant, rig, out, names, pixels, digest, watch, report)
     views, predicted = _render_views(job)
@@ -178,13 +178,14 @@ def _check_quality(spp: int | None, target_error: float | None) -> None:
 def _make_plan(
     scene: Any, loaded: LoadedScene, rig: Rig, optics: Optics, plan: str | Plan, wishes: dict[str, Any]
 ) -> Any:
+    from simscenes.transport.plan import TransportPlan
     from simscenes.transport.planner import default_plan, plan_loaded  # the planner's pilots use this package
 
     if plan == "auto":
         return plan_loaded(scene, loaded, rig=rig, optics=optics, **wishes)
     if plan == "rgb":
         return default_plan(optics)
-    if isinstance(plan, Plan):
+    if isinstance(plan, TransportPlan):
         return plan
     raise ValueError(f"plan must be 'auto', 'rgb' or a plan from plan_transport, got {plan!r}")
 
@@ -193,14 +194,15 @@ def _method(
     scene: Any, loaded: LoadedScene, variant: str, made: Any, optics: Optics, seed: int, allow_outside: bool
 ) -> Method:
     """The scene in the variant the plan calls for, with the plan's lights, integrator and lens."""
-    from simscenes.transport.plan import APERTURE
+    from simscenes.transport.plan import APERTURE, MOTION
 
     mi = activate(variant, made.color)
     colored = loaded if made.color == "rgb" else build_scene(scene, mi, allow_outside=allow_outside)
     set_light_weights(colored, made.light_weights, mi)
     if not made.is_on(APERTURE):
         optics = replace(optics, aperture_radius=None, focus_distance=None)
-    return Method(mi, mi.variant(), colored, mi.load_dict(made.integrator()), optics, made.subframes, seed)
+    frames = made.subframes if made.is_on(MOTION) else 1
+    return Method(mi, mi.variant(), colored, mi.load_dict(made.integrator()), optics, frames, seed)
 
 
 def _render_views(job: _Job) -> tuple[dict[str, Any], float]:

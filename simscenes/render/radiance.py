@@ -136,7 +136,7 @@ class View:
     def _render_to(self, target_error: float, tick: Tick) -> Radiance:
         each = self.predict_spp(target_error) / PLANNED_PASSES
         passes = Passes((self.rig.height, self.rig.width))
-        if self._even:
+        if self.even:
             size = spp = max(pass_spp(each), len(self._poses))
         else:
             size = (
@@ -146,7 +146,7 @@ class View:
             spp = size * blocks.mean()
         count = FEWEST_PASSES
         while passes.count == 0 or (passes.error() > target_error and passes.count * spp < MAX_SPP):
-            if self._even:
+            if self.even:
                 self.run(passes, count, size)
             else:
                 self.run_uneven(passes, count, blocks, size)
@@ -162,7 +162,7 @@ class View:
         return passes.result(spp)
 
     @property
-    def _even(self) -> bool:
+    def even(self) -> bool:
         """Whether all pixels get as many samples: scalar variants know no wavefronts, moving cameras share them out."""
         return self.method.variant.startswith("scalar") or len(self._poses) > 1
 
@@ -171,13 +171,13 @@ class View:
         """Relative error with one sample per pixel, and the share of the samples each pixel should get, mean 1."""
         pilot = Passes((self.rig.height, self.rig.width))
         size = max(PILOT_SPP, len(self._poses))
-        if self._even:
+        if self.even:
             self.run(pilot, 2, size)
         else:
             self.run_uneven(pilot, 2, np.ones((self.rig.height, self.rig.width), np.int64), size)
         seen = pilot.result(size)
         variance = seen.variance.astype(np.float64).mean(-1) * seen.spp
-        shares = np.ones_like(variance) if self._even else sample_shares(variance)
+        shares = np.ones_like(variance) if self.even else sample_shares(variance)
         level = float(seen.mean.mean())
         return (math.sqrt((variance / shares).mean()) / level if level > 0 else 0.0), shares
 

@@ -33,7 +33,7 @@ def sensor_dict(mi: Any, rig: Rig, i: int, loaded: LoadedScene, optics: Optics =
     if optics.aperture_radius is not None:
         if max(abs(ppx), abs(ppy)) > 1e-9:
             raise ValueError(f"Mitsuba's thin lens has its principal point in the image centre, got an offset of "
-                             f"({ppx:.3g}, {ppy:.3g}) image sizes; centre it or give Optics(), a pinhole")  # fmt: skip
+                             f"({ppx:.3g}, {ppy:.3g}) image sizes; centre it or set aperture_radius=0")  # fmt: skip
         lens = {"type": "thinlens", "aperture_radius": optics.aperture_radius, "focus_distance": optics.focus_distance}
     medium = medium_at(mi, loaded, rig.positions[i])
     if medium is not None:

@@ -11,15 +11,12 @@ from numpy.typing import NDArray
 
 from sensor_model.plan import Effect
 from simscenes.backend import activate
-from simscenes.camera import camera_color
 from simscenes.optics import Optics
-from simscenes.render.contents import media_in, unique_materials
+from simscenes.render.contents import media_in
 from simscenes.render.source import LoadedScene, build_scene
 from simscenes.rigs import Rig
-from simscenes.scenes import MEASURED_LIGHTS, split_name
-from simscenes.transport import pilot, plan, spectra
+from simscenes.transport import pilot, plan
 from simscenes.transport.roulette import most_efficient, path_lengths
-from simscenes.transport.specular import SPECULAR, chained_light
 
 UNIT = "of all light"
 DEPTHS = (8, 16, 32)  # offered as max_depth
@@ -27,9 +24,6 @@ DEEPEST = 64  # pilot paths end here
 RR_DEPTH = 2  # where nothing is measured, and unless another is clearly better
 RR_OFFERED = (RR_DEPTH, 5)  # 5 is Mitsuba's own
 AGAIN = 7919  # far from any seed in use: the second, independent pilot
-# Of light that two specular surfaces have passed on, polarisation changes a few per cent: measured 1 % on `tabletop`,
-# 2 to 5 % on `glassware`. Used only where nobody asked to measure, with room to spare.
-POLARISED_CHANGE = 0.1
 
 
 @dataclass(frozen=True)
@@ -77,7 +71,8 @@ def _holds_objects(mi: Any, node: Any) -> bool:
     return isinstance(node, mi.Object) or (isinstance(node, dict) and any(_holds_objects(mi, v) for v in node.values()))
 
 
-def _effect(name: str, on: bool, contribution: float, bound: float, reason: str, unit: str = UNIT) -> Effect:
+def decided(name: str, on: bool, contribution: float, bound: float, reason: str, unit: str = UNIT) -> Effect:
+    """An effect that the planner, not the user, decides on."""
     return Effect(name=name, on=on, forced=False, contribution=contribution, bound=bound, unit=unit, reason=reason)
 
 
@@ -105,7 +100,7 @@ def depth_effects(p: Pilot, media: bool, most: float, forced_depth: int | None) 
     left = tail(chosen)
     reason = f"max_depth {chosen}: beyond it {left.estimate:.2g}..{left.upper:.2g}"
     return chosen, [
-        _effect(plan.INDIRECT, indirect.upper > p.allowed, indirect.upper, p.allowed,
+        decided(plan.INDIRECT, indirect.upper > p.allowed, indirect.upper, p.allowed,
                 f"{indirect.estimate:.1%} of the light has bounced more than once"),
         Effect(name=plan.DEEP, on=False, forced=forced_depth is not None, contribution=left.upper,
                bound=p.allowed, unit=UNIT, reason=reason),
@@ -116,9 +111,10 @@ def roulette_effect(p: Pilot, media: bool, depth: int, measure: bool) -> tuple[i
     """Where roulette starts, or that it never does: the least variance times work. It changes no mean."""
     if depth <= RR_DEPTH or not measure or p.backend == "scalar":
         reason = f"from path length {RR_DEPTH}, not measured: changes noise and time, never the mean"
-        return RR_DEPTH, _effect(plan.ROULETTE, True, 0.0, 0.0, reason)
+        return RR_DEPTH, decided(plan.ROULETTE, True, 0.0, 0.0, reason)
     kind, starts = "volpath" if media else "path", (*(s for s in RR_OFFERED if s <= depth), depth + 1)
-    lengths = path_lengths(p.mi, p.loaded, p.rig, depth, starts, p.seed)
+    # volpath starts a surface later than path does for the same number.
+    lengths = path_lengths(p.mi, p.loaded, p.rig, depth, [s + media for s in starts], p.seed)
     pairs = [(p.render(kind, depth, s), p.render(kind, depth, s, again=1)) for s in starts]
     noise = np.stack([np.square(a - b).mean(-1).ravel() for a, b in pairs])
     best = most_efficient(noise, lengths, 0)
@@ -128,21 +124,21 @@ def roulette_effect(p: Pilot, media: bool, depth: int, measure: bool) -> tuple[i
         f"{ratio:.2f}; never changes the mean" if on
         else f"would save {1 - lengths[:-1].min() / lengths[-1]:.0%} of the surfaces, and cost more in noise"
     )  # fmt: skip
-    return starts[best] if on else RR_DEPTH, _effect(plan.ROULETTE, on, 0.0, 0.0, reason)
+    return starts[best] if on else RR_DEPTH, decided(plan.ROULETTE, on, 0.0, 0.0, reason)
 
 
 def media_effects(p: Pilot) -> list[Effect]:
     """Fog and other media: there or not, what they change, and whether their extinction has a colour."""
     media = media_in(p.loaded.scene, p.mi)
     if not media:
-        return [_effect(plan.MEDIA, False, 0.0, p.allowed, "the scene holds no medium"),
-                _effect(plan.SPECTRAL_MIS, False, 0.0, 0.0, "no medium")]  # fmt: skip
+        return [decided(plan.MEDIA, False, 0.0, p.allowed, "the scene holds no medium"),
+                decided(plan.SPECTRAL_MIS, False, 0.0, 0.0, "no medium")]  # fmt: skip
     change = pilot.changed_light(p.render("volpath", DEPTHS[0]), p.render("path", DEPTHS[0]))
     chromatic = any(_is_chromatic(p.mi, m) for m in media)
     reason = f"{len(media)} medium boundaries; ignoring them changes {change.estimate:.1%}"
     return [
-        _effect(plan.MEDIA, change.upper > p.allowed, change.upper, p.allowed, reason),
-        _effect(plan.SPECTRAL_MIS, chromatic and change.upper > p.allowed, 0.0, 0.0,
+        decided(plan.MEDIA, change.upper > p.allowed, change.upper, p.allowed, reason),
+        decided(plan.SPECTRAL_MIS, chromatic and change.upper > p.allowed, 0.0, 0.0,
                 "extinction differs between colours: spectral MIS tames its noise" if chromatic
                 else "extinction is the same for all colours; no bias either way"),
     ]  # fmt: skip
@@ -152,99 +148,22 @@ def _is_chromatic(mi: Any, medium: Any) -> bool:
     """Whether a medium's extinction differs between colours; Mitsuba's own flag is up for every RGB medium."""
     params = mi.traverse(medium)
     keys = [k for k in params.keys() if k.startswith("sigma_t") and not k.endswith(("to_world", "filename"))]  # noqa: SIM118
-    channels = [np.array(params[k]).ravel() for k in keys]
-    return any(c.size % 3 == 0 and np.ptp(c.reshape(-1, 3), axis=1).max() > 1e-6 for c in channels if c.size)
-
-
-def polarisation_effect(p: Pilot, media: bool, geometry: list[Any], measure: bool) -> Effect:
-    """Polarisation shows where two specular surfaces follow each other; diffuse surfaces undo it.
-
-    Together with media it cannot be simulated: Mitsuba's integrators for them treat light as unpolarised.
-    """
-    specular = [bool(s.bsdf().flags() & SPECULAR) for s in unique_materials(p.loaded.scene, p.mi)]
-    if not any(specular):
-        return _effect(plan.POLARISATION, False, 0.0, p.allowed, "all surfaces are diffuse, light comes unpolarised")
-    if not measure or p.colors == ("rgb",):
-        guess, reason = _bounded_polarisation(p, geometry, specular)
-        if guess <= p.allowed or p.colors == ("rgb",):
-            return _effect(plan.POLARISATION, False, guess, p.allowed, reason)
-    images = []
-    for color in ("spectral", "spectral_polarized"):
-        other, loaded = p.scene_in(color)
-        settings = {"type": "path", "max_depth": DEPTHS[0], "rr_depth": 4}
-        images.append(pilot.render_pilot(other, loaded, p.rig, settings, p.seed))
-    p.scene_in("rgb")
-    change = pilot.changed_light(images[0], images[1])
-    on, reason = change.upper > p.allowed, f"paired pilots with and without differ by {change.estimate:.2%}"
-    if on and media:
-        on, reason = False, f"{reason}; Mitsuba cannot follow it through media"
-    return _effect(plan.POLARISATION, on, change.upper, p.allowed, reason)
-
-
-def _bounded_polarisation(p: Pilot, geometry: list[Any], specular: list[bool]) -> tuple[float, str]:
-    if p.backend == "scalar":
-        share = float(np.array([False, *specular])[np.stack([g["material"] for g in geometry])].mean())
-        return share * POLARISED_CHANGE, f"bounded: {share:.1%} of pixels show specular"
-    total = float(p.render("path", DEPTHS[0]).mean())
-    settings = {"type": "path", "max_depth": DEPTHS[0], "rr_depth": RR_DEPTH}
-    share = chained_light(p.mi, p.loaded, p.rig, settings, p.seed) / total if total > 0 else 0.0
-    return share * POLARISED_CHANGE, f"bounded: {share:.1%} of the light comes by two specular surfaces in a row"
-
-
-def spectral_effect(p: Pilot, optics: Optics, indirect: float, measure: bool) -> tuple[Effect, dict[str, float]]:
-    """Three channels or wavelengths, from light x surface x camera; `indirect` is the light's share that meets two.
-
-    Also what spectra would change in a scene that has none: colours given as RGB are followed as RGB by definition, but
-    a renderer that makes smooth spectra of them sees another picture, and by how much belongs to the bounds.
-    """
-    if p.colors == ("rgb",):
-        return _effect(
-            plan.SPECTRAL, False, 0.0, p.allowed, "it holds objects made for RGB, and cannot have others"
-        ), {}
-    measured = _has_measured_spectra(p)
-    if p.backend == "scalar" and measured:
-        return _effect(
-            plan.SPECTRAL, True, math.inf, p.allowed, "the scene has measured spectra (not quantified in scalar)"
-        ), {}
-    cost = _color_cost(p, optics, indirect) if p.backend != "scalar" and (measured or measure) else (0.0, 0.0, 0.0)
-    if measured:
-        reason = f"RGB errs by {cost[1]:.1%} after one bounce, {cost[2]:.1%} after two"
-        return _effect(plan.SPECTRAL, cost[0] > p.allowed, cost[0], p.allowed, reason), {}
-    reason, matrix = "lights and surfaces are given as RGB: RGB transport is their definition", 0.0
-    if optics.camera is not None:
-        matrix = camera_color(optics.camera).matrix_error
-        reason += f"; the camera's matrix errs by {matrix:.1%} on a ColorChecker in daylight"
-    return _effect(plan.SPECTRAL, False, matrix, p.allowed, reason), {plan.MADE_UP: cost[0]} if measure else {}
-
-
-def _color_cost(p: Pilot, optics: Optics, indirect: float) -> tuple[float, float, float]:
-    """What RGB costs in this scene; after one bounce; after two."""
-    mi, loaded = p.scene_in("spectral")
-    light, surface = spectra.light_and_surface(mi, loaded, p.rig, p.seed)
-    p.scene_in("rgb")
-    once, twice = (spectra.color_error(light, surface, optics.camera, bounces) for bounces in (1, 2))
-    return once + min(indirect, 1.0) * max(twice - once, 0.0), once, twice
-
-
-def _has_measured_spectra(p: Pilot) -> bool:
-    if isinstance(p.source, str) and not p.source.endswith(".xml"):
-        return split_name(p.source)[0] in MEASURED_LIGHTS
-    mi, loaded = p.scene_in("spectral")
-    measured = spectra.has_measured(mi, loaded)
-    p.scene_in("rgb")
-    return measured
+    values = [np.array(params[k]) for k in keys]
+    # A colour is three numbers; a grid of them is [z,y,x,3], and one of plain densities has another last axis.
+    colors = [v.reshape(-1, 3) for v in values if v.size == 3 or (v.ndim == 4 and v.shape[-1] == 3)]
+    return any(np.ptp(c, axis=1).max() > 1e-6 for c in colors)
 
 
 def aperture_effect(p: Pilot, geometry: list[Any], optics: Optics, scale: float) -> Effect:
     """Depth of field, from the circle of confusion over the depths seen. Pixels of the full-size image."""
     if optics.aperture_radius is None or optics.focus_distance is None:
-        return _effect(plan.APERTURE, False, 0.0, 0.5, "the camera is a pinhole", "px")
+        return decided(plan.APERTURE, False, 0.0, 0.5, "the camera is a pinhole", "px")
     z = np.concatenate([g["Z"].ravel() for g in geometry])
     focus = optics.focus_distance
     # Similar triangles: rays through the lens rim and a point at z spread by this much in the plane of focus.
     spread = 2 * optics.aperture_radius * np.abs(1 - focus / z)
     blur = float(np.quantile(spread * p.rig.Ks[0, 0, 0] * scale / focus, 0.95))
-    return _effect(plan.APERTURE, blur > 0.5, blur, 0.5, f"circle of confusion {blur:.2g} px (95th percentile)", "px")
+    return decided(plan.APERTURE, blur > 0.5, blur, 0.5, f"circle of confusion {blur:.2g} px (95th percentile)", "px")
 
 
 def motion_effect(geometry: list[Any], rig: Rig, small: Rig, optics: Optics, scale: float) -> tuple[Effect, int]:
@@ -252,7 +171,7 @@ def motion_effect(geometry: list[Any], rig: Rig, small: Rig, optics: Optics, sca
     from simscenes.render.motion import image_motion
 
     if optics.motion is None or len(rig) < 2:
-        return _effect(plan.MOTION, False, 0.0, 0.5, "the camera is at rest", "px"), 1
+        return decided(plan.MOTION, False, 0.0, 0.5, "the camera is at rest", "px"), 1
     blur = image_motion(geometry, rig, small, optics.motion) * scale
     frames = next((n for n in (4, 16) if n >= 2 * blur), 64)  # powers of four, as the passes they share
-    return _effect(plan.MOTION, blur > 0.5, blur, 0.5, f"points move {blur:.2g} px (95th percentile)", "px"), frames
+    return decided(plan.MOTION, blur > 0.5, blur, 0.5, f"points move {blur:.2g} px (95th percentile)", "px"), frames

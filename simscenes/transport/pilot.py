@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.render.contents import unique_materials
+from simscenes.render.contents import media_in, unique_materials
 from simscenes.render.radiance import view_seed
 from simscenes.render.sensors import sensor_dict
 from simscenes.render.source import LoadedScene
@@ -26,8 +26,10 @@ SPP = 64
 
 
 def pilot_rig(rig: Rig) -> Rig:
-    """A few small views spread over a rig, with its fields of view."""
-    chosen = np.unique(np.linspace(0, len(rig) - 1, N_VIEWS).round().astype(int))
+    """A few small views spread over a rig, with its fields of view; the same ones whatever the order of the rig."""
+    cameras = np.hstack([rig.viewmats.reshape(len(rig), -1), rig.Ks.reshape(len(rig), -1)])
+    order = np.lexsort(cameras.T[::-1])
+    chosen = order[np.unique(np.linspace(0, len(rig) - 1, N_VIEWS).round().astype(int))]
     scale = SIZE / max(rig.width, rig.height)
     width, height = (max(1, round(n * scale)) for n in (rig.width, rig.height))
     stretch = np.diag([width / rig.width, width / rig.width, 1.0])
@@ -81,6 +83,8 @@ def beyond(cut: Share, bounces: int, most: float) -> Share:
 
 def most_reflected(mi: Any, loaded: LoadedScene) -> float:
     """The most of the light that a bounce keeps: the largest albedo of any surface, or 0.99 where that is not known."""
+    if media_in(loaded.scene, mi):
+        return MOST
     lobes, matt = int(mi.BSDFFlags.All), int(mi.BSDFFlags.DiffuseReflection)
     albedos = []
     for bsdf in (shape.bsdf() for shape in unique_materials(loaded.scene, mi)):

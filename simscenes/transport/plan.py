@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from typing import Any
 
-from sensor_model.plan import Plan
+from sensor_model.plan import Effect, Plan
 
 INDIRECT = "indirect light"
 MEDIA = "participating media"
@@ -23,6 +24,34 @@ EFFECTS = (
 )  # in the order of the table  # fmt: skip
 DIRECT_DEPTH = 2  # Mitsuba counts path vertices: 1 sees lamps only, 2 adds what they light directly
 
+# What is on, on the left, needs the right.
+NEEDS = {
+    DEEP: {INDIRECT: True, ROULETTE: True},  # nothing but roulette ends an endless path
+    SPECTRAL_MIS: {MEDIA: True, POLARISATION: False},  # volpathmis knows no polarisation
+    POLARISATION: {SPECTRAL: True, SPECTRAL_MIS: False},  # Mitsuba polarises spectra only
+}
+
+
+def settle(effects: Iterable[Effect], force: dict[str, bool]) -> tuple[Effect, ...]:
+    """The effects with the user's wishes, and with what follows from all that is on now."""
+    settled = {
+        e.name: replace(e, on=force[e.name], forced=True, reason=f"forced by name; {e.reason}")
+        if e.name in force
+        else e
+        for e in effects
+    }
+    for name in sorted(NEEDS, key=lambda name: name not in force):  # what is wished comes before what is only planned
+        if not settled[name].on:
+            continue
+        lacking = [needed for needed, wanted in NEEDS[name].items() if force.get(needed, wanted) != wanted]
+        if lacking:
+            settled[name] = replace(settled[name], on=False, reason=f"because of {lacking[0]}, forced by name")
+            continue
+        for needed, wanted in NEEDS[name].items():
+            if settled[needed].on != wanted:
+                settled[needed] = replace(settled[needed], on=wanted, reason=f"because {name} is on")
+    return tuple(settled.values())
+
 
 @dataclass(frozen=True, kw_only=True)
 class TransportPlan(Plan):
@@ -31,7 +60,7 @@ class TransportPlan(Plan):
     Attributes:
         max_depth: Longest path followed, as Mitsuba counts (2 is direct light).
         rr_depth: Path length from which Russian roulette may end a path; changes noise and time, never the mean.
-        subframes: Poses averaged for motion blur; 1 without.
+        subframes: Poses that are averaged if motion blur is on.
         seconds: Processor time (on a GPU: time) of a million samples, "planned" and with "everything on"; {} if not
             measured.
         light_weights: How often each light of the scene is picked, relative; () for equally often.
@@ -54,6 +83,17 @@ class TransportPlan(Plan):
         made = super().from_dict(data | {"effects": effects, "bound": bound, "light_weights": lights})
         assert isinstance(made, cls)
         return made
+
+    def force(self, on: Iterable[str] = (), off: Iterable[str] = ()) -> TransportPlan:
+        """The same plan with some effects decided by hand, and what follows from that. The bounds are no longer known.
+
+        Raises:
+            ValueError: If an effect does not exist.
+        """
+        wanted = {**dict.fromkeys(on, True), **dict.fromkeys(off, False)}
+        for name in wanted:
+            self[name]
+        return replace(self, effects=settle(self.effects, wanted), bound=math.nan, biases={})
 
     @property
     def color(self) -> str:

@@ -11,12 +11,14 @@ from typing import Any
 from sensor_model.plan import Effect
 from simscenes.backend import activate, backend_of
 from simscenes.optics import Optics
-from simscenes.render.fit import fit_rig, own_optics
+from simscenes.render.contents import media_in
+from simscenes.render.fit import fit_rig, with_lens
 from simscenes.render.geometry import check_cameras, geometry_channels
 from simscenes.render.source import LoadedScene, build_scene, set_light_weights
 from simscenes.rigs import Rig
 from simscenes.scenes import default_rig
 from simscenes.transport import pilot, plan
+from simscenes.transport.colors import color_effects
 from simscenes.transport.effects import (
     DEEPEST,
     RR_DEPTH,
@@ -26,12 +28,11 @@ from simscenes.transport.effects import (
     depth_effects,
     media_effects,
     motion_effect,
-    polarisation_effect,
     roulette_effect,
-    spectral_effect,
 )
 from simscenes.transport.lights import light_weights
-from simscenes.transport.plan import TransportPlan
+from simscenes.transport.plan import TransportPlan, settle
+from simscenes.transport.wishes import check_wishes
 
 
 def plan_transport(
@@ -80,7 +81,7 @@ def plan_transport(
         rig = default_rig(str(scene), 8, 64, 64) if by_name else fit_rig(loaded, 8)
     check_cameras(mi, loaded, rig)
     return plan_loaded(
-        scene, loaded, tolerance, rig=rig, optics=optics or own_optics(loaded, mi), force=force, max_depth=max_depth,
+        scene, loaded, tolerance, rig=rig, optics=with_lens(optics, loaded, mi), force=force, max_depth=max_depth,
         measure=measure, variant=variant, seed=seed, allow_outside=allow_outside,
     )  # fmt: skip
 
@@ -102,9 +103,10 @@ def plan_loaded(
     """`plan_transport` for a scene that is loaded already, in the RGB variant."""
     if not 0 < tolerance < 1:
         raise ValueError(f"tolerance is a share of all light and must lie between 0 and 1, got {tolerance}")
-    _check_wishes(dict(force or {}), max_depth, optics)  # before the pilots, which take seconds
-    mi = activate(backend_of(variant))
+    mi, force = activate(backend_of(variant)), dict(force or {})
     p = Pilot(mi, scene, loaded, pilot.pilot_rig(rig), backend_of(variant), tolerance / 5, seed, allow_outside)
+    has_media = bool(media_in(loaded.scene, mi))
+    check_wishes(force, max_depth, optics, media=has_media, spectra="spectral" in p.colors)
     weights = light_weights(mi, loaded, p.rig, seed)
     set_light_weights(loaded, weights, mi)
     geometry = [geometry_channels(mi, loaded, p.rig, i) for i in range(len(p.rig))]
@@ -112,43 +114,22 @@ def plan_loaded(
     media = media_effects(p)
     depth, transport = depth_effects(p, media[0].on, pilot.most_reflected(mi, loaded), max_depth)
     rr_depth, roulette = roulette_effect(p, media[0].on, depth, measure)
-    spectral, made_up = spectral_effect(p, optics, transport[0].contribution, measure)
-    effects = [
-        *transport, roulette, *media,
-        polarisation_effect(p, media[0].on, geometry, measure),
-        spectral,
-        aperture_effect(p, geometry, optics, scale),
-    ]  # fmt: skip
+    colors, made_up = color_effects(p, optics, media[0].on, geometry, transport[0].contribution, measure)
     blur, subframes = motion_effect(geometry, rig, p.rig, optics, scale)
-    made = _decide([*effects, blur], dict(force or {}), depth, rr_depth, subframes)
-    made = replace(made, light_weights=weights, biases={**made.biases, **made_up})
+    effects = [*transport, roulette, *media, *colors, aperture_effect(p, geometry, optics, scale), blur]
+    made = TransportPlan(
+        effects=settle(effects, force), bound=0.0, unit=UNIT, max_depth=depth, rr_depth=rr_depth, subframes=subframes,
+        light_weights=weights,
+    )  # fmt: skip
+    made = _bounded(made, made_up)
     return replace(made, seconds=_measure_seconds(p, made)) if measure else made
-
-
-def _check_wishes(force: dict[str, bool], max_depth: int | None, optics: Optics) -> None:
-    """Refuse what cannot be simulated."""
-    if unknown := set(force) - set(plan.EFFECTS):
-        raise ValueError(f"force: an effect must be one of {', '.join(plan.EFFECTS)}, got {', '.join(sorted(unknown))}")
-    if max_depth is not None and max_depth < plan.DIRECT_DEPTH:
-        raise ValueError(f"max_depth must be at least {plan.DIRECT_DEPTH} (lamps and what they light), got {max_depth}")
-    on = {name for name, wanted in force.items() if wanted}
-    if plan.APERTURE in on and optics.aperture_radius is None:
-        raise ValueError(f"{plan.APERTURE!r} is forced on, but the camera is a pinhole: give Optics an aperture_radius")
-    if plan.MOTION in on and optics.motion is None:
-        raise ValueError(f"{plan.MOTION!r} is forced on, but the camera is at rest: give Optics a motion")
-    if plan.DEEP in on and force.get(plan.ROULETTE) is False:
-        raise ValueError(f"{plan.DEEP!r} on and {plan.ROULETTE!r} off: nothing would ever end a path; change one")
-    if {plan.POLARISATION, plan.MEDIA} <= on:
-        raise ValueError(f"{plan.POLARISATION!r} and {plan.MEDIA!r} are both forced on, but Mitsuba's integrators for "
-                         "media treat light as unpolarised; change one")  # fmt: skip
 
 
 def everything_on(made: TransportPlan) -> TransportPlan:
     """The same scene with all transport it could have: deep paths, spectra, polarisation, media if it holds any."""
     media = made.is_on(plan.MEDIA) or made[plan.MEDIA].contribution > 0
-    # Mitsuba's integrators for media treat light as unpolarised.
-    wanted = [plan.INDIRECT, plan.SPECTRAL, plan.MEDIA if media else plan.POLARISATION]
-    return replace(made, effects=made.force(on=wanted).effects, max_depth=DEEPEST)
+    wanted = dict.fromkeys((plan.INDIRECT, plan.SPECTRAL, plan.POLARISATION), True) | {plan.MEDIA: media}
+    return replace(made, effects=settle(made.effects, wanted), max_depth=DEEPEST)
 
 
 def _measure_seconds(p: Pilot, made: TransportPlan) -> dict[str, float]:
@@ -178,19 +159,15 @@ def default_plan(optics: Optics) -> TransportPlan:
     )
 
 
-def _decide(
-    effects: list[Effect], force: dict[str, bool], max_depth: int, rr_depth: int, subframes: int
-) -> TransportPlan:
-    made = TransportPlan(effects=tuple(effects), bound=0.0, unit=UNIT, max_depth=max_depth, rr_depth=rr_depth)
-    if force.get(plan.DEEP):
-        force = {plan.ROULETTE: True, **force}  # nothing else ends a path
-    if force.get(plan.POLARISATION) and made.is_on(plan.MEDIA):
-        force = {plan.MEDIA: False, **force}  # cannot be had together
-    forced = made.force(on=[n for n, on in force.items() if on], off=[n for n, on in force.items() if not on])
-    left_out = [e for e in forced.effects if not e.on]
+def _bounded(made: TransportPlan, made_up: float | None) -> TransportPlan:
+    """The plan with its bounds. `made_up`: what spectra change in a scene that has none; None if nobody knows.
+
+    Colours given as RGB are followed as RGB by definition, but a renderer that makes smooth spectra of them sees
+    another picture: by how much is a bound in a unit of its own, or an error, where the plan makes such spectra itself.
+    """
+    left_out = [e for e in made.effects if not e.on]
     bound = sum(e.contribution for e in left_out if e.unit == UNIT)
-    blur = sum(e.contribution for e in left_out if e.unit == "px")
-    return TransportPlan(
-        effects=forced.effects, bound=bound, unit=UNIT, biases={"px": blur},
-        max_depth=max_depth, rr_depth=rr_depth, subframes=subframes if forced.is_on(plan.MOTION) else 1,
-    )  # fmt: skip
+    biases = {"px": sum(e.contribution for e in left_out if e.unit == "px")}
+    if made_up is not None and made.color == "rgb":
+        biases[plan.MADE_UP] = made_up
+    return replace(made, bound=bound + (made_up or 0.0) * (made.color != "rgb"), biases=biases)

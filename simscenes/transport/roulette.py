@@ -27,7 +27,7 @@ def path_lengths(
 
     Every path is followed to its end, and counts with its chance to have lived that long: Mitsuba divides what survives
     by its chance, so a path of throughput t has, after roulette, lived on with min(t eta^2, 0.95 of the chance before).
-    Media are passed as if they were empty.
+    Media are passed as if they were empty, and their borders do not count.
     """
     import drjit as dr
 
@@ -42,7 +42,8 @@ def path_lengths(
         through, eta, alive = mi.Color3f(1), mi.Float(1), si.is_valid()
         chances = [mi.Float(1) for _ in starts]
         for surface in range(1, max_depth):
-            lengths += [float(dr.sum(dr.select(alive, chance, 0))[0]) / (count * len(rig)) for chance in chances]
+            counts = alive & ~mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.Null)
+            lengths += [float(dr.sum(dr.select(counts, chance, 0))[0]) / (count * len(rig)) for chance in chances]
             sample, weight = si.bsdf().sample(mi.BSDFContext(), si, sampler.next_1d(), sampler.next_2d(), alive)
             through *= dr.select(alive, weight, 0)
             eta *= dr.select(alive, sample.eta, 1)

@@ -90,9 +90,11 @@ def test_a_plan_measured_again_is_the_same_plan() -> None:
     assert plan_identity(plan) != plan_identity(replace(plan, max_depth=plan.max_depth + 1))
 
 
-def test_a_planned_render_is_bit_identical_when_repeated_and_resumed(tmp_path: Path) -> None:
-    def job(folder: str) -> dict[str, np.ndarray]:
-        done = render_set(two_lamps(), ring(), tmp_path / folder, spp=8)
+def test_a_planned_render_is_bit_identical_when_repeated_resumed_and_reordered(tmp_path: Path) -> None:
+    views = ring(5)
+
+    def job(folder: str, rig: Rig = views) -> dict[str, np.ndarray]:
+        done = render_set(two_lamps(), rig, tmp_path / folder, spp=8)
         assert done.meta["plan"]["light_weights"]
         return {
             p.stem: np.stack([read_exr(p)[0][c] for c in "RGB"]) for p in sorted((tmp_path / folder / "gt").iterdir())
@@ -104,3 +106,7 @@ def test_a_planned_render_is_bit_identical_when_repeated_and_resumed(tmp_path: P
     resumed = job("a")
     for other in (again, resumed):
         assert all(np.array_equal(first[k], other[k]) for k in first)
+    order = [3, 0, 4, 1, 2]
+    mixed = Rig(viewmats=views.viewmats[order], Ks=views.Ks[order], width=views.width, height=views.height)
+    reordered = job("c", mixed)
+    assert all(np.array_equal(first[f"{i:04d}"], reordered[f"{k:04d}"]) for k, i in enumerate(order))

@@ -9,7 +9,7 @@ import pytest
 from simscenes import Rig, fit_rig, plan_transport, render_set
 from simscenes.backend import activate
 from simscenes.optics import Optics
-from simscenes.render.fit import own_optics, own_rig
+from simscenes.render.fit import own_rig, with_lens
 from simscenes.render.geometry import pixel_rays
 from simscenes.render.sensors import medium_at
 from simscenes.render.source import build_scene
@@ -70,12 +70,17 @@ def test_the_aperture_of_a_scenes_own_lens_is_used_unless_another_is_asked_for(t
     mi = activate()
     lens = scene({"width": 24, "height": 20}, type="thinlens", aperture_radius=0.4, focus_distance=2.0)
     lens["sky"] = {"type": "constant"}
-    found = own_optics(build_scene(lens, mi), mi)
-    assert (found.aperture_radius, found.focus_distance) == (pytest.approx(0.4), pytest.approx(2.0))
+    loaded = build_scene(lens, mi)
+    for asked in (None, Optics(motion=0.2), Optics(camera="Nikon 5100 (NPL)")):
+        found = with_lens(asked, loaded, mi)
+        assert (found.aperture_radius, found.focus_distance) == (pytest.approx(0.4), pytest.approx(2.0))
+        assert (found.motion, found.camera) == ((asked.motion, asked.camera) if asked else (None, None))
+    other = Optics(aperture_radius=0.1, focus_distance=3.0)
+    assert with_lens(other, loaded, mi) == other
     assert plan_transport(lens, 0.5, measure=False).is_on("depth of field")
     rig = fit_rig(lens, 1)
     done = render_set(lens, rig, tmp_path / "own", spp=4, plan="rgb")
-    sharp = render_set(lens, rig, tmp_path / "pinhole", spp=4, plan="rgb", optics=Optics())
+    sharp = render_set(lens, rig, tmp_path / "pinhole", spp=4, plan="rgb", optics=Optics(aperture_radius=0))
     assert (done.meta["optics"]["aperture_radius"], sharp.meta["optics"]["aperture_radius"]) == (
         pytest.approx(0.4),
         None,

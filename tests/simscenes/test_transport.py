@@ -15,6 +15,7 @@ from simscenes.render.source import build_scene
 from simscenes.rigs import intrinsics, look_at
 from simscenes.scenes import MEASURED_LIGHTS, SCENES
 from simscenes.transport import TransportPlan
+from simscenes.transport.effects import _is_chromatic
 from simscenes.transport.pilot import MOST, Share, beyond, changed_light, missing_light, most_reflected, pilot_rig
 from simscenes.transport.plan import MADE_UP
 from simscenes.transport.planner import everything_on
@@ -88,8 +89,11 @@ def test_every_effect_can_be_forced() -> None:
         ({"magic": True}, "must be one of"),
         ({"depth of field": True}, "pinhole"),
         ({"motion blur": True}, "at rest"),
-        ({"paths beyond max_depth": True, "Russian roulette": False}, "nothing would ever end a path"),
-        ({"polarisation": True, "participating media": True}, "unpolarised"),
+        ({"paths beyond max_depth": True, "Russian roulette": False}, "needs 'Russian roulette' on"),
+        ({"paths beyond max_depth": True, "indirect light": False}, "needs 'indirect light' on"),
+        ({"participating media": True}, "holds no medium"),
+        ({"chromatic media": True}, "holds no medium"),
+        ({"polarisation": True, "spectral transport": False}, "needs 'spectral transport' on"),
     ],
 )
 def test_what_cannot_be_simulated_is_refused_before_any_pilot(
@@ -102,6 +106,47 @@ def test_what_cannot_be_simulated_is_refused_before_any_pilot(
         plan_transport(diffuse_box(), rig=ring(), force=force)
     with pytest.raises(ValueError, match="max_depth must be at least 2"):
         plan_transport(diffuse_box(), rig=ring(), max_depth=1)
+
+
+def test_what_is_on_brings_what_it_needs() -> None:
+    black = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.01}}
+    scene = {"type": "scene", "ball": {"type": "sphere", "bsdf": black}, "sky": {"type": "constant"}}
+    endless = plan_transport(scene, rig=ring(), force={"paths beyond max_depth": True}, measure=False)
+    assert endless.integrator()["max_depth"] == -1
+    assert endless["indirect light"].reason == "because paths beyond max_depth is on"
+    fog = {"type": "homogeneous", "albedo": 0.5, "sigma_t": {"type": "rgb", "value": [0.2, 0.4, 0.8]}, "scale": 2.0}
+    cloud = {"type": "sphere", "radius": 1.2, "bsdf": {"type": "null"}, "interior": fog}
+    plan = plan_transport(diffuse_box(cloud=cloud), rig=ring(), measure=False)
+    assert plan.integrator()["type"] == "volpathmis"
+    polarised = plan.force(on=["polarisation"])  # volpathmis knows none
+    assert (polarised.integrator()["type"], polarised.color) == ("volpath", "spectral_polarized")
+    assert polarised.is_on("spectral transport")
+    assert np.isnan(polarised.bound)
+    assert plan.force(off=["participating media"]).integrator()["type"] == "path"
+    assert not polarised.force(off=["spectral transport"]).is_on("polarisation")
+    with pytest.raises(ValueError, match="effect name"):
+        plan.force(on=["magic"])
+
+
+def test_motion_blur_can_be_forced_on_a_plan_that_is_made(tmp_path: Path) -> None:
+    rig, images = ring(), {}
+    plan = plan_transport(diffuse_box(), rig=rig, optics=Optics(motion=0.3), measure=False)
+    for name, made in (("as planned", plan), ("off", plan.force(off=["motion blur"]))):
+        done = render_set(diffuse_box(), rig, tmp_path / name, spp=64, optics=Optics(motion=0.3), plan=made)
+        images[name] = done.radiance(1)
+    still = render_set(diffuse_box(), rig, tmp_path / "still", spp=64, plan=plan.force(off=["motion blur"]))
+    assert np.array_equal(images["off"], still.radiance(1))
+    assert not np.allclose(images["as planned"], images["off"], rtol=0.1)
+
+
+def test_polarisation_in_rgb_scenes_is_weighed_against_the_spectra_it_needs() -> None:
+    """Of glass in RGB light the made-up spectra change more; forced on, what they change is in the bound."""
+    plan = plan_transport("glassware", rig=default_rig("glassware", 2, 32, 32))
+    assert not plan.is_on("polarisation")
+    assert plan.biases[MADE_UP] > 0.05
+    forced = plan_transport("glassware", rig=default_rig("glassware", 2, 32, 32), force={"polarisation": True})
+    assert MADE_UP not in forced.biases
+    assert forced.bound > plan.biases[MADE_UP]
 
 
 def test_a_black_body_scene_needs_direct_light_only() -> None:
@@ -158,7 +203,6 @@ def test_lens_and_motion_are_weighed_in_pixels() -> None:
         assert not plans[0].is_on(name)
         assert plans[1].is_on(name)
         assert plans[0][name].contribution < 0.5 < plans[1][name].contribution
-    assert plans[0].subframes == 1
     assert plans[1].subframes in (4, 16, 64)
     # Circle of confusion of the nearest points and of the sky, by similar triangles.
     focal = 16 / np.tan(np.radians(22.5))
@@ -177,9 +221,9 @@ def test_measured_lamps_call_for_spectra_and_rgb_lamps_do_not() -> None:
 def test_the_list_of_scenes_with_measured_lamps_is_right() -> None:
     """A scene by name is not loaded in spectra to find out."""
     mi = activate(backend_of(), "spectral")
-    found = {name: has_measured(mi, build_scene(name, mi)) for name in ("market", "cornell", "lantern")}
+    found = {name for name in SCENES if has_measured(mi, build_scene(name, mi))}
     activate()
-    assert found == {name: name in MEASURED_LIGHTS for name in found}
+    assert found == MEASURED_LIGHTS
 
 
 @pytest.mark.usefixtures("jit")
@@ -189,6 +233,15 @@ def test_a_scene_with_objects_made_in_python_is_planned_in_their_colours() -> No
     assert plan.color == "rgb"
     assert "made for RGB" in plan["spectral transport"].reason
     assert plan.seconds == {}
+
+
+def test_only_colours_make_a_medium_chromatic() -> None:
+    mi = activate()
+    for shape, chromatic in (((3, 3, 3, 1), False), ((2, 2, 2, 3), True)):
+        grid = mi.VolumeGrid(np.arange(np.prod(shape), dtype=np.float32).reshape(shape) / 50 + 0.1)
+        density = {"type": "gridvolume", "grid": grid, "raw": True}
+        medium = mi.load_dict({"type": "heterogeneous", "sigma_t": density, "albedo": 0.5})
+        assert _is_chromatic(mi, medium) == chromatic
 
 
 @pytest.mark.usefixtures("jit")
@@ -310,7 +363,10 @@ def test_the_most_a_bounce_keeps_is_that_of_the_brightest_surface_seen_or_not() 
     textured = {"type": "sphere", "bsdf": {"type": "twosided", "b": {"type": "diffuse", "reflectance": bitmap}}}
     for more, most in (({}, 0.7), ({"h": hidden}, 0.9), ({"h": hidden, "t": textured}, 0.95)):
         assert most_reflected(mi, build_scene(diffuse_box(**more), mi)) == pytest.approx(most)
+    fog = {"type": "homogeneous", "sigma_t": 0.1, "albedo": 0.99}
+    cloud = {"type": "sphere", "bsdf": {"type": "null"}, "interior": fog}
     metal = {"type": "sphere", "bsdf": {"type": "conductor"}}
+    assert most_reflected(mi, build_scene(diffuse_box(c=cloud), mi)) == MOST
     assert most_reflected(mi, build_scene(diffuse_box(m=metal), mi)) == MOST
 
 

@@ -1,6 +1,7 @@
 """Claims about captures: any camera, any images, one view in memory at a time."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -11,8 +12,8 @@ from novags.testbed import stages
 from novags.testbed.capture import CaptureConfig
 from novags.testbed.capture_folder import open_capture
 from novags.testbed.console import Console
-from novags.testbed.forecast import sensor_plan
-from sensor_model import PRESETS, read_sensor, write_sensor
+from novags.testbed.forecast import PILOT, sensor_plan
+from sensor_model import PRESETS, read_sensor, srgb_to_linear, write_sensor
 from simscenes import orbit_rig
 from simscenes.exr import read_exr, write_exr
 from simscenes.multiview import write_cameras
@@ -62,7 +63,7 @@ def test_a_camera_file_takes_the_pictures_and_its_content_decides_what_is_done_a
 def test_the_plan_is_made_for_the_camera_in_the_file(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(CAMERA + "sigma_row = 5.0\n")
     config = CaptureConfig(sensor=str(tmp_path / "mine.toml"), electrons=50.0)
-    plan, _ = sensor_plan(str(photographs(tmp_path / "set")), config, 1, QUIET)
+    plan, _ = sensor_plan(replace(PILOT, scene=str(photographs(tmp_path / "set"))), config, 1, QUIET)
     assert plan is not None
     assert plan.is_on("row_noise")
 
@@ -72,7 +73,7 @@ def test_defects_are_planned_for_the_pixels_of_the_capture_not_of_the_pilot(tmp_
         CAMERA + "dark_current = 10.0\n[defects]\nhot_fraction = 1e-6\nhot_factor = 1e5\n"
     )
     config = CaptureConfig(sensor=str(tmp_path / "mine.toml"))
-    few, many = (sensor_plan("cornell", config, side * side, QUIET)[0] for side in (48, 160))
+    few, many = (sensor_plan(replace(PILOT, scene="cornell"), config, side * side, QUIET)[0] for side in (48, 160))
     assert few is not None
     assert many is not None
     assert not few.is_on("hot_pixels")
@@ -152,24 +153,28 @@ def test_jpeg_touches_the_8_bit_pictures_only(tmp_path: Path) -> None:
 
 
 def test_a_set_seen_through_a_cameras_own_filters_is_captured_with_them(tmp_path: Path) -> None:
-    """Grey in the set's balanced RGB collects what the filters let through, and develops to grey again."""
+    """White collects what the filters let through; a colour, seen by them, develops to the sRGB it was."""
     matrix = np.array([[0.5, 0.2, 0.1], [0.1, 0.8, 0.1], [0.0, 0.1, 0.5]])
-    white = matrix.sum(1)
+    white, color = matrix.sum(1), np.array([0.2, 0.35, 0.5])
     views, names = tmp_path / "set", [f"{i:04d}" for i in range(3)]
     write_cameras(views, names, orbit_rig(3, 32, 24, 50.0, radius=3.0))
     for part in ("images", "gt"):
         (views / part).mkdir()
     for name in names:
         cv2.imwrite(str(views / "images" / f"{name}.png"), np.full((24, 32, 3), 200, np.uint8))
-        light = np.broadcast_to(0.4 * white, (24, 32, 3)).astype(np.float32)
+        light = np.broadcast_to(matrix @ color, (24, 32, 3)).astype(np.float32).copy()
+        light[:12] = 0.4 * white
         write_exr(views / "gt" / f"{name}.exr", {c: light[..., k].copy() for k, c in enumerate("RGB")})
     meta = {"kind": "rendered", "camera_matrix": matrix.tolist(), "exposure_scale": 1.0}
     (views / "set.json").write_text(json.dumps(meta))
-    stages.capture(views, tmp_path / "cap", CaptureConfig(sensor="ideal-3chip", electrons=2000), QUIET)
+    stages.capture(views, tmp_path / "cap", CaptureConfig(sensor="ideal-3chip", electrons=1500), QUIET)
     opened = open_capture(tmp_path / "cap")
     assert np.allclose(opened.sensor.rgb_response, white / white[1])
     truth, _ = read_exr(tmp_path / "cap" / "truth" / "0000.exr")
-    signal = np.array([truth[f"mean.{c}"].mean() for c in "RGB"])
-    assert np.allclose(signal, 2000 * white / white[1], rtol=1e-3)
-    picture = cv2.imread(str(tmp_path / "cap" / "images" / "0001.png")).astype(float).mean((0, 1))
-    assert np.ptp(picture) < 2
+    signal = np.array([truth[f"mean.{c}"][:12].mean() for c in "RGB"])
+    assert np.allclose(signal / signal[1], white / white[1], rtol=1e-3)
+    clean = srgb_to_linear(opened.clean(0)).mean(1)
+    assert np.allclose(clean[5] / clean[5, 1], 1, rtol=1e-3)
+    assert np.allclose(clean[20] / clean[5, 1], color / 0.4, rtol=5e-3)
+    taken = srgb_to_linear(opened.dark(1)).mean(1)
+    assert np.allclose(taken[20], clean[20], rtol=0.05)

@@ -1,12 +1,14 @@
 """Claims about what makes a render stale: the content of the scene and of all files that it names, and nothing else."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.render import RenderConfig, scene_digest
+from simscenes import Optics
 
 QUIET = Console(quiet=True)
 SCENE = """<scene version="3.0.0">
@@ -59,11 +61,11 @@ def test_a_scene_is_its_file_and_all_files_that_it_names(scene: Path, name: str,
 
 
 def test_a_set_is_rendered_again_only_if_a_file_of_its_scene_changed(scene: Path, tmp_path: Path) -> None:
-    def render() -> bytes:
+    def render() -> int:
         stages.render(tmp_path / "set", RenderConfig(scene=str(scene), **TINY), QUIET)
-        return (tmp_path / "set" / "gt" / "0001.exr").read_bytes()
+        return (tmp_path / "set" / "gt" / "0001.exr").stat().st_mtime_ns  # its bytes are the same each time
 
-    first = render()  # with its seconds in the header, so that another render has other bytes
+    first = render()
     assert render() == first
     (scene.parent / "ball.ply").write_text(PLY.replace("0 1 0", "0 2 0"))
     assert render() != first
@@ -76,16 +78,31 @@ def test_another_way_to_write_the_same_path_renders_nothing_again(
     found = set()
     for path in ("scene.xml", "./scene.xml", str(scene)):
         stages.render(tmp_path / "set", RenderConfig(scene=path, **TINY), QUIET)
-        found.add((tmp_path / "set" / "gt" / "0001.exr").read_bytes())
+        found.add((tmp_path / "set" / "gt" / "0001.exr").stat().st_mtime_ns)
     assert len(found) == 1
 
 
 def test_a_further_layout_renders_nothing_again_and_never_outlives_its_set(scene: Path, tmp_path: Path) -> None:
     out = tmp_path / "set"
     stages.render(out, RenderConfig(scene=str(scene), **TINY), QUIET)
-    before = (out / "gt" / "0001.exr").read_bytes()
+    before = (out / "gt" / "0001.exr").stat().st_mtime_ns
     stages.render(out, RenderConfig(scene=str(scene), export=("blender",), **TINY), QUIET)
-    assert (out / "gt" / "0001.exr").read_bytes() == before
+    assert (out / "gt" / "0001.exr").stat().st_mtime_ns == before
     assert (out / "blender" / "transforms_train.json").exists()
     stages.render(out, RenderConfig(scene=str(scene), seed=1, **TINY), QUIET)
     assert not (out / "blender").exists()
+
+
+@pytest.mark.parametrize("wrong", [{"optics": Optics(camera="Box Brownie")}, {"variant": "cuda_ad"}])
+def test_what_cannot_be_rendered_costs_no_finished_set(
+    wrong: dict[str, Any], scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from simscenes import backend
+
+    monkeypatch.setattr(backend, "_working_cuda", lambda: (False, "no GPU here"))
+    out = tmp_path / "set"
+    stages.render(out, RenderConfig(scene=str(scene), **TINY), QUIET)
+    before = sorted((p, p.stat().st_mtime_ns) for p in out.rglob("*"))
+    with pytest.raises(ValueError, match="camera must be|does not work"):
+        stages.render(out, RenderConfig(scene=str(scene), **{**TINY, **wrong}), QUIET)
+    assert sorted((p, p.stat().st_mtime_ns) for p in out.rglob("*")) == before

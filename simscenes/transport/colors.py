@@ -1,0 +1,112 @@
+"""Whether light is followed in three channels, in wavelengths, or polarised, and what each choice leaves out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from sensor_model.plan import Effect
+from simscenes.camera import camera_color
+from simscenes.optics import Optics
+from simscenes.render.contents import unique_materials
+from simscenes.scenes import MEASURED_LIGHTS, split_name
+from simscenes.transport import pilot, plan, spectra
+from simscenes.transport.effects import DEPTHS, RR_DEPTH, Pilot, decided
+from simscenes.transport.specular import SPECULAR, chained_light
+
+# Of light that two specular surfaces have passed on, polarisation changes a few per cent: measured 1 % on `tabletop`,
+# 2 to 5 % on `glassware`. Used only where nobody asked to measure, with room to spare.
+POLARISED_CHANGE = 0.1
+
+
+def color_effects(
+    p: Pilot, optics: Optics, media: bool, geometry: list[Any], indirect: float, measure: bool
+) -> tuple[list[Effect], float | None]:
+    """Polarisation and spectra, and what spectra would change in a scene that has none (None if nobody knows).
+
+    Mitsuba polarises spectra only: in a scene given in RGB, polarisation is worth following if it changes more than the
+    spectra that have to be made up for it.
+    """
+    spectral, made_up = spectral_effect(p, optics, indirect, measure)
+    polarisation = polarisation_effect(p, media, geometry, measure)
+    if polarisation.on and not spectral.on and p.backend != "scalar" and not _has_measured_spectra(p):
+        made_up = _color_cost(p, optics, indirect)[0] if made_up is None else made_up
+        if made_up >= polarisation.contribution:
+            reason = f"{polarisation.reason}; it takes made-up spectra, which change {made_up:.1%}"
+            polarisation = replace(polarisation, on=False, reason=reason)
+    return [polarisation, spectral], made_up
+
+
+def polarisation_effect(p: Pilot, media: bool, geometry: list[Any], measure: bool) -> Effect:
+    """Polarisation shows where two specular surfaces follow each other; diffuse surfaces undo it."""
+    specular = [bool(s.bsdf().flags() & SPECULAR) for s in unique_materials(p.loaded.scene, p.mi)]
+    if not any(specular):
+        return decided(plan.POLARISATION, False, 0.0, p.allowed, "all surfaces are diffuse, light comes unpolarised")
+    if not measure or p.colors == ("rgb",):
+        guess, reason = _bounded_polarisation(p, geometry, specular)
+        if guess <= p.allowed or p.colors == ("rgb",):
+            return decided(plan.POLARISATION, False, guess, p.allowed, reason)
+    images = []
+    for color in ("spectral", "spectral_polarized"):
+        other, loaded = p.scene_in(color)
+        settings = {"type": "volpath" if media else "path", "max_depth": DEPTHS[0], "rr_depth": 4}
+        images.append(pilot.render_pilot(other, loaded, p.rig, settings, p.seed))
+    p.scene_in("rgb")
+    change = pilot.changed_light(images[0], images[1])
+    return decided(plan.POLARISATION, change.upper > p.allowed, change.upper, p.allowed,
+                   f"paired pilots with and without differ by {change.estimate:.2%}")  # fmt: skip
+
+
+def _bounded_polarisation(p: Pilot, geometry: list[Any], specular: list[bool]) -> tuple[float, str]:
+    if p.backend == "scalar":
+        share = float(np.array([False, *specular])[np.stack([g["material"] for g in geometry])].mean())
+        return share * POLARISED_CHANGE, f"bounded: {share:.1%} of pixels show specular"
+    total = float(p.render("path", DEPTHS[0]).mean())
+    settings = {"type": "path", "max_depth": DEPTHS[0], "rr_depth": RR_DEPTH}
+    share = chained_light(p.mi, p.loaded, p.rig, settings, p.seed) / total if total > 0 else 0.0
+    return share * POLARISED_CHANGE, f"bounded: {share:.1%} of the light comes by two specular surfaces in a row"
+
+
+def spectral_effect(p: Pilot, optics: Optics, indirect: float, measure: bool) -> tuple[Effect, float | None]:
+    """Three channels or wavelengths, from light x surface x camera; `indirect` is the light's share that meets two.
+
+    Beside the effect, what made-up spectra change in a scene given in RGB, if that was measured.
+    """
+    if p.colors == ("rgb",):
+        return decided(
+            plan.SPECTRAL, False, 0.0, p.allowed, "it holds objects made for RGB, and cannot have others"
+        ), None
+    if _has_measured_spectra(p):
+        if p.backend == "scalar":
+            reason = "the scene has measured spectra (not quantified in scalar)"
+            return decided(plan.SPECTRAL, True, math.inf, p.allowed, reason), None
+        cost, once, twice = _color_cost(p, optics, indirect)
+        reason = f"RGB errs by {once:.1%} after one bounce, {twice:.1%} after two"
+        return decided(plan.SPECTRAL, cost > p.allowed, cost, p.allowed, reason), None
+    reason, matrix = "lights and surfaces are given as RGB: RGB transport is their definition", 0.0
+    if optics.camera is not None:
+        matrix = camera_color(optics.camera).matrix_error
+        reason += f"; the camera's matrix errs by {matrix:.1%} on a ColorChecker in daylight"
+    made_up = _color_cost(p, optics, indirect)[0] if measure and p.backend != "scalar" else None
+    return decided(plan.SPECTRAL, False, matrix, p.allowed, reason), made_up
+
+
+def _color_cost(p: Pilot, optics: Optics, indirect: float) -> tuple[float, float, float]:
+    """What RGB costs in this scene; after one bounce; after two."""
+    mi, loaded = p.scene_in("spectral")
+    light, surface = spectra.light_and_surface(mi, loaded, p.rig, p.seed)
+    p.scene_in("rgb")
+    once, twice = (spectra.color_error(light, surface, optics.camera, bounces) for bounces in (1, 2))
+    return once + min(indirect, 1.0) * max(twice - once, 0.0), once, twice
+
+
+def _has_measured_spectra(p: Pilot) -> bool:
+    if isinstance(p.source, str) and not p.source.endswith(".xml"):
+        return split_name(p.source)[0] in MEASURED_LIGHTS
+    mi, loaded = p.scene_in("spectral")
+    measured = spectra.has_measured(mi, loaded)
+    p.scene_in("rgb")
+    return measured
