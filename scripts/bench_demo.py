@@ -35,6 +35,18 @@ def run(out: Path, scene: str, seed: int, iterations: int, methods: list[str]) -
     return metrics
 
 
+def picture(folder: Path, file: Path) -> None:
+    """A row of images: dark, enhanced, denoised (a training view); naive, NOVA-GS, oracle (a view that nobody saw)."""
+    import cv2
+    import numpy as np
+
+    seen = ("capture/images/0007.png", "nova/enhanced/0007.png", "nova/denoised/0007.png")
+    unseen = tuple(f"{method}/renders/0008.png" for method in ("naive", "nova", "oracle"))
+    images = [cv2.imread(str(folder / name)) for name in (*seen, *unseen)]
+    gap = np.full((images[0].shape[0], 4, 3), 255, np.uint8)
+    cv2.imwrite(str(file), np.hstack([part for image in images for part in (image, gap)][:-1]))
+
+
 def mean(values: list[float]) -> float:
     """Arithmetic mean."""
     return sum(values) / len(values)
@@ -76,12 +88,15 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument("--methods", nargs="+", default=list(METHODS))
     parser.add_argument("--iterations", nargs="+", type=int, default=[2400])
+    parser.add_argument("--picture", type=Path, help="PNG to write: what the first run sees and makes")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
     for scene in options.scenes:
         for iterations in options.iterations:
             runs = [run(options.out, scene, seed, iterations, options.methods) for seed in options.seeds]
             print(f"\n{scene}, {iterations} iterations, seeds {options.seeds}\n\n{table(runs, options.methods)}")
+    if options.picture:
+        picture(options.out / f"{options.scenes[0].replace(':', '-')}-{options.seeds[0]}", options.picture)
 
 
 if __name__ == "__main__":
