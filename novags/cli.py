@@ -131,7 +131,9 @@ def plan(
     config, console = CaptureConfig(sensor=sensor, electrons=electrons, time=time, tolerance=tolerance), _console()
     size = adapted(PRESETS[preset], width=width, height=height).render
     pilot = replace(PILOT, scene=scene, **light.settings())
-    found = light_plan(pilot, light_tolerance, console)
+    # Blur is weighed in pixels and in steps between views: those of the real images, not of the pilot.
+    views = replace(pilot, n_views=size.n_views, width=size.width, height=size.height)
+    found = light_plan(views, light_tolerance, console)
     print(f"Light of {scene}: {'as it is in the folder' if found is None else ''}\n{found or ''}".rstrip())
     noise, signal_e = sensor_plan(pilot, config, size.width * size.height, console)
     signal = ", ".join(f"{name} {value:.3g} e-" for name, value in signal_e.items())

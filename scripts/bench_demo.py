@@ -13,7 +13,6 @@ Markdown table a scene and number of iterations: means over seeds and test views
 
 import argparse
 import json
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -24,15 +23,16 @@ METHODS = ("naive", "nova", "naive-l1", "oracle")
 
 def run(out: Path, scene: str, seed: int, iterations: int, methods: list[str]) -> dict[str, Any]:
     """Metrics of one experiment, from its folder or by running it."""
-    name = f"{scene.replace(':', '-')}-{seed}"
-    kept = out / f"{name}-{iterations}.json"
-    if not kept.exists():
-        command = [sys.executable, "-m", "novags", "run", "--scene", scene, "--seed", str(seed), "--out", out / name]
-        command += ["--iterations", str(iterations), "--methods", *methods]
-        subprocess.run(command, check=True)
-        shutil.copy(out / name / "metrics.json", kept)
-    metrics: dict[str, Any] = json.loads(kept.read_text())
+    folder = folder_of(out, scene, seed, iterations)
+    command = [sys.executable, "-m", "novags", "run", "--scene", scene, "--seed", str(seed), "--out", folder]
+    subprocess.run([*command, "--iterations", str(iterations), "--methods", *methods], check=True)
+    metrics: dict[str, Any] = json.loads((folder / "metrics.json").read_text())
     return metrics
+
+
+def folder_of(out: Path, scene: str, seed: int, iterations: int) -> Path:
+    """Where an experiment lies."""
+    return out / f"{scene.replace(':', '-')}-{seed}-{iterations}"
 
 
 def picture(folder: Path, file: Path) -> None:
@@ -96,7 +96,8 @@ def main() -> None:
             runs = [run(options.out, scene, seed, iterations, options.methods) for seed in options.seeds]
             print(f"\n{scene}, {iterations} iterations, seeds {options.seeds}\n\n{table(runs, options.methods)}")
     if options.picture:
-        picture(options.out / f"{options.scenes[0].replace(':', '-')}-{options.seeds[0]}", options.picture)
+        first = folder_of(options.out, options.scenes[0], options.seeds[0], options.iterations[0])
+        picture(first, options.picture)
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from fractions import Fraction
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from sensor_model.atomic import write_atomically
 from sensor_model.params import Exposure, Sensor, require
@@ -19,17 +19,26 @@ from sensor_model.params import Exposure, Sensor, require
 # CIE XYZ -> linear sRGB, D65 (IEC 61966-2-1): the channels are linear sRGB times the response of the filters.
 XYZ_TO_SRGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
 
+TIMES = (1e-9, 2e9)  # s; what a rational of the format holds beside 0
 BLACK_LEVEL = (50714, (5, 8))  # pidng's own has the type SHORT; RATIONAL (type 5, 8 bytes) takes fractions too
 
 
-def write_dng(path: str | os.PathLike[str], dn: NDArray[np.uint16], sensor: Sensor, exposure: Exposure) -> None:
+def write_dng(
+    path: str | os.PathLike[str],
+    dn: NDArray[np.uint16],
+    sensor: Sensor,
+    exposure: Exposure,
+    *,
+    color_matrix: ArrayLike | None = None,
+) -> None:
     """Write the codes of one frame, bit for bit, with levels, pattern, white balance and colour matrix.
 
     Args:
         path: File to write; appears whole or not at all.
         dn: uint16, [h, w] for a mosaic or a monochrome sensor, [h, w, 3] for three chips.
         sensor: The camera. A black level between two codes stays exact in the file; LibRaw rounds it.
-        exposure: Its time goes into the file; 0, or what a rational of the format holds: 1e-9 s to 2e9 s.
+        exposure: Its time goes into the file; 0, or what a rational of the format holds, `TIMES`.
+        color_matrix: As in `develop_linear`.
 
     Raises:
         ValueError: if the shape or dtype does not fit the sensor, or the time the file.
@@ -39,14 +48,15 @@ def write_dng(path: str | os.PathLike[str], dn: NDArray[np.uint16], sensor: Sens
     fits = dn.ndim == 2 or (dn.ndim == 3 and dn.shape[2] == 3 and sensor.cfa is None)
     require(fits, "dn", "[h, w], or [h, w, 3] without colour filter array", dn.shape)
     require(dn.dtype == np.uint16, "dn", "uint16", dn.dtype)
-    holds = exposure.time == 0 or 1e-9 <= exposure.time <= 2e9
-    require(holds, "time", "0 or in [1e-9, 2e9] s for a DNG", exposure.time)
+    holds = exposure.time == 0 or TIMES[0] <= exposure.time <= TIMES[1]
+    require(holds, "time", f"0 or in {TIMES} s for a DNG", exposure.time)
     converter = RAW2DNG()
-    converter.options(_tags(dn.shape, sensor, exposure), path="", compress=False)
+    filters = np.eye(3) if color_matrix is None else np.linalg.inv(np.asarray(color_matrix, np.float64))
+    converter.options(_tags(dn.shape, sensor, exposure, filters), path="", compress=False)
     write_atomically(path, converter.convert(np.ascontiguousarray(dn)))
 
 
-def _tags(shape: tuple[int, ...], sensor: Sensor, exposure: Exposure) -> Any:
+def _tags(shape: tuple[int, ...], sensor: Sensor, exposure: Exposure, filters: NDArray[np.float64]) -> Any:
     from pidng.core import DNGTags, Tag
     from pidng.defs import CalibrationIlluminant, CFAPattern, Orientation, PhotometricInterpretation
 
@@ -72,7 +82,7 @@ def _tags(shape: tuple[int, ...], sensor: Sensor, exposure: Exposure) -> Any:
     ):
         tags.set(tag, value)
     if sensor.cfa or channels == 3:
-        tags.set(Tag.ColorMatrix1, _rationals(response[:, None] * XYZ_TO_SRGB))
+        tags.set(Tag.ColorMatrix1, _rationals(response[:, None] * (filters @ XYZ_TO_SRGB)))
         tags.set(Tag.CalibrationIlluminant1, CalibrationIlluminant.D65)
         tags.set(Tag.AsShotNeutral, _rationals(response / response.max()))
     if sensor.cfa:

@@ -71,7 +71,8 @@ def develop_linear(
     """Codes -> white-balanced linear RGB; 1.0 is the white level, nothing is clipped.
 
     Every channel of a saturated pixel comes out at 1.0 or more, so clipping to 1.0 afterwards leaves no coloured
-    highlights. Takes codes or analytic means alike; linear in `dn`, but for "menon", which chooses directions.
+    highlights; before a colour matrix, which would colour them, what is above 1.0 is clipped here. Takes codes or
+    analytic means alike; below white linear in `dn`, but for "menon", which chooses directions.
 
     Args:
         dn: [h, w] or [h, w, 3], any real dtype, DN.
@@ -96,7 +97,7 @@ def develop_linear(
     if color_matrix is not None:
         matrix = np.asarray(color_matrix, np.float64)
         require(matrix.shape == (3, 3) and linear.ndim == 3, "color_matrix", "[3, 3], for RGB only", matrix.shape)
-        linear = linear @ matrix.T
+        linear = np.minimum(linear, 1.0) @ matrix.T
     return linear.astype(np.float32)
 
 

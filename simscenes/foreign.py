@@ -6,6 +6,7 @@ Whatever the source's lens, a reader gives the rig of the *undistorted* images, 
 from __future__ import annotations
 
 import json
+import os
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -98,7 +99,8 @@ def _collect(entries: list[tuple[Path | None, NDArray[np.float64], Any]], source
     files = tuple(f for f, _, _ in found)
     stems = [f.stem for f in files]
     if len(set(stems)) < len(stems):
-        stems = [f.with_suffix("").as_posix().replace("/", "_") for f in files]
+        shared = Path(os.path.commonpath([f.parent for f in files]))  # not the whole path, which is another elsewhere
+        stems = [f.relative_to(shared).with_suffix("").as_posix().replace("/", "_") for f in files]
     return Photographs(tuple(stems), files, rig, lenses)
 
 

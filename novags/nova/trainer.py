@@ -1,6 +1,8 @@
 """NOVA-GS as a whole: enhance, denoise, and fit with L_total = L_recon + L_geo + L_SH (paper, section 4.7)."""
 
 import dataclasses
+import hashlib
+import json
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -15,7 +17,7 @@ from novags.nova.consistency import ConsistencyConfig, ConsistencyLoss
 from novags.nova.denoiser import Denoiser, DenoiserConfig
 from novags.nova.enhance import EnhanceConfig, enhance
 from novags.nova.sh_penalty import noise_map, sh_penalty
-from novags.splats.checkpoint import write_tensors
+from novags.splats.checkpoint import digest, write_tensors
 from novags.splats.fit import FitConfig, Step, fit
 from novags.splats.gaussians import Gaussians
 from novags.splats.method import MethodInput, MethodResult
@@ -80,6 +82,14 @@ class _PseudoClean:
                 self.cached[view] = (step, image.to(self.denoiser.images))
 
 
+def run_identity(inputs: MethodInput, config: NovaConfig) -> Tensor:
+    """Hash of all that a run depends on, uint8."""
+    views = (inputs.views.viewmats, inputs.views.Ks, inputs.dark, inputs.init.points, inputs.init.colors)
+    told = json.dumps([dataclasses.asdict(config), inputs.seed, inputs.init.extent], sort_keys=True, default=str)
+    run = hashlib.blake2b((digest(*views) + told).encode(), digest_size=16)
+    return torch.tensor(list(run.digest()), dtype=torch.uint8)
+
+
 class _Training:
     """Denoiser, confidence network and their schedule beside the splat iterations.
 
@@ -99,6 +109,7 @@ class _Training:
             self.geo = ConsistencyLoss(
                 inputs.views, self.clean, config.consistency, iterations=iterations, seed=inputs.seed
             )
+        self.run = run_identity(inputs, config)
         self.start: Gaussians | None = None
         self.seconds = 0.0  # until the splats start, of interrupted attempts too
         self.fit_path = checkpoint
@@ -156,6 +167,7 @@ class _Training:
         if self.path is None or self.fit_path is None:
             return
         tensors = self.denoiser.state() | self.clean.state() | (self.geo.state() if self.geo is not None else {})
+        tensors["run"] = self.run
         tensors["seconds"] = torch.tensor(self.seconds, dtype=torch.float64)
         if self.start is not None:
             tensors |= {f"start.{name}": tensor for name, tensor in self.start.tensors().items()}
@@ -164,6 +176,8 @@ class _Training:
         write_tensors(self.path, tensors)
 
     def _restore(self, tensors: dict[str, Tensor]) -> None:
+        if not torch.equal(tensors.get("run", torch.empty(0)), self.run):
+            raise ValueError(f"{self.path} belongs to a run of other images or settings: delete it or restore them")
         self.denoiser.restore(tensors)
         self.clean.restore(tensors)
         if self.geo is not None:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import torch
@@ -61,8 +62,10 @@ class Adam:
 
     def __init__(self, gaussians: Gaussians) -> None:
         self.count = 0
-        self.first = {name: torch.zeros_like(tensor) for name, tensor in gaussians.tensors().items()}
-        self.second = {name: torch.zeros_like(tensor) for name, tensor in gaussians.tensors().items()}
+        # Contiguous whatever the tensors are: like them the moments are updated in place.
+        zeros = partial(torch.zeros_like, memory_format=torch.contiguous_format)
+        self.first = {name: zeros(tensor) for name, tensor in gaussians.tensors().items()}
+        self.second = {name: zeros(tensor) for name, tensor in gaussians.tensors().items()}
 
     @torch.no_grad()
     def step(self, gaussians: Gaussians, rates: LearningRates, means_rate: float, sh_degree: int = 3) -> None:

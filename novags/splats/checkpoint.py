@@ -5,6 +5,7 @@ import json
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
@@ -87,20 +88,24 @@ def load_checkpoint(path: Path, settings: dict[str, object], device: torch.devic
         with safe_open(path, framework="pt", device=str(device)) as file:
             rest = json.loads((file.metadata() or {})["state"])
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
-    except (SafetensorError, KeyError) as error:
+        state, saved = _assembled(rest, tensors), rest["settings"]
+    except (SafetensorError, KeyError, TypeError, ValueError) as error:  # the latter from JSON that is none
         reason = f"{type(error).__name__}: {error}"
         raise ValueError(
             f"{path} is no training checkpoint of this version ({reason}): delete it to start anew"
         ) from error
-    saved, now = rest["settings"], json.loads(json.dumps(settings))
+    now = json.loads(json.dumps(settings))
     different = sorted(key for key in saved.keys() | now.keys() if saved.get(key) != now.get(key))
     if different:
         changes = ", ".join(f"{key}: {saved.get(key)!r} there, {now.get(key)!r} now" for key in different)
         raise ValueError(
             f"checkpoint {path} belongs to a run with other settings ({changes}); delete it or restore them"
         )
+    return state
 
-    def part(prefix: str) -> dict[str, torch.Tensor]:
+
+def _assembled(rest: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingState:
+    def part(prefix: str) -> dict[str, Tensor]:
         return {name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)}
 
     gaussians = Gaussians(**part("gaussians."))

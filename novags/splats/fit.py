@@ -220,6 +220,8 @@ def _identity(gaussians: Gaussians, views: Views, config: FitConfig, extent: flo
 
 def _prepared(gaussians: Gaussians, config: FitConfig) -> Gaussians:
     """A copy of the initial Gaussians with room for the SH degree and no more of them than the cap."""
+    if len(gaussians) == 0:
+        raise ValueError("fit needs at least one Gaussian to start from, got none")
     layout = torch.contiguous_format  # a clone keeps the strides else, and the optimiser works in place
     copies = {name: t.detach().clone(memory_format=layout) for name, t in gaussians.tensors().items()}
     gaussians = Gaussians(**copies)

@@ -52,8 +52,8 @@ def rasterize(
 
     Returns:
         renders [C, H, W, channels], alphas [C, H, W, 1], and info with (detached) "means2d" [C, N, 2] pixels,
-        "radii" [C, N] int32 pixels (0: not visible) and "depths" [C, N]. On the CPU these are views of the kernels' own
-        memory (64 bytes per Gaussian): copy what you keep.
+        "radii" [C, N] int32 pixels (0: not visible) and "depths" [C, N]. With "numba" and one camera these are views
+        of the kernels' own memory (64 bytes per Gaussian): copy what you keep.
 
     Raises:
         ValueError: For a wrong shape, dtype or device, values outside their range, non-finite input (of the colours

@@ -26,7 +26,7 @@ def check_shapes(tensors: dict[str, Tensor], sh_degree: int | None) -> None:
     if sh_degree is None:
         if colors.ndim != 2 or len(colors) != n or colors.shape[1] == 0:
             raise ValueError(f"colors must be [N={n}, D] when sh_degree is None, got {list(colors.shape)}")
-    elif not isinstance(sh_degree, int) or sh_degree not in (0, 1, 2, 3):
+    elif not isinstance(sh_degree, Integral) or sh_degree not in (0, 1, 2, 3):
         raise ValueError(f"sh_degree must be 0, 1, 2, 3 or None, got {sh_degree}")
     elif colors.ndim != 3 or len(colors) != n or colors.shape[2] != 3 or colors.shape[1] < (sh_degree + 1) ** 2:
         k = (sh_degree + 1) ** 2
@@ -74,6 +74,9 @@ def check_camera(tensors: dict[str, Tensor]) -> None:
     fixed = Ks[:, (0, 1, 2, 2, 2), (1, 0, 0, 1, 2)]
     if (fixed != fixed.new_tensor([0, 0, 0, 0, 1])).any():
         raise ValueError(f"Ks must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], no skew is rendered, got {Ks.tolist()}")
+    last = tensors["viewmats"][:, 3]
+    if ((last - last.new_tensor([0, 0, 0, 1])).abs() > 1e-6).any():  # an inverse may leave a rounding error there
+        raise ValueError(f"viewmats must end in [0, 0, 0, 1] (transposed?), got {last.tolist()}")
 
 
 def used_colors(colors: Tensor, sh_degree: int | None, with_color: bool) -> Tensor:

@@ -22,6 +22,7 @@ from sensor_model import (
     plan_effects,
     read_sensor,
 )
+from sensor_model.dng import TIMES
 from sensor_model.isp import DEMOSAIC, Demosaic
 from sensor_model.planner import Limits
 from simscenes.multiview import write_cameras
@@ -56,6 +57,8 @@ class CaptureConfig:
             raise ValueError(f"jpeg_quality must be None or in 1..100, got {self.jpeg_quality}")
         if self.seed < 0:
             raise ValueError(f"seed must be >= 0, got {self.seed}")
+        if self.time and not TIMES[0] <= self.time <= TIMES[1]:  # negative ones are none of an exposure's either
+            raise ValueError(f"time must be 0 or in {TIMES} s, which its raw files can say, got {self.time}")
         self.exposure, self.limits(1)  # they check the rest
 
     @property

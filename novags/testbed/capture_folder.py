@@ -56,7 +56,7 @@ def write_view(
     """Write everything about one exposure. `color_matrix`: as for `develop`."""
     for part in ("raw", "truth"):
         (folder / part).mkdir(parents=True, exist_ok=True)
-    write_dng(folder / "raw" / f"{name}.dng", frame.dn, sensor, exposure)
+    write_dng(folder / "raw" / f"{name}.dng", frame.dn, sensor, exposure, color_matrix=color_matrix)
     truth = {
         **_planes("mean", frame.mean_dn),
         **_planes("variance", frame.variance_dn),

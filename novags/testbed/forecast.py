@@ -13,21 +13,21 @@ from sensor_model import Plan
 PILOT = RenderConfig(n_views=8, width=48, height=48, spp=32)
 
 
-def light_plan(pilot: RenderConfig, tolerance: float, console: Console) -> Plan | None:
+def light_plan(config: RenderConfig, tolerance: float, console: Console) -> Plan | None:
     """The plan of the light transport; None for a folder, whose light is there already.
 
     Args:
-        pilot: `PILOT` of a multiview set folder, a scene of the catalogue, or a Mitsuba file.
+        config: The views of a scene of the catalogue or a Mitsuba file; or of a multiview set folder.
         tolerance: Share of all light that may be wrong or missing.
         console: Where notes go.
 
     Raises:
         ValueError: If there is no such scene.
     """
-    if Path(pilot.scene).is_dir():
+    if Path(config.scene).is_dir():
         return None
     with warnings_as_notes(console):
-        return plan_of(pilot, tolerance)
+        return plan_of(config, tolerance)
 
 
 def sensor_plan(
@@ -36,7 +36,7 @@ def sensor_plan(
     """The sensor's plan for a scene, and the range of its mean signal in electrons.
 
     Args:
-        pilot: As for `light_plan`; what is no folder gets this coarse render.
+        pilot: `PILOT` of a scene, which gets this coarse render; or of a multiview set folder.
         config: Camera and light.
         pixels: Of an image of the capture, if the scene is not a folder: the more there are, the rarer the defects that
             have to be simulated.

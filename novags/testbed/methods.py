@@ -33,13 +33,13 @@ def method_config(method: str, nova: NovaConfig) -> NovaConfig | NaiveConfig:
     return shared.with_l1() if method == "naive-l1" else shared
 
 
-def suited(nova: NovaConfig, sensor: Sensor) -> NovaConfig:
-    """The settings for pictures of this camera: behind a colour filter array all channels of a pixel are blinded.
+def suited(nova: NovaConfig, sensor: Sensor, *, color_matrix: bool = False) -> NovaConfig:
+    """The settings for pictures of this camera: where the channels of a pixel share their noise, all are blinded.
 
-    Demosaicing gives the channels of a pixel the same noise; a network that sees two of them knows the third one's.
+    Demosaicing and a colour matrix make them share it; a network that sees two of them knows the third one's.
     """
     spots = nova.denoiser.blind_spots
-    if sensor.cfa is None or not spots.per_channel:
+    if (sensor.cfa is None and not color_matrix) or not spots.per_channel:
         return nova
     return replace(nova, denoiser=replace(nova.denoiser, blind_spots=replace(spots, per_channel=False)))
 

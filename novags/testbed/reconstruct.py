@@ -66,9 +66,9 @@ def reconstruct_views(
     Raises:
         ValueError: If the method refuses its input.
     """
-    nova = suited(config.nova, capture.sensor)
+    nova = suited(config.nova, capture.sensor, color_matrix=capture.record["color_matrix"] is not None)
     if config.method == "nova" and nova != config.nova:
-        console.note("these pictures are demosaiced: all channels of a pixel are blinded, as their noise is the same")
+        console.note("the channels of a pixel share their noise here (demosaicing, colour matrix): all are blinded")
     settings = method_config(config.method, nova)
     with console.progress(f"reconstruct {config.method}") as progress, EventLog(folder / EVENTS) as log:
 

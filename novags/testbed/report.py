@@ -65,7 +65,8 @@ def read_material(folder: Path, console: Console) -> Material:
     inputs = {captured.path: (captured, lit) for captured, lit in (run.inputs(console) for run in runs.values())}
     if len(inputs) > 1:
         raise ValueError(f"the runs in {folder} were made from different captures: {', '.join(map(str, inputs))}")
-    if old := [name for name, run in runs.items() if run.scores() != metrics["methods"].get(name)]:
+    scored = metrics["methods"]
+    if old := [name for name, run in runs.items() if name not in scored or run.scores() != scored[name]]:
         raise ValueError(f"{folder / METRICS} has no scores of {', '.join(old)} as of now: run novags score {folder}")
     capture, lit = next(iter(inputs.values()))
     experiment = read_json(folder / EXPERIMENT) if (folder / EXPERIMENT).exists() else {}

@@ -163,9 +163,10 @@ def costs(material: Material) -> list[dict[str, Any]]:
 def plans(material: Material) -> list[dict[str, Any]]:
     """The plan tables: light transport (rendered sets) and sensor."""
     found = []
-    if (transport := material.lit.views.meta.get("plan")) is not None:
+    meta = material.lit.views.meta  # also of a capture, which can be photographed again
+    if material.lit.views.kind == "rendered" and (transport := meta.get("plan")) is not None:
         table = plan_table(transport)
-        table["saved"] = f"{time_saved(transport['seconds'])} {render_quality(material.lit.views.meta)}".strip()
+        table["saved"] = f"{time_saved(transport['seconds'])} {render_quality(meta)}".strip()
         found.append({"heading": "Light transport", "plan": table})
     if (sensor := material.capture.record["plan"]) is not None:
         found.append({"heading": "Sensor", "plan": plan_table(sensor)})

@@ -21,7 +21,7 @@ from simscenes.rigs import Rig
 
 # What a set is read from beside its images: our own record and truth, and the cameras in every form that is read.
 MODEL = tuple(f"{part}.{suffix}" for part in ("cameras", "images", "points3D") for suffix in ("bin", "txt"))
-CAMERA_FILES = ("set.json", "capture.json", "transforms.json", "nb-info.json", "sparse", "gt", *MODEL)
+CAMERA_FILES = ("set.json", "capture.json", "transforms.json", "nb-info.json", "sparse", "sparse/0", "gt", *MODEL)
 
 NOISE = 0.01  # of a photograph's bright light: further below 0 than this is no noise
 
@@ -70,7 +70,7 @@ class Source:
         """
         radiance = self.views.radiance(i)
         rendered = self.views.kind == "rendered"
-        if not rendered and -NOISE * np.quantile(radiance, 0.99) <= radiance.min() < 0:
+        if not rendered and radiance.min() < 0 and radiance.min() >= -NOISE * np.quantile(radiance, 0.99):
             self.console.warn(f"{self.views.path} holds light slightly below 0 (noise around black): it counts as 0")
             radiance = np.maximum(radiance, 0)
         bad = ~(np.isfinite(radiance) & (radiance >= 0))

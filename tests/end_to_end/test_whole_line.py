@@ -229,6 +229,17 @@ def test_scores_of_an_earlier_run_are_not_reported(
     write_report(folder, quiet)
 
 
+def test_a_method_that_was_never_scored_is_not_reported(experiment: Path, quiet: Console, tmp_path: Path) -> None:
+    folder = tmp_path / "copy"
+    shutil.copytree(experiment, folder)
+    metrics = json.loads((folder / "metrics.json").read_text())
+    del metrics["methods"]["naive"]
+    (folder / "metrics.json").write_text(json.dumps(metrics))
+    (folder / "naive" / "metrics.json").unlink()
+    with pytest.raises(ValueError, match="no scores of naive as of now"):
+        write_report(folder, quiet)
+
+
 def test_an_interrupted_capture_continues_and_ends_up_the_same(
     experiment: Path, tiny: Preset, quiet: Console, tmp_path: Path
 ) -> None:

@@ -1,5 +1,6 @@
 """Claims about the command line: it starts without the heavy libraries, and says what is wrong in one line."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -31,6 +32,23 @@ def test_help_loads_no_heavy_library() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "HEAVY []" in done.stdout
     assert all(command in done.stdout for command in cli.COMMANDS)
+
+
+@pytest.mark.parametrize("command", ["plan", "render"])
+def test_light_has_the_same_options_everywhere(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str
+) -> None:
+    import dataclasses
+
+    assert call(monkeypatch, command, "--help") == 0
+    text = capsys.readouterr().out
+    for option in dataclasses.fields(cli.LightOptions):
+        assert re.search(rf"--{option.name.replace('_', '-')}[ ,]", text)
+    where = ["--out", "x"] if command == "render" else ["--sensor", "ideal", "--electrons", "9"]
+    wrong = ["--on", "motion blur", "--max-depth", "6", "--aperture-radius", "0.1", "--focus-distance", "2"]
+    wrong += ["--motion", "9"]
+    assert call(monkeypatch, command, "cornell", *where, *wrong) == 2
+    assert "motion is a fraction of the step between views in (0, 2], got 9" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", sorted(cli.COMMANDS))

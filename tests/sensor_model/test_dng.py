@@ -77,6 +77,27 @@ def test_another_raw_converter_renders_the_colours_we_render(tmp_path):
     assert np.abs(theirs[middle].astype(int) - ours[middle]).max() <= 1
 
 
+def test_another_raw_converter_knows_filters_that_are_not_those_of_srgb(tmp_path):
+    """Camera RGB = filters x sRGB: the picture of a stranger's pipeline is ours with the inverse as colour matrix."""
+    filters = np.array([[0.7, 0.2, 0.1], [0.1, 0.8, 0.1], [0.05, 0.15, 0.8]])  # white stays (1, 1, 1)
+    response = np.array([0.6, 1.0, 0.8])
+    sensor = replace(PRESETS["imx900-hcg"], sigma_d=0.0, dsnu=0.0, prnu=0.0, dark_current=0.0)
+    sensor = replace(sensor, rgb_response=tuple(response))
+    patches = np.random.default_rng(1).uniform(0.2, 0.7, (4, 6, 3))
+    light = np.kron(patches @ filters.T, np.ones((32, 32, 1))) * response * sensor.capacity_e * 0.9 / sensor.eta
+    frame = expose(mosaic(light, sensor.cfa), sensor, EXPOSURE, seed=0, view=0, shot="none")
+    matrix = np.linalg.inv(filters)
+    write_dng(tmp_path / "a.dng", frame.dn, sensor, EXPOSURE, color_matrix=matrix)
+    with rawpy.imread(str(tmp_path / "a.dng")) as raw:
+        theirs = raw.postprocess(
+            use_camera_wb=True, no_auto_bright=True, adjust_maximum_thr=0.0, gamma=(2.4, 12.92), user_flip=0,
+            demosaic_algorithm=rawpy.DemosaicAlgorithm.LINEAR,
+        )  # fmt: skip
+    ours = develop(frame, sensor, demosaic="bilinear", color_matrix=matrix).srgb8
+    middle = (slice(16, None, 32),) * 2
+    assert np.abs(theirs[middle].astype(int) - ours[middle]).max() <= 2
+
+
 def test_the_colour_matrix_is_that_of_colour_science():
     import warnings
 

@@ -104,6 +104,9 @@ def test_digital_gain_and_colour_matrix_act_before_the_clip():
     plain = develop_linear(dn, sensor)
     swap = np.eye(3)[[2, 1, 0]]
     np.testing.assert_allclose(develop_linear(dn, sensor, color_matrix=swap), plain[..., ::-1])
+    mixing = np.array([[1.6, -0.4, -0.2], [-0.3, 1.5, -0.2], [0.0, -0.6, 1.6]])  # white stays white
+    white = develop_linear(np.full_like(dn, sensor.white_dn), sensor, color_matrix=mixing)
+    np.testing.assert_allclose(white, 1.0, rtol=1e-6)
     lifted = develop(dn, sensor, digital_gain=5.0, color_matrix=swap)
     np.testing.assert_allclose(from_linear16(lifted.linear16), np.minimum(5 * plain[..., ::-1], 1), atol=1e-4)
     assert lifted.srgb8.min() > develop(dn, sensor).srgb8.max()

@@ -164,6 +164,20 @@ def test_blender_style_names_and_angles_are_understood(tmp_path: Path) -> None:
     assert np.allclose(loaded.rig.Ks[0], intrinsics(40, 30, 55))
 
 
+def test_photographs_that_share_a_stem_are_named_alike_wherever_their_folder_is(tmp_path: Path) -> None:
+    names = [f"cam{k % 2}/{k // 2}.png" for k in range(4)]
+    folder = transforms(tmp_path / "here", small_rig(4), names, camera_angle_x=0.9)
+    for part in ("cam0", "cam1"):
+        (folder / part).mkdir()
+    make_images(folder, names, 40, 30)
+    first = load_set(folder).names
+    assert first == ("cam0_0", "cam0_1", "cam1_0", "cam1_1")
+    (tmp_path / "link").symlink_to(folder)
+    assert load_set(tmp_path / "link").names == first
+    folder.rename(tmp_path / "there")
+    assert load_set(tmp_path / "there").names == first
+
+
 def broken_json(folder: Path) -> None:
     (folder / "transforms.json").write_text('{"frames": [')
 

@@ -34,7 +34,7 @@ def cache_folder() -> Path:
     folder = base / f"kernels-{digest}"
     with suppress(OSError):  # not there yet, or somebody else's
         os.utime(folder)
-    for other in base.glob("kernels-*"):
+    for other in base.glob(f"kernels-{'[0-9a-f]' * 16}"):  # nobody else's: the folder may be shared
         with suppress(OSError):  # another process was faster
             if other != folder and other.stat().st_mtime < time.time() - KEEP_DAYS * 86400:
                 shutil.rmtree(other)

@@ -50,18 +50,19 @@ class Recycler:
         with self.lock:
             self._collect()
             block = self._take(size)
-        return np.asarray(_Lease(np.empty(size, np.uint8) if block is None else block, shape, dtype, self._back))
+        return np.asarray(_Lease(block, shape, dtype, self._back))
 
-    def _take(self, size: int) -> np.ndarray | None:
-        self._in_use += size
-        self._lately = max(self._in_use, self._lately * (1 - FORGET))
+    def _take(self, size: int) -> np.ndarray:
         blocks = self._free.pop(size, None)
         if blocks is None:
-            return None
-        block = blocks.pop()
-        self.free_bytes -= size
-        if blocks:
-            self._free[size] = blocks
+            block = np.empty(size, np.uint8)  # may fail, and must then not have been counted
+        else:
+            block = blocks.pop()
+            self.free_bytes -= size
+            if blocks:
+                self._free[size] = blocks
+        self._in_use += size
+        self._lately = max(self._in_use, self._lately * (1 - FORGET))
         return block
 
     def _collect(self) -> None:

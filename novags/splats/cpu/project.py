@@ -25,11 +25,12 @@ from .layout import (
 )
 from .simd import LANES, bits, ceil, copy, floor, load, maximum, minimum, negative_abs, select, sqrt, store
 
-ZERO, HALF, ONE, TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
+ZERO, ONE, TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 MARGIN = np.float32(0.15)  # of the image size beyond its border: where gsplat stops following the affine approximation
 MAX_RADIUS = np.float32(2**30)  # still an int32
 INFINITY, LARGEST = np.float32(np.inf), np.finfo(np.float32).max
 EVEN = np.float32(1e23)  # px^2: variance of a splat whose exponent falls by less than rounding over any image
+CLOSE = np.float32(1e5)  # px: what falls so little over an image does so seen from this far, too
 PER_TILE = np.float32(1 / TILE)
 INPUTS = 11  # per Gaussian: mean 3, quaternion 4, scale 3, opacity
 GRAIN = 512  # Gaussians per range
@@ -182,8 +183,10 @@ def _project(c, b, out, rest):
     zeros = ZERO * (x + y + z + s0 + s1 + s2 + r[9])
     good = (zeros == ZERO) & (o >= ZERO) & (o <= ONE) & (minimum(minimum(s0, s1), s2) >= ZERO)
     visible = (z > c[NEAR]) & (z < c[FAR]) & (o >= ALPHA_MIN) & (det > ZERO)
-    # an infinite determinant gives a = 0, which is wrong unless q is as good as 0 too
-    good = good & ((det < INFINITY) | ((cxx < EVEN) & (q * EVEN > ONE)) | (z <= c[NEAR]) | (z >= c[FAR]))
+    # an infinite determinant gives a = 0, which is wrong unless q is as good as 0 too, and the centre not far off
+    near = (maximum(px, -px) < CLOSE) & (maximum(py, -py) < CLOSE)
+    even = (cxx < EVEN) & (q * EVEN > ONE) & near
+    good = good & ((det < INFINITY) | even | (z <= c[NEAR]) | (z >= c[FAR]))
     visible = visible & (px + rx > ZERO) & (px - rx < c[WIDTH]) & (py + ry > ZERO) & (py - ry < c[HEIGHT])
     radius = select(visible, minimum(maximum(ceil(maximum(rx, ry)), ONE), MAX_RADIUS), ZERO)
 

@@ -243,6 +243,21 @@ def test_seconds_count_interrupted_attempts_too(method_input, tmp_path: Path):
     assert again.seconds["fit"] >= saved > 0
 
 
+def test_a_run_of_other_images_or_settings_is_not_continued(method_input, tmp_path: Path):
+    def pull(done: int, total: int, losses: dict[str, float]) -> None:
+        if done == 14:
+            raise Stop
+
+    checkpoint = tmp_path / "run.safetensors"
+    with pytest.raises(Stop):
+        train(method_input(), CONFIG, progress=pull, checkpoint=checkpoint)
+    brighter = dataclasses.replace(method_input(), dark=method_input().dark * 1.01)
+    for inputs, config in ((brighter, CONFIG), (method_input(), dataclasses.replace(CONFIG, sh_weight=0.5))):
+        with pytest.raises(ValueError, match="other images or settings"):
+            train(inputs, config, checkpoint=checkpoint)
+    train(method_input(), CONFIG, checkpoint=checkpoint)
+
+
 def test_a_fit_without_its_networks_is_not_continued(method_input, tmp_path: Path):
     checkpoint = tmp_path / "run.safetensors"
     train(method_input(), CONFIG, checkpoint=checkpoint)

@@ -34,7 +34,8 @@ def test_a_change_of_anything_that_kernels_are_made_of_gives_another_folder(sour
 
 def test_folders_of_other_sources_go_when_unused_for_a_month(sources):
     used = compiler.cache_folder()
-    old, recent, other = (used.parent / name for name in ("kernels-old", "kernels-recent", "elsewhere"))
+    names = (f"kernels-{'0' * 16}", f"kernels-{'1' * 16}", "kernels-backup")
+    old, recent, other = (used.parent / name for name in names)
     for folder in (used, old, recent, other):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "code.nbc").write_bytes(b"")

@@ -203,6 +203,7 @@ def compare(scene: Scene, mode: str, backend: str, device: str, bound: float) ->
         got, expected = (gradient.double().reshape(len(gradient), -1) for gradient in (gradients32[name], expected))
         assert torch.isfinite(got).all(), name
         size = expected.abs().amax(1)
+        assert (got - expected).abs().max() <= bound / VALUE_BOUND * 1e-3 * size.max() + 1e-9, name
         # 1e-9: all gradients of a tensor are 0 where nothing is seen
         errors[name] = (got - expected).abs().amax(1) / (size + FLOOR * size.max() + 1e-9)
     return int(tipped.sum()), errors

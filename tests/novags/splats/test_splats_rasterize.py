@@ -174,6 +174,16 @@ def test_a_gaussian_much_larger_than_the_image_covers_it_evenly(make_scene, scal
         assert gradient.isfinite().all()
 
 
+def test_a_gaussian_too_large_for_float32_and_off_centre_is_refused(make_scene):
+    """Its slope over the image is no longer known; evenness would be a wrong picture."""
+    scene = as_float32(make_scene(0, 1, 16, 16))
+    scene["viewmats"] = torch.eye(4)[None]
+    scene["Ks"] = torch.tensor([[[16.0, 0, 8], [0, 16, 8], [0, 0, 1]]])
+    scene["means"][0], scene["scales"][0], scene["opacities"][0] = torch.tensor([1e9, 0.0, 1.0]), 1e9, 0.9
+    with pytest.raises(ValueError, match="overflow float32"):
+        rasterize(**scene, backend="numba")
+
+
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("mode", ["RGB", "D", "ED", "RGB+D", "RGB+ED"])
 @pytest.mark.parametrize("sh_degree", [None, 0, 3])
