@@ -197,9 +197,10 @@ def render_quality(meta: dict[str, Any]) -> str:
     """The noise that is left in the truth, and the pixels that rare bright paths spoil."""
     views = meta["views"].values()
     noise, fireflies = max(view["relative_error"] for view in views), sum(view["fireflies"] for view in views)
+    share = fireflies / (len(views) * meta["width"] * meta["height"])
     return (
-        f"The renders' own noise is at most {noise:.1%} of a view's mean light (RMSE), and "
-        f"{fireflies if fireflies else 'no'} pixel{'s' if fireflies != 1 else ''} stand out as fireflies."
+        f"The renders' own noise is at most {noise:.1%} of a view's mean light (RMSE); {fireflies} pixels "
+        f"({share:.2%}) are fireflies: their samples scatter far more than their neighbours'."
     )
 
 
