@@ -13,9 +13,14 @@ from .first_order import first_order
 from .gaussians import Gaussians
 
 
-def activate(gaussians: Gaussians, opacity_reg: float, scale_reg: float) -> tuple[Tensor, Tensor, Tensor]:
-    """Scales [N, 3], opacities [N], and the scalar opacity_reg * mean(opacities) + scale_reg * mean(scales)."""
-    if gaussians.means.device.type == "cpu" and len(gaussians):
+def activate(
+    gaussians: Gaussians, opacity_reg: float, scale_reg: float, *, fused: bool = True
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Scales [N, 3], opacities [N], and the scalar opacity_reg * mean(opacities) + scale_reg * mean(scales).
+
+    `fused`: by the CPU's kernels where they apply, which have no second derivative.
+    """
+    if fused and gaussians.means.device.type == "cpu":
         scales, mean_scale = _Activate.apply(gaussians.log_scales, False)
         opacities, mean_opacity = _Activate.apply(gaussians.logit_opacities, True)
         return scales, opacities, opacity_reg * mean_opacity + scale_reg * mean_scale

@@ -253,7 +253,8 @@ def _render_step(
     gaussians: Gaussians, views: Views, iteration: int, config: FitConfig, with_depth: bool
 ) -> tuple[Step, Tensor]:
     """This iteration's Step, and the regulariser."""
-    scales, opacities, regularizer = activate(gaussians, config.opacity_reg, config.scale_reg)
+    fused = config.backend != "torch"
+    scales, opacities, regularizer = activate(gaussians, config.opacity_reg, config.scale_reg, fused=fused)
     degree = _degree_at(iteration, config)
 
     def render(j: int, mode: str) -> tuple[Tensor, Tensor, Info]:

@@ -8,10 +8,10 @@ from simscenes.backend import activate, backend_status
 from simscenes.render.radiance import Method, View
 from simscenes.render.source import build_scene
 
-# Comparing two backends takes both, and few machines have a GPU; the CPU's own correctness is tested everywhere else.
 WORKS = backend_status("cuda_ad")[0] and backend_status("llvm_ad")[0]
 
 
+# Comparing two backends takes both, and few machines have a GPU; the CPU's own correctness is tested everywhere else.
 @pytest.mark.gpu
 @pytest.mark.skipif(not WORKS, reason="needs both the cuda_ad and the llvm_ad variant")
 @pytest.mark.parametrize("target", [None, 0.05], ids=["even", "uneven"])

@@ -188,6 +188,8 @@ def _project(c, b, out, rest):
     even = (cxx < EVEN) & (q * EVEN > ONE) & near
     good = good & ((det < INFINITY) | even | (z <= c[NEAR]) | (z >= c[FAR]))
     visible = visible & (px + rx > ZERO) & (px - rx < c[WIDTH]) & (py + ry > ZERO) & (py - ry < c[HEIGHT])
+    # what is seen must have a direction, too: that of its colour is divided by this length
+    good = good & (select(visible, x * x + y * y + z * z, ZERO) < INFINITY)
     radius = select(visible, minimum(maximum(ceil(maximum(rx, ry)), ONE), MAX_RADIUS), ZERO)
 
     store(out, X * LANES, select(visible, px, ZERO))

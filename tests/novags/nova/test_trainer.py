@@ -209,15 +209,21 @@ def test_wherever_a_run_is_interrupted_it_resumes_to_the_same_bits(method_input,
             assert torch.equal(resumed.gaussians.tensors()[name], tensor), (moment, name)
 
 
+def stop_at(step: int):
+    """A progress call that stops the run there."""
+
+    def progress(done: int, total: int, losses: dict[str, float]) -> None:
+        if done == step:
+            raise Stop
+
+    return progress
+
+
 def test_a_long_warm_up_is_saved_as_it_goes(method_input, tmp_path: Path, monkeypatch):
     monkeypatch.setattr(trainer, "SAVE_INTERVAL", 0.0)
 
-    def pull(done: int, total: int, losses: dict[str, float]) -> None:
-        if done == 3:
-            raise Stop
-
     with pytest.raises(Stop):
-        train(method_input(), CONFIG, progress=pull, checkpoint=tmp_path / "run.safetensors")
+        train(method_input(), CONFIG, progress=stop_at(3), checkpoint=tmp_path / "run.safetensors")
     seen = []
     train(
         method_input(), CONFIG, progress=lambda *entry: seen.append(entry[0]), checkpoint=tmp_path / "run.safetensors"
@@ -226,13 +232,9 @@ def test_a_long_warm_up_is_saved_as_it_goes(method_input, tmp_path: Path, monkey
 
 
 def test_seconds_count_interrupted_attempts_too(method_input, tmp_path: Path):
-    def pull(done: int, total: int, losses: dict[str, float]) -> None:
-        if done == 14:
-            raise Stop
-
     checkpoint = tmp_path / "run.safetensors"
     with pytest.raises(Stop):
-        train(method_input(), CONFIG, progress=pull, checkpoint=checkpoint)
+        train(method_input(), CONFIG, progress=stop_at(14), checkpoint=checkpoint)
     spent = float(load_file(tmp_path / "run.denoiser.safetensors")["seconds"])
     resumed = train(method_input(), CONFIG, checkpoint=checkpoint)
     assert 0 < spent == resumed.seconds["denoise"]
@@ -244,13 +246,9 @@ def test_seconds_count_interrupted_attempts_too(method_input, tmp_path: Path):
 
 
 def test_a_run_of_other_images_or_settings_is_not_continued(method_input, tmp_path: Path):
-    def pull(done: int, total: int, losses: dict[str, float]) -> None:
-        if done == 14:
-            raise Stop
-
     checkpoint = tmp_path / "run.safetensors"
     with pytest.raises(Stop):
-        train(method_input(), CONFIG, progress=pull, checkpoint=checkpoint)
+        train(method_input(), CONFIG, progress=stop_at(14), checkpoint=checkpoint)
     brighter = dataclasses.replace(method_input(), dark=method_input().dark * 1.01)
     for inputs, config in ((brighter, CONFIG), (method_input(), dataclasses.replace(CONFIG, sh_weight=0.5))):
         with pytest.raises(ValueError, match="other images or settings"):

@@ -134,6 +134,7 @@ def test_pruning_keeps_the_most_opaque_in_order():
     assert prune_to_cap(gaussians, 50, torch.Generator()) is gaussians
 
 
+# Few machines have one. What is pruned is tested without, above and below.
 @pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="compares with pruning on a CUDA device, there is none")
 def test_pruning_on_a_gpu_keeps_the_same_gaussians():

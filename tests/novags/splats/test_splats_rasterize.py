@@ -174,6 +174,22 @@ def test_a_gaussian_much_larger_than_the_image_covers_it_evenly(make_scene, scal
         assert gradient.isfinite().all()
 
 
+def test_a_gaussian_too_far_for_its_direction_is_refused(make_scene):
+    """Beyond 1.8e19 its squared distance overflows, and its colour would be that of no direction."""
+    scene = as_float32(make_scene(0, 1, 16, 16, sh_degree=1))
+    scene["viewmats"] = torch.eye(4)[None]
+    scene["Ks"] = torch.tensor([[[16.0, 0, 8], [0, 16, 8], [0, 0, 1]]])
+    scene["opacities"][0] = 0.9
+    scene["means"][0], scene["scales"][0] = torch.tensor([0, 0, 1e18]), 5e16
+    wide = {k: v.double() if torch.is_tensor(v) else v for k, v in scene.items()}
+    expected, *_ = rasterize(**wide, far_plane=1e25, backend="torch")
+    assert expected.max() > 0.1
+    torch.testing.assert_close(rasterize(**scene, far_plane=1e25)[0].double(), expected, atol=1e-5, rtol=0)
+    scene["means"][0], scene["scales"][0] = torch.tensor([0, 0, 2e19]), 1e18
+    with pytest.raises(ValueError, match="overflow float32"):
+        rasterize(**scene, far_plane=1e25, backend="numba")
+
+
 def test_a_gaussian_too_large_for_float32_and_off_centre_is_refused(make_scene):
     """Its slope over the image is no longer known; evenness would be a wrong picture."""
     scene = as_float32(make_scene(0, 1, 16, 16))
