@@ -124,9 +124,9 @@ def plan(
         light_tolerance: Share of all light that may be wrong or missing.
         light: How light gets from the lamps to the sensor.
     """
-    from novags.testbed.capture import CaptureConfig
     from novags.testbed.forecast import PILOT, light_plan, sensor_plan
     from novags.testbed.presets import PRESETS, adapted
+    from novags.testbed.stages.capture import CaptureConfig
 
     config, console = CaptureConfig(sensor=sensor, electrons=electrons, time=time, tolerance=tolerance), _console()
     size = adapted(PRESETS[preset], width=width, height=height).render
@@ -160,7 +160,7 @@ def render(
         seed: Of the Monte Carlo noise.
     """
     from novags.testbed import stages
-    from novags.testbed.render import RenderConfig
+    from novags.testbed.stages.render import RenderConfig
 
     samples = 256 if spp is None and target_error is None else spp
     config = RenderConfig(
@@ -192,7 +192,7 @@ def capture(
         seed: Of the noise.
     """
     from novags.testbed import stages
-    from novags.testbed.capture import CaptureConfig
+    from novags.testbed.stages.capture import CaptureConfig
 
     config = CaptureConfig(
         sensor=sensor, electrons=electrons, time=time, max_size=max_size, demosaic=demosaic,
@@ -222,7 +222,7 @@ def reconstruct(
     """
     from novags.testbed import stages
     from novags.testbed.presets import PRESETS, adapted
-    from novags.testbed.reconstruct import ReconstructConfig
+    from novags.testbed.stages.reconstruct import ReconstructConfig
 
     chosen = adapted(PRESETS[preset], points=points, iterations=iterations, denoiser_steps=denoiser_steps)
     config = ReconstructConfig(method=method, source=source, points=chosen.points, seed=seed, nova=chosen.nova)
@@ -249,7 +249,7 @@ def report(folder: Folder) -> None:
     Args:
         folder: Folder of a run or of an experiment.
     """
-    from novags.testbed.report import write_report
+    from novags.testbed.report.page import write_report
 
     _announce(write_report(folder, _console()))
 
@@ -263,7 +263,7 @@ def characterise(folder: Folder, *, out: Path, window: int = 1024) -> None:
         out: The TOML file.
         window: Pixels to a side of the middle of the sensor that is looked at.
     """
-    from novags.testbed.camera_frames import characterise_folder
+    from novags.testbed.calibration_frames import characterise_folder
     from sensor_model import write_sensor
 
     sensor, found = characterise_folder(folder, window=window)

@@ -27,10 +27,10 @@ from typing import Any
 import numpy as np
 
 from simscenes import activate, default_rig, render_set
-from simscenes.render.curves import KNOBS, NOISE, render_curves
+from simscenes.job.curves import KNOBS, NOISE, render_curves
+from simscenes.loading.load import build_scene
 from simscenes.render.passes import Passes
 from simscenes.render.sensors import sensor_dict
-from simscenes.render.source import build_scene
 from simscenes.rigs import Rig
 
 PLAIN = {"type": "path", "max_depth": 8}

@@ -42,11 +42,11 @@ def random_cloud(n: int, size: int, n_views: int) -> tuple[Gaussians, Views, Ten
 
 def oracle_problem(capture: Path, n: int) -> tuple[Gaussians, Views, Tensor]:
     """What the `oracle` method fits to: the noise-free dark exposures of a capture folder, enhanced."""
-    from novags.cameras.start import start_gaussians
-    from novags.nova.enhance import EnhanceConfig, enhance
-    from novags.testbed.capture_folder import open_capture
+    from novags.methods.enhancers.guided import EnhanceConfig, enhance
+    from novags.methods.start import start_gaussians
     from novags.testbed.console import Console
-    from novags.testbed.reconstruct import ReconstructConfig, method_input
+    from novags.testbed.folders.capture import open_capture
+    from novags.testbed.stages.reconstruct import ReconstructConfig, method_input
 
     config = ReconstructConfig(method="oracle", points=n)
     inputs = method_input(open_capture(capture), config, Console(quiet=True))

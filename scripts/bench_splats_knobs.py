@@ -59,7 +59,7 @@ def measure_knob(knob: str, setting: float, n: int, size: int, repeat: int, refe
     cache = tempfile.TemporaryDirectory(prefix="novags-knob-")
     os.environ["NUMBA_CACHE_DIR"] = cache.name  # before numba is imported
     from novags.splats import rasterize
-    from novags.splats.cpu import functions
+    from novags.splats.cpu import vector_math as functions
 
     if knob == "alpha_min":
         bake(ALPHA_MIN=np.float32(setting), LOG2_ALPHA_MIN=np.float32(np.log2(setting)))

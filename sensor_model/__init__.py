@@ -1,15 +1,15 @@
 """Physical camera model: radiance in, digital numbers out. Arrays only."""
 
-from sensor_model.camera_file import read_sensor as read_sensor
-from sensor_model.camera_file import sensor_from_dict as sensor_from_dict
-from sensor_model.camera_file import write_sensor as write_sensor
 from sensor_model.capture import RawFrame as RawFrame
 from sensor_model.capture import expose as expose
 from sensor_model.capture import expose_burst as expose_burst
 from sensor_model.characterise import Characterisation as Characterisation
 from sensor_model.characterise import Stack as Stack
 from sensor_model.characterise import characterise as characterise
-from sensor_model.dng import write_dng as write_dng
+from sensor_model.files.camera_file import read_sensor as read_sensor
+from sensor_model.files.camera_file import sensor_from_dict as sensor_from_dict
+from sensor_model.files.camera_file import write_sensor as write_sensor
+from sensor_model.files.dng import write_dng as write_dng
 from sensor_model.isp import Developed as Developed
 from sensor_model.isp import develop as develop
 from sensor_model.isp import develop_linear as develop_linear

@@ -9,12 +9,13 @@ from typing import Any, Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sensor_model import effects, streams
+from sensor_model import effects
+from sensor_model.frame import streams
+from sensor_model.frame.prepare import Prepared, as_channels, checked, on_sensor, prepare
 from sensor_model.moments import frame_moments
 from sensor_model.params import Exposure, Sensor, require
 from sensor_model.plan import Plan
 from sensor_model.planner import simplify
-from sensor_model.prepare import Prepared, as_channels, checked, on_sensor, prepare
 from sensor_model.radiometry import check_light
 
 Array = NDArray[np.float64]
@@ -115,7 +116,7 @@ def expose(
     if backend == "numpy":
         dn, saturated = read_out(collect_charge(inputs, shot), inputs)
     else:
-        from sensor_model import fused  # imports numba
+        from sensor_model.fast import capture_fused as fused  # imports numba
 
         dn, saturated, bad = fused.capture(inputs, shot, precision, threads)
         if bad:

@@ -2,7 +2,7 @@
 
 Every random effect is one uniform number per pixel (or row, or column) put through the inverse of its distribution
 function: samplers take `u` in (0, 1) and keep no state. Closed forms of the same effects: `moments.py`; the fast twins
-of the four that touch every pixel: `kernels.py`. Light is in photons, charge and signal in electrons, [h, w, channels].
+of the four that touch every pixel: `fast`. Light is in photons, charge and signal in electrons, [h, w, channels].
 """
 
 from __future__ import annotations

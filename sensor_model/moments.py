@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import special
 
-from sensor_model import effects, pattern
+from sensor_model import effects
+from sensor_model.frame import pattern
+from sensor_model.frame.interpixel import held_moments
+from sensor_model.frame.prepare import Prepared
 from sensor_model.params import Sensor
-from sensor_model.prepare import Prepared
-from sensor_model.spill import held_moments
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from novags.splats.views import Views
-from simscenes.multiview import MultiviewSet
+from simscenes.sets.multiview import MultiviewSet
 
 COLOR_NEIGHBOURS = 8  # points whose colours are averaged: a single dark pixel is mostly noise
 

@@ -9,9 +9,6 @@ from .gaussians import Gaussians as Gaussians
 from .losses import photometric_loss as photometric_loss
 from .losses import ssim as ssim
 from .mcmc import McmcConfig as McmcConfig
-from .method import MethodInput as MethodInput
-from .method import MethodResult as MethodResult
-from .method import SceneStart as SceneStart
 from .ply import read_ply as read_ply
 from .ply import write_ply as write_ply
 from .rasterize import rasterize as rasterize

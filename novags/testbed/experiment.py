@@ -7,10 +7,10 @@ from typing import Any
 from novags.testbed import stages
 from novags.testbed.cache import write_json
 from novags.testbed.console import Console
+from novags.testbed.folders.run import METRICS, RECORD
 from novags.testbed.presets import Preset
-from novags.testbed.report import EXPERIMENT, REPORT, find_runs, write_report
-from novags.testbed.run_folder import METRICS, RECORD
-from novags.testbed.score import merge
+from novags.testbed.report.page import EXPERIMENT, REPORT, find_runs, write_report
+from novags.testbed.stages.score import merge
 
 
 def run(preset: Preset, out: Path, console: Console, *, command: str | None = None) -> Path:

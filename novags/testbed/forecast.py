@@ -3,10 +3,10 @@
 import tempfile
 from pathlib import Path
 
-from novags.testbed.capture import CaptureConfig, meter
 from novags.testbed.console import Console
-from novags.testbed.render import RenderConfig, plan_of, prepare_render, render_views
-from novags.testbed.source import open_source, warnings_as_notes
+from novags.testbed.folders.set import open_source, warnings_as_notes
+from novags.testbed.stages.capture import CaptureConfig, meter
+from novags.testbed.stages.render import RenderConfig, plan_of, prepare_render, render_views
 from sensor_model import Plan
 
 # Enough to know the range of brightness and what the light does; it takes seconds.

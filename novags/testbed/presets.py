@@ -3,16 +3,16 @@
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from novags.nova.blindspot import BlindSpotConfig
-from novags.nova.consistency import ConsistencyConfig
-from novags.nova.denoiser import DenoiserConfig
-from novags.nova.resunet import ResUNetConfig
-from novags.nova.trainer import NovaConfig
+from novags.methods.nova.blindspot import BlindSpotConfig
+from novags.methods.nova.consistency import ConsistencyConfig
+from novags.methods.nova.denoiser import DenoiserConfig
+from novags.methods.nova.resunet import ResUNetConfig
+from novags.methods.nova.trainer import NovaConfig
+from novags.methods.table import METHODS
 from novags.splats import FitConfig, McmcConfig
-from novags.testbed.capture import CaptureConfig
-from novags.testbed.methods import METHODS
-from novags.testbed.reconstruct import ReconstructConfig
-from novags.testbed.render import RenderConfig
+from novags.testbed.stages.capture import CaptureConfig
+from novags.testbed.stages.reconstruct import ReconstructConfig
+from novags.testbed.stages.render import RenderConfig
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

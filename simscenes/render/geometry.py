@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.render.contents import unique_materials
-from simscenes.render.source import LoadedScene
+from simscenes.loading.contents import unique_materials
+from simscenes.loading.load import LoadedScene
 from simscenes.rigs import Rig, invert_rigid
 
 MAX_INTERFACES = 16  # borders of fog and the like, which bend no ray and are looked through

@@ -14,11 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simscenes.camera import camera_color
+from simscenes.loading.load import LoadedScene
 from simscenes.optics import Optics
 from simscenes.render.motion import subframe_rig
 from simscenes.render.passes import Passes, Radiance, pass_spp, sample_shares, split_passes
 from simscenes.render.sensors import PILOT_SPP, PINHOLE, sensor_dict
-from simscenes.render.source import LoadedScene
 from simscenes.render.wavefront import sample_blocks
 from simscenes.rigs import Rig
 

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simscenes.camera import camera_color
+from simscenes.loading.contents import media_in
+from simscenes.loading.load import LoadedScene
 from simscenes.optics import Optics
-from simscenes.render.contents import media_in
-from simscenes.render.source import LoadedScene
 from simscenes.rigs import Rig, intrinsics_to_mitsuba, opencv_to_mitsuba
 
 PINHOLE = Optics()

@@ -10,8 +10,8 @@ import numpy as np
 
 from sensor_model.plan import Effect
 from simscenes.camera import camera_color
+from simscenes.loading.contents import unique_materials
 from simscenes.optics import Optics
-from simscenes.render.contents import unique_materials
 from simscenes.scenes import MEASURED_LIGHTS, split_name
 from simscenes.transport import pilot, plan, spectra
 from simscenes.transport.effects import DEPTHS, RR_DEPTH, Pilot, decided

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from sensor_model.plan import Effect
 from simscenes.backend import activate
+from simscenes.loading.contents import media_in
+from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.optics import Optics
-from simscenes.render.contents import media_in
-from simscenes.render.source import LoadedScene, build_scene
 from simscenes.rigs import Rig
 from simscenes.transport import pilot, plan
 from simscenes.transport.roulette import most_efficient, path_lengths

@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.render.contents import media_in
+from simscenes.loading.contents import media_in
+from simscenes.loading.load import LoadedScene
 from simscenes.render.geometry import first_surfaces, pixel_rays
-from simscenes.render.source import LoadedScene
 from simscenes.rigs import Rig
 
 SAMPLES = 4  # per light and pixel of the pilot views

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.render.contents import media_in, unique_materials
+from simscenes.loading.contents import media_in, unique_materials
+from simscenes.loading.load import LoadedScene
 from simscenes.render.radiance import view_seed
 from simscenes.render.sensors import sensor_dict
-from simscenes.render.source import LoadedScene
 from simscenes.rigs import Rig
 
 N_VIEWS = 3

@@ -10,11 +10,11 @@ from typing import Any
 
 from sensor_model.plan import Effect
 from simscenes.backend import activate, backend_of
+from simscenes.loading.contents import media_in
+from simscenes.loading.load import LoadedScene, build_scene, set_light_weights
 from simscenes.optics import Optics
-from simscenes.render.contents import media_in
-from simscenes.render.fit import fit_rig, with_lens
+from simscenes.render.framing import fit_rig, with_lens
 from simscenes.render.geometry import check_cameras, geometry_channels
-from simscenes.render.source import LoadedScene, build_scene, set_light_weights
 from simscenes.rigs import Rig
 from simscenes.scenes import default_rig
 from simscenes.transport import pilot, plan

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simscenes.loading.load import LoadedScene
 from simscenes.render.geometry import first_surfaces, pixel_rays
-from simscenes.render.source import LoadedScene
 from simscenes.rigs import Rig
 
 SAMPLES = 8  # paths from each pixel of the pilot views

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simscenes import camera
-from simscenes.render.contents import unique_materials
+from simscenes.loading.contents import unique_materials
+from simscenes.loading.load import LoadedScene
 from simscenes.render.geometry import first_surfaces, pixel_rays
-from simscenes.render.source import LoadedScene
 from simscenes.rigs import Rig
 
 WAVELENGTHS = camera.WAVELENGTHS[::2]  # nm

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from simscenes.loading.load import LoadedScene
 from simscenes.render.geometry import first_surfaces, pixel_rays
-from simscenes.render.source import LoadedScene
 from simscenes.rigs import Rig
 
 SPECULAR = 0x8 | 0x10 | 0x20 | 0x40 | 0x80 | 0x100  # BSDFFlags: glossy and delta lobes, which polarise

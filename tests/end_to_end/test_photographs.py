@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 
 from novags.testbed import stages
-from novags.testbed.capture import CaptureConfig
-from novags.testbed.capture_folder import open_capture
 from novags.testbed.console import Console
+from novags.testbed.folders.capture import open_capture
 from novags.testbed.presets import Preset
-from novags.testbed.reconstruct import ReconstructConfig
-from novags.testbed.report import write_report
+from novags.testbed.report.page import write_report
+from novags.testbed.stages.capture import CaptureConfig
+from novags.testbed.stages.reconstruct import ReconstructConfig
 from simscenes import orbit_rig
-from simscenes.exr import write_exr
-from simscenes.multiview import write_cameras
+from simscenes.sets.exr import write_exr
+from simscenes.sets.multiview import write_cameras
 
 
 @pytest.fixture(scope="module")

@@ -18,13 +18,13 @@ from novags.splats import Gaussians, read_ply, write_ply
 from novags.splats.checkpoint import write_tensors
 from novags.testbed import stages
 from novags.testbed.cache import folder_digest, read_json, write_text
-from novags.testbed.capture_folder import open_capture
 from novags.testbed.console import Console, Update
 from novags.testbed.experiment import run, score_all
-from novags.testbed.images import write_png
+from novags.testbed.folders.capture import open_capture
+from novags.testbed.folders.png import write_png
 from novags.testbed.presets import Preset
-from novags.testbed.reconstruct import ReconstructConfig
-from novags.testbed.report import write_report
+from novags.testbed.report.page import write_report
+from novags.testbed.stages.reconstruct import ReconstructConfig
 from simscenes import load_set, read_exr, write_exr
 
 SCORES = {"psnr", "aligned_psnr", "ssim", "aligned_ssim", "flip", "lpips"}

@@ -7,7 +7,8 @@ import pytest
 import torch
 from torch import Tensor
 
-from novags.splats import Gaussians, MethodInput, Views, rasterize
+from novags.methods.problem import MethodInput
+from novags.splats import Gaussians, Views, rasterize
 
 SIZE, VIEWS, POINTS = 24, 5, 150
 

@@ -8,7 +8,7 @@ import pytest
 import rawpy
 
 from sensor_model import PRESETS, Exposure, develop, expose, mosaic, write_dng
-from sensor_model.dng import XYZ_TO_SRGB
+from sensor_model.files.dng import XYZ_TO_SRGB
 from sensor_model.params import CFAS
 
 EXPOSURE = Exposure(time=0.02)

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from sensor_model import Banding, DualGain, effects
-from sensor_model.streams import Draws
+from sensor_model.frame.streams import Draws
 
 N = 200_000
 U = Draws(seed=11).uniforms((400, 500), 0).ravel()

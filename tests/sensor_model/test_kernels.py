@@ -6,7 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from sensor_model import Banding, Defects, DualGain, Exposure, Optics, Sensor, blocks, expose
+from sensor_model import Banding, Defects, DualGain, Exposure, Optics, Sensor, expose
+from sensor_model.fast import blocks
 
 BASE = {"gain": 1.3, "eta": 0.6, "mu_e_sat": 3000.0, "black_level": 100.0, "bits": 12, "sigma_d": 2.0, "cfa": None}
 CHAINS = {
@@ -97,7 +98,7 @@ def test_importing_the_package_stays_light():
 
 def run(kernel, u, mean):
     """One kernel over any number of pixels; float64 results, and float32 ones."""
-    from sensor_model.kernels import CHUNK, MU, N, U, W
+    from sensor_model.fast.kernels import CHUNK, MU, N, U, W
 
     b, f, where = blocks.scratch()
     counts, quantiles, bounded = np.empty(u.size), np.empty(u.size), True
@@ -113,7 +114,7 @@ def test_single_precision_quantiles_keep_their_stated_error():
     """Rationale: frames equal those of float64 only if nothing is further off than `NORMAL_ERROR` says."""
     from scipy.special import ndtri
 
-    from sensor_model.kernels32 import NORMAL_ERROR, TAIL, normal32
+    from sensor_model.fast.kernels32 import NORMAL_ERROR, TAIL, normal32
 
     tail = np.exp(np.linspace(np.log(1.001 * TAIL), np.log(0.5), 100_000))
     u = np.concatenate([tail, 1 - tail, 0.5 + np.linspace(-1e-3, 1e-3, 2000)])
@@ -127,7 +128,7 @@ def test_single_precision_quantiles_keep_their_stated_error():
 def test_poisson_counts_are_exact_though_found_in_single_precision(order):
     """Means from 1e-9 to 1e7 and numbers far into both tails, side by side and on their own."""
     from sensor_model import effects
-    from sensor_model.kernels_poisson import poisson
+    from sensor_model.fast.poisson import poisson
 
     rng = np.random.default_rng(0)
     mean = np.exp(rng.uniform(np.log(1e-9), np.log(1e7), 150_000))

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from sensor_model import PRESETS, Banding, Defects, DualGain, Exposure, Sensor, effects, expose
+from sensor_model.frame.interpixel import coupled_variance, positive_part
 from sensor_model.moments import code_moments
-from sensor_model.spill import coupled_variance, positive_part
 
 FRAMES = 10_000
 EXPOSURE = Exposure(time=0.1)

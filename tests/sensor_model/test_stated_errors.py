@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from scipy import special
 
-from sensor_model import PRESETS, Exposure, Sensor, blocks, plan_effects
-from sensor_model.kernels import MU, C, N, P, U, W, X, exp16, log
-from sensor_model.kernels32 import log32
-from sensor_model.kernels_poisson import SMALL_MEAN, SMALL_SLACK, _count_up, _series
+from sensor_model import PRESETS, Exposure, Sensor, plan_effects
+from sensor_model.fast import blocks
+from sensor_model.fast.kernels import MU, C, N, P, U, W, X, exp16, log
+from sensor_model.fast.kernels32 import log32
+from sensor_model.fast.poisson import SMALL_MEAN, SMALL_SLACK, _count_up, _series
 
 RNG = np.random.default_rng(0)
 POSITIVE = np.concatenate([np.exp(RNG.uniform(-80, 80, 5000)), 1 + RNG.uniform(-1e-3, 1e-3, 5000)])

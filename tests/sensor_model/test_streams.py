@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from sensor_model import streams
-from sensor_model.streams import Draws
+from sensor_model.frame import streams
+from sensor_model.frame.streams import Draws
 
 KNOWN_ANSWERS = [  # Random123, kat_vectors, philox4x32 10
     ((0, 0, 0, 0), (0, 0), (0x6627E8D5, 0xE169C58D, 0xBC57AC4C, 0x9B00DBD8)),

@@ -23,7 +23,7 @@ def fresh(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[pytest.Mo
 
 
 def test_importing_simscenes_imports_no_mitsuba() -> None:
-    code = "import sys, simscenes, simscenes.multiview; print({'mitsuba', 'drjit', 'torch'} & set(sys.modules))"
+    code = "import sys, simscenes, simscenes.sets.multiview; print({'mitsuba', 'drjit', 'torch'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"
 

@@ -10,8 +10,8 @@ import pytest
 
 from simscenes import Rig, fit_rig, load_set, render_set
 from simscenes.backend import activate
-from simscenes.render.fit import own_rig
-from simscenes.render.source import build_scene
+from simscenes.loading.load import build_scene
+from simscenes.render.framing import own_rig
 from simscenes.rigs import intrinsics, look_at
 
 SCENE = """<scene version="3.0.0">

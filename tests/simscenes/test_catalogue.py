@@ -9,8 +9,8 @@ import pytest
 
 from simscenes import SCENES, default_rig
 from simscenes.backend import activate, backend_of
+from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.render.geometry import geometry_channels
-from simscenes.render.source import LoadedScene, build_scene
 from simscenes.scenes import textures as t
 from simscenes.transport import pilot
 from simscenes.transport.effects import DEEPEST, RR_DEPTH, Pilot, depth_effects, media_effects

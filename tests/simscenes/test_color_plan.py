@@ -10,7 +10,7 @@ import pytest
 from simscenes import Optics, Rig, default_rig, orbit_rig, plan_transport, render_set
 from simscenes.backend import activate, backend_of
 from simscenes.camera import camera_color, srgb_curves
-from simscenes.render.source import build_scene
+from simscenes.loading.load import build_scene
 from simscenes.rigs import intrinsics, look_at
 from simscenes.scenes import MEASURED_LIGHTS, SCENES
 from simscenes.transport.plan import MADE_UP

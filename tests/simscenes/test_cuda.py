@@ -5,8 +5,8 @@ import pytest
 
 from simscenes import default_rig
 from simscenes.backend import activate, backend_status
+from simscenes.loading.load import build_scene
 from simscenes.render.radiance import Method, View
-from simscenes.render.source import build_scene
 
 WORKS = backend_status("cuda_ad")[0] and backend_status("llvm_ad")[0]
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from simscenes.render import curves
-from simscenes.render.curves import KNOBS, Setting, render_curves
+from simscenes.job import curves
+from simscenes.job.curves import KNOBS, Setting, render_curves
 
 pytestmark = pytest.mark.usefixtures("jit")
 

@@ -8,8 +8,8 @@ import pytest
 
 from simscenes import default_rig
 from simscenes.backend import activate
+from simscenes.loading.load import build_scene
 from simscenes.render.geometry import geometry_channels
-from simscenes.render.source import build_scene
 from simscenes.transport import pilot
 from simscenes.transport.specular import SPECULAR
 

@@ -7,8 +7,8 @@ import pytest
 
 from simscenes import Rig, plan_transport
 from simscenes.backend import activate
+from simscenes.loading.load import build_scene
 from simscenes.render.geometry import check_cameras, geometry_channels
-from simscenes.render.source import build_scene
 from simscenes.rigs import intrinsics, look_at
 
 VARIANTS = pytest.mark.parametrize("variant", ["auto", "scalar"])

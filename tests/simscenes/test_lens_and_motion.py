@@ -9,9 +9,9 @@ import pytest
 
 from simscenes import Optics, Rig, orbit_rig, plan_transport, render_set
 from simscenes.backend import activate
+from simscenes.loading.load import build_scene
 from simscenes.render.motion import moved_pose, subframe_rig
 from simscenes.render.radiance import Method, View
-from simscenes.render.source import build_scene
 
 SceneMaker = Callable[..., dict[str, Any]]
 

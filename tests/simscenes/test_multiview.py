@@ -10,8 +10,8 @@ import pytest
 
 from sensor_model import srgb_to_linear
 from simscenes import load_set, orbit_rig, write_cameras
-from simscenes.multiview import encode_srgb
 from simscenes.rigs import Rig, intrinsics, opencv_to_opengl
+from simscenes.sets.multiview import encode_srgb
 
 
 def make_images(folder: Path, names: list[str], width: int, height: int) -> None:

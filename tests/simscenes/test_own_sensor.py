@@ -8,11 +8,11 @@ import pytest
 
 from simscenes import Rig, fit_rig, plan_transport, render_set
 from simscenes.backend import activate
+from simscenes.loading.load import build_scene
 from simscenes.optics import Optics
-from simscenes.render.fit import own_rig, with_lens
+from simscenes.render.framing import own_rig, with_lens
 from simscenes.render.geometry import pixel_rays
 from simscenes.render.sensors import medium_at
-from simscenes.render.source import build_scene
 from simscenes.rigs import intrinsics, look_at
 
 CROPPED = {"crop_width": 50, "crop_height": 40, "crop_offset_x": 50, "crop_offset_y": 30}

@@ -7,10 +7,10 @@ import pytest
 
 from simscenes import Optics, Rig
 from simscenes.backend import activate
+from simscenes.loading.load import build_scene
 from simscenes.render.geometry import pixel_rays
 from simscenes.render.passes import Radiance
 from simscenes.render.radiance import Method, View
-from simscenes.render.source import build_scene
 from simscenes.rigs import intrinsics, look_at
 
 WHITE = {"type": "rgb", "value": 1.0}

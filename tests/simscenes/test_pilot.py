@@ -8,7 +8,7 @@ import pytest
 
 from simscenes import default_rig
 from simscenes.backend import activate
-from simscenes.render.source import build_scene
+from simscenes.loading.load import build_scene
 from simscenes.transport.pilot import MOST, Share, beyond, changed_light, missing_light, most_reflected, pilot_rig
 
 SceneMaker = Callable[..., dict[str, Any]]

@@ -12,10 +12,10 @@ import pytest
 
 from simscenes import Rig, default_rig, load_set, orbit_rig, read_exr, render_set
 from simscenes.backend import activate
+from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.render.geometry import geometry_channels
 from simscenes.render.passes import Passes, count_fireflies, split_passes
 from simscenes.render.radiance import Method, View
-from simscenes.render.source import LoadedScene, build_scene
 from simscenes.rigs import intrinsics, look_at
 
 GRAY = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.4, 0.2]}}

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from simscenes import backend, rigs
+from simscenes.loading.load import build_scene
 from simscenes.render.sensors import sensor_dict
-from simscenes.render.source import build_scene
 from simscenes.rigs import Rig, forward_rig, look_at, orbit_rig
 
 finite = st.floats(-50, 50)

@@ -7,7 +7,7 @@ import pytest
 
 from simscenes import Rig, default_rig
 from simscenes.backend import activate, backend_of
-from simscenes.render.source import build_scene
+from simscenes.loading.load import build_scene
 from simscenes.rigs import intrinsics, look_at
 from simscenes.transport.effects import Pilot, roulette_effect
 from simscenes.transport.pilot import pilot_rig

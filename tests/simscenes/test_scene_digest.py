@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from simscenes.backend import activate
-from simscenes.render.source import build_scene
+from simscenes.loading.load import build_scene
 
 
 def scene(mi: Any, change: str = "") -> dict[str, Any]:

@@ -8,8 +8,8 @@ import pytest
 
 from simscenes import Rig, default_rig, plan_transport
 from simscenes.backend import activate, backend_of
+from simscenes.loading.load import build_scene
 from simscenes.render.radiance import Method, View
-from simscenes.render.source import build_scene
 from simscenes.scenes import SCENES
 from simscenes.transport import TransportPlan
 from simscenes.transport.effects import _is_chromatic

@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 from simscenes.backend import activate
-from simscenes.render.source import build_scene
-from simscenes.render.untrusted import check_xml
+from simscenes.loading.load import build_scene
+from simscenes.loading.untrusted import check_xml
 
 BALL = '<shape type="sphere" id="ball">{}</shape>'
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"

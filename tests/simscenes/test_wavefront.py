@@ -7,11 +7,11 @@ import pytest
 
 from simscenes import Optics, Rig
 from simscenes.backend import activate
+from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.render import radiance, wavefront
 from simscenes.render.passes import Passes, sample_shares
 from simscenes.render.radiance import Method, View
 from simscenes.render.sensors import sensor_dict
-from simscenes.render.source import LoadedScene, build_scene
 from simscenes.rigs import intrinsics, look_at
 
 pytestmark = pytest.mark.usefixtures("jit")

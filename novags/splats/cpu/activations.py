@@ -5,8 +5,8 @@
 import numpy as np
 
 from .compiler import inline, kernel
-from .functions import exp
 from .simd import LANES, copy, load, store
+from .vector_math import exp
 
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
 BLOCK = 4096  # values per partial sum: fixed, so that it does not depend on the threads

@@ -15,8 +15,7 @@ import numpy as np
 
 from .bins import CELLS, SLACK, cells_reached
 from .compiler import inline, kernel
-from .functions import exp2_alpha
-from .layout import (
+from .record import (
     ALPHA_MAX,
     BLOCK,
     CHANNEL,
@@ -49,6 +48,7 @@ from .simd import (
     store,
     stream,
 )
+from .vector_math import exp2_alpha
 
 ZERO, HALF, ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 SIDE = TILE // BLOCK  # 4, or 2 for tiles of 8 pixels

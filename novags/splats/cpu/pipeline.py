@@ -10,10 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from . import bins, composite, features, harmonics, project, project_backward, sort
-from .layout import CHANNELS, ROW, TILE
+from . import bins, composite, harmonics, plain_channels, project, project_backward, sort
 from .memory import empty
 from .parallel import run
+from .record import CHANNELS, ROW, TILE
 
 CHUNKS_PER_THREAD = 4
 WAVE = 256  # list entries per tile of the first wave; saturated tiles take none of the next, which is twice as long
@@ -199,7 +199,7 @@ def _channel_rows(frame: Frame, shape: Shape, colors: np.ndarray) -> tuple[list[
             rows = empty(rows.shape)
             rows[:] = splats.rows
         numbers = first, frame.depth_channel
-        run(features.fill, n, project.GRAIN, colors, splats.depths, *numbers, splats.radii, rows, suspect)
+        run(plain_channels.fill, n, project.GRAIN, colors, splats.depths, *numbers, splats.radii, rows, suspect)
         copies.append(rows)
     return copies, bool(suspect[0])
 

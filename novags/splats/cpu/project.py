@@ -4,10 +4,8 @@
 
 import numpy as np
 
-from .columns import to_columns3, to_columns4, transpose
 from .compiler import inline, kernel
-from .functions import log2
-from .layout import (
+from .record import (
     ALPHA_MIN,
     HALF_LOG2E,
     LOG2_ALPHA_MIN,
@@ -24,6 +22,8 @@ from .layout import (
     Y,
 )
 from .simd import LANES, bits, ceil, copy, floor, load, maximum, minimum, negative_abs, select, sqrt, store
+from .transpose import to_columns3, to_columns4, transpose
+from .vector_math import log2
 
 ZERO, ONE, TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 MARGIN = np.float32(0.15)  # of the image size beyond its border: where gsplat stops following the affine approximation

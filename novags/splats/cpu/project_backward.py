@@ -8,11 +8,11 @@ alpha times 1, u, u^2, u dy, dy, dy^2, and of the four channels' gradients.
 
 import numpy as np
 
-from .columns import from_columns3, from_columns4, transpose
 from .compiler import inline, kernel
-from .layout import CHANNELS, ROW
 from .project import EPS2D, INPUTS, _footprint, _gather, _image_axes, _jacobian, _rotation, _times_rotation, _to_camera
+from .record import CHANNELS, ROW
 from .simd import LANES, load, select, splat, store
+from .transpose import from_columns3, from_columns4, transpose
 
 ZERO, HALF, ONE, TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 SUMS = 6

@@ -7,8 +7,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from novags.cameras.known import known, perturb
-from simscenes.multiview import load_set
 from simscenes.rigs import Rig, orbit_rig
+from simscenes.sets.multiview import load_set
 
 SIZE = 20
 

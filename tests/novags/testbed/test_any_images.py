@@ -10,15 +10,15 @@ import numpy as np
 import pytest
 
 from novags.testbed import stages
-from novags.testbed.capture import QUANTILES, CaptureConfig, measure_light
-from novags.testbed.capture_folder import open_capture
 from novags.testbed.console import Console
-from novags.testbed.linear_photos import load_linear_set
-from novags.testbed.source import open_source
+from novags.testbed.folders.capture import open_capture
+from novags.testbed.folders.linear_photographs import load_linear_set
+from novags.testbed.folders.set import open_source
+from novags.testbed.stages.capture import QUANTILES, CaptureConfig, measure_light
 from sensor_model import PRESETS, Exposure, expose, mosaic, photons_for_electrons, srgb_to_linear, write_dng
 from simscenes import orbit_rig
-from simscenes.exr import write_exr
-from simscenes.multiview import write_cameras
+from simscenes.sets.exr import write_exr
+from simscenes.sets.multiview import write_cameras
 
 QUIET = Console(quiet=True)
 CAMERA = PRESETS["imx900-hcg"]

@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 from novags.testbed import stages
-from novags.testbed.capture import CaptureConfig
-from novags.testbed.capture_folder import open_capture
 from novags.testbed.console import Console
+from novags.testbed.folders.capture import open_capture
 from novags.testbed.forecast import PILOT, sensor_plan
+from novags.testbed.stages.capture import CaptureConfig
 from sensor_model import PRESETS, read_sensor, srgb_to_linear, write_sensor
 from simscenes import orbit_rig
-from simscenes.exr import read_exr, write_exr
-from simscenes.multiview import write_cameras
+from simscenes.sets.exr import read_exr, write_exr
+from simscenes.sets.multiview import write_cameras
 
 QUIET = Console(quiet=True)
 CAMERA = "gain = 1.5\neta = 0.6\nmu_e_sat = 5000\nblack_level = 64.5\nbits = 12\nsigma_d = 2.0\n"

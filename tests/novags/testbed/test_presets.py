@@ -6,12 +6,12 @@ import sys
 
 import pytest
 
-from novags.testbed.capture import CaptureConfig
+from novags.methods.table import METHODS, method_config, suited
 from novags.testbed.console import Console, losses_text
-from novags.testbed.methods import METHODS, method_config, suited
 from novags.testbed.presets import PRESETS, adapted
-from novags.testbed.reconstruct import ReconstructConfig
-from novags.testbed.render import RenderConfig
+from novags.testbed.stages.capture import CaptureConfig
+from novags.testbed.stages.reconstruct import ReconstructConfig
+from novags.testbed.stages.render import RenderConfig
 from sensor_model import PRESETS as SENSORS
 
 

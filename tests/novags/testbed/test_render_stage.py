@@ -7,7 +7,7 @@ import pytest
 
 from novags.testbed import stages
 from novags.testbed.console import Console
-from novags.testbed.render import RenderConfig, scene_digest
+from novags.testbed.stages.render import RenderConfig, scene_digest
 from simscenes import Optics
 
 QUIET = Console(quiet=True)

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from novags.testbed.report_charts import line_chart, linear_ticks, log_ticks
-from novags.testbed.report_facts import duration, join, number, score_table, signed, size, smoothed
-from novags.testbed.report_images import ERROR_CEILING, data_uri, depth_map, error_map
-from novags.testbed.score import merge, recovered_fractions
+from novags.testbed.report.charts import line_chart, linear_ticks, log_ticks
+from novags.testbed.report.facts import duration, join, number, score_table, signed, size, smoothed
+from novags.testbed.report.pictures import ERROR_CEILING, data_uri, depth_map, error_map
+from novags.testbed.stages.score import merge, recovered_fractions
 
 
 def method(value: float, **others: Any) -> dict[str, Any]:

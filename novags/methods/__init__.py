@@ -1,0 +1,1 @@
+"""What is compared: one file or folder a method, and the table that names them."""

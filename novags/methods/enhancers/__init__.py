@@ -1,0 +1,1 @@
+"""A dark picture in, a bright one out: one file an enhancer."""

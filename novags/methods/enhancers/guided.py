@@ -1,0 +1,157 @@
+"""Structure-aware enhancement: brighten a dark image through its guided-filtered brightness map (paper, section 4.2).
+
+`dark` is the sRGB-encoded input in 0..1, `brightness` (L) its edge-preserving smooth version, `gamma` the exponent that
+brings the mean of L**gamma to the target exposure, `ratio` (R) the factor every pixel is multiplied with. Images are
+[H, W, 3] or [C, H, W, 3]; every image gets its own gamma and epsilon, every colour channel is its own guide.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from novags.methods.enhancers.noise_level import immerkaer_sigma, patch_pca_sigma
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnhanceConfig:
+    """Choices of the enhancement. The paper fixes `window` and `target`; the rest it leaves open."""
+
+    window: int = 33  # px, odd; shrunk to fit images smaller than it
+    target: float = 0.5  # tau, mean of L**gamma
+    eta: float = 1e-4  # in R = L**gamma / (L + eta)
+    noise_estimator: Literal["patch-pca", "immerkaer"] = "patch-pca"
+    noise_factor: float = 1.0  # epsilon = noise_factor * estimated noise variance
+    gamma_min: float = 0.02
+    gamma_max: float = 5.0
+    bisection_steps: int = 40
+
+    def __post_init__(self) -> None:
+        if self.window < 1 or self.window % 2 == 0:
+            raise ValueError(f"window must be odd and >= 1 px, got {self.window}")
+        if not 0 < self.target < 1:
+            raise ValueError(f"target must lie in (0, 1), got {self.target}")
+        if not self.eta > 0:
+            raise ValueError(f"eta must be > 0 (black pixels would be divided by zero), got {self.eta}")
+        if self.noise_factor < 0:
+            raise ValueError(f"noise_factor must be >= 0, got {self.noise_factor}")
+        if not 0 < self.gamma_min < self.gamma_max:
+            raise ValueError(f"need 0 < gamma_min < gamma_max, got {self.gamma_min} and {self.gamma_max}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnhanceParams:
+    """What one enhancement settled on, so that another exposure of the same view can be put through the same one."""
+
+    gamma: Tensor  # [C] or scalar for a single image
+    epsilon: Tensor  # same shape; regulariser of the guided filter, squared image units
+    radius: int  # px; window = 2 radius + 1
+
+
+def box_mean(image: Tensor, radius: int) -> Tensor:
+    """Mean over a (2 radius + 1)² window, normalised by the number of pixels inside the image. image: [B, D, H, W]."""
+    size = 2 * radius + 1
+    rows = F.avg_pool2d(image, (size, 1), stride=1, padding=(radius, 0), count_include_pad=False)
+    return F.avg_pool2d(rows, (1, size), stride=1, padding=(0, radius), count_include_pad=False)
+
+
+def guided_filter(image: Tensor, radius: int, epsilon: Tensor) -> Tensor:
+    """Self-guided filter (supplement, section B.1): q = mean(a) I + mean(b), a = var / (var + eps), b = mean (1 - a).
+
+    Args:
+        image: [B, D, H, W], any scale. Every channel guides itself.
+        radius: Window radius in px, at most (min(H, W) - 1) // 2.
+        epsilon: [B], squared image units. 0 returns the image.
+
+    Returns:
+        [B, D, H, W], same dtype; each pixel is a convex combination of window means and the pixel itself.
+    """
+    # float64: the variance is a difference of squares, and dark images have variances near 1e-6.
+    wide = image.double()
+    mean = box_mean(wide, radius)
+    variance = (box_mean(wide * wide, radius) - mean * mean).clamp_min(0)
+    # Floor: without it a constant window with epsilon 0 is 0 / 0; with it a = 0 and q = mean.
+    a = variance / (variance + epsilon.double().clamp_min(1e-14).reshape(-1, 1, 1, 1))
+    b = mean * (1 - a)
+    return (box_mean(a, radius) * wide + box_mean(b, radius)).to(image.dtype)
+
+
+def solve_gamma(brightness: Tensor, config: EnhanceConfig) -> Tensor:
+    """Gamma per image such that mean(L**gamma) = target, by bisection on the monotone mean. brightness: [B, ...] > 0.
+
+    Where no exponent in the configured range reaches the target (a constant white image), the nearest end is returned.
+    """
+    flat = brightness.detach().double().flatten(1)
+    low = torch.full_like(flat[:, :1], config.gamma_min)
+    high = torch.full_like(low, config.gamma_max)
+    for _ in range(config.bisection_steps):
+        middle = (low + high) / 2
+        too_bright = (flat**middle).mean(1, keepdim=True) > config.target
+        low, high = torch.where(too_bright, middle, low), torch.where(too_bright, high, middle)
+    return ((low + high) / 2).squeeze(1)
+
+
+def _check(dark: Tensor) -> None:
+    if dark.ndim not in (3, 4) or dark.shape[-1] != 3 or 0 in dark.shape or not dark.is_floating_point():
+        raise ValueError(
+            f"dark must be a float image [H, W, 3] or [C, H, W, 3], got {dark.dtype} {tuple(dark.shape)}; "
+            "divide 8-bit codes by 255"
+        )
+    bad = ~(torch.isfinite(dark) & (dark >= 0) & (dark <= 1))
+    if bad.any():
+        first = tuple(int(i) for i in bad.nonzero()[0])
+        raise ValueError(
+            f"dark must be finite and in 0..1, got {float(dark[first])} at {first} "
+            f"({int(bad.sum())} of {dark.numel()} values); clip it after encoding"
+        )
+
+
+def _new_params(images: Tensor, config: EnhanceConfig) -> tuple[Tensor, int]:
+    """Epsilon [B] and radius for images [B, 3, H, W]."""
+    estimate = patch_pca_sigma if config.noise_estimator == "patch-pca" else immerkaer_sigma
+    sigma = torch.stack([estimate(image) for image in images.detach()])
+    radius = min(config.window // 2, (min(images.shape[-2:]) - 1) // 2)
+    return config.noise_factor * sigma**2, radius
+
+
+def enhance(
+    dark: Tensor, config: EnhanceConfig | None = None, params: EnhanceParams | None = None
+) -> tuple[Tensor, EnhanceParams]:
+    """Brighten images to the target exposure: I_enh = min(I_dark * L**gamma / (L + eta), 1), equations 3 to 5.
+
+    Differentiable in `dark`; gamma and epsilon count as constants. A black image stays black, an image brighter than
+    the target is darkened (gamma > 1).
+
+    Args:
+        dark: [H, W, 3] or [C, H, W, 3], sRGB-encoded, 0..1.
+        config: Choices; None takes the defaults.
+        params: Gamma, epsilon and radius of an earlier call, used instead of new ones: a noise-free exposure then goes
+            through the same enhancement as its noisy twin.
+
+    Returns:
+        The enhanced images, same shape and dtype, 0..1, and the parameters used.
+
+    Raises:
+        ValueError: If the shape is another one, a value is not finite or outside 0..1, or `params` belongs to another
+            number of images.
+    """
+    config = config or EnhanceConfig()
+    _check(dark)
+    images = (dark if dark.ndim == 4 else dark[None]).movedim(-1, 1)
+    if params is None:
+        epsilon, radius = _new_params(images, config)
+    else:
+        if params.gamma.shape != dark.shape[:-3]:
+            raise ValueError(f"params hold {tuple(params.gamma.shape)} gammas, images are {tuple(dark.shape[:-3])}")
+        epsilon, radius = params.epsilon.reshape(-1), params.radius
+    smooth = guided_filter(images, radius, epsilon)
+    eta = images.new_tensor(config.eta)
+    # Clamp: 0**gamma has an infinite slope for gamma < 1, which would turn gradients into NaN.
+    bounded = smooth.clamp_min(eta)
+    gamma = solve_gamma(bounded, config) if params is None else params.gamma.reshape(-1)
+    ratio = bounded ** gamma.to(images.dtype).reshape(-1, 1, 1, 1) / (smooth + eta)
+    enhanced = (images * ratio).clamp_max(1).movedim(1, -1)
+    used = EnhanceParams(gamma=gamma.reshape(dark.shape[:-3]), epsilon=epsilon.reshape(dark.shape[:-3]), radius=radius)
+    return (enhanced if dark.ndim == 4 else enhanced[0]), used

@@ -1,0 +1,167 @@
+"""The self-supervised denoiser: blind-spot training on a scene's own enhanced views (paper, section 4.3).
+
+Views come as [C, H, W, 3]; inside, batches are [B, 3, H, W]. One `Denoiser` is one network with its optimiser and its
+own random stream, so that a resumed run draws what the uninterrupted one would have drawn.
+"""
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+
+from novags.methods.nova.blindspot import BlindSpotConfig, n2v_loss, replace_masked, sample_mask
+from novags.methods.nova.checkpoint import pack, unpack
+from novags.methods.nova.resunet import ResUNet, ResUNetConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class DenoiserConfig:
+    """Network, masks and schedule of the denoiser."""
+
+    network: ResUNetConfig = field(default_factory=ResUNetConfig)
+    blind_spots: BlindSpotConfig = field(default_factory=BlindSpotConfig)
+    warmup_steps: int = 500  # before the first splat iteration
+    denoise_every: int | None = 1  # splat iterations between two further steps; None trains in the warm-up only
+    batch: int = 1  # crops a step
+    crop: int | None = None  # px; None takes whole views
+    learning_rate: float = 1e-3  # Adam
+    decay: Literal["constant", "cosine"] = "constant"  # of the learning rate over all steps
+    augment: bool = False  # random flips and quarter turns of a batch
+    # The network predicts the difference to a Gaussian blur (sigma in px) of its blinded input whose kernel leaves out
+    # the centre: training then starts at the quality of a blur. None predicts the image itself, as the paper does.
+    residual_blur: float | None = None
+    # Share of the noisy image in I_clean. A blind-spot network infers a pixel from its neighbours, so its error and the
+    # pixel's own noise are independent, and a mix of the two beats both; fine texture, which neighbours do not tell,
+    # comes back. 0 is the paper.
+    noisy_share: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.warmup_steps < 0:
+            raise ValueError(f"warmup_steps must be >= 0, got {self.warmup_steps}")
+        if self.denoise_every is not None and self.denoise_every < 1:
+            raise ValueError(f"denoise_every must be >= 1 or None, got {self.denoise_every}")
+        if self.batch < 1 or (self.crop is not None and self.crop < 2):
+            raise ValueError(f"need batch >= 1 and crop >= 2 px, got {self.batch} and {self.crop}")
+        if not self.learning_rate > 0:
+            raise ValueError(f"learning_rate must be > 0, got {self.learning_rate}")
+        if self.residual_blur is not None and not self.residual_blur > 0:
+            raise ValueError(f"residual_blur must be > 0 px or None, got {self.residual_blur}")
+        if not 0 <= self.noisy_share < 1:
+            raise ValueError(f"noisy_share must lie in [0, 1), got {self.noisy_share}")
+
+    def total_steps(self, iterations: int) -> int:
+        """Optimiser steps in a run of so many splat iterations."""
+        concurrent = 0 if self.denoise_every is None else -(-iterations // self.denoise_every)
+        return self.warmup_steps + concurrent
+
+
+def donut_blur(images: Tensor, sigma: float) -> Tensor:
+    """Gaussian blur whose kernel has no centre, so that a pixel says nothing about itself. images: [B, D, H, W]."""
+    radius = min(max(1, math.ceil(3 * sigma)), *(side - 1 for side in images.shape[-2:]))
+    offsets = torch.arange(-radius, radius + 1, dtype=images.dtype, device=images.device)
+    line = torch.exp(-0.5 * (offsets / sigma) ** 2)
+    kernel = torch.outer(line, line)
+    kernel[radius, radius] = 0
+    channels = images.shape[1]
+    weight = (kernel / kernel.sum()).expand(channels, 1, -1, -1)
+    return F.conv2d(F.pad(images, (radius,) * 4, mode="reflect"), weight, groups=channels)
+
+
+class Denoiser:
+    """A network in training on one scene's enhanced views."""
+
+    def __init__(self, enhanced: Tensor, config: DenoiserConfig, *, total_steps: int, seed: int) -> None:
+        """enhanced: [C, H, W, 3], 0..1. total_steps sets the length of the learning-rate decay."""
+        if enhanced.ndim != 4 or enhanced.shape[-1] != 3 or 0 in enhanced.shape:
+            raise ValueError(f"enhanced must be [C, H, W, 3], got {tuple(enhanced.shape)}")
+        self.config, self.total_steps, self.step = config, max(1, total_steps), 0
+        self.images = enhanced.detach().movedim(-1, 1).contiguous()
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            self.network = ResUNet(config.network).to(enhanced.device)
+        # The layout that convolutions on a CPU are fastest in.
+        self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch's stubs lack this one
+        if config.residual_blur is not None:
+            # A network that starts at zero starts at the blur.
+            for parameter in self.network.head.parameters():
+                nn.init.zeros_(parameter)
+        self.optimizer = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
+        self.generator = torch.Generator(enhanced.device).manual_seed(seed)
+
+    def predict(self, images: Tensor) -> Tensor:
+        """The network's estimate for images [B, 3, H, W], differentiable, not clipped."""
+        estimate = self.network(images.contiguous(memory_format=torch.channels_last))
+        if self.config.residual_blur is not None:
+            estimate = estimate + donut_blur(images, self.config.residual_blur)
+        return estimate
+
+    def loss(self) -> Tensor:
+        """L_N2V of one random batch (equation 8)."""
+        batch = self._draw_batch()
+        spots = self.config.blind_spots
+        planes = batch.flatten(0, 1).unsqueeze(1) if spots.per_channel else batch
+        fraction = spots.fraction(self.images.shape[-2] * self.images.shape[-1])
+        mask = sample_mask(planes, fraction, spots.laplacian_share, self.generator)
+        blinded = replace_masked(planes, mask, spots.window, self.generator).view_as(batch)
+        return n2v_loss(self.predict(blinded).reshape(planes.shape), planes, mask)
+
+    def train_step(self) -> float:
+        """One optimiser step on L_N2V, plus whatever gradients the network already holds. Returns the loss."""
+        loss = self.loss()
+        loss.backward()
+        rate = self.config.learning_rate
+        if self.config.decay == "cosine":
+            rate *= 0.5 * (1 + math.cos(math.pi * min(1, self.step / self.total_steps)))
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        self.optimizer.step()
+        self.optimizer.zero_grad(set_to_none=True)
+        self.step += 1
+        return loss.item()
+
+    def denoise(self, view: int) -> Tensor:
+        """I_clean of one view, [H, W, 3] in 0..1: the network on the unmasked image. Differentiable in the weights."""
+        noisy = self.images[view : view + 1]
+        clean = self.predict(noisy).clamp(0, 1)
+        return torch.lerp(clean, noisy, self.config.noisy_share)[0].movedim(0, -1)
+
+    def denoise_all(self) -> Tensor:
+        """I_clean of all views, [C, H, W, 3] in 0..1, without gradient."""
+        with torch.no_grad():
+            return torch.stack([self.denoise(view) for view in range(len(self.images))])
+
+    def _draw_batch(self) -> Tensor:
+        """Random crops [batch, 3, crop, crop], or whole views where no crop is configured."""
+        count, _, height, width = self.images.shape
+        rows, columns = min(self.config.crop or height, height), min(self.config.crop or width, width)
+        views = self._integers(count)
+        tops, lefts = self._integers(height - rows + 1), self._integers(width - columns + 1)
+        crops = [self.images[v, :, y : y + rows, x : x + columns] for v, y, x in zip(views, tops, lefts, strict=True)]
+        batch = torch.stack(crops)
+        if self.config.augment:
+            turn = int(torch.randint(8, (1,), generator=self.generator, device=batch.device))
+            batch = torch.rot90(batch, turn % 4, (2, 3))
+            batch = batch.flip(3) if turn >= 4 else batch
+        return batch
+
+    def _integers(self, high: int) -> list[int]:
+        drawn = torch.randint(high, (self.config.batch,), generator=self.generator, device=self.images.device)
+        return [int(i) for i in drawn]
+
+    def state(self) -> dict[str, Tensor]:
+        """Everything the next step depends on but the images: weights, Adam moments, step and random state."""
+        own = {"denoiser.generator": self.generator.get_state(), "denoiser.steps": torch.tensor(self.step)}
+        return pack("denoiser", self.network, self.optimizer) | own
+
+    def restore(self, tensors: dict[str, Tensor]) -> None:
+        """Continue from `state`.
+
+        Raises:
+            ValueError: If it belongs to a network of another shape.
+        """
+        unpack("denoiser", tensors, self.network, self.optimizer)
+        self.generator.set_state(tensors["denoiser.generator"])
+        self.step = int(tensors["denoiser.steps"])

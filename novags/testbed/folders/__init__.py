@@ -1,0 +1,1 @@
+"""What lies on disk: sets, captures, runs, and the files in them."""

@@ -1,0 +1,150 @@
+"""What a capture photographs: a multiview set, rendered or real, optionally scaled down.
+
+Radiance is float32 linear RGB [h,w,3]; lit images are float32 sRGB-encoded [h,w,3], 0..1.
+"""
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from novags.testbed.cache import folder_digest
+from novags.testbed.console import Console
+from novags.testbed.folders.linear_photographs import load_linear_set
+from novags.testbed.metrics import SSIM_WINDOW
+from sensor_model import linear_to_srgb
+from simscenes.rigs import Rig
+from simscenes.sets.multiview import MultiviewSet, load_set
+
+# What a set is read from beside its images: our own record and truth, and the cameras in every form that is read.
+MODEL = tuple(f"{part}.{suffix}" for part in ("cameras", "images", "points3D") for suffix in ("bin", "txt"))
+CAMERA_FILES = ("set.json", "capture.json", "transforms.json", "nb-info.json", "sparse", "sparse/0", "gt", *MODEL)
+
+NOISE = 0.01  # of a photograph's bright light: further below 0 than this is no noise
+
+
+@dataclass(frozen=True)
+class Source:
+    """A multiview set seen at the capture's image size."""
+
+    views: MultiviewSet
+    rig: Rig  # of the scaled images
+    console: Console  # where notes on single views go
+
+    @property
+    def scaled(self) -> bool:
+        """Whether images differ in size from the set's own."""
+        return (self.rig.width, self.rig.height) != (self.views.rig.width, self.views.rig.height)
+
+    @property
+    def filters(self) -> np.ndarray | None:
+        """Linear sRGB -> what the set's own colour filters see, [3,3]; None for a set in linear sRGB."""
+        matrix = self.views.meta.get("camera_matrix")
+        return None if matrix is None else np.array(matrix, np.float64)
+
+    @property
+    def response(self) -> tuple[float, float, float] | None:
+        """What the set's own colour filters make of white, green = 1."""
+        if self.filters is None:
+            return None
+        red, green, blue = self.filters.sum(1)
+        return float(red / green), 1.0, float(blue / green)
+
+    @property
+    def color_matrix(self) -> np.ndarray | None:
+        """From white-balanced RGB of the set's own colour filters to linear sRGB, [3,3], white staying as it is."""
+        return None if self.filters is None else np.linalg.inv(self.filters) * self.filters.sum(1)
+
+    def radiance(self, i: int) -> np.ndarray:
+        """Linear RGB of view `i`, averaged over each larger pixel where the source is scaled down.
+
+        A set seen through colour filters of its own is balanced, so that white is white: `response` undoes that.
+
+        Photographs with black taken off hold noise around zero: what is slightly negative counts as 0, with a note.
+
+        Raises:
+            ValueError: If a value is not finite or more than slightly negative, or the file cannot be read.
+        """
+        radiance = self.views.radiance(i)
+        rendered = self.views.kind == "rendered"
+        if not rendered and radiance.min() < 0 and radiance.min() >= -NOISE * np.quantile(radiance, 0.99):
+            self.console.warn(f"{self.views.path} holds light slightly below 0 (noise around black): it counts as 0")
+            radiance = np.maximum(radiance, 0)
+        bad = ~(np.isfinite(radiance) & (radiance >= 0))
+        if bad.any():
+            first = tuple(int(k) for k in np.argwhere(bad)[0])
+            help = "render the set again" if rendered else f"correct {self.views.files[i].name}, or remove it"
+            raise ValueError(
+                f"radiance must be finite and >= 0, got {radiance[first]} at {first} in view {self.views.names[i]} of "
+                f"{self.views.path} ({int(bad.sum())} values): {help}"
+            )
+        if self.response is not None:
+            radiance = np.divide(radiance, self.response, dtype=np.float32)
+        return self._fit(radiance)
+
+    def lit(self, i: int) -> np.ndarray:
+        """The well-lit image of view `i`: the set's own, or the photograph itself."""
+        if not self.scaled:
+            return self.views.image(i).astype(np.float32) / 255
+        exposure = float(self.views.meta.get("exposure_scale", 1.0))
+        light = self.radiance(i)
+        if self.filters is not None:  # back through the matrix, as the set's own images were made
+            light = np.asarray((light * self.response) @ np.linalg.inv(self.filters).T, np.float32)
+        return linear_to_srgb(np.clip(light * exposure, 0.0, 1.0)).astype(np.float32)
+
+    def digest(self) -> str:
+        """Hash of all that is read of the set, wherever its files lie."""
+        images = {f"images/{name}": file for name, file in zip(self.views.names, self.views.files, strict=True)}
+        return folder_digest(self.views.path, CAMERA_FILES, beside=images)
+
+    def _fit(self, image: np.ndarray) -> np.ndarray:
+        if not self.scaled:
+            return image
+        import cv2
+
+        return cv2.resize(image, (self.rig.width, self.rig.height), interpolation=cv2.INTER_AREA)
+
+
+def open_source(path: Path, console: Console, max_size: int | None = None) -> Source:
+    """Open a multiview set, a folder of posed photographs (8-bit, camera raw or linear EXR), or a COLMAP model.
+
+    Args:
+        path: The folder.
+        console: Where warnings about the folder go.
+        max_size: Longest image side in pixels; larger images are scaled down to it. None keeps them.
+
+    Raises:
+        ValueError: If the folder holds no posed images, or their shortest side is, or gets, too short to be scored.
+    """
+    with warnings_as_notes(console):
+        views = load_linear_set(path) or load_set(path)
+    rig = views.rig if max_size is None else scaled_rig(views.rig, max_size)
+    if min(rig.width, rig.height) < SSIM_WINDOW:
+        larger = "" if max_size is None else f": choose a max_size larger than {max_size}"
+        size = f"{rig.width} x {rig.height}"
+        raise ValueError(f"the images of {path} must be at least {SSIM_WINDOW} px wide and high, got {size}{larger}")
+    return Source(views=views, rig=rig, console=console)
+
+
+def scaled_rig(rig: Rig, max_size: int) -> Rig:
+    """The same cameras with the longest image side at most `max_size` pixels (aspect kept to the nearest pixel)."""
+    longest = max(rig.width, rig.height)
+    if longest <= max_size:
+        return rig
+    width, height = (max(1, round(side * max_size / longest)) for side in (rig.width, rig.height))
+    # Pixel edges, not centres, are what scaling keeps in place, so with centres at +0.5 whole rows of K scale.
+    scale = np.array([width / rig.width, height / rig.height, 1.0])[:, None]
+    return Rig(viewmats=rig.viewmats, Ks=rig.Ks * scale, width=width, height=height)
+
+
+@contextmanager
+def warnings_as_notes(console: Console) -> Iterator[None]:
+    """Show warnings (say, images that a camera file names but nobody has) as plain lines."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        yield
+    for warning in caught:
+        console.warn(str(warning.message))

@@ -1,0 +1,246 @@
+"""What a report states: sentences, tables and a chart, drawn from the records of an experiment or a run."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from novags.testbed.cache import read_json
+from novags.testbed.folders.capture import Capture
+from novags.testbed.folders.run import METRICS, Run
+from novags.testbed.folders.set import Source
+from novags.testbed.report.charts import line_chart
+
+COLUMNS = (
+    ("aligned_psnr", "PSNR aligned", "dB", True),
+    ("psnr", "PSNR", "dB", True),
+    ("aligned_ssim", "SSIM aligned", "", True),
+    ("ssim", "SSIM", "", True),
+    ("flip", "FLIP", "", False),
+    ("lpips", "LPIPS", "", False),
+)  # key, heading, unit, whether more is better
+
+
+@dataclass(frozen=True)
+class Material:
+    """Everything a report is made of, read from the folders."""
+
+    folder: Path
+    experiment: dict[str, Any]  # {} for a single run
+    runs: dict[str, Run]
+    metrics: dict[str, Any]
+    capture: Capture
+    lit: Source
+
+    @property
+    def main(self) -> str:
+        """The method in the centre: the paper's, if it is there."""
+        return "nova" if "nova" in self.runs else next(iter(self.runs))
+
+
+def scene_name(material: Material) -> str:
+    """Name of the scene, or of the folder of photographs."""
+    return str(material.lit.views.meta.get("scene") or material.lit.views.path.name)
+
+
+def title(material: Material) -> str:
+    """The report's heading."""
+    return f"{scene_name(material)} at {material.capture.record['electrons']:g} electrons per pixel"
+
+
+def what_was_done(material: Material) -> str:
+    """One sentence: scene, camera, light, methods, time."""
+    record = material.capture.record
+    rendered = material.lit.views.kind == "rendered"
+    views = f"{record['views']} {'views' if rendered else 'photographs'} of {scene_name(material)}"
+    total = sum(row["seconds"] for row in costs(material))
+    return (
+        f"{views} ({record['width']} × {record['height']} px) were {'rendered, ' if rendered else ''}"
+        f"taken in the dark by a simulated {record['sensor_name']} camera at {record['electrons']:g} electrons per "
+        f"green pixel, reconstructed by {join(list(material.runs))}, and scored on views that no method had seen; "
+        f"all of it took {duration(total)}."
+    )
+
+
+def verdict(material: Material) -> str:
+    """One sentence with the outcome."""
+    methods, main = material.metrics["methods"], material.main
+    value = {name: m["mean"]["enhanced"]["aligned_psnr"] for name, m in methods.items()}
+    text = f"{main} reaches {value[main]:.2f} dB on the held-out views (aligned PSNR against the noise-free exposure)"
+    if main != "naive" and "naive" in value:
+        gain = value[main] - value["naive"]
+        text += f", {abs(gain):.2f} dB {'more' if gain >= 0 else 'less'} than enhancing without denoising"
+    fraction = material.metrics["recovered"].get(main)
+    if fraction is not None and fraction > 0:
+        text += f"; that wins back {fraction:.0%} of what noise costs here"
+    return text + "."
+
+
+def cards(material: Material) -> list[dict[str, str]]:
+    """The verdict in numbers: value, unit, label."""
+    methods, main = material.metrics["methods"], material.main
+    value = {name: m["mean"]["enhanced"]["aligned_psnr"] for name, m in methods.items()}
+    found = [{"value": f"{value[main]:.2f}", "unit": "dB", "label": f"{main}, held-out views"}]
+    if main != "naive" and "naive" in value:
+        found.append({"value": signed(value[main] - value["naive"]), "unit": "dB", "label": "over naive"})
+    if (fraction := material.metrics["recovered"].get(main)) is not None:
+        share = f"{100 * fraction:.0f}".replace("-", "−")
+        found.append({"value": share, "unit": "%", "label": "of the loss to noise recovered"})
+    if "oracle" in value:
+        found.append({"value": f"{value['oracle']:.2f}", "unit": "dB", "label": "oracle, the ceiling"})
+    found.append({"value": duration(sum(row["seconds"] for row in costs(material))), "unit": "", "label": "in all"})
+    return found
+
+
+def score_table(metrics: Mapping[str, Any], kind: str) -> list[dict[str, Any]]:
+    """One row per method, with the best value of each column marked."""
+    means = {name: method["mean"][kind] for name, method in metrics["methods"].items()}
+    rows = []
+    for name, mean in means.items():
+        cells = []
+        for key, _, _, more_is_better in COLUMNS:
+            # The oracle sees what no method can, so it does not compete.
+            rivals = [m[key] for other, m in means.items() if other != "oracle" and m[key] is not None]
+            best = (max if more_is_better else min)(rivals, default=None)
+            cells.append(
+                {"key": key, "value": mean[key], "best": name != "oracle" and mean[key] == best and len(rivals) > 1}
+            )
+        rows.append({"method": name, "cells": cells})
+    return rows
+
+
+def training_table(material: Material) -> list[dict[str, Any]]:
+    """2D scores of the training images of the main method, best last."""
+    scores = material.metrics["methods"][material.main]["training_2d"]
+    labels = {
+        "enhanced": "enhanced, not denoised",
+        "blur": f"Gaussian blur, sigma {scores['blur']['sigma']:.1f} px",
+        "best_blur": f"Gaussian blur, the best sigma for these images ({scores['best_blur']['sigma']:.1f} px)",
+        "denoised": f"denoised by {material.main}",
+    }
+    return [{"label": label, "key": key, **scores[key]} for key, label in labels.items() if key in scores]
+
+
+def loss_chart(runs: Mapping[str, Run]) -> str | None:
+    """Photometric loss over the iterations, one line per method; None if nothing was logged."""
+    series = {}
+    for name, run in runs.items():
+        points = [(e["iteration"], e["photometric"]) for e in run.events() if "photometric" in e]
+        series[name] = smoothed(points)
+    if not any(series.values()):
+        return None
+    return line_chart(series, x_label="iteration", y_label="photometric loss", title="Photometric loss over iterations")
+
+
+def smoothed(points: list[tuple[float, float]], count: int = 50) -> list[tuple[float, float]]:
+    """Means of consecutive groups, at most `count` of them: single views scatter, and files should stay small."""
+    group = max(1, -(-len(points) // count))
+    groups = [points[k : k + group] for k in range(0, len(points), group)]
+    return [(g[-1][0], sum(y for _, y in g) / len(g)) for g in groups]
+
+
+def costs(material: Material) -> list[dict[str, Any]]:
+    """Seconds and peak memory of every stage, in order, with the parts of each reconstruction."""
+    stages: list[tuple[str, str, dict[str, Any], dict[str, float]]] = []
+    if (rendered := material.lit.views.meta.get("stage")) is not None:
+        stages.append(("render", "", rendered, {}))
+    stages.append(("capture", "", material.capture.record["stage"], {}))
+    for name, run in material.runs.items():
+        stages.append((f"reconstruct: {name}", name, run.record["stage"], run.record["seconds"]))
+    scored = [read_json(run.path / METRICS)["stage"] for run in material.runs.values() if (run.path / METRICS).exists()]
+    if scored:
+        total = {"seconds": sum(s["seconds"] for s in scored), "peak_bytes": max(s["peak_bytes"] for s in scored)}
+        stages.append(("score", "", total, {}))
+    rows = [
+        {"label": label, "method": method, "seconds": stage["seconds"], "peak": stage["peak_bytes"], "parts": parts}
+        for label, method, stage, parts in stages
+    ]
+    longest = max(row["seconds"] for row in rows) or 1.0
+    return [{**row, "share": row["seconds"] / longest} for row in rows]
+
+
+def plans(material: Material) -> list[dict[str, Any]]:
+    """The plan tables: light transport (rendered sets) and sensor."""
+    found = []
+    meta = material.lit.views.meta  # also of a capture, which can be photographed again
+    if material.lit.views.kind == "rendered" and (transport := meta.get("plan")) is not None:
+        table = plan_table(transport)
+        table["saved"] = f"{time_saved(transport['seconds'])} {render_quality(meta)}".strip()
+        found.append({"heading": "Light transport", "plan": table})
+    if (sensor := material.capture.record["plan"]) is not None:
+        found.append({"heading": "Sensor", "plan": plan_table(sensor)})
+    return found
+
+
+def plan_table(plan: dict[str, Any]) -> dict[str, Any]:
+    """The effects that matter here, the names of those that cannot (nothing to leave out), and what was left out."""
+    matters = [e for e in plan["effects"] if e["on"] or e["forced"] or e["contribution"] != 0]
+    absent = [e["name"].replace("_", " ") for e in plan["effects"] if e not in matters]
+    bounds = {plan["unit"]: plan["bound"], **plan.get("biases", {})}
+    costs = [f"{number(b, 4)} ({unit})" for unit, b in bounds.items()]
+    return {"shown": matters, "absent": absent, "costs": costs}
+
+
+def time_saved(seconds: dict[str, float]) -> str:
+    """What a plan saved, where that was measured: seconds "planned" and with "everything on"."""
+    if not seconds:
+        return "The time that the plan saves was not measured in so short a render; novags plan measures it."
+    planned, everything = seconds["planned"], seconds["everything on"]
+    return (
+        f"A million samples took {planned:.3g} s of processor time so, and {everything:.3g} s with everything "
+        f"simulated: {everything / planned:.2g} times as long."
+    )
+
+
+def render_quality(meta: dict[str, Any]) -> str:
+    """The noise that is left in the truth, and the pixels that rare bright paths spoil."""
+    views = meta["views"].values()
+    noise, fireflies = max(view["relative_error"] for view in views), sum(view["fireflies"] for view in views)
+    share = fireflies / (len(views) * meta["width"] * meta["height"])
+    return (
+        f"The renders' own noise is at most {noise:.1%} of a view's mean light (RMSE); {fireflies} pixels "
+        f"({share:.2%}) are fireflies: their samples scatter far more than their neighbours'."
+    )
+
+
+def configurations(material: Material) -> dict[str, str]:
+    """Every record's resolved configuration as indented JSON."""
+    records: dict[str, Any] = {"capture": material.capture.record["stage"]["config"]}
+    if "stage" in material.lit.views.meta:
+        records = {"render": material.lit.views.meta["stage"]["config"], **records}
+    for name, run in material.runs.items():
+        records[f"reconstruct: {name}"] = run.record["config"]
+    return {name: json.dumps(config, indent=2) for name, config in records.items()}
+
+
+def join(words: list[str]) -> str:
+    """'a', 'a and b', 'a, b and c'."""
+    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def number(value: float | str | None, digits: int = 2) -> str:
+    """A number for a table; None becomes 'unavailable'."""
+    if value is None:
+        return "unavailable"
+    return value if isinstance(value, str) else f"{value:.{digits}f}"
+
+
+def signed(value: float) -> str:
+    """With its sign, a real minus included."""
+    return f"{value:+.2f}".replace("-", "−")
+
+
+def duration(seconds: float) -> str:
+    """Seconds as people say them."""
+    if seconds < 10:
+        return f"{seconds:.1f} s"
+    if seconds < 120:
+        return f"{seconds:.0f} s"
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes} min {rest:02d} s" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
+
+
+def size(count: int) -> str:
+    """Bytes in MB or GB."""
+    return f"{count / 1e9:.1f} GB" if count >= 1e9 else f"{count / 1e6:.0f} MB"

@@ -1,0 +1,210 @@
+"""Capture: photograph a multiview set in the dark, one exposure per view, view by view."""
+
+import math
+import os
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from novags.testbed.console import Console, Update
+from novags.testbed.folders.capture import has_view, write_view
+from novags.testbed.folders.set import Source
+from sensor_model import (
+    PRESETS,
+    Exposure,
+    Plan,
+    Sensor,
+    expose,
+    mosaic,
+    photons_for_electrons,
+    plan_effects,
+    read_sensor,
+)
+from sensor_model.files.dng import TIMES
+from sensor_model.isp import DEMOSAIC, Demosaic
+from sensor_model.planner import Limits
+from simscenes.sets.multiview import write_cameras
+
+QUANTILES = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
+PIXELS_PER_VIEW, PIXELS = 1365, 350_000  # kept for the quantiles of the signal: enough for the 1 % ones
+FULL_SIZE = tuple(name for name in DEMOSAIC if name != "half")  # pictures must be as large as their cameras say
+ROW_LENGTH = 33  # px; the enhancement averages over such windows, so noise that rows share adds up in them
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaptureConfig:
+    """How to photograph a set in the dark."""
+
+    sensor: str = "a7s2-iso6400-3chip"  # a name of sensor_model.PRESETS, or a camera's TOML file
+    electrons: float = 20.0  # mean signal of the green channel over the set, e- per pixel and exposure
+    time: float = 1 / 30  # s; only the dark current depends on it, since `electrons` fixes the light
+    seed: int = 0
+    max_size: int | None = None  # px; scale larger images down to this longest side
+    demosaic: Demosaic = "menon"  # for sensors with a colour filter array
+    jpeg_quality: int | None = None  # 1..100: the 8-bit pictures show what JPEG leaves of them
+    tolerance: float | None = 0.05  # leave out effects that change the noise by less; None simulates all
+    camera: Sensor = field(init=False)  # what `sensor` stands for: a file is read once, and its content is hashed
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "camera", camera_named(self.sensor))
+        if not (np.isfinite(self.electrons) and self.electrons > 0):
+            raise ValueError(f"electrons must be > 0 and finite, got {self.electrons}")
+        if self.demosaic not in FULL_SIZE:
+            raise ValueError(f"demosaic must be one of {', '.join(FULL_SIZE)}, got {self.demosaic!r}")
+        if self.jpeg_quality is not None and not 1 <= self.jpeg_quality <= 100:
+            raise ValueError(f"jpeg_quality must be None or in 1..100, got {self.jpeg_quality}")
+        if self.seed < 0:
+            raise ValueError(f"seed must be >= 0, got {self.seed}")
+        if self.time and not TIMES[0] <= self.time <= TIMES[1]:  # negative ones are none of an exposure's either
+            raise ValueError(f"time must be 0 or in {TIMES} s, which its raw files can say, got {self.time}")
+        self.exposure, self.limits(1)  # they check the rest
+
+    @property
+    def sensor_name(self) -> str:
+        """Name of the preset or of the camera's file."""
+        return self.sensor if self.sensor in PRESETS else Path(self.sensor).stem
+
+    def resolved(self) -> dict[str, Any]:
+        """What decides the pictures: the camera itself, not the path of its file as somebody typed it."""
+        return {**asdict(self), "sensor": self.sensor_name}
+
+    @property
+    def exposure(self) -> Exposure:
+        """What the sensor model calls it."""
+        return Exposure(time=self.time)
+
+    def limits(self, pixels: int) -> Limits | None:
+        """What leaving effects out of images of so many pixels may cost; None: nothing is left out."""
+        if self.tolerance is None:
+            return None
+        return Limits(sd=self.tolerance, row_length=ROW_LENGTH, pixels=pixels)
+
+
+def camera_named(name: str) -> Sensor:
+    """A preset by name, or the camera in a TOML file.
+
+    Raises:
+        ValueError: If there is no such preset, or the file is missing or describes no camera.
+    """
+    if name in PRESETS:
+        return PRESETS[name]
+    if not name.endswith(".toml"):
+        raise ValueError(f"unknown sensor {name!r}; give a camera's .toml file, or one of {', '.join(PRESETS)}")
+    return read_sensor(name)
+
+
+def camera_for(source: Source, config: CaptureConfig) -> Sensor:
+    """The camera; with the colour filters that a set was rendered through, if it was."""
+    return config.camera if source.response is None else replace(config.camera, rgb_response=source.response)
+
+
+@dataclass(frozen=True)
+class Light:
+    """What all views of a capture share, because they share one exposure."""
+
+    mean_green: float  # radiance over the set
+    signal_e: np.ndarray  # `QUANTILES` of what the sensor's channels collect, e-
+    plan: Plan | None  # which effects to simulate; None: all of them
+
+
+def meter(source: Source, config: CaptureConfig, console: Console, pixels: int | None = None) -> Light:
+    """Measure the light of a whole set, view by view, and plan its capture.
+
+    Args:
+        source: The set.
+        config: Camera and light.
+        console: Where progress goes.
+        pixels: Of an image of the capture; None: those of the source.
+
+    Raises:
+        ValueError: If the set is black or holds bad radiance.
+    """
+    sensor = camera_for(source, config)
+    with console.progress("capture: light") as progress:
+        mean_green, signal = measure_light(source, sensor, progress)
+    signal_e = signal * config.electrons / mean_green
+    if (limits := config.limits(pixels or source.rig.width * source.rig.height)) is None:
+        return Light(mean_green, signal_e, None)
+    return Light(mean_green, signal_e, plan_effects(sensor, config.exposure, signal_e, limits))
+
+
+def capture_views(
+    source: Source, light: Light, folder: Path, config: CaptureConfig, console: Console
+) -> dict[str, Any]:
+    """Expose every view of the source and write it; views that are complete are kept. One is in memory at a time.
+
+    Returns:
+        The body of capture.json.
+
+    Raises:
+        ValueError: If the set holds bad radiance.
+    """
+    sensor, exposure, plan = camera_for(source, config), config.exposure, light.plan
+    names = source.views.names
+    with console.progress("capture") as progress:
+        for i, name in enumerate(names):
+            if not has_view(folder, name):
+                photons = photons_for_electrons(
+                    source.radiance(i), electrons=config.electrons, mean_green=light.mean_green, sensor=sensor
+                )
+                seen = mosaic(photons, sensor.cfa) if sensor.cfa else photons
+                frame = expose(seen, sensor, exposure, seed=config.seed, view=i, plan=plan)
+                matrix = source.color_matrix
+                write_view(folder, name, frame, sensor, exposure, config.demosaic, matrix, config.jpeg_quality)
+            progress(i + 1, len(names), f"view {name}")
+    write_cameras(folder, names, source.rig, points=source.views.points())
+    return {
+        "set": {
+            "path": os.path.relpath(source.views.path.resolve(), folder.resolve()),
+            "kind": source.views.kind,
+            "max_size": config.max_size,
+        },
+        "sensor_name": config.sensor_name,
+        "sensor": sensor,
+        "exposure": exposure,
+        "electrons": config.electrons,
+        "mean_green_radiance": light.mean_green,
+        "signal_quantiles_e": dict(zip(map(str, QUANTILES), light.signal_e.tolist(), strict=True)),
+        "demosaic": config.demosaic,
+        "color_matrix": source.color_matrix,
+        "jpeg_quality": config.jpeg_quality,
+        "seed": config.seed,
+        "views": len(names),
+        "width": source.rig.width,
+        "height": source.rig.height,
+        "plan": None if plan is None else plan.to_dict(),
+    }
+
+
+def measure_light(source: Source, sensor: Sensor, progress: Update) -> tuple[float, np.ndarray]:
+    """Mean green radiance over the set, and `QUANTILES` of what the sensor's channels see, in the same unit.
+
+    Raises:
+        ValueError: If there is no green light at all.
+    """
+    total, samples, least, most = 0.0, [], np.inf, 0.0
+    count = len(source.views)
+    kept = max(1, min(PIXELS_PER_VIEW, PIXELS // count))  # of each view, so that all together stay small
+    for i in range(count):
+        radiance = source.radiance(i)
+        total += float(radiance[..., 1].mean(dtype=np.float64)) / count
+        seen = radiance * np.asarray(sensor.rgb_response, np.float32)
+        samples.append(some_pixels(seen, kept))
+        least, most = min(least, float(seen.min())), max(most, float(seen.max()))
+        progress(i + 1, count, f"view {source.views.names[i]}")
+    if not total > 0:
+        raise ValueError(f"the set {source.views.path} is black in green: there is no light to scale to electrons")
+    quantiles = np.quantile(np.concatenate(samples).astype(np.float64), QUANTILES)
+    quantiles[0], quantiles[-1] = least, most  # exact: saturation hangs on the brightest pixel
+    return total, quantiles
+
+
+def some_pixels(image: np.ndarray, count: int) -> np.ndarray:
+    """About `count` pixels [n,3] of an image [h,w,3], spread evenly over rows and columns."""
+    height, width = image.shape[:2]
+    stride = max(1, height * width // count)
+    while math.gcd(stride, width) > 1:  # it would meet the same columns in every row
+        stride += 1
+    return image.reshape(-1, 3)[::stride].copy()  # a view would keep the whole image in memory

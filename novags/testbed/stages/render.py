@@ -1,0 +1,164 @@
+"""Render: a scene of the catalogue or a Mitsuba file in, a ground-truth multiview set out."""
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from novags.testbed.cache import digest, read_json
+from novags.testbed.console import Console
+from novags.testbed.folders.set import warnings_as_notes
+from sensor_model import Plan
+from simscenes import EXPORTS, Optics, Rig, load_set
+from simscenes.backend import BACKENDS, COLORS, choose_variant
+from simscenes.camera import camera_color
+from simscenes.loading.untrusted import check_xml
+from simscenes.transport.plan import EFFECTS
+
+RECORD = "set.json"
+VARIANTS = ("auto", *BACKENDS, *(f"{backend}_{color}" for backend in BACKENDS for color in COLORS))
+
+
+@dataclass(frozen=True, kw_only=True)
+class RenderConfig:
+    """What to render and how well."""
+
+    scene: str = "tabletop"  # a name of simscenes.SCENES, "tabletop:3" for its variation 3, or a Mitsuba .xml file
+    n_views: int = 32
+    width: int = 128  # px
+    height: int = 128  # px
+    spp: int | None = 256  # samples per pixel; None: as many as `target_error` asks for
+    target_error: float | None = None  # relative RMSE of a view
+    variant: str = "auto"  # of Mitsuba
+    on: tuple[str, ...] = ()  # effects of light that are simulated whatever the plan says
+    off: tuple[str, ...] = ()  # and that are not
+    max_depth: int | None = None  # longest path of light, as Mitsuba counts; None: as long as the plan finds worth it
+    optics: Optics = field(default_factory=Optics)  # lens (None: a file's own, else a pinhole), motion, colour filters
+    allow_outside: bool = False  # let a Mitsuba file read files outside its folder
+    export: tuple[str, ...] = ()  # further layouts of the set: "blender", "llff"
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        # The blocks of the enhancement and SSIM's window need room, and every 8th view is held out.
+        if min(self.width, self.height) < 16:
+            raise ValueError(f"width and height must be >= 16 px, got {self.width} x {self.height}")
+        if self.n_views < 3:
+            raise ValueError(f"n_views must be >= 3 (one is held out, two are trained on), got {self.n_views}")
+        if (self.spp is None) == (self.target_error is None):
+            raise ValueError(f"give either spp or target_error, got {self.spp} and {self.target_error}")
+        if self.spp is not None and self.spp < 2:
+            raise ValueError(f"spp must be >= 2, because the variance needs two halves, got {self.spp}")
+        if self.target_error is not None and not 0 < self.target_error < 1:
+            raise ValueError(f"target_error must lie in (0, 1), got {self.target_error}")
+        if self.seed < 0:
+            raise ValueError(f"seed must be >= 0, got {self.seed}")
+        for what, given, known in (
+            ("variant", (self.variant,), VARIANTS),
+            ("on and off", (*self.on, *self.off), EFFECTS),
+            ("export", self.export, EXPORTS),
+        ):
+            if unknown := [name for name in given if name not in known]:
+                raise ValueError(f"{what} must be of {', '.join(known)}; got {', '.join(unknown)}")
+        if both := set(self.on) & set(self.off):
+            raise ValueError(f"{', '.join(sorted(both))}: forced on and off at once; name each effect once")
+
+    def resolved(self) -> dict[str, Any]:
+        """What decides the pixels, the content of the scene aside: no path as somebody typed it, no further layouts."""
+        scene = self.scene if self.file is None else self.file.stem
+        return {name: value for name, value in asdict(self).items() if name != "export"} | {"scene": scene}
+
+    @property
+    def file(self) -> Path | None:
+        """The Mitsuba file, or None for a scene of the catalogue."""
+        return Path(self.scene) if self.scene.endswith(".xml") else None
+
+
+def scene_digest(config: RenderConfig) -> str:
+    """What the scene is: the name of a catalogue scene, or a hash of a file and of the files that it names.
+
+    Raises:
+        ValueError: If the name is unknown, or the file cannot be read or is not to be trusted.
+    """
+    if (file := config.file) is None:
+        from simscenes.scenes import split_name
+
+        split_name(config.scene)
+        return config.scene
+    files = check_xml(file, allow_outside=config.allow_outside)
+    return digest([hashlib.blake2b(named.read_bytes()).hexdigest() for named in files if named.is_file()])
+
+
+def prepare_render(config: RenderConfig, console: Console) -> tuple[Rig, Plan | str]:
+    """The cameras, and what the plan has to be ("auto" where no effect is forced).
+
+    Raises:
+        ValueError: If the scene, the variant or the camera is unknown, or cannot be loaded or used on this machine.
+    """
+    with warnings_as_notes(console):
+        choose_variant(config.variant)
+        if config.optics.camera is not None:
+            camera_color(config.optics.camera)
+        decided = bool(config.on or config.off or config.max_depth is not None)
+        return rig_of(config), plan_of(config) if decided else "auto"
+
+
+def render_views(out: Path, config: RenderConfig, rig: Rig, plan: Plan | str, console: Console) -> dict[str, Any]:
+    """Render every view that is not there yet; returns the body of set.json.
+
+    Raises:
+        ValueError: If the scene cannot be rendered.
+    """
+    from simscenes import render_set
+
+    with console.progress("render") as progress, warnings_as_notes(console):
+        render_set(
+            config.file or config.scene, rig, out, spp=config.spp, target_error=config.target_error, plan=plan,
+            optics=config.optics, variant=config.variant, seed=config.seed, allow_outside=config.allow_outside,
+            progress=progress,
+        )  # fmt: skip
+    return read_json(out / RECORD)
+
+
+def write_layouts(folder: Path, layouts: Sequence[str], console: Console) -> None:
+    """Write further layouts of a finished set, each into the folder of its name.
+
+    Raises:
+        ValueError: If a layout cannot hold these cameras.
+    """
+    for layout in layouts:
+        with warnings_as_notes(console):
+            EXPORTS[layout](load_set(folder), folder / layout)
+
+
+def plan_of(config: RenderConfig, tolerance: float = 0.02) -> Plan:
+    """The plan of the light transport, with what the configuration forces.
+
+    Args:
+        config: Scene, cameras and forced effects.
+        tolerance: Share of all light that may be wrong or missing.
+
+    Raises:
+        ValueError: If the scene cannot be planned for.
+    """
+    from simscenes import plan_transport
+
+    return plan_transport(
+        config.file or config.scene, tolerance, rig=rig_of(config), optics=config.optics, variant=config.variant,
+        max_depth=config.max_depth, seed=config.seed,
+        force=dict.fromkeys(config.on, True) | dict.fromkeys(config.off, False), allow_outside=config.allow_outside,
+    )  # fmt: skip
+
+
+def rig_of(config: RenderConfig) -> Rig:
+    """The cameras: those a catalogue scene is made to be seen with, or an arc around a file's own camera.
+
+    Raises:
+        ValueError: If the scene is unknown, cannot be loaded, or has no camera to start from.
+    """
+    from simscenes import default_rig, fit_rig
+
+    size = (config.n_views, config.width, config.height)
+    if config.file is None:
+        return default_rig(config.scene, *size)
+    return fit_rig(config.file, *size, allow_outside=config.allow_outside)

@@ -1,0 +1,134 @@
+"""A user's own camera as a TOML file: the fields of `Sensor`, with [optics], [defects], ... as tables."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Mapping
+from dataclasses import fields
+from difflib import get_close_matches
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sensor_model.files.atomic import write_atomically
+from sensor_model.params import Banding, Defects, DualGain, Optics, Sensor, require
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
+
+PARTS: dict[str, type] = {"banding": Banding, "defects": Defects, "optics": Optics, "dual_gain": DualGain}
+WHOLE = {"bits", "serial", "rts_traps"}
+TRUTH = {"blooming"}
+TEXT = {"cfa"}
+TABLES = {"psf"}
+LISTS = {"rgb_response", "rgb_bias", "falloff", "sensor_shape"}
+
+
+def read_sensor(path: str | os.PathLike[str]) -> Sensor:
+    """Read a camera.
+
+    Args:
+        path: TOML file; keys are the fields of `Sensor`. `cfa = "none"` is a sensor without colour filter array.
+
+    Raises:
+        ValueError: for text that is not TOML, an unknown or missing key, a value of the wrong type or out of range; the
+            message names the file and the key. The same for a file that cannot be read.
+    """
+    try:
+        return sensor_from_dict(tomllib.loads(Path(path).read_text(encoding="utf-8")))
+    except ValueError as error:  # TOMLDecodeError is one
+        raise ValueError(f"{path}: {error}") from error
+    except OSError as error:
+        raise ValueError(f"{path}: cannot be read ({error.strerror or error})") from error
+
+
+def sensor_from_dict(data: Mapping[str, Any]) -> Sensor:
+    """A camera from plain values: those of a TOML file, or `dataclasses.asdict` of a camera after a trip through JSON.
+
+    Raises:
+        ValueError: As `read_sensor`, without the file's name.
+    """
+    return Sensor(**_values(Sensor, _present(data)))
+
+
+def _present(data: Mapping[str, Any]) -> dict[str, Any]:
+    """Without nulls, which mean the default, except for the colour filter array, whose default is another."""
+    named = {key: "none" if key in TEXT and value is None else value for key, value in data.items()}
+    return {key: _present(v) if isinstance(v, dict) else v for key, v in named.items() if v is not None}
+
+
+def write_sensor(path: str | os.PathLike[str], sensor: Sensor, *, comment: str = "") -> None:
+    """Write a camera that `read_sensor` reads back exactly; the file appears whole or not at all."""
+    lines = [f"# {line}" for line in comment.splitlines()]
+    lines += _assignments(sensor)
+    for part in PARTS:
+        if (value := getattr(sensor, part)) is not None:
+            lines += ["", f"[{part}]", *_assignments(value)]
+    write_atomically(path, "\n".join([*lines, ""]).encode())
+
+
+def _values(kind: type, data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    known = {field.name: field for field in fields(kind)}
+    for key in data:
+        near = get_close_matches(key, known, n=1)
+        hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
+        require(key in known, "key", "a camera parameter", prefix + key, hint)
+    missing = [name for name, f in known.items() if f.default is f.default_factory and name not in data]
+    require(not missing, "camera", f"complete: {', '.join(prefix + m for m in missing)} missing", sorted(data))
+    return {key: _value(key, value, prefix) for key, value in data.items()}
+
+
+def _value(key: str, value: Any, prefix: str) -> Any:
+    if key in PARTS and not prefix:
+        require(isinstance(value, dict), key, "a table", value)
+        return PARTS[key](**_values(PARTS[key], value, f"{key}."))
+    if key in LISTS:
+        require(
+            isinstance(value, (list, tuple)) and all(map(_is_number, value)), prefix + key, "a list of numbers", value
+        )
+        return tuple(value)
+    if key in TABLES:
+        ok = isinstance(value, (list, tuple)) and all(
+            isinstance(r, (list, tuple)) and all(map(_is_number, r)) for r in value
+        )
+        require(ok, prefix + key, "a list of lists of numbers", value)
+        return tuple(tuple(row) for row in value)
+    if key in TRUTH:
+        require(isinstance(value, bool), prefix + key, "true or false", value)
+        return value
+    if key in TEXT:
+        require(isinstance(value, str), prefix + key, "a text", value)
+        return None if value == "none" else value
+    if value == "inf":  # JSON has no infinity
+        return inf
+    whole = key in WHOLE
+    ok = _is_number(value) and (isinstance(value, int) or not whole)
+    require(ok, prefix + key, "a whole number" if whole else "a number", value)
+    return value if whole else float(value)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool)
+
+
+def _assignments(owner: Any) -> list[str]:
+    values = {f.name: getattr(owner, f.name) for f in fields(owner) if f.name not in PARTS}
+    # TOML has no null: what is None is left out, except for the colour filter array, whose default is not None
+    return [f"{name} = {_literal(value)}" for name, value in values.items() if value is not None or name in TEXT]
+
+
+def _literal(value: Any) -> str:
+    if isinstance(value, np.generic):  # its repr, np.float64(1.5), is not TOML
+        value = value.item()
+    if value is None:
+        return '"none"'
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_literal, value))}]"
+    return f'"{value}"' if isinstance(value, str) else repr(value)  # repr of a float reads back exactly; inf is TOML

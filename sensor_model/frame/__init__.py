@@ -1,0 +1,1 @@
+"""What surrounds the pixel noise of one frame: random streams, fixed pattern, optics, charge that spreads."""

@@ -1,0 +1,141 @@
+"""What surrounds the pixel noise of one frame: optics, fixed pattern, row and column noise, black level."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sensor_model import effects
+from sensor_model.frame import pattern, streams
+from sensor_model.mosaic import channel_index
+from sensor_model.params import Exposure, Sensor, require
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prepared:
+    """All that one frame is made from; [h, w, c] with c = 1 or 3."""
+
+    sensor: Sensor
+    draws: streams.Draws
+    light: NDArray  # mean photons on each photodiode [h, w, c]
+    response: NDArray[np.float32] | None  # PRNU [h, w, c]
+    dark_e: float  # mean dark charge, e-
+    dark: NDArray[np.float32] | None  # the same per pixel if hot ones differ [h, w, c], e-
+    offset: NDArray[np.float32] | None  # DSNU and this frame's telegraph noise [h, w, c], e-
+    rows: Array  # this frame's row noise and banding [h, c], e-
+    columns: Array  # this frame's column noise [w, c], e-
+    black: Array  # black level of each place in the 2 x 2 pattern [2, 2, c], DN
+
+    @property
+    def mean_charge(self) -> Array:
+        """Expected charge of each pixel before full well, e-."""
+        response = 1.0 if self.response is None else self.response.astype(np.float64)
+        dark = self.dark_e if self.dark is None else self.dark.astype(np.float64)
+        with np.errstate(over="ignore"):  # an overflow to infinity is as full as the cap
+            mu_e = effects.collect(self.light.astype(np.float64), eta=self.sensor.eta, response=response, dark_e=dark)
+        return np.minimum(mu_e, charge_cap(self.sensor))
+
+    @property
+    def black_dn(self) -> Array:
+        """Black level of every pixel [h, w, c], DN."""
+        h, w = self.light.shape[:2]
+        return self.black[np.arange(h)[:, None] % 2, np.arange(w)[None, :] % 2]
+
+
+def prepare(
+    photons: NDArray, sensor: Sensor, exposure: Exposure, draws: streams.Draws, *, noise: bool = True
+) -> Prepared:
+    """Everything but the noise of single pixels; `noise=False` also leaves out that of rows, columns and telegraphs."""
+    s, light = sensor, on_sensor(as_channels(photons), sensor, exposure)
+    draws.check_extent(light.shape)
+    dark_e, where = s.dark_e(exposure), (light.shape, exposure.origin)
+    h, w, channels = light.shape
+    offset = pattern.offset_map(s.serial, s.dsnu, *where) if s.dsnu else None
+    return Prepared(
+        sensor=s,
+        draws=draws,
+        light=light,
+        response=pattern.response_map(s.serial, s.prnu, *where) if s.prnu else None,
+        dark_e=dark_e,
+        dark=pattern.dark_map(s, dark_e, *where),
+        offset=_with_telegraph(offset, s, draws, *where) if noise else offset,
+        rows=_rows(s, draws, h, channels) if noise else np.zeros((h, channels)),
+        columns=_columns(s, draws, w, channels) if noise else np.zeros((w, channels)),
+        black=_black(s, channels),
+    )
+
+
+def on_sensor(light: NDArray, sensor: Sensor, exposure: Exposure) -> NDArray:
+    """The light after the optics, [h, w, c]."""
+    o = sensor.optics
+    if o is None:
+        return light
+    if o.corner_angle or o.falloff:
+        light = light * pattern.illumination_map(o, light.shape[:2], exposure.origin)[..., None]
+    if o.psf:
+        return effects.point_spread(light, o.psf)
+    return effects.crosstalk(light, o.crosstalk) if o.crosstalk else light
+
+
+def charge_cap(sensor: Sensor) -> float:
+    """A mean charge so far over saturation that every frame is full; keeps huge lights in what Poisson can count."""
+    if sensor.blooming and np.isfinite(sensor.mu_e_sat):
+        return streams.SIDE * sensor.mu_e_sat  # what does not fit goes elsewhere: enough to fill the longest column
+    top = sensor.capacity_e / (1 - sensor.nonlinearity) + 20 * (sensor.sigma_d + sensor.sigma_row + sensor.dsnu)
+    return top + 10 * float(np.sqrt(top)) + 100
+
+
+def _rows(s: Sensor, draws: streams.Draws, h: int, channels: int) -> Array:
+    rows = np.zeros((h, channels))
+    if s.sigma_row:
+        rows += s.sigma_row * effects.standard_normal(draws.row_uniforms(h, channels, streams.ROW))
+    if s.banding:
+        phase = replace(draws, origin=(0, 0)).uniforms((1, 1), streams.BANDING)  # one phase for the whole sensor
+        rows += effects.bands(phase, np.arange(h)[:, None] + draws.origin[0], s.banding)
+    return rows
+
+
+def _columns(s: Sensor, draws: streams.Draws, w: int, channels: int) -> Array:
+    if not s.sigma_column:
+        return np.zeros((w, channels))
+    return s.sigma_column * effects.standard_normal(draws.column_uniforms(w, channels, streams.COLUMN))
+
+
+def _black(s: Sensor, channels: int) -> Array:
+    bias = np.asarray(s.rgb_bias)
+    if s.cfa:
+        return s.black_level + bias[channel_index((2, 2), s.cfa)][..., None]
+    return s.black_level + np.tile(bias if channels == 3 else bias[1:2], (2, 2, 1))
+
+
+def _with_telegraph(
+    offset: NDArray[np.float32] | None, s: Sensor, draws: streams.Draws, shape: tuple[int, ...], origin: tuple[int, int]
+) -> NDArray[np.float32] | None:
+    sites = pattern.telegraph_sites(s, shape, origin)
+    if sites is None or s.defects is None:
+        return offset
+    offset = np.zeros(shape, np.float32) if offset is None else offset.copy()
+    traps = s.defects.rts_traps
+    level = effects.telegraph_level(s.sigma_d, s.defects.rts_factor, traps)
+    offset[sites] += effects.telegraph(draws.uniforms_at(streams.RTS, *sites), level, traps).astype(np.float32)
+    offset.flags.writeable = False
+    return offset
+
+
+def as_channels(photons: NDArray) -> NDArray:
+    """[h, w] -> [h, w, 1]; [h, w, 3] stays."""
+    return photons[..., None] if photons.ndim == 2 else photons
+
+
+def checked(photons: ArrayLike, sensor: Sensor) -> NDArray:
+    """The photons as an array of a type and shape the chain takes, or ValueError; their values are tested in it."""
+    array = np.asarray(photons)
+    require(array.dtype.kind in "fiu", "photons", "real numbers", array.dtype)
+    fits = array.ndim == 2 or (array.ndim == 3 and array.shape[2] == 3 and sensor.cfa is None)
+    rule = "[h, w]" if sensor.cfa else "[h, w] or [h, w, 3]"
+    require(fits and array.size > 0, "photons", f"of shape {rule}", array.shape, "use mosaic() for a colour filter")
+    return np.ascontiguousarray(array, array.dtype if array.dtype in (np.float32, np.float64) else np.float64)

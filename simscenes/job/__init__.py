@@ -1,0 +1,1 @@
+"""A whole set: every view of a rig rendered into a folder."""

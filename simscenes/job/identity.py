@@ -1,0 +1,75 @@
+"""Whether pixels on disk are those asked for: hashes of all that they depend on, and files that carry them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from sensor_model.plan import Plan
+from simscenes.rigs import Rig
+from simscenes.sets.exr import read_exr
+
+VIEW_KEY = "novagsKey"
+SPENT = "seconds.json"  # what an unfinished job has cost so far; in no EXR, whose bytes must not depend on the clock
+
+
+def plan_identity(plan: str | Plan) -> Any:
+    """What of a plan the pixels may depend on: not how long its pilots took."""
+    if not isinstance(plan, Plan):
+        return plan
+    return without_nan({key: value for key, value in plan.to_dict().items() if key != "seconds"})
+
+
+def without_nan(value: Any) -> Any:
+    """JSON has no nan and no inf: a number that was not measured becomes null."""
+    if isinstance(value, dict):
+        return {k: without_nan(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [without_nan(v) for v in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def job_digest(config: dict[str, Any], rig: Rig) -> str:
+    """Hash of a configuration and the cameras, 64 hex digits."""
+    text = json.dumps([config, rig.width, rig.height], sort_keys=True).encode()
+    return hashlib.sha256(text + rig.viewmats.tobytes() + rig.Ks.tobytes()).hexdigest()
+
+
+def view_key(config: dict[str, Any], rig: Rig, i: int) -> str:
+    """Identity of one view's pixels; with motion the neighbouring cameras matter too."""
+    chosen = slice(None) if config["optics"]["motion"] is not None else slice(i, i + 1)
+    view = Rig(viewmats=rig.viewmats[chosen], Ks=rig.Ks[chosen], width=rig.width, height=rig.height)
+    return job_digest(config, view) + (f":{i}" if config["optics"]["motion"] is not None else "")
+
+
+def is_complete(out: Path, digest: str, names: list[str]) -> bool:
+    """Whether a folder holds the finished set of that digest, with all its files."""
+    try:
+        same = json.loads((out / "set.json").read_text(encoding="utf-8")).get("digest") == digest
+    except (OSError, ValueError, AttributeError):
+        return False  # no set.json, or a damaged one: the set is rendered and written again
+    files = [out / "gt" / f"{n}.exr" for n in names] + [out / "images" / f"{n}.png" for n in names]
+    return same and all(f.is_file() for f in files)
+
+
+def seconds_spent(out: Path, digest: str) -> dict[str, float]:
+    """Seconds per stage that the same job took before it was interrupted."""
+    try:
+        spent = json.loads((out / SPENT).read_text(encoding="utf-8"))
+        return dict(spent["seconds"]) if spent["digest"] == digest else {}
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}  # not interrupted, or in the middle of writing this; it only adds to a sum
+
+
+def finished_header(path: Path, key: str) -> dict[str, Any] | None:
+    """Header of a view that was rendered before with the same settings, else None."""
+    if not path.is_file():
+        return None
+    try:
+        header = read_exr(path)[1]
+    except ValueError:
+        return None  # cut short by a crash of the machine: rendered again
+    return header if header.get(VIEW_KEY) == key else None

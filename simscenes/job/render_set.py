@@ -1,0 +1,262 @@
+"""A rendering job: every view of a rig into a set folder, resumable view by view."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sensor_model.plan import Plan
+from simscenes.backend import activate, backend_of
+from simscenes.job.cost import Stopwatch, peak_bytes, predict_seconds, versions
+from simscenes.job.finish import finish_set
+from simscenes.job.identity import (
+    SPENT,
+    VIEW_KEY,
+    finished_header,
+    is_complete,
+    job_digest,
+    plan_identity,
+    seconds_spent,
+    view_key,
+    without_nan,
+)
+from simscenes.loading.load import LoadedScene, build_scene, set_light_weights
+from simscenes.optics import Optics
+from simscenes.render.framing import fit_rig, with_lens
+from simscenes.render.geometry import check_cameras, geometry_channels
+from simscenes.render.radiance import Method, Tick, View
+from simscenes.rigs import Rig
+from simscenes.scenes import default_rig
+from simscenes.sets.camera_files import write_json
+from simscenes.sets.export import EXPORTS
+from simscenes.sets.exr import write_exr
+from simscenes.sets.multiview import MultiviewSet, load_set
+
+DEFAULT_SPP = 256
+FORMAT = 3  # of the folder; a change renders again
+MEASURE_FROM = 3 * 10**7  # samples in a job: some 30 s, beside which the planner's slower measurements cost little
+ERROR_SEEN = (
+    "relative_error is the spread between independent passes: noise only. It cannot see what every pass lacks, such as "
+    "paths beyond max_depth or a caustic that no pass has found, nor the error of three colour channels; see plan."
+)
+
+Progress = Callable[[int, int, str], None]
+
+
+@dataclass(frozen=True)
+class _Job:
+    """What every view of one call shares."""
+
+    method: Method
+    surfaces: LoadedScene  # in RGB, for the geometry; the scene of `method` may be spectral
+    variant: str
+    rig: Rig
+    out: Path
+    names: list[str]
+    config: dict[str, Any]  # all that the pixels depend on
+    digest: str  # of the whole job
+    watch: Stopwatch
+    progress: Progress
+
+
+def render_set(
+    scene: str | dict[str, Any] | Path,
+    rig: Rig | None,
+    out: str | Path,
+    *,
+    spp: int | None = None,
+    target_error: float | None = None,
+    plan: str | Plan = "auto",
+    optics: Optics | None = None,
+    variant: str = "auto",
+    seed: int = 0,
+    allow_outside: bool = False,
+    export: Sequence[str] = (),
+    progress: Progress | None = None,
+) -> MultiviewSet:
+    """Render a scene into a set folder: radiance with variance, geometry, 8-bit images, cameras, sparse points.
+
+    A folder that already holds the same set is returned as it is; an interrupted render goes on with the views that
+    are missing.
+
+    Args:
+        scene: Name from `SCENES` ("tabletop", or "tabletop:3" for its variation 3), a Mitsuba scene dict, or the path
+            of a Mitsuba XML file.
+        rig: Cameras; None for 32 views: of the scene's default rig at 128 x 128, or around a foreign scene's sensor.
+        out: Folder to write.
+        spp: Samples per pixel, rounded up to whole passes; 256 if neither this nor `target_error`.
+        target_error: Relative RMSE (root mean variance over mean radiance) at which each view stops; its samples then
+            go where a short pilot saw noise, instead of evenly over all pixels.
+        plan: A plan from `plan_transport`; "auto" to make one, measuring everything if the job is long; or "rgb" for
+            plain path tracing to depth 64 without asking.
+        optics: Aperture, motion and colour filters; None for the lens of the scene's own sensor, at rest and seeing
+            linear sRGB.
+        variant: Mitsuba variant, see `choose_variant`; only its backend counts, the plan decides on its colours.
+        seed: Of the Monte Carlo noise; each view's noise depends on it and on the camera, not on the view's place.
+        allow_outside: Let an XML scene read files outside its folder.
+        export: Further layouts to write, each into the folder of its name inside `out`: "blender", "llff".
+        progress: Called with (views done, views in all, what is going on, with the time left).
+
+    Raises:
+        ValueError: If an argument is out of range, the scene cannot be loaded, a camera is inside an object, or the
+            scene renders to impossible radiance.
+    """
+    _check_quality(spp, target_error)
+    if unknown := set(export) - set(EXPORTS):
+        raise ValueError(f"render_set: export must name layouts of {sorted(EXPORTS)}, got {sorted(unknown)}")
+    report = progress or (lambda done, total, what: None)
+    watch, out = Stopwatch(), Path(out)
+    with watch.stage("load"):
+        variant = backend_of(variant)
+        mi = activate(variant)
+        loaded = build_scene(scene, mi, allow_outside=allow_outside)
+    optics = with_lens(optics, loaded, mi)
+    if rig is None:
+        by_name = isinstance(scene, str) and not scene.endswith(".xml")
+        rig = default_rig(str(scene), 32, 128, 128) if by_name else fit_rig(loaded, 32)
+    config = {
+        "format": FORMAT, "scene": loaded.name, "scene_digest": loaded.digest, "seed": seed, "optics": asdict(optics),
+        "spp": spp if spp is not None or target_error is not None else DEFAULT_SPP, "target_error": target_error,
+        "plan": plan_identity(plan), "variant": variant,
+    }  # fmt: skip
+    names = [f"{i:04d}" for i in range(len(rig))]
+    digest = job_digest(config, rig)
+    if is_complete(out, digest, names):
+        return _exported(load_set(out), export)
+    with watch.stage("plan"):
+        report(0, len(names), "planning the light transport")
+        samples = len(rig) * rig.width * rig.height * (spp or DEFAULT_SPP)
+        wishes = {"variant": variant, "seed": seed, "measure": samples >= MEASURE_FROM, "allow_outside": allow_outside}
+        made = _make_plan(scene, loaded, rig, optics, plan, wishes)
+        method = _method(scene, loaded, variant, made, optics, seed, allow_outside)
+    pixels = {
+        **config, "integrator": made.integrator(), "color": made.color, "lights": made.light_weights,
+        "lens": method.optics.aperture_radius, "subframes": method.subframes,
+    }  # fmt: skip
+    (out / "set.json").unlink(missing_ok=True)
+    watch.earlier = seconds_spent(out, digest)
+    job = _Job(method, loaded, variant, rig, out, names, pixels, digest, watch, report)
+    views, predicted = _render_views(job)
+    with watch.stage("write"):
+        finished = finish_set(out, names, rig, seed, optics.camera)
+    found = {**finished, "views": views, "predicted_seconds": predicted}
+    write_json(out / "set.json", {**config, "digest": digest, **_facts(job, made), **found})
+    (out / SPENT).unlink(missing_ok=True)
+    return _exported(load_set(out), export)
+
+
+def _facts(job: _Job, made: Any) -> dict[str, Any]:
+    """What set.json says beside the configuration and the results of the views."""
+    surfaces, rig = job.surfaces, job.rig
+    return {
+        "kind": "rendered", "n_views": len(rig), "width": rig.width, "height": rig.height,
+        "plan": without_nan(made.to_dict()), "integrator": made.integrator(), "mitsuba_variant": job.method.variant,
+        "error_seen": ERROR_SEEN, "shapes": list(surfaces.shapes), "materials": list(surfaces.materials),
+        "seconds": job.watch.with_earlier(), "peak_bytes": peak_bytes(), "versions": versions(),
+    }  # fmt: skip
+
+
+def _exported(views: MultiviewSet, layouts: Sequence[str]) -> MultiviewSet:
+    for layout in layouts:
+        EXPORTS[layout](views, views.path / layout)
+    return views
+
+
+def _check_quality(spp: int | None, target_error: float | None) -> None:
+    if spp is not None and target_error is not None:
+        raise ValueError("render_set: give spp or target_error, not both")
+    if spp is not None and spp < 2:
+        raise ValueError(f"render_set: spp must be >= 2, because the variance needs two halves, got {spp}")
+    if target_error is not None and not 0 < target_error < 1:
+        raise ValueError(f"render_set: target_error is a relative RMSE and must lie in (0, 1), got {target_error}")
+
+
+def _make_plan(
+    scene: Any, loaded: LoadedScene, rig: Rig, optics: Optics, plan: str | Plan, wishes: dict[str, Any]
+) -> Any:
+    from simscenes.transport.plan import TransportPlan
+    from simscenes.transport.planner import default_plan, plan_loaded  # the planner's pilots use this package
+
+    if plan == "auto":
+        return plan_loaded(scene, loaded, rig=rig, optics=optics, **wishes)
+    if plan == "rgb":
+        return default_plan(optics)
+    if isinstance(plan, TransportPlan):
+        return plan
+    raise ValueError(f"plan must be 'auto', 'rgb' or a plan from plan_transport, got {plan!r}")
+
+
+def _method(
+    scene: Any, loaded: LoadedScene, variant: str, made: Any, optics: Optics, seed: int, allow_outside: bool
+) -> Method:
+    """The scene in the variant the plan calls for, with the plan's lights, integrator and lens."""
+    from simscenes.transport.plan import APERTURE, MOTION
+
+    mi = activate(variant, made.color)
+    colored = loaded if made.color == "rgb" else build_scene(scene, mi, allow_outside=allow_outside)
+    set_light_weights(colored, made.light_weights, mi)
+    if not made.is_on(APERTURE):
+        optics = replace(optics, aperture_radius=None, focus_distance=None)
+    frames = made.subframes if made.is_on(MOTION) else 1
+    return Method(mi, mi.variant(), colored, mi.load_dict(made.integrator()), optics, frames, seed)
+
+
+def _render_views(job: _Job) -> tuple[dict[str, Any], float]:
+    """Render what is missing: samples, error and fireflies of every view, and the seconds predicted beforehand."""
+    (job.out / "gt").mkdir(parents=True, exist_ok=True)
+    paths = [job.out / "gt" / f"{name}.exr" for name in job.names]
+    for stale in set((job.out / "gt").glob("[0-9]*.exr")) - set(paths):  # of a larger set; other files are not ours
+        stale.unlink()
+    keys = [view_key(job.config, job.rig, i) for i in range(len(paths))]
+    headers = [finished_header(path, key) for path, key in zip(paths, keys, strict=True)]
+    missing = [i for i, header in enumerate(headers) if header is None]
+    predicted, views = 0.0, {i: View(job.method, job.rig, i) for i in missing}
+    if missing:
+        job.progress(len(paths) - len(missing), len(paths), "predicting the time")
+        with job.watch.stage("predict"):
+            check_cameras(activate(job.variant), job.surfaces, job.rig)
+            activate(job.method.variant)
+            predicted = predict_seconds(job.method, job.rig, views, job.config["spp"], job.config["target_error"])
+    left = predicted / max(len(missing), 1)  # seconds a view
+    for done, i in enumerate(missing):
+
+        def tick(part: float, i: int = i, done: int = done, each: float = left) -> None:
+            seconds = each * (len(missing) - done - part)
+            what = f"view {job.names[i]}, {part:.0%}, about {seconds:.0f} s left"
+            job.progress(len(paths) - len(missing) + done, len(paths), what)
+
+        tick(0.0)
+        headers[i] = _render_view(job, views.pop(i), paths[i], keys[i], tick)
+        write_json(job.out / SPENT, {"digest": job.digest, "seconds": job.watch.with_earlier()})
+        # From here on the past predicts better than the pilot did; radiance and geometry are what repeats per view.
+        left = (job.watch.seconds["radiance"] + job.watch.seconds["geometry"]) / (done + 1)
+    found = {
+        name: {"spp": int(h["spp"]), "relative_error": float(h["relativeError"]), "fireflies": int(h["fireflies"])}
+        for name, h in zip(job.names, headers, strict=True)
+        if h is not None
+    }
+    fireflies = sum(view["fireflies"] for view in found.values())
+    job.progress(len(paths), len(paths), f"images; {fireflies} fireflies, see set.json" if fireflies else "images")
+    return found, predicted
+
+
+def _render_view(job: _Job, view: View, path: Path, key: str, tick: Tick) -> dict[str, Any]:
+    with job.watch.stage("geometry"):
+        channels = geometry_channels(activate(job.variant), job.surfaces, job.rig, view.i)
+    with job.watch.stage("radiance"):
+        activate(job.method.variant)
+        radiance = view.render(job.config["spp"], job.config["target_error"], tick)
+    for k, c in enumerate("RGB"):
+        channels[c] = np.maximum(radiance.mean[..., k], 0)  # spectral light outside the sRGB triangle ends at its edge
+        channels[f"var.{c}"] = radiance.variance[..., k]
+    header = {
+        "spp": radiance.spp, "relativeError": radiance.error, "fireflies": radiance.fireflies, VIEW_KEY: key,
+        "worldToCamera": job.rig.viewmats[view.i].astype(np.float32),
+    }  # fmt: skip
+    with job.watch.stage("write"):
+        write_exr(path, channels, header)
+    return header

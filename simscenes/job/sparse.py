@@ -1,0 +1,51 @@
+"""Sparse points on the true surface, with the views that see each: what structure from motion would have found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simscenes.rigs import Rig, unproject
+from simscenes.sets.correspondence import seen_in
+
+N_POINTS = 4000
+
+
+def surface_points(
+    rig: Rig,
+    depths: Sequence[NDArray[Any]],
+    image: Callable[[int], NDArray[np.uint8]],
+    *,
+    seed: int,
+    n_points: int = N_POINTS,
+) -> tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.bool_]]:
+    """Draw surface points from the views' depth maps and test in which views they can be seen.
+
+    Args:
+        rig: The cameras.
+        depths: z-depth of every view, [h,w], inf where there is no surface.
+        image: View index -> sRGB image uint8 [h,w,3], for the colours.
+        seed: Seed of the draw.
+        n_points: Points wanted; fewer come back if few are seen twice.
+
+    Returns:
+        Positions [P,3], colours [P,3] and visibility [C,P]; every point is seen by two views or more (by one if the rig
+        has only one).
+    """
+    rng = np.random.default_rng([seed, 3])
+    share = int(np.ceil(1.3 * n_points / len(rig)))
+    positions, colors = [], []
+    for i, z in enumerate(depths):
+        surface = np.flatnonzero(np.isfinite(z).ravel())
+        chosen = rng.permutation(surface)[:share]
+        positions.append(unproject(rig, i, z, chosen))
+        colors.append(image(i).reshape(-1, 3)[chosen])
+    xyz, rgb = np.concatenate(positions), np.concatenate(colors)
+    pixels, z = rig.project(xyz)
+    visible = np.stack([seen_in(rig, p, d, depth) for p, d, depth in zip(pixels, z, depths, strict=True)])
+    kept = np.flatnonzero(visible.sum(0) >= min(2, len(rig)))
+    kept = np.sort(rng.permutation(kept)[:n_points])
+    return xyz[kept], rgb[kept], visible[:, kept]

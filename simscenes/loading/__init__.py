@@ -1,0 +1,1 @@
+"""A scene from outside: loaded, checked, named and hashed."""

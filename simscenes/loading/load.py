@@ -1,0 +1,122 @@
+"""Scenes as they come in: a catalogue name, a Mitsuba dict or an XML file; loaded, checked, named and hashed alike."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from simscenes.loading.contents import objects_in, unique_materials
+from simscenes.loading.digest import scene_digest
+from simscenes.loading.physical import check_parameters, scene_extent
+from simscenes.loading.untrusted import check_plugin, check_xml, searching_only
+
+
+@dataclass(frozen=True)
+class LoadedScene:
+    """A scene ready to render.
+
+    Attributes:
+        name: Catalogue name, name of the file, or "custom".
+        variant: The Mitsuba variant it was loaded in, and the only one it can be used in.
+        scene: The Mitsuba scene.
+        digest: Hash of everything the picture depends on but the camera and the random numbers.
+        shapes: Names of the shapes and instances; the id of a pixel is 1 + place in this list.
+        materials: Names of the materials, likewise; those within instances too.
+        extent: Diagonal of the bounding box, scene units.
+    """
+
+    name: str
+    variant: str
+    scene: Any
+    digest: str
+    shapes: tuple[str, ...]
+    materials: tuple[str, ...]
+    extent: float
+
+
+def build_scene(scene: str | dict[str, Any] | Path, mi: Any, *, allow_outside: bool = False) -> LoadedScene:
+    """Load a scene under the active variant.
+
+    Args:
+        scene: A name from `SCENES`, optionally with a scene seed ("tabletop:3"); a Mitsuba scene dict; or the path of a
+            Mitsuba XML file (anything ending in .xml).
+        mi: The mitsuba module, from `activate`.
+        allow_outside: Let an XML file read files outside its own folder.
+
+    Raises:
+        ValueError: If the name is unknown, the file reaches outside its folder, Mitsuba refuses the description (its
+            reason is in the message), there is no shape, or a number in it is not physical.
+    """
+    is_file = isinstance(scene, Path) or (isinstance(scene, str) and scene.endswith(".xml"))
+    name = Path(str(scene)).stem if is_file else scene if isinstance(scene, str) else "custom"
+    try:
+        loaded, description = _load_xml(Path(str(scene)), mi, allow_outside) if is_file else _load_dict(scene, mi)
+    except (RuntimeError, TypeError, KeyError, AttributeError) as error:  # what Mitsuba and its bindings raise
+        raise ValueError(f"scene {name!r} cannot be loaded: {error}") from error
+    if not isinstance(loaded, mi.Scene) or len(loaded.shapes()) == 0:
+        raise ValueError(f"scene {name!r} has no shapes: there is nothing to see")
+    raw = ("RegularSpectrum", "IrregularSpectrum")
+    if "spectral" not in mi.variant() and any(part.class_name() in raw for part in objects_in(loaded, mi)):
+        # Mitsuba would only find out while rendering.
+        raise ValueError(f"scene {name!r} holds a 'regular' or 'irregular' spectrum, which only spectral variants can "
+                         "read; write it as type 'spectrum' with pairs of wavelength and value")  # fmt: skip
+    extent = scene_extent(loaded)
+    params = mi.traverse(loaded)
+    check_parameters(loaded, params, mi)
+    shapes = tuple(s.id() for s in loaded.shapes())
+    materials = tuple(_material_name(s) for s in unique_materials(loaded, mi))
+    return LoadedScene(str(name), mi.variant(), loaded, scene_digest(description, params), shapes, materials, extent)
+
+
+def _load_dict(scene: Any, mi: Any) -> tuple[Any, Any]:
+    from simscenes.scenes import build
+
+    description = build(scene) if isinstance(scene, str) else scene
+    if not isinstance(description, dict) or description.get("type") != "scene":
+        raise ValueError(
+            f"scene must be a name from SCENES, a .xml file or a Mitsuba dict of type 'scene', got {scene!r:.80}"
+        )
+    _check_plugins(description)
+    for key, value in description.items():
+        if isinstance(value, mi.Object):
+            value.set_id(key)  # meshes made in Python do not know the name they have in the dict
+    # optimize=True orders merged objects by memory address: other light order, other noise in every process.
+    return mi.load_dict(description, optimize=False), description
+
+
+def _check_plugins(node: dict[str, Any]) -> None:
+    if isinstance(kind := node.get("type"), str):
+        check_plugin(kind)
+    for child in node.values():
+        if isinstance(child, dict):
+            _check_plugins(child)
+
+
+def _load_xml(path: Path, mi: Any, allow_outside: bool) -> tuple[Any, Any]:
+    files = check_xml(path, allow_outside=allow_outside)
+    with nullcontext() if allow_outside else searching_only(files[0].parent, mi):
+        return mi.load_file(str(files[0]), optimize=False), files
+
+
+def set_light_weights(loaded: LoadedScene, weights: tuple[float, ...], mi: Any) -> None:
+    """Let the scene pick its lights in proportion to `weights`, one per light; () leaves them alone.
+
+    Raises:
+        ValueError: If there are weights for another number of lights.
+    """
+    lights = loaded.scene.emitters()
+    if weights and len(weights) != len(lights):
+        raise ValueError(f"the plan weighs {len(weights)} lights, scene {loaded.name!r} has {len(lights)}: it was made "
+                         "for another scene")  # fmt: skip
+    for light, weight in zip(lights, weights, strict=False):
+        params = mi.traverse(light)
+        params["sampling_weight"] = weight
+        params.update()
+    loaded.scene.parameters_changed([])
+
+
+def _material_name(shape: Any) -> str:
+    own = shape.bsdf().id()
+    return own if own and not own.startswith("__") else f"{shape.id()}.{shape.bsdf().class_name()}"

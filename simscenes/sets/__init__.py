@@ -1,0 +1,1 @@
+"""A multiview set in memory and on disk."""

@@ -1,0 +1,73 @@
+import pytest
+import torch
+
+from novags.methods import enhance_then_fit as naive
+from novags.methods import oracle
+from novags.methods.enhance_then_fit import NaiveConfig
+from novags.methods.enhancers.guided import enhance
+from novags.methods.problem import MethodInput
+from novags.splats import FitConfig, Gaussians, rasterize
+
+CONFIG = NaiveConfig(fit=FitConfig(iterations=60, sh_degree=0, mcmc=None))
+
+
+def error(gaussians: Gaussians, inputs: MethodInput) -> float:
+    """Mean squared difference of the renderings to the enhanced noise-free views."""
+    _, params = enhance(inputs.dark)
+    truth, _ = enhance(inputs.clean, params=params)
+    g, v = gaussians, inputs.views
+    images, _, _ = rasterize(
+        g.means, g.quats, g.scales, g.opacities, g.sh, v.viewmats, v.Ks, v.width, v.height, sh_degree=g.sh_degree
+    )
+    return float((images - truth).square().mean())
+
+
+def test_naive_aims_at_the_enhanced_images(method_input):
+    inputs = method_input()
+    result = naive.train(inputs, CONFIG)
+    enhanced, _ = enhance(inputs.dark)
+    assert torch.equal(result.enhanced, enhanced)
+    assert torch.equal(result.targets, enhanced)
+    assert set(result.seconds) == {"enhance", "fit"}
+    assert result.config["fit"]["extent"] == inputs.init.extent
+
+
+def test_oracle_aims_at_the_noise_free_images_under_the_noisy_ones_enhancement(method_input):
+    inputs = method_input(sigma=0.02)
+    result = oracle.train(inputs, CONFIG)
+    _, params = enhance(inputs.dark)
+    assert torch.equal(result.targets, enhance(inputs.clean, params=params)[0])
+
+
+def test_noise_costs_naive_something_that_the_oracle_keeps(method_input):
+    inputs = method_input(sigma=0.04)
+    config = NaiveConfig(fit=FitConfig(iterations=200, sh_degree=0, mcmc=None))
+    kept, spent = (error(method.train(inputs, config).gaussians, inputs) for method in (oracle, naive))
+    assert kept < 0.8 * spent
+
+
+def test_without_noise_naive_is_the_oracle(method_input):
+    inputs = method_input(sigma=0)
+    a, b = naive.train(inputs, CONFIG), oracle.train(inputs, CONFIG)
+    assert torch.equal(a.gaussians.means, b.gaussians.means)
+    assert torch.equal(a.gaussians.sh, b.gaussians.sh)
+
+
+def test_l1_changes_nothing_but_the_loss():
+    assert CONFIG.with_l1() == NaiveConfig(fit=FitConfig(iterations=60, sh_degree=0, mcmc=None, dssim_weight=0.0))
+
+
+def test_a_capture_without_noise_free_exposures_has_no_oracle(method_input):
+    with pytest.raises(ValueError, match="noise-free exposures"):
+        oracle.train(method_input(with_clean=False), CONFIG)
+
+
+def test_progress_and_checkpoint_reach_the_fit(method_input, tmp_path):
+    seen = []
+    checkpoint = tmp_path / "checkpoint.safetensors"
+    first = naive.train(method_input(), CONFIG, progress=lambda *entry: seen.append(entry[:2]), checkpoint=checkpoint)
+    assert seen[-1] == (60, 60)
+    seen.clear()
+    again = naive.train(method_input(), CONFIG, progress=lambda *entry: seen.append(entry[:2]), checkpoint=checkpoint)
+    assert not seen
+    assert torch.equal(again.gaussians.means, first.gaussians.means)
