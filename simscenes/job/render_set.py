@@ -35,6 +35,8 @@ from simscenes.sets.camera_files import write_json
 from simscenes.sets.export import EXPORTS
 from simscenes.sets.exr import write_exr
 from simscenes.sets.multiview import MultiviewSet, load_set
+from simscenes.transport.plan import APERTURE, MOTION, TransportPlan
+from simscenes.transport.planner import default_plan, plan_loaded
 
 DEFAULT_SPP = 256
 FORMAT = 3  # of the folder; a change renders again
@@ -149,7 +151,7 @@ def render_set(
     return _exported(load_set(out), export)
 
 
-def _facts(job: _Job, made: Any) -> dict[str, Any]:
+def _facts(job: _Job, made: TransportPlan) -> dict[str, Any]:
     """What set.json says beside the configuration and the results of the views."""
     surfaces, rig = job.surfaces, job.rig
     return {
@@ -177,10 +179,7 @@ def _check_quality(spp: int | None, target_error: float | None) -> None:
 
 def _make_plan(
     scene: Any, loaded: LoadedScene, rig: Rig, optics: Optics, plan: str | Plan, wishes: dict[str, Any]
-) -> Any:
-    from simscenes.transport.plan import TransportPlan
-    from simscenes.transport.planner import default_plan, plan_loaded  # the planner's pilots use this package
-
+) -> TransportPlan:
     if plan == "auto":
         return plan_loaded(scene, loaded, rig=rig, optics=optics, **wishes)
     if plan == "rgb":
@@ -191,11 +190,9 @@ def _make_plan(
 
 
 def _method(
-    scene: Any, loaded: LoadedScene, variant: str, made: Any, optics: Optics, seed: int, allow_outside: bool
+    scene: Any, loaded: LoadedScene, variant: str, made: TransportPlan, optics: Optics, seed: int, allow_outside: bool
 ) -> Method:
     """The scene in the variant the plan calls for, with the plan's lights, integrator and lens."""
-    from simscenes.transport.plan import APERTURE, MOTION
-
     mi = activate(variant, made.color)
     colored = loaded if made.color == "rgb" else build_scene(scene, mi, allow_outside=allow_outside)
     set_light_weights(colored, made.light_weights, mi)

@@ -11,6 +11,7 @@ from simscenes.loading.contents import objects_in, unique_materials
 from simscenes.loading.digest import scene_digest
 from simscenes.loading.physical import check_parameters, scene_extent
 from simscenes.loading.untrusted import check_plugin, check_xml, searching_only
+from simscenes.scenes import build
 
 
 @dataclass(frozen=True)
@@ -71,8 +72,6 @@ def build_scene(scene: str | dict[str, Any] | Path, mi: Any, *, allow_outside: b
 
 
 def _load_dict(scene: Any, mi: Any) -> tuple[Any, Any]:
-    from simscenes.scenes import build
-
     description = build(scene) if isinstance(scene, str) else scene
     if not isinstance(description, dict) or description.get("type") != "scene":
         raise ValueError(

@@ -14,6 +14,7 @@ from simscenes.backend import activate
 from simscenes.loading.contents import media_in
 from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.optics import Optics
+from simscenes.render.motion import image_motion
 from simscenes.rigs import Rig
 from simscenes.transport import pilot, plan
 from simscenes.transport.roulette import most_efficient, path_lengths
@@ -168,8 +169,6 @@ def aperture_effect(p: Pilot, geometry: list[Any], optics: Optics, scale: float)
 
 def motion_effect(geometry: list[Any], rig: Rig, small: Rig, optics: Optics, scale: float) -> tuple[Effect, int]:
     """Motion blur, from how far the points seen move across the image during the exposure."""
-    from simscenes.render.motion import image_motion
-
     if optics.motion is None or len(rig) < 2:
         return decided(plan.MOTION, False, 0.0, 0.5, "the camera is at rest", "px"), 1
     blur = image_motion(geometry, rig, small, optics.motion) * scale
