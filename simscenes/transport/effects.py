@@ -13,6 +13,7 @@ from sensor_model.plan import Effect
 from simscenes.backend import activate
 from simscenes.loading.contents import media_in
 from simscenes.loading.load import LoadedScene, build_scene
+from simscenes.loading.reference import SceneRef
 from simscenes.optics import Optics
 from simscenes.render.motion import image_motion
 from simscenes.rigs import Rig
@@ -32,7 +33,7 @@ class Pilot:
     """What all decisions start from."""
 
     mi: Any
-    source: Any
+    source: SceneRef
     loaded: LoadedScene  # in RGB
     rig: Rig
     backend: str
@@ -58,7 +59,9 @@ class Pilot:
     @property
     def colors(self) -> tuple[str, ...]:
         """The colour representations that the scene can be loaded in: objects made in Python belong to one."""
-        return ("rgb",) if _holds_objects(self.mi, self.source) else ("rgb", "spectral", "spectral_polarized")
+        return (
+            ("rgb",) if _holds_objects(self.mi, self.source.description) else ("rgb", "spectral", "spectral_polarized")
+        )
 
     def scene_in(self, color: str) -> tuple[Any, LoadedScene]:
         """Mitsuba with a colour representation activated, and the scene loaded for it."""
