@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -10,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensor_model.plan import Effect
-from simscenes.backend import activate
+from simscenes.backend import using_variant
 from simscenes.loading.contents import media_in
 from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.loading.reference import SceneRef
@@ -63,12 +65,13 @@ class Pilot:
             ("rgb",) if _holds_objects(self.mi, self.source.description) else ("rgb", "spectral", "spectral_polarized")
         )
 
-    def scene_in(self, color: str) -> tuple[Any, LoadedScene]:
-        """Mitsuba with a colour representation activated, and the scene loaded for it."""
-        mi = activate(self.backend, color)
-        if color != "rgb" and color not in self.scenes:
-            self.scenes[color] = build_scene(self.source, mi, allow_outside=self.allow_outside)
-        return mi, self.loaded if color == "rgb" else self.scenes[color]
+    @contextmanager
+    def in_color(self, color: str) -> Iterator[tuple[Any, LoadedScene]]:
+        """Mitsuba in the variant of a colour representation, and the scene loaded for it."""
+        with using_variant(self.backend, color) as mi:
+            if color != "rgb" and color not in self.scenes:
+                self.scenes[color] = build_scene(self.source, mi, allow_outside=self.allow_outside)
+            yield mi, self.loaded if color == "rgb" else self.scenes[color]
 
 
 def _holds_objects(mi: Any, node: Any) -> bool:
