@@ -17,8 +17,8 @@ from simscenes.render.passes import Passes
 from simscenes.render.radiance import Method, View
 from simscenes.render.sensors import PILOT_SPP, sensor_dict
 from simscenes.scenes import default_rig
-from simscenes.transport.effects import RR_DEPTH
 from simscenes.transport.lights import light_weights
+from simscenes.transport.pilot import RR_DEPTH
 
 NOISE = "relative RMSE"
 MISSING = "share of all light"

@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 
 from simscenes.rigs import TEST_EVERY, Rig, opencv_to_opengl
 
+CAMERA_FILES = ("transforms.json", "sparse", "train_list.txt", "test_list.txt", "nb-info.json")  # by `write_cameras`
+
 Points = (
     tuple[NDArray[np.float64], NDArray[np.uint8]] | tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.bool_]]
 )

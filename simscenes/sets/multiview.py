@@ -17,7 +17,14 @@ from sensor_model import linear_to_srgb, srgb_to_linear
 from simscenes.rigs import Rig
 from simscenes.sets.camera_files import is_test_view, write_cameras
 from simscenes.sets.exr import read_exr
-from simscenes.sets.photographs import Lens, Photographs, find_colmap, read_colmap, read_reconstruction, read_transforms
+from simscenes.sets.photographs import (
+    DistortedPinhole,
+    Photographs,
+    find_colmap,
+    read_colmap,
+    read_reconstruction,
+    read_transforms,
+)
 
 __all__ = ["MultiviewSet", "encode_srgb", "load_set", "write_cameras"]
 
@@ -43,7 +50,7 @@ class MultiviewSet:
     kind: Literal["rendered", "photographs"]
     meta: dict[str, Any]
     files: tuple[Path, ...] = field(repr=False)
-    lenses: tuple[Lens, ...] | None = field(default=None, repr=False)
+    lenses: tuple[DistortedPinhole, ...] | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return len(self.names)

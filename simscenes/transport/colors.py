@@ -14,7 +14,8 @@ from simscenes.loading.contents import unique_materials
 from simscenes.optics import Optics
 from simscenes.scenes import MEASURED_LIGHTS, split_name
 from simscenes.transport import pilot, plan, spectra
-from simscenes.transport.effects import DEPTHS, RR_DEPTH, Pilot, decided
+from simscenes.transport.effects import DEPTHS, decided
+from simscenes.transport.pilot import RR_DEPTH, Pilot
 from simscenes.transport.specular import SPECULAR, chained_light
 
 # Of light that two specular surfaces have passed on, polarisation changes a few per cent: measured 1 % on `tabletop`,

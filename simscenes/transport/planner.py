@@ -19,9 +19,7 @@ from simscenes.transport import pilot, plan
 from simscenes.transport.colors import color_effects
 from simscenes.transport.effects import (
     DEEPEST,
-    RR_DEPTH,
     UNIT,
-    Pilot,
     aperture_effect,
     depth_effects,
     media_effects,
@@ -29,6 +27,7 @@ from simscenes.transport.effects import (
     roulette_effect,
 )
 from simscenes.transport.lights import light_weights
+from simscenes.transport.pilot import RR_DEPTH, Pilot
 from simscenes.transport.plan import TransportPlan, settle
 from simscenes.transport.wishes import check_wishes
 
