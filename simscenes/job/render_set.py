@@ -12,11 +12,11 @@ import numpy as np
 from sensor_model.plan import Plan
 from simscenes.backend import backend_of, using_variant
 from simscenes.job.cost import Stopwatch, peak_bytes, predict_seconds, versions
-from simscenes.job.finish import finish_set
+from simscenes.job.finish import ViewStore, finish_set, view_store
 from simscenes.job.identity import (
     SPENT,
     VIEW_KEY,
-    finished_header,
+    finished_view,
     is_complete,
     job_digest,
     plan_identity,
@@ -61,6 +61,7 @@ class _Job:
     names: list[str]
     config: dict[str, Any]  # all that the pixels depend on
     digest: str  # of the whole job
+    store: ViewStore
     watch: Stopwatch
     progress: Progress
 
@@ -139,10 +140,11 @@ def render_set(
     }  # fmt: skip
     (out / "set.json").unlink(missing_ok=True)
     watch.earlier = seconds_spent(out, digest)
-    job = _Job(method, loaded, variant, rig, out, names, pixels, digest, watch, report)
-    views, predicted = _render_views(job)
-    with watch.stage("write"):
-        finished = finish_set(out, names, rig, seed, optics.camera)
+    with view_store(out, rig, optics.camera) as store:
+        job = _Job(method, loaded, variant, rig, out, names, pixels, digest, store, watch, report)
+        views, predicted = _render_views(job)
+        with watch.stage("write"):
+            finished = finish_set(out, names, rig, seed, store)
     found = {**finished, "views": views, "predicted_seconds": predicted}
     write_json(out / "set.json", {**config, "digest": digest, **_facts(job, made), **found})
     (out / SPENT).unlink(missing_ok=True)
@@ -213,7 +215,7 @@ def _render_views(job: _Job) -> tuple[dict[str, Any], float]:
     for stale in set((job.out / "gt").glob("[0-9]*.exr")) - set(paths):  # of a larger set; other files are not ours
         stale.unlink()
     keys = [view_key(job.config, job.rig, i) for i in range(len(paths))]
-    headers = [finished_header(path, key) for path, key in zip(paths, keys, strict=True)]
+    headers = [_rendered_before(job, i, path, key) for i, (path, key) in enumerate(zip(paths, keys, strict=True))]
     missing = [i for i, header in enumerate(headers) if header is None]
     predicted, views = 0.0, {i: View(job.method, job.rig, i) for i in missing}
     if missing:
@@ -246,6 +248,16 @@ def _render_views(job: _Job) -> tuple[dict[str, Any], float]:
     return found, predicted
 
 
+def _rendered_before(job: _Job, i: int, path: Path, key: str) -> dict[str, Any] | None:
+    """Header of a view that an earlier call finished, else None; its light and depth go into the store."""
+    with job.watch.stage("write"):
+        if (found := finished_view(path, key)) is None:
+            return None
+        channels, header = found
+        job.store.put(i, channels)
+        return header
+
+
 def _render_view(job: _Job, view: View, path: Path, key: str, tick: Tick) -> dict[str, Any]:
     with job.watch.stage("geometry"), using_variant(job.variant) as mi:
         channels = geometry_channels(mi, job.surfaces, job.rig, view.i)
@@ -260,4 +272,5 @@ def _render_view(job: _Job, view: View, path: Path, key: str, tick: Tick) -> dic
     }  # fmt: skip
     with job.watch.stage("write"):
         write_exr(path, channels, header)
+        job.store.put(view.i, channels)
     return header
