@@ -13,15 +13,15 @@ from typing import Any
 
 import numpy as np
 
-from sensor_model.files.atomic import write_atomically
-from sensor_model.params import Banding, Defects, DualGain, Optics, Sensor, require
+from sensor_model.files.atomic import atomic
+from sensor_model.params import Banding, Defects, DualGain, Sensor, SensorOptics, require
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
 
-PARTS: dict[str, type] = {"banding": Banding, "defects": Defects, "optics": Optics, "dual_gain": DualGain}
+PARTS: dict[str, type] = {"banding": Banding, "defects": Defects, "optics": SensorOptics, "dual_gain": DualGain}
 WHOLE = {"bits", "serial", "rts_traps"}
 TRUTH = {"blooming"}
 TEXT = {"cfa"}
@@ -69,7 +69,8 @@ def write_sensor(path: str | os.PathLike[str], sensor: Sensor, *, comment: str =
     for part in PARTS:
         if (value := getattr(sensor, part)) is not None:
             lines += ["", f"[{part}]", *_assignments(value)]
-    write_atomically(path, "\n".join([*lines, ""]).encode())
+    with atomic(path) as temporary:
+        temporary.write_bytes("\n".join([*lines, ""]).encode())
 
 
 def _values(kind: type, data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

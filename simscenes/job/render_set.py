@@ -2,39 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from sensor_model.plan import Plan
-from simscenes.backend import activate, backend_of
-from simscenes.job.cost import Stopwatch, peak_bytes, predict_seconds, versions
-from simscenes.job.finish import finish_set
+from simscenes.backend import backend_of, using_variant
+from simscenes.job.cost import Stopwatch, peak_bytes, versions
+from simscenes.job.finish import finish_set, view_store
 from simscenes.job.identity import (
     SPENT,
-    VIEW_KEY,
-    finished_header,
     is_complete,
     job_digest,
     plan_identity,
     seconds_spent,
-    view_key,
     without_nan,
 )
+from simscenes.job.views import Job, Progress, render_views
 from simscenes.loading.load import LoadedScene, build_scene, set_light_weights
+from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.optics import Optics
-from simscenes.render.framing import fit_rig, with_lens
-from simscenes.render.geometry import check_cameras, geometry_channels
-from simscenes.render.radiance import Method, Tick, View
+from simscenes.render.framing import usual_rig, with_lens
+from simscenes.render.radiance import Method
 from simscenes.rigs import Rig
-from simscenes.scenes import default_rig
 from simscenes.sets.camera_files import write_json
 from simscenes.sets.export import EXPORTS
-from simscenes.sets.exr import write_exr
 from simscenes.sets.multiview import MultiviewSet, load_set
+from simscenes.transport.plan import APERTURE, MOTION, TransportPlan
+from simscenes.transport.planner import default_plan, plan_loaded
 
 DEFAULT_SPP = 256
 FORMAT = 3  # of the folder; a change renders again
@@ -44,27 +40,9 @@ ERROR_SEEN = (
     "paths beyond max_depth or a caustic that no pass has found, nor the error of three colour channels; see plan."
 )
 
-Progress = Callable[[int, int, str], None]
-
-
-@dataclass(frozen=True)
-class _Job:
-    """What every view of one call shares."""
-
-    method: Method
-    surfaces: LoadedScene  # in RGB, for the geometry; the scene of `method` may be spectral
-    variant: str
-    rig: Rig
-    out: Path
-    names: list[str]
-    config: dict[str, Any]  # all that the pixels depend on
-    digest: str  # of the whole job
-    watch: Stopwatch
-    progress: Progress
-
 
 def render_set(
-    scene: str | dict[str, Any] | Path,
+    scene: SceneLike,
     rig: Rig | None,
     out: str | Path,
     *,
@@ -109,15 +87,13 @@ def render_set(
     if unknown := set(export) - set(EXPORTS):
         raise ValueError(f"render_set: export must name layouts of {sorted(EXPORTS)}, got {sorted(unknown)}")
     report = progress or (lambda done, total, what: None)
-    watch, out = Stopwatch(), Path(out)
-    with watch.stage("load"):
-        variant = backend_of(variant)
-        mi = activate(variant)
-        loaded = build_scene(scene, mi, allow_outside=allow_outside)
-    optics = with_lens(optics, loaded, mi)
-    if rig is None:
-        by_name = isinstance(scene, str) and not scene.endswith(".xml")
-        rig = default_rig(str(scene), 32, 128, 128) if by_name else fit_rig(loaded, 32)
+    watch, out, source = Stopwatch(), Path(out), SceneRef.of(scene)
+    variant = backend_of(variant)
+    with watch.stage("load"), using_variant(variant) as mi:
+        loaded = build_scene(source, mi, allow_outside=allow_outside)
+        optics = with_lens(optics, loaded, mi)
+        if rig is None:
+            rig = usual_rig(source, loaded, 32, 128, 128)
     config = {
         "format": FORMAT, "scene": loaded.name, "scene_digest": loaded.digest, "seed": seed, "optics": asdict(optics),
         "spp": spp if spp is not None or target_error is not None else DEFAULT_SPP, "target_error": target_error,
@@ -131,25 +107,26 @@ def render_set(
         report(0, len(names), "planning the light transport")
         samples = len(rig) * rig.width * rig.height * (spp or DEFAULT_SPP)
         wishes = {"variant": variant, "seed": seed, "measure": samples >= MEASURE_FROM, "allow_outside": allow_outside}
-        made = _make_plan(scene, loaded, rig, optics, plan, wishes)
-        method = _method(scene, loaded, variant, made, optics, seed, allow_outside)
+        made = _make_plan(source, loaded, rig, optics, plan, wishes)
+        method = _method(source, loaded, variant, made, optics, seed, allow_outside)
     pixels = {
         **config, "integrator": made.integrator(), "color": made.color, "lights": made.light_weights,
         "lens": method.optics.aperture_radius, "subframes": method.subframes,
     }  # fmt: skip
     (out / "set.json").unlink(missing_ok=True)
     watch.earlier = seconds_spent(out, digest)
-    job = _Job(method, loaded, variant, rig, out, names, pixels, digest, watch, report)
-    views, predicted = _render_views(job)
-    with watch.stage("write"):
-        finished = finish_set(out, names, rig, seed, optics.camera)
+    with view_store(out, rig, optics.camera) as store:
+        job = Job(method, loaded, variant, rig, out, names, pixels, digest, store, watch, report)
+        views, predicted = render_views(job)
+        with watch.stage("write"):
+            finished = finish_set(out, names, rig, seed, store)
     found = {**finished, "views": views, "predicted_seconds": predicted}
     write_json(out / "set.json", {**config, "digest": digest, **_facts(job, made), **found})
     (out / SPENT).unlink(missing_ok=True)
     return _exported(load_set(out), export)
 
 
-def _facts(job: _Job, made: Any) -> dict[str, Any]:
+def _facts(job: Job, made: TransportPlan) -> dict[str, Any]:
     """What set.json says beside the configuration and the results of the views."""
     surfaces, rig = job.surfaces, job.rig
     return {
@@ -176,13 +153,10 @@ def _check_quality(spp: int | None, target_error: float | None) -> None:
 
 
 def _make_plan(
-    scene: Any, loaded: LoadedScene, rig: Rig, optics: Optics, plan: str | Plan, wishes: dict[str, Any]
-) -> Any:
-    from simscenes.transport.plan import TransportPlan
-    from simscenes.transport.planner import default_plan, plan_loaded  # the planner's pilots use this package
-
+    source: SceneRef, loaded: LoadedScene, rig: Rig, optics: Optics, plan: str | Plan, wishes: dict[str, Any]
+) -> TransportPlan:
     if plan == "auto":
-        return plan_loaded(scene, loaded, rig=rig, optics=optics, **wishes)
+        return plan_loaded(source, loaded, rig=rig, optics=optics, **wishes)
     if plan == "rgb":
         return default_plan(optics)
     if isinstance(plan, TransportPlan):
@@ -191,72 +165,19 @@ def _make_plan(
 
 
 def _method(
-    scene: Any, loaded: LoadedScene, variant: str, made: Any, optics: Optics, seed: int, allow_outside: bool
+    source: SceneRef,
+    loaded: LoadedScene,
+    variant: str,
+    made: TransportPlan,
+    optics: Optics,
+    seed: int,
+    allow_outside: bool,
 ) -> Method:
     """The scene in the variant the plan calls for, with the plan's lights, integrator and lens."""
-    from simscenes.transport.plan import APERTURE, MOTION
-
-    mi = activate(variant, made.color)
-    colored = loaded if made.color == "rgb" else build_scene(scene, mi, allow_outside=allow_outside)
-    set_light_weights(colored, made.light_weights, mi)
     if not made.is_on(APERTURE):
         optics = replace(optics, aperture_radius=None, focus_distance=None)
     frames = made.subframes if made.is_on(MOTION) else 1
-    return Method(mi, mi.variant(), colored, mi.load_dict(made.integrator()), optics, frames, seed)
-
-
-def _render_views(job: _Job) -> tuple[dict[str, Any], float]:
-    """Render what is missing: samples, error and fireflies of every view, and the seconds predicted beforehand."""
-    (job.out / "gt").mkdir(parents=True, exist_ok=True)
-    paths = [job.out / "gt" / f"{name}.exr" for name in job.names]
-    for stale in set((job.out / "gt").glob("[0-9]*.exr")) - set(paths):  # of a larger set; other files are not ours
-        stale.unlink()
-    keys = [view_key(job.config, job.rig, i) for i in range(len(paths))]
-    headers = [finished_header(path, key) for path, key in zip(paths, keys, strict=True)]
-    missing = [i for i, header in enumerate(headers) if header is None]
-    predicted, views = 0.0, {i: View(job.method, job.rig, i) for i in missing}
-    if missing:
-        job.progress(len(paths) - len(missing), len(paths), "predicting the time")
-        with job.watch.stage("predict"):
-            check_cameras(activate(job.variant), job.surfaces, job.rig)
-            activate(job.method.variant)
-            predicted = predict_seconds(job.method, job.rig, views, job.config["spp"], job.config["target_error"])
-    left = predicted / max(len(missing), 1)  # seconds a view
-    for done, i in enumerate(missing):
-
-        def tick(part: float, i: int = i, done: int = done, each: float = left) -> None:
-            seconds = each * (len(missing) - done - part)
-            what = f"view {job.names[i]}, {part:.0%}, about {seconds:.0f} s left"
-            job.progress(len(paths) - len(missing) + done, len(paths), what)
-
-        tick(0.0)
-        headers[i] = _render_view(job, views.pop(i), paths[i], keys[i], tick)
-        write_json(job.out / SPENT, {"digest": job.digest, "seconds": job.watch.with_earlier()})
-        # From here on the past predicts better than the pilot did; radiance and geometry are what repeats per view.
-        left = (job.watch.seconds["radiance"] + job.watch.seconds["geometry"]) / (done + 1)
-    found = {
-        name: {"spp": int(h["spp"]), "relative_error": float(h["relativeError"]), "fireflies": int(h["fireflies"])}
-        for name, h in zip(job.names, headers, strict=True)
-        if h is not None
-    }
-    fireflies = sum(view["fireflies"] for view in found.values())
-    job.progress(len(paths), len(paths), f"images; {fireflies} fireflies, see set.json" if fireflies else "images")
-    return found, predicted
-
-
-def _render_view(job: _Job, view: View, path: Path, key: str, tick: Tick) -> dict[str, Any]:
-    with job.watch.stage("geometry"):
-        channels = geometry_channels(activate(job.variant), job.surfaces, job.rig, view.i)
-    with job.watch.stage("radiance"):
-        activate(job.method.variant)
-        radiance = view.render(job.config["spp"], job.config["target_error"], tick)
-    for k, c in enumerate("RGB"):
-        channels[c] = np.maximum(radiance.mean[..., k], 0)  # spectral light outside the sRGB triangle ends at its edge
-        channels[f"var.{c}"] = radiance.variance[..., k]
-    header = {
-        "spp": radiance.spp, "relativeError": radiance.error, "fireflies": radiance.fireflies, VIEW_KEY: key,
-        "worldToCamera": job.rig.viewmats[view.i].astype(np.float32),
-    }  # fmt: skip
-    with job.watch.stage("write"):
-        write_exr(path, channels, header)
-    return header
+    with using_variant(variant, made.color) as mi:
+        colored = loaded if made.color == "rgb" else build_scene(source, mi, allow_outside=allow_outside)
+        set_light_weights(colored, made.light_weights, mi)
+        return Method(mi, mi.variant(), colored, mi.load_dict(made.integrator()), optics, frames, seed)

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.backend import activate
+from simscenes.backend import using_variant
 from simscenes.loading.load import LoadedScene, build_scene
+from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.optics import Optics
 from simscenes.render.geometry import pixel_rays, shrunk
 from simscenes.rigs import Rig, invert_rigid, look_at, mitsuba_to_intrinsics, mitsuba_to_opencv, there_and_back
+from simscenes.scenes import default_rig
 
 Float = NDArray[np.float64]
 MAX_PIXELS = 1 << 26  # an untrusted file must not ask for all memory
@@ -80,7 +81,7 @@ def _film_intrinsics(params: Any, film: Any) -> Float:
 
 
 def fit_rig(
-    scene: str | dict[str, Any] | Path | LoadedScene,
+    scene: SceneLike | LoadedScene,
     n_views: int,
     width: int | None = None,
     height: int | None = None,
@@ -108,9 +109,13 @@ def fit_rig(
     """
     if n_views < 1:
         raise ValueError(f"n_views must be >= 1, got {n_views}")
-    mi = activate(scene.variant if isinstance(scene, LoadedScene) else "auto")
-    loaded = scene if isinstance(scene, LoadedScene) else build_scene(scene, mi, allow_outside=allow_outside)
-    own = own_rig(loaded, mi, width, height)
+    with using_variant(scene.variant if isinstance(scene, LoadedScene) else "auto") as mi:
+        loaded = scene if isinstance(scene, LoadedScene) else build_scene(scene, mi, allow_outside=allow_outside)
+        return _arc_around(loaded, mi, own_rig(loaded, mi, width, height), n_views, sweep_deg, swing_deg)
+
+
+def _arc_around(loaded: LoadedScene, mi: Any, own: Rig, n_views: int, sweep_deg: float, swing_deg: float) -> Rig:
+    """As `fit_rig`, with the scene's own sensor as a rig of one view."""
     c2w = invert_rigid(own.viewmats[0])
     position, up = c2w[:3, 3], -c2w[:3, 1]
     distance = _distance_seen(loaded, mi, own)
@@ -122,6 +127,15 @@ def fit_rig(
             return Rig(viewmats=viewmats, Ks=np.repeat(own.Ks, n_views, 0), width=own.width, height=own.height)
     raise ValueError(f"scene {loaded.name!r}: no free space around its sensor at {position.round(3).tolist()}; "
                      "is it inside an object? Give the rig")  # fmt: skip
+
+
+def usual_rig(source: SceneRef, loaded: LoadedScene, n_views: int, width: int, height: int) -> Rig:
+    """Cameras where none are given: a catalogue scene's own in this size, or an arc in that of the scene's sensor.
+
+    Raises:
+        ValueError: As `fit_rig`.
+    """
+    return default_rig(source.name, n_views, width, height) if source.in_catalogue else fit_rig(loaded, n_views)
 
 
 def _rays(loaded: LoadedScene, mi: Any, origins: Float, directions: Float) -> Float:

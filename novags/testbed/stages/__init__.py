@@ -22,6 +22,7 @@ from novags.testbed.stages.render import RenderConfig, prepare_render, render_vi
 from novags.testbed.stages.score import score_test_views, score_training_images
 from simscenes import EXPORTS
 from simscenes.job.identity import SPENT
+from simscenes.sets.camera_files import CAMERA_FILES
 
 
 def render(out: Path, config: RenderConfig, console: Console, *, stale: Sequence[Path] = ()) -> dict[str, Any]:
@@ -36,7 +37,7 @@ def render(out: Path, config: RenderConfig, console: Console, *, stale: Sequence
         RENDER_RECORD,
         inputs={"scene": scene_digest(config)},
         config=config.resolved(),
-        owns=(RENDER_RECORD, "gt", "images", SPENT, *capture_folder.CAMERA_FILES, *EXPORTS),
+        owns=(RENDER_RECORD, "gt", "images", SPENT, *CAMERA_FILES, *EXPORTS),
         prepare=lambda: prepare_render(config, console),
         work=lambda prepared: render_views(out, config, *prepared, console),
         console=console,
