@@ -158,6 +158,7 @@ class Sensor:
         require(0 <= self.nonlinearity < 0.5, "nonlinearity", "in [0, 0.5)", self.nonlinearity)
         ok = self.nonlinearity == 0 or isfinite(self.mu_e_sat)
         require(ok, "mu_e_sat", "finite beside a nonlinearity, which is relative to it", self.mu_e_sat)
+        require(self.blooming in (True, False), "blooming", "True or False", self.blooming)
         require(0 <= self.coupling <= 0.2, "coupling", "in [0, 0.2]", self.coupling, "0.2 blurs evenly over five")
         require(self.cfa is None or self.cfa in CFAS, "cfa", f"None or one of {CFAS}", self.cfa)
         response, bias = self.rgb_response, self.rgb_bias
