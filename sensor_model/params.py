@@ -27,7 +27,7 @@ def _require_not_negative(owner: object, *names: str) -> None:
 
 
 def _is_spread(table: tuple[tuple[float, ...], ...]) -> bool:
-    """Odd sides, so that it has a middle; light is neither lost nor won."""
+    """Odd sides, so that it has a middle; no light is lost or gained."""
     odd = len(table) % 2 == 1 and all(len(row) == len(table[0]) for row in table) and len(table[0]) % 2 == 1
     shares = [share for row in table for share in row]
     return odd and all(isfinite(s) and s >= 0 for s in shares) and abs(sum(shares) - 1) < 1e-6
@@ -60,7 +60,7 @@ class Optics:
 
 @dataclass(frozen=True, kw_only=True)
 class Defects:
-    """Pixels that differ from the rest; which ones, follows from the camera's serial."""
+    """Pixels that differ from the rest; the serial of the camera determines which ones."""
 
     hot_fraction: float = 0.0  # of the pixels
     hot_factor: float = 1.0  # dark current of a hot pixel over that of the others
