@@ -120,12 +120,14 @@ def align(viewmats_estimated: Tensor, viewmats_true: Tensor) -> Alignment:
         if np.ptp(centers, axis=0).max() <= 1e-9 * max(1.0, np.abs(centers).max()):
             raise ValueError(f"the {name} cameras all stand at one point, which leaves the scale open: no alignment")
     extent = extent_of(true)
-    similarity, inliers = _robust(estimated, true, extent)
-    angles, distances = _errors(similarity, estimated, true, extent)
+    fit, inliers = _robust(estimated, true, extent)
+    angles, distances = fit.errors(estimated, true, extent)
     return Alignment(
-        similarity=similarity,
-        rotation_deg=torch.from_numpy(np.degrees(angles)),
-        centre_error=torch.from_numpy(distances),
+        similarity=Similarity(
+            float(fit.scales[0]), torch.from_numpy(fit.rotations[0]), torch.from_numpy(fit.translations[0])
+        ),
+        rotation_deg=torch.from_numpy(np.degrees(angles[0])),
+        centre_error=torch.from_numpy(distances[0]),
         inliers=torch.from_numpy(inliers),
     )
 
@@ -161,72 +163,78 @@ def depth_scale(
     return float(np.median(ratios)) if len(ratios) else math.nan
 
 
-def _robust(estimated: Array, true: Array, extent: float) -> tuple[Similarity, np.ndarray]:
-    """The fitted similarity and its inliers [R]."""
-    count, best, least = len(true), None, math.inf
-    distances = np.linalg.norm(centers_of(estimated)[:, None] - centers_of(estimated)[None], axis=-1)
-    for i, j in _pairs(count):
-        # A pair at one point has no scale. Others of tiny baseline have a bad one, which their median error shows.
-        if distances[i, j] > 1e-9 * distances.max():
-            candidate = _fit(estimated[[i, j]], true[[i, j]], extent)
-            error = float(np.median(_error(candidate, estimated, true, extent)))
-            if error < least:
-                best, least = candidate, error
-    if best is None or not best.scale > 0:
-        raise ValueError("no two estimated cameras agree with the true ones on a scale: no alignment")
+@dataclass(frozen=True)
+class _Fits:
+    """Many similarities at once: scales [H], rotations [H, 3, 3], translations [H, 3]."""
+
+    scales: Array
+    rotations: Array
+    translations: Array
+
+    def errors(self, estimated: Array, true: Array, extent: float) -> tuple[Array, Array]:
+        """Angles [H, R] in radians and distances of the centres [H, R] in extents, for cameras [R, 4, 4]."""
+        turned = estimated[None, :, :3, :3] @ self.rotations.transpose(0, 2, 1)[:, None]
+        # |R - Q| = 2 sqrt(2) sin(angle / 2): exact for small angles, where the arc cosine of the trace is not.
+        chord = np.linalg.norm(turned - true[:, :3, :3], axis=(-2, -1)) / math.sqrt(8)
+        centers = self.scales[:, None, None] * (centers_of(estimated) @ self.rotations.transpose(0, 2, 1))
+        distances = np.linalg.norm(centers + self.translations[:, None] - centers_of(true), axis=-1)
+        return 2 * np.arcsin(np.minimum(chord, 1)), distances / extent
+
+
+def _robust(estimated: Array, true: Array, extent: float) -> tuple[_Fits, np.ndarray]:
+    """The fitted similarity, alone in its `_Fits`, and its inliers [R]."""
+    count = len(true)
+    pairs = _pairs(count)
+    baselines = np.linalg.norm(np.diff(centers_of(estimated)[pairs], axis=1)[:, 0], axis=-1)
+    # A pair at one point has no scale. Others of tiny baseline have a bad one, which their median error shows.
+    pairs = pairs[baselines > 1e-9 * baselines.max()]
+    candidates = _fit(estimated[pairs], true[pairs], extent)
+    medians = np.median(np.hypot(*candidates.errors(estimated, true, extent)), axis=1)
+    chosen = pairs[int(np.argmin(medians))]
+    best = _fit(estimated[chosen][None], true[chosen][None], extent)
     for _ in range(5):  # it settles after two or three
-        errors = _error(best, estimated, true, extent)
+        errors = np.hypot(*best.errors(estimated, true, extent))[0]
         # 1.4826 median = standard deviation of a normal; the factor for few cameras is Rousseeuw's (1987).
         spread = 1.4826 * (1 + 5 / max(count - 2, 1)) * float(np.median(errors))
         inliers = errors <= max(INLIER_SIGMAS * spread, FLOOR)
-        best = _fit(estimated[inliers], true[inliers], extent)
+        best = _fit(estimated[inliers][None], true[inliers][None], extent)
     return best, inliers
 
 
-def _pairs(count: int) -> list[tuple[int, int]]:
-    pairs = list(combinations(range(count), 2))
+def _pairs(count: int) -> np.ndarray:
+    """Pairs of cameras [H, 2]: all, or a fixed choice of `HYPOTHESES`."""
+    pairs = np.array(list(combinations(range(count), 2)))
     if len(pairs) <= HYPOTHESES:
         return pairs
-    chosen = np.random.default_rng(0).choice(len(pairs), HYPOTHESES, replace=False)
-    return [pairs[k] for k in sorted(chosen)]
+    return pairs[np.sort(np.random.default_rng(0).choice(len(pairs), HYPOTHESES, replace=False))]
 
 
-def _fit(estimated: Array, true: Array, extent: float) -> Similarity:
-    """Least squares of `_error` over the cameras.
+def _fit(estimated: Array, true: Array, extent: float) -> _Fits:
+    """Least squares of the error over the cameras of each group, [H, G, 4, 4].
 
     For a given scale s the rotation maximises trace(R^T (s A / extent² + B)), where A = sum of true times estimated
     centres about their means and B = sum of R_true^T R_estimated (|R - Q|² = 2 angle² for small angles); for a given
     rotation s = trace(R^T A) / sum of squared estimated centres (Umeyama 1991). The two take turns.
     """
-    ce, ct = centers_of(estimated), centers_of(true)
-    at_e, at_t = ce - ce.mean(0), ct - ct.mean(0)
-    A, squares = at_t.T @ at_e, float((at_e**2).sum())
-    B = np.einsum("kji,kjl->il", true[:, :3, :3], estimated[:, :3, :3])
-    scale = math.sqrt(float((at_t**2).sum()) / squares)
+    groups, size = estimated.shape[:2]
+    ce, ct = (centers_of(v.reshape(-1, 4, 4)).reshape(groups, size, 3) for v in (estimated, true))
+    mean_e, mean_t = ce.mean(1), ct.mean(1)
+    ce, ct = ce - mean_e[:, None], ct - mean_t[:, None]
+    A, squares = ct.transpose(0, 2, 1) @ ce, (ce**2).sum((1, 2))
+    B = np.einsum("hkji,hkjl->hil", true[..., :3, :3], estimated[..., :3, :3])
+    # Of the spreads alone: where centres and rotations contradict each other, the other formula may turn negative.
+    scales = first = np.sqrt((ct**2).sum((1, 2)) / squares)
     for _ in range(10):
-        rotation = _nearest_rotation(scale * A / extent**2 + B)
-        scale = float((rotation * A).sum()) / squares
-        if scale <= 0:  # centres and rotations contradict each other; an inverted scene is not a fit
-            scale = math.sqrt(float((at_t**2).sum()) / squares)
-            break
-    translation = ct.mean(0) - scale * rotation @ ce.mean(0)
-    return Similarity(scale, torch.from_numpy(rotation), torch.from_numpy(translation))
+        rotations = _nearest_rotations(scales[:, None, None] * A / extent**2 + B)
+        scales = (rotations * A).sum((1, 2)) / squares
+        scales = np.where(scales > 0, scales, first)
+    translations = mean_t - scales[:, None] * np.einsum("hij,hj->hi", rotations, mean_e)
+    return _Fits(scales, rotations, translations)
 
 
-def _nearest_rotation(matrix: Array) -> Array:
-    """The rotation R that maximises trace(R^T matrix)."""
-    U, _, Vt = np.linalg.svd(matrix)
-    return U @ np.diag([1.0, 1.0, np.sign(np.linalg.det(U @ Vt))]) @ Vt
-
-
-def _errors(similarity: Similarity, estimated: Array, true: Array, extent: float) -> tuple[Array, Array]:
-    """Angles [R] in radians and distances of the centres [R] in extents."""
-    turned = estimated[:, :3, :3] @ similarity.rotation.numpy().T
-    # |R - Q| = 2 sqrt(2) sin(angle / 2): exact for small angles, where the arc cosine of the trace is not.
-    chord = np.linalg.norm(turned - true[:, :3, :3], axis=(1, 2)) / math.sqrt(8)
-    centers = similarity.apply(torch.from_numpy(centers_of(estimated))).numpy()
-    return 2 * np.arcsin(np.minimum(chord, 1)), np.linalg.norm(centers - centers_of(true), axis=1) / extent
-
-
-def _error(similarity: Similarity, estimated: Array, true: Array, extent: float) -> Array:
-    return np.hypot(*_errors(similarity, estimated, true, extent))
+def _nearest_rotations(matrices: Array) -> Array:
+    """The rotations R that maximise trace(R^T M), for matrices M [H, 3, 3]."""
+    U, _, Vt = np.linalg.svd(matrices)
+    signs = np.ones((len(matrices), 3))
+    signs[:, 2] = np.sign(np.linalg.det(U @ Vt))
+    return (U * signs[:, None]) @ Vt

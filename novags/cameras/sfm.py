@@ -30,12 +30,12 @@ DEPTH_NEIGHBOURS = 4  # observed points whose inverse depths a filled-up pixel a
 class SfmConfig:
     """What is matched and how sure a match must be."""
 
-    pictures: Pictures = "enhanced"  # which pictures are looked at; the caller makes them
+    pictures: Pictures = "raw"  # which pictures are looked at; the caller makes them
     mapper: Mapper = "incremental"  # grow from one pair, or solve for all cameras at once (GLOMAP)
     max_features: int = 8192  # a picture, the largest ones
     peak_threshold: float = 0.0033  # contrast of a feature; COLMAP's 0.0067 is for large, clean photographs
     first_octave: int = -1  # -1 doubles the picture first, so that features of 1 px count
-    min_matches: int = 15  # geometrically consistent ones, of a pair that counts
+    min_matches: int = 10  # geometrically consistent ones, of a pair that counts
     max_error: float = 2.0  # px, from the epipolar line; COLMAP's 4 are for pictures of several megapixels
     threads: int = 1  # more are faster, but their order of work changes the result
 
@@ -64,7 +64,7 @@ def check_installed(config: SfmConfig) -> None:
         )
 
 
-def sfm(
+def structure_from_motion(
     pictures: NDArray[np.uint8],
     Ks: NDArray[np.floating[Any]],
     colors_from: Tensor,
@@ -116,8 +116,8 @@ def _check(pictures: np.ndarray, Ks: np.ndarray, colors_from: Tensor, n_points: 
         raise ValueError(f"pictures must be uint8 [C >= 2, h, w, 3], got {pictures.dtype} {pictures.shape}")
     if Ks.shape != (len(pictures), 3, 3) or tuple(colors_from.shape) != pictures.shape:
         raise ValueError(
-            f"Ks must be [C, 3, 3] and colors_from [C, h, w, 3] like the {len(pictures)} pictures {pictures.shape}, got "
-            f"{Ks.shape} and {tuple(colors_from.shape)}"
+            f"Ks must be [C, 3, 3] and colors_from [C, h, w, 3] like the {len(pictures)} pictures {pictures.shape}, "
+            f"got {Ks.shape} and {tuple(colors_from.shape)}"
         )
     if n_points < 2:
         raise ValueError(f"n_points must be >= 2, got {n_points}")
