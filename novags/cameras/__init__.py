@@ -1,4 +1,4 @@
-"""Where cameras and first points come from. `SOURCES` names the sources; `align` compares what they give to the truth."""
+"""Where cameras and first points come from. `SOURCES` names the sources; `align` compares them to the truth."""
 
 from dataclasses import dataclass
 from typing import Any

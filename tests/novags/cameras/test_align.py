@@ -161,7 +161,8 @@ def test_equal_cameras_give_the_exact_identity():
     found = align(true.clone(), true)
     assert found.similarity.scale == 1.0
     assert torch.equal(found.similarity.rotation, torch.eye(3, dtype=torch.float64))
-    assert not (found.similarity.translation.any() or found.rotation_deg.any() or found.centre_error.any())
+    for zero in (found.similarity.translation, found.rotation_deg, found.centre_error):
+        assert not zero.any()
     assert torch.equal(to_estimated(found.similarity, true), true)
 
 
