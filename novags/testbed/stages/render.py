@@ -6,11 +6,13 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import digest, read_json
+from novags.testbed.cache import digest, read_json, run_stage
 from novags.testbed.console import Console
+from novags.testbed.folders.capture import CAMERA_FILES
 from novags.testbed.folders.set import warnings_as_notes
 from sensor_model import Plan
 from simscenes import EXPORTS, Optics, Rig, load_set
+from simscenes.job.identity import SPENT
 from simscenes.backend import BACKENDS, COLORS, choose_variant
 from simscenes.camera import camera_color
 from simscenes.loading.untrusted import check_xml
@@ -72,6 +74,28 @@ class RenderConfig:
     def file(self) -> Path | None:
         """The Mitsuba file, or None for a scene of the catalogue."""
         return Path(self.scene) if self.scene.endswith(".xml") else None
+
+
+def render(out: Path, config: RenderConfig, console: Console, *, stale: Sequence[Path] = ()) -> dict[str, Any]:
+    """Render a scene into the set folder `out`; returns set.json.
+
+    Raises:
+        ValueError: If the scene is unknown or cannot be rendered, or `out` holds other things.
+    """
+    record = run_stage(
+        "render",
+        out,
+        RECORD,
+        inputs={"scene": scene_digest(config)},
+        config=config.resolved(),
+        owns=(RECORD, "gt", "images", SPENT, *CAMERA_FILES, *EXPORTS),
+        prepare=lambda: prepare_render(config, console),
+        work=lambda prepared: render_views(out, config, *prepared, console),
+        console=console,
+        stale=stale,
+    )
+    write_layouts(out, config.export, console)
+    return record
 
 
 def scene_digest(config: RenderConfig) -> str:
