@@ -1,0 +1,48 @@
+"""Scores: pure functions of arrays that compare what a method made with the truth.
+
+`images` compares encoded pictures, `tone` aligns them first, `linear` compares light, `geometry` depth, `consistency`
+one view with another; `perceptual` is LPIPS.
+"""
+
+from novags.testbed.metrics.consistency import ConsistencyScores, color_change, consistency_scores
+from novags.testbed.metrics.geometry import GeometryScores, geometry_scores, opacity_in_front
+from novags.testbed.metrics.images import (
+    PSNR_CEILING,
+    SSIM_WINDOW,
+    ImageScores,
+    delta_e,
+    flip,
+    gaussian_blur,
+    image_scores,
+    mean_scores,
+    psnr,
+    ssim,
+)
+from novags.testbed.metrics.linear import exposure_gain, linear_psnr
+from novags.testbed.metrics.perceptual import PerceptualDistance
+from novags.testbed.metrics.tone import Image, affine_aligned, tone_aligned
+
+__all__ = [
+    "PSNR_CEILING",
+    "SSIM_WINDOW",
+    "ConsistencyScores",
+    "GeometryScores",
+    "Image",
+    "ImageScores",
+    "PerceptualDistance",
+    "affine_aligned",
+    "color_change",
+    "consistency_scores",
+    "delta_e",
+    "exposure_gain",
+    "flip",
+    "gaussian_blur",
+    "geometry_scores",
+    "image_scores",
+    "linear_psnr",
+    "mean_scores",
+    "opacity_in_front",
+    "psnr",
+    "ssim",
+    "tone_aligned",
+]

@@ -1,0 +1,85 @@
+"""Scores of a method's expected depth against the true depth of a rendered scene.
+
+Depths are z-depths [h,w] in scene units, in the true cameras' scale: multiply a method's depth by the depth scale of
+the camera alignment first. Where nothing is hit, a depth is 0, infinite or nan. Every score exists for every method that
+renders image, opacity and expected depth.
+"""
+
+from typing import TypedDict
+
+import numpy as np
+from numpy.typing import NDArray
+
+TOLERANCE = 0.05  # relative: depths within it are right, opacity nearer than 1 - TOLERANCE of the surface is in front
+MIN_ALPHA = 0.5  # with less opacity than this, a pixel shows more background than surface and has no depth
+
+
+class GeometryScores(TypedDict):
+    """Scores of one view's depth; None where no pixel can be judged."""
+
+    abs_rel: float | None
+    within_5_percent: float | None
+    coverage: float | None
+    floaters: float | None
+
+
+def geometry_scores(depth: NDArray, alpha: NDArray, truth: NDArray) -> GeometryScores:
+    """Compare the depth of one view with the truth, over the pixels in which the truth shows a surface.
+
+    - `coverage`: share of these pixels with a rendered depth (opacity of at least `MIN_ALPHA`).
+    - `abs_rel`: mean of |depth - truth| / truth over the covered ones.
+    - `within_5_percent`: share with a rendered depth within `TOLERANCE` of the truth; a pixel without depth is a miss,
+      so that leaving out what is difficult does not pay.
+    - `floaters`: mean opacity in front of the true surface, at least: see `opacity_in_front`.
+
+    Args:
+        depth: Expected depth sum(w d) / sum(w) over the ray, with w the blending weights, float [h,w].
+        alpha: Opacity sum(w), 0..1, float [h,w].
+        truth: True depth, float [h,w].
+
+    Raises:
+        ValueError: If shapes differ, a depth is negative, or an opacity lies outside 0..1.
+    """
+    _check(depth, alpha, truth)
+    surface = _is_depth(truth)
+    covered = surface & _is_depth(depth) & (alpha >= MIN_ALPHA)
+    error = np.abs(depth[covered].astype(np.float64) / truth[covered] - 1.0)
+    judged = int(surface.sum())
+    front = opacity_in_front(depth, alpha, truth)[surface]
+    return {
+        "abs_rel": float(error.mean()) if covered.any() else None,
+        "within_5_percent": float((error <= TOLERANCE).sum() / judged) if judged else None,
+        "coverage": float(covered.sum() / judged) if judged else None,
+        "floaters": float(front.mean()) if judged else None,
+    }
+
+
+def opacity_in_front(depth: NDArray, alpha: NDArray, truth: NDArray) -> NDArray[np.float64]:
+    """Least opacity that must lie nearer than t = (1 - TOLERANCE) * truth to explain opacity and expected depth, [h,w].
+
+    A ray's weights w at depths d satisfy alpha * (1 - depth / t) = sum(w (1 - d / t)). Terms beyond t are negative, those
+    in front at most w, so the left side bounds the opacity in front from below, whatever the distribution along the
+    ray. The bound is reached by opacity at the camera with the rest at t; a sheet of opacity a at half of t counts
+    a / 2, so floaters weigh more the nearer they are. 0 where the truth or the method has no depth.
+    """
+    known = _is_depth(truth) & _is_depth(depth)
+    front = np.zeros(np.shape(truth))
+    ratio = depth[known].astype(np.float64) / ((1.0 - TOLERANCE) * truth[known])
+    front[known] = alpha[known] * np.maximum(1.0 - ratio, 0.0)
+    return front
+
+
+def _is_depth(depth: NDArray) -> NDArray[np.bool_]:
+    return np.isfinite(depth) & (depth > 0)
+
+
+def _check(depth: NDArray, alpha: NDArray, truth: NDArray) -> None:
+    if not depth.shape == alpha.shape == truth.shape or truth.ndim != 2:
+        shapes = f"{depth.shape}, {alpha.shape} and {truth.shape}"
+        raise ValueError(f"depth, alpha and true depth must all be [h, w] of one size, got {shapes}")
+    for name, value in (("depth", depth), ("true depth", truth)):
+        if (value < 0).any():
+            raise ValueError(f"{name} must be >= 0 (0, inf or nan where there is no surface), got {np.nanmin(value):g}")
+    # 1e-3: the float32 sum of many blending weights exceeds 1 by rounding.
+    if not ((alpha >= 0) & (alpha <= 1 + 1e-3)).all():
+        raise ValueError(f"alpha must lie in 0..1, got values from {np.min(alpha):g} to {np.max(alpha):g}")

@@ -1,0 +1,118 @@
+"""Image metrics against a reference, plain and after an alignment of tone.
+
+Images are float [h,w,3], sRGB-encoded. Renders may overshoot 0..1 a little. `image_scores` fits the alignments to the
+image as it is; for all other scores, and after the affine fit, it is clipped to 0..1, as a display would.
+"""
+
+from collections.abc import Sequence
+from typing import Any, TypedDict, TypeVar
+
+import numpy as np
+from scipy.ndimage import gaussian_filter
+
+from novags.testbed.metrics.perceptual import PerceptualDistance
+from novags.testbed.metrics.tone import Image, affine_aligned, check_pair, tone_aligned
+
+SSIM_WINDOW = 11  # px; smaller images have no SSIM
+PSNR_CEILING = 100.0  # dB; two identical images have no finite PSNR, and JSON has no infinity
+
+Scores = TypeVar("Scores")  # a TypedDict of numbers or None
+
+
+class ImageScores(TypedDict):
+    """Scores of one image against one reference; `lpips` is None where its weights are not on the machine."""
+
+    psnr: float
+    aligned_psnr: float
+    tone_aligned_psnr: float
+    ssim: float
+    aligned_ssim: float
+    tone_aligned_ssim: float
+    flip: float
+    delta_e: float
+    lpips: float | None
+
+
+def psnr(image: Image, reference: Image) -> float:
+    """Peak signal-to-noise ratio for a peak of 1, in dB, at most `PSNR_CEILING`."""
+    check_pair(image, reference)
+    mse = float(np.mean((image.astype(np.float64) - reference) ** 2))
+    return PSNR_CEILING if mse <= 10 ** (-PSNR_CEILING / 10) else -10.0 * float(np.log10(mse))
+
+
+def ssim(image: Image, reference: Image) -> float:
+    """Structural similarity (11x11 Gaussian window, sigma 1.5, range 1), mean over pixels and channels.
+
+    Raises:
+        ValueError: If the images are smaller than the window.
+    """
+    import torch
+    from torchmetrics.functional.image import structural_similarity_index_measure
+
+    check_pair(image, reference)
+    if min(image.shape[:2]) < SSIM_WINDOW:
+        size = f"{SSIM_WINDOW} x {SSIM_WINDOW} pixels"
+        raise ValueError(f"SSIM needs images of at least {size}, got {image.shape[1]} x {image.shape[0]}")
+    a, b = (
+        torch.from_numpy(np.ascontiguousarray(x.transpose(2, 0, 1)[None], dtype=np.float32)) for x in (image, reference)
+    )
+    return float(structural_similarity_index_measure(a, b, data_range=1.0))
+
+
+def flip(image: Image, reference: Image) -> float:
+    """Mean FLIP (LDR, 67 pixels per degree): the difference seen when flipping between the two, 0 (none) to 1."""
+    import flip_evaluator
+
+    check_pair(image, reference)
+    ldr = [np.ascontiguousarray(np.clip(x, 0.0, 1.0), dtype=np.float32) for x in (reference, image)]
+    return float(flip_evaluator.evaluate(*ldr, "LDR", applyMagma=False)[1])
+
+
+def delta_e(image: Image, reference: Image) -> float:
+    """Mean colour difference CIEDE2000 over all pixels (CIE 142-2001, k_L = k_C = k_H = 1), sRGB under D65; 0 if equal.
+
+    About 1 is the smallest difference that an observer sees between uniform patches. Clipped to 0..1 first: sRGB has
+    no colours beyond.
+    """
+    from skimage.color import deltaE_ciede2000, rgb2lab
+
+    check_pair(image, reference)
+    lab = [rgb2lab(np.clip(x, 0.0, 1.0).astype(np.float64)) for x in (image, reference)]
+    return float(deltaE_ciede2000(*lab).mean())
+
+
+def image_scores(image: Image, reference: Image, lpips: PerceptualDistance | None = None) -> ImageScores:
+    """All scores of one image against one reference in 0..1.
+
+    Raises:
+        ValueError: If the shapes differ, a value is not finite, or the images are smaller than the window of SSIM.
+    """
+    aligned = affine_aligned(image, reference)
+    toned = tone_aligned(image, reference)
+    clipped = np.clip(image, 0.0, 1.0)
+    return {
+        "psnr": psnr(clipped, reference),
+        "aligned_psnr": psnr(aligned, reference),
+        "tone_aligned_psnr": psnr(toned, reference),
+        "ssim": ssim(clipped, reference),
+        "aligned_ssim": ssim(aligned, reference),
+        "tone_aligned_ssim": ssim(toned, reference),
+        "flip": flip(clipped, reference),
+        "delta_e": delta_e(clipped, reference),
+        "lpips": None if lpips is None else lpips(clipped, reference),
+    }
+
+
+def mean_scores(scores: Sequence[Scores]) -> Scores:
+    """Mean over views of each score of any of the score dictionaries; a score that no view has stays None."""
+    if not scores:
+        raise ValueError("there are no views to average")
+    table: Any = scores  # TypedDicts share no type with their keys as variables
+    values = {name: [view[name] for view in table if view[name] is not None] for name in table[0]}
+    mean: Any = {name: float(np.mean(found)) if found else None for name, found in values.items()}
+    return mean  # type: ignore[no-any-return]
+
+
+def gaussian_blur(image: Image, sigma: float) -> Image:
+    """Gaussian blur of each channel; sigma in pixels."""
+    return gaussian_filter(image, (sigma, sigma, 0.0), mode="reflect")

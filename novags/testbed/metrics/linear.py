@@ -1,0 +1,60 @@
+"""PSNR in linear light, for methods whose pictures end there.
+
+Images are float linear RGB [h,w,3] in any unit of light; `white` is the reference's value that a well-exposed picture
+shows as white, and the peak of the PSNR. A method knows the exposure of its dark pictures, not the reference's: one
+gain for the whole set bridges the two. A gain for each view would also forgive brightness that wavers between views.
+"""
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from novags.testbed.metrics.images import psnr
+from novags.testbed.metrics.tone import Image, check_pair
+
+
+def exposure_gain(pairs: Iterable[tuple[Image, Image]], white: float = 1.0) -> float:
+    """The one factor on all images that minimises the squared error to their references over all views.
+
+    Values where the reference exceeds `white` do not count: a picture clips them, and a lamp in view would otherwise
+    decide alone.
+
+    Args:
+        pairs: (image, reference) of each view; read once, so a generator needs memory for one view only.
+        white: White of the references, in their unit.
+
+    Raises:
+        ValueError: If shapes differ, a value is not finite, or the sum of image times reference is not positive.
+    """
+    _check_positive("white", white)
+    views, cross, energy = 0, 0.0, 0.0
+    for image, reference in pairs:
+        check_pair(image, reference)
+        counts = reference <= white
+        x, y = image[counts].astype(np.float64), reference[counts].astype(np.float64)
+        views, cross, energy = views + 1, cross + float(x @ y), energy + float(x @ x)
+    if not cross > 0:
+        raise ValueError(
+            f"the sum of image times reference must be > 0 to match exposures, got {cross:g} over {views} views: "
+            "check that the images hold light, and that of the same views as the references"
+        )
+    return cross / energy
+
+
+def linear_psnr(image: Image, reference: Image, gain: float, white: float = 1.0) -> float:
+    """PSNR in dB of `gain * image` against the reference for a peak of `white`.
+
+    Both are clipped to 0..white after the gain, as pictures of the reference's exposure would be.
+
+    Raises:
+        ValueError: If the shapes differ, a value is not finite, or `gain` or `white` is not positive.
+    """
+    _check_positive("gain", gain)
+    _check_positive("white", white)
+    exposed, true = np.asarray(image, np.float64) * (gain / white), np.asarray(reference, np.float64) / white
+    return psnr(np.clip(exposed, 0.0, 1.0), np.clip(true, 0.0, 1.0))
+
+
+def _check_positive(name: str, value: float) -> None:
+    if not (np.isfinite(value) and value > 0):
+        raise ValueError(f"{name} must be finite and > 0, got {value}")
