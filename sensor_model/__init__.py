@@ -18,6 +18,9 @@ from sensor_model.isp import linear_to_srgb as linear_to_srgb
 from sensor_model.isp import srgb_to_linear as srgb_to_linear
 from sensor_model.isp import to_srgb8 as to_srgb8
 from sensor_model.mosaic import mosaic as mosaic
+from sensor_model.noise import NoiseCurve as NoiseCurve
+from sensor_model.noise import linear_noise as linear_noise
+from sensor_model.noise import raw_noise as raw_noise
 from sensor_model.params import Banding as Banding
 from sensor_model.params import Defects as Defects
 from sensor_model.params import DualGain as DualGain

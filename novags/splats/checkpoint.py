@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-import os
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,8 @@ import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 from torch import Tensor
+
+from sensor_model.files.atomic import atomic
 
 from .adam import Adam
 from .gaussians import Gaussians
@@ -50,14 +51,11 @@ def write_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, st
     Raises:
         OSError: If it cannot be written, for a full disk for example.
     """
-    temporary = path.with_name(path.name + f".tmp{os.getpid()}")
     try:
-        save_file({name: t.contiguous() for name, t in tensors.items()}, temporary, metadata=metadata)
-        temporary.replace(path)
+        with atomic(path) as temporary:
+            save_file({name: t.contiguous() for name, t in tensors.items()}, temporary, metadata=metadata)
     except SafetensorError as error:  # what it makes of the system's own errors
         raise OSError(f"cannot write {path}: {error}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def save_checkpoint(path: Path, state: TrainingState, settings: dict[str, object]) -> None:

@@ -4,12 +4,13 @@ Properties: x y z nx ny nz f_dc_0..2 f_rest_0..(3(K-1)-1) opacity (logit) scale_
 f_rest is channel-major: all red coefficients, then green, then blue.
 """
 
-import os
 from pathlib import Path
 from typing import BinaryIO
 
 import numpy as np
 import torch
+
+from sensor_model.files.atomic import atomic
 
 from .gaussians import Gaussians
 from .sh import n_coefficients
@@ -31,7 +32,7 @@ def write_ply(path: str | Path, gaussians: Gaussians) -> None:
     """Write Gaussians as a 3DGS PLY that common viewers open; atomic (temporary name, then rename).
 
     Args:
-        path: File to write; its folder must exist.
+        path: File to write; its folder is created.
         gaussians: Any size; quaternions are written normalised.
     """
     g = gaussians.detach()
@@ -42,15 +43,9 @@ def write_ply(path: str | Path, gaussians: Gaussians) -> None:
     table = torch.cat([column.cpu().float() for column in columns], dim=1).numpy().astype("<f4")
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
     header += [f"property float {name}" for name in _names(k)] + ["end_header"]
-    path = Path(path)
-    temporary = path.with_name(path.name + f".tmp{os.getpid()}")
-    try:
-        with temporary.open("wb") as file:
-            file.write(("\n".join(header) + "\n").encode("ascii"))
-            file.write(table.tobytes())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with atomic(path) as temporary, temporary.open("wb") as file:
+        file.write(("\n".join(header) + "\n").encode("ascii"))
+        file.write(table.tobytes())
 
 
 def _read_header(file: BinaryIO, path: Path) -> tuple[str, int, np.dtype]:

@@ -1,17 +1,40 @@
-"""Files that appear whole or not at all."""
+"""Files and folders that appear whole or not at all."""
 
 from __future__ import annotations
 
 import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 
-def write_atomically(path: str | os.PathLike[str], data: bytes) -> None:
-    """Write under a temporary name beside `path`, then rename; nothing is left behind if that fails (OSError)."""
+@contextmanager
+def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
+    """Write under a temporary name, then rename; an earlier `path` is replaced only if the block succeeds.
+
+    Args:
+        path: File to write, or folder; the folder it lies in is created.
+
+    Yields:
+        A hidden name in the same folder, with the same suffix (some writers choose the format by it). The block writes
+        a file there, or creates a folder and fills it. If the block raises, nothing is left behind.
+    """
     target = Path(path)
-    partial = target.with_name(target.name + ".partial")
+    target.parent.mkdir(parents=True, exist_ok=True)
+    temporary = target.with_name(f".{target.stem}.{os.getpid()}.partial{target.suffix}")
+    _remove(temporary)  # what a killed process of the same number may have left
     try:
-        partial.write_bytes(data)
-        partial.replace(target)
+        yield temporary
+        if temporary.is_dir():
+            _remove(target)  # a folder cannot be renamed onto one that holds files
+        os.replace(temporary, target)
     finally:
-        partial.unlink(missing_ok=True)
+        _remove(temporary)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir() and not path.is_symlink():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)

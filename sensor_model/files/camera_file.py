@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from sensor_model.files.atomic import write_atomically
+from sensor_model.files.atomic import atomic
 from sensor_model.params import Banding, Defects, DualGain, Optics, Sensor, require
 
 if sys.version_info >= (3, 11):
@@ -69,7 +69,8 @@ def write_sensor(path: str | os.PathLike[str], sensor: Sensor, *, comment: str =
     for part in PARTS:
         if (value := getattr(sensor, part)) is not None:
             lines += ["", f"[{part}]", *_assignments(value)]
-    write_atomically(path, "\n".join([*lines, ""]).encode())
+    with atomic(path) as temporary:
+        temporary.write_bytes("\n".join([*lines, ""]).encode())
 
 
 def _values(kind: type, data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

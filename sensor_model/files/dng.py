@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sensor_model.files.atomic import write_atomically
+from sensor_model.files.atomic import atomic
 from sensor_model.params import Exposure, Sensor, require
 
 # CIE XYZ -> linear sRGB, D65 (IEC 61966-2-1): the channels are linear sRGB times the response of the filters.
@@ -53,7 +53,9 @@ def write_dng(
     converter = RAW2DNG()
     filters = np.eye(3) if color_matrix is None else np.linalg.inv(np.asarray(color_matrix, np.float64))
     converter.options(_tags(dn.shape, sensor, exposure, filters), path="", compress=False)
-    write_atomically(path, converter.convert(np.ascontiguousarray(dn)))
+    data = converter.convert(np.ascontiguousarray(dn))
+    with atomic(path) as temporary:
+        temporary.write_bytes(data)
 
 
 def _tags(shape: tuple[int, ...], sensor: Sensor, exposure: Exposure, filters: NDArray[np.float64]) -> Any:

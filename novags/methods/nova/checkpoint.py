@@ -3,13 +3,14 @@
 Networks that learn beside a fit keep the fit's own checkpoint in the same file: the two then always belong together.
 """
 
-import os
 from pathlib import Path
 
 import torch
 from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.optim import Adam
+
+from sensor_model.files.atomic import atomic
 
 _MOMENTS = ("step", "exp_avg", "exp_avg_sq")
 
@@ -69,9 +70,5 @@ def file_as_tensor(path: Path) -> Tensor:
 
 def tensor_as_file(content: Tensor, path: Path) -> None:
     """Write the bytes that `file_as_tensor` read; the file appears whole or not at all."""
-    temporary = path.with_name(path.name + f".tmp{os.getpid()}")
-    try:
+    with atomic(path) as temporary:
         temporary.write_bytes(content.numpy().tobytes())
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)

@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from novags.testbed.cache import atomic
+from sensor_model.files.atomic import atomic
 
 
 def read_png(path: Path) -> np.ndarray:

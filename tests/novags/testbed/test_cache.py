@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from novags.testbed.cache import UNFINISHED, atomic, digest, folder_digest, jsonable, read_json, run_stage, write_json
+from novags.testbed.cache import UNFINISHED, digest, folder_digest, jsonable, read_json, run_stage, write_json
 from novags.testbed.console import Console
 
 QUIET = Console(quiet=True)
@@ -215,18 +215,6 @@ def test_jsonable_keeps_numbers_and_spells_out_what_json_lacks() -> None:
     assert value == {"inf": "inf", "array": [0, 1, 2], "path": "a/b", "none": None, "f": 0.5}
     with pytest.raises(TypeError, match="object"):
         jsonable(object())
-
-
-def test_atomic_leaves_nothing_behind_on_failure(tmp_path: Path) -> None:
-    def fail() -> None:
-        with atomic(tmp_path / "a.png") as temporary:
-            assert temporary.suffix == ".png"
-            temporary.write_text("half")
-            raise RuntimeError
-
-    with pytest.raises(RuntimeError):
-        fail()
-    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(
