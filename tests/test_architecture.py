@@ -17,7 +17,18 @@ MITSUBA_PLACES = (
     "simscenes.loading",
     "simscenes.job",
 )
-NOVAGS_LAYERS = (("splats",), ("cameras",), ("methods",), ("testbed",), ("cli", "__main__"))
+# Ground floor first.
+LAYERS: dict[str, tuple[tuple[str, ...], ...]] = {
+    "simscenes": (
+        ("rigs", "backend", "optics", "camera"),
+        ("scenes", "sets"),
+        ("loading",),
+        ("render",),
+        ("transport",),
+        ("job",),
+    ),
+    "novags": (("splats",), ("cameras",), ("methods",), ("testbed",), ("cli", "__main__")),
+}
 
 
 def module_name(path: Path) -> str:
@@ -77,16 +88,18 @@ def test_only_some_parts_of_simscenes_import_mitsuba() -> None:
     assert offenders([name for name in modules() if name not in allowed], ("mitsuba", "drjit")) == []
 
 
-def test_layers_inside_novags_import_downwards_only() -> None:
-    for floor, layer in enumerate(NOVAGS_LAYERS):
-        above = tuple(f"novags.{name}" for higher in NOVAGS_LAYERS[floor + 1 :] for name in higher)
+@pytest.mark.parametrize("package", LAYERS)
+def test_layers_inside_a_package_import_downwards_only(package: str) -> None:
+    for floor, layer in enumerate(LAYERS[package]):
+        above = tuple(f"{package}.{name}" for higher in LAYERS[package][floor + 1 :] for name in higher)
         for name in layer:
-            assert offenders(inside(f"novags.{name}"), above) == []
+            assert offenders(inside(f"{package}.{name}"), above) == []
 
 
-def test_every_part_of_novags_has_a_layer() -> None:
-    known = {name for layer in NOVAGS_LAYERS for name in layer}
-    assert {name.split(".")[1] for name in modules() if name.startswith("novags.")} <= known
+@pytest.mark.parametrize("package", LAYERS)
+def test_every_part_of_a_package_has_a_layer(package: str) -> None:
+    known = {name for layer in LAYERS[package] for name in layer}
+    assert {name.split(".")[1] for name in modules() if name.startswith(f"{package}.")} == known
 
 
 def test_there_are_no_import_cycles() -> None:

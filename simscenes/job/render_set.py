@@ -25,16 +25,18 @@ from simscenes.job.identity import (
     without_nan,
 )
 from simscenes.loading.load import LoadedScene, build_scene, set_light_weights
+from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.optics import Optics
-from simscenes.render.framing import fit_rig, with_lens
+from simscenes.render.framing import usual_rig, with_lens
 from simscenes.render.geometry import check_cameras, geometry_channels
 from simscenes.render.radiance import Method, Tick, View
 from simscenes.rigs import Rig
-from simscenes.scenes import default_rig
 from simscenes.sets.camera_files import write_json
 from simscenes.sets.export import EXPORTS
 from simscenes.sets.exr import write_exr
 from simscenes.sets.multiview import MultiviewSet, load_set
+from simscenes.transport.plan import APERTURE, MOTION, TransportPlan
+from simscenes.transport.planner import default_plan, plan_loaded
 
 DEFAULT_SPP = 256
 FORMAT = 3  # of the folder; a change renders again
@@ -64,7 +66,7 @@ class _Job:
 
 
 def render_set(
-    scene: str | dict[str, Any] | Path,
+    scene: SceneLike,
     rig: Rig | None,
     out: str | Path,
     *,
@@ -109,15 +111,14 @@ def render_set(
     if unknown := set(export) - set(EXPORTS):
         raise ValueError(f"render_set: export must name layouts of {sorted(EXPORTS)}, got {sorted(unknown)}")
     report = progress or (lambda done, total, what: None)
-    watch, out = Stopwatch(), Path(out)
+    watch, out, source = Stopwatch(), Path(out), SceneRef.of(scene)
     with watch.stage("load"):
         variant = backend_of(variant)
         mi = activate(variant)
-        loaded = build_scene(scene, mi, allow_outside=allow_outside)
+        loaded = build_scene(source, mi, allow_outside=allow_outside)
     optics = with_lens(optics, loaded, mi)
     if rig is None:
-        by_name = isinstance(scene, str) and not scene.endswith(".xml")
-        rig = default_rig(str(scene), 32, 128, 128) if by_name else fit_rig(loaded, 32)
+        rig = usual_rig(source, loaded, 32, 128, 128)
     config = {
         "format": FORMAT, "scene": loaded.name, "scene_digest": loaded.digest, "seed": seed, "optics": asdict(optics),
         "spp": spp if spp is not None or target_error is not None else DEFAULT_SPP, "target_error": target_error,
@@ -131,8 +132,8 @@ def render_set(
         report(0, len(names), "planning the light transport")
         samples = len(rig) * rig.width * rig.height * (spp or DEFAULT_SPP)
         wishes = {"variant": variant, "seed": seed, "measure": samples >= MEASURE_FROM, "allow_outside": allow_outside}
-        made = _make_plan(scene, loaded, rig, optics, plan, wishes)
-        method = _method(scene, loaded, variant, made, optics, seed, allow_outside)
+        made = _make_plan(source, loaded, rig, optics, plan, wishes)
+        method = _method(source, loaded, variant, made, optics, seed, allow_outside)
     pixels = {
         **config, "integrator": made.integrator(), "color": made.color, "lights": made.light_weights,
         "lens": method.optics.aperture_radius, "subframes": method.subframes,
@@ -149,7 +150,7 @@ def render_set(
     return _exported(load_set(out), export)
 
 
-def _facts(job: _Job, made: Any) -> dict[str, Any]:
+def _facts(job: _Job, made: TransportPlan) -> dict[str, Any]:
     """What set.json says beside the configuration and the results of the views."""
     surfaces, rig = job.surfaces, job.rig
     return {
@@ -176,13 +177,10 @@ def _check_quality(spp: int | None, target_error: float | None) -> None:
 
 
 def _make_plan(
-    scene: Any, loaded: LoadedScene, rig: Rig, optics: Optics, plan: str | Plan, wishes: dict[str, Any]
-) -> Any:
-    from simscenes.transport.plan import TransportPlan
-    from simscenes.transport.planner import default_plan, plan_loaded  # the planner's pilots use this package
-
+    source: SceneRef, loaded: LoadedScene, rig: Rig, optics: Optics, plan: str | Plan, wishes: dict[str, Any]
+) -> TransportPlan:
     if plan == "auto":
-        return plan_loaded(scene, loaded, rig=rig, optics=optics, **wishes)
+        return plan_loaded(source, loaded, rig=rig, optics=optics, **wishes)
     if plan == "rgb":
         return default_plan(optics)
     if isinstance(plan, TransportPlan):
@@ -191,13 +189,17 @@ def _make_plan(
 
 
 def _method(
-    scene: Any, loaded: LoadedScene, variant: str, made: Any, optics: Optics, seed: int, allow_outside: bool
+    source: SceneRef,
+    loaded: LoadedScene,
+    variant: str,
+    made: TransportPlan,
+    optics: Optics,
+    seed: int,
+    allow_outside: bool,
 ) -> Method:
     """The scene in the variant the plan calls for, with the plan's lights, integrator and lens."""
-    from simscenes.transport.plan import APERTURE, MOTION
-
     mi = activate(variant, made.color)
-    colored = loaded if made.color == "rgb" else build_scene(scene, mi, allow_outside=allow_outside)
+    colored = loaded if made.color == "rgb" else build_scene(source, mi, allow_outside=allow_outside)
     set_light_weights(colored, made.light_weights, mi)
     if not made.is_on(APERTURE):
         optics = replace(optics, aperture_radius=None, focus_distance=None)

@@ -10,7 +10,9 @@ from typing import Any
 from simscenes.loading.contents import objects_in, unique_materials
 from simscenes.loading.digest import scene_digest
 from simscenes.loading.physical import check_parameters, scene_extent
+from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.loading.untrusted import check_plugin, check_xml, searching_only
+from simscenes.scenes import build
 
 
 @dataclass(frozen=True)
@@ -36,7 +38,7 @@ class LoadedScene:
     extent: float
 
 
-def build_scene(scene: str | dict[str, Any] | Path, mi: Any, *, allow_outside: bool = False) -> LoadedScene:
+def build_scene(scene: SceneLike | SceneRef, mi: Any, *, allow_outside: bool = False) -> LoadedScene:
     """Load a scene under the active variant.
 
     Args:
@@ -49,10 +51,10 @@ def build_scene(scene: str | dict[str, Any] | Path, mi: Any, *, allow_outside: b
         ValueError: If the name is unknown, the file reaches outside its folder, Mitsuba refuses the description (its
             reason is in the message), there is no shape, or a number in it is not physical.
     """
-    is_file = isinstance(scene, Path) or (isinstance(scene, str) and scene.endswith(".xml"))
-    name = Path(str(scene)).stem if is_file else scene if isinstance(scene, str) else "custom"
+    source = SceneRef.of(scene)
+    name = source.name
     try:
-        loaded, description = _load_xml(Path(str(scene)), mi, allow_outside) if is_file else _load_dict(scene, mi)
+        loaded, description = _load(source, mi, allow_outside)
     except (RuntimeError, TypeError, KeyError, AttributeError) as error:  # what Mitsuba and its bindings raise
         raise ValueError(f"scene {name!r} cannot be loaded: {error}") from error
     if not isinstance(loaded, mi.Scene) or len(loaded.shapes()) == 0:
@@ -67,17 +69,17 @@ def build_scene(scene: str | dict[str, Any] | Path, mi: Any, *, allow_outside: b
     check_parameters(loaded, params, mi)
     shapes = tuple(s.id() for s in loaded.shapes())
     materials = tuple(_material_name(s) for s in unique_materials(loaded, mi))
-    return LoadedScene(str(name), mi.variant(), loaded, scene_digest(description, params), shapes, materials, extent)
+    return LoadedScene(name, mi.variant(), loaded, scene_digest(description, params), shapes, materials, extent)
 
 
-def _load_dict(scene: Any, mi: Any) -> tuple[Any, Any]:
-    from simscenes.scenes import build
+def _load(source: SceneRef, mi: Any, allow_outside: bool) -> tuple[Any, Any]:
+    """The Mitsuba scene, and what it was made of: files or a dict."""
+    if source.path is not None:
+        return _load_xml(source.path, mi, allow_outside)
+    return _load_dict(build(source.name) if source.description is None else source.description, mi)
 
-    description = build(scene) if isinstance(scene, str) else scene
-    if not isinstance(description, dict) or description.get("type") != "scene":
-        raise ValueError(
-            f"scene must be a name from SCENES, a .xml file or a Mitsuba dict of type 'scene', got {scene!r:.80}"
-        )
+
+def _load_dict(description: dict[str, Any], mi: Any) -> tuple[Any, Any]:
     _check_plugins(description)
     for key, value in description.items():
         if isinstance(value, mi.Object):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,9 +10,11 @@ from numpy.typing import NDArray
 
 from simscenes.backend import activate
 from simscenes.loading.load import LoadedScene, build_scene
+from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.optics import Optics
 from simscenes.render.geometry import pixel_rays, shrunk
 from simscenes.rigs import Rig, invert_rigid, look_at, mitsuba_to_intrinsics, mitsuba_to_opencv, there_and_back
+from simscenes.scenes import default_rig
 
 Float = NDArray[np.float64]
 MAX_PIXELS = 1 << 26  # an untrusted file must not ask for all memory
@@ -80,7 +81,7 @@ def _film_intrinsics(params: Any, film: Any) -> Float:
 
 
 def fit_rig(
-    scene: str | dict[str, Any] | Path | LoadedScene,
+    scene: SceneLike | LoadedScene,
     n_views: int,
     width: int | None = None,
     height: int | None = None,
@@ -122,6 +123,15 @@ def fit_rig(
             return Rig(viewmats=viewmats, Ks=np.repeat(own.Ks, n_views, 0), width=own.width, height=own.height)
     raise ValueError(f"scene {loaded.name!r}: no free space around its sensor at {position.round(3).tolist()}; "
                      "is it inside an object? Give the rig")  # fmt: skip
+
+
+def usual_rig(source: SceneRef, loaded: LoadedScene, n_views: int, width: int, height: int) -> Rig:
+    """Cameras where none are given: a catalogue scene's own in this size, or an arc in that of the scene's sensor.
+
+    Raises:
+        ValueError: As `fit_rig`.
+    """
+    return default_rig(source.name, n_views, width, height) if source.in_catalogue else fit_rig(loaded, n_views)
 
 
 def _rays(loaded: LoadedScene, mi: Any, origins: Float, directions: Float) -> Float:

@@ -104,8 +104,8 @@ def _color_cost(p: Pilot, optics: Optics, indirect: float) -> tuple[float, float
 
 
 def _has_measured_spectra(p: Pilot) -> bool:
-    if isinstance(p.source, str) and not p.source.endswith(".xml"):
-        return split_name(p.source)[0] in MEASURED_LIGHTS
+    if p.source.in_catalogue:
+        return split_name(p.source.name)[0] in MEASURED_LIGHTS
     mi, loaded = p.scene_in("spectral")
     measured = spectra.has_measured(mi, loaded)
     p.scene_in("rgb")

@@ -13,7 +13,9 @@ from sensor_model.plan import Effect
 from simscenes.backend import activate
 from simscenes.loading.contents import media_in
 from simscenes.loading.load import LoadedScene, build_scene
+from simscenes.loading.reference import SceneRef
 from simscenes.optics import Optics
+from simscenes.render.motion import image_motion
 from simscenes.rigs import Rig
 from simscenes.transport import pilot, plan
 from simscenes.transport.roulette import most_efficient, path_lengths
@@ -31,7 +33,7 @@ class Pilot:
     """What all decisions start from."""
 
     mi: Any
-    source: Any
+    source: SceneRef
     loaded: LoadedScene  # in RGB
     rig: Rig
     backend: str
@@ -57,7 +59,9 @@ class Pilot:
     @property
     def colors(self) -> tuple[str, ...]:
         """The colour representations that the scene can be loaded in: objects made in Python belong to one."""
-        return ("rgb",) if _holds_objects(self.mi, self.source) else ("rgb", "spectral", "spectral_polarized")
+        return (
+            ("rgb",) if _holds_objects(self.mi, self.source.description) else ("rgb", "spectral", "spectral_polarized")
+        )
 
     def scene_in(self, color: str) -> tuple[Any, LoadedScene]:
         """Mitsuba with a colour representation activated, and the scene loaded for it."""
@@ -168,8 +172,6 @@ def aperture_effect(p: Pilot, geometry: list[Any], optics: Optics, scale: float)
 
 def motion_effect(geometry: list[Any], rig: Rig, small: Rig, optics: Optics, scale: float) -> tuple[Effect, int]:
     """Motion blur, from how far the points seen move across the image during the exposure."""
-    from simscenes.render.motion import image_motion
-
     if optics.motion is None or len(rig) < 2:
         return decided(plan.MOTION, False, 0.0, 0.5, "the camera is at rest", "px"), 1
     blur = image_motion(geometry, rig, small, optics.motion) * scale

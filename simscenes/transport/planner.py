@@ -5,18 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 from sensor_model.plan import Effect
 from simscenes.backend import activate, backend_of
 from simscenes.loading.contents import media_in
 from simscenes.loading.load import LoadedScene, build_scene, set_light_weights
+from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.optics import Optics
-from simscenes.render.framing import fit_rig, with_lens
+from simscenes.render.framing import usual_rig, with_lens
 from simscenes.render.geometry import check_cameras, geometry_channels
 from simscenes.rigs import Rig
-from simscenes.scenes import default_rig
 from simscenes.transport import pilot, plan
 from simscenes.transport.colors import color_effects
 from simscenes.transport.effects import (
@@ -36,7 +34,7 @@ from simscenes.transport.wishes import check_wishes
 
 
 def plan_transport(
-    scene: str | dict[str, Any] | Path,
+    scene: SceneLike,
     tolerance: float = 0.02,
     *,
     rig: Rig | None = None,
@@ -74,20 +72,19 @@ def plan_transport(
         ValueError: If the scene cannot be loaded, a camera is inside an object, `tolerance` is not in (0, 1), or a
             forced effect does not exist or cannot be simulated.
     """
-    mi = activate(backend_of(variant))
-    loaded = build_scene(scene, mi, allow_outside=allow_outside)
+    source, mi = SceneRef.of(scene), activate(backend_of(variant))
+    loaded = build_scene(source, mi, allow_outside=allow_outside)
     if rig is None:
-        by_name = isinstance(scene, str) and not scene.endswith(".xml")
-        rig = default_rig(str(scene), 8, 64, 64) if by_name else fit_rig(loaded, 8)
+        rig = usual_rig(source, loaded, 8, 64, 64)
     check_cameras(mi, loaded, rig)
     return plan_loaded(
-        scene, loaded, tolerance, rig=rig, optics=with_lens(optics, loaded, mi), force=force, max_depth=max_depth,
+        source, loaded, tolerance, rig=rig, optics=with_lens(optics, loaded, mi), force=force, max_depth=max_depth,
         measure=measure, variant=variant, seed=seed, allow_outside=allow_outside,
     )  # fmt: skip
 
 
 def plan_loaded(
-    scene: str | dict[str, Any] | Path,
+    source: SceneRef,
     loaded: LoadedScene,
     tolerance: float = 0.02,
     *,
@@ -104,7 +101,7 @@ def plan_loaded(
     if not 0 < tolerance < 1:
         raise ValueError(f"tolerance is a share of all light and must lie between 0 and 1, got {tolerance}")
     mi, force = activate(backend_of(variant)), dict(force or {})
-    p = Pilot(mi, scene, loaded, pilot.pilot_rig(rig), backend_of(variant), tolerance / 5, seed, allow_outside)
+    p = Pilot(mi, source, loaded, pilot.pilot_rig(rig), backend_of(variant), tolerance / 5, seed, allow_outside)
     has_media = bool(media_in(loaded.scene, mi))
     check_wishes(force, max_depth, optics, media=has_media, spectra="spectral" in p.colors)
     weights = light_weights(mi, loaded, p.rig, seed)

@@ -10,6 +10,7 @@ import pytest
 from simscenes import SCENES, default_rig
 from simscenes.backend import activate, backend_of
 from simscenes.loading.load import LoadedScene, build_scene
+from simscenes.loading.reference import SceneRef
 from simscenes.render.geometry import geometry_channels
 from simscenes.scenes import textures as t
 from simscenes.transport import pilot
@@ -30,7 +31,7 @@ def test_paths_are_followed_deep_enough_for_the_stated_bound(built: tuple[str, A
     """Planned depth against paths to the end, with random numbers that the planner never saw, the same for both."""
     name, mi, loaded = built
     rig = default_rig(name, 3, 24, 24)
-    p = Pilot(mi, name, loaded, rig, backend_of(), 0.005, 0)
+    p = Pilot(mi, SceneRef.of(name), loaded, rig, backend_of(), 0.005, 0)
     media = media_effects(p)[0].on
     assert media == (name == "street")
     depth, (_, deep) = depth_effects(p, media, pilot.most_reflected(mi, loaded), None)

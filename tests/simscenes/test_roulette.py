@@ -8,6 +8,7 @@ import pytest
 from simscenes import Rig, default_rig
 from simscenes.backend import activate, backend_of
 from simscenes.loading.load import build_scene
+from simscenes.loading.reference import SceneRef
 from simscenes.rigs import intrinsics, look_at
 from simscenes.transport.effects import Pilot, roulette_effect
 from simscenes.transport.pilot import pilot_rig
@@ -46,9 +47,9 @@ def test_the_start_depends_on_the_scene_and_not_on_the_clock() -> None:
     chosen = {}
     for name in ("cornell", "hall"):
         mi = activate()
-        rig = pilot_rig(default_rig(name, 8, 64, 64))
+        rig, source = pilot_rig(default_rig(name, 8, 64, 64)), SceneRef.of(name)
         twice = [
-            roulette_effect(Pilot(mi, name, build_scene(name, mi), rig, backend_of(), 0.005, 0), False, 8, True)
+            roulette_effect(Pilot(mi, source, build_scene(name, mi), rig, backend_of(), 0.005, 0), False, 8, True)
             for _ in range(2)
         ]
         assert twice[0] == twice[1]

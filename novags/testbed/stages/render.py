@@ -15,6 +15,7 @@ from simscenes import EXPORTS, Optics, Rig, load_set
 from simscenes.job.identity import SPENT
 from simscenes.backend import BACKENDS, COLORS, choose_variant
 from simscenes.camera import camera_color
+from simscenes.loading.reference import SceneRef
 from simscenes.loading.untrusted import check_xml
 from simscenes.transport.plan import EFFECTS
 
@@ -67,13 +68,17 @@ class RenderConfig:
 
     def resolved(self) -> dict[str, Any]:
         """What decides the pixels, the content of the scene aside: no path as somebody typed it, no further layouts."""
-        scene = self.scene if self.file is None else self.file.stem
-        return {name: value for name, value in asdict(self).items() if name != "export"} | {"scene": scene}
+        kept = {name: value for name, value in asdict(self).items() if name != "export"}
+        return kept | {"scene": self.source.name}
 
     @property
-    def file(self) -> Path | None:
-        """The Mitsuba file, or None for a scene of the catalogue."""
-        return Path(self.scene) if self.scene.endswith(".xml") else None
+    def source(self) -> SceneRef:
+        """The scene of the catalogue, or the Mitsuba file.
+
+        Raises:
+            ValueError: If no scene of the catalogue has that name.
+        """
+        return SceneRef.of(self.scene)
 
 
 def render(out: Path, config: RenderConfig, console: Console, *, stale: Sequence[Path] = ()) -> dict[str, Any]:
@@ -104,12 +109,10 @@ def scene_digest(config: RenderConfig) -> str:
     Raises:
         ValueError: If the name is unknown, or the file cannot be read or is not to be trusted.
     """
-    if (file := config.file) is None:
-        from simscenes.scenes import split_name
-
-        split_name(config.scene)
-        return config.scene
-    files = check_xml(file, allow_outside=config.allow_outside)
+    source = config.source
+    if source.path is None:
+        return source.name
+    files = check_xml(source.path, allow_outside=config.allow_outside)
     return digest([hashlib.blake2b(named.read_bytes()).hexdigest() for named in files if named.is_file()])
 
 
@@ -137,7 +140,7 @@ def render_views(out: Path, config: RenderConfig, rig: Rig, plan: Plan | str, co
 
     with console.progress("render") as progress, warnings_as_notes(console):
         render_set(
-            config.file or config.scene, rig, out, spp=config.spp, target_error=config.target_error, plan=plan,
+            config.scene, rig, out, spp=config.spp, target_error=config.target_error, plan=plan,
             optics=config.optics, variant=config.variant, seed=config.seed, allow_outside=config.allow_outside,
             progress=progress,
         )  # fmt: skip
@@ -168,7 +171,7 @@ def plan_of(config: RenderConfig, tolerance: float = 0.02) -> Plan:
     from simscenes import plan_transport
 
     return plan_transport(
-        config.file or config.scene, tolerance, rig=rig_of(config), optics=config.optics, variant=config.variant,
+        config.scene, tolerance, rig=rig_of(config), optics=config.optics, variant=config.variant,
         max_depth=config.max_depth, seed=config.seed,
         force=dict.fromkeys(config.on, True) | dict.fromkeys(config.off, False), allow_outside=config.allow_outside,
     )  # fmt: skip
@@ -183,6 +186,6 @@ def rig_of(config: RenderConfig) -> Rig:
     from simscenes import default_rig, fit_rig
 
     size = (config.n_views, config.width, config.height)
-    if config.file is None:
+    if config.source.in_catalogue:
         return default_rig(config.scene, *size)
-    return fit_rig(config.file, *size, allow_outside=config.allow_outside)
+    return fit_rig(config.scene, *size, allow_outside=config.allow_outside)
