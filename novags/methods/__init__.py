@@ -1,6 +1,7 @@
 """What is compared. `METHODS` is the one place that names methods, `VARIANTS` names settings of them worth a name."""
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from difflib import get_close_matches
 from typing import Any
 
@@ -113,6 +114,9 @@ def chosen(name: str, more: Mapping[str, Variant] | None = None) -> Variant:
     """
     variants = {**VARIANTS, **(more or {})}
     variant = variants.get(name, Variant(name=name, method=name))
+    if variant.method in variants and variant.method not in (name, *METHODS):  # a variant of a variant
+        base = chosen(variant.method, {other: v for other, v in (more or {}).items() if other != name})
+        return replace(variant, method=base.method, settings={**base.settings, **variant.settings})
     if variant.method not in METHODS:
         known = (*METHODS, *variants)
         near = get_close_matches(variant.method, known, 1)
@@ -131,6 +135,7 @@ def with_variants(variants: Iterable[Variant]) -> dict[str, Variant]:
     for variant in variants:
         if variant.name in METHODS or variant.name in found:
             raise ValueError(f"the variant {variant.name!r} needs a name of its own, and this one is taken")
-        chosen(variant.name, {variant.name: variant})
         found[variant.name] = variant
+    for name in found:
+        chosen(name, found)
     return found

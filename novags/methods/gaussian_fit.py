@@ -63,9 +63,7 @@ def fit_enhanced(
     images = enhance(problem, config.enhance, config.pictures)
     seconds = time.perf_counter() - started
     dark = problem.encoded(config.pictures)
-    start = start_gaussians(
-        problem.start, dark, images, sh_degree=config.fit.sh_degree, init_scale=config.init_scale
-    )
+    start = start_gaussians(problem.start, dark, images, sh_degree=config.fit.sh_degree, init_scale=config.init_scale)
     result = fit(start, problem.views, lambda i: images[i], config.fit, progress=progress, checkpoint=checkpoint)
     return Reconstruction(
         scene=GaussianScene(result.gaussians),

@@ -1,11 +1,15 @@
 """The variance of each datum as a function of its mean: from the camera, or estimated from the pictures."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
+
+from sensor_model import Exposure, NoiseCurve, Sensor, linear_noise, raw_noise
+from sensor_model.isp import Demosaic
 
 BINS = 16  # of brightness, each with its own estimate of the variance
 FLAT_SHARE = 0.3  # of the pixels of a bin, the flattest ones: texture would count as noise
@@ -14,23 +18,35 @@ _MASK = torch.tensor([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]])
 
 
 @dataclass(frozen=True)
-class VarianceCurve:
-    """variance = offset + slope * max(mean, 0) + quadratic * mean**2, per colour channel, in the unit of the datum.
+class Variance:
+    """`sensor_model.NoiseCurve` for tensors: differentiable, on any device."""
 
-    Attributes:
-        offset: Read noise, dark current and rounding, [3] or [1].
-        slope: Shot noise, [3] or [1].
-        quadratic: Fixed gain differences between pixels (PRNU), [3] or [1].
-    """
+    curve: NoiseCurve
 
-    offset: Tensor
-    slope: Tensor
-    quadratic: Tensor
+    def __call__(self, mean: Tensor, channels: Tensor | None = None) -> Tensor:
+        """Variance of data of this mean, in the square of its unit.
 
-    def __call__(self, mean: Tensor) -> Tensor:
-        """Variance [..., 3] of data whose mean is `mean` [..., 3]."""
-        offset, slope, quadratic = (t.to(mean) for t in (self.offset, self.slope, self.quadratic))
-        return offset + slope * mean.clamp_min(0) + quadratic * mean.square()
+        Args:
+            mean: Expected value, [..., 3] for three channels; of a mosaic any shape.
+            channels: Of a mosaic: the channel of each datum, integer, the shape of `mean`.
+        """
+        c = self.curve
+        if c.matrix is None:
+            return self._camera(mean, channels) + c.rounding
+        matrix = mean.new_tensor(c.matrix)
+        return self._camera(mean @ torch.linalg.inv(matrix).T, None) @ matrix.square().T + c.rounding
+
+    def _camera(self, mean: Tensor, channels: Tensor | None) -> Tensor:
+        c = self.curve
+
+        def of(values: tuple[float, ...]) -> Tensor:
+            each = mean.new_tensor(values)
+            return each if channels is None else each[channels]
+
+        black = of(c.black)
+        x = torch.minimum((mean - black).clamp_min(0), of(c.white) - black)
+        low = torch.where(mean > of(c.switch), of(c.step), 0.0)
+        return of(c.offset) + (of(c.slope) + of(c.quadratic) * x) * x + low
 
 
 @dataclass(frozen=True)
@@ -38,14 +54,22 @@ class Noise:
     """What is known about the noise of a capture.
 
     Attributes:
-        linear16: Of the linear 16-bit pictures (black 0, white 1).
-        raw: Of the raw frames above black, in DN; None where only the pictures are known.
+        linear16: Of the linear 16-bit pictures.
+        raw: Of the raw frames, in DN; None where only the pictures are known.
         origin: "camera" for the analytic moments of a known camera, "pictures" for an estimate.
     """
 
-    linear16: VarianceCurve
-    raw: VarianceCurve | None
+    linear16: Variance
+    raw: Variance | None
     origin: Literal["camera", "pictures"]
+
+
+def camera_noise(
+    sensor: Sensor, exposure: Exposure, *, demosaic: Demosaic, color_matrix: list[list[float]] | None
+) -> Noise:
+    """The noise of a known camera, fixed pattern included."""
+    linear = linear_noise(sensor, exposure, demosaic=demosaic, color_matrix=color_matrix)
+    return Noise(Variance(linear), Variance(raw_noise(sensor, exposure)), "camera")
 
 
 def estimate_noise(linear: Tensor) -> Noise:
@@ -65,8 +89,10 @@ def estimate_noise(linear: Tensor) -> Noise:
     if linear.ndim != 4 or linear.shape[-1] != 3 or min(linear.shape[1:3]) < 16:
         raise ValueError(f"linear must be [C, H >= 16, W >= 16, 3], got {list(linear.shape)}")
     curves = [_line(*_binned(linear[..., c].double())) for c in range(3)]
-    offset, slope = (torch.stack([curve[k] for curve in curves]).float() for k in range(2))
-    return Noise(VarianceCurve(offset, slope, torch.zeros(3)), None, "pictures")
+    offset, slope = (tuple(float(curve[k]) for curve in curves) for k in range(2))
+    zero, one, never = (0.0,) * 3, (1.0,) * 3, (math.inf,) * 3
+    curve = NoiseCurve(black=zero, white=one, offset=offset, slope=slope, quadratic=zero, switch=never, step=zero)
+    return Noise(Variance(curve), None, "pictures")
 
 
 def _binned(plane: Tensor) -> tuple[Tensor, Tensor]:

@@ -87,8 +87,8 @@ class Reconstruction:
     def __post_init__(self) -> None:
         if (self.space == "enhanced") != (self.enhancement is not None):
             raise ValueError(
-                f"a reconstruction in the space 'enhanced' states its enhancement, and no other does, got {self.space!r}"
-                f" with {self.enhancement}"
+                "a reconstruction in the space 'enhanced' states its enhancement, and no other does, got "
+                f"{self.space!r} with {self.enhancement}"
             )
 
     def render(self, views: Views) -> tuple[Tensor, Tensor, Tensor]:

@@ -78,10 +78,9 @@ def converted(value: Any, hint: Any, what: str) -> Any:
         ValueError: If it cannot be one.
     """
     options = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
-    if value is None or (isinstance(value, str) and value.lower() == "none"):
-        if type(None) in options:
-            return None
-        raise ValueError(f"{what} cannot be switched off, got none")
+    off = value is None or (isinstance(value, str) and value.lower() == "none")
+    if off and type(None) in options:
+        return None
     for option in options:
         if option is not type(None):
             try:
@@ -94,14 +93,12 @@ def converted(value: Any, hint: Any, what: str) -> Any:
 def _as(value: Any, kind: Any) -> Any:
     origin = get_origin(kind)
     if origin is Literal:
-        return next(choice for choice in get_args(kind) if str(choice) == str(value)) if _chosen(value, kind) else _no()
+        return {str(choice): choice for choice in get_args(kind)}[str(value)] if _chosen(value, kind) else _no()
     if origin is tuple:
         parts = value.split(",") if isinstance(value, str) else list(value)
         return tuple(_as(part, get_args(kind)[0]) for part in parts)
-    if dataclasses.is_dataclass(kind):
-        if value == "default":
-            return kind()
-        return value if isinstance(value, kind) else _no()
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+        return kind() if value == "default" else value if isinstance(value, kind) else _no()
     if kind is bool:
         words = {"true": True, "yes": True, "false": False, "no": False}
         return value if isinstance(value, bool) else words[str(value).lower()] if str(value).lower() in words else _no()
@@ -123,10 +120,10 @@ def _no() -> Any:
 
 def _default(hint: Any, what: str) -> Any:
     options = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
-    made = next((option for option in options if dataclasses.is_dataclass(option)), None)
-    if made is None:
+    made = [option for option in options if dataclasses.is_dataclass(option)]
+    if not made:
         raise ValueError(f"{what} is a single value and has no settings of its own")
-    return made()  # type: ignore[operator]  # a dataclass type
+    return made[0]()
 
 
 def _words(options: tuple[Any, ...]) -> str:

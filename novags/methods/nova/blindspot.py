@@ -21,7 +21,8 @@ class BlindSpotConfig:
     laplacian_share: float = 0.5  # of the mask, drawn by high-frequency content; the rest is uniform
     window: int = 5  # px, edge of the neighbourhood that replacements come from
     # Blind one colour channel of a pixel instead of all three: the other two show its texture. This needs channels with
-    # independent noise: a three-chip camera, without JPEG or a colour matrix. None: wherever that holds. False: the paper.
+    # independent noise: a three-chip camera, without JPEG or a colour matrix. None: wherever that holds. The paper
+    # blinds all three.
     per_channel: bool | None = False
 
     def __post_init__(self) -> None:

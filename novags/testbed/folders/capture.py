@@ -128,6 +128,11 @@ class Capture:
         return develop_linear(dn, self.sensor, demosaic=self.record["demosaic"], color_matrix=matrix)
 
     @property
+    def exposure(self) -> Exposure:
+        """How the camera was used."""
+        return Exposure(**{**self.record["exposure"], "origin": tuple(self.record["exposure"]["origin"])})
+
+    @property
     def channels_share(self) -> tuple[str, ...]:
         """Why the noise of a pixel's three channels is not independent; empty where it is."""
         reasons = {

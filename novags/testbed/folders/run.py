@@ -129,7 +129,8 @@ def open_run(path: Path) -> Run:
         raise ValueError(f"no such run folder: {path}")
     if not (path / RECORD).exists():
         raise ValueError(
-            f"{path} holds no {RECORD}: it is not a run, or an unfinished one (run novags reconstruct again, it resumes)"
+            f"{path} holds no {RECORD}: it is not a run, or an unfinished one (run novags reconstruct again: it "
+            "resumes)"
         )
     record = _as_written_now(read_json(path / RECORD))
     if missing := [key for key in ("name", "method", "capture", "space", "stage") if key not in record]:
@@ -138,7 +139,7 @@ def open_run(path: Path) -> Run:
 
 
 def _as_written_now(record: dict[str, Any]) -> dict[str, Any]:
-    """A record of version 0.1.0 with what later ones say: every method ended in enhanced pictures, cameras were exact."""
+    """A record of version 0.1.0 with what later ones say: all methods ended in enhanced pictures, cameras were exact."""
     if "space" in record or "enhance" not in record:
         return record
     enhancement = {"enhancer": "guided", "pictures": record.get("dark_source"), "config": record["enhance"]}

@@ -46,5 +46,3 @@ class PerceptualDistance:
         a, b = (torch.from_numpy(x.transpose(2, 0, 1)[None].astype(np.float32) * 2 - 1) for x in (image, reference))
         with torch.no_grad():
             return float(self._network(a, b))
-
-

@@ -37,7 +37,9 @@ def line_chart(series: Series, keys: Mapping[str, str], *, x_label: str, y_label
         parts.append(f'<text class="tick" x="{x:.1f}" y="{HEIGHT - BOTTOM + 18}" text-anchor="middle">{tick:g}</text>')
     for name, line in series.items():
         path = " ".join("{:.1f},{:.1f}".format(*place(x, y)) for x, y in line if y > 0)
-        parts.append(f'<polyline class="line {escape(keys[name])}" points="{path}"><title>{escape(name)}</title></polyline>')
+        parts.append(
+            f'<polyline class="line {escape(keys[name])}" points="{path}"><title>{escape(name)}</title></polyline>'
+        )
     middle = (LEFT + WIDTH - RIGHT) / 2
     parts.append(f'<text class="axis" x="{middle}" y="{HEIGHT - 6}" text-anchor="middle">{escape(x_label)}</text>')
     centre = (TOP + HEIGHT - BOTTOM) / 2

@@ -154,7 +154,9 @@ def score_table(metrics: Mapping[str, Any], kind: str, competes: Mapping[str, bo
     return best_marked(means, COLUMNS[kind], competes)
 
 
-def best_marked(values: Mapping[str, Mapping[str, Any]], columns: Columns, competes: Mapping[str, bool]) -> list[dict[str, Any]]:
+def best_marked(
+    values: Mapping[str, Mapping[str, Any]], columns: Columns, competes: Mapping[str, bool]
+) -> list[dict[str, Any]]:
     """Rows of cells; the best value of each column among the runs that compete is marked."""
     rows = []
     for name, row in values.items():
@@ -214,7 +216,9 @@ def loss_chart(runs: Mapping[str, Run], rows: Mapping[str, Row]) -> str | None:
         return None
     keys = {name: row.key for name, row in rows.items()}
     series = {name: points for name, points in series.items() if points}
-    return line_chart(series, keys, x_label="iteration", y_label="photometric loss", title="Photometric loss over iterations")
+    return line_chart(
+        series, keys, x_label="iteration", y_label="photometric loss", title="Photometric loss over iterations"
+    )
 
 
 def smoothed(points: list[tuple[float, float]], count: int = 50) -> list[tuple[float, float]]:

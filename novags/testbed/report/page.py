@@ -5,8 +5,8 @@ from typing import Any
 
 from novags.testbed.cache import read_json, write_text
 from novags.testbed.console import Console, Update
-from novags.testbed.folders.linear_photographs import LinearPhotographs
 from novags.testbed.folders.experiment import EXPERIMENT, REPORT, find_runs
+from novags.testbed.folders.linear_photographs import LinearPhotographs
 from novags.testbed.folders.run import METRICS
 from novags.testbed.report.facts import (
     COLUMNS,
@@ -31,6 +31,7 @@ from novags.testbed.report.facts import (
     what_was_done,
 )
 from novags.testbed.report.pictures import ERROR_CEILING, pick_views, view_tiles
+
 
 def read_material(folder: Path, console: Console) -> Material:
     """Read a scored experiment or run.
@@ -98,7 +99,9 @@ def report_context(material: Material, progress: Update) -> dict[str, Any]:
         "geometry_columns": GEOMETRY,
         "cameras": camera_table(material),
         "recovered": {
-            "enhanced": material.metrics["recovered"], "lit": material.metrics.get("recovered_lit", {}), "linear": {},
+            "enhanced": material.metrics["recovered"],
+            "lit": material.metrics.get("recovered_lit", {}),
+            "linear": {},
         },
         "bounds": [material.bound("floor"), material.bound("ceiling")],
         "training_2d": training_table(material),

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from novags.testbed.console import Console, Update
 from novags.testbed.cache import run_stage
+from novags.testbed.console import Console, Update
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders.capture import has_view, write_view
 from novags.testbed.folders.set import Source, open_source

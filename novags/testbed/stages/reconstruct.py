@@ -31,7 +31,6 @@ from novags.testbed.stages.paths import keep_apart
 from simscenes.sets.exr import write_exr
 
 
-
 @dataclass(frozen=True, kw_only=True)
 class ReconstructConfig:
     """How to reconstruct a capture."""
@@ -119,9 +118,12 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
         linear16=stack([capture.linear16(i) for i in indices]),
         raw=RawPictures(
             dn=stack([capture.raw(i) for i in indices]), cfa=capture.sensor.cfa,
-            black=float(capture.sensor.black_level), white=capture.white_level,
+            black=float(capture.sensor.black_level), white=capture.sensor.white_dn,
         ),
-        noise=camera_noise(capture.sensor, capture.exposure, capture.record),
+        noise=camera_noise(
+            capture.sensor, capture.exposure, demosaic=capture.record["demosaic"],
+            color_matrix=capture.record["color_matrix"],
+        ),
         channels_share=capture.channels_share,
         clean=stack([capture.clean(i) for i in indices]) if sees_clean else None,
         names=tuple(capture.names[i] for i in indices),

@@ -12,9 +12,9 @@ from novags.testbed.folders.capture import CAMERA_FILES
 from novags.testbed.folders.set import warnings_as_notes
 from sensor_model import Plan
 from simscenes import EXPORTS, Optics, Rig, load_set
-from simscenes.job.identity import SPENT
 from simscenes.backend import BACKENDS, COLORS, choose_variant
 from simscenes.camera import camera_color
+from simscenes.job.identity import SPENT
 from simscenes.loading.reference import SceneRef
 from simscenes.loading.untrusted import check_xml
 from simscenes.transport.plan import EFFECTS

@@ -113,7 +113,7 @@ def _shown(rendered: Image, run: Run, gain: float) -> Image:
 
 def view_consistency(run: Run, capture: Capture, lit: Source) -> dict[str, float | None]:
     """Mean colour change along true correspondences from each held-out view to the view after it."""
-    found = []
+    found: list[Any] = []
     for i in capture.cameras.test_indices:
         j = i + 1 if i + 1 < len(capture.names) else i - 1
         moved = flow(lit.views, i, j)
@@ -208,9 +208,8 @@ def recovered_fractions(
         kind: The reference.
         number: The score.
     """
-    ends: dict[str, str] = {}
-    for end in ("floor", "ceiling"):
-        ends |= {end: name for name in scores if methods[name] == name and METHODS[name].bound == end}
+    bounds = {name: METHODS[name].bound for name in scores if methods[name] == name and name in METHODS}
+    ends = {bound: name for name, bound in bounds.items() if bound is not None}
     if len(ends) < 2:
         wanted = [name for name, method in METHODS.items() if method.bound and name not in scores]
         listed = " and ".join(wanted)

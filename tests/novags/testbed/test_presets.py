@@ -5,8 +5,8 @@ import subprocess
 import sys
 
 import pytest
-
 from novags.methods.table import METHODS, method_config, suited
+
 from novags.testbed.console import Console, losses_text
 from novags.testbed.presets import PRESETS, adapted
 from novags.testbed.stages.capture import CaptureConfig
