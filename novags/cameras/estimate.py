@@ -1,0 +1,74 @@
+"""What every camera source gives: cameras for the views it could place, and points to start from, in one frame."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from novags.splats.views import Views
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraEstimate:
+    """Cameras and initial points, in the source's own frame: any similarity of the true one.
+
+    Attributes:
+        registered: Positions, within the views that were asked for (C of them), that have a camera; increasing.
+        viewmats: [R, 4, 4] float64, world to camera, one for each registered view.
+        Ks: [R, 3, 3] float64, pixels, pixel centres at +0.5.
+        points: [P, 3] float32, units of the source's frame.
+        colors: [P, 3] float32, 0..1, as the dark images show them.
+        extent: 1.1 times the largest distance of a camera from the mean camera, units of the source's frame.
+
+    Raises:
+        ValueError: If shapes disagree, positions do not increase, or a value is not finite.
+    """
+
+    registered: tuple[int, ...]
+    viewmats: Tensor
+    Ks: Tensor
+    points: Tensor
+    colors: Tensor
+    extent: float
+
+    def __post_init__(self) -> None:
+        count, shapes = len(self.registered), [list(v.shape) for v in (self.viewmats, self.Ks, self.points)]
+        if shapes != [[count, 4, 4], [count, 3, 3], [len(self.points), 3]] or self.colors.shape != self.points.shape:
+            raise ValueError(
+                f"viewmats, Ks, points, colors must be [R, 4, 4], [R, 3, 3], [P, 3], [P, 3] for R = {count} registered "
+                f"views, got {', '.join(map(str, shapes))}, {list(self.colors.shape)}"
+            )
+        if list(self.registered) != sorted(set(self.registered)) or min(self.registered, default=0) < 0:
+            raise ValueError(f"registered must hold increasing positions >= 0, got {self.registered}")
+        for name in ("viewmats", "Ks", "points", "colors"):
+            if not torch.isfinite(getattr(self, name)).all():
+                raise ValueError(f"{name} of a camera estimate must be finite; the camera source failed")
+
+
+def as_estimate(
+    registered: tuple[int, ...], viewmats: Array, Ks: Array, points: Array, colors: Array, extent: float | None = None
+) -> CameraEstimate:
+    """The estimate as tensors of its types; `extent` None: that of the cameras themselves."""
+    return CameraEstimate(
+        registered=registered,
+        viewmats=torch.tensor(viewmats, dtype=torch.float64),
+        Ks=torch.tensor(Ks, dtype=torch.float64),
+        points=torch.tensor(points, dtype=torch.float32),
+        colors=torch.tensor(colors, dtype=torch.float32),
+        extent=extent_of(viewmats) if extent is None else extent,
+    )
+
+
+def centers_of(viewmats: Array) -> Array:
+    """Camera centres [C, 3] of world-to-camera matrices [C, 4, 4]."""
+    return -np.einsum("cji,cj->ci", viewmats[:, :3, :3], viewmats[:, :3, 3])
+
+
+def extent_of(viewmats: Array) -> float:
+    """Extent of the scene as the engine defines it (`Views.extent`) for cameras [C, 4, 4]."""
+    count = len(viewmats)
+    return Views(torch.tensor(viewmats, dtype=torch.float32), torch.eye(3).repeat(count, 1, 1), 1, 1).extent
