@@ -25,8 +25,8 @@ from sensor_model.params import Banding as Banding
 from sensor_model.params import Defects as Defects
 from sensor_model.params import DualGain as DualGain
 from sensor_model.params import Exposure as Exposure
-from sensor_model.params import Optics as Optics
 from sensor_model.params import Sensor as Sensor
+from sensor_model.params import SensorOptics as SensorOptics
 from sensor_model.plan import Effect as Effect
 from sensor_model.plan import Plan as Plan
 from sensor_model.planner import Limits as Limits

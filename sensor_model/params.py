@@ -34,7 +34,7 @@ def _is_spread(table: tuple[tuple[float, ...], ...]) -> bool:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Optics:
+class SensorOptics:
     """What the lens and the stack above the photodiodes do to the light."""
 
     corner_angle: float = 0.0  # degrees; relative illumination falls as cos**4 up to this angle in the corners
@@ -135,7 +135,7 @@ class Sensor:
     rgb_bias: tuple[float, float, float] = (0.0, 0.0, 0.0)  # error of the black level of each colour, DN
     banding: Banding | None = None
     defects: Defects | None = None
-    optics: Optics | None = None
+    optics: SensorOptics | None = None
     dual_gain: DualGain | None = None
     serial: int = 0  # which copy of this camera: seeds the fixed pattern
 

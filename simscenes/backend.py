@@ -17,6 +17,8 @@ import re
 import subprocess
 import sys
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -191,7 +193,7 @@ def backend_of(variant: str = "auto") -> str:
 
 
 def activate(variant: str = "auto", color: str = "rgb") -> Any:
-    """Set a working Mitsuba variant and return the `mitsuba` module.
+    """Set a working Mitsuba variant for good and return the `mitsuba` module; for a while: `using_variant`.
 
     Raises:
         ValueError: As `choose_variant`.
@@ -208,3 +210,22 @@ def activate(variant: str = "auto", color: str = "rgb") -> Any:
         # Below errors Mitsuba prints to stdout, past Python's warnings; what matters of it is checked on our side.
         mi.set_log_level(mi.LogLevel.Error)
     return mi
+
+
+@contextmanager
+def using_variant(variant: str = "auto", color: str = "rgb") -> Iterator[Any]:
+    """The `mitsuba` module in a working variant; afterwards the variant that was set before is set again.
+
+    Where none was set before, which is a state that Mitsuba cannot return to, this one stays.
+
+    Raises:
+        ValueError: As `choose_variant`.
+    """
+    loaded = sys.modules.get("mitsuba")
+    before = loaded.variant() if loaded is not None else None
+    mi = activate(variant, color)
+    try:
+        yield mi
+    finally:
+        if before is not None and mi.variant() != before:
+            mi.set_variant(before)

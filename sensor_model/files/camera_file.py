@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 
 from sensor_model.files.atomic import atomic
-from sensor_model.params import Banding, Defects, DualGain, Optics, Sensor, require
+from sensor_model.params import Banding, Defects, DualGain, Sensor, SensorOptics, require
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib
 
-PARTS: dict[str, type] = {"banding": Banding, "defects": Defects, "optics": Optics, "dual_gain": DualGain}
+PARTS: dict[str, type] = {"banding": Banding, "defects": Defects, "optics": SensorOptics, "dual_gain": DualGain}
 WHOLE = {"bits", "serial", "rts_traps"}
 TRUTH = {"blooming"}
 TEXT = {"cfa"}

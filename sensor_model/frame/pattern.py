@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sensor_model import effects
 from sensor_model.frame import streams
-from sensor_model.params import Optics, Sensor
+from sensor_model.params import Sensor, SensorOptics
 
 Shape = tuple[int, ...]
 Sites = tuple[NDArray[np.intp], ...]  # indices of the affected pixels, as numpy.nonzero gives them
@@ -42,7 +42,7 @@ def sites(serial: int, fraction: float, shape: Shape, origin: tuple[int, int], s
 
 
 @lru_cache(maxsize=4)
-def illumination_map(optics: Optics, shape: tuple[int, int], origin: tuple[int, int]) -> NDArray[np.float32]:
+def illumination_map(optics: SensorOptics, shape: tuple[int, int], origin: tuple[int, int]) -> NDArray[np.float32]:
     """Relative illumination of each pixel [h, w]: the lens stays as it is, too."""
     map_ = effects.relative_illumination(
         shape,

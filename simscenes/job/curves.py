@@ -4,20 +4,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.backend import activate, backend_of, backend_status
+from simscenes.backend import backend_of, backend_status, using_variant
 from simscenes.loading.load import LoadedScene, build_scene, set_light_weights
 from simscenes.render.passes import Passes
 from simscenes.render.radiance import Method, View
 from simscenes.render.sensors import PILOT_SPP, sensor_dict
 from simscenes.scenes import default_rig
-from simscenes.transport.effects import RR_DEPTH
 from simscenes.transport.lights import light_weights
+from simscenes.transport.pilot import RR_DEPTH
 
 NOISE = "relative RMSE"
 MISSING = "share of all light"
@@ -64,23 +65,23 @@ class Bench:
         self.rig = default_rig(scene, N_VIEWS, size, size)
         self._loaded: dict[str, LoadedScene] = {}
         self._references: dict[str, list[Image]] = {}
-        mi, loaded = self.ready(replace(DEFAULT, lights="equal"))
-        self.weights = light_weights(mi, loaded, self.rig, seed)
+        with self.ready(replace(DEFAULT, lights="equal")) as (mi, loaded):
+            self.weights = light_weights(mi, loaded, self.rig, seed)
 
-    def ready(self, s: Setting) -> tuple[Any, LoadedScene]:
+    @contextmanager
+    def ready(self, s: Setting) -> Iterator[tuple[Any, LoadedScene]]:
         """Mitsuba and the scene in a setting's variant, with its lights weighed or not."""
-        mi = activate(backend_of(s.variant), s.color)
-        if mi.variant() not in self._loaded:
-            self._loaded[mi.variant()] = build_scene(self.scene, mi)
-        loaded = self._loaded[mi.variant()]
-        count = len(loaded.scene.emitters())
-        even = tuple(1.0 / count for _ in range(count))
-        set_light_weights(loaded, (self.weights or even) if s.lights == "weighed" else even, mi)
-        return mi, loaded
+        with using_variant(backend_of(s.variant), s.color) as mi:
+            if mi.variant() not in self._loaded:
+                self._loaded[mi.variant()] = build_scene(self.scene, mi)
+            loaded = self._loaded[mi.variant()]
+            count = len(loaded.scene.emitters())
+            even = tuple(1.0 / count for _ in range(count))
+            set_light_weights(loaded, (self.weights or even) if s.lights == "weighed" else even, mi)
+            yield mi, loaded
 
-    def view(self, s: Setting, i: int, seed: int) -> View:
-        """One view, rendered as a setting says."""
-        mi, loaded = self.ready(s)
+    def view(self, mi: Any, loaded: LoadedScene, s: Setting, i: int, seed: int) -> View:
+        """One view, to be rendered as a setting says in what is `ready` for it."""
         integrator = mi.load_dict({"type": s.integrator, "max_depth": s.max_depth, "rr_depth": s.rr_depth})
         view = View(Method(mi, mi.variant(), loaded, integrator, seed=seed), self.rig, i)
         settings = sensor_dict(mi, self.rig, i, loaded)
@@ -91,22 +92,23 @@ class Bench:
         """Deep renders of the views to a small error, in the setting's colours."""
         if s.color not in self._references:
             deep = replace(DEFAULT, max_depth=64, color=s.color)
-            self._references[s.color] = [
-                self.view(deep, i, 10**6).render(None, REFERENCE_ERROR).mean.astype(np.float64) for i in range(N_VIEWS)
-            ]
+            with self.ready(deep) as (mi, loaded):
+                views = [self.view(mi, loaded, deep, i, 10**6) for i in range(N_VIEWS)]
+                self._references[s.color] = [v.render(None, REFERENCE_ERROR).mean.astype(np.float64) for v in views]
         return self._references[s.color]
 
     def render(self, s: Setting, i: int, seed: int) -> tuple[Image, float]:
         """One view with a setting, and its seconds; all sensors and kernels are there before the clock starts."""
-        for _ in range(2):  # the first time compiles the kernels
-            view = self.view(s, i, seed)
-            passes, start = Passes((self.rig.height, self.rig.width)), time.perf_counter()
-            if s.samples == "uneven":  # its pilot decides where the samples go, and costs samples itself
-                blocks = np.maximum(np.rint(view.pilot[1] * s.spp / PILOT_SPP), 1).astype(np.int64)
-                view.run_uneven(passes, 1, blocks, PILOT_SPP)
-            else:
-                view.run(passes, 1, s.spp)
-            seconds = time.perf_counter() - start
+        with self.ready(s) as (mi, loaded):
+            for _ in range(2):  # the first time compiles the kernels
+                view = self.view(mi, loaded, s, i, seed)
+                passes, start = Passes((self.rig.height, self.rig.width)), time.perf_counter()
+                if s.samples == "uneven":  # its pilot decides where the samples go, and costs samples itself
+                    blocks = np.maximum(np.rint(view.pilot[1] * s.spp / PILOT_SPP), 1).astype(np.int64)
+                    view.run_uneven(passes, 1, blocks, PILOT_SPP)
+                else:
+                    view.run(passes, 1, s.spp)
+                seconds = time.perf_counter() - start
         return passes.mean, seconds
 
     def noise(self, s: Setting, truth_in: str = "rgb") -> dict[str, Any]:

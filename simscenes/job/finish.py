@@ -1,57 +1,103 @@
-"""The last step of a job: 8-bit images with one exposure for the set, sparse points, cameras."""
+"""The last step of a job: 8-bit images with one exposure for the set, sparse points, cameras.
+
+One view is in memory at a time. Light and depth of each go to disk uncompressed as soon as they are known (16 bytes a
+pixel, until the set is finished), so that no EXR file is decoded again; of the exposure only the brightest pixels stay.
+"""
 
 from __future__ import annotations
 
-import os
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sensor_model.files.atomic import atomic
+from sensor_model.isp import to_srgb8
 from simscenes.camera import camera_color
+from simscenes.job.exposure import BELOW_WHITE, RunningQuantile, exposure_scale
 from simscenes.job.sparse import surface_points
 from simscenes.rigs import Rig
 from simscenes.sets.camera_files import write_cameras
-from simscenes.sets.exr import read_exr
-from simscenes.sets.multiview import encode_srgb
+
+SCRATCH = ".views"
 
 
-def finish_set(out: Path, names: list[str], rig: Rig, seed: int, camera: str | None) -> dict[str, Any]:
+class ViewStore:
+    """Light and depth of the views of a job.
+
+    Args:
+        folder: An empty folder for them.
+        rig: The cameras.
+        camera: As in `Optics`. What its filters see becomes linear sRGB again, for looking at only.
+    """
+
+    def __init__(self, folder: Path, rig: Rig, camera: str | None) -> None:
+        self.folder = folder
+        self.color = None if camera is None else camera_color(camera)
+        self._white = RunningQuantile(BELOW_WHITE, len(rig) * rig.height * rig.width)
+
+    def put(self, i: int, channels: dict[str, NDArray[Any]]) -> None:
+        """Keep what is needed of view `i`, once: R, G, B and Z, float32 [h,w]."""
+        light = np.stack([channels[c] for c in "RGB"], -1)
+        if self.color is not None:
+            light = light @ np.linalg.inv(self.color.matrix).T.astype(np.float32)
+        self._white.add(light.max(-1))
+        np.save(self.folder / f"{i}.light.npy", light)
+        np.save(self.folder / f"{i}.depth.npy", channels["Z"])
+
+    def light(self, i: int) -> NDArray[np.float32]:
+        """Linear sRGB of view `i`, [h,w,3]."""
+        return np.asarray(np.load(self.folder / f"{i}.light.npy"))
+
+    def depth(self, i: int) -> NDArray[np.float32]:
+        """z-depth of view `i`, [h,w]."""
+        return np.asarray(np.load(self.folder / f"{i}.depth.npy"))
+
+    def exposure_scale(self) -> float:
+        """One exposure for the set, when all its views are in."""
+        return exposure_scale(self._white.value())
+
+
+@contextmanager
+def view_store(out: Path, rig: Rig, camera: str | None) -> Iterator[ViewStore]:
+    """A store in the set folder `out`, gone afterwards; so is what a killed process left there."""
+    folder = out / SCRATCH
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
+    try:
+        yield ViewStore(folder, rig, camera)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def finish_set(out: Path, names: list[str], rig: Rig, seed: int, views: ViewStore) -> dict[str, Any]:
     """Write what depends on all views together; what set.json says about it."""
-    (out / "images").mkdir(exist_ok=True)
-    radiance, depths = [], []
-    for name in names:
-        channels, _ = read_exr(out / "gt" / f"{name}.exr")
-        radiance.append(np.stack([channels[c] for c in "RGB"], -1))
-        depths.append(channels["Z"])
-    about: dict[str, Any] = {}
-    if camera is not None:
-        found = camera_color(camera)
-        radiance = [r @ np.linalg.inv(found.matrix).T.astype(np.float32) for r in radiance]  # for looking at only
-        about = {"camera_matrix": found.matrix.tolist(), "camera_matrix_error": found.matrix_error}
-    scale = exposure_scale(radiance)
-    images = [encode_srgb(r * np.float32(scale)) for r in radiance]
-    for name, image in zip(names, images, strict=True):
-        write_png(out / "images" / f"{name}.png", image)
-    write_cameras(out, names, rig, points=surface_points(rig, depths, lambda i: images[i], seed=seed))
-    return {"exposure_scale": scale, **about}
+    scale = views.exposure_scale()
+
+    def image(i: int) -> NDArray[np.uint8]:
+        return to_srgb8(views.light(i) * np.float32(scale))
+
+    for i, name in enumerate(names):
+        write_png(out / "images" / f"{name}.png", image(i))
+    write_cameras(out, names, rig, points=surface_points(rig, views.depth, image, seed=seed))
+    if views.color is None:
+        return {"exposure_scale": scale}
+    matrix = {"camera_matrix": views.color.matrix.tolist(), "camera_matrix_error": views.color.matrix_error}
+    return {"exposure_scale": scale, **matrix}
 
 
 def write_png(path: Path, image: NDArray[np.uint8]) -> None:
-    """Write an 8-bit RGB image [h,w,3] atomically."""
+    """Write an 8-bit RGB image [h,w,3] atomically.
+
+    Raises:
+        OSError: If the file cannot be written.
+    """
     import cv2
 
-    temporary = path.with_name(f".{path.stem}.{os.getpid()}.tmp.png")
-    try:
+    with atomic(path) as temporary:
         if not cv2.imwrite(str(temporary), np.ascontiguousarray(image[..., ::-1])):
             raise OSError(f"cannot write {path}")
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def exposure_scale(radiance: list[NDArray[np.float32]]) -> float:
-    """One exposure for the set: 97 % of all pixels stay below white, so a lamp in view does not darken the room."""
-    white = float(np.quantile(np.concatenate([r.max(-1).ravel() for r in radiance]), 0.97))
-    return 1.0 / white if white > 0 else 1.0

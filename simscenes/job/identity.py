@@ -8,6 +8,8 @@ import math
 from pathlib import Path
 from typing import Any
 
+from numpy.typing import NDArray
+
 from sensor_model.plan import Plan
 from simscenes.rigs import Rig
 from simscenes.sets.exr import read_exr
@@ -64,12 +66,12 @@ def seconds_spent(out: Path, digest: str) -> dict[str, float]:
         return {}  # not interrupted, or in the middle of writing this; it only adds to a sum
 
 
-def finished_header(path: Path, key: str) -> dict[str, Any] | None:
-    """Header of a view that was rendered before with the same settings, else None."""
+def finished_view(path: Path, key: str) -> tuple[dict[str, NDArray[Any]], dict[str, Any]] | None:
+    """Channels and header of a view that was rendered before with the same settings, else None."""
     if not path.is_file():
         return None
     try:
-        header = read_exr(path)[1]
+        channels, header = read_exr(path)
     except ValueError:
         return None  # cut short by a crash of the machine: rendered again
-    return header if header.get(VIEW_KEY) == key else None
+    return (channels, header) if header.get(VIEW_KEY) == key else None

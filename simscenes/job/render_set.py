@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from sensor_model.plan import Plan
-from simscenes.backend import activate, backend_of
+from simscenes.backend import backend_of, using_variant
 from simscenes.job.cost import Stopwatch, peak_bytes, predict_seconds, versions
-from simscenes.job.finish import finish_set
+from simscenes.job.finish import ViewStore, finish_set, view_store
 from simscenes.job.identity import (
     SPENT,
     VIEW_KEY,
-    finished_header,
+    finished_view,
     is_complete,
     job_digest,
     plan_identity,
@@ -61,6 +61,7 @@ class _Job:
     names: list[str]
     config: dict[str, Any]  # all that the pixels depend on
     digest: str  # of the whole job
+    store: ViewStore
     watch: Stopwatch
     progress: Progress
 
@@ -112,13 +113,12 @@ def render_set(
         raise ValueError(f"render_set: export must name layouts of {sorted(EXPORTS)}, got {sorted(unknown)}")
     report = progress or (lambda done, total, what: None)
     watch, out, source = Stopwatch(), Path(out), SceneRef.of(scene)
-    with watch.stage("load"):
-        variant = backend_of(variant)
-        mi = activate(variant)
+    variant = backend_of(variant)
+    with watch.stage("load"), using_variant(variant) as mi:
         loaded = build_scene(source, mi, allow_outside=allow_outside)
-    optics = with_lens(optics, loaded, mi)
-    if rig is None:
-        rig = usual_rig(source, loaded, 32, 128, 128)
+        optics = with_lens(optics, loaded, mi)
+        if rig is None:
+            rig = usual_rig(source, loaded, 32, 128, 128)
     config = {
         "format": FORMAT, "scene": loaded.name, "scene_digest": loaded.digest, "seed": seed, "optics": asdict(optics),
         "spp": spp if spp is not None or target_error is not None else DEFAULT_SPP, "target_error": target_error,
@@ -140,10 +140,11 @@ def render_set(
     }  # fmt: skip
     (out / "set.json").unlink(missing_ok=True)
     watch.earlier = seconds_spent(out, digest)
-    job = _Job(method, loaded, variant, rig, out, names, pixels, digest, watch, report)
-    views, predicted = _render_views(job)
-    with watch.stage("write"):
-        finished = finish_set(out, names, rig, seed, optics.camera)
+    with view_store(out, rig, optics.camera) as store:
+        job = _Job(method, loaded, variant, rig, out, names, pixels, digest, store, watch, report)
+        views, predicted = _render_views(job)
+        with watch.stage("write"):
+            finished = finish_set(out, names, rig, seed, store)
     found = {**finished, "views": views, "predicted_seconds": predicted}
     write_json(out / "set.json", {**config, "digest": digest, **_facts(job, made), **found})
     (out / SPENT).unlink(missing_ok=True)
@@ -198,13 +199,13 @@ def _method(
     allow_outside: bool,
 ) -> Method:
     """The scene in the variant the plan calls for, with the plan's lights, integrator and lens."""
-    mi = activate(variant, made.color)
-    colored = loaded if made.color == "rgb" else build_scene(source, mi, allow_outside=allow_outside)
-    set_light_weights(colored, made.light_weights, mi)
     if not made.is_on(APERTURE):
         optics = replace(optics, aperture_radius=None, focus_distance=None)
     frames = made.subframes if made.is_on(MOTION) else 1
-    return Method(mi, mi.variant(), colored, mi.load_dict(made.integrator()), optics, frames, seed)
+    with using_variant(variant, made.color) as mi:
+        colored = loaded if made.color == "rgb" else build_scene(source, mi, allow_outside=allow_outside)
+        set_light_weights(colored, made.light_weights, mi)
+        return Method(mi, mi.variant(), colored, mi.load_dict(made.integrator()), optics, frames, seed)
 
 
 def _render_views(job: _Job) -> tuple[dict[str, Any], float]:
@@ -214,15 +215,16 @@ def _render_views(job: _Job) -> tuple[dict[str, Any], float]:
     for stale in set((job.out / "gt").glob("[0-9]*.exr")) - set(paths):  # of a larger set; other files are not ours
         stale.unlink()
     keys = [view_key(job.config, job.rig, i) for i in range(len(paths))]
-    headers = [finished_header(path, key) for path, key in zip(paths, keys, strict=True)]
+    headers = [_rendered_before(job, i, path, key) for i, (path, key) in enumerate(zip(paths, keys, strict=True))]
     missing = [i for i, header in enumerate(headers) if header is None]
     predicted, views = 0.0, {i: View(job.method, job.rig, i) for i in missing}
     if missing:
         job.progress(len(paths) - len(missing), len(paths), "predicting the time")
         with job.watch.stage("predict"):
-            check_cameras(activate(job.variant), job.surfaces, job.rig)
-            activate(job.method.variant)
-            predicted = predict_seconds(job.method, job.rig, views, job.config["spp"], job.config["target_error"])
+            with using_variant(job.variant) as mi:
+                check_cameras(mi, job.surfaces, job.rig)
+            with using_variant(job.method.variant):
+                predicted = predict_seconds(job.method, job.rig, views, job.config["spp"], job.config["target_error"])
     left = predicted / max(len(missing), 1)  # seconds a view
     for done, i in enumerate(missing):
 
@@ -246,11 +248,20 @@ def _render_views(job: _Job) -> tuple[dict[str, Any], float]:
     return found, predicted
 
 
+def _rendered_before(job: _Job, i: int, path: Path, key: str) -> dict[str, Any] | None:
+    """Header of a view that an earlier call finished, else None; its light and depth go into the store."""
+    with job.watch.stage("write"):
+        if (found := finished_view(path, key)) is None:
+            return None
+        channels, header = found
+        job.store.put(i, channels)
+        return header
+
+
 def _render_view(job: _Job, view: View, path: Path, key: str, tick: Tick) -> dict[str, Any]:
-    with job.watch.stage("geometry"):
-        channels = geometry_channels(activate(job.variant), job.surfaces, job.rig, view.i)
-    with job.watch.stage("radiance"):
-        activate(job.method.variant)
+    with job.watch.stage("geometry"), using_variant(job.variant) as mi:
+        channels = geometry_channels(mi, job.surfaces, job.rig, view.i)
+    with job.watch.stage("radiance"), using_variant(job.method.variant):
         radiance = view.render(job.config["spp"], job.config["target_error"], tick)
     for k, c in enumerate("RGB"):
         channels[c] = np.maximum(radiance.mean[..., k], 0)  # spectral light outside the sRGB triangle ends at its edge
@@ -261,4 +272,5 @@ def _render_view(job: _Job, view: View, path: Path, key: str, tick: Tick) -> dic
     }  # fmt: skip
     with job.watch.stage("write"):
         write_exr(path, channels, header)
+        job.store.put(view.i, channels)
     return header

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,7 @@ N_POINTS = 4000
 
 def surface_points(
     rig: Rig,
-    depths: Sequence[NDArray[Any]],
+    depth: Callable[[int], NDArray[Any]],
     image: Callable[[int], NDArray[np.uint8]],
     *,
     seed: int,
@@ -26,7 +26,8 @@ def surface_points(
 
     Args:
         rig: The cameras.
-        depths: z-depth of every view, [h,w], inf where there is no surface.
+        depth: View index -> z-depth [h,w], inf where there is no surface. Asked for twice, one view after the other, so
+            that not all have to be held at once.
         image: View index -> sRGB image uint8 [h,w,3], for the colours.
         seed: Seed of the draw.
         n_points: Points wanted; fewer come back if few are seen twice.
@@ -38,14 +39,21 @@ def surface_points(
     rng = np.random.default_rng([seed, 3])
     share = int(np.ceil(1.3 * n_points / len(rig)))
     positions, colors = [], []
-    for i, z in enumerate(depths):
-        surface = np.flatnonzero(np.isfinite(z).ravel())
-        chosen = rng.permutation(surface)[:share]
-        positions.append(unproject(rig, i, z, chosen))
+    for i in range(len(rig)):
+        chosen, xyz = _drawn(rig, i, depth(i), share, rng)
+        positions.append(xyz)
         colors.append(image(i).reshape(-1, 3)[chosen])
     xyz, rgb = np.concatenate(positions), np.concatenate(colors)
-    pixels, z = rig.project(xyz)
-    visible = np.stack([seen_in(rig, p, d, depth) for p, d, depth in zip(pixels, z, depths, strict=True)])
+    pixels, distance = rig.project(xyz)
+    visible = np.stack([seen_in(rig, pixels[i], distance[i], depth(i)) for i in range(len(rig))])
     kept = np.flatnonzero(visible.sum(0) >= min(2, len(rig)))
     kept = np.sort(rng.permutation(kept)[:n_points])
     return xyz[kept], rgb[kept], visible[:, kept]
+
+
+def _drawn(
+    rig: Rig, i: int, z: NDArray[Any], count: int, rng: np.random.Generator
+) -> tuple[NDArray[np.intp], NDArray[np.float64]]:
+    """Up to `count` pixels of view `i` that show a surface, and where that is in the world [n,3]."""
+    chosen = rng.permutation(np.flatnonzero(np.isfinite(z).ravel()))[:count]
+    return chosen, unproject(rig, i, z, chosen)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 
-def scene_digest(description: dict[str, Any] | tuple[Path, ...], params: Any) -> str:
+def content_digest(description: dict[str, Any] | tuple[Path, ...], params: Any) -> str:
     """Hash a scene (sha256, 64 hex digits).
 
     The description counts because Mitsuba does not list all it holds as parameters: how a texture is continued, a kind

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from simscenes.loading.contents import objects_in, unique_materials
-from simscenes.loading.digest import scene_digest
+from simscenes.loading.digest import content_digest
 from simscenes.loading.physical import check_parameters, scene_extent
 from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.loading.untrusted import check_plugin, check_xml, searching_only
@@ -69,7 +69,7 @@ def build_scene(scene: SceneLike | SceneRef, mi: Any, *, allow_outside: bool = F
     check_parameters(loaded, params, mi)
     shapes = tuple(s.id() for s in loaded.shapes())
     materials = tuple(_material_name(s) for s in unique_materials(loaded, mi))
-    return LoadedScene(name, mi.variant(), loaded, scene_digest(description, params), shapes, materials, extent)
+    return LoadedScene(name, mi.variant(), loaded, content_digest(description, params), shapes, materials, extent)
 
 
 def _load(source: SceneRef, mi: Any, allow_outside: bool) -> tuple[Any, Any]:

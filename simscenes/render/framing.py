@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.backend import activate
+from simscenes.backend import using_variant
 from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.optics import Optics
@@ -109,9 +109,13 @@ def fit_rig(
     """
     if n_views < 1:
         raise ValueError(f"n_views must be >= 1, got {n_views}")
-    mi = activate(scene.variant if isinstance(scene, LoadedScene) else "auto")
-    loaded = scene if isinstance(scene, LoadedScene) else build_scene(scene, mi, allow_outside=allow_outside)
-    own = own_rig(loaded, mi, width, height)
+    with using_variant(scene.variant if isinstance(scene, LoadedScene) else "auto") as mi:
+        loaded = scene if isinstance(scene, LoadedScene) else build_scene(scene, mi, allow_outside=allow_outside)
+        return _arc_around(loaded, mi, own_rig(loaded, mi, width, height), n_views, sweep_deg, swing_deg)
+
+
+def _arc_around(loaded: LoadedScene, mi: Any, own: Rig, n_views: int, sweep_deg: float, swing_deg: float) -> Rig:
+    """As `fit_rig`, with the scene's own sensor as a rig of one view."""
     c2w = invert_rigid(own.viewmats[0])
     position, up = c2w[:3, 3], -c2w[:3, 1]
     distance = _distance_seen(loaded, mi, own)

@@ -6,8 +6,6 @@ A set and a capture share these files; images are named `<image_dir>/<name>.png`
 from __future__ import annotations
 
 import json
-import os
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -15,7 +13,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sensor_model.files.atomic import atomic
 from simscenes.rigs import TEST_EVERY, Rig, opencv_to_opengl
+
+CAMERA_FILES = ("transforms.json", "sparse", "train_list.txt", "test_list.txt", "nb-info.json")  # by `write_cameras`
 
 Points = (
     tuple[NDArray[np.float64], NDArray[np.uint8]] | tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.bool_]]
@@ -27,16 +28,15 @@ def is_test_view(index: int) -> bool:
     return index % TEST_EVERY == 0
 
 
-def write_atomic(path: Path, text: str) -> None:
-    """Write a text file under a temporary name in the same folder, then rename it into place."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    temporary.write_text(text, encoding="utf-8")
-    os.replace(temporary, path)
+def write_text(path: Path, text: str) -> None:
+    """Write UTF-8 text atomically."""
+    with atomic(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
 
 
 def write_json(path: Path, content: Any) -> None:
     """Write JSON atomically; nan and inf are refused because other readers do not accept them."""
-    write_atomic(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+    write_text(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
 
 
 def write_cameras(
@@ -65,8 +65,8 @@ def write_cameras(
     train = [f for i, f in enumerate(files) if not is_test_view(i)]
     _write_colmap(folder / "sparse" / "0", files, rig, points)
     write_json(folder / "transforms.json", _transforms(rig, files, train, test, image_dir))
-    write_atomic(folder / "train_list.txt", "".join(f"{f}\n" for f in train))
-    write_atomic(folder / "test_list.txt", "".join(f"{f}\n" for f in test))
+    write_text(folder / "train_list.txt", "".join(f"{f}\n" for f in train))
+    write_text(folder / "test_list.txt", "".join(f"{f}\n" for f in test))
     loader_args = {"images_path": image_dir, "colmap_path": "sparse/0"}
     write_json(folder / "nb-info.json", {"loader": "colmap", "loader_kwargs": loader_args, "id": "novags"})
 
@@ -137,9 +137,6 @@ def _write_colmap(folder: Path, files: list[str], rig: Rig, points: Points | Non
             tracks[p].add_element(c + 1, k)
     for position, color, track in zip(xyz, rgb, tracks, strict=True):
         reconstruction.add_point3D(position, track, color)
-    temporary = folder.with_name(f".{folder.name}.{os.getpid()}.tmp")
-    shutil.rmtree(temporary, ignore_errors=True)
-    temporary.mkdir(parents=True)
-    reconstruction.write_binary(str(temporary))
-    shutil.rmtree(folder, ignore_errors=True)
-    os.replace(temporary, folder)
+    with atomic(folder) as temporary:
+        temporary.mkdir()
+        reconstruction.write_binary(str(temporary))

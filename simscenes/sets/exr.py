@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+
+from sensor_model.files.atomic import atomic
 
 _DTYPES = (np.float16, np.float32, np.uint32)
 
@@ -16,7 +17,7 @@ def write_exr(path: str | Path, channels: dict[str, NDArray[Any]], header: dict[
     """Write named channels [h,w] to one scan-line EXR file, losslessly and atomically.
 
     Args:
-        path: File to write; the folder must exist.
+        path: File to write; its folder is created.
         channels: Name (`R`, `N.X`, ...) -> [h,w] of float16, float32 or uint32; the type is kept per channel.
         header: Extra attributes: str, int, float or float matrices [4,4].
 
@@ -41,16 +42,13 @@ def write_exr(path: str | Path, channels: dict[str, NDArray[Any]], header: dict[
             raise ValueError(f"write_exr: channel {name!r} of {path.name} left the range of float16 (65504) or is not "
                              "finite; store it as float32")  # fmt: skip
     attributes = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **(header or {})}
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp.exr")
+    # OpenEXR.File replaces the arrays inside the dict it is given, so it gets its own.
+    own = {name: np.ascontiguousarray(a) for name, a in channels.items()}
     try:
-        # OpenEXR.File replaces the arrays inside the dict it is given, so it gets its own.
-        with OpenEXR.File(attributes, {n: np.ascontiguousarray(a) for n, a in channels.items()}) as file:
+        with atomic(path) as temporary, OpenEXR.File(attributes, own) as file:
             file.write(str(temporary))
-        os.replace(temporary, path)
     except RuntimeError as error:  # what it makes of the system's own errors, a full disk for example
         raise OSError(f"cannot write {path}: {error}") from error
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def read_exr(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]:

@@ -13,13 +13,20 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_model import linear_to_srgb, srgb_to_linear
+from sensor_model import srgb_to_linear
 from simscenes.rigs import Rig
 from simscenes.sets.camera_files import is_test_view, write_cameras
 from simscenes.sets.exr import read_exr
-from simscenes.sets.photographs import Lens, Photographs, find_colmap, read_colmap, read_reconstruction, read_transforms
+from simscenes.sets.photographs import (
+    DistortedPinhole,
+    Photographs,
+    find_colmap,
+    read_colmap,
+    read_reconstruction,
+    read_transforms,
+)
 
-__all__ = ["MultiviewSet", "encode_srgb", "load_set", "write_cameras"]
+__all__ = ["MultiviewSet", "load_set", "write_cameras"]
 
 Image = NDArray[np.uint8]
 Float32 = NDArray[np.float32]
@@ -43,7 +50,7 @@ class MultiviewSet:
     kind: Literal["rendered", "photographs"]
     meta: dict[str, Any]
     files: tuple[Path, ...] = field(repr=False)
-    lenses: tuple[Lens, ...] | None = field(default=None, repr=False)
+    lenses: tuple[DistortedPinhole, ...] | None = field(default=None, repr=False)
 
     def __len__(self) -> int:
         return len(self.names)
@@ -123,11 +130,6 @@ class MultiviewSet:
 
 def _stack(channels: dict[str, NDArray[Any]], *names: str) -> Float32:
     return np.stack([channels[n] for n in names], axis=-1).astype(np.float32)
-
-
-def encode_srgb(linear: NDArray[Any]) -> Image:
-    """Linear 0..1 -> 8-bit sRGB, rounded; values beyond 1 saturate."""
-    return np.rint(255 * linear_to_srgb(np.clip(linear, 0, 1))).astype(np.uint8)
 
 
 def load_set(path: str | Path) -> MultiviewSet:

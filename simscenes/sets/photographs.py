@@ -21,7 +21,7 @@ _SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG")
 
 
 @dataclass(frozen=True)
-class Lens:
+class DistortedPinhole:
     """A pinhole with OpenCV distortion: K [3,3] (pixel centres at +0.5) and (k1, k2, p1, p2, k3)."""
 
     K: NDArray[np.float64]
@@ -60,7 +60,7 @@ class Photographs:
     names: tuple[str, ...]
     files: tuple[Path, ...]
     rig: Rig
-    lenses: tuple[Lens, ...]
+    lenses: tuple[DistortedPinhole, ...]
 
 
 def image_size(file: Path) -> tuple[int, int]:
@@ -124,7 +124,7 @@ def read_transforms(folder: Path) -> Photographs:
     return _collect(entries, source, lambda c, w, h: transforms_lens(c, w, h, source))
 
 
-def transforms_lens(camera: dict[str, Any], width: int, height: int, source: Path) -> Lens:
+def transforms_lens(camera: dict[str, Any], width: int, height: int, source: Path) -> DistortedPinhole:
     """Intrinsics and distortion that a transforms.json states for images of this size.
 
     Args:
@@ -151,7 +151,7 @@ def transforms_lens(camera: dict[str, Any], width: int, height: int, source: Pat
         k1, k2, p1, p2, k3 = (float(camera.get(k, 0)) for k in ("k1", "k2", "p1", "p2", "k3"))
     except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"load_set: {source} needs fl_x or camera_angle_x as numbers ({error})") from error
-    return Lens(_rescale(K, listed, (width, height), source), (k1, k2, p1, p2, k3))
+    return DistortedPinhole(_rescale(K, listed, (width, height), source), (k1, k2, p1, p2, k3))
 
 
 def _rescale(K: Any, listed: tuple[float, float], actual: tuple[int, int], source: Path) -> NDArray[np.float64]:
@@ -196,7 +196,7 @@ def read_reconstruction(model: Path) -> Any:
         raise ValueError(f"load_set: {model} is not a readable COLMAP model ({error})") from error
 
 
-def _colmap_lens(camera: Any, width: int, height: int, source: Path) -> Lens:
+def _colmap_lens(camera: Any, width: int, height: int, source: Path) -> DistortedPinhole:
     names = [n.strip() for n in camera.params_info.split(",")]
     params = {n: float(p) for n, p in zip(names, camera.params, strict=True)}
     # COLMAP calls the radial terms of its one- and two-parameter models k, or k1 and k2.
@@ -207,4 +207,4 @@ def _colmap_lens(camera: Any, width: int, height: int, source: Path) -> Lens:
                          "run colmap image_undistorter first")  # fmt: skip
     K = np.asarray(camera.calibration_matrix(), dtype=np.float64)
     K = _rescale(K, (camera.width, camera.height), (width, height), source)
-    return Lens(K, (k1, params.get("k2", 0.0), params.get("p1", 0.0), params.get("p2", 0.0), 0.0))
+    return DistortedPinhole(K, (k1, params.get("k2", 0.0), params.get("p1", 0.0), params.get("p2", 0.0), 0.0))

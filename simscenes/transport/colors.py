@@ -14,7 +14,8 @@ from simscenes.loading.contents import unique_materials
 from simscenes.optics import Optics
 from simscenes.scenes import MEASURED_LIGHTS, split_name
 from simscenes.transport import pilot, plan, spectra
-from simscenes.transport.effects import DEPTHS, RR_DEPTH, Pilot, decided
+from simscenes.transport.effects import DEPTHS, decided
+from simscenes.transport.pilot import RR_DEPTH, Pilot
 from simscenes.transport.specular import SPECULAR, chained_light
 
 # Of light that two specular surfaces have passed on, polarisation changes a few per cent: measured 1 % on `tabletop`,
@@ -51,10 +52,9 @@ def polarisation_effect(p: Pilot, media: bool, geometry: list[Any], measure: boo
             return decided(plan.POLARISATION, False, guess, p.allowed, reason)
     images = []
     for color in ("spectral", "spectral_polarized"):
-        other, loaded = p.scene_in(color)
         settings = {"type": "volpath" if media else "path", "max_depth": DEPTHS[0], "rr_depth": 4}
-        images.append(pilot.render_pilot(other, loaded, p.rig, settings, p.seed))
-    p.scene_in("rgb")
+        with p.in_color(color) as (other, loaded):
+            images.append(pilot.render_pilot(other, loaded, p.rig, settings, p.seed))
     change = pilot.changed_light(images[0], images[1])
     return decided(plan.POLARISATION, change.upper > p.allowed, change.upper, p.allowed,
                    f"paired pilots with and without differ by {change.estimate:.2%}")  # fmt: skip
@@ -96,9 +96,8 @@ def spectral_effect(p: Pilot, optics: Optics, indirect: float, measure: bool) ->
 
 def _color_cost(p: Pilot, optics: Optics, indirect: float) -> tuple[float, float, float]:
     """What RGB costs in this scene; after one bounce; after two."""
-    mi, loaded = p.scene_in("spectral")
-    light, surface = spectra.light_and_surface(mi, loaded, p.rig, p.seed)
-    p.scene_in("rgb")
+    with p.in_color("spectral") as (mi, loaded):
+        light, surface = spectra.light_and_surface(mi, loaded, p.rig, p.seed)
     once, twice = (spectra.color_error(light, surface, optics.camera, bounces) for bounces in (1, 2))
     return once + min(indirect, 1.0) * max(twice - once, 0.0), once, twice
 
@@ -106,7 +105,5 @@ def _color_cost(p: Pilot, optics: Optics, indirect: float) -> tuple[float, float
 def _has_measured_spectra(p: Pilot) -> bool:
     if p.source.in_catalogue:
         return split_name(p.source.name)[0] in MEASURED_LIGHTS
-    mi, loaded = p.scene_in("spectral")
-    measured = spectra.has_measured(mi, loaded)
-    p.scene_in("rgb")
-    return measured
+    with p.in_color("spectral") as (mi, loaded):
+        return spectra.has_measured(mi, loaded)

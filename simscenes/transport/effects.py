@@ -3,76 +3,24 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sensor_model.plan import Effect
-from simscenes.backend import activate
 from simscenes.loading.contents import media_in
-from simscenes.loading.load import LoadedScene, build_scene
-from simscenes.loading.reference import SceneRef
 from simscenes.optics import Optics
 from simscenes.render.motion import image_motion
 from simscenes.rigs import Rig
 from simscenes.transport import pilot, plan
+from simscenes.transport.pilot import RR_DEPTH, Pilot
 from simscenes.transport.roulette import most_efficient, path_lengths
 
 UNIT = "of all light"
 DEPTHS = (8, 16, 32)  # offered as max_depth
 DEEPEST = 64  # pilot paths end here
-RR_DEPTH = 2  # where nothing is measured, and unless another is clearly better
 RR_OFFERED = (RR_DEPTH, 5)  # 5 is Mitsuba's own
-AGAIN = 7919  # far from any seed in use: the second, independent pilot
-
-
-@dataclass(frozen=True)
-class Pilot:
-    """What all decisions start from."""
-
-    mi: Any
-    source: SceneRef
-    loaded: LoadedScene  # in RGB
-    rig: Rig
-    backend: str
-    allowed: float
-    seed: int
-    allow_outside: bool = False
-    scenes: dict[str, LoadedScene] = field(default_factory=dict)
-    images: dict[tuple[str, int, int, int], NDArray[np.float64]] = field(default_factory=dict)
-
-    def render(self, kind: str, depth: int, rr_depth: int = RR_DEPTH, again: int = 0) -> NDArray[np.float64]:
-        """The pilot views in RGB, by the same paths whatever the depth; rendered once. `again`: with other paths.
-
-        In scalar variants the paths differ, since their samplers run on from one to the next: differences are noisier
-        there, and bounds wider.
-        """
-        key = (kind, depth, rr_depth, again)
-        if key not in self.images:
-            integrator = {"type": kind, "max_depth": depth, "rr_depth": rr_depth}
-            seed = self.seed + AGAIN * again
-            self.images[key] = pilot.render_pilot(self.mi, self.loaded, self.rig, integrator, seed)
-        return self.images[key]
-
-    @property
-    def colors(self) -> tuple[str, ...]:
-        """The colour representations that the scene can be loaded in: objects made in Python belong to one."""
-        return (
-            ("rgb",) if _holds_objects(self.mi, self.source.description) else ("rgb", "spectral", "spectral_polarized")
-        )
-
-    def scene_in(self, color: str) -> tuple[Any, LoadedScene]:
-        """Mitsuba with a colour representation activated, and the scene loaded for it."""
-        mi = activate(self.backend, color)
-        if color != "rgb" and color not in self.scenes:
-            self.scenes[color] = build_scene(self.source, mi, allow_outside=self.allow_outside)
-        return mi, self.loaded if color == "rgb" else self.scenes[color]
-
-
-def _holds_objects(mi: Any, node: Any) -> bool:
-    return isinstance(node, mi.Object) or (isinstance(node, dict) and any(_holds_objects(mi, v) for v in node.values()))
 
 
 def decided(name: str, on: bool, contribution: float, bound: float, reason: str, unit: str = UNIT) -> Effect:

@@ -7,14 +7,18 @@ paths, cut at another depth, followed through fog or past it, with or without po
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from simscenes.backend import COLORS, using_variant
 from simscenes.loading.contents import media_in, unique_materials
-from simscenes.loading.load import LoadedScene
+from simscenes.loading.load import LoadedScene, build_scene
+from simscenes.loading.reference import SceneRef
 from simscenes.render.radiance import view_seed
 from simscenes.render.sensors import sensor_dict
 from simscenes.rigs import Rig
@@ -23,6 +27,54 @@ N_VIEWS = 3
 MOST = 0.99  # of the light that anything reflects; without a limit below 1 a closed room has no bound
 SIZE = 32  # pixels along the longer side
 SPP = 64
+RR_DEPTH = 2  # where Russian roulette starts if nothing is measured, and unless another start is clearly better
+AGAIN = 7919  # far from any seed in use: the second, independent pilot
+
+
+@dataclass(frozen=True)
+class Pilot:
+    """What all decisions start from."""
+
+    mi: Any
+    source: SceneRef
+    loaded: LoadedScene  # in RGB
+    rig: Rig
+    backend: str
+    allowed: float
+    seed: int
+    allow_outside: bool = False
+    scenes: dict[str, LoadedScene] = field(default_factory=dict)
+    images: dict[tuple[str, int, int, int], NDArray[np.float64]] = field(default_factory=dict)
+
+    def render(self, kind: str, depth: int, rr_depth: int = RR_DEPTH, again: int = 0) -> NDArray[np.float64]:
+        """The pilot views in RGB, by the same paths whatever the depth; rendered once. `again`: with other paths.
+
+        In scalar variants the paths differ, since their samplers run on from one to the next: differences are noisier
+        there, and bounds wider.
+        """
+        key = (kind, depth, rr_depth, again)
+        if key not in self.images:
+            integrator = {"type": kind, "max_depth": depth, "rr_depth": rr_depth}
+            seed = self.seed + AGAIN * again
+            self.images[key] = render_pilot(self.mi, self.loaded, self.rig, integrator, seed)
+        return self.images[key]
+
+    @property
+    def colors(self) -> tuple[str, ...]:
+        """The colour representations that the scene can be loaded in: objects made in Python belong to one."""
+        return COLORS[:1] if _holds_objects(self.mi, self.source.description) else COLORS
+
+    @contextmanager
+    def in_color(self, color: str) -> Iterator[tuple[Any, LoadedScene]]:
+        """Mitsuba in the variant of a colour representation, and the scene loaded for it."""
+        with using_variant(self.backend, color) as mi:
+            if color != "rgb" and color not in self.scenes:
+                self.scenes[color] = build_scene(self.source, mi, allow_outside=self.allow_outside)
+            yield mi, self.loaded if color == "rgb" else self.scenes[color]
+
+
+def _holds_objects(mi: Any, node: Any) -> bool:
+    return isinstance(node, mi.Object) or (isinstance(node, dict) and any(_holds_objects(mi, v) for v in node.values()))
 
 
 def pilot_rig(rig: Rig) -> Rig:

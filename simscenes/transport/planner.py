@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from sensor_model.plan import Effect
-from simscenes.backend import activate, backend_of
+from simscenes.backend import backend_of, using_variant
 from simscenes.loading.contents import media_in
 from simscenes.loading.load import LoadedScene, build_scene, set_light_weights
 from simscenes.loading.reference import SceneLike, SceneRef
@@ -19,9 +19,7 @@ from simscenes.transport import pilot, plan
 from simscenes.transport.colors import color_effects
 from simscenes.transport.effects import (
     DEEPEST,
-    RR_DEPTH,
     UNIT,
-    Pilot,
     aperture_effect,
     depth_effects,
     media_effects,
@@ -29,6 +27,7 @@ from simscenes.transport.effects import (
     roulette_effect,
 )
 from simscenes.transport.lights import light_weights
+from simscenes.transport.pilot import RR_DEPTH, Pilot
 from simscenes.transport.plan import TransportPlan, settle
 from simscenes.transport.wishes import check_wishes
 
@@ -72,15 +71,16 @@ def plan_transport(
         ValueError: If the scene cannot be loaded, a camera is inside an object, `tolerance` is not in (0, 1), or a
             forced effect does not exist or cannot be simulated.
     """
-    source, mi = SceneRef.of(scene), activate(backend_of(variant))
-    loaded = build_scene(source, mi, allow_outside=allow_outside)
-    if rig is None:
-        rig = usual_rig(source, loaded, 8, 64, 64)
-    check_cameras(mi, loaded, rig)
-    return plan_loaded(
-        source, loaded, tolerance, rig=rig, optics=with_lens(optics, loaded, mi), force=force, max_depth=max_depth,
-        measure=measure, variant=variant, seed=seed, allow_outside=allow_outside,
-    )  # fmt: skip
+    source = SceneRef.of(scene)
+    with using_variant(backend_of(variant)) as mi:
+        loaded = build_scene(source, mi, allow_outside=allow_outside)
+        if rig is None:
+            rig = usual_rig(source, loaded, 8, 64, 64)
+        check_cameras(mi, loaded, rig)
+        return plan_loaded(
+            source, loaded, tolerance, rig=rig, optics=with_lens(optics, loaded, mi), force=force, max_depth=max_depth,
+            measure=measure, variant=variant, seed=seed, allow_outside=allow_outside,
+        )  # fmt: skip
 
 
 def plan_loaded(
@@ -100,11 +100,21 @@ def plan_loaded(
     """`plan_transport` for a scene that is loaded already, in the RGB variant."""
     if not 0 < tolerance < 1:
         raise ValueError(f"tolerance is a share of all light and must lie between 0 and 1, got {tolerance}")
-    mi, force = activate(backend_of(variant)), dict(force or {})
-    p = Pilot(mi, source, loaded, pilot.pilot_rig(rig), backend_of(variant), tolerance / 5, seed, allow_outside)
+    force, backend = dict(force or {}), backend_of(variant)
+    with using_variant(backend) as mi:
+        p = Pilot(mi, source, loaded, pilot.pilot_rig(rig), backend, tolerance / 5, seed, allow_outside)
+        made = _decide(p, rig, optics, force, max_depth, measure)
+        return replace(made, seconds=_measure_seconds(p, made)) if measure else made
+
+
+def _decide(
+    p: Pilot, rig: Rig, optics: Optics, force: dict[str, bool], max_depth: int | None, measure: bool
+) -> TransportPlan:
+    """All effects, one after the other; what one finds may decide on a later one."""
+    mi, loaded = p.mi, p.loaded
     has_media = bool(media_in(loaded.scene, mi))
     check_wishes(force, max_depth, optics, media=has_media, spectra="spectral" in p.colors)
-    weights = light_weights(mi, loaded, p.rig, seed)
+    weights = light_weights(mi, loaded, p.rig, p.seed)
     set_light_weights(loaded, weights, mi)
     geometry = [geometry_channels(mi, loaded, p.rig, i) for i in range(len(p.rig))]
     scale = rig.width / p.rig.width
@@ -118,8 +128,7 @@ def plan_loaded(
         effects=settle(effects, force), bound=0.0, unit=UNIT, max_depth=depth, rr_depth=rr_depth, subframes=subframes,
         light_weights=weights,
     )  # fmt: skip
-    made = _bounded(made, made_up)
-    return replace(made, seconds=_measure_seconds(p, made)) if measure else made
+    return _bounded(made, made_up)
 
 
 def everything_on(made: TransportPlan) -> TransportPlan:
@@ -135,9 +144,8 @@ def _measure_seconds(p: Pilot, made: TransportPlan) -> dict[str, float]:
     if everything_on(made).color not in p.colors:
         return seconds
     for name, one in (("planned", made), ("everything on", everything_on(made))):
-        mi, loaded = p.scene_in(one.color)
-        seconds[name] = pilot.seconds_per_sample(mi, loaded, p.rig, one.integrator(), p.seed) * 1e6
-    p.scene_in("rgb")
+        with p.in_color(one.color) as (mi, loaded):
+            seconds[name] = pilot.seconds_per_sample(mi, loaded, p.rig, one.integrator(), p.seed) * 1e6
     return seconds
 
 

@@ -12,8 +12,8 @@ from sensor_model import (
     Defects,
     DualGain,
     Exposure,
-    Optics,
     Sensor,
+    SensorOptics,
     Stack,
     characterise,
     expose,
@@ -44,10 +44,11 @@ def test_a_parameter_out_of_range_is_named_with_its_value(field, bad):
 @pytest.mark.parametrize(
     "build",
     [
-        lambda: Optics(corner_angle=95), lambda: Optics(crosstalk=0.3), lambda: Optics(falloff=(1.0,)),
-        lambda: Optics(psf=((0.5, 0.5),)), lambda: Optics(psf=((0.2,), (0.5,), (0.2,))), lambda: Defects(rts_traps=0),
-        lambda: Optics(psf=((0.1, 0.9, 0.0),), crosstalk=0.1), lambda: Sensor(**BASE, coupling=0.3),
-        lambda: Optics(corner_angle=20, falloff=(1.0, 0.5)), lambda: Defects(hot_fraction=2),
+        lambda: SensorOptics(corner_angle=95), lambda: SensorOptics(crosstalk=0.3),
+        lambda: SensorOptics(falloff=(1.0,)), lambda: SensorOptics(psf=((0.5, 0.5),)),
+        lambda: SensorOptics(psf=((0.2,), (0.5,), (0.2,))), lambda: Defects(rts_traps=0),
+        lambda: SensorOptics(psf=((0.1, 0.9, 0.0),), crosstalk=0.1), lambda: Sensor(**BASE, coupling=0.3),
+        lambda: SensorOptics(corner_angle=20, falloff=(1.0, 0.5)), lambda: Defects(hot_fraction=2),
         lambda: Defects(rts_factor=0.5), lambda: Banding(amplitude=1, period=1),
         lambda: DualGain(threshold=5, sigma_d=1, ratio=0.5), lambda: Exposure(time=-1),
         lambda: Exposure(time=1, origin=(-1, 0)), lambda: Exposure(time=1, temperature=np.nan),
@@ -140,7 +141,7 @@ def test_a_three_chip_preset_differs_by_its_filter_array_only(name):
 FULL = Sensor(
     **BASE, sigma_d=2.5, tukey_lambda=-0.05, dark_current=1.5, cfa=None, rgb_response=(0.5, 1.0, 0.7), serial=2**63,
     blooming=True, banding=Banding(amplitude=0.5, period=40),
-    optics=Optics(falloff=(1.0, 0.9, 0.6), sensor_shape=(80, 90), psf=((0.1, 0.8, 0.1),)), coupling=0.01,
+    optics=SensorOptics(falloff=(1.0, 0.9, 0.6), sensor_shape=(80, 90), psf=((0.1, 0.8, 0.1),)), coupling=0.01,
     defects=Defects(hot_fraction=1e-4, hot_factor=100, rts_traps=3),
     dual_gain=DualGain(threshold=800, sigma_d=9, ratio=8),
 )  # fmt: skip
@@ -152,6 +153,16 @@ def test_a_camera_file_reads_back_exactly(sensor, tmp_path):
     write_sensor(path, sensor, comment="my camera\nmeasured today")
     assert read_sensor(path) == sensor
     assert path.read_text().startswith("# my camera\n# measured today\ngain = ")
+
+
+def test_the_table_of_the_optics_keeps_its_name_in_camera_files(tmp_path):
+    path = tmp_path / "camera.toml"
+    path.write_text(
+        "gain = 0.5\neta = 0.6\nmu_e_sat = 9000\nblack_level = 64\nbits = 12\n[optics]\ncorner_angle = 20\n"
+    )
+    assert read_sensor(path).optics == SensorOptics(corner_angle=20)
+    write_sensor(path, read_sensor(path))
+    assert "\n[optics]\ncorner_angle = 20.0\n" in path.read_text()
 
 
 @pytest.mark.parametrize("number", [np.float64, np.float32])

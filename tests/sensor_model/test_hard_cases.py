@@ -9,8 +9,8 @@ import pytest
 from sensor_model import (
     PRESETS,
     Exposure,
-    Optics,
     Sensor,
+    SensorOptics,
     develop,
     develop_linear,
     expose,
@@ -33,7 +33,7 @@ def test_zero_and_denormal_light_is_a_dark_frame(level, backend):
 
 
 @pytest.mark.parametrize("backend", ["numba", "numpy"])
-@pytest.mark.parametrize("optics", [None, Optics(corner_angle=20, crosstalk=0.02)])
+@pytest.mark.parametrize("optics", [None, SensorOptics(corner_angle=20, crosstalk=0.02)])
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf, -1.0, -1e-12])
 def test_light_that_is_no_light_is_refused_with_count_and_place(bad, optics, backend):
     photons = np.full((30, 40), 5.0)

@@ -6,7 +6,7 @@ import sys
 import numpy as np
 import pytest
 
-from sensor_model import Banding, Defects, DualGain, Exposure, Optics, Sensor, expose
+from sensor_model import Banding, Defects, DualGain, Exposure, Sensor, SensorOptics, expose
 from sensor_model.fast import blocks
 
 BASE = {"gain": 1.3, "eta": 0.6, "mu_e_sat": 3000.0, "black_level": 100.0, "bits": 12, "sigma_d": 2.0, "cfa": None}
@@ -22,13 +22,13 @@ CHAINS = {
         "dark_current": 20.0,
         "defects": Defects(hot_fraction=0.01, hot_factor=50, rts_fraction=0.02, rts_factor=3),
     },
-    "optics": {"optics": Optics(corner_angle=30, crosstalk=0.02)},
+    "optics": {"optics": SensorOptics(corner_angle=30, crosstalk=0.02)},
     "dual gain": {"dual_gain": DualGain(threshold=800, sigma_d=20, ratio=6)},
     "nonlinear": {"nonlinearity": 0.03},
     "blooming": {"blooming": True},
     "coupling": {"coupling": 0.02, "nonlinearity": 0.01},
     "blooming and coupling": {"blooming": True, "coupling": 0.02},
-    "point spread": {"optics": Optics(psf=((0.01, 0.05, 0.02), (0.04, 0.8, 0.08), (0.0, 0.0, 0.0)))},
+    "point spread": {"optics": SensorOptics(psf=((0.01, 0.05, 0.02), (0.04, 0.8, 0.08), (0.0, 0.0, 0.0)))},
     "several traps": {"defects": Defects(rts_fraction=0.2, rts_factor=4, rts_traps=3)},
     "black bias": {"rgb_bias": (1.0, 2.0, -3.0)},
     "bayer black bias": {"rgb_bias": (1.0, 2.0, -3.0), "cfa": "GBRG"},

@@ -15,9 +15,9 @@ from sensor_model import (
     DualGain,
     Exposure,
     Limits,
-    Optics,
     Plan,
     Sensor,
+    SensorOptics,
     expose,
     plan_effects,
 )
@@ -29,14 +29,14 @@ LEVELS = (0.5, 2.0, 10.0, 50.0, 500.0)
 EVERYTHING = Sensor(
     gain=2.0, eta=0.6, mu_e_sat=2000.0, black_level=200.0, bits=14, sigma_d=2.0, tukey_lambda=-0.1, cfa=None, serial=3,
     sigma_row=0.1, sigma_column=0.1, dsnu=0.3, prnu=0.005, dark_current=1.0, nonlinearity=0.001, rgb_bias=(0.1,) * 3,
-    banding=Banding(amplitude=0.1, period=9), optics=Optics(corner_angle=5, crosstalk=0.001), blooming=True,
+    banding=Banding(amplitude=0.1, period=9), optics=SensorOptics(corner_angle=5, crosstalk=0.001), blooming=True,
     defects=Defects(hot_fraction=1e-4, hot_factor=30, rts_fraction=1e-3, rts_factor=1.1, rts_traps=2), coupling=2e-4,
 )  # fmt: skip
 
 LOUD = Sensor(
     gain=2.0, eta=0.6, mu_e_sat=2000.0, black_level=200.0, bits=14, sigma_d=4.0, tukey_lambda=-0.1, cfa=None, serial=3,
     sigma_row=5.0, sigma_column=5.0, dsnu=5.0, prnu=0.05, dark_current=200.0, nonlinearity=0.1, rgb_bias=(5.0,) * 3,
-    banding=Banding(amplitude=5.0, period=9), optics=Optics(corner_angle=20, crosstalk=0.05), blooming=True,
+    banding=Banding(amplitude=5.0, period=9), optics=SensorOptics(corner_angle=20, crosstalk=0.05), blooming=True,
     defects=Defects(hot_fraction=0.05, hot_factor=30, rts_fraction=0.05, rts_factor=4), coupling=0.02,
     dual_gain=DualGain(threshold=500.0, sigma_d=9.0, ratio=8.0),
 )  # fmt: skip
@@ -158,10 +158,10 @@ def test_row_noise_counts_by_the_length_of_the_rows_that_get_averaged():
         (replace(EVERYTHING, mu_e_sat=5000.0), [1.0, 4900.0], "full_well"),
         (EVERYTHING, [1.0, 1990.0], "blooming"),
         (replace(EVERYTHING, nonlinearity=0.2), [1.0, 1000.0], "nonlinearity"),
-        (replace(EVERYTHING, optics=Optics(corner_angle=30)), 5.0, "vignetting"),
-        (replace(EVERYTHING, optics=Optics(crosstalk=0.05)), [1.0, 500.0], "crosstalk"),
+        (replace(EVERYTHING, optics=SensorOptics(corner_angle=30)), 5.0, "vignetting"),
+        (replace(EVERYTHING, optics=SensorOptics(crosstalk=0.05)), [1.0, 500.0], "crosstalk"),
         (
-            replace(EVERYTHING, optics=Optics(psf=((0.0, 0.1, 0.0), (0.1, 0.6, 0.1), (0.0, 0.1, 0.0)))),
+            replace(EVERYTHING, optics=SensorOptics(psf=((0.0, 0.1, 0.0), (0.1, 0.6, 0.1), (0.0, 0.1, 0.0)))),
             [1, 500],
             "crosstalk",
         ),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from simscenes import backend
+from simscenes import backend, orbit_rig, plan_transport, render_set
 
 
 @pytest.fixture
@@ -102,6 +102,46 @@ def test_report_covers_every_variant_and_explains_each_that_fails() -> None:
 def test_unknown_variants_are_refused(arguments: tuple) -> None:
     with pytest.raises(ValueError, match="must be"):
         backend.choose_variant(*arguments)
+
+
+def fail_in_spectra() -> None:
+    with backend.using_variant("scalar", "spectral") as mi:
+        raise RuntimeError(f"in {mi.variant()}")
+
+
+def test_a_variant_in_use_gives_way_to_the_one_before_also_after_an_error() -> None:
+    mi = backend.activate()
+    outer = mi.variant()
+    with backend.using_variant("scalar") as scalar:
+        assert (scalar.variant(), backend.backend_of()) == ("scalar_rgb", backend.backend_of(outer))
+        with pytest.raises(RuntimeError, match="in scalar_spectral"):
+            fail_in_spectra()
+        assert mi.variant() == "scalar_rgb"
+    assert mi.variant() == outer
+    with pytest.raises(ValueError, match="must be"), backend.using_variant("metal"):
+        pass
+    assert mi.variant() == outer
+
+
+def test_where_no_variant_was_set_before_one_in_use_stays() -> None:
+    code = """
+from simscenes.backend import using_variant
+with using_variant("scalar") as mi:
+    pass
+print(mi.variant())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "scalar_rgb"
+
+
+def test_rendering_and_planning_leave_the_callers_variant_set(tmp_path: Path) -> None:
+    with backend.using_variant("scalar", "spectral") as mi:
+        scene = {"type": "scene", "ball": {"type": "sphere"}, "sky": {"type": "constant"}}
+        rig = orbit_rig(2, 8, 8, 40, radius=4.0)
+        render_set(scene, rig, tmp_path, spp=2, plan="rgb", variant="scalar")
+        assert mi.variant() == "scalar_spectral"
+        plan_transport(scene, 0.5, rig=rig, variant="scalar", measure=False)
+        assert mi.variant() == "scalar_spectral"
 
 
 def test_the_backend_of_any_variant_is_known() -> None:

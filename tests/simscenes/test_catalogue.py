@@ -14,7 +14,8 @@ from simscenes.loading.reference import SceneRef
 from simscenes.render.geometry import geometry_channels
 from simscenes.scenes import textures as t
 from simscenes.transport import pilot
-from simscenes.transport.effects import DEEPEST, RR_DEPTH, Pilot, depth_effects, media_effects
+from simscenes.transport.effects import DEEPEST, depth_effects, media_effects
+from simscenes.transport.pilot import RR_DEPTH, Pilot
 
 OPEN_SKY = {"courtyard", "street"}
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from simscenes import Optics, Rig, default_rig, orbit_rig, plan_transport, render_set
-from simscenes.backend import activate, backend_of
+from simscenes.backend import activate, backend_of, using_variant
 from simscenes.camera import camera_color, srgb_curves
 from simscenes.loading.load import build_scene
 from simscenes.rigs import intrinsics, look_at
@@ -57,9 +57,8 @@ def test_measured_lamps_call_for_spectra_and_rgb_lamps_do_not() -> None:
 @pytest.mark.usefixtures("jit")
 def test_the_list_of_scenes_with_measured_lamps_is_right() -> None:
     """A scene by name is not loaded in spectra to find out."""
-    mi = activate(backend_of(), "spectral")
-    found = {name for name in SCENES if has_measured(mi, build_scene(name, mi))}
-    activate()
+    with using_variant(backend_of(), "spectral") as mi:
+        found = {name for name in SCENES if has_measured(mi, build_scene(name, mi))}
     assert found == MEASURED_LIGHTS
 
 

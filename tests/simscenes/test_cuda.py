@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from simscenes import default_rig
-from simscenes.backend import activate, backend_status
+from simscenes.backend import backend_status, using_variant
 from simscenes.loading.load import build_scene
 from simscenes.render.radiance import Method, View
 
@@ -18,12 +18,11 @@ WORKS = backend_status("cuda_ad")[0] and backend_status("llvm_ad")[0]
 def test_cuda_renders_tabletop_like_llvm(target: float | None) -> None:
     rig, results = default_rig("tabletop", 3, 48, 48), []
     for variant in ("llvm_ad", "cuda_ad"):
-        mi = activate(variant)
-        loaded = build_scene("tabletop", mi)
-        integrator = mi.load_dict({"type": "path", "max_depth": 8, "rr_depth": 2})
-        view = View(Method(mi, mi.variant(), loaded, integrator), rig, 1)
-        results.append(view.render(256 if target is None else None, target))
-    activate()
+        with using_variant(variant) as mi:
+            loaded = build_scene("tabletop", mi)
+            integrator = mi.load_dict({"type": "path", "max_depth": 8, "rr_depth": 2})
+            view = View(Method(mi, mi.variant(), loaded, integrator), rig, 1)
+            results.append(view.render(256 if target is None else None, target))
     a, b = (r.mean.astype(np.float64) for r in results)
     va, vb = (r.variance.astype(np.float64) for r in results)
     error = np.sqrt(3 * (va + vb).sum()) / a.size  # the channels of a pixel err together

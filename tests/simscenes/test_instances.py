@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from simscenes import Rig, plan_transport
-from simscenes.backend import activate
+from simscenes.backend import activate, using_variant
 from simscenes.loading.load import build_scene
 from simscenes.render.geometry import check_cameras, geometry_channels
 from simscenes.rigs import intrinsics, look_at
@@ -43,11 +43,10 @@ def rig_from(eye: Any, size: int = 60) -> Rig:
 
 @VARIANTS
 def test_each_instance_has_an_id_and_shows_the_materials_of_its_group(variant: str) -> None:
-    mi = activate(variant)
-    loaded = build_scene(copies(mi), mi)
-    rig = rig_from((0.5, 0, 4))
-    channels = geometry_channels(mi, loaded, rig, 0)
-    activate()
+    with using_variant(variant) as mi:
+        loaded = build_scene(copies(mi), mi)
+        rig = rig_from((0.5, 0, 4))
+        channels = geometry_channels(mi, loaded, rig, 0)
     pixels, _ = rig.project([[0, -1, 0.3], [1, -1, 0.3], [0, 1, 0.3], [1, 1, 0.3], [0.5, 0, -1]])
     x, y = pixels[0].astype(int).T
     shapes, materials = np.array(["", *loaded.shapes]), np.array(["", *loaded.materials])
@@ -59,12 +58,11 @@ def test_each_instance_has_an_id_and_shows_the_materials_of_its_group(variant: s
 
 @VARIANTS
 def test_a_camera_inside_an_instance_is_refused_if_its_surface_is_opaque(variant: str) -> None:
-    mi = activate(variant)
-    inside = rig_from((0, 1, 0))
-    check_cameras(mi, build_scene(copies(mi), mi), inside)
-    with pytest.raises(ValueError, match="inside of 'right'"):
-        check_cameras(mi, build_scene(copies(mi, "diffuse"), mi), inside)
-    activate()
+    with using_variant(variant) as mi:
+        inside = rig_from((0, 1, 0))
+        check_cameras(mi, build_scene(copies(mi), mi), inside)
+        with pytest.raises(ValueError, match="inside of 'right'"):
+            check_cameras(mi, build_scene(copies(mi, "diffuse"), mi), inside)
 
 
 def test_planning_sees_the_materials_of_instances() -> None:

@@ -8,10 +8,8 @@ import numpy as np
 import pycolmap
 import pytest
 
-from sensor_model import srgb_to_linear
 from simscenes import load_set, orbit_rig, write_cameras
 from simscenes.rigs import Rig, intrinsics, opencv_to_opengl
-from simscenes.sets.multiview import encode_srgb
 
 
 def make_images(folder: Path, names: list[str], width: int, height: int) -> None:
@@ -267,9 +265,3 @@ def test_missing_views_are_skipped_and_counted_once(tmp_path: Path) -> None:
     assert len(caught) == 1
     assert loaded.names == ("a", "c")
     assert np.allclose(loaded.rig.viewmats, rig.viewmats[[1, 0]])
-
-
-def test_srgb_is_inverted_exactly_on_its_codes() -> None:
-    codes = np.arange(256, dtype=np.float32) / 255
-    assert np.array_equal(encode_srgb(srgb_to_linear(codes)), np.arange(256))
-    assert encode_srgb(np.array([-1.0, 2.0])).tolist() == [0, 255]

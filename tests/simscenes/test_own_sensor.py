@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from simscenes import Rig, fit_rig, plan_transport, render_set
-from simscenes.backend import activate
+from simscenes.backend import activate, using_variant
 from simscenes.loading.load import build_scene
 from simscenes.optics import Optics
 from simscenes.render.framing import own_rig, with_lens
@@ -63,7 +63,6 @@ def test_cameras_are_fitted_in_the_variant_the_scene_was_loaded_in(tmp_path: Pat
     assert (done.meta["mitsuba_variant"], len(done)) == ("scalar_rgb", 32)
     assert np.allclose(done.rig.viewmats, fitted.viewmats, atol=1e-5)
     assert plan_transport(small, 0.5, variant="scalar", measure=False).max_depth >= 2
-    activate()
 
 
 def test_the_aperture_of_a_scenes_own_lens_is_used_unless_another_is_asked_for(tmp_path: Path) -> None:
@@ -102,14 +101,13 @@ def in_fog(box: bool) -> dict[str, Any]:
 @pytest.mark.parametrize("variant", ["auto", "scalar"])
 def test_fog_around_the_own_sensor_is_around_all_cameras_that_no_border_parts_from_it(variant: str) -> None:
     described = [in_fog(box) for box in (False, True)]
-    mi = activate(variant)
-    endless, box = (build_scene(d, mi) for d in described)
-    for position in ([1, -4, 2], [3, 3, 3]):
-        assert medium_at(mi, endless, np.array(position, float)) is not None
-    assert medium_at(mi, box, np.array([1.2, -4.1, 2.3])) is not None
-    for position in ([1, -4, 5], [4, -4, 2], [1, 0, 9]):
-        assert medium_at(mi, box, np.array(position, float)) is None
-    activate()
+    with using_variant(variant) as mi:
+        endless, box = (build_scene(d, mi) for d in described)
+        for position in ([1, -4, 2], [3, 3, 3]):
+            assert medium_at(mi, endless, np.array(position, float)) is not None
+        assert medium_at(mi, box, np.array([1.2, -4.1, 2.3])) is not None
+        for position in ([1, -4, 5], [4, -4, 2], [1, 0, 9]):
+            assert medium_at(mi, box, np.array(position, float)) is None
 
 
 def test_fog_that_only_the_sensor_knows_of_is_planned_for() -> None:

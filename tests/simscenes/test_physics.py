@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from simscenes import Optics, Rig
-from simscenes.backend import activate
+from simscenes.backend import activate, using_variant
 from simscenes.loading.load import build_scene
 from simscenes.render.geometry import pixel_rays
 from simscenes.render.passes import Radiance
@@ -17,12 +17,12 @@ WHITE = {"type": "rgb", "value": 1.0}
 
 
 def rendered(scene: dict[str, Any], spp: int = 128, size: int = 12, eye: Any = (0, -4, 0.5), **method: Any) -> Radiance:
-    mi = activate(color=method.pop("color", "rgb"))
     kind = method.pop("integrator", "path")
-    loaded = build_scene({"type": "scene", **scene}, mi)
     rig = Rig(viewmats=look_at(eye, (0, 0, 0))[None], Ks=intrinsics(size, size, 40)[None], width=size, height=size)
-    integrator = mi.load_dict({"type": kind, "max_depth": 64, "rr_depth": 2})
-    return View(Method(mi, mi.variant(), loaded, integrator, **method), rig, 0).render(spp, None)
+    with using_variant(color=method.pop("color", "rgb")) as mi:
+        loaded = build_scene({"type": "scene", **scene}, mi)
+        integrator = mi.load_dict({"type": kind, "max_depth": 64, "rr_depth": 2})
+        return View(Method(mi, mi.variant(), loaded, integrator, **method), rig, 0).render(spp, None)
 
 
 def diffuse(albedo: float) -> dict[str, Any]:

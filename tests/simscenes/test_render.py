@@ -11,7 +11,7 @@ import pycolmap
 import pytest
 
 from simscenes import Rig, default_rig, load_set, orbit_rig, read_exr, render_set
-from simscenes.backend import activate
+from simscenes.backend import activate, using_variant
 from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.render.geometry import geometry_channels
 from simscenes.render.passes import Passes, count_fireflies, split_passes
@@ -23,10 +23,10 @@ GRAY = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.4, 0.
 
 def ball_on_plane() -> dict[str, Any]:
     """Unit sphere resting on z = 0, a small lamp, a bright sky: two lights and one material shared by two shapes."""
-    mi = activate()
     ref = {"type": "ref", "id": "paint"}
     glow = {"type": "area", "radiance": {"type": "rgb", "value": 9.0}}
-    lamp = mi.ScalarTransform4f().translate([1, -1, 4]).rotate([1, 0, 0], 180).scale(0.4)
+    with using_variant() as mi:
+        lamp = mi.ScalarTransform4f().translate([1, -1, 4]).rotate([1, 0, 0], 180).scale(0.4)
     return {
         "type": "scene",
         "paint": GRAY,
@@ -74,9 +74,10 @@ def analytic(rig: Rig) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
 
 
 def check_geometry(variant: str, rig: Rig) -> None:
-    mi = activate(variant)
-    loaded = build_scene(ball_on_plane(), mi)
-    channels = geometry_channels(mi, loaded, rig, 0)
+    with using_variant(variant) as mi:
+        loaded = build_scene(ball_on_plane(), mi)
+        assert variant in ("auto", loaded.variant.removesuffix("_rgb"))
+        channels = geometry_channels(mi, loaded, rig, 0)
     t, z, normal, number = analytic(rig)
     names = np.array(["", *loaded.shapes])
     assert np.array_equal(names[channels["id"]], np.array(["", "plane", "ball"])[number])
@@ -174,11 +175,10 @@ def test_target_error_is_reached_and_not_by_chance_only() -> None:
 
 
 def test_a_scalar_variant_reaches_a_target_by_even_passes() -> None:
-    mi = activate("scalar")
-    loaded, rig = build_scene(ball_on_plane(), mi), view(8, 6)
-    integrator = mi.load_dict({"type": "path", "max_depth": 4, "rr_depth": 2})
-    result = View(Method(mi, mi.variant(), loaded, integrator), rig, 0).render(None, 0.1)
-    activate()
+    with using_variant("scalar") as mi:
+        loaded, rig = build_scene(ball_on_plane(), mi), view(8, 6)
+        integrator = mi.load_dict({"type": "path", "max_depth": 4, "rr_depth": 2})
+        result = View(Method(mi, mi.variant(), loaded, integrator), rig, 0).render(None, 0.1)
     assert result.error <= 0.1
     assert result.spp >= 16
 

@@ -10,8 +10,8 @@ from simscenes.backend import activate, backend_of
 from simscenes.loading.load import build_scene
 from simscenes.loading.reference import SceneRef
 from simscenes.rigs import intrinsics, look_at
-from simscenes.transport.effects import Pilot, roulette_effect
-from simscenes.transport.pilot import pilot_rig
+from simscenes.transport.effects import roulette_effect
+from simscenes.transport.pilot import Pilot, pilot_rig
 from simscenes.transport.roulette import MOST_SURVIVE, most_efficient, path_lengths
 
 

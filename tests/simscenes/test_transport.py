@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from simscenes import Rig, default_rig, plan_transport
-from simscenes.backend import activate, backend_of
+from simscenes.backend import activate, backend_of, using_variant
 from simscenes.loading.load import build_scene
 from simscenes.render.radiance import Method, View
 from simscenes.scenes import SCENES
@@ -98,14 +98,13 @@ def difference(
     """Absolute differences over all light: of the whole mean, and averaged over 4 x 4 blocks; each with its error."""
     images, variances = [], []
     for made in (plan, reference):
-        mi = activate(backend_of(), made.color)
-        loaded = build_scene(scene, mi)
-        method = Method(mi, mi.variant(), loaded, mi.load_dict(made.integrator()))
-        seen = [View(method, rig, i).render(spp, None) for i in range(len(rig))]
+        with using_variant(backend_of(), made.color) as mi:
+            loaded = build_scene(scene, mi)
+            method = Method(mi, mi.variant(), loaded, mi.load_dict(made.integrator()))
+            seen = [View(method, rig, i).render(spp, None) for i in range(len(rig))]
         images.append(np.stack([v.mean for v in seen]).astype(np.float64).mean(-1))
         # The channels of a pixel err together.
         variances.append(np.stack([v.variance for v in seen]).astype(np.float64).mean(-1))
-    activate()
     gap, variance, total = images[0] - images[1], variances[0] + variances[1], images[1].mean()
     n, h, w = gap.shape
     blocks = np.abs(gap.reshape(n, 4, h // 4, 4, w // 4).mean((2, 4)))

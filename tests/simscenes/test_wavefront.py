@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from simscenes import Optics, Rig
-from simscenes.backend import activate
+from simscenes.backend import activate, using_variant
 from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.render import radiance, wavefront
 from simscenes.render.passes import Passes, sample_shares
@@ -45,13 +45,13 @@ def view(mi: Any, loaded: LoadedScene, seed: int = 0) -> View:
 
 @pytest.mark.parametrize(("color", "camera"), [("rgb", None), ("spectral", None), ("spectral", "Nikon 5100 (NPL)")])
 def test_one_block_in_every_pixel_is_what_mitsuba_renders(color: str, camera: str | None) -> None:
-    mi = activate(color=color)
-    loaded = shiny_corner(mi)
-    settings = sensor_dict(mi, rig(), 0, loaded, Optics(camera=camera))
-    sensor, integrator = mi.load_dict(settings), mi.load_dict({"type": "path", "max_depth": 6, "rr_depth": 2})
-    film = np.array(mi.render(loaded.scene, sensor=sensor, integrator=integrator, spp=16, seed=5))[..., :3]
-    pixels = np.arange(SIZE * SIZE, dtype=np.uint32)
-    ((_, blocks),) = wavefront.sample_blocks(mi, loaded.scene, sensor, integrator, pixels, 16, 5)
+    with using_variant(color=color) as mi:
+        loaded = shiny_corner(mi)
+        settings = sensor_dict(mi, rig(), 0, loaded, Optics(camera=camera))
+        sensor, integrator = mi.load_dict(settings), mi.load_dict({"type": "path", "max_depth": 6, "rr_depth": 2})
+        film = np.array(mi.render(loaded.scene, sensor=sensor, integrator=integrator, spp=16, seed=5))[..., :3]
+        pixels = np.arange(SIZE * SIZE, dtype=np.uint32)
+        ((_, blocks),) = wavefront.sample_blocks(mi, loaded.scene, sensor, integrator, pixels, 16, 5)
     assert np.allclose(blocks.reshape(SIZE, SIZE, 3), film, rtol=1e-5, atol=1e-6)
 
 

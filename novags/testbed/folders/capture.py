@@ -31,11 +31,11 @@ from sensor_model import (
     write_dng,
 )
 from sensor_model.isp import Demosaic
+from simscenes.sets.camera_files import CAMERA_FILES
 from simscenes.sets.exr import read_exr, write_exr
 from simscenes.sets.multiview import MultiviewSet, load_set
 
 RECORD = "capture.json"
-CAMERA_FILES = ("transforms.json", "sparse", "train_list.txt", "test_list.txt", "nb-info.json")
 OWNS = (RECORD, "raw", "images16", "images", "truth", *CAMERA_FILES)
 
 

@@ -21,7 +21,7 @@ from simscenes.sets.multiview import MultiviewSet, load_set
 
 # What a set is read from beside its images: our own record and truth, and the cameras in every form that is read.
 MODEL = tuple(f"{part}.{suffix}" for part in ("cameras", "images", "points3D") for suffix in ("bin", "txt"))
-CAMERA_FILES = ("set.json", "capture.json", "transforms.json", "nb-info.json", "sparse", "sparse/0", "gt", *MODEL)
+READ_FROM = ("set.json", "capture.json", "transforms.json", "nb-info.json", "sparse", "sparse/0", "gt", *MODEL)
 
 NOISE = 0.01  # of a photograph's bright light: further below 0 than this is no noise
 
@@ -98,7 +98,7 @@ class Source:
     def digest(self) -> str:
         """Hash of all that is read of the set, wherever its files lie."""
         images = {f"images/{name}": file for name, file in zip(self.views.names, self.views.files, strict=True)}
-        return folder_digest(self.views.path, CAMERA_FILES, beside=images)
+        return folder_digest(self.views.path, READ_FROM, beside=images)
 
     def _fit(self, image: np.ndarray) -> np.ndarray:
         if not self.scaled:

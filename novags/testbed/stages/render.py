@@ -8,7 +8,6 @@ from typing import Any
 
 from novags.testbed.cache import digest, read_json, run_stage
 from novags.testbed.console import Console
-from novags.testbed.folders.capture import CAMERA_FILES
 from novags.testbed.folders.set import warnings_as_notes
 from sensor_model import Plan
 from simscenes import EXPORTS, Optics, Rig, load_set
@@ -17,6 +16,7 @@ from simscenes.camera import camera_color
 from simscenes.job.identity import SPENT
 from simscenes.loading.reference import SceneRef
 from simscenes.loading.untrusted import check_xml
+from simscenes.sets.camera_files import CAMERA_FILES
 from simscenes.transport.plan import EFFECTS
 
 RECORD = "set.json"
