@@ -1,4 +1,4 @@
-"""One exposure, read top to bottom in physical order."""
+"""One exposure, from light to codes in physical order."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class RawFrame:
 
     dn: NDArray[np.uint16]  # [h, w] or [h, w, 3]
     saturated: NDArray[np.bool_]  # this exposure reached the full well or the top of the ADC here
-    photons: NDArray  # the light it was taken of
+    photons: NDArray  # the light that was exposed
     sensor: Sensor  # as simulated: without what the plan left out
     exposure: Exposure
     shot: Shot = "poisson"

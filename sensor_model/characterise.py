@@ -60,10 +60,10 @@ class Characterisation:
         return "\n".join(f"{name:>16} {value:.5g} {UNITS.get(name, '')}".rstrip() for name, value in known.items())
 
     def sensor(self, *, bits: int, **assumed: object) -> Sensor:
-        """A camera with these parameters; `assumed` fills in and overrides what frames do not tell."""
+        """A camera with these parameters; `assumed` adds what frames cannot show, and overrides what they do."""
         names = ("gain", "eta", "sigma_d", "sigma_row", "sigma_column", "black_level", "dark_current", "dsnu", "prnu")
         measured = {name: getattr(self, name) for name in (*names, "mu_e_sat")}
-        if self.mu_e_sat is not None:  # which it is relative to
+        if self.mu_e_sat is not None:  # the non-linearity is relative to it
             measured["nonlinearity"] = self.nonlinearity
         values = {"bits": bits, "cfa": None} | measured | assumed
         for name in ("eta", "mu_e_sat"):
@@ -80,7 +80,7 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
             must be proportional to the exposure time, unless all carry their photon numbers.
 
     Returns:
-        The estimates. Largest stacks count most for `dsnu` and `prnu`: give one dark and one at half saturation of
+        The estimates. The largest stacks count most for `dsnu` and `prnu`: give one dark and one at half saturation of
         ten frames or more, at the same exposure time.
 
     Raises:
@@ -88,7 +88,7 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
 
     Source: EMVA 1288 release 4, linear: gain from the photon transfer curve up to 70 % of saturation (its section 6),
     dark noise from the variance extrapolated to zero time, DSNU and PRNU from the spatial variance of averaged stacks
-    less what is left in them of the temporal one (section 8). A bent response is straightened first.
+    less the temporal variance that remains in them (section 8). A bent response is straightened first.
     """
     require(len({s.time for s in dark}) >= 2, "dark", "stacks at two exposure times or more", len(dark))
     require(len(flat) >= 3, "flat", "three stacks or more", len(flat))
@@ -135,7 +135,7 @@ def _straightened(signal: Array, bend: float) -> tuple[Array, Array]:
     Shot noise is proportional to that signal and shrinks by that slope; a photon transfer curve of the bent signal
     alone would read the gain of a camera with 2 % of non-linearity 3 % too low.
     """
-    slope = np.sqrt(np.maximum(1 - 4 * bend * signal, 0.01))  # beyond the parabola's top there is no signal
+    slope = np.sqrt(np.maximum(1 - 4 * bend * signal, 0.01))  # no signal lies beyond the top of the parabola
     return 2 * signal / (1 + slope), slope
 
 
@@ -206,5 +206,5 @@ def _prnu(dark: Sequence[Stack], flat: Sequence[Stack], dark_line: tuple[float, 
 
 
 def _root(variance: float) -> float:
-    """Square root of an estimated variance, which the noise of the estimate can make negative where there is none."""
+    """Square root of an estimated variance, which noise can make negative where the true one is 0."""
     return float(np.sqrt(max(variance, 0.0)))

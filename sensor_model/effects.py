@@ -46,8 +46,8 @@ def relative_illumination(
 def crosstalk(light: NDArray, share: float) -> NDArray:
     """Each of the four neighbours receives `share` of what a pixel has. The sum is kept; borders reflect.
 
-    Optical, of the mean light: photons that scatter at random stay Poisson distributed and independent. Electrical
-    (capacitive coupling), of the charge that was collected: blurs the shot noise too.
+    Optical crosstalk acts on the mean light: photons that scatter at random stay Poisson distributed and independent.
+    Electrical crosstalk (capacitive coupling) acts on the collected charge, so it blurs the shot noise too.
     """
     moved = share * light
     out = light - 4 * moved
@@ -61,7 +61,7 @@ def crosstalk(light: NDArray, share: float) -> NDArray:
 
 
 def point_spread(light: NDArray, psf: tuple[tuple[float, ...], ...]) -> NDArray:
-    """The same with any shares: psf[middle + dy][middle + dx] of a pixel's light goes dy rows down, dx to the right."""
+    """Crosstalk with any shares: psf[middle + dy][middle + dx] of the light goes dy rows down, dx to the right."""
     from scipy import ndimage  # for cameras that have such a table only
 
     return ndimage.convolve(light, np.asarray(psf)[..., None], mode="reflect").astype(light.dtype)

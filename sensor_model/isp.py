@@ -1,6 +1,6 @@
 """Raw frame -> linear RGB, 16-bit linear and 8-bit sRGB.
 
-Stages: black level, white balance, demosaic, colour matrix, digital gain, clip, sRGB curve, and if wanted JPEG.
+Stages: black level, white balance, demosaic, colour matrix, digital gain, clip, sRGB curve, and optionally JPEG.
 """
 
 from __future__ import annotations
@@ -131,7 +131,7 @@ def interpolate(mosaic: NDArray, cfa: Cfa, demosaic: Demosaic) -> NDArray[np.flo
 
 def through_jpeg(srgb8: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
     """What is left of an 8-bit picture after JPEG, [h, w] or [h, w, 3]."""
-    import cv2  # heavy, and wanted by few
+    import cv2  # slow to import and rarely needed
 
     require(1 <= quality <= 100, "jpeg_quality", "in 1..100", quality)
     swapped = srgb8[..., ::-1] if srgb8.ndim == 3 else srgb8  # OpenCV's channels run blue, green, red

@@ -1,4 +1,4 @@
-"""Analytic mean and variance of the chain in `capture.py`: what its samples are tested against.
+"""Analytic mean and variance of the chain in `capture.py`: the reference for tests of its samples.
 
 Everything here is temporal: for one pixel of one camera, over frames of the same light.
 
@@ -22,8 +22,8 @@ from sensor_model.params import Sensor
 
 Array = NDArray[np.float64]
 
-REACH = 8.0  # standard deviations beyond which a normal tail (1e-15) is nothing
-SMOOTH = 0.8  # DN of noise from which rounding is as good as adding 1/12 DN**2 (the mean errs by 1e-6 DN)
+REACH = 8.0  # standard deviations beyond which a normal tail (1e-15) is negligible
+SMOOTH = 0.8  # DN of noise from which rounding just adds 1/12 DN**2 (the mean errs by 1e-6 DN)
 FEW = 16  # different pixels up to which each kind gets a table of its own
 GRID = 0.01  # sqrt(e-), spacing of such a table: linear interpolation errs by GRID**2 / 4 = 0.00003 e-
 BATCH = 512  # pixels that are integrated together
@@ -82,7 +82,7 @@ def extra_variance(inputs: Prepared) -> Array:
 
 
 def response_moments(mu: Array, variance: Array, droop: float) -> tuple[Array, Array]:
-    """Mean and variance of N - droop N**2 where N has Poisson moments (variance = mu) or none (variance = 0).
+    """Mean and variance of N - droop N**2 where N has Poisson moments (variance = mu) or is fixed (variance = 0).
 
     Source: the Poisson moments E[N**2] = mu**2 + mu, var(N**2) = 4 mu**3 + 6 mu**2 + mu, cov(N, N**2) = 2 mu**2 + mu.
     """
@@ -146,7 +146,7 @@ def integrated_moments(s: Sensor, mu: Array, base: Array, extra: Array, shot: st
         extra: Variance of what is added to the read noise [p], e-**2.
         shot: As in `expose`.
     """
-    # Full in every frame: its charge is as good as fixed
+    # Full in every frame: its charge is practically fixed
     fixed = shot == "none" or mu.min() - _reach(mu.min()) > s.capacity_e / (1 - s.nonlinearity) + REACH * s.sigma_d
     charge, weight = (mu[:, None], np.ones((mu.size, 1))) if fixed else _charges(mu, shot)
     held = effects.full_well(charge, s.mu_e_sat)

@@ -27,7 +27,7 @@ def _require_not_negative(owner: object, *names: str) -> None:
 
 
 def _is_spread(table: tuple[tuple[float, ...], ...]) -> bool:
-    """Odd sides, so that it has a middle; light is neither lost nor won."""
+    """Odd sides, so that it has a middle; no light is lost or gained."""
     odd = len(table) % 2 == 1 and all(len(row) == len(table[0]) for row in table) and len(table[0]) % 2 == 1
     shares = [share for row in table for share in row]
     return odd and all(isfinite(s) and s >= 0 for s in shares) and abs(sum(shares) - 1) < 1e-6
@@ -60,7 +60,7 @@ class SensorOptics:
 
 @dataclass(frozen=True, kw_only=True)
 class Defects:
-    """Pixels that differ from the rest; which ones, follows from the camera's serial."""
+    """Pixels that differ from the rest; the serial of the camera determines which ones."""
 
     hot_fraction: float = 0.0  # of the pixels
     hot_factor: float = 1.0  # dark current of a hot pixel over that of the others
@@ -158,6 +158,7 @@ class Sensor:
         require(0 <= self.nonlinearity < 0.5, "nonlinearity", "in [0, 0.5)", self.nonlinearity)
         ok = self.nonlinearity == 0 or isfinite(self.mu_e_sat)
         require(ok, "mu_e_sat", "finite beside a nonlinearity, which is relative to it", self.mu_e_sat)
+        require(self.blooming in (True, False), "blooming", "True or False", self.blooming)
         require(0 <= self.coupling <= 0.2, "coupling", "in [0, 0.2]", self.coupling, "0.2 blurs evenly over five")
         require(self.cfa is None or self.cfa in CFAS, "cfa", f"None or one of {CFAS}", self.cfa)
         response, bias = self.rgb_response, self.rgb_bias

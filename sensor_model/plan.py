@@ -35,7 +35,7 @@ class Plan:
     biases: dict[str, float] = field(default_factory=dict)  # further bounds, unit -> value
 
     def __getitem__(self, name: str) -> Effect:
-        """The effect of that name. Raises ValueError, listing the names there are, if there is none."""
+        """The effect of that name. Raises ValueError, listing the known names, if it is not one of them."""
         found = [effect for effect in self.effects if effect.name == name]
         require(bool(found), "effect name", f"one of {self.names}", name)
         return found[0]

@@ -141,7 +141,7 @@ def _costs(s: Sensor, exposure: Exposure, low: float, high: float, limits: Limit
 
 
 def _shapes(s: Sensor, low: float, high: float, limits: Limits, clips: bool) -> list[Effect]:
-    """Effects that no variance measures: tails, and what only happens near saturation."""
+    """Effects that a variance does not measure: tails, and what only happens near saturation."""
     tails = 0.0
     if s.tukey_lambda is not None and s.sigma_d:
         tails = abs(excess_kurtosis(s.tukey_lambda)) * (s.sigma_d**2 / kept_variance(s, low)) ** 2
@@ -220,7 +220,7 @@ def _clear_part(part: str, **fields: Any) -> Callable[[Sensor], Sensor]:
     return without
 
 
-# In this order: what depends on another effect goes before it
+# Order matters: an effect that depends on another is removed before it
 REMOVE: dict[str, Callable[[Sensor], Sensor]] = {
     "hot_pixels": _clear_part("defects", hot_fraction=0.0),
     "dark_current": _without_dark_current,

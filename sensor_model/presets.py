@@ -1,4 +1,4 @@
-"""Real cameras. `SOURCES` says of each value of each preset where it comes from; units are those of `Sensor`.
+"""Real cameras. `SOURCES` gives the origin of each value of each preset; units are those of `Sensor`.
 
 FRAMOS: EMVA 1288 release 3.1 reports of the Sony IMX900 (2.25 um pixels, 36 deg C, 536 nm).
 PMN: megvii-research/PMN (Apache-2.0), data_process/process.py: photon transfer and dark frames per ISO.
@@ -35,10 +35,10 @@ def _add(name: str, sensor: Sensor, source: str, **exceptions: str) -> None:
 
 
 _COLOUR = {"rgb_response": "assumed", "cfa": "assumed", "serial": "arbitrary"}
-_UNTOLD = {"eta": "assumed", "mu_e_sat": "derived"} | _COLOUR
+_UNPUBLISHED = {"eta": "assumed", "mu_e_sat": "derived"} | _COLOUR
 
 
-# FRAMOS gives the dark current for high gain only; it belongs to the photodiode, which is the same.
+# FRAMOS gives the dark current for high gain only; it is that of the photodiode, which does not depend on the gain.
 for _name, _gain, _eta, _sigma_d, _full, _dsnu, _prnu in (
     ("lcg", 0.399, 0.9125, 5.56, 9458.0, 3.7, 0.007),
     ("hcg", 1.673, 0.8847, 1.954, 2183.0, 1.3, 0.008),
@@ -67,7 +67,7 @@ for _iso, (_gain, _lam, _scale, _row) in A7S2.items():
         gain=_gain, eta=ASSUMED_QE, mu_e_sat=166_000.0, black_level=512.0, bits=14, rgb_response=DAYLIGHT, serial=72,
         sigma_d=_scale * tukey_sd(_lam) / _gain, tukey_lambda=_lam, sigma_row=_row / _gain,
     )  # fmt: skip
-    _add(f"a7s2-iso{_iso}", _a7s2, "PMN", **_UNTOLD)
+    _add(f"a7s2-iso{_iso}", _a7s2, "PMN", **_UNPUBLISHED)
 
 # PMN, Sony IMX385 in the CRVD video camera, 12 bit: gain, read variance in DN**2, error of the black level in DN.
 # Read noise Gaussian; row noise exp(0.93368 ln K - 2.19692) DN.
@@ -83,7 +83,7 @@ for _iso, (_gain, _variance, _bias) in IMX385.items():
         gain=_gain, eta=ASSUMED_QE, mu_e_sat=17_500.0, black_level=240.0, bits=12, rgb_response=DAYLIGHT, serial=385,
         sigma_d=_variance**0.5 / _gain, sigma_row=exp(0.93368 * log(_gain) - 2.19692) / _gain, rgb_bias=(_bias,) * 3,
     )  # fmt: skip
-    _add(f"imx385-iso{_iso}", _imx385, "PMN", **_UNTOLD)
+    _add(f"imx385-iso{_iso}", _imx385, "PMN", **_UNPUBLISHED)
 
 # PMN, Sony IMX686 (telephone), 10 bit: log-linear fits of Gaussian sigma and row noise in DN against the gain.
 for _iso in (800, 1600, 6400):
@@ -93,7 +93,7 @@ for _iso in (800, 1600, 6400):
         sigma_d=exp(0.85187 * log(_gain) + 0.67991) / _gain, tukey_lambda=0.102,
         sigma_row=exp(0.87611 * log(_gain) - 2.11455) / _gain,
     )  # fmt: skip
-    _add(f"imx686-iso{_iso}", _imx686, "PMN", gain="PMN at ISO 6400, proportional to ISO", **_UNTOLD)
+    _add(f"imx686-iso{_iso}", _imx686, "PMN", gain="PMN at ISO 6400, proportional to ISO", **_UNPUBLISHED)
 
 # ELD, Nikon D850, profile 2, 14 bit; gain proportional to ISO between 0.4150 at 100 and 26.56 at 6400. ELD's list of
 # lambdas (-0.24 to -0.10) does not say which ISO each belongs to: their middle.
@@ -104,7 +104,7 @@ for _iso in (400, 1600, 6400):
         sigma_d=exp(0.95467 * log(_gain) + 0.18022) / _gain, tukey_lambda=-0.17,
         sigma_row=exp(0.96623 * log(_gain) - 2.69533) / _gain,
     )  # fmt: skip
-    _add(f"d850-iso{_iso}", _d850, "ELD", **_UNTOLD | {"black_level": "assumed", "tukey_lambda": "ELD, middle"})
+    _add(f"d850-iso{_iso}", _d850, "ELD", **_UNPUBLISHED | {"black_level": "assumed", "tukey_lambda": "ELD, middle"})
 
 # A monochrome scientific CMOS camera
 _add(
@@ -118,5 +118,5 @@ _add(
     serial="arbitrary",
 )  # fmt: skip
 
-# Photon noise and nothing else: every electron counts one DN
+# Photon noise only: one DN per electron
 _add("ideal", Sensor(gain=1.0, eta=1.0, mu_e_sat=4095.0, black_level=0.0, bits=12), "by definition")

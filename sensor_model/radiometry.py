@@ -28,7 +28,7 @@ def check_light(light: NDArray, what: str) -> None:
         place = tuple(int(i) for i in np.argwhere(bad)[0])
         raise ValueError(
             f"{what} must be finite and >= 0, got {light[place]} at {place} "
-            f"({int(bad.sum())} of {light.size} values); mend or mask the rendering before exposing it"
+            f"({int(bad.sum())} of {light.size} values); fix or mask the rendering before exposing it"
         )
 
 
@@ -128,7 +128,7 @@ def luminance_from_ev(ev: float) -> float:
 
 
 def electrons_from_luminance(luminance: float, lens: Lens, exposure: Exposure, *, eta: float) -> float:
-    """Charge of a green pixel that looks at a surface of this luminance: the `electrons` of `photons_for_electrons`.
+    """Charge of a green pixel that sees a surface of this luminance: the `electrons` of `photons_for_electrons`.
 
     All light is counted as of 555 nm. For a green channel 100 nm wide (full width at half maximum, at 535 nm) that is
     right to 1 % under D65 and 22 % too high under tungsten; use `photons_from_spectrum` where it matters.
@@ -146,7 +146,7 @@ def electrons_from_luminance(luminance: float, lens: Lens, exposure: Exposure, *
 
 
 def photons_for_electrons(radiance: ArrayLike, *, electrons: float, mean_green: float, sensor: Sensor) -> Array:
-    """Scale a radiance image so that a mid-grey pixel collects a wanted number of electrons.
+    """Scale a radiance image so that a mid-grey pixel collects a given number of electrons.
 
     Args:
         radiance: Linear [h, w, 3], any unit, finite and >= 0.

@@ -2,7 +2,7 @@
 
 Importing this module imports numba.
 """
-# numba infers the types of what it compiles, and gives its decorators none.
+# numba infers the types of what it compiles, and its decorators are untyped.
 # mypy: disable-error-code="no-untyped-call, no-untyped-def, untyped-decorator"
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ def row_uniform(b, n, stream, channel, row, col, view, frame, k0, k1):
 def load(b, to, flat, start, stride, n):
     """b[to:to + n] = every stride-th value of flat.
 
-    The common stride 1 has a loop of its own, over a slice: there numba sees that no index is negative, which it would
-    have to wrap around, and LLVM that the values are side by side.
+    The common stride 1 has a loop of its own, over a slice: there numba knows that no index is negative (it would
+    have to wrap around), and LLVM that the values are contiguous.
     """
     if stride == 1:
         part = flat[start : start + n]
@@ -101,7 +101,7 @@ def _way_back(cast: type) -> Callable:
 
 
 store = _way_back(np.float64)
-store_whole = _way_back(np.int32)  # whole numbers: from float64 straight to 8 or 16 bits there is no SIMD
+store_whole = _way_back(np.int32)  # whole numbers: SIMD cannot convert float64 straight to 8 or 16 bits
 
 
 @jit

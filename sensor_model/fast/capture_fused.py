@@ -3,7 +3,7 @@
 Bit for bit the same frame as the numpy reference, for any number of threads and any size of block, because every pixel
 owns its random numbers and nothing is summed across pixels. Importing this module imports numba.
 """
-# numba infers the types of what it compiles, and gives its decorators none.
+# numba infers the types of what it compiles, and its decorators are untyped.
 # mypy: disable-error-code="no-untyped-call, no-untyped-def, untyped-decorator"
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ def capture(
     scale = 1.0 if s.tukey_lambda is None else effects.tukey_sd(s.tukey_lambda)
     low = s.dual_gain
     merge = (np.inf, 0.0, 1.0) if low is None else (low.threshold, low.sigma_d / scale, low.ratio)
-    # All floats: numba takes a tuple apart only if its items are of one type
+    # All floats: numba unpacks a tuple only if all items have one type
     read = (*map(float, (s.mu_e_sat, s.droop, s.sigma_d / scale, s.tukey_lambda or 0, s.gain, s.max_dn)), *merge)
     given = [m is not None for m in maps]
     single = precision == "float32"

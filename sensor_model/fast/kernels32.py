@@ -1,10 +1,10 @@
 """Single-precision twins of the kernels, twice as many pixels to a SIMD register; each states how far it may be off.
 
-Whoever rounds their result looks whether it lies so near to a step that the error could matter, and there asks the
-double-precision kernel. So frames stay those of float64, bit for bit, at nearly the speed of float32.
+Code that rounds their result checks whether it lies so near to a step that the error could matter, and if so calls the
+double-precision kernel. So frames equal those of float64 bit for bit, at nearly the speed of float32.
 `f` is a float32 scratch array with the offsets of `b`. Importing this module imports numba.
 """
-# numba infers the types of what it compiles, and gives its decorators none.
+# numba infers the types of what it compiles, and its decorators are untyped.
 # mypy: disable-error-code="no-untyped-call, no-untyped-def, untyped-decorator"
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def log32(x):
 
 @fast
 def normal32(b, f, n):
-    """f[W:W + n] = standard normal quantiles of b[U:]; returns whether none is beyond TAIL, where there is no bound."""
+    """f[W:W + n] = standard normal quantiles of b[U:]; returns whether all lie within TAIL, where the bound holds."""
     outside = 0
     for i in range(n):
         u = b[U + i]

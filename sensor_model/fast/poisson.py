@@ -3,7 +3,7 @@
 Single precision finds the count; where its error could matter, the distribution function decides in double precision.
 Importing this module imports numba.
 """
-# numba infers the types of what it compiles, and gives its decorators none.
+# numba infers the types of what it compiles, and its decorators are untyped.
 # mypy: disable-error-code="no-untyped-call, no-untyped-def, untyped-decorator"
 
 from __future__ import annotations

@@ -43,7 +43,7 @@ def write_dng(
     Raises:
         ValueError: if the shape or dtype does not fit the sensor, or the time the file.
     """
-    from pidng.core import RAW2DNG  # heavy for those who never write a DNG
+    from pidng.core import RAW2DNG  # slow to import, and needed here only
 
     fits = dn.ndim == 2 or (dn.ndim == 3 and dn.shape[2] == 3 and sensor.cfa is None)
     require(fits, "dn", "[h, w], or [h, w, 3] without colour filter array", dn.shape)

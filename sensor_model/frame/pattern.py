@@ -43,7 +43,7 @@ def sites(serial: int, fraction: float, shape: Shape, origin: tuple[int, int], s
 
 @lru_cache(maxsize=4)
 def illumination_map(optics: SensorOptics, shape: tuple[int, int], origin: tuple[int, int]) -> NDArray[np.float32]:
-    """Relative illumination of each pixel [h, w]: the lens stays as it is, too."""
+    """Relative illumination of each pixel [h, w]; cached, because the lens does not change either."""
     map_ = effects.relative_illumination(
         shape,
         origin=origin,
@@ -55,7 +55,7 @@ def illumination_map(optics: SensorOptics, shape: tuple[int, int], origin: tuple
 
 
 def telegraph_sites(sensor: Sensor, shape: Shape, origin: tuple[int, int]) -> Sites | None:
-    """Pixels with random telegraph noise, or None if the camera has none."""
+    """Pixels with random telegraph noise; None if the camera does not have any."""
     d = sensor.defects
     if d is None or d.rts_fraction == 0 or d.rts_factor == 1 or sensor.sigma_d == 0:
         return None

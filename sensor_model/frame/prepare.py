@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Prepared:
-    """All that one frame is made from; [h, w, c] with c = 1 or 3."""
+    """Everything that one frame is computed from; [h, w, c] with c = 1 or 3."""
 
     sensor: Sensor
     draws: streams.Draws

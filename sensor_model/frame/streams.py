@@ -1,4 +1,4 @@
-"""Counter-based random numbers: every pixel of every effect owns one fixed draw.
+"""Counter-based random numbers: every effect has one fixed draw per pixel.
 
 Philox 4x32-10 (Salmon et al., "Parallel random numbers: as easy as 1, 2, 3", SC 2011) maps a counter and a key to
 128 random bits. Key: the seed. Counter: (row << 16 | column // 2, effect and channel, view, frame); of the bits, an

@@ -86,6 +86,21 @@ def test_what_a_plan_leaves_out_is_not_in_the_curve():
     )
     curve = raw_noise(NOISY, EXPOSURE, plan=plan)
     np.testing.assert_allclose(curve.variance(np.full(3, 500.0)), 1.7**2 * (9 + 4) + 1 / 12)
+    bent = raw_noise(replace(NOISY, nonlinearity=0.1), EXPOSURE, plan=plan)
+    np.testing.assert_allclose(bent.variance(np.full(3, 5000.0)), curve.variance(np.full(3, 500.0)))
+
+
+def test_the_low_gain_adds_its_noise_from_its_threshold_on():
+    sensor = replace(NOISY, prnu=0.0, dual_gain=DualGain(threshold=1500.0, sigma_d=30.0, ratio=8))
+    balance, white = np.array([2.0, 1.0, 1 / 0.7]), sensor.white_dn - 300
+    at = 1.7 * 1500 + np.array([4.0, -3.0, 2.0])
+    added = 1.7**2 * (900 - 9) + 63 / 12
+    for curve, mean, unit in (
+        (raw_noise(sensor, EXPOSURE), 300 + at, np.ones(3)),
+        (linear_noise(sensor, EXPOSURE), balance * at / white, balance / white),
+    ):
+        step = curve.variance(mean * (1 + 1e-9)) - curve.variance(mean * (1 - 1e-9))
+        np.testing.assert_allclose(step, unit**2 * added, rtol=1e-4)
 
 
 @pytest.mark.parametrize("charge", [0.0, 40.0, 1500.0])

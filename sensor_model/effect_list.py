@@ -1,0 +1,109 @@
+"""Every effect of the camera, and where its parts are: `docs/adding-a-sensor-effect.md` shows how to add one.
+
+Names of functions are relative to this package. `tests/sensor_model/test_effect_list.py` goes through the list and
+fails if one of the parts is missing or disagrees with the others.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+# Fields of `Sensor` that describe the camera itself: without them there would be no frame.
+STRUCTURAL = ("gain", "eta", "black_level", "bits", "cfa", "rgb_response", "serial")
+SHARED = "shared"  # the numba chain takes what the numpy code computed: a map, a line, or the whole charge
+
+
+@dataclass(frozen=True, kw_only=True)
+class EffectParts:
+    """Where one effect is."""
+
+    fields: tuple[str, ...]  # of `Sensor`, those of its parts as "defects.hot_factor"; empty: it needs none
+    sampled: str  # function that puts it into the frame
+    moments: str  # function that puts it into the analytic mean and variance
+    fused: str = SHARED  # function of the numba chain that does the same as `sampled`
+    in_noise: bool = True  # part of `noise.NoiseCurve`; False for outliers, and for what only saturated pixels show
+
+
+EFFECT_LIST: dict[str, EffectParts] = {  # by the name that plans use, in the order of the signal chain
+    "vignetting": EffectParts(
+        fields=("optics.corner_angle", "optics.falloff", "optics.sensor_shape"),
+        sampled="frame.pattern.illumination_map",
+        moments="frame.prepare.on_sensor",
+    ),
+    "crosstalk": EffectParts(
+        fields=("optics.crosstalk", "optics.psf"),
+        sampled="frame.prepare.on_sensor",
+        moments="frame.prepare.on_sensor",
+    ),
+    "prnu": EffectParts(fields=("prnu",), sampled="frame.pattern.response_map", moments="effects.collect"),
+    "dark_current": EffectParts(
+        fields=("dark_current", "dark_temperature", "dark_doubling"),
+        sampled="params.Sensor.dark_e",
+        moments="effects.collect",
+        fused="fast.capture_fused._shoot",
+    ),
+    "hot_pixels": EffectParts(
+        fields=("defects.hot_fraction", "defects.hot_factor"),
+        sampled="frame.pattern.dark_map",
+        moments="effects.collect",
+        in_noise=False,
+    ),
+    "photon_shot": EffectParts(
+        fields=(), sampled="effects.shot_noise", moments="moments.frame_moments", fused="fast.poisson.poisson"
+    ),
+    "poisson": EffectParts(
+        fields=(), sampled="effects.shot_noise", moments="moments.integrated_moments", fused="fast.poisson.poisson"
+    ),
+    "full_well": EffectParts(
+        fields=("mu_e_sat",),
+        sampled="effects.full_well",
+        moments="effects.full_well",
+        fused="fast.capture_fused._codes",
+        in_noise=False,
+    ),
+    "blooming": EffectParts(
+        fields=("blooming",), sampled="effects.blooming", moments="frame.interpixel.bloomed", in_noise=False
+    ),
+    "coupling": EffectParts(
+        fields=("coupling",), sampled="effects.crosstalk", moments="frame.interpixel.coupled_variance"
+    ),
+    "nonlinearity": EffectParts(
+        fields=("nonlinearity",),
+        sampled="effects.nonlinear",
+        moments="moments.response_moments",
+        fused="fast.capture_fused._codes",
+    ),
+    "dual_gain": EffectParts(
+        fields=("dual_gain.threshold", "dual_gain.sigma_d", "dual_gain.ratio"),
+        sampled="effects.select_gain",
+        moments="effects.select_gain",
+        fused="fast.capture_fused._codes",
+    ),
+    "read_noise": EffectParts(
+        fields=("sigma_d",),
+        sampled="effects.read_noise",
+        moments="moments.frame_moments",
+        fused="fast.capture_fused._read_noise",
+    ),
+    "read_tails": EffectParts(
+        fields=("tukey_lambda",),
+        sampled="effects.tukey_quantile",
+        moments="moments._normal_components",
+        fused="fast.kernels.tukey",
+    ),
+    "telegraph_noise": EffectParts(
+        fields=("defects.rts_fraction", "defects.rts_factor", "defects.rts_traps"),
+        sampled="effects.telegraph",
+        moments="moments.extra_variance",
+        in_noise=False,
+    ),
+    "dsnu": EffectParts(fields=("dsnu",), sampled="frame.pattern.offset_map", moments="moments.frame_moments"),
+    "row_noise": EffectParts(fields=("sigma_row",), sampled="frame.prepare._rows", moments="moments.extra_variance"),
+    "column_noise": EffectParts(
+        fields=("sigma_column",), sampled="frame.prepare._columns", moments="moments.extra_variance"
+    ),
+    "banding": EffectParts(
+        fields=("banding.amplitude", "banding.period"), sampled="effects.bands", moments="moments.extra_variance"
+    ),
+    "black_bias": EffectParts(fields=("rgb_bias",), sampled="frame.prepare._black", moments="frame.prepare._black"),
+}
