@@ -1,6 +1,6 @@
 """Consistency between views: whether a scene point keeps its colour when the camera moves.
 
-Correspondences come from the truth (`simscenes.flow`), never from the method's own depth, which could agree with itself.
+Correspondences come from the truth (`simscenes.flow`), never from the method's own depth, which may agree with itself.
 """
 
 from typing import TypedDict

@@ -1,14 +1,15 @@
 """Scores of a method's expected depth against the true depth of a rendered scene.
 
 Depths are z-depths [h,w] in scene units, in the true cameras' scale: multiply a method's depth by the depth scale of
-the camera alignment first. Where nothing is hit, a depth is 0, infinite or nan. Every score exists for every method that
-renders image, opacity and expected depth.
+the camera alignment first. Where nothing is hit, a depth is 0, infinite or nan. Every score exists for every method
+that renders image, opacity and expected depth.
 """
 
 from typing import TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter
 
 TOLERANCE = 0.05  # relative: depths within it are right, opacity nearer than 1 - TOLERANCE of the surface is in front
 MIN_ALPHA = 0.5  # with less opacity than this, a pixel shows more background than surface and has no depth
@@ -55,16 +56,20 @@ def geometry_scores(depth: NDArray, alpha: NDArray, truth: NDArray) -> GeometryS
 
 
 def opacity_in_front(depth: NDArray, alpha: NDArray, truth: NDArray) -> NDArray[np.float64]:
-    """Least opacity that must lie nearer than t = (1 - TOLERANCE) * truth to explain opacity and expected depth, [h,w].
+    """Least opacity in front of the true surface that explains opacity and expected depth, float64 [h,w].
 
-    A ray's weights w at depths d satisfy alpha * (1 - depth / t) = sum(w (1 - d / t)). Terms beyond t are negative, those
-    in front at most w, so the left side bounds the opacity in front from below, whatever the distribution along the
-    ray. The bound is reached by opacity at the camera with the rest at t; a sheet of opacity a at half of t counts
+    "In front" is nearer than t = (1 - TOLERANCE) * the nearest true depth within one pixel (3 x 3): a splat is wider
+    than a pixel, and at a silhouette its depth lies between the surfaces without floating anywhere.
+
+    A ray's weights w at depths d satisfy alpha * (1 - depth / t) = sum(w (1 - d / t)). Terms beyond t are negative,
+    those in front at most w, so the left side bounds the opacity in front from below, whatever its distribution along
+    the ray. The bound is reached by opacity at the camera and the rest at t; a sheet of opacity a at half of t counts
     a / 2, so floaters weigh more the nearer they are. 0 where the truth or the method has no depth.
     """
     known = _is_depth(truth) & _is_depth(depth)
+    nearest = minimum_filter(np.where(_is_depth(truth), truth, np.inf), size=3, mode="nearest")
     front = np.zeros(np.shape(truth))
-    ratio = depth[known].astype(np.float64) / ((1.0 - TOLERANCE) * truth[known])
+    ratio = depth[known].astype(np.float64) / ((1.0 - TOLERANCE) * nearest[known])
     front[known] = alpha[known] * np.maximum(1.0 - ratio, 0.0)
     return front
 

@@ -110,7 +110,7 @@ def mean_scores(scores: Sequence[Scores]) -> Scores:
     table: Any = scores  # TypedDicts share no type with their keys as variables
     values = {name: [view[name] for view in table if view[name] is not None] for name in table[0]}
     mean: Any = {name: float(np.mean(found)) if found else None for name, found in values.items()}
-    return mean  # type: ignore[no-any-return]
+    return mean
 
 
 def gaussian_blur(image: Image, sigma: float) -> Image:

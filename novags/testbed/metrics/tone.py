@@ -1,7 +1,7 @@
 """Alignments of an image to its reference, which remove what a choice of tone may change.
 
 Images are float [h,w,3], sRGB-encoded. Both alignments work per image and channel, in the least-squares sense, and see
-the image as it is, values outside 0..1 included: clipping before the fit would lose what the fit brings back into range.
+the image as it is, values outside 0..1 included: clipping first would lose what the fit brings back into range.
 
 - `affine_aligned`: gain and offset.
 - `tone_aligned`: any non-decreasing curve. It contains every affine change of positive gain, gamma and film curve.
