@@ -123,7 +123,7 @@ def _default(hint: Any, what: str) -> Any:
     made = [option for option in options if dataclasses.is_dataclass(option)]
     if not made:
         raise ValueError(f"{what} is a single value and has no settings of its own")
-    return made[0]()
+    return made[0]()  # type: ignore[operator]  # mypy takes is_dataclass for an instance
 
 
 def _words(options: tuple[Any, ...]) -> str:

@@ -139,7 +139,7 @@ def open_run(path: Path) -> Run:
 
 
 def _as_written_now(record: dict[str, Any]) -> dict[str, Any]:
-    """A record of version 0.1.0 with what later ones say: all methods ended in enhanced pictures, cameras were exact."""
+    """A record of version 0.1.0 with what later ones say: all methods ended in enhanced pictures."""
     if "space" in record or "enhance" not in record:
         return record
     enhancement = {"enhancer": "guided", "pictures": record.get("dark_source"), "config": record["enhance"]}

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.cameras import CameraConfig, CameraEstimate, KnownConfig, SfmConfig, known, sfm, vggt
+from novags.cameras import CameraConfig, CameraEstimate, KnownConfig, check_cameras, estimate_cameras
 from novags.cameras.align import Alignment, align, to_estimated
 from novags.methods.enhancers import guided
 from novags.methods.nova.denoiser import Denoiser, DenoiserConfig
@@ -20,7 +20,7 @@ from novags.testbed.folders.set import Source
 DENOISER_STEPS = 300  # for pictures that features are looked for in; the method trains its own
 
 
-def estimate_cameras(
+def cameras_of(
     config: CameraConfig,
     capture: Capture,
     source: Source,
@@ -35,18 +35,18 @@ def estimate_cameras(
     Raises:
         ValueError: If the source cannot place at least two views, or is not installed.
     """
+    check_cameras(config)
     dark = torch.from_numpy(np.stack([capture.srgb8(i) for i in indices]))
+    # First points come from the set, whose depth is known if it was rendered; from the capture if sizes differ.
+    views = capture.cameras if source.scaled or not isinstance(config, KnownConfig) else source.views
     if isinstance(config, KnownConfig):
-        # First points come from the set, whose depth is known if it was rendered; from the capture if sizes differ.
-        views = capture.cameras if source.scaled else source.views
-        return known(views, indices, dark, n_points=points, config=config, seed=seed)
-    rig = capture.cameras.rig
-    Ks = np.asarray(rig.Ks, np.float64)[indices]
+        return estimate_cameras(config, views, indices, dark, n_points=points, seed=seed)
     with console.progress("cameras") as progress:
-        if isinstance(config, SfmConfig):
-            pictures = pictures_for(config.pictures, dark, seed)
-            return sfm(pictures, Ks, dark, n_points=points, config=config, seed=seed, progress=progress)
-        return vggt(codes(dark), dark, n_points=points, config=config, seed=seed, device=device, progress=progress)
+        pictures = pictures_for(config.pictures, dark, seed)
+        return estimate_cameras(
+            config, views, indices, dark, pictures=pictures, n_points=points, seed=seed, device=device,
+            progress=progress,
+        )  # fmt: skip
 
 
 def pictures_for(kind: str, dark: Tensor, seed: int) -> np.ndarray:
@@ -94,8 +94,7 @@ class Frame:
     def of(capture: Capture, indices: list[int], estimate: CameraEstimate, viewmats: Tensor | None) -> "Frame":
         """The frame of an estimate, or of the cameras that training refined it to (`viewmats` [R, 4, 4])."""
         cameras = estimate.viewmats if viewmats is None else viewmats.detach().cpu().double()
-        true = np.asarray(capture.cameras.rig.viewmats, np.float64)[indices]
-        return Frame(capture, indices, cameras, align(cameras.numpy(), true))
+        return Frame(capture, indices, cameras, align(cameras, true_cameras(capture)[indices]))
 
     def view(self, i: int, device: torch.device) -> Views:
         """The camera of view `i` in this frame: the method's own of a training view, else the true one brought here."""
@@ -103,8 +102,7 @@ class Frame:
         if i in self.indices:
             viewmat = self.cameras[self.indices.index(i)][None]
         else:
-            true = np.asarray(rig.viewmats, np.float64)[i : i + 1]
-            viewmat = torch.as_tensor(to_estimated(self.alignment.similarity, true))
+            viewmat = to_estimated(self.alignment.similarity, true_cameras(self.capture)[i : i + 1])
         K = torch.as_tensor(np.asarray(rig.Ks, np.float64)[i : i + 1])
         views = Views(viewmat.to(torch.float32), K.to(torch.float32), rig.width, rig.height)
         return dataclasses.replace(views, viewmats=views.viewmats.to(device), Ks=views.Ks.to(device))
@@ -123,3 +121,8 @@ class Frame:
             "mean_centre_error": float(np.mean(found.centre_error)),
             "depth_scale": float(found.similarity.scale),
         }
+
+
+def true_cameras(capture: Capture) -> Tensor:
+    """World-to-camera matrices of all views [C, 4, 4] float64."""
+    return torch.from_numpy(np.asarray(capture.cameras.rig.viewmats, np.float64))

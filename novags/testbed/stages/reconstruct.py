@@ -11,7 +11,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.cameras import CameraConfig, CameraEstimate, KnownConfig
+from novags.cameras import CameraConfig, CameraEstimate, KnownConfig, spell_cameras
 from novags.methods import METHODS, chosen
 from novags.methods.noise import camera_noise
 from novags.methods.problem import Problem, RawPictures
@@ -26,7 +26,7 @@ from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.png import write_png
 from novags.testbed.folders.run import CHECKPOINTS, EVENTS
 from novags.testbed.folders.set import Source
-from novags.testbed.stages.camera_source import Frame, estimate_cameras
+from novags.testbed.stages.camera_source import Frame, cameras_of
 from novags.testbed.stages.paths import keep_apart
 from simscenes.sets.exr import write_exr
 
@@ -55,7 +55,7 @@ class ReconstructConfig:
         """What decides the result."""
         return {
             "method": self.variant.method, "points": self.points, "seed": self.seed,
-            "cameras": {"source": type(self.cameras).__name__, **asdict(self.cameras)}, "config": asdict(self.config),
+            "cameras": spell_cameras(self.cameras), "config": asdict(self.config),
         }  # fmt: skip
 
 
@@ -104,7 +104,7 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
     if len(wanted) < 2:
         raise ValueError(f"{capture.path} has {len(wanted)} training view(s), at least 2 are needed")
     device = chosen_device(config.device, console)
-    estimate = estimate_cameras(config.cameras, capture, source, wanted, config.points, config.seed, device, console)
+    estimate = cameras_of(config.cameras, capture, source, wanted, config.points, config.seed, device, console)
     indices = [wanted[k] for k in estimate.registered]
     if len(indices) < len(wanted):
         lost = [capture.names[i] for i in wanted if i not in indices]
