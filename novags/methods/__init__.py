@@ -53,7 +53,6 @@ _FAST: dict[str, Any] = {
     "denoiser.blind_spots.mask_fraction": 0.2,
     "denoiser.blind_spots.laplacian_share": 0.0,
     "denoiser.blind_spots.per_channel": None,
-    "denoiser.warmup_steps": 400,
     "denoiser.denoise_every": None,
     "denoiser.batch": 4,
     "denoiser.crop": 48,

@@ -93,7 +93,7 @@ def report_context(material: Material, progress: Update) -> dict[str, Any]:
         "compared": {"left": material.bound("floor") or material.main, "right": material.main},
         "error_ceiling": ERROR_CEILING,
         "rows": material.rows,
-        "tables": {kind: table for kind in COLUMNS if (table := score_table(material.metrics, kind, competes))},
+        "tables": {kind: score_table(material.metrics, kind, competes) for kind in COLUMNS},
         "columns": COLUMNS,
         "geometry": geometry_table(material),
         "geometry_columns": GEOMETRY,

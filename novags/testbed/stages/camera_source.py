@@ -117,8 +117,8 @@ class Frame:
             "registered_share": len(self.indices) / len(train),
             "rotation_deg": [float(v) for v in found.rotation_deg],
             "centre_error": [float(v) for v in found.centre_error],
-            "mean_rotation_deg": float(np.mean(found.rotation_deg)),
-            "mean_centre_error": float(np.mean(found.centre_error)),
+            "mean_rotation_deg": float(found.rotation_deg.mean()),
+            "mean_centre_error": float(found.centre_error.mean()),
             "depth_scale": float(found.similarity.scale),
         }
 
