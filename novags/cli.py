@@ -4,59 +4,17 @@ import os
 import signal
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import tyro
 
+from novags.options import LIGHT, Device, Folder, Light, Listed, Name, PresetName
+
 if TYPE_CHECKING:  # heavy: torch and its friends load when a command runs, so that --help answers at once
     from novags.methods.variant import Variant
     from novags.testbed.console import Console
-
-PresetName = Literal["demo", "small", "paper"]
-Device = Literal["auto", "cpu", "cuda"]
-Listed = Literal["all", "scenes", "sensors", "methods", "presets", "cameras"]
-Folder = Annotated[Path, tyro.conf.Positional]
-Name = Annotated[str, tyro.conf.Positional]
-
-
-@dataclass(frozen=True)
-class LightOptions:
-    """How light gets from the lamps to the sensor."""
-
-    variant: str = "auto"
-    """Mitsuba variant."""
-    on: tuple[str, ...] = ()
-    """Effects of light to simulate whatever the plan says, by the names that `novags plan` prints."""
-    off: tuple[str, ...] = ()
-    """Effects of light to leave out."""
-    max_depth: int | None = None
-    """Longest path of light, as Mitsuba counts; the plan chooses if not given."""
-    aperture_radius: float | None = None
-    """Radius of the lens opening in scene units; a file's own lens, else a pinhole, if not given; 0 for a pinhole."""
-    focus_distance: float | None = None
-    """Depth that is sharp, in scene units."""
-    motion: float | None = None
-    """How far the cameras travel during the exposure, as a fraction of the way to the next view."""
-    response: str | None = None
-    """Measured colour sensitivities of a camera, by colour-science's name ("Nikon 5100 (NPL)"): the set then holds what
-    its filters see instead of linear sRGB, from spectra where the scene calls for them."""
-    allow_outside: bool = False
-    """Trust a Mitsuba file: let it read files outside its folder."""
-
-    def settings(self) -> dict[str, Any]:
-        """As `RenderConfig` takes them."""
-        from simscenes import Optics
-
-        lens = {"aperture_radius": self.aperture_radius, "focus_distance": self.focus_distance}
-        return {
-            "variant": self.variant, "on": self.on, "off": self.off, "max_depth": self.max_depth,
-            "allow_outside": self.allow_outside, "optics": Optics(**lens, motion=self.motion, camera=self.response),
-        }  # fmt: skip
-
-
-Light = Annotated[LightOptions, tyro.conf.arg(name=""), tyro.conf.OmitArgPrefixes]
 
 
 def run(
@@ -121,7 +79,7 @@ def run(
 def plan(
     scene: Name, *, sensor: str, electrons: float, time: float = 1 / 30, preset: PresetName = "demo",
     width: int | None = None, height: int | None = None, tolerance: float = 0.05, light_tolerance: float = 0.02,
-    light: Light = LightOptions(),
+    light: Light = LIGHT,
 ) -> None:  # fmt: skip
     """What would be simulated, what would not, why, and the bound on the error of leaving it out.
 
@@ -155,7 +113,7 @@ def plan(
 
 def render(
     scene: Name, *, out: Path, views: int = 32, width: int = 128, height: int = 128, spp: int | None = None,
-    target_error: float | None = None, light: Light = LightOptions(),
+    target_error: float | None = None, light: Light = LIGHT,
     export: tuple[Literal["blender", "llff"], ...] = (), seed: int = 0,
 ) -> None:  # fmt: skip
     """Render a scene into a ground-truth multiview set.
