@@ -125,4 +125,4 @@ class Frame:
 
 def true_cameras(capture: Capture) -> Tensor:
     """World-to-camera matrices of all views [C, 4, 4] float64."""
-    return torch.tensor(np.asarray(capture.cameras.rig.viewmats, np.float64))
+    return torch.from_numpy(np.array(capture.cameras.rig.viewmats, np.float64))
