@@ -1,9 +1,4 @@
-"""Where cameras and first points come from. `SOURCES` names the sources; `align` compares what they give to the truth.
-
-config = parse_cameras("sfm:pictures=denoised,mapper=global")
-check_cameras(config)                                        # before hours of other work
-estimate = estimate_cameras(config, multiview, indices, dark, pictures=pictures, n_points=20_000)
-"""
+"""Where cameras and first points come from. `SOURCES` names the sources; `align` compares them to the truth."""
 
 from dataclasses import dataclass
 from typing import Any

@@ -212,7 +212,7 @@ def _pairs(count: int) -> np.ndarray:
 def _fit(estimated: Array, true: Array, extent: float) -> _Fits:
     """Least squares of the error over the cameras of each group, [H, G, 4, 4].
 
-    For a given scale s the rotation maximises trace(R^T (s A / extent² + B)), where A = sum of true times estimated
+    For a given scale s the rotation maximises trace(R^T (2 s A / extent² + B)), where A = sum of true times estimated
     centres about their means and B = sum of R_true^T R_estimated (|R - Q|² = 2 angle² for small angles); for a given
     rotation s = trace(R^T A) / sum of squared estimated centres (Umeyama 1991). The two take turns.
     """
@@ -225,7 +225,7 @@ def _fit(estimated: Array, true: Array, extent: float) -> _Fits:
     # Of the spreads alone: where centres and rotations contradict each other, the other formula may turn negative.
     scales = first = np.sqrt((ct**2).sum((1, 2)) / squares)
     for _ in range(10):
-        rotations = _nearest_rotations(scales[:, None, None] * A / extent**2 + B)
+        rotations = _nearest_rotations(2 * scales[:, None, None] * A / extent**2 + B)
         scales = (rotations * A).sum((1, 2)) / squares
         scales = np.where(scales > 0, scales, first)
     translations = mean_t - scales[:, None] * np.einsum("hij,hj->hi", rotations, mean_e)

@@ -19,7 +19,8 @@ def parse_settings(text: str, choices: Mapping[str, type[Any]], what: str) -> An
         ValueError: If the name or a setting is unknown, a setting is given twice or without value or is missing, or a
             value does not fit.
     """
-    name, _, rest = text.strip().partition(":")
+    name, _, rest = text.partition(":")
+    name = name.strip()
     if name not in choices:
         raise ValueError(f"unknown {what} {name!r}{_meant(name, choices)}; there are {', '.join(choices)}")
     config, found = choices[name], dict[str, Any]()
@@ -55,10 +56,8 @@ def _meant(word: str, known: Iterable[str]) -> str:
 
 def _value(text: str, kind: Any, where: str) -> Any:
     if get_origin(kind) is Literal:
-        if text not in get_args(kind):
-            raise ValueError(
-                f"{where} must be one of {', '.join(get_args(kind))}{_meant(text, get_args(kind))}, got {text!r}"
-            )
+        if text not in (known := get_args(kind)):
+            raise ValueError(f"{where} must be one of {', '.join(known)}, got {text!r}{_meant(text, known)}")
         return text
     if kind is bool:
         if text.lower() not in ("true", "false"):

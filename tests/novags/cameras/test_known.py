@@ -6,7 +6,8 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from novags.cameras.known import known, perturb
+from novags.cameras.align import align
+from novags.cameras.known import KnownConfig, known, perturb
 from simscenes.rigs import Rig, orbit_rig
 from simscenes.sets.multiview import load_set
 
@@ -54,8 +55,9 @@ def test_points_from_depth_lie_on_the_surface_and_see_the_dark_colours():
     assert start.viewmats.dtype == start.Ks.dtype == torch.float64
     assert start.points[:, 2].abs().max() < 1e-5
     torch.testing.assert_close(start.colors, torch.full((300, 3), 0.07))
-    # the cameras pass through an inverse, which rounds
-    np.testing.assert_allclose(start.viewmats.numpy(), multiview.rig.viewmats[[1, 2]], rtol=0, atol=1e-12)
+    assert start.registered == (0, 1)
+    np.testing.assert_array_equal(start.viewmats.numpy(), multiview.rig.viewmats[[1, 2]])
+    np.testing.assert_array_equal(start.Ks.numpy(), multiview.rig.Ks[[1, 2]])
     # Every point comes from a pixel centre of one of the two views, and is in frame there.
     from_centre = []
     for viewmat, K in zip(start.viewmats, start.Ks, strict=True):
@@ -88,7 +90,7 @@ def test_colours_are_averaged_over_neighbours():
 
 def test_depth_errors_scale_the_depth_of_each_view_as_a_whole():
     multiview = FakeSet(cameras())
-    start = known(multiview, [2], shaded(1), n_points=400, depth_error=0.3, seed=1)
+    start = known(multiview, [2], shaded(1), n_points=400, config=KnownConfig(depth_error=0.3), seed=1)
     inside = start.points.double() @ start.viewmats[0, :3, :3].T + start.viewmats[0, :3, 3]
     pixels = inside @ start.Ks[0].T
     column, row = (pixels[:, :2] / pixels[:, 2:]).T
@@ -113,10 +115,22 @@ def test_perturbations_have_the_stated_root_mean_square():
     np.testing.assert_allclose(perturb(exact, 0.0, 0.0, np.random.default_rng(0)), exact, atol=1e-14)
 
 
+def test_cameras_are_wrong_by_the_stated_errors_and_the_extent_is_the_true_one():
+    multiview, config = FakeSet(cameras(40)), KnownConfig(rotation_deg=2.0, translation=0.05)
+    exact, moved = (
+        known(multiview, list(range(40)), shaded(40), n_points=50, config=c, seed=3) for c in (KnownConfig(), config)
+    )
+    assert moved.extent == exact.extent
+    found = align(moved.viewmats, exact.viewmats)
+    # 120 normal numbers: relative sd of the root mean square 1 / sqrt(240); the alignment takes 7 of 240 away.
+    assert float(found.rotation_deg.square().mean().sqrt()) == pytest.approx(2.0, rel=0.35)
+    assert float(found.centre_error.square().mean().sqrt()) == pytest.approx(0.05, rel=0.35)
+
+
 def test_points_follow_the_perturbed_cameras():
     multiview = FakeSet(cameras())
     exact = known(multiview, [0], shaded(1), n_points=10_000)
-    moved = known(multiview, [0], shaded(1), n_points=10_000, rotation_deg=3.0, translation=0.2)
+    moved = known(multiview, [0], shaded(1), n_points=10_000, config=KnownConfig(rotation_deg=3.0, translation=0.2))
 
     def seen(start) -> torch.Tensor:
         return start.points.double() @ start.viewmats[0, :3, :3].T + start.viewmats[0, :3, 3]
@@ -153,12 +167,16 @@ def test_parallel_and_single_cameras_still_give_finite_points(count):
     assert torch.isfinite(start.colors).all()
 
 
-@pytest.mark.parametrize(
-    "wrong", [{"n_points": 1}, {"n_points": 50, "rotation_deg": -1.0}, {"n_points": 50, "depth_error": -0.1}]
-)
-def test_impossible_requests_are_refused(wrong):
-    with pytest.raises(ValueError, match="errors >= 0"):
-        known(FakeSet(cameras()), [0], shaded(1), **wrong)
+def test_impossible_requests_are_refused():
+    with pytest.raises(ValueError, match="n_points must be >= 2, got 1"):
+        known(FakeSet(cameras()), [0], shaded(1), n_points=1)
+
+
+@pytest.mark.parametrize("name", ["rotation_deg", "translation", "depth_error"])
+@pytest.mark.parametrize("value", [-0.1, float("inf"), float("nan")])
+def test_impossible_errors_are_refused(name, value):
+    with pytest.raises(ValueError, match=f"{name} of known cameras must be finite and >= 0"):
+        KnownConfig(**{name: value})
 
 
 def test_images_of_another_number_or_size_are_refused():

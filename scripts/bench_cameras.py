@@ -1,0 +1,137 @@
+"""How cameras fare in the dark.
+
+    python scripts/bench_cameras.py registered --set SET --out FILE.json
+        the share of views that structure from motion registers, and how right they are, at 2 to 1000 electrons, on the
+        dark pictures as they are, enhanced, and enhanced and denoised, by both mappers
+
+SET is a folder that `novags render` wrote. Results are kept in FILE.json row by row: the same command continues.
+"""
+
+import argparse
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+ELECTRONS = (2.0, 5.0, 20.0, 80.0, 1000.0)
+PICTURES = ("raw", "enhanced", "denoised")
+MAPPERS = ("incremental", "global")
+SENSOR = "a7s2-iso6400-3chip"
+STEPS = 300  # of the denoiser: a minute at 160 px; it is the one of the preset demo
+RIGHT_DEG = 5.0  # a registered camera further off than this is not a camera one could start from
+
+
+def captured(radiances: list[np.ndarray], electrons: float, seed: int) -> Tensor:
+    """Dark 8-bit pictures of one camera, [C, h, w, 3] in 0..1."""
+    from sensor_model import PRESETS, Exposure, develop, expose, photons_for_electrons
+
+    sensor, mean_green = PRESETS[SENSOR], float(np.mean([r[..., 1].mean() for r in radiances]))
+    codes = []
+    for view, radiance in enumerate(radiances):
+        photons = photons_for_electrons(radiance, electrons=electrons, mean_green=mean_green, sensor=sensor)
+        codes.append(develop(expose(photons, sensor, Exposure(time=1 / 30), seed=seed, view=view), sensor).srgb8)
+    return torch.from_numpy(np.stack(codes).astype(np.float32) / 255)
+
+
+def denoised(enhanced: Tensor, steps: int, seed: int) -> Tensor:
+    """What the self-supervised denoiser of the preset demo makes of them after a short training."""
+    from novags.methods.nova.denoiser import Denoiser
+    from novags.testbed.presets import FAST_DENOISER
+
+    denoiser = Denoiser(enhanced, replace(FAST_DENOISER, warmup_steps=steps), total_steps=steps, seed=seed)
+    for _ in range(steps):
+        denoiser.train_step()
+    return denoiser.denoise_all()
+
+
+def measure(pictures: Tensor, dark: Tensor, true: np.ndarray, Ks: np.ndarray, mapper: str, seed: int) -> dict[str, Any]:
+    """Share of the views that register and that are right, and the median rotation error of those that register."""
+    from novags.cameras.align import align
+    from novags.cameras.sfm import SfmConfig, structure_from_motion
+
+    codes = (pictures * 255).round().to(torch.uint8).numpy()
+    start = time.perf_counter()
+    row: dict[str, Any] = {"registered": 0.0, "right": 0.0, "rotation_deg": None, "centre_error": None}
+    try:
+        config = SfmConfig(mapper=mapper)
+        found = structure_from_motion(codes, Ks, dark, n_points=1000, config=config, seed=seed)
+        aligned = align(found.viewmats, torch.tensor(true)[list(found.registered)])
+    except ValueError as error:  # too few views: it is what is measured
+        return row | {"seconds": time.perf_counter() - start, "error": str(error)}
+    return {
+        "registered": len(found.registered) / len(true),
+        "right": int((aligned.rotation_deg < RIGHT_DEG).sum()) / len(true),
+        "rotation_deg": float(aligned.rotation_deg.median()),
+        "centre_error": float(aligned.centre_error.median()),
+        "seconds": time.perf_counter() - start,
+    }
+
+
+def registered(options: argparse.Namespace) -> None:
+    """Measure what is missing, print the table."""
+    from novags.methods.enhancers.guided import enhance
+    from simscenes import load_set
+
+    multiview = load_set(options.set)
+    views, true = range(len(multiview)), multiview.rig.viewmats
+    radiances = [multiview.radiance(i) for i in views]
+    rows: dict[str, Any] = json.loads(options.out.read_text()) if options.out.exists() else {}
+    for electrons in options.electrons:
+        dark = captured(radiances, electrons, options.seed)
+        pictures = {"raw": dark, "enhanced": enhance(dark)[0]}
+        for kind in PICTURES:
+            for mapper in MAPPERS:
+                key = f"{electrons:g} {kind} {mapper} {options.seed}"
+                if key in rows:
+                    continue
+                if kind not in pictures:
+                    pictures[kind] = denoised(pictures["enhanced"], options.steps, options.seed)
+                rows[key] = measure(pictures[kind], dark, true, multiview.rig.Ks, mapper, options.seed)
+                options.out.write_text(json.dumps(rows, indent=1) + "\n")
+                print(f"{key}: {rows[key]}", flush=True)
+    print(f"\n{table(rows, options.electrons, options.seed)}")
+
+
+def table(rows: dict[str, Any], electrons: list[float], seed: int) -> str:
+    """Markdown: a row for each kind of picture and mapper, a column for each light."""
+    lines = [
+        "| pictures, mapper | " + " | ".join(f"{e:g} e-" for e in electrons) + " |",
+        "|---" * (len(electrons) + 1) + "|",
+    ]
+    for kind in PICTURES:
+        for mapper in MAPPERS:
+            cells = [cell(rows[f"{e:g} {kind} {mapper} {seed}"]) for e in electrons]
+            lines.append(f"| {kind}, {mapper} | {' | '.join(cells)} |")
+    return "\n".join(lines)
+
+
+def cell(row: dict[str, Any]) -> str:
+    """Registered share, right share if it is smaller, median rotation error."""
+    if not row["registered"]:
+        return "0 %"
+    right = "" if row["right"] == row["registered"] else f" ({100 * row['right']:.0f} % right)"
+    return f"{100 * row['registered']:.0f} %{right}, {row['rotation_deg']:.2f}°"
+
+
+def main() -> None:
+    """Parse, measure, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(required=True)
+    command = commands.add_parser("registered", help="share of views that structure from motion registers")
+    command.add_argument("--set", type=Path, required=True)
+    command.add_argument("--out", type=Path, required=True)
+    command.add_argument("--electrons", type=float, nargs="+", default=list(ELECTRONS))
+    command.add_argument("--steps", type=int, default=STEPS, help="of the denoiser")
+    command.add_argument("--seed", type=int, default=0)
+    command.set_defaults(run=registered)
+    options = parser.parse_args()
+    options.run(options)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,157 @@
+from dataclasses import fields
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from novags import cameras
+from novags.cameras import (
+    SOURCES,
+    KnownConfig,
+    SfmConfig,
+    VggtConfig,
+    check_cameras,
+    estimate_cameras,
+    parse_cameras,
+    spell_cameras,
+)
+from novags.cameras.estimate import CameraEstimate
+
+configs = st.one_of(
+    st.builds(KnownConfig, **{f.name: st.floats(0, 90) for f in fields(KnownConfig)}),
+    st.builds(
+        SfmConfig,
+        pictures=st.sampled_from(["raw", "enhanced", "denoised"]),
+        mapper=st.sampled_from(["incremental", "global"]),
+        max_features=st.integers(8, 10_000),
+        peak_threshold=st.floats(1e-9, 1),
+        first_octave=st.sampled_from([-1, 0, 1]),
+    ),
+    st.builds(
+        VggtConfig, checkpoint=st.sampled_from([Path("w.pt"), Path("a b/c=d:e.pt")]), drop_percent=st.floats(0, 99)
+    ),
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "config"),
+    [
+        ("known", KnownConfig()),
+        ("known:", KnownConfig()),
+        ("known:rotation_deg=1,translation=0.01", KnownConfig(rotation_deg=1.0, translation=0.01)),
+        (" known : depth_error = 1e-2 ", KnownConfig(depth_error=0.01)),
+        ("sfm", SfmConfig()),
+        ("sfm:pictures=enhanced,mapper=global", SfmConfig(pictures="enhanced", mapper="global")),
+        ("sfm:max_features=500,first_octave=-1", SfmConfig(max_features=500)),
+        (
+            "vggt:checkpoint=some/where.pt,drop_percent=5",
+            VggtConfig(checkpoint=Path("some/where.pt"), drop_percent=5.0),
+        ),
+    ],
+)
+def test_sources_are_spelled_in_one_word(text, config):
+    assert parse_cameras(text) == config
+
+
+@settings(derandomize=True, deadline=None)
+@given(config=configs)
+def test_what_is_spelled_is_parsed_back(config):
+    assert parse_cameras(spell_cameras(config)) == config
+
+
+def test_defaults_are_not_spelled():
+    assert spell_cameras(KnownConfig()) == "known"
+    assert spell_cameras(SfmConfig(mapper="global")) == "sfm:mapper=global"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("knwn", r"unknown cameras 'knwn' \(did you mean known\?\); there are known, sfm, vggt"),
+        ("sfm:maper=global", r"cameras sfm has no setting 'maper' \(did you mean mapper\?\); it has pictures, mapper"),
+        ("known:translation", "cameras known: write translation=VALUE"),
+        ("known:translation=", "cameras known: write translation=VALUE"),
+        ("known:translation=1,translation=2", "translation is given twice"),
+        ("known:translation=far", "translation must be a number, got 'far'"),
+        ("sfm:max_features=1.5", "max_features must be a whole number, got '1.5'"),
+        ("sfm:mapper=globl", r"mapper must be one of incremental, global, got 'globl' \(did you mean global\?\)"),
+        ("known:rotation_deg=-1", "rotation_deg of known cameras must be finite and >= 0"),
+        ("vggt", "cameras vggt needs checkpoint: write vggt:checkpoint=VALUE"),
+    ],
+)
+def test_what_cannot_be_read_says_why(text, message):
+    with pytest.raises(ValueError, match=message):
+        parse_cameras(text)
+
+
+def test_every_source_has_a_line_and_a_configuration_of_its_own():
+    assert list(SOURCES) == ["known", "sfm", "vggt"]
+    assert len({source.config for source in SOURCES.values()}) == 3
+    assert all(0 < len(source.description) < 90 and "\n" not in source.description for source in SOURCES.values())
+
+
+def test_sources_are_checked_before_they_are_used(monkeypatch):
+    import pycolmap
+
+    check_cameras(KnownConfig())
+    check_cameras(SfmConfig(mapper="global"))
+    with pytest.raises(ValueError, match="vggt"):
+        check_cameras(VggtConfig(checkpoint=Path("nowhere.pt")))
+    monkeypatch.delattr(pycolmap, "global_mapping")
+    check_cameras(SfmConfig())
+    with pytest.raises(ValueError, match="no global mapper"):
+        check_cameras(SfmConfig(mapper="global"))
+
+
+def test_each_configuration_runs_its_source_on_the_views_that_are_asked_for(monkeypatch):
+    calls = []
+    for name in ("known_cameras", "structure_from_motion", "vggt_cameras"):
+        monkeypatch.setattr(cameras, name, lambda *a, name=name, **k: calls.append((name, a, k)))
+    multiview = SimpleNamespace(rig=SimpleNamespace(Ks=np.arange(5.0)[:, None, None] * np.ones((5, 3, 3))))
+    dark = torch.tensor([0.0, 1 / 255, 0.5, 1.0]).reshape(1, 2, 2, 1).repeat(2, 1, 1, 3)
+    shared = {"n_points": 7, "seed": 3}
+    configs = KnownConfig(), SfmConfig(), VggtConfig(checkpoint=Path("w.pt"))
+    for config in configs:
+        estimate_cameras(config, multiview, [1, 4], dark, device="meta", **shared)
+    (known, known_args, known_how), (sfm, sfm_args, sfm_how), (vggt, vggt_args, vggt_how) = calls
+    assert (known, sfm, vggt) == ("known_cameras", "structure_from_motion", "vggt_cameras")
+    assert known_args == (multiview, [1, 4], dark)
+    assert known_how == {**shared, "config": configs[0]}
+    assert sfm_how == {**shared, "config": configs[1], "progress": None}
+    assert vggt_how == {**shared, "config": configs[2], "device": "meta"}
+    np.testing.assert_array_equal(sfm_args[1][:, 0, 0], [1.0, 4.0])
+    for args in (sfm_args, vggt_args):
+        np.testing.assert_array_equal(args[0][1, ..., 0], [[0, 1], [128, 255]])
+        assert args[0].dtype == np.uint8
+    with pytest.raises(ValueError, match="cameras from denoised pictures need these pictures"):
+        estimate_cameras(SfmConfig(pictures="denoised"), multiview, [1, 4], dark, **shared)
+    given = np.zeros((2, 2, 2, 3), np.uint8)
+    estimate_cameras(SfmConfig(pictures="denoised"), multiview, [1, 4], dark, pictures=given, **shared)
+    assert calls[-1][1][0] is given
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"registered": (1, 0)}, "increasing positions"),
+        ({"registered": (1, 1)}, "increasing positions"),
+        ({"registered": (-1, 0)}, "increasing positions"),
+        ({"registered": (0,)}, "for R = 1 registered views"),
+        ({"Ks": torch.eye(3).repeat(3, 1, 1)}, "for R = 2 registered views"),
+        ({"colors": torch.zeros(3, 3)}, "for R = 2 registered views"),
+        ({"points": torch.full((4, 3), torch.inf)}, "points of a camera estimate must be finite"),
+        ({"viewmats": torch.full((2, 4, 4), torch.nan)}, "viewmats of a camera estimate must be finite"),
+    ],
+)
+def test_an_estimate_that_contradicts_itself_is_refused(change, message):
+    right = {
+        "registered": (0, 2), "viewmats": torch.eye(4).repeat(2, 1, 1), "Ks": torch.eye(3).repeat(2, 1, 1),
+        "points": torch.zeros(4, 3), "colors": torch.zeros(4, 3), "extent": 1.0,
+    }  # fmt: skip
+    CameraEstimate(**right)
+    with pytest.raises(ValueError, match=message):
+        CameraEstimate(**(right | change))
