@@ -2,38 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Sequence
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from sensor_model.plan import Plan
 from simscenes.backend import backend_of, using_variant
-from simscenes.job.cost import Stopwatch, peak_bytes, predict_seconds, versions
-from simscenes.job.finish import ViewStore, finish_set, view_store
+from simscenes.job.cost import Stopwatch, peak_bytes, versions
+from simscenes.job.finish import finish_set, view_store
 from simscenes.job.identity import (
     SPENT,
-    VIEW_KEY,
-    finished_view,
     is_complete,
     job_digest,
     plan_identity,
     seconds_spent,
-    view_key,
     without_nan,
 )
+from simscenes.job.views import Job, Progress, render_views
 from simscenes.loading.load import LoadedScene, build_scene, set_light_weights
 from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.optics import Optics
 from simscenes.render.framing import usual_rig, with_lens
-from simscenes.render.geometry import check_cameras, geometry_channels
-from simscenes.render.radiance import Method, Tick, View
+from simscenes.render.radiance import Method
 from simscenes.rigs import Rig
 from simscenes.sets.camera_files import write_json
 from simscenes.sets.export import EXPORTS
-from simscenes.sets.exr import write_exr
 from simscenes.sets.multiview import MultiviewSet, load_set
 from simscenes.transport.plan import APERTURE, MOTION, TransportPlan
 from simscenes.transport.planner import default_plan, plan_loaded
@@ -45,25 +39,6 @@ ERROR_SEEN = (
     "relative_error is the spread between independent passes: noise only. It cannot see what every pass lacks, such as "
     "paths beyond max_depth or a caustic that no pass has found, nor the error of three colour channels; see plan."
 )
-
-Progress = Callable[[int, int, str], None]
-
-
-@dataclass(frozen=True)
-class _Job:
-    """What every view of one call shares."""
-
-    method: Method
-    surfaces: LoadedScene  # in RGB, for the geometry; the scene of `method` may be spectral
-    variant: str
-    rig: Rig
-    out: Path
-    names: list[str]
-    config: dict[str, Any]  # all that the pixels depend on
-    digest: str  # of the whole job
-    store: ViewStore
-    watch: Stopwatch
-    progress: Progress
 
 
 def render_set(
@@ -141,8 +116,8 @@ def render_set(
     (out / "set.json").unlink(missing_ok=True)
     watch.earlier = seconds_spent(out, digest)
     with view_store(out, rig, optics.camera) as store:
-        job = _Job(method, loaded, variant, rig, out, names, pixels, digest, store, watch, report)
-        views, predicted = _render_views(job)
+        job = Job(method, loaded, variant, rig, out, names, pixels, digest, store, watch, report)
+        views, predicted = render_views(job)
         with watch.stage("write"):
             finished = finish_set(out, names, rig, seed, store)
     found = {**finished, "views": views, "predicted_seconds": predicted}
@@ -151,7 +126,7 @@ def render_set(
     return _exported(load_set(out), export)
 
 
-def _facts(job: _Job, made: TransportPlan) -> dict[str, Any]:
+def _facts(job: Job, made: TransportPlan) -> dict[str, Any]:
     """What set.json says beside the configuration and the results of the views."""
     surfaces, rig = job.surfaces, job.rig
     return {
@@ -206,71 +181,3 @@ def _method(
         colored = loaded if made.color == "rgb" else build_scene(source, mi, allow_outside=allow_outside)
         set_light_weights(colored, made.light_weights, mi)
         return Method(mi, mi.variant(), colored, mi.load_dict(made.integrator()), optics, frames, seed)
-
-
-def _render_views(job: _Job) -> tuple[dict[str, Any], float]:
-    """Render what is missing: samples, error and fireflies of every view, and the seconds predicted beforehand."""
-    (job.out / "gt").mkdir(parents=True, exist_ok=True)
-    paths = [job.out / "gt" / f"{name}.exr" for name in job.names]
-    for stale in set((job.out / "gt").glob("[0-9]*.exr")) - set(paths):  # of a larger set; other files are not ours
-        stale.unlink()
-    keys = [view_key(job.config, job.rig, i) for i in range(len(paths))]
-    headers = [_rendered_before(job, i, path, key) for i, (path, key) in enumerate(zip(paths, keys, strict=True))]
-    missing = [i for i, header in enumerate(headers) if header is None]
-    predicted, views = 0.0, {i: View(job.method, job.rig, i) for i in missing}
-    if missing:
-        job.progress(len(paths) - len(missing), len(paths), "predicting the time")
-        with job.watch.stage("predict"):
-            with using_variant(job.variant) as mi:
-                check_cameras(mi, job.surfaces, job.rig)
-            with using_variant(job.method.variant):
-                predicted = predict_seconds(job.method, job.rig, views, job.config["spp"], job.config["target_error"])
-    left = predicted / max(len(missing), 1)  # seconds a view
-    for done, i in enumerate(missing):
-
-        def tick(part: float, i: int = i, done: int = done, each: float = left) -> None:
-            seconds = each * (len(missing) - done - part)
-            what = f"view {job.names[i]}, {part:.0%}, about {seconds:.0f} s left"
-            job.progress(len(paths) - len(missing) + done, len(paths), what)
-
-        tick(0.0)
-        headers[i] = _render_view(job, views.pop(i), paths[i], keys[i], tick)
-        write_json(job.out / SPENT, {"digest": job.digest, "seconds": job.watch.with_earlier()})
-        # From here on the past predicts better than the pilot did; radiance and geometry are what repeats per view.
-        left = (job.watch.seconds["radiance"] + job.watch.seconds["geometry"]) / (done + 1)
-    found = {
-        name: {"spp": int(h["spp"]), "relative_error": float(h["relativeError"]), "fireflies": int(h["fireflies"])}
-        for name, h in zip(job.names, headers, strict=True)
-        if h is not None
-    }
-    fireflies = sum(view["fireflies"] for view in found.values())
-    job.progress(len(paths), len(paths), f"images; {fireflies} fireflies, see set.json" if fireflies else "images")
-    return found, predicted
-
-
-def _rendered_before(job: _Job, i: int, path: Path, key: str) -> dict[str, Any] | None:
-    """Header of a view that an earlier call finished, else None; its light and depth go into the store."""
-    with job.watch.stage("write"):
-        if (found := finished_view(path, key)) is None:
-            return None
-        channels, header = found
-        job.store.put(i, channels)
-        return header
-
-
-def _render_view(job: _Job, view: View, path: Path, key: str, tick: Tick) -> dict[str, Any]:
-    with job.watch.stage("geometry"), using_variant(job.variant) as mi:
-        channels = geometry_channels(mi, job.surfaces, job.rig, view.i)
-    with job.watch.stage("radiance"), using_variant(job.method.variant):
-        radiance = view.render(job.config["spp"], job.config["target_error"], tick)
-    for k, c in enumerate("RGB"):
-        channels[c] = np.maximum(radiance.mean[..., k], 0)  # spectral light outside the sRGB triangle ends at its edge
-        channels[f"var.{c}"] = radiance.variance[..., k]
-    header = {
-        "spp": radiance.spp, "relativeError": radiance.error, "fireflies": radiance.fireflies, VIEW_KEY: key,
-        "worldToCamera": job.rig.viewmats[view.i].astype(np.float32),
-    }  # fmt: skip
-    with job.watch.stage("write"):
-        write_exr(path, channels, header)
-        job.store.put(view.i, channels)
-    return header

@@ -14,8 +14,7 @@ from sensor_model import linear_to_srgb
 from simscenes import MultiviewSet, Optics, Rig, orbit_rig, read_exr, render_set
 from simscenes.backend import activate
 from simscenes.camera import camera_color
-from simscenes.job import finish, identity
-from simscenes.job import render_set as job
+from simscenes.job import finish, identity, views
 from simscenes.job.exposure import RunningQuantile
 from simscenes.rigs import unproject
 from simscenes.sets.correspondence import seen_in
@@ -87,7 +86,7 @@ class Watched:
 def watched(monkeypatch: pytest.MonkeyPatch) -> dict[str, Watched]:
     """Whatever brings a view's channels into memory: rendering, reading EXR files, the store."""
     seen = {"render": Watched(), "read": Watched(), "light": Watched(), "depth": Watched()}
-    monkeypatch.setattr(job, "geometry_channels", seen["render"](job.geometry_channels))
+    monkeypatch.setattr(views, "geometry_channels", seen["render"](views.geometry_channels))
     monkeypatch.setattr(identity, "read_exr", seen["read"](identity.read_exr))
     for name in ("light", "depth"):
         monkeypatch.setattr(finish.ViewStore, name, seen[name](getattr(finish.ViewStore, name)))
