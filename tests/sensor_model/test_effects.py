@@ -74,6 +74,28 @@ def test_telegraph_noise_raises_the_standard_deviation_by_its_factor(factor, tra
     assert len(np.unique(sample)) == (1 if factor == 1 else 2 * traps + 1)
 
 
+def test_larger_random_numbers_give_larger_values():
+    """Rationale: the distributions are symmetric, so a wrong sign would pass every test of moments."""
+    np.testing.assert_array_equal(effects.telegraph(np.array([0.2, 0.5, 0.8]), 2.0), [-2, 0, 2])
+    np.testing.assert_allclose(effects.pixel_response(np.array([-1.0, 0.0, 2.0]), 0.02), [0.98, 1, 1.04])
+    banding = Banding(amplitude=3.0, period=12.0)
+    rows = np.array([0, 1, 3, 6, 9])
+    np.testing.assert_allclose(effects.bands(0.0, rows, banding), [0, 1.5, 3, 0, -3], atol=1e-12)
+    np.testing.assert_allclose(effects.bands(0.25, rows, banding)[:3], [3, 3 * np.cos(np.pi / 6), 0], atol=1e-12)
+
+
+@pytest.mark.parametrize("lam", [-0.2, -0.004, 0.003, 0.05, 0.3])
+def test_excess_kurtosis_is_the_integral_of_the_fourth_power(lam):
+    """Independent reference: moments of the quantile function u = 1 / (1 + exp(-z)) up to its middle."""
+    u = 1 / (1 + np.exp(-np.linspace(-300, 0, 30_001)))
+    weight = u * (1 - u)
+    weight[-1] /= 2
+    weight /= weight.sum()
+    x = effects.tukey_quantile(u, lam)
+    second, fourth = (weight @ x**power for power in (2, 4))
+    assert effects.excess_kurtosis(lam) == pytest.approx(fourth / second**2 - 3, abs=2e-3)
+
+
 def test_several_traps_are_the_sum_of_single_ones():
     """Independent reference: that many sums of frames with one trap each."""
     one = [effects.telegraph(np.random.default_rng(i).random(N), 1.0) for i in range(3)]
@@ -148,6 +170,9 @@ def test_blooming_spills_half_up_and_half_down_and_conserves_charge():
     held = effects.blooming(charge, 100.0)
     np.testing.assert_allclose(held[:, 0], [0, 0, 0, 100, 100, 100, 0, 0, 0])
     np.testing.assert_allclose(held[:, 1], 0)
+    for row in (1, 7):  # the first and the last row take charge too
+        near_edge = effects.blooming(np.where(np.arange(9)[:, None] == row, 300.0, 0.0), 100.0)
+        np.testing.assert_allclose(near_edge[:, 0], np.where(abs(np.arange(9) - row) < 2, 100.0, 0.0))
 
 
 def test_full_well_and_nonlinearity_bend_the_response_as_stated():

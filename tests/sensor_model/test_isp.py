@@ -73,6 +73,44 @@ def test_half_resolution_averages_each_cell_and_keeps_noise_independent(cfa):
         assert abs(neighbours) < 5 / np.sqrt(60_000)
 
 
+def test_half_resolution_takes_each_value_from_its_own_cell():
+    sensor = replace(QUIET, cfa="GBRG", rgb_response=(1.0, 1.0, 1.0))
+    dn = 240 + np.arange(35.0).reshape(5, 7)
+    span = sensor.white_dn - 240
+    found = develop_linear(dn, sensor, demosaic="half") * span
+    for y in range(2):
+        for x in range(3):
+            g, b, r, g2 = dn[2 * y : 2 * y + 2, 2 * x : 2 * x + 2].ravel() - 240
+            np.testing.assert_allclose(found[y, x], [r, (g + g2) / 2, b], rtol=1e-5)
+
+
+def test_what_is_above_white_is_white_before_a_colour_matrix():
+    """Rationale: a clipped highlight would come out coloured."""
+    sensor = replace(QUIET, cfa=None)  # white balance lifts red and blue of a full pixel to 1.8 and 1.5
+    mixing = np.array([[1.6, -0.4, -0.2], [-0.3, 1.5, -0.2], [0.0, -0.6, 1.6]])
+    full = np.full((2, 2, 3), sensor.white_dn)
+    np.testing.assert_allclose(develop_linear(full, sensor, color_matrix=mixing), 1.0, rtol=1e-6)
+    np.testing.assert_allclose(develop_linear(full, sensor)[0, 0], 1 / np.array(sensor.rgb_response), rtol=1e-6)
+    partly = 240 + np.array([0.1, 0.2, 2.0]) * (sensor.white_dn - 240) * sensor.rgb_response
+    expected = mixing @ [0.1, 0.2, 1.0]
+    np.testing.assert_allclose(
+        develop_linear(partly[None, None], sensor, color_matrix=mixing)[0, 0], expected, rtol=1e-5
+    )
+
+
+def test_jpeg_keeps_the_order_of_the_channels():
+    """Independent reference: JPEG stores colour at half resolution, and luminance, 0.299 R + 0.587 G + 0.114 B, at full.
+    So of a chequerboard in one channel its luminance remains, in all three."""
+    from sensor_model.isp import through_jpeg
+
+    board = np.indices((32, 32)).sum(0) % 2 * 100 + 80
+    for channel, weight in ((0, 0.299), (2, 0.114)):
+        picture = np.full((32, 32, 3), 128, np.uint8)
+        picture[..., channel] = board
+        green = through_jpeg(picture, 95)[..., 1].astype(float)
+        assert green.std() == pytest.approx(50 * weight, rel=0.1)
+
+
 def test_three_chips_need_no_demosaicing():
     sensor = replace(QUIET, cfa=None)
     photons = photons_for_electrons(ramp(), electrons=500, mean_green=1.0, sensor=sensor)

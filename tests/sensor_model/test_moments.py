@@ -123,6 +123,22 @@ def test_blooming_moments_match_frames():
     assert spilled.sum() >= 1  # the last pixel that the charge reaches
 
 
+@pytest.mark.parametrize("coupling", [0.0, 0.05])
+def test_the_moments_of_coupled_pixels_bend_with_the_response(coupling):
+    """Independent reference: n - a n**2 over the normal distribution of the charge, by Gauss-Hermite quadrature.
+    Rationale: sampled frames leave the terms of second order in the spread unseen."""
+    sensor = camera({"nonlinearity": 0.3, "mu_e_sat": 1200.0, "coupling": coupling or 1e-12})
+    charge, droop = 700.0, 0.3 / 1200
+    x, weight = np.polynomial.hermite_e.hermegauss(40)
+    n = charge + np.sqrt(charge * ((1 - 4 * coupling) ** 2 + 4 * coupling**2)) * x
+    signal, weight = n - droop * n**2, weight / weight.sum()
+    frame = expose(np.full((5, 5), charge / 0.6), sensor, EXPOSURE, seed=0, view=0, shot="normal")
+    mean = weight @ signal
+    variance = weight @ (signal - mean) ** 2
+    assert frame.mean_dn[2, 2] == pytest.approx(100 + 1.3 * mean, rel=1e-6)
+    assert frame.variance_dn[2, 2] == pytest.approx(1.3**2 * (variance + 2.0**2) + 1 / 12, rel=3e-6)
+
+
 @pytest.mark.parametrize("shape", [(1, 1, 1), (1, 5, 1), (4, 1, 2), (4, 5, 3)])
 def test_coupled_variance_is_the_sum_of_the_squared_weights(shape):
     """Independent reference: what crosstalk makes of a single pixel gives the weights."""

@@ -71,6 +71,21 @@ def test_quantum_efficiency_curves_give_eta_and_relative_responses():
     np.testing.assert_allclose(response, heights / 0.7, rtol=0.02)
 
 
+def test_spectra_on_an_uneven_grid_are_integrated_by_trapezoids():
+    """Independent reference: numpy's own rule, on the photons times the quantum efficiency."""
+    rng = np.random.default_rng(0)
+    grid = np.sort(rng.uniform(400, 700, 17))
+    radiance, qe = rng.random((2, 3, 17)), rng.random((17, 3))
+    found = photons_from_spectrum(radiance, grid, LENS, EXPOSURE, qe=qe, eta=0.4)
+    single = photons_from_radiance(1.0, LENS, EXPOSURE, wavelength=1.0)  # photons grow in proportion to the wavelength
+    expected = np.trapezoid(radiance[..., None] * qe * grid[:, None], grid, axis=2) * single / 0.4
+    np.testing.assert_allclose(found, expected, rtol=1e-12)
+    eta, response = channel_response(grid, qe, radiance[0, 0])
+    charge = np.trapezoid(radiance[0, 0, :, None] * qe * grid[:, None], grid, axis=0)
+    assert eta == qe[:, 1].max()
+    np.testing.assert_allclose(response, charge / charge[1], rtol=1e-12)
+
+
 def test_lux_and_exposure_value_meet_in_luminance():
     """EV 0 at ISO 100 is 0.125 cd/m**2, and 2.5 lux on an 18 % card give 0.14: the rule of thumb of exposure tables."""
     assert luminance_from_ev(0) == 0.125
