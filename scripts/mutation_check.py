@@ -12,6 +12,7 @@ import argparse
 import contextlib
 import importlib
 import json
+import math
 import os
 import random
 import re
@@ -34,13 +35,17 @@ ROOT = Path(__file__).resolve().parents[1]
 EXCUSED = Path(__file__).parent / "mutation" / "excused.toml"
 # Sources, and the tests that answer for them.
 GROUPS = (
-    (("novags/methods/nova/*.py", "novags/methods/enhancers/*.py", "novags/methods/*.py"), ("tests/novags/methods",)),
+    (("novags/methods/enhancers/*.py",), ("tests/novags/methods/enhancers/*.py",)),
+    (("novags/methods/nova/[!t]*.py",), ("tests/novags/methods/nova/test_[!t]*.py",)),
+    (("novags/methods/nova/trainer.py", "novags/methods/*.py"),
+     ("tests/novags/methods/test_*.py", "tests/novags/methods/nova/test_trainer*.py")),
     (("novags/splats/losses.py", "novags/splats/mcmc.py", "novags/splats/fit.py"),
-     ("tests/novags/splats/test_splats_losses.py", "tests/novags/splats/test_splats_mcmc.py",
-      "tests/novags/splats/test_splats_fit.py")),
+     ("tests/novags/splats/test_splats_losses*.py", "tests/novags/splats/test_splats_mcmc*.py",
+      "tests/novags/splats/test_splats_fit*.py")),
     (("sensor_model/effects.py", "sensor_model/moments.py", "sensor_model/radiometry.py", "sensor_model/isp.py"),
-     ("tests/sensor_model",)),
-    (("simscenes/rigs.py", "simscenes/job/*.py", "simscenes/transport/*.py"), ("tests/simscenes",)),
+     ("tests/sensor_model/*.py",)),
+    (("simscenes/rigs.py",), ("tests/simscenes/test_rigs*.py",)),
+    (("simscenes/job/*.py", "simscenes/transport/*.py"), ("tests/simscenes/*.py",)),
 )  # fmt: skip
 # Imported once, before the forks. Nothing of ours, and nothing that starts threads, which a fork would lose.
 LIBRARIES = ("torch", "numba", "scipy.stats", "scipy.optimize", "scipy.ndimage", "hypothesis", "safetensors.torch",
@@ -53,11 +58,10 @@ def matching(patterns: tuple[str, ...]) -> list[str]:
     return list(dict.fromkeys(str(path.relative_to(ROOT)) for path in found))
 
 
-def test_text(tests: tuple[str, ...]) -> str:
+def test_text(tests: list[str]) -> str:
     """The tests and their fixtures."""
-    places = [ROOT / test for test in tests]
-    files = {p for place in places for p in ([place] if place.is_file() else place.rglob("*.py"))}
-    above = {folder for place in places for folder in place.parents if folder.is_relative_to(ROOT)}
+    files = {ROOT / test for test in tests}
+    above = {folder for file in files for folder in file.parents if folder.is_relative_to(ROOT)}
     files |= {folder / "conftest.py" for folder in above if (folder / "conftest.py").is_file()}
     return "\0".join(path.read_text(encoding="utf-8") for path in sorted(files))
 
@@ -77,10 +81,10 @@ def _round_robin(lists: list[list[Mutant]]) -> list[Mutant]:
 
 
 def shares(sizes: dict[str, int], count: int) -> dict[str, int]:
-    """How many of `count` mutants each file gets: as the square root of its candidates, at least one."""
+    """How many of `count` mutants each file gets: as the square root of its candidates, rounded up."""
     roots = {name: size**0.5 for name, size in sizes.items() if size}
     total = sum(roots.values())
-    return {name: min(sizes[name], max(1, round(count * root / total))) for name, root in roots.items()}
+    return {name: min(sizes[name], math.ceil(count * root / total)) for name, root in roots.items()}
 
 
 def chosen(only: str, count: int, seed: int) -> dict[str, list[Mutant]]:
@@ -92,10 +96,10 @@ def chosen(only: str, count: int, seed: int) -> dict[str, list[Mutant]]:
     return {name: in_turn(found[name], random.Random(f"{seed} {name}"))[:part] for name, part in parts.items()}
 
 
-def jobs(wanted: dict[str, list[Mutant]], out: Path) -> Iterator[Job]:
-    """Every chosen mutant with the tests that reach it, quickest first."""
-    for patterns, tests in GROUPS:
-        sources = matching(patterns)
+def jobs(wanted: dict[str, list[Mutant]], out: Path, longest: float) -> Iterator[Job]:
+    """Every chosen mutant with the tests that reach it, quickest first, but for those of more than `longest` seconds."""
+    for patterns, test_patterns in GROUPS:
+        sources, tests = matching(patterns), [name for name in matching(test_patterns) if "/test_" in name]
         if not any(name in wanted for name in sources):
             continue
         texts = {name: (ROOT / name).read_text(encoding="utf-8") for name in sources}
@@ -103,7 +107,7 @@ def jobs(wanted: dict[str, list[Mutant]], out: Path) -> Iterator[Job]:
         known = baseline(ROOT, sources, tests, out / f"baseline-{fingerprint(*sources, *texts.values(), about)}.json")
         for name in sources:
             for mutant in wanted.get(name, []):
-                reaching = tests_reaching(known, name, mutant)
+                reaching = [t for t in tests_reaching(known, name, mutant) if known["seconds"][t] <= longest]
                 yield Job(
                     file=name, mutant=mutant, tests=tuple(reaching),
                     key=fingerprint(name, texts[name], about, mutant.kind, str(mutant.start), mutant.after),
@@ -158,6 +162,7 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=240, help="mutants over all chosen files")
     parser.add_argument("--seed", type=int, default=0, help="of the choice; a larger count extends a smaller one")
     parser.add_argument("--jobs", type=int, default=2, help="mutants at a time")
+    parser.add_argument("--longest", type=float, default=10.0, help="seconds of a test; longer ones are not asked")
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "mutation", help="folder of verdicts")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
@@ -168,7 +173,7 @@ def main() -> None:
     for library in LIBRARIES:
         with contextlib.suppress(ImportError):  # an extra may be absent; the tests that need it are skipped then
             importlib.import_module(library)
-    wanted = list(jobs(chosen(options.only, options.count, options.seed), options.out))
+    wanted = list(jobs(chosen(options.only, options.count, options.seed), options.out, options.longest))
     path = options.out / "verdicts.jsonl"
     known = earlier(path)
     entries = [known[job.key] for job in wanted if job.key in known]

@@ -15,6 +15,7 @@ import signal
 import sys
 import tempfile
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -71,6 +72,7 @@ def fingerprint(*texts: str) -> str:
 
 def in_child(call: Callable[[], int], log: Path) -> int:
     """Fork, run `call` with its output in a file, exit with what it returns. Gives the child's process number."""
+    sys.stdout.flush()
     pid = os.fork()
     if pid:
         return pid
@@ -81,23 +83,27 @@ def in_child(call: Callable[[], int], log: Path) -> int:
             os.dup2(file.fileno(), 1)
             os.dup2(file.fileno(), 2)
         code = int(call())
+    except BaseException:
+        traceback.print_exc()
     finally:
-        os._exit(code)
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)  # the parent's own handlers and buffers are not the child's to run
 
 
 def run_pytest(root: Path, tests: list[str], plugin: object, folder: Path) -> int:
     """Run pytest in this process, its temporary files in `folder`; its exit status."""
-    options = ["-q", "-p", "no:cacheprovider", f"--basetemp={folder / 'pytest'}", f"--rootdir={root}"]
+    options = ["-q", "--assert=plain", "-p", "no:cacheprovider", f"--basetemp={folder / 'pytest'}", f"--rootdir={root}"]
     return int(pytest.main([*options, *tests], plugins=[plugin]))
 
 
-def baseline(root: Path, sources: list[str], tests: tuple[str, ...], path: Path) -> dict[str, Any]:
+def baseline(root: Path, sources: list[str], tests: list[str], path: Path) -> dict[str, Any]:
     """Seconds and reached lines of every test on the sources as they are, kept in the file `path`."""
     if not path.exists():
         log = path.with_suffix(".log")
         with tempfile.TemporaryDirectory() as folder:
             recorder = Recorder({str(root / name): name for name in sources}, path)
-            pid = in_child(partial(run_pytest, root, list(tests), recorder, Path(folder)), log)
+            pid = in_child(partial(run_pytest, root, tests, recorder, Path(folder)), log)
             code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
         if code or not path.exists():
             path.unlink(missing_ok=True)
