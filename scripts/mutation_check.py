@@ -97,7 +97,7 @@ def chosen(only: str, count: int, seed: int) -> dict[str, list[Mutant]]:
 
 
 def jobs(wanted: dict[str, list[Mutant]], out: Path, longest: float) -> Iterator[Job]:
-    """Every chosen mutant with the tests that reach it, quickest first, but for those of more than `longest` seconds."""
+    """The chosen mutants with the tests that reach them, quickest first, none longer than `longest` seconds."""
     for patterns, test_patterns in GROUPS:
         sources, tests = matching(patterns), [name for name in matching(test_patterns) if "/test_" in name]
         if not any(name in wanted for name in sources):

@@ -16,6 +16,7 @@ import sys
 import tempfile
 import time
 import traceback
+import warnings
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from functools import partial
@@ -73,7 +74,9 @@ def fingerprint(*texts: str) -> str:
 def in_child(call: Callable[[], int], log: Path) -> int:
     """Fork, run `call` with its output in a file, exit with what it returns. Gives the child's process number."""
     sys.stdout.flush()
-    pid = os.fork()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of forks beside threads: ours takes nothing from them
+        pid = os.fork()
     if pid:
         return pid
     code = 70
@@ -93,6 +96,7 @@ def in_child(call: Callable[[], int], log: Path) -> int:
 
 def run_pytest(root: Path, tests: list[str], plugin: object, folder: Path) -> int:
     """Run pytest in this process, its temporary files in `folder`; its exit status."""
+    os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"  # looking for plugins takes longer than most tests
     options = ["-q", "--assert=plain", "-p", "no:cacheprovider", f"--basetemp={folder / 'pytest'}", f"--rootdir={root}"]
     return int(pytest.main([*options, *tests], plugins=[plugin]))
 
