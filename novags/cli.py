@@ -4,56 +4,17 @@ import os
 import signal
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import tyro
 
+from novags.options import LIGHT, Device, Folder, Light, Listed, Name, PresetName
+
 if TYPE_CHECKING:  # heavy: torch and its friends load when a command runs, so that --help answers at once
+    from novags.methods.variant import Variant
     from novags.testbed.console import Console
-
-PresetName = Literal["demo", "small", "paper"]
-Folder = Annotated[Path, tyro.conf.Positional]
-Name = Annotated[str, tyro.conf.Positional]
-
-
-@dataclass(frozen=True)
-class LightOptions:
-    """How light gets from the lamps to the sensor."""
-
-    variant: str = "auto"
-    """Mitsuba variant."""
-    on: tuple[str, ...] = ()
-    """Effects of light to simulate whatever the plan says, by the names that `novags plan` prints."""
-    off: tuple[str, ...] = ()
-    """Effects of light to leave out."""
-    max_depth: int | None = None
-    """Longest path of light, as Mitsuba counts; the plan chooses if not given."""
-    aperture_radius: float | None = None
-    """Radius of the lens opening in scene units; a file's own lens, else a pinhole, if not given; 0 for a pinhole."""
-    focus_distance: float | None = None
-    """Depth that is sharp, in scene units."""
-    motion: float | None = None
-    """How far the cameras travel during the exposure, as a fraction of the way to the next view."""
-    response: str | None = None
-    """Measured colour sensitivities of a camera, by colour-science's name ("Nikon 5100 (NPL)"): the set then holds what
-    its filters see instead of linear sRGB, from spectra where the scene calls for them."""
-    allow_outside: bool = False
-    """Trust a Mitsuba file: let it read files outside its folder."""
-
-    def settings(self) -> dict[str, Any]:
-        """As `RenderConfig` takes them."""
-        from simscenes import Optics
-
-        lens = {"aperture_radius": self.aperture_radius, "focus_distance": self.focus_distance}
-        return {
-            "variant": self.variant, "on": self.on, "off": self.off, "max_depth": self.max_depth,
-            "allow_outside": self.allow_outside, "optics": Optics(**lens, motion=self.motion, camera=self.response),
-        }  # fmt: skip
-
-
-Light = Annotated[LightOptions, tyro.conf.arg(name=""), tyro.conf.OmitArgPrefixes]
 
 
 def run(
@@ -64,6 +25,9 @@ def run(
     electrons: float | None = None,
     out: Path | None = None,
     methods: tuple[str, ...] | None = None,
+    variant: tuple[str, ...] = (),
+    cameras: str | None = None,
+    refine_cameras: bool = False,
     views: int | None = None,
     width: int | None = None,
     height: int | None = None,
@@ -72,6 +36,7 @@ def run(
     iterations: int | None = None,
     denoiser_steps: int | None = None,
     seed: int | None = None,
+    device: Device = "auto",
 ) -> None:
     """The main job, whole: render, capture in the dark, reconstruct by several methods, score, report.
 
@@ -83,7 +48,11 @@ def run(
         sensor: A camera of sensor_model.PRESETS, or a TOML file of your own.
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
         out: Folder of the experiment; out/PRESET if not given.
-        methods: Methods to compare: nova, naive, naive-l1, oracle.
+        methods: Methods and variants to compare; `novags list methods` names them.
+        variant: Methods with settings changed, each as NAME=METHOD:SETTING=VALUE,SETTING=VALUE. Compared as well.
+        cameras: Where cameras come from: known, known:rotation_deg=1, sfm, vggt:checkpoint=FILE; see `novags help
+            cameras`.
+        refine_cameras: Let every fit correct its training cameras.
         views: Number of views.
         width: Image width in pixels.
         height: Image height in pixels.
@@ -92,6 +61,7 @@ def run(
         iterations: Of the fit.
         denoiser_steps: Of the denoiser before the fit starts.
         seed: Of noise and training.
+        device: Where training runs; auto takes a GPU if there is one that can be used.
     """
     from novags.testbed import experiment
     from novags.testbed.presets import PRESETS, adapted
@@ -99,6 +69,7 @@ def run(
     chosen = adapted(
         PRESETS[preset], scene=scene, sensor=sensor, electrons=electrons, methods=methods, n_views=views, width=width,
         height=height, spp=spp, points=points, iterations=iterations, denoiser_steps=denoiser_steps, seed=seed,
+        variants=_variants(variant), cameras=_cameras(cameras), refine_cameras=refine_cameras, device=device,
     )  # fmt: skip
     folder = out if out is not None else Path("out") / preset
     report_path = experiment.run(chosen, folder, _console(), command=_command_line())
@@ -108,7 +79,7 @@ def run(
 def plan(
     scene: Name, *, sensor: str, electrons: float, time: float = 1 / 30, preset: PresetName = "demo",
     width: int | None = None, height: int | None = None, tolerance: float = 0.05, light_tolerance: float = 0.02,
-    light: Light = LightOptions(),
+    light: Light = LIGHT,
 ) -> None:  # fmt: skip
     """What would be simulated, what would not, why, and the bound on the error of leaving it out.
 
@@ -142,7 +113,7 @@ def plan(
 
 def render(
     scene: Name, *, out: Path, views: int = 32, width: int = 128, height: int = 128, spp: int | None = None,
-    target_error: float | None = None, light: Light = LightOptions(),
+    target_error: float | None = None, light: Light = LIGHT,
     export: tuple[Literal["blender", "llff"], ...] = (), seed: int = 0,
 ) -> None:  # fmt: skip
     """Render a scene into a ground-truth multiview set.
@@ -169,6 +140,7 @@ def render(
     )  # fmt: skip
     stages.render(out, config, _console())
     print(out)
+    _next(f"novags capture {out} --electrons 20 --out CAPTURE")
 
 
 def capture(
@@ -200,34 +172,46 @@ def capture(
     )  # fmt: skip
     stages.capture(set, out, config, _console())
     print(out)
+    _next(f"novags reconstruct {out} --method nova-fast --out RUN")
 
 
 def reconstruct(
-    capture: Folder, *, out: Path, method: str = "nova", preset: PresetName = "demo",
-    source: Literal["8bit", "16bit"] = "8bit", points: int | None = None, iterations: int | None = None,
-    denoiser_steps: int | None = None, seed: int = 0,
+    capture: Folder, *, out: Path, method: str = "nova-fast", variant: str | None = None, preset: PresetName = "demo",
+    pictures: Literal["8bit", "16bit"] | None = None, cameras: str | None = None, refine_cameras: bool = False,
+    points: int | None = None, iterations: int | None = None, denoiser_steps: int | None = None, seed: int = 0,
+    device: Device = "auto",
 ) -> None:  # fmt: skip
     """Reconstruct a capture by one method: a 3D model, and pictures rendered from it.
 
     Args:
         capture: Folder of the capture.
         out: Folder of the run.
-        method: nova, naive, naive-l1 or oracle.
+        method: A method or variant; `novags list methods` names them.
+        variant: Instead of a method: one with settings changed, NAME=METHOD:SETTING=VALUE,SETTING=VALUE.
         preset: Where every setting of the method comes from that is not given here.
-        source: Which pictures the method sees: 8-bit sRGB, or 16-bit linear ones.
+        pictures: Which pictures the method sees: 8-bit sRGB, or 16-bit linear ones; its own choice if not given.
+        cameras: Where cameras come from: known, known:rotation_deg=1, sfm, vggt:checkpoint=FILE; see `novags help
+            cameras`.
+        refine_cameras: Let the fit correct its training cameras.
         points: Gaussians at the start.
         iterations: Of the fit.
         denoiser_steps: Of the denoiser before the fit starts.
         seed: Of training.
+        device: Where training runs; auto takes a GPU if there is one that can be used.
     """
     from novags.testbed import stages
     from novags.testbed.presets import PRESETS, adapted
-    from novags.testbed.stages.reconstruct import ReconstructConfig
 
-    chosen = adapted(PRESETS[preset], points=points, iterations=iterations, denoiser_steps=denoiser_steps)
-    config = ReconstructConfig(method=method, source=source, points=chosen.points, seed=seed, nova=chosen.nova)
+    own = _variants(() if variant is None else (variant,))
+    name = own[0].name if own else method
+    chosen = adapted(
+        PRESETS[preset], methods=(name,), variants=own, cameras=_cameras(cameras), refine_cameras=refine_cameras,
+        points=points, iterations=iterations, denoiser_steps=denoiser_steps, pictures=pictures, device=device,
+    )  # fmt: skip
+    config = replace(chosen.reconstruct(name), seed=seed)
     stages.reconstruct(capture, out, config, _console())
     print(out)
+    _next(f"novags score {out} && novags report {out}")
 
 
 def score(run: Folder) -> None:
@@ -239,8 +223,12 @@ def score(run: Folder) -> None:
     from novags.testbed.experiment import score_all
 
     for name, mean in score_all(run, _console()).items():
-        enhanced, lit = mean["enhanced"]["aligned_psnr"], mean["lit"]["aligned_psnr"]
-        print(f"{name}: aligned PSNR {enhanced:.2f} dB (noise-free exposure), {lit:.2f} dB (well lit)")
+        lit = mean["lit"]
+        against = f"well lit {lit['tone_aligned_psnr']:.2f} dB (tone-aligned PSNR)"
+        if "enhanced" in mean:
+            against = f"noise-free exposure {mean['enhanced']['aligned_psnr']:.2f} dB (aligned PSNR), {against}"
+        print(f"{name}: {against}")
+    _next(f"novags report {run}")
 
 
 def report(folder: Folder) -> None:
@@ -270,6 +258,7 @@ def characterise(folder: Folder, *, out: Path, window: int = 1024) -> None:
     out.parent.mkdir(parents=True, exist_ok=True)
     write_sensor(out, sensor, comment=f"measured from {folder.resolve().name}; what the frames say:\n{found}")
     print(f"{found}\n{out}")
+    _next(f"novags capture SET --sensor {out} --electrons 20 --out CAPTURE")
 
 
 def doctor() -> None:
@@ -286,10 +275,49 @@ def doctor() -> None:
         raise SystemExit(1)
 
 
+def list_(what: Annotated[Listed, tyro.conf.Positional] = "all") -> None:
+    """What there is: scenes, sensors, methods and variants, presets, camera sources.
+
+    Args:
+        what: One of them, or all.
+    """
+    from novags.testbed.catalogue import listing
+
+    print(listing(what))
+
+
+def help_(topic: Annotated[str | None, tyro.conf.Positional] = None) -> None:
+    """A page about a word: electrons, cameras, variants, scores ...; without one, the list of pages.
+
+    Args:
+        topic: The word.
+    """
+    from novags.testbed.topics import page, topics
+
+    print(page(topic) if topic else f"novags help TOPIC, with one of: {', '.join(topics())}")
+
+
 COMMANDS: dict[str, Callable[..., None]] = {
-    function.__name__: function
-    for function in (run, plan, render, capture, reconstruct, score, report, characterise, doctor)
+    function.__name__.rstrip("_"): function
+    for function in (run, list_, plan, render, capture, reconstruct, score, report, characterise, doctor, help_)
 }
+
+
+def _variants(texts: tuple[str, ...]) -> "tuple[Variant, ...]":
+    from novags.methods.variant import parse_variant
+
+    return tuple(parse_variant(text) for text in texts)
+
+
+def _cameras(text: str | None) -> Any:
+    from novags.cameras import parse_cameras
+
+    return None if text is None else parse_cameras(text)
+
+
+def _next(command: str) -> None:
+    """Say what to do next; on standard error, so that standard output holds results alone."""
+    print(f"next: {command}", file=sys.stderr)
 
 
 def _console() -> "Console":
@@ -315,10 +343,16 @@ def _command_line() -> str:
 def _announce(path: Path) -> None:
     print(f"report: {path.resolve()}")
     print(f"open it in a browser: {path.resolve().as_uri()}")
+    _next("novags run --scene cornell, or novags list for what else there is")
 
 
 def main() -> None:
     """Entry point: run a command; wrong input is one line on standard error and exit code 2."""
+    if sys.argv[1:] == ["--version"]:
+        from importlib.metadata import version
+
+        print(f"novags {version('novags')}")
+        return
     try:
         tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="novags", description=DESCRIPTION)
     except KeyboardInterrupt:

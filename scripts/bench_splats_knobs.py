@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 import torch
-from bench_splats import best, cube_scene
+from bench_splats_scenes import best, cube_scene
 from torch import Tensor
 
 ROWS = 8  # at a time: for its gradient the readable reference keeps every pixel times Gaussian
@@ -59,7 +59,7 @@ def measure_knob(knob: str, setting: float, n: int, size: int, repeat: int, refe
     cache = tempfile.TemporaryDirectory(prefix="novags-knob-")
     os.environ["NUMBA_CACHE_DIR"] = cache.name  # before numba is imported
     from novags.splats import rasterize
-    from novags.splats.cpu import vector_math as functions
+    from novags.splats.cpu import vector_math
 
     if knob == "alpha_min":
         bake(ALPHA_MIN=np.float32(setting), LOG2_ALPHA_MIN=np.float32(np.log2(setting)))
@@ -71,7 +71,7 @@ def measure_knob(knob: str, setting: float, n: int, size: int, repeat: int, refe
         x = -4 + 4 * np.cos(np.pi * (np.arange(400) + 0.5) / 400)
         fit = np.polynomial.Polynomial.fit(x, 2 ** (x / 8), int(setting), w=2 ** (-x / 8)).convert().coef
         for i in range(6):
-            setattr(functions, f"_A{i}", np.float32(fit[i] if i < len(fit) else 0.0))
+            setattr(vector_math, f"_A{i}", np.float32(fit[i] if i < len(fit) else 0.0))
     scene, eps2d = cube_scene(n, size), setting if knob == "eps2d" else 0.3
     if wide := (knob, setting) == ("float_bits", 64):
         scene = {name: value.double() for name, value in scene.items()}

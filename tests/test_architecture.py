@@ -27,7 +27,7 @@ LAYERS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("transport",),
         ("job",),
     ),
-    "novags": (("splats",), ("cameras",), ("methods",), ("testbed",), ("cli", "__main__")),
+    "novags": (("splats",), ("cameras",), ("methods",), ("testbed",), ("options",), ("cli", "__main__")),
 }
 
 

@@ -1,1 +1,140 @@
-"""What is compared: one file or folder a method, and the table that names them."""
+"""What is compared. `METHODS` is the one place that names methods, `VARIANTS` names settings of them worth a name."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from difflib import get_close_matches
+from typing import Any
+
+from novags.methods import enhance_then_fit, oracle
+from novags.methods.gaussian_fit import EnhancedFitConfig
+from novags.methods.nova import trainer as nova
+from novags.methods.variant import Method, Variant
+
+METHODS: dict[str, Method] = {
+    "nova": Method(
+        title="NOVA-GS as the paper states it: enhance, denoise with a network that learns from the noisy views alone, "
+        "fit with geometric consistency and a penalty on view-dependent colour where noise is strong",
+        family="ours",
+        color="#0072b2",
+        config=nova.NovaConfig,
+        train=nova.train,
+        source="NOVA-GS: Noise-Aware View-Consistent Gaussian Splatting for Low-Light Novel View Synthesis",
+    ),
+    "naive": Method(
+        title="enhance, then fit the noisy pictures with the same loss (L1 and D-SSIM)",
+        family="2D + GS",
+        color="#c8590a",
+        config=EnhancedFitConfig,
+        train=enhance_then_fit.train,
+        source="section 4.2 of the NOVA-GS paper and 3DGS-MCMC (Kheradmand et al. 2024)",
+        bound="floor",
+    ),
+    "oracle": Method(
+        title="enhance the noise-free exposures, then fit: what no real method can see, hence the ceiling",
+        family="bound",
+        color="#008560",
+        config=EnhancedFitConfig,
+        train=oracle.train,
+        source="3DGS-MCMC (Kheradmand et al. 2024) on simulated exposures without noise",
+        sees_clean=True,
+        bound="ceiling",
+    ),
+}
+
+# What a CPU can afford. No instance normalisation, because it erases brightness; no targeted blind spots, because they
+# favour pixels for their own noise. Starting from a blur saves the steps of learning one. Where the channels of a pixel
+# have independent noise, blinding one at a time leaves the others to inform it. A blind spot knows less about a pixel
+# than the pixel itself does, so part of the noisy picture is mixed in. Many steps on small crops learn more in the same
+# time than few steps on whole views.
+_FAST: dict[str, Any] = {
+    "denoiser.network.widths": (16, 32, 64),
+    "denoiser.network.bottleneck": 96,
+    "denoiser.network.normalization": "none",
+    "denoiser.blind_spots.mask_fraction": 0.2,
+    "denoiser.blind_spots.laplacian_share": 0.0,
+    "denoiser.blind_spots.per_channel": None,
+    "denoiser.denoise_every": None,
+    "denoiser.batch": 4,
+    "denoiser.crop": 48,
+    "denoiser.learning_rate": 1.5e-3,
+    "denoiser.decay": "cosine",
+    "denoiser.augment": True,
+    "denoiser.residual_blur": 0.8,
+    "denoiser.noisy_share": 0.35,
+    "consistency.every": 16,
+}
+
+
+def _variant(name: str, method: str, title: str, settings: Mapping[str, Any]) -> tuple[str, Variant]:
+    return name, Variant(name=name, method=method, title=title, settings=settings)
+
+
+VARIANTS: dict[str, Variant] = dict(
+    (
+        _variant(
+            "nova-fast",
+            "nova",
+            "NOVA-GS with a small denoiser that trains before the fit only, and a third of the noisy picture in its "
+            "target: not the paper's network",
+            _FAST,
+        ),
+        _variant("nova-no-sh", "nova", "NOVA-GS without the penalty on view-dependent colour", {"sh_weight": None}),
+        _variant("nova-no-geo", "nova", "NOVA-GS without geometric consistency", {"consistency": None}),
+        _variant(
+            "nova-no-n2v-sh",
+            "nova",
+            "NOVA-GS without the denoiser, and so without the penalty that its residual steers",
+            {"denoiser": None, "sh_weight": None},
+        ),
+        _variant(
+            "naive-l1",
+            "naive",
+            "enhance, then fit the noisy pictures with L1 alone, which averages noise over the views",
+            {"fit.dssim_weight": 0.0},
+        ),
+    )
+)
+
+
+def names() -> tuple[str, ...]:
+    """Every method and every named variant."""
+    return (*METHODS, *VARIANTS)
+
+
+def chosen(name: str, more: Mapping[str, Variant] | None = None) -> Variant:
+    """A method or variant by name.
+
+    Args:
+        name: Of a method, of one of `VARIANTS`, or of one of `more`.
+        more: Variants of the caller's own.
+
+    Raises:
+        ValueError: If there is none of this name, or it varies a method that does not exist.
+    """
+    variants = {**VARIANTS, **(more or {})}
+    variant = variants.get(name, Variant(name=name, method=name))
+    if variant.method in variants and variant.method not in (name, *METHODS):  # a variant of a variant
+        base = chosen(variant.method, {other: v for other, v in (more or {}).items() if other != name})
+        return replace(variant, method=base.method, settings={**base.settings, **variant.settings})
+    if variant.method not in METHODS:
+        known = (*METHODS, *variants)
+        near = get_close_matches(variant.method, known, 1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise ValueError(f"unknown method {variant.method!r}; {hint}there are {', '.join(known)}")
+    return variant
+
+
+def with_variants(variants: Iterable[Variant]) -> dict[str, Variant]:
+    """Variants of the caller's own by name.
+
+    Raises:
+        ValueError: If a name is taken or used twice.
+    """
+    found: dict[str, Variant] = {}
+    for variant in variants:
+        if variant.name in METHODS or variant.name in found:
+            raise ValueError(f"the variant {variant.name!r} needs a name of its own, and this one is taken")
+        found[variant.name] = variant
+    for name in found:
+        chosen(name, found)
+    return found

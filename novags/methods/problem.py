@@ -1,16 +1,24 @@
-"""What every reconstruction method takes and returns: arrays in, Gaussians out. Methods know no folders."""
+"""What a method may see: the training views of one capture, as arrays. Methods know neither folders nor scenes."""
 
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, field, replace
+from typing import Literal, Protocol, TypeVar
 
+import numpy as np
+import torch
 from torch import Tensor
 
-from novags.splats.gaussians import Gaussians
+from novags.methods.memo import Memo
+from novags.methods.noise import Noise
 from novags.splats.views import Views
+from sensor_model import linear_to_srgb
+
+Pictures = Literal["8bit", "16bit"]
+Result = TypeVar("Result")
 
 
-class SceneStart(Protocol):
-    """Where the Gaussians start; any object with these attributes will do (`novags.cameras.InitialScene`, say)."""
+class Start(Protocol):
+    """First points of the scene; any object with these attributes will do, such as a `cameras.CameraEstimate`."""
 
     @property
     def points(self) -> Tensor:
@@ -19,7 +27,7 @@ class SceneStart(Protocol):
 
     @property
     def colors(self) -> Tensor:
-        """[P, 3] float32, 0..1."""
+        """[P, 3] float32, 0..1, as the dark pictures show them."""
         ...
 
     @property
@@ -29,46 +37,99 @@ class SceneStart(Protocol):
 
 
 @dataclass(frozen=True, kw_only=True)
-class MethodInput:
-    """One reconstruction problem: the training views and what was seen in them.
+class RawPictures:
+    """The sensor's own numbers.
 
     Attributes:
-        views: Training cameras (C of them).
-        dark: Images [C, H, W, 3], sRGB-encoded, 0..1.
-        clean: The same exposures without noise, same shape and encoding; only the oracle may look. None if unknown.
-        init: Initial points.
+        dn: Digital numbers, float32, [C, H, W] behind a colour filter array or [C, H, W, 3] of three chips.
+        cfa: Colour filter array ("RGGB", ...); None for three chips.
+        black: DN that no light gives.
+        white: DN of saturation.
+    """
+
+    dn: Tensor
+    cfa: str | None
+    black: float
+    white: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Problem:
+    """One reconstruction problem.
+
+    Attributes:
+        views: Training cameras (C of them) as the camera source gave them; they may be wrong.
+        start: First points.
         seed: Of every random choice.
+        srgb8: The 8-bit pictures, sRGB-encoded, float32 [C, H, W, 3] in 0..1.
+        linear16: The 16-bit pictures, linear RGB, float32 [C, H, W, 3], 0 = black, 1 = white, not clipped at black;
+            None if there are none.
+        raw: The raw frames, or None.
+        noise: Variance of each datum as a function of its mean, or None if nobody knows.
+        channels_share: Why the noise of a pixel's three channels is not independent ("demosaicing", "JPEG", "colour
+            matrix"); empty where it is.
+        clean: The exposures without noise, developed like `srgb8`, [C, H, W, 3]. Only methods with `sees_clean` get it.
+        names: One name a view; the keys of shared results.
+        shared: Results that several methods have in common.
     """
 
     views: Views
-    dark: Tensor
-    clean: Tensor | None
-    init: SceneStart
+    start: Start
     seed: int
+    srgb8: Tensor
+    linear16: Tensor | None = None
+    raw: RawPictures | None = None
+    noise: Noise | None = None
+    channels_share: tuple[str, ...] = ()
+    clean: Tensor | None = None
+    names: tuple[str, ...] = ()
+    shared: Memo = field(default_factory=Memo, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         want = (len(self.views), self.views.height, self.views.width, 3)
-        for name, value in (("dark", self.dark), ("clean", self.clean)):
+        for name in ("srgb8", "linear16", "clean"):
+            value = getattr(self, name)
             if value is not None and value.shape != want:
                 raise ValueError(f"{name} must be [C, H, W, 3] = {list(want)} like the views, got {list(value.shape)}")
+        if not self.names:
+            object.__setattr__(self, "names", tuple(f"{i:04d}" for i in range(len(self.views))))
+        if len(self.names) != len(self.views):
+            raise ValueError(f"names must be one a view, got {len(self.names)} for {len(self.views)} views")
+
+    def encoded(self, pictures: Pictures) -> Tensor:
+        """The dark pictures, sRGB-encoded, [C, H, W, 3] in 0..1: those of 8 bit, or the linear ones encoded.
+
+        Raises:
+            ValueError: If there are no 16-bit pictures.
+        """
+        if pictures == "8bit":
+            return self.srgb8
+        if self.linear16 is None:
+            raise ValueError("pictures = 16bit needs the 16-bit linear pictures, and this capture has none: use 8bit")
+        linear = self.linear16.cpu().numpy()
+        return torch.from_numpy(encode(linear)).to(self.linear16)
+
+    def once(self, key: Hashable, make: Callable[[], Result]) -> Result:
+        """The result of `make`, computed once for all problems that share their results."""
+        return self.shared.once(key, make)
+
+    def to(self, device: torch.device | str) -> "Problem":
+        """The same problem with its pictures and cameras on another device, and no shared results yet."""
+        device = torch.device(device)
+        if device == self.srgb8.device:
+            return self
+
+        def moved(value: Tensor | None) -> Tensor | None:
+            return None if value is None else value.to(device)
+
+        views = replace(self.views, viewmats=self.views.viewmats.to(device), Ks=self.views.Ks.to(device))
+        raw = None if self.raw is None else replace(self.raw, dn=self.raw.dn.to(device))
+        return replace(
+            self, views=views, srgb8=self.srgb8.to(device), linear16=moved(self.linear16), raw=raw,
+            clean=moved(self.clean), shared=Memo(),
+        )  # fmt: skip
 
 
-@dataclass(kw_only=True)
-class MethodResult:
-    """What a method made of it.
-
-    Attributes:
-        gaussians: The scene.
-        enhanced: Enhanced dark images [C, H, W, 3].
-        targets: What the fit finally aimed at [C, H, W, 3] (the denoised images, where a method denoises).
-        losses: Log entries of the fit.
-        seconds: Wall time per stage.
-        config: The resolved configuration.
-    """
-
-    gaussians: Gaussians
-    enhanced: Tensor
-    targets: Tensor
-    losses: list[dict[str, float]] = field(default_factory=list)
-    seconds: dict[str, float] = field(default_factory=dict)
-    config: dict[str, Any] = field(default_factory=dict)
+def encode(linear: np.ndarray) -> np.ndarray:
+    """Linear -> sRGB code, clipped to 0..1 like every developed picture (demosaicing overshoots, noise undershoots)."""
+    return linear_to_srgb(np.clip(linear, 0.0, 1.0)).astype(np.float32)

@@ -3,7 +3,7 @@
 import torch
 from torch import Tensor
 
-from novags.methods.problem import SceneStart
+from novags.methods.problem import Start
 from novags.splats.gaussians import Gaussians
 
 
@@ -32,7 +32,7 @@ def brightened(colors: Tensor, dark: Tensor, targets: Tensor) -> Tensor:
     return found.clamp(0, 1)
 
 
-def start_gaussians(init: SceneStart, dark: Tensor, targets: Tensor, *, sh_degree: int, init_scale: float) -> Gaussians:
+def start_gaussians(init: Start, dark: Tensor, targets: Tensor, *, sh_degree: int, init_scale: float) -> Gaussians:
     """Gaussians at the initial points, coloured like the targets.
 
     Args:

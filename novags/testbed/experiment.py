@@ -7,9 +7,10 @@ from typing import Any
 from novags.testbed import stages
 from novags.testbed.cache import write_json
 from novags.testbed.console import Console
+from novags.testbed.folders.experiment import EXPERIMENT, REPORT, find_runs
 from novags.testbed.folders.run import METRICS, RECORD
 from novags.testbed.presets import Preset
-from novags.testbed.report.page import EXPERIMENT, REPORT, find_runs, write_report
+from novags.testbed.report.page import write_report
 from novags.testbed.stages.score import merge
 
 
@@ -18,7 +19,7 @@ def run(preset: Preset, out: Path, console: Console, *, command: str | None = No
 
     Args:
         preset: What to do.
-        out: The experiment folder: set/, capture/, one folder per method, metrics.json, report.html.
+        out: The experiment folder: set/, capture/, one folder per method or variant, metrics.json, report.html.
         console: Where progress goes.
         command: What a person typed to get here, for the record.
 
@@ -26,24 +27,24 @@ def run(preset: Preset, out: Path, console: Console, *, command: str | None = No
         ValueError: If an input is wrong or `out` holds other things.
     """
     out.mkdir(parents=True, exist_ok=True)
-    told = [out / name for name in (EXPERIMENT, METRICS, REPORT)]
-    stages.render(out / "set", preset.render, console, stale=told)
-    stages.capture(out / "set", out / "capture", preset.capture, console, stale=told)
-    for method in preset.methods:
-        stages.reconstruct(out / "capture", out / method, preset.reconstruct(method), console, stale=told)
+    described = [out / name for name in (EXPERIMENT, METRICS, REPORT)]
+    stages.render(out / "set", preset.render, console, stale=described)
+    stages.capture(out / "set", out / "capture", preset.capture, console, stale=described)
+    for name in preset.methods:
+        stages.reconstruct(out / "capture", out / name, preset.reconstruct(name), console, stale=described)
     write_json(out / EXPERIMENT, {"command": command, "methods": preset.methods, "preset": asdict(preset)})
     score_all(out, console)
     return write_report(out, console)
 
 
 def score_all(folder: Path, console: Console) -> dict[str, Any]:
-    """Score a run, or every run of an experiment; returns the mean scores by method.
+    """Score a run, or every run of an experiment; returns the mean scores by name.
 
     Raises:
         ValueError: If `folder` is neither, or what its runs refer to is gone.
     """
     runs = find_runs(folder)
-    metrics = {method: stages.score(run.path, console) for method, run in runs.items()}
+    metrics = {name: stages.score(run.path, console) for name, run in runs.items()}
     if not (folder / RECORD).exists():
-        write_json(folder / METRICS, merge(metrics))
+        write_json(folder / METRICS, merge(metrics, {name: run.method for name, run in runs.items()}))
     return {name: run["methods"][name]["mean"] for name, run in metrics.items()}

@@ -1,15 +1,13 @@
 """Presets: whole experiments by name, from a demonstration to the paper's own settings."""
 
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from novags.methods.nova.blindspot import BlindSpotConfig
-from novags.methods.nova.consistency import ConsistencyConfig
-from novags.methods.nova.denoiser import DenoiserConfig
-from novags.methods.nova.resunet import ResUNetConfig
-from novags.methods.nova.trainer import NovaConfig
-from novags.methods.table import METHODS
-from novags.splats import FitConfig, McmcConfig
+from novags.cameras import CameraConfig, KnownConfig
+from novags.methods import METHODS, chosen, with_variants
+from novags.methods.settings import has_setting
+from novags.methods.variant import Variant
 from novags.testbed.stages.capture import CaptureConfig
 from novags.testbed.stages.reconstruct import ReconstructConfig
 from novags.testbed.stages.render import RenderConfig
@@ -26,64 +24,61 @@ class Preset:
 
     render: RenderConfig
     capture: CaptureConfig
-    methods: tuple[str, ...] = ("nova", "naive", "oracle")
+    methods: tuple[str, ...]  # names of methods or variants
+    variants: tuple[Variant, ...] = ()  # of this experiment alone
     points: int  # Gaussians at the start
-    nova: NovaConfig  # settings of every method
+    settings: Mapping[str, Any] = field(default_factory=dict)  # for every method that has them, by dotted name
+    cameras: CameraConfig = field(default_factory=KnownConfig)
+    device: str = "auto"
 
     def __post_init__(self) -> None:
-        if unknown := [name for name in self.methods if name not in METHODS]:
-            raise ValueError(f"unknown method(s) {', '.join(unknown)}; there are {', '.join(METHODS)}")
         if not self.methods or len(set(self.methods)) < len(self.methods):
             raise ValueError(f"methods must be named once each, got {', '.join(self.methods) or 'none'}")
-        for method in self.methods:  # it checks the rest
-            self.reconstruct(method)
+        configs = [self.reconstruct(name).config for name in self.methods]  # it checks the rest
+        for key in self.settings:
+            if not any(has_setting(config, key) for config in (*configs, *(m.config() for m in METHODS.values()))):
+                raise ValueError(f"no method has a setting {key!r}")
 
-    def reconstruct(self, method: str) -> ReconstructConfig:
-        """How the experiment reconstructs by one of its methods."""
-        return ReconstructConfig(method=method, points=self.points, seed=self.capture.seed, nova=self.nova)
+    def reconstruct(self, name: str) -> ReconstructConfig:
+        """How the experiment reconstructs by one of its methods or variants."""
+        variant = chosen(name, with_variants(self.variants))
+        config = variant.config(METHODS[variant.method].config(), self.settings)
+        return ReconstructConfig(
+            variant=variant, config=config, cameras=self.cameras, points=self.points, seed=self.capture.seed,
+            device=self.device,
+        )  # fmt: skip
 
 
-# What a CPU can afford. No instance normalisation, because it erases brightness; no targeted blind spots, because they
-# favour pixels for their own noise. Starting at a blur saves the steps of learning one. Where its channels are
-# independent, blinding one at a time leaves the others to tell about it. A blind spot knows less of a pixel than the
-# pixel does, so some of it is mixed in. Many steps on small batches learn more in the same time than few on large ones.
-FAST_DENOISER = DenoiserConfig(
-    network=ResUNetConfig(widths=(16, 32, 64), bottleneck=96, normalization="none"),
-    blind_spots=BlindSpotConfig(mask_fraction=0.2, laplacian_share=0.0, per_channel=True),
-    warmup_steps=400,
-    denoise_every=None,
-    batch=4,
-    crop=48,
-    learning_rate=1.5e-3,
-    decay="cosine",
-    augment=True,
-    residual_blur=0.8,
-    noisy_share=0.35,
-)
+# The size that a CPU can do in minutes. Short runs want large first Gaussians, which close the surface at once, and
+# rates that fall to their end within the run.
+_SHORT: dict[str, Any] = {
+    "init_scale": 0.7,
+    "fit.rates.schedule": "gsplat",
+    "fit.mcmc.refine_stop": None,
+    "fit.checkpoint_every": 250,
+    "denoiser.warmup_steps": 400,
+}
 
 PRESETS = {
     "demo": Preset(
         render=RenderConfig(scene="tabletop", n_views=20, width=160, height=160, spp=96),
         capture=CaptureConfig(sensor="a7s2-iso6400-3chip", electrons=20.0),
+        methods=("nova-fast", "naive", "oracle"),
         points=20_000,
-        nova=NovaConfig(
-            denoiser=FAST_DENOISER,
-            consistency=ConsistencyConfig(every=16),
-            fit=FitConfig(
-                iterations=2400, sh_degree=1, sh_every=400, mcmc=McmcConfig(refine_start=100), checkpoint_every=250
-            ),
-        ),
+        settings={
+            **_SHORT,
+            "fit.iterations": 2400,
+            "fit.sh_degree": 1,
+            "fit.sh_every": 400,
+            "fit.mcmc.refine_start": 100,
+        },
     ),
     "small": Preset(
         render=RenderConfig(scene="tabletop", n_views=64, width=256, height=256, spp=256),
         capture=CaptureConfig(sensor="a7s2-iso6400-3chip", electrons=20.0),
-        methods=("nova", "naive", "naive-l1", "oracle"),
+        methods=("nova-fast", "naive", "naive-l1", "oracle"),
         points=30_000,
-        nova=NovaConfig(
-            denoiser=FAST_DENOISER,
-            consistency=ConsistencyConfig(every=4),
-            fit=FitConfig(iterations=3000, sh_degree=2, sh_every=500, checkpoint_every=250),
-        ),
+        settings={**_SHORT, "fit.iterations": 3000, "fit.sh_degree": 2, "fit.sh_every": 500},
     ),
     # The paper's settings where it states them, the defaults of 3DGS-MCMC where it does not.
     "paper": Preset(
@@ -91,7 +86,7 @@ PRESETS = {
         capture=CaptureConfig(sensor="a7s2-iso6400", electrons=20.0),
         methods=("nova", "naive", "naive-l1", "oracle"),
         points=100_000,
-        nova=NovaConfig(fit=FitConfig(iterations=7000, cap_max=1_000_000, checkpoint_every=250)),
+        settings={"fit.cap_max": 1_000_000, "fit.checkpoint_every": 250},
     ),
 }
 
@@ -103,6 +98,8 @@ def adapted(
     sensor: str | None = None,
     electrons: float | None = None,
     methods: tuple[str, ...] | None = None,
+    variants: tuple[Variant, ...] | None = None,
+    cameras: CameraConfig | None = None,
     n_views: int | None = None,
     width: int | None = None,
     height: int | None = None,
@@ -110,25 +107,34 @@ def adapted(
     points: int | None = None,
     iterations: int | None = None,
     denoiser_steps: int | None = None,
+    pictures: str | None = None,
+    refine_cameras: bool = False,
     seed: int | None = None,
+    device: str | None = None,
 ) -> Preset:
     """The preset with some settings changed; None keeps its own.
+
+    Variants of one's own are compared beside the preset's methods unless `methods` names all.
 
     Raises:
         ValueError: If a value is out of range.
     """
-    nova = preset.nova
+    settings = {"fit.iterations": iterations, "denoiser.warmup_steps": denoiser_steps, "pictures": pictures}
+    given = {name: value for name, value in settings.items() if value is not None}
+    if refine_cameras:
+        given["fit.refine_cameras"] = "default"
+    if variants and methods is None:
+        methods = (*preset.methods, *(v.name for v in variants if v.name not in preset.methods))
     return _changed(
         preset,
         render=_changed(preset.render, scene=scene, n_views=n_views, width=width, height=height, spp=spp, seed=seed),
         capture=_changed(preset.capture, sensor=sensor, electrons=electrons, seed=seed),
         methods=methods,
+        variants=variants,
+        cameras=cameras,
         points=points,
-        nova=_changed(
-            nova,
-            fit=_changed(nova.fit, iterations=iterations),
-            denoiser=_changed(nova.denoiser, warmup_steps=denoiser_steps),
-        ),
+        settings={**preset.settings, **given},
+        device=device,
     )
 
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from sensor_model.files.atomic import atomic
-from sensor_model.params import Banding, Defects, DualGain, Optics, Sensor, require
+from sensor_model.params import Banding, Defects, DualGain, Sensor, SensorOptics, require
 
 if sys.version_info >= (3, 11):
     import tomllib

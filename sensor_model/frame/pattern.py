@@ -42,7 +42,7 @@ def sites(serial: int, fraction: float, shape: Shape, origin: tuple[int, int], s
 
 
 @lru_cache(maxsize=4)
-def illumination_map(optics: Optics, shape: tuple[int, int], origin: tuple[int, int]) -> NDArray[np.float32]:
+def illumination_map(optics: SensorOptics, shape: tuple[int, int], origin: tuple[int, int]) -> NDArray[np.float32]:
     """Relative illumination of each pixel [h, w]; cached, because the lens does not change either."""
     map_ = effects.relative_illumination(
         shape,

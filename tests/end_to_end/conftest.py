@@ -21,6 +21,7 @@ def tiny() -> Preset:
         points=300,
         iterations=30,
         denoiser_steps=5,
+        methods=("nova-fast", "naive", "oracle"),
     )
 
 

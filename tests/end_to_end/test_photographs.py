@@ -1,6 +1,5 @@
 """Real photographs through the whole line, at a tiny size."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +8,9 @@ import pytest
 from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import open_capture
-from novags.testbed.presets import Preset
+from novags.testbed.presets import Preset, adapted
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.capture import CaptureConfig
-from novags.testbed.stages.reconstruct import ReconstructConfig
 from simscenes import orbit_rig
 from simscenes.sets.exr import write_exr
 from simscenes.sets.multiview import write_cameras
@@ -44,11 +42,11 @@ def test_the_lit_reference_is_the_photograph_itself(capture: Path, quiet: Consol
 def test_photographs_are_reconstructed_scored_and_reported(
     capture: Path, tiny: Preset, quiet: Console, tmp_path: Path
 ) -> None:
-    nova = replace(tiny.nova, fit=replace(tiny.nova.fit, iterations=10))
-    stages.reconstruct(capture, tmp_path / "run", ReconstructConfig(method="nova", points=200, nova=nova), quiet)
+    config = adapted(tiny, points=200, iterations=10).reconstruct("nova-fast")
+    stages.reconstruct(capture, tmp_path / "run", config, quiet)
     metrics = stages.score(tmp_path / "run", quiet)
-    assert len(metrics["methods"]["nova"]["views"]) == 7
-    assert "render" not in metrics["methods"]["nova"]["seconds"]
+    assert len(metrics["methods"]["nova-fast"]["views"]) == 7
+    assert "render" not in metrics["methods"]["nova-fast"]["seconds"]
     page = write_report(tmp_path / "run", quiet).read_text(encoding="utf-8")
     assert "The light was not simulated" in page
     assert "made linear by undoing the sRGB curve" in page
@@ -66,8 +64,7 @@ def test_the_report_does_not_undo_a_curve_that_linear_files_never_had(
     for name in names:
         write_exr(tmp_path / "set" / "images" / f"{name}.exr", dict(zip("RGB", np.moveaxis(light, -1, 0), strict=True)))
     stages.capture(tmp_path / "set", tmp_path / "capture", CaptureConfig(), quiet)
-    nova = replace(tiny.nova, fit=replace(tiny.nova.fit, iterations=2))
-    config = ReconstructConfig(method="naive", points=50, nova=nova)
+    config = adapted(tiny, points=50, iterations=2).reconstruct("naive")
     stages.reconstruct(tmp_path / "capture", tmp_path / "run", config, quiet)
     stages.score(tmp_path / "run", quiet)
     page = write_report(tmp_path / "run", quiet).read_text(encoding="utf-8")

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from novags.methods.problem import MethodInput
+from novags.methods.problem import Problem
 from novags.splats import Gaussians, Views, rasterize
 
 SIZE, VIEWS, POINTS = 24, 5, 150
@@ -29,10 +29,10 @@ def _cameras() -> Views:
 
 
 @pytest.fixture
-def method_input() -> Callable[..., MethodInput]:
+def problem() -> Callable[..., Problem]:
     """A textured wall seen dark by five cameras; noise-free and with noise of standard deviation `sigma`."""
 
-    def make(*, sigma: float = 0.01, with_clean: bool = True, seed: int = 0) -> MethodInput:
+    def make(*, sigma: float = 0.01, with_clean: bool = True, seed: int = 0) -> Problem:
         g = torch.Generator().manual_seed(7)
         points = torch.cat(
             [2.4 * torch.rand(POINTS, 2, generator=g) - 1.2, 0.2 * torch.rand(POINTS, 1, generator=g)], 1
@@ -46,6 +46,6 @@ def method_input() -> Callable[..., MethodInput]:
         clean = (0.12 * lit).clamp(0, 1)
         dark = (clean + sigma * torch.randn(clean.shape, generator=g)).clamp(0, 1)
         start = Start(points + 0.02, dark.mean((0, 1, 2)).expand(POINTS, 3).contiguous(), views.extent)
-        return MethodInput(views=views, dark=dark, clean=clean if with_clean else None, init=start, seed=seed)
+        return Problem(views=views, srgb8=dark, clean=clean if with_clean else None, start=start, seed=seed)
 
     return make

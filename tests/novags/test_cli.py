@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from novags import cli
+from novags import cli, options
 
 
 def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
@@ -42,7 +42,7 @@ def test_light_has_the_same_options_everywhere(
 
     assert call(monkeypatch, command, "--help") == 0
     text = capsys.readouterr().out
-    for option in dataclasses.fields(cli.LightOptions):
+    for option in dataclasses.fields(options.LightOptions):
         assert re.search(rf"--{option.name.replace('_', '-')}[ ,]", text)
     where = ["--out", "x"] if command == "render" else ["--sensor", "ideal", "--electrons", "9"]
     wrong = ["--on", "motion blur", "--max-depth", "6", "--aperture-radius", "0.1", "--focus-distance", "2"]

@@ -1,1 +1,110 @@
-"""A dark picture in, a bright one out: one file an enhancer."""
+"""A dark picture in, a bright one out: one file an enhancer, one row in `ENHANCERS`."""
+
+import dataclasses
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import torch
+from torch import Tensor
+
+from novags.methods.enhancers import guided
+from novags.methods.memo import Memo
+from novags.methods.problem import Pictures, Problem
+
+
+@dataclass(frozen=True)
+class Enhancer:
+    """An enhancement by name.
+
+    Attributes:
+        config: Its configuration, a frozen dataclass.
+        enhance: (dark [H, W, 3] sRGB-encoded in 0..1, config, params or None) -> enhanced [H, W, 3] and params.
+            With the params of the noisy picture, its noise-free twin goes through the very same enhancement.
+    """
+
+    config: type
+    enhance: Callable[[Tensor, Any, Any], tuple[Tensor, Any]]
+
+
+EnhancerConfig: TypeAlias = guided.EnhanceConfig  # of any enhancer: a union once there is a second one
+
+ENHANCERS: dict[str, Enhancer] = {"guided": Enhancer(guided.EnhanceConfig, guided.enhance)}
+
+
+def enhancement_record(config: EnhancerConfig, pictures: Pictures) -> dict[str, Any]:
+    """What a run says about its enhancement.
+
+    Raises:
+        ValueError: If no enhancer has such a configuration.
+    """
+    for name, enhancer in ENHANCERS.items():
+        if isinstance(config, enhancer.config):
+            return {"enhancer": name, "pictures": pictures, "config": dataclasses.asdict(config)}
+    raise ValueError(f"no enhancer has a configuration like {type(config).__name__}; there are {', '.join(ENHANCERS)}")
+
+
+def recorded(enhancement: dict[str, Any]) -> tuple[Enhancer, Any]:
+    """The enhancer of a record, and its configuration.
+
+    Raises:
+        ValueError: If there is no such enhancer, or it has other settings.
+    """
+    name = enhancement["enhancer"]
+    if name not in ENHANCERS:
+        raise ValueError(f"unknown enhancer {name!r}; there are {', '.join(ENHANCERS)}")
+    try:
+        return ENHANCERS[name], ENHANCERS[name].config(**enhancement["config"])
+    except TypeError as error:
+        raise ValueError(f"the recorded settings of {name} do not fit this version ({error}): run it again") from error
+
+
+def enhanced(problem: Problem, config: EnhancerConfig, pictures: Pictures) -> Tensor:
+    """The enhanced pictures of a problem [C, H, W, 3]; made once for all methods that share them."""
+    dark = problem.encoded(pictures)
+    views = zip(problem.names, dark, strict=True)
+    return torch.stack([_enhanced_view(problem.shared, name, view, config, pictures)[0] for name, view in views])
+
+
+def enhanced_clean(problem: Problem, config: EnhancerConfig, pictures: Pictures) -> Tensor:
+    """The noise-free exposures through the enhancement that their noisy twins chose [C, H, W, 3].
+
+    Raises:
+        ValueError: If the problem has no noise-free exposures.
+    """
+    if problem.clean is None:
+        raise ValueError("this method needs the noise-free exposures (Problem.clean), and this capture has none")
+    dark, clean = problem.encoded(pictures), problem.clean
+    found = []
+    for i, name in enumerate(problem.names):
+        found.append(enhanced_twins(problem.shared, name, dark[i], clean[i], config, pictures)[1])
+    return torch.stack(found)
+
+
+def enhanced_twins(
+    shared: Memo, name: str, dark: Tensor, clean: Tensor, config: EnhancerConfig, pictures: Pictures
+) -> tuple[Tensor, Tensor]:
+    """One view enhanced, and its noise-free twin through the same enhancement, both [H, W, 3].
+
+    Args:
+        shared: Where the results of a capture are kept.
+        name: Of the view.
+        dark: The picture, [H, W, 3], sRGB-encoded.
+        clean: The same exposure without noise.
+        config: Of the enhancer.
+        pictures: Which pictures `dark` is one of.
+    """
+    noisy, params = _enhanced_view(shared, name, dark, config, pictures)
+    key = ("enhanced clean", name, pictures, config)
+    return noisy, shared.once(key, lambda: _enhance(clean, config, params)[0])
+
+
+def _enhanced_view(
+    shared: Memo, name: str, dark: Tensor, config: EnhancerConfig, pictures: Pictures
+) -> tuple[Tensor, Any]:
+    return shared.once(("enhanced", name, pictures, config), lambda: _enhance(dark, config, None))
+
+
+def _enhance(dark: Tensor, config: EnhancerConfig, params: Any) -> tuple[Tensor, Any]:
+    enhancer = next(e for e in ENHANCERS.values() if isinstance(config, e.config))
+    return enhancer.enhance(dark, config, params)

@@ -17,12 +17,13 @@ class BlindSpotConfig:
     """How many pixels are blinded and how they are chosen."""
 
     mask_count: int | None = 60_000  # per whole view, the paper's number; None leaves only the fraction
-    mask_fraction: float = 0.06  # at most this share of a view: 60,000 px are 6 % of LLNeRF's views but 32 % of LOM's
+    mask_fraction: float = 0.32  # at most this share of a view, which 60,000 px are of the paper's smallest ones (LOM)
     laplacian_share: float = 0.5  # of the mask, drawn by high-frequency content; the rest is uniform
     window: int = 5  # px, edge of the neighbourhood that replacements come from
-    # Blind one colour channel of a pixel, not all three: the other two tell its texture. Only where the noise of the
-    # channels is independent (a three-chip camera, not a demosaiced one). False is the paper.
-    per_channel: bool = False
+    # Blind one colour channel of a pixel instead of all three: the other two show its texture. This needs channels with
+    # independent noise: a three-chip camera, without JPEG or a colour matrix. None: wherever that holds. The paper
+    # blinds all three.
+    per_channel: bool | None = False
 
     def __post_init__(self) -> None:
         if self.mask_count is not None and self.mask_count < 1:

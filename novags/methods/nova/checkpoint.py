@@ -17,7 +17,7 @@ _MOMENTS = ("step", "exp_avg", "exp_avg_sq")
 
 def pack(prefix: str, network: nn.Module, adam: Adam) -> dict[str, Tensor]:
     """Weights, Adam moments and gradients that wait for the next step, each name starting with `prefix`."""
-    tensors = {f"{prefix}.weights.{name}": value.detach() for name, value in network.state_dict().items()}
+    tensors = {f"{prefix}.weights.{name}": value for name, value in network.state_dict().items()}
     for name, parameter in network.named_parameters():
         for key, value in adam.state.get(parameter, {}).items():
             tensors[f"{prefix}.{key}.{name}"] = value

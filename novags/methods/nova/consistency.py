@@ -24,7 +24,7 @@ class ConsistencyConfig:
     weight: float = 1.0  # of L_geo in the total loss
     confidence_weight: float = 0.05  # lambda_c; C saturates at 1 where it exceeds the residual
     start: float = 0.25  # of the iterations, when depths begin to mean something
-    every: int = 1  # iterations between two evaluations; each costs the render of a second view
+    every: int = 1  # iterations between two evaluations, each weighted `every` times; one costs a second rendering
     occlusion_tolerance: float = 0.1  # relative depth difference
     min_alpha: float = 0.5  # pixels the Gaussians cover less have no depth
     neighbours: int = 8  # source candidates of a view, nearest first
@@ -221,7 +221,8 @@ class ConsistencyLoss:
             self.config.occlusion_tolerance,
         )
         confidence = self.network(warped, target)
-        return self.config.weight * consistency_loss(warped, target, confidence, mask, self.config.confidence_weight)
+        loss = consistency_loss(warped, target, confidence, mask, self.config.confidence_weight)
+        return self.config.weight * self.config.every * loss
 
     def update(self) -> None:
         """Let the confidence network follow the gradients that the last backward pass left in it."""

@@ -4,59 +4,76 @@ import dataclasses
 import hashlib
 import json
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from novags.methods.enhancers.guided import EnhanceConfig, enhance
+from novags.methods.enhancers import EnhancerConfig, enhanced, enhancement_record
+from novags.methods.enhancers.guided import EnhanceConfig
+from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, Progress, fit_for
 from novags.methods.nova.checkpoint import file_as_tensor, read, tensor_as_file
 from novags.methods.nova.consistency import ConsistencyConfig, ConsistencyLoss
 from novags.methods.nova.denoiser import Denoiser, DenoiserConfig
 from novags.methods.nova.sh_penalty import noise_map, sh_penalty
-from novags.methods.problem import MethodInput, MethodResult
+from novags.methods.problem import Pictures, Problem
+from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.start import start_gaussians
 from novags.splats.checkpoint import digest, write_tensors
 from novags.splats.fit import FitConfig, Step, fit
 from novags.splats.gaussians import Gaussians
 
-Progress = Callable[[int, int, dict[str, float]], None]
 SAVE_INTERVAL = 60.0  # s between two checkpoints of the warm-up: its steps take from milliseconds to many seconds
 
 
 @dataclass(frozen=True, kw_only=True)
 class NovaConfig:
-    """The whole method. `fit.dssim_weight` is the paper's lambda; L_recon is the fit's own photometric loss."""
+    """The whole method; the defaults are the paper's. `fit.dssim_weight` is its lambda.
 
-    enhance: EnhanceConfig = field(default_factory=EnhanceConfig)
-    denoiser: DenoiserConfig = field(default_factory=DenoiserConfig)
-    consistency: ConsistencyConfig | None = field(default_factory=ConsistencyConfig)
-    sh_weight: float | None = 1.0  # of L_SH
+    L_recon is the fit's own photometric loss.
+    """
+
+    pictures: Pictures = "8bit"
+    enhance: EnhancerConfig = field(default_factory=EnhanceConfig)
+    denoiser: DenoiserConfig | None = field(default_factory=DenoiserConfig)  # None fits the enhanced pictures
+    consistency: ConsistencyConfig | None = field(default_factory=ConsistencyConfig)  # None leaves L_geo out
+    sh_weight: float | None = 1.0  # of L_SH; None leaves it out
     # "The masked loss serves as the sole optimization objective for the denoiser" (section 4.3.3). False lets L_recon
     # reach it too, which is how section 4.7 can be read ("jointly optimized in an end-to-end manner").
     detach_target: bool = True
     refresh_after: int = 1  # denoiser steps after which a view's pseudo-clean image is computed anew
-    init_scale: float = 0.7
-    fit: FitConfig = field(default_factory=FitConfig)
+    init_scale: float = ORIGINAL_SCALE
+    fit: FitConfig = ORIGINAL_FIT
 
     def __post_init__(self) -> None:
-        if self.sh_weight is not None and self.sh_weight < 0:
-            raise ValueError(f"sh_weight must be >= 0 or None, got {self.sh_weight}")
+        if self.sh_weight is not None and not self.sh_weight > 0:
+            raise ValueError(f"sh_weight must be > 0, or None to leave L_SH out, got {self.sh_weight}")
         if self.refresh_after < 1:
             raise ValueError(f"refresh_after must be >= 1, got {self.refresh_after}")
+        if self.denoiser is None and self.sh_weight is not None:
+            raise ValueError(
+                f"sh_weight = {self.sh_weight} has no effect without a denoiser, whose residual is the noise map: set "
+                "sh_weight to None too"
+            )
+        if not self.detach_target and (self.denoiser is None or self.denoiser.denoise_every is None):
+            raise ValueError(
+                "detach_target = False has no effect where the denoiser does not train beside the fit: set "
+                "denoiser.denoise_every, or leave detach_target True"
+            )
 
 
 class _PseudoClean:
     """The denoised image of each view, computed when asked for and kept while the denoiser has not moved on."""
 
-    def __init__(self, denoiser: Denoiser, config: NovaConfig) -> None:
-        self.denoiser, self.config = denoiser, config
+    def __init__(self, enhanced: Tensor, denoiser: Denoiser | None, config: NovaConfig) -> None:
+        self.enhanced, self.denoiser, self.config = enhanced, denoiser, config
         self.cached: dict[int, tuple[int, Tensor]] = {}
 
     def __call__(self, view: int) -> Tensor:
-        """[H, W, 3] without gradient."""
+        """[H, W, 3] without gradient; without a denoiser the enhanced picture itself."""
+        if self.denoiser is None:
+            return self.enhanced[view]
         step, image = self.cached.get(view, (-self.config.refresh_after, None))
         if image is None or self.denoiser.step - step >= self.config.refresh_after:
             with torch.no_grad():
@@ -66,7 +83,9 @@ class _PseudoClean:
 
     def target(self, view: int) -> Tensor:
         """[H, W, 3], with gradient into the denoiser if it takes part in L_recon."""
-        return self(view) if self.config.detach_target else self.denoiser.denoise(view)
+        if self.denoiser is None or self.config.detach_target:
+            return self(view)
+        return self.denoiser.denoise(view)
 
     def state(self) -> dict[str, Tensor]:
         """The images that the denoiser as it stands might not give again, by view and denoiser step."""
@@ -79,14 +98,15 @@ class _PseudoClean:
         for name, image in tensors.items():
             if name.startswith("clean."):
                 view, step = map(int, name.split(".")[1:])
-                self.cached[view] = (step, image.to(self.denoiser.images))
+                self.cached[view] = (step, image.to(self.enhanced))
 
 
-def run_identity(inputs: MethodInput, config: NovaConfig) -> Tensor:
+def run_identity(problem: Problem, config: NovaConfig) -> Tensor:
     """Hash of all that a run depends on, uint8."""
-    views = (inputs.views.viewmats, inputs.views.Ks, inputs.dark, inputs.init.points, inputs.init.colors)
-    told = json.dumps([dataclasses.asdict(config), inputs.seed, inputs.init.extent], sort_keys=True, default=str)
-    run = hashlib.blake2b((digest(*views) + told).encode(), digest_size=16)
+    start, dark = problem.start, problem.encoded(config.pictures)
+    content = digest(problem.views.viewmats, problem.views.Ks, dark, start.points, start.colors)
+    settings = json.dumps([dataclasses.asdict(config), problem.seed, start.extent], sort_keys=True, default=str)
+    run = hashlib.blake2b((content + settings).encode(), digest_size=16)
     return torch.tensor(list(run.digest()), dtype=torch.uint8)
 
 
@@ -97,19 +117,21 @@ class _Training:
     interruption between them would pair networks and splats of different iterations.
     """
 
-    def __init__(self, inputs: MethodInput, enhanced: Tensor, config: NovaConfig, checkpoint: Path | None) -> None:
+    def __init__(self, problem: Problem, enhanced: Tensor, config: NovaConfig, checkpoint: Path | None) -> None:
         iterations = config.fit.iterations
         self.config, self.enhanced = config, enhanced
-        total = config.denoiser.total_steps(iterations)
-        self.denoiser = Denoiser(enhanced, config.denoiser, total_steps=total, seed=inputs.seed)
-        self.clean = _PseudoClean(self.denoiser, config)
+        self.denoiser: Denoiser | None = None
+        if config.denoiser is not None:
+            total = config.denoiser.total_steps(iterations)
+            self.denoiser = Denoiser(enhanced, config.denoiser, total_steps=total, seed=problem.seed)
+        self.clean = _PseudoClean(enhanced, self.denoiser, config)
         self.noise: dict[int, tuple[Tensor, Tensor]] = {}  # view -> a pseudo-clean image and the noise map made of it
         self.geo: ConsistencyLoss | None = None
         if config.consistency is not None and config.consistency.weight > 0:
             self.geo = ConsistencyLoss(
-                inputs.views, self.clean, config.consistency, iterations=iterations, seed=inputs.seed
+                problem.views, self.clean, config.consistency, iterations=iterations, seed=problem.seed
             )
-        self.run = run_identity(inputs, config)
+        self.run = run_identity(problem, config)
         self.start: Gaussians | None = None
         self.seconds = 0.0  # until the splats start, of interrupted attempts too
         self.fit_path = checkpoint
@@ -119,41 +141,46 @@ class _Training:
         elif checkpoint is not None and checkpoint.exists():
             raise ValueError(f"{checkpoint} lacks the networks that belong to it: delete it, the run then starts over")
 
-    def warm_up(self, inputs: MethodInput, progress: Progress | None) -> Gaussians:
+    def warm_up(self, problem: Problem, progress: Progress | None) -> Gaussians:
         """Train the denoiser alone, then make the Gaussians that the splats start from, coloured by it."""
         if self.start is not None:
             return self.start
-        saved = time.perf_counter()
-        started = saved - self.seconds
-        steps = self.config.denoiser.warmup_steps
-        while self.denoiser.step < steps:
-            loss = self.denoiser.train_step()
+        started = time.perf_counter() - self.seconds
+        if self.denoiser is not None:
+            self._train_denoiser(self.denoiser, started, progress)
+        clean = torch.stack([self.clean(i) for i in range(len(problem.views))])
+        sh_degree, init_scale = self.config.fit.sh_degree, self.config.init_scale
+        dark = problem.encoded(self.config.pictures)
+        self.start = start_gaussians(problem.start, dark, clean, sh_degree=sh_degree, init_scale=init_scale)
+        self.seconds = time.perf_counter() - started
+        self.save()
+        return self.start
+
+    def _train_denoiser(self, denoiser: Denoiser, started: float, progress: Progress | None) -> None:
+        steps, saved = denoiser.config.warmup_steps, time.perf_counter()
+        while denoiser.step < steps:
+            loss = denoiser.train_step()
             self.seconds = time.perf_counter() - started
             if time.perf_counter() - saved > SAVE_INTERVAL:
                 self.save()
                 saved = time.perf_counter()
             if progress is not None:
-                progress(self.denoiser.step, steps + self.config.fit.iterations, {"denoiser": loss})
-        clean = torch.stack([self.clean(i) for i in range(len(inputs.views))])
-        sh_degree, init_scale = self.config.fit.sh_degree, self.config.init_scale
-        self.start = start_gaussians(inputs.init, inputs.dark, clean, sh_degree=sh_degree, init_scale=init_scale)
-        self.seconds = time.perf_counter() - started
-        self.save()
-        return self.start
+                progress(denoiser.step, steps + self.config.fit.iterations, {"denoiser": loss})
 
     def before_step(self, iteration: int) -> None:
         """Bring both networks up to a splat iteration, then save if the fit has just saved."""
         if self.geo is not None:
             self.geo.update()
-        if self.denoiser.step < self.config.denoiser.total_steps(iteration):
-            self.denoiser.train_step()
+        denoiser = self.denoiser
+        if denoiser is not None and denoiser.step < denoiser.config.total_steps(iteration):
+            denoiser.train_step()
         fit = self.config.fit
         if iteration and (iteration % fit.checkpoint_every == 0 or iteration == fit.iterations):
             self.save()
 
     def noise_penalty(self, step: Step) -> Tensor | None:
         """Weighted L_SH of this iteration."""
-        if not self.config.sh_weight:
+        if self.config.sh_weight is None:
             return None
         clean = self.clean(step.view)
         known = self.noise.get(step.view)
@@ -166,7 +193,9 @@ class _Training:
         """Write all that the next iteration depends on, the fit's checkpoint included."""
         if self.path is None or self.fit_path is None:
             return
-        tensors = self.denoiser.state() | self.clean.state() | (self.geo.state() if self.geo is not None else {})
+        tensors = self.clean.state() | (self.geo.state() if self.geo is not None else {})
+        if self.denoiser is not None:
+            tensors |= self.denoiser.state()
         tensors["run"] = self.run
         tensors["seconds"] = torch.tensor(self.seconds, dtype=torch.float64)
         if self.start is not None:
@@ -178,7 +207,8 @@ class _Training:
     def _restore(self, tensors: dict[str, Tensor]) -> None:
         if not torch.equal(tensors.get("run", torch.empty(0)), self.run):
             raise ValueError(f"{self.path} belongs to a run of other images or settings: delete it or restore them")
-        self.denoiser.restore(tensors)
+        if self.denoiser is not None:
+            self.denoiser.restore(tensors)
         self.clean.restore(tensors)
         if self.geo is not None:
             self.geo.restore(tensors)
@@ -192,50 +222,72 @@ class _Training:
             self.fit_path.unlink(missing_ok=True)
 
 
+def suited(config: NovaConfig, problem: Problem) -> NovaConfig:
+    """The configuration with `per_channel` decided for the pictures of this problem.
+
+    Raises:
+        ValueError: If channels are to be blinded one by one, but their noise is not independent.
+    """
+    if config.denoiser is None:
+        return config
+    spots = config.denoiser.blind_spots
+    if spots.per_channel and problem.channels_share:
+        raise ValueError(
+            "denoiser.blind_spots.per_channel needs channels with independent noise, and here they share it through "
+            f"{' and '.join(problem.channels_share)}: a blinded channel would be known from the others. Set it to none "
+            "(decided for the pictures) or false"
+        )
+    chosen = not problem.channels_share if spots.per_channel is None else spots.per_channel
+    spots = dataclasses.replace(spots, per_channel=chosen)
+    return dataclasses.replace(config, denoiser=dataclasses.replace(config.denoiser, blind_spots=spots))
+
+
 def train(
-    inputs: MethodInput,
+    problem: Problem,
     config: NovaConfig,
     *,
     progress: Progress | None = None,
     checkpoint: Path | None = None,
-) -> MethodResult:
+) -> Reconstruction:
     """Reconstruct a scene from noisy dark views.
 
     Args:
-        inputs: Views, dark images, initial points and seed.
-        config: All choices; `config.fit.seed` and `config.fit.extent` are overridden by `inputs`.
+        problem: The problem; its seed and extent override those of `config.fit`.
+        config: All choices.
         progress: Called with (steps done, of how many, losses); denoiser warm-up and splat iterations count alike.
-        checkpoint: The fit's checkpoint file. All that a run goes on from lies beside it, in
-            `<stem>.denoiser.safetensors`, with a copy of the fit's; if that is there already, it does.
+        checkpoint: The fit's checkpoint file. Everything that a run continues from lies beside it, in
+            `<stem>.denoiser.safetensors`, with a copy of the fit's. If that file exists, the run continues.
 
     Returns:
-        MethodResult; `targets` are the denoised images. Seconds: "enhance", "denoise" (warm-up), "fit" (with the
+        A reconstruction; `targets` are the denoised images. Seconds: "enhance", "denoise" (warm-up), "fit" (with the
         concurrent denoiser steps), the latter two of interrupted attempts too.
 
     Raises:
-        ValueError: If a checkpoint is damaged or belongs to another run.
+        ValueError: If a checkpoint is damaged or belongs to another run, or the configuration does not suit the
+            pictures.
     """
-    fit_config = dataclasses.replace(config.fit, seed=inputs.seed, extent=inputs.init.extent)
-    config = dataclasses.replace(config, fit=fit_config)
+    config = suited(dataclasses.replace(config, fit=fit_for(problem, config.fit)), problem)
     started = time.perf_counter()
-    enhanced, _ = enhance(inputs.dark, config.enhance)
+    images = enhanced(problem, config.enhance, config.pictures)
     enhancing = time.perf_counter() - started
-    training = _Training(inputs, enhanced, config, checkpoint)
-    start = training.warm_up(inputs, progress)
-    warmup = config.denoiser.warmup_steps
+    training = _Training(problem, images, config, checkpoint)
+    start = training.warm_up(problem, progress)
+    warmup = 0 if config.denoiser is None else config.denoiser.warmup_steps
     result = fit(
-        start, inputs.views, training.clean.target, fit_config,
+        start, problem.views, training.clean.target, config.fit,
         extra_losses=[loss for loss in (training.geo, training.noise_penalty) if loss is not None],
         before_step=training.before_step, needs_depth=training.geo.due if training.geo else False,
         checkpoint=checkpoint,
         progress=progress and (lambda done, total, entry: progress(warmup + done, warmup + total, entry)),
     )  # fmt: skip
-    training.before_step(fit_config.iterations)
-    return MethodResult(
-        gaussians=result.gaussians,
-        enhanced=enhanced,
-        targets=training.denoiser.denoise_all(),
+    training.before_step(config.fit.iterations)
+    return Reconstruction(
+        scene=GaussianScene(result.gaussians),
+        space="enhanced",
+        config=config,
+        enhancement=enhancement_record(config.enhance, config.pictures),
+        enhanced=images,
+        targets=images if training.denoiser is None else training.denoiser.denoise_all(),
         losses=result.losses,
         seconds={"enhance": enhancing, "denoise": training.seconds, "fit": result.seconds},
-        config=dataclasses.asdict(config),
     )

@@ -7,15 +7,18 @@ truth/NNNN.exr        digital numbers: analytic mean and variance, noise-free (c
 transforms.json ...   the cameras, as in a multiview set
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
+from novags.methods.memo import Memo
+from novags.methods.problem import Pictures, encode
 from novags.testbed.cache import folder_digest, read_json
 from novags.testbed.console import Console
 from novags.testbed.folders.png import read_codes, read_png, write_png
+from novags.testbed.folders.raw_files import read_digital_numbers
 from novags.testbed.folders.set import Source, open_source
 from sensor_model import (
     Exposure,
@@ -24,7 +27,6 @@ from sensor_model import (
     develop,
     develop_linear,
     from_linear16,
-    linear_to_srgb,
     sensor_from_dict,
     write_dng,
 )
@@ -35,7 +37,6 @@ from simscenes.sets.multiview import MultiviewSet, load_set
 
 RECORD = "capture.json"
 OWNS = (RECORD, "raw", "images16", "images", "truth", *CAMERA_FILES)
-DarkSource = Literal["8bit", "16bit"]
 
 
 def has_view(folder: Path, name: str) -> bool:
@@ -76,11 +77,6 @@ def _planes(name: str, values: np.ndarray) -> dict[str, np.ndarray]:
     return {f"{name}.{colour}": values[..., c] for c, colour in enumerate("RGB")}
 
 
-def encode(linear: np.ndarray) -> np.ndarray:
-    """Linear -> sRGB code, clipped to 0..1 like every developed picture (demosaicing overshoots, noise undershoots)."""
-    return linear_to_srgb(np.clip(linear, 0.0, 1.0)).astype(np.float32)
-
-
 @dataclass(frozen=True)
 class Capture:
     """A complete capture folder, read view by view."""
@@ -89,32 +85,62 @@ class Capture:
     record: dict[str, Any]
     cameras: MultiviewSet
     sensor: Sensor
+    content: str  # hash of all that the capture stage wrote, as it was when this was opened
+    memo: Memo = field(default_factory=Memo, repr=False, compare=False)  # what was read and made of it so far
 
     @property
     def names(self) -> tuple[str, ...]:
         """File stems in sorted order."""
         return self.cameras.names
 
-    def dark(self, i: int, source: DarkSource = "8bit") -> np.ndarray:
-        """The dark exposure, sRGB-encoded float32 [h,w,3] in 0..1: of the 8-bit image, or of the 16-bit linear one."""
-        if source == "8bit":
-            return read_png(self.path / "images" / f"{self.names[i]}.png")
-        codes = read_codes(self.path / "images16" / f"{self.names[i]}.png")
-        return encode(from_linear16(codes))
+    def srgb8(self, i: int) -> np.ndarray:
+        """The 8-bit picture, sRGB-encoded float32 [h,w,3] in 0..1."""
+        return self.memo.once(("srgb8", i), lambda: read_png(self.path / "images" / f"{self.names[i]}.png"))
+
+    def linear16(self, i: int) -> np.ndarray:
+        """The 16-bit picture, linear float32 [h,w,3], 0 = black, 1 = white; noise around black stays below 0."""
+        codes = self.path / "images16" / f"{self.names[i]}.png"
+        return self.memo.once(("linear16", i), lambda: from_linear16(read_codes(codes)).astype(np.float32))
+
+    def raw(self, i: int) -> np.ndarray:
+        """Digital numbers of the sensor, uint16 [h,w], or [h,w,3] of three chips."""
+        return read_digital_numbers(self.path / "raw" / f"{self.names[i]}.dng")
+
+    def dark(self, i: int, pictures: Pictures) -> np.ndarray:
+        """The dark exposure, sRGB-encoded float32 [h,w,3] in 0..1: the 8-bit picture, or the linear one encoded."""
+        return self.srgb8(i) if pictures == "8bit" else encode(self.linear16(i))
 
     def clean(self, i: int) -> np.ndarray:
         """The same exposure without noise, fixed pattern or rounding, developed alike; sRGB-encoded float32 [h,w,3]."""
+        return encode(self.clean_linear(i))
+
+    def clean_linear(self, i: int) -> np.ndarray:
+        """The noise-free exposure in linear light, float32 [h,w,3], in the unit of `linear16`."""
+        return self.memo.once(("clean linear", i), lambda: self._developed_clean(i))
+
+    def _developed_clean(self, i: int) -> np.ndarray:
         channels, _ = read_exr(self.path / "truth" / f"{self.names[i]}.exr")
         if "clean" in channels:
             dn = channels["clean"]
         else:
             dn = np.stack([channels[f"clean.{colour}"] for colour in "RGB"], axis=-1)
         matrix = self.record["color_matrix"]
-        return encode(develop_linear(dn, self.sensor, demosaic=self.record["demosaic"], color_matrix=matrix))
+        return develop_linear(dn, self.sensor, demosaic=self.record["demosaic"], color_matrix=matrix)
 
-    def digest(self) -> str:
-        """Hash of all that the capture stage wrote."""
-        return folder_digest(self.path, OWNS)
+    @property
+    def exposure(self) -> Exposure:
+        """How the camera was used."""
+        return Exposure(**{**self.record["exposure"], "origin": tuple(self.record["exposure"]["origin"])})
+
+    @property
+    def channels_share(self) -> tuple[str, ...]:
+        """Why the noise of a pixel's three channels is not independent; empty where it is."""
+        reasons = {
+            "demosaicing": self.sensor.cfa is not None,
+            "a colour matrix": self.record["color_matrix"] is not None,
+            "JPEG": self.record.get("jpeg_quality") is not None,
+        }
+        return tuple(reason for reason, holds in reasons.items() if holds)
 
     def source(self, console: Console) -> Source:
         """The set this capture was made of.
@@ -135,18 +161,30 @@ class Capture:
         return source
 
 
+_OPENED: dict[Path, Capture] = {}  # the last one: stages of one experiment open the same capture again and again
+
+
 def open_capture(path: Path) -> Capture:
-    """Open a capture folder.
+    """Open a capture folder; one that is open already, and unchanged, is shared with what was read of it.
 
     Raises:
-        ValueError: If the folder is missing, no capture, or an unfinished one.
+        ValueError: If the folder is missing, not a capture, or an unfinished one.
     """
     if not path.is_dir():
         raise ValueError(f"no such capture folder: {path}")
     if not (path / RECORD).exists():
-        raise ValueError(f"{path} holds no {RECORD}: it is no capture, or an unfinished one (run novags capture again)")
+        raise ValueError(
+            f"{path} holds no {RECORD}: it is not a capture, or an unfinished one (run novags capture again)"
+        )
     record = read_json(path / RECORD)
     missing = [key for key in ("sensor", "set", "demosaic", "color_matrix", "stage") if key not in record]
     if missing:
         raise ValueError(f"{path / RECORD} lacks {', '.join(missing)}: capture again")
-    return Capture(path=path, record=record, cameras=load_set(path), sensor=sensor_from_dict(record["sensor"]))
+    known, content = _OPENED.get(path.resolve()), folder_digest(path, OWNS)
+    if known is not None and known.content == content:
+        return known
+    sensor = sensor_from_dict(record["sensor"])
+    capture = Capture(path=path, record=record, cameras=load_set(path), sensor=sensor, content=content)
+    _OPENED.clear()
+    _OPENED[path.resolve()] = capture
+    return capture

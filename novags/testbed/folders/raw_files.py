@@ -43,6 +43,17 @@ def read_mosaic(path: Path) -> Mosaic:
         return Mosaic(np.array(dn), _pattern(raw, path), time, int(raw.white_level).bit_length())
 
 
+def read_digital_numbers(path: Path) -> np.ndarray:
+    """The codes of a raw file, uint16: [h,w] of a mosaic or a monochrome sensor, [h,w,3] of three chips.
+
+    Raises:
+        ValueError: If the file cannot be read.
+    """
+    with _opened(path) as raw:
+        dn = np.array(raw.raw_image_visible)
+        return dn if dn.ndim == 2 else np.ascontiguousarray(dn[..., :3])
+
+
 def _pattern(raw: Any, path: Path) -> Cfa | None:
     if raw.num_colors == 1:
         return None

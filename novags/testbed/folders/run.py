@@ -1,10 +1,11 @@
 """A run on disk: what one method made of one capture.
 
-run.json              method, resolved configuration, capture, seconds; written last
-point_cloud.ply       the Gaussians, standard 3DGS layout       events.jsonl    losses, one line a step
-enhanced/NNNN.png     training images after the enhancement     denoised/NNNN.png    and after the denoiser, if any
-renders/NNNN.png      held-out views                            renders_train/NNNN.png    training views
-depth/NNNN.exr        Z (expected depth) and alpha of every view
+run.json              method, resolved configuration, capture, cameras, seconds; written last
+point_cloud.ply       the scene (of a method that fits Gaussians: the standard 3DGS layout)
+events.jsonl          losses, one line a step
+enhanced/NNNN.png     training pictures after the enhancement     denoised/NNNN.png   and what was fitted, if different
+renders/NNNN.png      held-out views                              renders_train/NNNN.png    training views
+exr/NNNN.exr          of every view, float32: R G B as rendered, Z (expected depth in the method's frame), alpha
 """
 
 import json
@@ -12,27 +13,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from novags.methods.enhancers.guided import EnhanceConfig
+import numpy as np
+
 from novags.testbed.cache import folder_digest, read_json
 from novags.testbed.console import Console
-from novags.testbed.folders.capture import Capture, DarkSource, open_capture
+from novags.testbed.folders.capture import Capture, open_capture
+from novags.testbed.folders.png import read_png
 from novags.testbed.folders.set import Source
+from simscenes.sets.exr import read_exr
 
 RECORD = "run.json"
 METRICS = "metrics.json"
 EVENTS = "events.jsonl"
 CHECKPOINTS = ("checkpoint.safetensors", "checkpoint.denoiser.safetensors")  # there while a run is under way
+SCENE = "point_cloud.ply"
 RESULT = (
-    RECORD,
-    *CHECKPOINTS,
-    "point_cloud.ply",
-    EVENTS,
-    "enhanced",
-    "denoised",
-    "renders",
-    "renders_train",
-    "depth",
-)
+    RECORD, *CHECKPOINTS, SCENE, "scene", EVENTS, "enhanced", "denoised", "renders", "renders_train", "exr", "depth",
+)  # fmt: skip
 OWNS = (*RESULT, METRICS, "report.html")
 
 
@@ -44,20 +41,45 @@ class Run:
     record: dict[str, Any]
 
     @property
+    def name(self) -> str:
+        """Name of the method or of its variant."""
+        return str(self.record["name"])
+
+    @property
     def method(self) -> str:
         """Name of the method."""
         return str(self.record["method"])
 
     @property
-    def dark_source(self) -> DarkSource:
-        """Which of the capture's pictures the method saw."""
-        source: DarkSource = self.record["dark_source"]
-        return source
+    def space(self) -> str:
+        """What its colours are, as `Reconstruction.space`."""
+        return str(self.record["space"])
 
     @property
-    def enhance_config(self) -> EnhanceConfig:
-        """The enhancement that its training images went through, and that the references have to go through."""
-        return EnhanceConfig(**self.record["enhance"])
+    def enhancement(self) -> dict[str, Any] | None:
+        """What its training pictures went through, and the references have to go through; None if nothing."""
+        found: dict[str, Any] | None = self.record["enhancement"]
+        return found
+
+    @property
+    def depth_scale(self) -> float:
+        """World units in a unit of the frame that the method's cameras live in."""
+        return float((self.record.get("cameras") or {}).get("depth_scale", 1.0))
+
+    def rendering(self, name: str) -> np.ndarray:
+        """The view `name` as rendered, float32 [h,w,3]; of runs made before floats were kept, the 8-bit picture."""
+        if (path := self.path / "exr" / f"{name}.exr").exists():
+            channels, _ = read_exr(path)
+            return np.stack([channels[c] for c in "RGB"], -1)
+        kinds = ("renders", "renders_train")
+        found = [file for kind in kinds if (file := self.path / kind / f"{name}.png").exists()]
+        return read_png(found[0] if found else self.path / kinds[0] / f"{name}.png")
+
+    def depth(self, name: str) -> tuple[np.ndarray, np.ndarray]:
+        """Expected z-depth in the frame of the method's cameras, and alpha, of the view `name`, float32 [h,w]."""
+        folder = "exr" if (self.path / "exr").is_dir() else "depth"
+        channels, _ = read_exr(self.path / folder / f"{name}.exr")
+        return channels["Z"], channels["alpha"]
 
     def inputs(self, console: Console) -> tuple[Capture, Source]:
         """The capture it was made from, and the set that this was made of.
@@ -73,13 +95,16 @@ class Run:
             )
         capture = open_capture(path)
         source = capture.source(console)
-        if {"capture": capture.digest(), "set": source.digest()} != self.record["stage"]["inputs"]:
+        if {"capture": capture.content, "set": source.digest()} != self.record["stage"]["inputs"]:
             raise ValueError(f"{path} has changed since {self.path} was made from it: put it back or reconstruct again")
         return capture, source
 
     def scores(self) -> dict[str, Any] | None:
         """Its part of metrics.json; None if it was not scored since it was made."""
-        return read_json(self.path / METRICS)["methods"][self.method] if (self.path / METRICS).exists() else None
+        if not (self.path / METRICS).exists():
+            return None
+        methods: dict[str, Any] = read_json(self.path / METRICS)["methods"]
+        return methods.get(self.name)
 
     def digest(self) -> str:
         """Hash of all that the method made, scores not included."""
@@ -98,15 +123,24 @@ def open_run(path: Path) -> Run:
     """Open a run folder.
 
     Raises:
-        ValueError: If the folder is missing, no run, or an unfinished one.
+        ValueError: If the folder is missing, not a run, or an unfinished one.
     """
     if not path.is_dir():
         raise ValueError(f"no such run folder: {path}")
     if not (path / RECORD).exists():
         raise ValueError(
-            f"{path} holds no {RECORD}: it is no run, or an unfinished one (run novags reconstruct again, it resumes)"
+            f"{path} holds no {RECORD}: it is not a run, or an unfinished one (run novags reconstruct again: it "
+            "resumes)"
         )
-    record = read_json(path / RECORD)
-    if missing := [key for key in ("method", "capture", "dark_source", "enhance", "stage") if key not in record]:
+    record = _as_written_now(read_json(path / RECORD))
+    if missing := [key for key in ("name", "method", "capture", "space", "stage") if key not in record]:
         raise ValueError(f"{path / RECORD} lacks {', '.join(missing)}: reconstruct again")
     return Run(path=path, record=record)
+
+
+def _as_written_now(record: dict[str, Any]) -> dict[str, Any]:
+    """A record of version 0.1.0 with what later ones say: all methods ended in enhanced pictures."""
+    if "space" in record or "enhance" not in record:
+        return record
+    enhancement = {"enhancer": "guided", "pictures": record.get("dark_source"), "config": record["enhance"]}
+    return {**record, "name": record.get("method"), "space": "enhanced", "enhancement": enhancement}

@@ -10,8 +10,8 @@ LEFT, RIGHT, TOP, BOTTOM = 62, 16, 14, 46
 Series = Mapping[str, Sequence[tuple[float, float]]]
 
 
-def line_chart(series: Series, *, x_label: str, y_label: str, title: str) -> str:
-    """Lines of positive y values over x, y logarithmic; one CSS class `line NAME` per series.
+def line_chart(series: Series, keys: Mapping[str, str], *, x_label: str, y_label: str, title: str) -> str:
+    """Lines of positive y values over x, y logarithmic; the CSS class of a series is `line KEY`.
 
     Raises:
         ValueError: If there is nothing to draw.
@@ -37,7 +37,9 @@ def line_chart(series: Series, *, x_label: str, y_label: str, title: str) -> str
         parts.append(f'<text class="tick" x="{x:.1f}" y="{HEIGHT - BOTTOM + 18}" text-anchor="middle">{tick:g}</text>')
     for name, line in series.items():
         path = " ".join("{:.1f},{:.1f}".format(*place(x, y)) for x, y in line if y > 0)
-        parts.append(f'<polyline class="line {escape(name)}" points="{path}"><title>{escape(name)}</title></polyline>')
+        parts.append(
+            f'<polyline class="line {escape(keys[name])}" points="{path}"><title>{escape(name)}</title></polyline>'
+        )
     middle = (LEFT + WIDTH - RIGHT) / 2
     parts.append(f'<text class="axis" x="{middle}" y="{HEIGHT - 6}" text-anchor="middle">{escape(x_label)}</text>')
     centre = (TOP + HEIGHT - BOTTOM) / 2

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -11,15 +12,35 @@ from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import METRICS, Run
 from novags.testbed.folders.set import Source
 from novags.testbed.report.charts import line_chart
+from novags.testbed.report.rows import Row, deviations, main_row, rows_of
 
-COLUMNS = (
+# key, heading, unit, whether more is better; the first one is the number to look at
+_ENHANCED = (
     ("aligned_psnr", "PSNR aligned", "dB", True),
+    ("tone_aligned_psnr", "PSNR tone-aligned", "dB", True),
     ("psnr", "PSNR", "dB", True),
     ("aligned_ssim", "SSIM aligned", "", True),
+    ("tone_aligned_ssim", "SSIM tone-aligned", "", True),
     ("ssim", "SSIM", "", True),
     ("flip", "FLIP", "", False),
+    ("delta_e", "ΔE2000", "", False),
     ("lpips", "LPIPS", "", False),
-)  # key, heading, unit, whether more is better
+)
+COLUMNS = {
+    "enhanced": _ENHANCED,
+    "linear": (("linear_psnr", "PSNR linear", "dB", True),),
+    "lit": (_ENHANCED[1], _ENHANCED[0], *_ENHANCED[2:]),
+}
+GEOMETRY = (
+    ("abs_rel", "relative error", "", False),
+    ("within_5_percent", "within 5 %", "", True),
+    ("coverage", "covered", "", True),
+    ("floaters", "floaters", "", False),
+    ("consistency", "colour change between views", "", False),
+)
+
+
+Columns = tuple[tuple[str, str, str, bool], ...]
 
 
 @dataclass(frozen=True)
@@ -33,10 +54,19 @@ class Material:
     capture: Capture
     lit: Source
 
+    @cached_property
+    def rows(self) -> dict[str, Row]:
+        """How each run appears."""
+        return rows_of(self.runs)
+
     @property
     def main(self) -> str:
-        """The method in the centre: the paper's, if it is there."""
-        return "nova" if "nova" in self.runs else next(iter(self.runs))
+        """The run in the centre."""
+        return main_row(self.rows.values())
+
+    def bound(self, end: str) -> str | None:
+        """The run at that end of the scale, if it is there."""
+        return next((row.name for row in self.rows.values() if row.bound == end), None)
 
 
 def scene_name(material: Material) -> str:
@@ -63,15 +93,34 @@ def what_was_done(material: Material) -> str:
     )
 
 
+def leading(material: Material) -> tuple[str, str, str]:
+    """The reference that isolates noise where all runs have it, else the lit one; its number; what it is called."""
+    means = [method["mean"] for method in material.metrics["methods"].values()]
+    if all("enhanced" in mean for mean in means):
+        return "enhanced", "aligned_psnr", "aligned PSNR against the noise-free exposure"
+    return "lit", "tone_aligned_psnr", "tone-aligned PSNR against the well-lit truth"
+
+
+def _values(material: Material) -> dict[str, float]:
+    kind, number, _ = leading(material)
+    return {name: m["mean"][kind].get(number, m["mean"][kind]["aligned_psnr"])
+            for name, m in material.metrics["methods"].items()}  # fmt: skip
+
+
+def _recovered(material: Material) -> dict[str, float]:
+    key = "recovered" if leading(material)[0] == "enhanced" else "recovered_lit"
+    found: dict[str, float] = material.metrics.get(key, {})
+    return found
+
+
 def verdict(material: Material) -> str:
     """One sentence with the outcome."""
-    methods, main = material.metrics["methods"], material.main
-    value = {name: m["mean"]["enhanced"]["aligned_psnr"] for name, m in methods.items()}
-    text = f"{main} reaches {value[main]:.2f} dB on the held-out views (aligned PSNR against the noise-free exposure)"
-    if main != "naive" and "naive" in value:
-        gain = value[main] - value["naive"]
-        text += f", {abs(gain):.2f} dB {'more' if gain >= 0 else 'less'} than enhancing without denoising"
-    fraction = material.metrics["recovered"].get(main)
+    value, main, floor = _values(material), material.main, material.bound("floor")
+    text = f"{main} reaches {value[main]:.2f} dB on the held-out views ({leading(material)[2]})"
+    if floor is not None and main != floor:
+        gain = value[main] - value[floor]
+        text += f", {abs(gain):.2f} dB {'more' if gain >= 0 else 'less'} than {floor}"
+    fraction = _recovered(material).get(main)
     if fraction is not None and fraction > 0:
         text += f"; that wins back {fraction:.0%} of what noise costs here"
     return text + "."
@@ -79,40 +128,75 @@ def verdict(material: Material) -> str:
 
 def cards(material: Material) -> list[dict[str, str]]:
     """The verdict in numbers: value, unit, label."""
-    methods, main = material.metrics["methods"], material.main
-    value = {name: m["mean"]["enhanced"]["aligned_psnr"] for name, m in methods.items()}
+    value, main = _values(material), material.main
+    floor, ceiling = material.bound("floor"), material.bound("ceiling")
     found = [{"value": f"{value[main]:.2f}", "unit": "dB", "label": f"{main}, held-out views"}]
-    if main != "naive" and "naive" in value:
-        found.append({"value": signed(value[main] - value["naive"]), "unit": "dB", "label": "over naive"})
-    if (fraction := material.metrics["recovered"].get(main)) is not None:
+    if floor is not None and main != floor:
+        found.append({"value": signed(value[main] - value[floor]), "unit": "dB", "label": f"over {floor}"})
+    if (fraction := _recovered(material).get(main)) is not None:
         share = f"{100 * fraction:.0f}".replace("-", "−")
         found.append({"value": share, "unit": "%", "label": "of the loss to noise recovered"})
-    if "oracle" in value:
-        found.append({"value": f"{value['oracle']:.2f}", "unit": "dB", "label": "oracle, the ceiling"})
+    if ceiling is not None:
+        found.append({"value": f"{value[ceiling]:.2f}", "unit": "dB", "label": f"{ceiling}, the ceiling"})
     found.append({"value": duration(sum(row["seconds"] for row in costs(material))), "unit": "", "label": "in all"})
     return found
 
 
-def score_table(metrics: Mapping[str, Any], kind: str) -> list[dict[str, Any]]:
-    """One row per method, with the best value of each column marked."""
-    means = {name: method["mean"][kind] for name, method in metrics["methods"].items()}
+def score_table(metrics: Mapping[str, Any], kind: str, competes: Mapping[str, bool]) -> list[dict[str, Any]]:
+    """One row for each run that has this reference, with the best value of each column marked.
+
+    Args:
+        metrics: As in metrics.json.
+        kind: The reference.
+        competes: Whether a run may be the best, by name.
+    """
+    means = {name: m["mean"][kind] for name, m in metrics["methods"].items() if kind in m["mean"]}
+    return best_marked(means, COLUMNS[kind], competes)
+
+
+def best_marked(
+    values: Mapping[str, Mapping[str, Any]], columns: Columns, competes: Mapping[str, bool]
+) -> list[dict[str, Any]]:
+    """Rows of cells; the best value of each column among the runs that compete is marked."""
     rows = []
-    for name, mean in means.items():
+    for name, row in values.items():
         cells = []
-        for key, _, _, more_is_better in COLUMNS:
-            # The oracle sees what no method can, so it does not compete.
-            rivals = [m[key] for other, m in means.items() if other != "oracle" and m[key] is not None]
+        for key, _, _, more_is_better in columns:
+            rivals = [r[key] for other, r in values.items() if competes[other] and r.get(key) is not None]
             best = (max if more_is_better else min)(rivals, default=None)
-            cells.append(
-                {"key": key, "value": mean[key], "best": name != "oracle" and mean[key] == best and len(rivals) > 1}
-            )
+            mark = competes[name] and row.get(key) == best and len(rivals) > 1
+            cells.append({"key": key, "value": row.get(key), "best": mark})
         rows.append({"method": name, "cells": cells})
     return rows
+
+
+def geometry_table(material: Material) -> list[dict[str, Any]]:
+    """Depth scores of each run; empty where the true depth is not known."""
+    found = {name: m["geometry"] for name, m in material.metrics["methods"].items() if m.get("geometry")}
+    flat = {name: {**scores, "consistency": scores["consistency"]["excess"]} for name, scores in found.items()}
+    return best_marked(flat, GEOMETRY, {name: row.competes for name, row in material.rows.items()})
+
+
+def camera_table(material: Material) -> list[dict[str, Any]]:
+    """Where each run's cameras came from and how far off they are; empty where all were exact."""
+    rows = []
+    for name, run in material.runs.items():
+        cameras = run.record.get("cameras")
+        if cameras and (cameras["unregistered"] or cameras["mean_rotation_deg"] or cameras["mean_centre_error"]):
+            rows.append({"method": name, **cameras})
+    return rows
+
+
+def departures(material: Material) -> dict[str, list[Any]]:
+    """The settings in which each run differs from its method as published."""
+    return {name: found for name, run in material.runs.items() if (found := deviations(run))}
 
 
 def training_table(material: Material) -> list[dict[str, Any]]:
     """2D scores of the training images of the main method, best last."""
     scores = material.metrics["methods"][material.main]["training_2d"]
+    if scores is None:
+        return []
     labels = {
         "enhanced": "enhanced, not denoised",
         "blur": f"Gaussian blur, sigma {scores['blur']['sigma']:.1f} px",
@@ -122,15 +206,19 @@ def training_table(material: Material) -> list[dict[str, Any]]:
     return [{"label": label, "key": key, **scores[key]} for key, label in labels.items() if key in scores]
 
 
-def loss_chart(runs: Mapping[str, Run]) -> str | None:
-    """Photometric loss over the iterations, one line per method; None if nothing was logged."""
+def loss_chart(runs: Mapping[str, Run], rows: Mapping[str, Row]) -> str | None:
+    """Photometric loss over the iterations, one line for each run; None if nothing was logged."""
     series = {}
     for name, run in runs.items():
         points = [(e["iteration"], e["photometric"]) for e in run.events() if "photometric" in e]
         series[name] = smoothed(points)
     if not any(series.values()):
         return None
-    return line_chart(series, x_label="iteration", y_label="photometric loss", title="Photometric loss over iterations")
+    keys = {name: row.key for name, row in rows.items()}
+    series = {name: points for name, points in series.items() if points}
+    return line_chart(
+        series, keys, x_label="iteration", y_label="photometric loss", title="Photometric loss over iterations"
+    )
 
 
 def smoothed(points: list[tuple[float, float]], count: int = 50) -> list[tuple[float, float]]:
@@ -147,7 +235,8 @@ def costs(material: Material) -> list[dict[str, Any]]:
         stages.append(("render", "", rendered, {}))
     stages.append(("capture", "", material.capture.record["stage"], {}))
     for name, run in material.runs.items():
-        stages.append((f"reconstruct: {name}", name, run.record["stage"], run.record["seconds"]))
+        key = material.rows[name].key
+        stages.append((f"reconstruct: {name}", key, run.record["stage"], run.record["seconds"]))
     scored = [read_json(run.path / METRICS)["stage"] for run in material.runs.values() if (run.path / METRICS).exists()]
     if scored:
         total = {"seconds": sum(s["seconds"] for s in scored), "peak_bytes": max(s["peak_bytes"] for s in scored)}

@@ -3,18 +3,22 @@
 from pathlib import Path
 from typing import Any
 
-from novags.methods.table import METHODS
-from novags.testbed.cache import UNFINISHED, read_json, write_text
+from novags.testbed.cache import read_json, write_text
 from novags.testbed.console import Console, Update
+from novags.testbed.folders.experiment import EXPERIMENT, REPORT, find_runs
 from novags.testbed.folders.linear_photographs import LinearPhotographs
-from novags.testbed.folders.run import METRICS, RECORD, Run, open_run
+from novags.testbed.folders.run import METRICS
 from novags.testbed.report.facts import (
     COLUMNS,
+    GEOMETRY,
     Material,
+    camera_table,
     cards,
     configurations,
     costs,
+    departures,
     duration,
+    geometry_table,
     loss_chart,
     number,
     plans,
@@ -27,28 +31,6 @@ from novags.testbed.report.facts import (
     what_was_done,
 )
 from novags.testbed.report.pictures import ERROR_CEILING, pick_views, view_tiles
-
-EXPERIMENT = "experiment.json"
-REPORT = "report.html"
-
-
-def find_runs(folder: Path) -> dict[str, Run]:
-    """The runs of an experiment by method, in its order; or the one run that `folder` is.
-
-    Raises:
-        ValueError: If there is none.
-    """
-    if not folder.is_dir():
-        raise ValueError(f"no such folder: {folder}")
-    if (folder / RECORD).exists() or (folder / UNFINISHED).exists():
-        run = open_run(folder)
-        return {run.method: run}
-    if (folder / EXPERIMENT).exists():
-        return {method: open_run(folder / method) for method in read_json(folder / EXPERIMENT)["methods"]}
-    raise ValueError(
-        f"{folder} is neither a run (no {RECORD}) nor an experiment (no {EXPERIMENT}; if it is "
-        "an unfinished one, run the same command again)"
-    )
 
 
 def read_material(folder: Path, console: Console) -> Material:
@@ -95,6 +77,7 @@ def write_report(folder: Path, console: Console) -> Path:
 
 def report_context(material: Material, progress: Update) -> dict[str, Any]:
     """What the template shows."""
+    competes = {name: row.competes for name, row in material.rows.items()}
     picked = pick_views(material.capture)
     views = []
     for done, i in enumerate(picked):
@@ -107,13 +90,23 @@ def report_context(material: Material, progress: Update) -> dict[str, Any]:
         "cards": cards(material),
         "views": views,
         "main": material.main,
+        "compared": {"left": material.bound("floor") or material.main, "right": material.main},
         "error_ceiling": ERROR_CEILING,
-        "methods": {name: METHODS.get(name, "") for name in material.runs},
-        "tables": {kind: score_table(material.metrics, kind) for kind in ("enhanced", "lit")},
+        "rows": material.rows,
+        "tables": {kind: score_table(material.metrics, kind, competes) for kind in COLUMNS},
         "columns": COLUMNS,
-        "recovered": material.metrics["recovered"],
+        "geometry": geometry_table(material),
+        "geometry_columns": GEOMETRY,
+        "cameras": camera_table(material),
+        "recovered": {
+            "enhanced": material.metrics["recovered"],
+            "lit": material.metrics.get("recovered_lit", {}),
+            "linear": {},
+        },
+        "bounds": [material.bound("floor"), material.bound("ceiling")],
         "training_2d": training_table(material),
-        "loss_chart": loss_chart(material.runs),
+        "departures": departures(material),
+        "loss_chart": loss_chart(material.runs, material.rows),
         "costs": costs(material),
         "plans": plans(material),
         "kind": material.lit.views.kind,

@@ -9,17 +9,23 @@ import cv2
 import matplotlib
 import numpy as np
 
+from novags.methods.problem import encode
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.png import read_png
 from novags.testbed.folders.run import Run
 from novags.testbed.folders.set import Source
 from novags.testbed.metrics import affine_aligned
-from novags.testbed.stages.score import enhanced_pair
-from simscenes.sets.exr import read_exr
+from novags.testbed.references import enhanced_pair, references, true_depth
 
 VIEWS_OF_EACH_KIND = 4  # held-out and training views shown: enough to judge, small enough to mail
 MAX_SIDE = 640  # px; larger pictures are shrunk for the report only
 PNG_PIXELS = 256 * 256  # above it JPEG: noise compresses badly, and the file would grow by megabytes
+TRUTHS = {
+    "enhanced": ("Truth: noise-free", "the same exposure without noise, enhanced alike"),
+    "linear": ("Truth: noise-free", "the same exposure without noise, in linear light"),
+    "lit": ("Truth: well lit", "the scene in good light"),
+}
+WORDS = {"enhanced": "noise-free", "linear": "noise-free", "lit": "well-lit"}
 ERROR_CEILING = 0.25  # sRGB code units at the bright end of the error maps, the same in every report
 
 
@@ -59,53 +65,59 @@ def _spread(indices: Sequence[int]) -> list[int]:
 def view_tiles(
     i: int, runs: Mapping[str, Run], main: str, capture: Capture, lit: Source, metrics: Mapping[str, Any]
 ) -> ViewTiles:
-    """Everything there is to see of view `i`; `main` names the method whose denoised images and depth are shown."""
+    """Everything there is to see of view `i`; `main` names the run whose denoised images and depth are shown."""
     name, held_out = capture.names[i], i in capture.cameras.test_indices
-    tiles: list[Tile] = []
+    run, tiles = runs[main], list[Tile]()
 
     def add(key: str, label: str, note: str, image: np.ndarray) -> None:
         tiles.append(Tile(key, label, note, f"{label}, view {name}: {note}", data_uri(image)))
 
-    noisy, truth = enhanced_pair(runs[main], capture, i)
-    add("dark", "Dark input", "what the camera delivers, 8-bit sRGB", capture.dark(i, runs[main].dark_source))
-    add("enhanced", "Enhanced", "the dark input made bright; the noise comes along", noisy)
-    if (denoised := runs[main].path / "denoised" / f"{name}.png").exists():
-        add("denoised", f"Denoised by {main}", "what the Gaussians are fitted to", read_png(denoised))
-    folder = "renders" if held_out else "renders_train"
-    renders = {method: read_png(run.path / folder / f"{name}.png") for method, run in runs.items()}
-    for method, image in renders.items():
-        add(f"render-{method}", f"Rendered by {method}", _render_note(method, name, held_out, metrics), image)
-    add("truth", "Truth: noise-free", "the same exposure without noise, enhanced alike", truth)
-    add("lit", "Truth: well lit", "the scene in good light", lit.lit(i))
-    for method, image in renders.items():
-        note = "distance to the noise-free truth after affine alignment"
-        add(f"error-{method}", f"Error of {method}", note, error_map(image, truth))
-    depth_range = _add_depths(add, i, runs[main], main, lit, name)
-    height, width = truth.shape[:2]
-    return ViewTiles(name, held_out, width, height, depth_range, tuple(tiles))
+    add("dark", "Dark input", "what the camera delivers, 8-bit sRGB", capture.srgb8(i))
+    if run.enhancement is not None:
+        noisy, _ = enhanced_pair(capture, i, run.enhancement)
+        add("enhanced", "Enhanced", "the dark input made bright; the noise comes along", noisy)
+    if (denoised := run.path / "denoised" / f"{name}.png").exists():
+        add("denoised", f"Denoised by {main}", "what the scene is fitted to", read_png(denoised))
+    renders = {other: made.rendering(name) for other, made in runs.items()}
+    for other, image in renders.items():
+        note = _render_note(other, name, held_out, metrics)
+        add(f"render-{other}", f"Rendered by {other}", note, shown(image, runs[other]))
+    truths = {other: references(made, capture, lit, i) for other, made in runs.items()}
+    for kind, image in truths[main].items():
+        add(f"truth-{kind}", *TRUTHS[kind], encode(image) if kind == "linear" else image)
+    for other, image in renders.items():
+        kind, truth = next(iter(truths[other].items()))
+        note = f"distance to the {WORDS[kind]} truth after affine alignment"
+        add(f"error-{other}", f"Error of {other}", note, error_map(shown(image, runs[other]), shown(truth, kind=kind)))
+    depth_range = _add_depths(add, i, run, main, lit, name)
+    return ViewTiles(name, held_out, capture.cameras.rig.width, capture.cameras.rig.height, depth_range, tuple(tiles))
 
 
-def _render_note(method: str, name: str, held_out: bool, metrics: Mapping[str, Any]) -> str:
+def shown(image: np.ndarray, run: Run | None = None, kind: str = "") -> np.ndarray:
+    """A picture for looking at: linear light as sRGB code."""
+    linear = kind == "linear" or (run is not None and run.space == "linear")
+    return encode(image) if linear else image
+
+
+def _render_note(name: str, view: str, held_out: bool, metrics: Mapping[str, Any]) -> str:
     if not held_out:
         return "a training view"
-    scores = metrics["methods"][method]["views"][name]["enhanced"]
-    return f"held out; aligned PSNR {scores['aligned_psnr']:.1f} dB"
+    scores = next(iter(metrics["methods"][name]["views"][view].values()))
+    number = scores.get("aligned_psnr", scores.get("linear_psnr"))
+    return f"held out; {'aligned ' if 'aligned_psnr' in scores else 'linear '}PSNR {number:.1f} dB"
 
 
 def _add_depths(add: Any, i: int, run: Run, main: str, lit: Source, name: str) -> tuple[float, float] | None:
-    channels, _ = read_exr(run.path / "depth" / f"{name}.exr")
-    z, seen = channels["Z"], channels["alpha"] > 0.5
+    depth, alpha = run.depth(name)
+    z, seen = depth * run.depth_scale, alpha > 0.5
     if not seen.any():
         return None
     near, far = (float(v) for v in np.percentile(z[seen], (1, 99)))
-    add(f"depth-{main}", f"Depth of {main}", f"expected depth of the Gaussians, {near:.3g} to {far:.3g}",
-        depth_map(z, seen, near, far))  # fmt: skip
-    geometry = None if lit.scaled else lit.views.geometry(i)
-    if geometry is not None:
-        true = geometry["z"]
-        add(
-            "depth-true", "True depth", "of the scene, on the same scale", depth_map(true, np.isfinite(true), near, far)
-        )
+    add(f"depth-{main}", f"Depth of {main}", f"expected depth, {near:.3g} to {far:.3g}", depth_map(z, seen, near, far))
+    true = true_depth(lit, i)
+    if true is not None:
+        picture = depth_map(true, np.isfinite(true), near, far)
+        add("depth-true", "True depth", "of the scene, on the same scale", picture)
     return near, far
 
 

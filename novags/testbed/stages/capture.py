@@ -2,15 +2,19 @@
 
 import math
 import os
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from novags.testbed.cache import run_stage
 from novags.testbed.console import Console, Update
+from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders.capture import has_view, write_view
-from novags.testbed.folders.set import Source
+from novags.testbed.folders.set import Source, open_source
+from novags.testbed.stages.paths import keep_apart
 from sensor_model import (
     PRESETS,
     Exposure,
@@ -80,6 +84,30 @@ class CaptureConfig:
         if self.tolerance is None:
             return None
         return Limits(sd=self.tolerance, row_length=ROW_LENGTH, pixels=pixels)
+
+
+def capture(
+    set_path: Path, out: Path, config: CaptureConfig, console: Console, *, stale: Sequence[Path] = ()
+) -> dict[str, Any]:
+    """Photograph the set at `set_path` in the dark; returns capture.json.
+
+    Raises:
+        ValueError: If the set cannot be read or is black, or `out` holds other things.
+    """
+    keep_apart(out, set_path)
+    source = open_source(set_path, console, config.max_size)
+    return run_stage(
+        "capture",
+        out,
+        capture_folder.RECORD,
+        inputs={"set": source.digest()},
+        config=config.resolved(),
+        owns=capture_folder.OWNS,
+        prepare=lambda: meter(source, config, console),
+        work=lambda light: capture_views(source, light, out, config, console),
+        console=console,
+        stale=stale,
+    )
 
 
 def camera_named(name: str) -> Sensor:

@@ -2,64 +2,140 @@
 
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from novags.cameras.known import known
-from novags.methods.nova.trainer import NovaConfig
-from novags.methods.problem import MethodInput, MethodResult
-from novags.methods.table import method_config, suited, train
-from novags.splats import Gaussians, Views, rasterize, write_ply
-from novags.testbed.cache import jsonable, write_text
+from novags.cameras import CameraConfig, CameraEstimate, KnownConfig, spell_cameras
+from novags.methods import METHODS, chosen
+from novags.methods.noise import camera_noise
+from novags.methods.problem import Problem, RawPictures
+from novags.methods.reconstruction import Reconstruction
+from novags.methods.variant import Variant
+from novags.splats import Views
+from novags.testbed.cache import jsonable, run_stage, write_text
 from novags.testbed.console import Console, losses_text
-from novags.testbed.folders.capture import Capture, DarkSource
+from novags.testbed.devices import chosen_device
+from novags.testbed.folders import run as run_folder
+from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.png import write_png
 from novags.testbed.folders.run import CHECKPOINTS, EVENTS
-from simscenes.rigs import Rig
+from novags.testbed.folders.set import Source
+from novags.testbed.stages.camera_source import Frame, cameras_of
+from novags.testbed.stages.paths import keep_apart
 from simscenes.sets.exr import write_exr
-from simscenes.sets.multiview import MultiviewSet
 
 
 @dataclass(frozen=True, kw_only=True)
 class ReconstructConfig:
     """How to reconstruct a capture."""
 
-    method: str = "nova"  # a name of METHODS
-    source: DarkSource = "8bit"  # which pictures the method sees: 8-bit sRGB, or 16-bit linear
-    points: int = 8000  # Gaussians at the start, and at most if `nova.fit.cap_max` is None
+    variant: Variant = field(default_factory=lambda: chosen("nova"))
+    config: Any = None  # of the method; None for its defaults with the variant's settings
+    cameras: CameraConfig = field(default_factory=KnownConfig)
+    points: int = 8000  # Gaussians at the start, and at most if the fit's `cap_max` is None
     seed: int = 0
-    nova: NovaConfig = field(default_factory=NovaConfig)  # enhancement and fit of every method, and what is nova's own
+    device: str = "auto"  # "auto", "cpu", "cuda": where a result is made does not decide what it is
 
     def __post_init__(self) -> None:
-        method_config(self.method, self.nova)
-        if self.source not in get_args(DarkSource):
-            raise ValueError(f"source must be one of {', '.join(get_args(DarkSource))}, got {self.source!r}")
+        if self.config is None:
+            config = self.variant.config(METHODS[self.variant.method].config(), {})
+            object.__setattr__(self, "config", config)
         if self.points < 4:
             raise ValueError(f"points must be >= 4, got {self.points}")
         if self.seed < 0:
             raise ValueError(f"seed must be >= 0, got {self.seed}")
 
     def resolved(self) -> dict[str, Any]:
-        """What decides the result, without what this method does not look at."""
-        shared = {"method": self.method, "source": self.source, "points": self.points, "seed": self.seed}
-        return {**shared, "config": asdict(method_config(self.method, self.nova))}
+        """What decides the result."""
+        return {
+            "method": self.variant.method, "points": self.points, "seed": self.seed,
+            "cameras": spell_cameras(self.cameras), "config": asdict(self.config),
+        }  # fmt: skip
 
 
-def initial_set(capture: Capture, console: Console) -> MultiviewSet:
-    """Where initial points come from: the set, whose depth is known if it was rendered; the capture if sizes differ."""
+@dataclass(frozen=True)
+class Prepared:
+    """A problem, and how its cameras relate to the true ones."""
+
+    problem: Problem
+    estimate: CameraEstimate
+    indices: list[int]  # of the capture's views, the training views that have a camera
+    device: torch.device
+
+
+def reconstruct(
+    capture_path: Path, out: Path, config: ReconstructConfig, console: Console, *, stale: Sequence[Path] = ()
+) -> dict[str, Any]:
+    """Reconstruct the capture at `capture_path` by one method; returns run.json.
+
+    Raises:
+        ValueError: If the capture or its set cannot be read, or `out` holds other things.
+    """
+    keep_apart(out, capture_path)
+    capture = open_capture(capture_path)
     source = capture.source(console)
-    return capture.cameras if source.scaled else source.views
+    return run_stage(
+        f"reconstruct {config.variant.name}",
+        out,
+        run_folder.RECORD,
+        inputs={"capture": capture.content, "set": source.digest()},
+        config=config.resolved(),
+        owns=run_folder.OWNS,
+        prepare=lambda: prepare(capture, source, config, console),
+        work=lambda prepared: reconstruct_views(capture, prepared, out, config, console),
+        console=console,
+        stale=stale,
+    )
+
+
+def prepare(capture: Capture, source: Source, config: ReconstructConfig, console: Console) -> Prepared:
+    """The problem: pictures and cameras of the training views. Only methods with `sees_clean` get the noise-free ones.
+
+    Raises:
+        ValueError: If the capture has too few views, the camera source fails, or a file cannot be read.
+    """
+    wanted = capture.cameras.train_indices
+    if len(wanted) < 2:
+        raise ValueError(f"{capture.path} has {len(wanted)} training view(s), at least 2 are needed")
+    device = chosen_device(config.device, console)
+    estimate = cameras_of(config.cameras, capture, source, wanted, config.points, config.seed, device, console)
+    indices = [wanted[k] for k in estimate.registered]
+    if len(indices) < len(wanted):
+        lost = [capture.names[i] for i in wanted if i not in indices]
+        console.note(f"{len(lost)} of {len(wanted)} training views have no camera and are left out: {', '.join(lost)}")
+    rig, sees_clean = capture.cameras.rig, METHODS[config.variant.method].sees_clean
+    problem = Problem(
+        views=views_of(estimate.viewmats, estimate.Ks, rig.width, rig.height),
+        start=estimate,
+        seed=config.seed,
+        srgb8=stack([capture.srgb8(i) for i in indices]),
+        linear16=stack([capture.linear16(i) for i in indices]),
+        raw=RawPictures(
+            dn=stack([capture.raw(i) for i in indices]), cfa=capture.sensor.cfa,
+            black=float(capture.sensor.black_level), white=capture.sensor.white_dn,
+        ),
+        noise=camera_noise(
+            capture.sensor, capture.exposure, demosaic=capture.record["demosaic"],
+            color_matrix=capture.record["color_matrix"],
+        ),
+        channels_share=capture.channels_share,
+        clean=stack([capture.clean(i) for i in indices]) if sees_clean else None,
+        names=tuple(capture.names[i] for i in indices),
+        shared=capture.memo,
+    )  # fmt: skip
+    return Prepared(problem.to(device), estimate, indices, device)
 
 
 def reconstruct_views(
-    capture: Capture, inputs: MethodInput, folder: Path, config: ReconstructConfig, console: Console
+    capture: Capture, prepared: Prepared, folder: Path, config: ReconstructConfig, console: Console
 ) -> dict[str, Any]:
-    """Train the method on the capture's training views, `inputs`, and write everything but the record.
+    """Train the method on the problem and write everything but the record.
 
     Returns:
         The body of run.json.
@@ -67,90 +143,69 @@ def reconstruct_views(
     Raises:
         ValueError: If the method refuses its input.
     """
-    nova = suited(config.nova, capture.sensor, color_matrix=capture.record["color_matrix"] is not None)
-    if config.method == "nova" and nova != config.nova:
-        console.note("the channels of a pixel share their noise here (demosaicing, colour matrix): all are blinded")
-    settings = method_config(config.method, nova)
-    with console.progress(f"reconstruct {config.method}") as progress, EventLog(folder / EVENTS) as log:
+    variant, problem = config.variant, prepared.problem
+    with console.progress(f"reconstruct {variant.name}") as progress, EventLog(folder / EVENTS) as log:
 
         def step(done: int, total: int, losses: dict[str, float]) -> None:
             log.add({"step": done, **losses})
             progress(done, total, losses_text(losses))
 
-        result = train(config.method, inputs, settings, step, folder / CHECKPOINTS[0])
-    with console.progress(f"render {config.method}") as progress:
-        write_images(folder, capture, result)
-        write_ply(folder / "point_cloud.ply", result.gaussians)
-        rig = capture.cameras.rig
+        train = METHODS[variant.method].train
+        result = train(problem, config.config, progress=step, checkpoint=folder / CHECKPOINTS[0])
+    frame = Frame.of(capture, prepared.indices, prepared.estimate, result.viewmats)
+    with console.progress(f"render {variant.name}") as progress:
+        write_images(folder, problem.names, result)
+        result.save(folder)
         for i, name in enumerate(capture.names):
-            render = "renders" if i in capture.cameras.test_indices else "renders_train"
-            write_rendering(folder, render, name, result.gaussians, rig_views(rig, [i]))
+            write_rendering(folder, i in capture.cameras.test_indices, name, result, frame.view(i, prepared.device))
             progress(i + 1, len(capture.names), f"view {name}")
     for checkpoint in CHECKPOINTS:
         (folder / checkpoint).unlink(missing_ok=True)
     return {
-        "method": config.method,
+        "name": variant.name,
+        "method": variant.method,
+        "variant": dict(variant.settings),
         "capture": os.path.relpath(capture.path.resolve(), folder.resolve()),
-        "dark_source": config.source,
-        "enhance": asdict(settings.enhance),
-        "config": result.config,
+        "space": result.space,
+        "enhancement": result.enhancement,
+        "config": asdict(result.config),
         "seed": config.seed,
-        "gaussians": len(result.gaussians),
-        "training_views": len(inputs.views),
+        "points": config.points,
+        "device": str(prepared.device),
+        "cameras": {"source": config.resolved()["cameras"], **frame.facts()},
+        **result.scene.facts(),
+        "training_views": len(problem.views),
         "seconds": result.seconds,
     }
 
 
-def method_input(capture: Capture, config: ReconstructConfig, console: Console) -> MethodInput:
-    """The training views as arrays. Only the oracle is given the noise-free exposures.
-
-    Raises:
-        ValueError: If the capture has too few views, or a file of it or of its set cannot be read.
-    """
-    indices = capture.cameras.train_indices
-    if len(indices) < 2:
-        raise ValueError(f"{capture.path} has {len(indices)} training view(s), at least 2 are needed")
-    dark = stack([capture.dark(i, config.source) for i in indices])
-    clean = stack([capture.clean(i) for i in indices]) if config.method == "oracle" else None
-    start = known(initial_set(capture, console), indices, dark, n_points=config.points, seed=config.seed)
-    return MethodInput(
-        views=rig_views(capture.cameras.rig, indices), dark=dark, clean=clean, init=start, seed=config.seed
-    )
-
-
 def stack(images: list[np.ndarray]) -> Tensor:
-    """Images [h,w,3] -> [C,h,w,3] float32."""
+    """Images [h,w,...] -> [C,h,w,...] float32."""
     return torch.from_numpy(np.stack(images).astype(np.float32))
 
 
-def rig_views(rig: Rig, indices: list[int]) -> Views:
-    """Some cameras of a rig for the rasteriser."""
-    viewmats, Ks = (torch.tensor(matrices[indices], dtype=torch.float32) for matrices in (rig.viewmats, rig.Ks))
-    return Views(viewmats, Ks, rig.width, rig.height)
+def views_of(viewmats: Tensor, Ks: Tensor, width: int, height: int) -> Views:
+    """Cameras for the rasteriser, which works in float32."""
+    return Views(viewmats.to(torch.float32), Ks.to(torch.float32), width, height)
 
 
-def write_images(folder: Path, capture: Capture, result: MethodResult) -> None:
+def write_images(folder: Path, names: Sequence[str], result: Reconstruction) -> None:
     """Write the enhanced training images and, if the method aimed at others, what it aimed at."""
-    names = [capture.names[i] for i in capture.cameras.train_indices]
-    denoises = not torch.equal(result.enhanced, result.targets)
-    for name, enhanced, target in zip(names, result.enhanced, result.targets, strict=True):
-        write_png(folder / "enhanced" / f"{name}.png", enhanced.cpu().numpy())
-        if denoises:
-            write_png(folder / "denoised" / f"{name}.png", target.cpu().numpy())
+    if result.enhanced is not None:
+        for name, image in zip(names, result.enhanced, strict=True):
+            write_png(folder / "enhanced" / f"{name}.png", image.cpu().numpy())
+    if result.targets is not None and (result.enhanced is None or not torch.equal(result.enhanced, result.targets)):
+        for name, image in zip(names, result.targets, strict=True):
+            write_png(folder / "denoised" / f"{name}.png", image.cpu().numpy())
 
 
-def write_rendering(folder: Path, subfolder: str, name: str, gaussians: Gaussians, view: Views) -> None:
-    """Render one view; write its picture and its depth."""
-    g = gaussians
-    with torch.no_grad():
-        image, alpha, _ = rasterize(
-            g.means, g.quats, g.scales, g.opacities, g.sh, view.viewmats, view.Ks, view.width, view.height,
-            sh_degree=g.sh_degree, render_mode="RGB+ED",
-        )  # fmt: skip
-    pixels = image[0].cpu().numpy()
-    write_png(folder / subfolder / f"{name}.png", pixels[..., :3])
-    (folder / "depth").mkdir(exist_ok=True)
-    write_exr(folder / "depth" / f"{name}.exr", {"Z": pixels[..., 3], "alpha": alpha[0, ..., 0].cpu().numpy()})
+def write_rendering(folder: Path, held_out: bool, name: str, result: Reconstruction, view: Views) -> None:
+    """Render one view; write its picture, and colours, depth and alpha as floats."""
+    image, alpha, depth = (tensor[0].cpu().numpy().astype(np.float32) for tensor in result.render(view))
+    write_png(folder / ("renders" if held_out else "renders_train") / f"{name}.png", image)
+    (folder / "exr").mkdir(exist_ok=True)
+    colours = {c: np.ascontiguousarray(image[..., k]) for k, c in enumerate("RGB")}
+    write_exr(folder / "exr" / f"{name}.exr", {**colours, "Z": depth, "alpha": alpha})
 
 
 class EventLog:

@@ -6,15 +6,17 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import digest, read_json
+from novags.testbed.cache import digest, read_json, run_stage
 from novags.testbed.console import Console
 from novags.testbed.folders.set import warnings_as_notes
 from sensor_model import Plan
 from simscenes import EXPORTS, Optics, Rig, load_set
 from simscenes.backend import BACKENDS, COLORS, choose_variant
 from simscenes.camera import camera_color
+from simscenes.job.identity import SPENT
 from simscenes.loading.reference import SceneRef
 from simscenes.loading.untrusted import check_xml
+from simscenes.sets.camera_files import CAMERA_FILES
 from simscenes.transport.plan import EFFECTS
 
 RECORD = "set.json"
@@ -77,6 +79,28 @@ class RenderConfig:
             ValueError: If no scene of the catalogue has that name.
         """
         return SceneRef.of(self.scene)
+
+
+def render(out: Path, config: RenderConfig, console: Console, *, stale: Sequence[Path] = ()) -> dict[str, Any]:
+    """Render a scene into the set folder `out`; returns set.json.
+
+    Raises:
+        ValueError: If the scene is unknown or cannot be rendered, or `out` holds other things.
+    """
+    record = run_stage(
+        "render",
+        out,
+        RECORD,
+        inputs={"scene": scene_digest(config)},
+        config=config.resolved(),
+        owns=(RECORD, "gt", "images", SPENT, *CAMERA_FILES, *EXPORTS),
+        prepare=lambda: prepare_render(config, console),
+        work=lambda prepared: render_views(out, config, *prepared, console),
+        console=console,
+        stale=stale,
+    )
+    write_layouts(out, config.export, console)
+    return record
 
 
 def scene_digest(config: RenderConfig) -> str:

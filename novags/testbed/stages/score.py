@@ -1,79 +1,151 @@
-"""Scores of one run against the truth: held-out views in 3D, training images in 2D.
+"""Scores of one run against the truth: held-out views in 3D, training pictures in 2D, depth, cameras, consistency."""
 
-Two references, never mixed. `enhanced` is the noise-free dark exposure put through the enhancement of its noisy twin
-(same gamma, same epsilon): what a method would show if noise were all it had to fight, so it isolates noise. `lit` is
-the well-lit render or the photograph itself: what the field reports, dominated by differences of tone.
-"""
-
+from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
-from novags.methods.enhancers.guided import enhance
-from novags.testbed.console import Update
+from novags.methods import METHODS
+from novags.methods.problem import encode
+from novags.testbed.cache import run_stage
+from novags.testbed.console import Console, Update
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.png import read_png
-from novags.testbed.folders.run import Run
+from novags.testbed.folders.run import METRICS, Run, open_run
 from novags.testbed.folders.set import Source
 from novags.testbed.metrics import (
     Image,
     PerceptualDistance,
     affine_aligned,
+    consistency_scores,
+    exposure_gain,
     gaussian_blur,
+    geometry_scores,
     image_scores,
+    linear_psnr,
     mean_scores,
     psnr,
 )
+from novags.testbed.references import references, true_depth
+from simscenes.sets.correspondence import flow
 
 BLUR_SIGMA = 1.2  # px; the fixed bar a denoiser has to clear
 BLUR_GRID = tuple(float(s) for s in np.geomspace(0.4, 8.0, 20))  # px; the harder bar: the best of these for the images
 
 
-def enhanced_pair(run: Run, capture: Capture, i: int) -> tuple[Image, Image]:
-    """The dark exposure of view `i` as the run enhanced it, and its noise-free twin through the same enhancement."""
-    dark = torch.from_numpy(capture.dark(i, run.dark_source))
-    noisy, params = enhance(dark, run.enhance_config)
-    return noisy.numpy(), enhance(torch.from_numpy(capture.clean(i)), run.enhance_config, params)[0].numpy()
+def score(run_path: Path, console: Console) -> dict[str, Any]:
+    """Score the run at `run_path` against the truth of its capture; returns its metrics.json.
+
+    Raises:
+        ValueError: If the run, its capture or its set cannot be read, or the run was not made from them as they are.
+    """
+    run = open_run(run_path)
+    captured, lit = run.inputs(console)
+    missing = PerceptualDistance.missing()
+    inputs = {"run": run.digest(), "capture": captured.content, "set": lit.digest()}
+
+    def work(_: None) -> dict[str, Any]:
+        lpips = PerceptualDistance() if missing is None else None
+        with console.progress(f"score {run.name}") as progress:
+            scores = score_test_views(run, captured, lit, lpips, progress)
+        method = {
+            **scores,
+            "training_2d": score_training_images(run, captured, lit),
+            "cameras": run.record.get("cameras"),
+            "seconds": stage_seconds(run, captured, lit),
+            "peak_bytes": run.record["stage"]["peak_bytes"],
+        }
+        unavailable = {} if missing is None else {"lpips": missing}
+        if scores["geometry"] is None:
+            unavailable["geometry"] = "the true depth is not known: photographs, or a set scaled down for the capture"
+        return {"methods": {run.name: method}, "recovered": {}, "unavailable": unavailable}
+
+    return run_stage(
+        "score", run_path, METRICS, inputs=inputs, config={"lpips": missing is None, "format": 2}, owns=(METRICS,),
+        prepare=lambda: None, work=work, console=console,
+    )  # fmt: skip
 
 
 def score_test_views(
     run: Run, capture: Capture, lit: Source, lpips: PerceptualDistance | None, progress: Update
 ) -> dict[str, Any]:
-    """Scores of every held-out view against both references, and their means: `{"mean": ..., "views": ...}`."""
+    """Scores of every held-out view against each of its references, and their means.
+
+    Returns:
+        `mean` and `views` hold the image scores by reference; `geometry` those of depth (None if unknown), with the
+        view consistency.
+    """
     views: dict[str, Any] = {}
+    depths = []
     indices = capture.cameras.test_indices
+    gain = exposure(run, capture, lit, indices) if run.space == "linear" else 1.0
     for done, i in enumerate(indices):
         name = capture.names[i]
-        rendered = read_png(run.path / "renders" / f"{name}.png")
-        _, reference = enhanced_pair(run, capture, i)
+        rendered = run.rendering(name)
         views[name] = {
-            "enhanced": image_scores(rendered, reference, lpips),
-            "lit": image_scores(rendered, lit.lit(i), lpips),
+            kind: {"linear_psnr": linear_psnr(rendered, reference, gain)}
+            if kind == "linear"
+            else image_scores(_shown(rendered, run, gain), reference, lpips)
+            for kind, reference in references(run, capture, lit, i).items()
         }
+        if (truth := true_depth(lit, i)) is not None:
+            depth, alpha = run.depth(name)
+            depths.append(geometry_scores(depth * run.depth_scale, alpha, truth))
         progress(done + 1, len(indices), f"view {name}")
-    mean = {kind: mean_scores([scores[kind] for scores in views.values()]) for kind in ("enhanced", "lit")}
-    return {"mean": mean, "views": views}
+    kinds = next(iter(views.values())).keys()
+    return {
+        "mean": {kind: mean_scores([scores[kind] for scores in views.values()]) for kind in kinds},
+        "views": views,
+        "geometry": {**mean_scores(depths), "consistency": view_consistency(run, capture, lit)} if depths else None,
+    }
 
 
-def score_training_images(run: Run, capture: Capture) -> dict[str, Any]:
-    """2D scores of the training images against the enhanced noise-free exposure, beside Gaussian blurs.
+def exposure(run: Run, capture: Capture, lit: Source, indices: list[int]) -> float:
+    """The one factor that brings the renders of a method in linear light to the exposure of the capture."""
+    pairs = ((run.rendering(capture.names[i]), references(run, capture, lit, i)["linear"]) for i in indices)
+    return exposure_gain(pairs)
+
+
+def _shown(rendered: Image, run: Run, gain: float) -> Image:
+    """A render as a picture in sRGB code; of a method in linear light at the exposure of the capture."""
+    return encode(gain * rendered) if run.space == "linear" else rendered
+
+
+def view_consistency(run: Run, capture: Capture, lit: Source) -> dict[str, float | None]:
+    """Mean colour change along true correspondences from each held-out view to the view after it."""
+    found: list[Any] = []
+    for i in capture.cameras.test_indices:
+        j = i + 1 if i + 1 < len(capture.names) else i - 1
+        moved = flow(lit.views, i, j)
+        rendered = (run.rendering(capture.names[i]), run.rendering(capture.names[j]))
+        first = [next(iter(references(run, capture, lit, k).values())) for k in (i, j)]
+        found.append(consistency_scores(rendered, (first[0], first[1]), moved.displacement, moved.visible))
+    return dict(mean_scores(found))
+
+
+def score_training_images(run: Run, capture: Capture, lit: Source) -> dict[str, Any] | None:
+    """2D scores of the training pictures against the enhanced noise-free exposure, beside Gaussian blurs.
 
     Returns:
         `enhanced`, `denoised` (only if the method denoises), `blur` (sigma 1.2 px) and `best_blur` (the sigma of
         `BLUR_GRID` that suits these very images), each with mean `psnr` and `aligned_psnr`; blurs also with `sigma`.
+        None for a method that enhances no pictures.
     """
-    enhanced, denoised, references = [], [], []
+    if run.enhancement is None or not (run.path / "enhanced").is_dir():
+        return None
+    enhanced, denoised, truth = [], [], []
     for i in capture.cameras.train_indices:
         name = capture.names[i]
+        if not (run.path / "enhanced" / f"{name}.png").exists():
+            continue  # a view without a camera
         enhanced.append(read_png(run.path / "enhanced" / f"{name}.png"))
         if (run.path / "denoised").is_dir():
             denoised.append(read_png(run.path / "denoised" / f"{name}.png"))
-        references.append(enhanced_pair(run, capture, i)[1])
-    scores = {"enhanced": _mean_psnr(enhanced, references)}
+        truth.append(references(run, capture, lit, i)["enhanced"])
+    scores = {"enhanced": _mean_psnr(enhanced, truth)}
     if denoised:
-        scores["denoised"] = _mean_psnr(denoised, references)
-    blurs = {sigma: _blur_scores(enhanced, references, sigma) for sigma in (BLUR_SIGMA, *BLUR_GRID)}
+        scores["denoised"] = _mean_psnr(denoised, truth)
+    blurs = {sigma: _blur_scores(enhanced, truth, sigma) for sigma in (BLUR_SIGMA, *BLUR_GRID)}
     best = max(blurs, key=lambda sigma: blurs[sigma]["aligned_psnr"])
     return {**scores, "blur": blurs[BLUR_SIGMA], "best_blur": blurs[best]}
 
@@ -92,32 +164,67 @@ def _blur_scores(images: list[Image], references: list[Image], sigma: float) -> 
     return {**_mean_psnr([gaussian_blur(image, sigma) for image in images], references), "sigma": sigma}
 
 
-def merge(metrics: dict[str, dict[str, Any]]) -> dict[str, Any]:
+def stage_seconds(run: Run, captured: Capture, lit: Source) -> dict[str, float]:
+    """Seconds of every stage that led to the run, and of the parts of its reconstruction."""
+    rendered = lit.views.meta.get("stage")
+    seconds = {} if rendered is None else {"render": float(rendered["seconds"])}
+    seconds["capture"] = float(captured.record["stage"]["seconds"])
+    seconds["reconstruct"] = float(run.record["stage"]["seconds"])
+    return {**seconds, **{f"reconstruct/{part}": float(s) for part, s in run.record["seconds"].items()}}
+
+
+def merge(metrics: dict[str, dict[str, Any]], methods: dict[str, str]) -> dict[str, Any]:
     """One metrics.json for an experiment from those of its runs, with the recovered fractions.
 
     Args:
-        metrics: The metrics.json of each run, by method.
+        metrics: The metrics.json of each run, by its name.
+        methods: The method of each run, by its name.
 
     Returns:
-        Methods and what was unavailable of all runs; `recovered` = (method - naive) / (oracle - naive) in aligned PSNR
-        against `enhanced`, for every method but these two.
+        Methods and what was unavailable of all runs; `recovered` = (method - floor) / (ceiling - floor) in aligned PSNR
+        against `enhanced`, `recovered_lit` the same in tone-aligned PSNR against `lit`, for every run but the bounds.
     """
-    methods = {name: run["methods"][name] for name, run in metrics.items()}
+    found = {name: run["methods"][name] for name, run in metrics.items()}
+    merged: dict[str, Any] = {"methods": found}
     unavailable = {what: why for run in metrics.values() for what, why in run["unavailable"].items()}
-    recovered, why = recovered_fractions(methods)
-    if why is not None:
-        unavailable["recovered"] = why
-    return {"methods": methods, "recovered": recovered, "unavailable": unavailable}
+    for key, kind, number in (
+        ("recovered", "enhanced", "aligned_psnr"),
+        ("recovered_lit", "lit", "tone_aligned_psnr"),
+    ):
+        merged[key], why = recovered_fractions(found, methods, kind, number)
+        if why is not None:
+            unavailable[key] = why
+    return {**merged, "unavailable": unavailable}
 
 
-def recovered_fractions(methods: dict[str, Any]) -> tuple[dict[str, float], str | None]:
-    """The share of what noise costs that each method wins back, and why there is none if there is none."""
-    missing = [name for name in ("naive", "oracle") if name not in methods]
-    if missing:
-        return {}, f"the recovered fraction needs the method(s) {' and '.join(missing)}: reconstruct and score them too"
-    value = {name: method["mean"]["enhanced"]["aligned_psnr"] for name, method in methods.items()}
-    span = value["oracle"] - value["naive"]
+def recovered_fractions(
+    scores: dict[str, Any], methods: dict[str, str], kind: str = "enhanced", number: str = "aligned_psnr"
+) -> tuple[dict[str, float], str | None]:
+    """The share of what noise costs that each run wins back, and why there is none if there is none.
+
+    Args:
+        scores: The scores of each run, by its name.
+        methods: The method of each run, by its name.
+        kind: The reference.
+        number: The score.
+    """
+    bounds = {name: METHODS[name].bound for name in scores if methods[name] == name and name in METHODS}
+    ends = {bound: name for name, bound in bounds.items() if bound is not None}
+    if len(ends) < 2:
+        wanted = [name for name, method in METHODS.items() if method.bound and name not in scores]
+        listed = " and ".join(wanted)
+        return {}, f"the recovered fraction needs the method(s) {listed}: reconstruct and score them too"
+    value = {
+        name: method["mean"][kind][number]
+        for name, method in scores.items()
+        if method["mean"].get(kind, {}).get(number) is not None
+    }
+    if missing := [name for name in ends.values() if name not in value]:
+        return {}, f"{' and '.join(missing)} were scored by an earlier version: score them again"
+    floor, span = value[ends["floor"]], value[ends["ceiling"]] - value[ends["floor"]]
     if span < 0.1:  # dB; a fraction of so little would be scatter divided by scatter
-        return {}, f"the oracle is only {span:+.2f} dB from naive: noise costs too little here to speak of a fraction"
-    others = [name for name in methods if name not in ("naive", "oracle")]
-    return {name: (value[name] - value["naive"]) / span for name in others}, None
+        return {}, (
+            f"{ends['ceiling']} is only {span:+.2f} dB from {ends['floor']}: noise costs too little here to speak of a "
+            "fraction"
+        )
+    return {name: (value[name] - floor) / span for name in value if name not in ends.values()}, None

@@ -3,17 +3,17 @@ import torch
 
 from novags.methods import enhance_then_fit as naive
 from novags.methods import oracle
-from novags.methods.enhance_then_fit import NaiveConfig
 from novags.methods.enhancers.guided import enhance
-from novags.methods.problem import MethodInput
+from novags.methods.gaussian_fit import EnhancedFitConfig
+from novags.methods.problem import Problem
 from novags.splats import FitConfig, Gaussians, rasterize
 
-CONFIG = NaiveConfig(fit=FitConfig(iterations=60, sh_degree=0, mcmc=None))
+CONFIG = EnhancedFitConfig(init_scale=0.7, fit=FitConfig(iterations=60, sh_degree=0, mcmc=None))
 
 
-def error(gaussians: Gaussians, inputs: MethodInput) -> float:
+def error(gaussians: Gaussians, inputs: Problem) -> float:
     """Mean squared difference of the renderings to the enhanced noise-free views."""
-    _, params = enhance(inputs.dark)
+    _, params = enhance(inputs.srgb8)
     truth, _ = enhance(inputs.clean, params=params)
     g, v = gaussians, inputs.views
     images, _, _ = rasterize(
@@ -22,52 +22,48 @@ def error(gaussians: Gaussians, inputs: MethodInput) -> float:
     return float((images - truth).square().mean())
 
 
-def test_naive_aims_at_the_enhanced_images(method_input):
-    inputs = method_input()
+def test_naive_aims_at_the_enhanced_images(problem):
+    inputs = problem()
     result = naive.train(inputs, CONFIG)
-    enhanced, _ = enhance(inputs.dark)
+    enhanced, _ = enhance(inputs.srgb8)
     assert torch.equal(result.enhanced, enhanced)
     assert torch.equal(result.targets, enhanced)
     assert set(result.seconds) == {"enhance", "fit"}
-    assert result.config["fit"]["extent"] == inputs.init.extent
+    assert result.config.fit.extent == inputs.start.extent
 
 
-def test_oracle_aims_at_the_noise_free_images_under_the_noisy_ones_enhancement(method_input):
-    inputs = method_input(sigma=0.02)
+def test_oracle_aims_at_the_noise_free_images_under_the_noisy_ones_enhancement(problem):
+    inputs = problem(sigma=0.02)
     result = oracle.train(inputs, CONFIG)
-    _, params = enhance(inputs.dark)
+    _, params = enhance(inputs.srgb8)
     assert torch.equal(result.targets, enhance(inputs.clean, params=params)[0])
 
 
-def test_noise_costs_naive_something_that_the_oracle_keeps(method_input):
-    inputs = method_input(sigma=0.04)
-    config = NaiveConfig(fit=FitConfig(iterations=200, sh_degree=0, mcmc=None))
-    kept, spent = (error(method.train(inputs, config).gaussians, inputs) for method in (oracle, naive))
+def test_noise_costs_naive_something_that_the_oracle_keeps(problem):
+    inputs = problem(sigma=0.04)
+    config = EnhancedFitConfig(init_scale=0.7, fit=FitConfig(iterations=200, sh_degree=0, mcmc=None))
+    kept, spent = (error(method.train(inputs, config).scene.gaussians, inputs) for method in (oracle, naive))
     assert kept < 0.8 * spent
 
 
-def test_without_noise_naive_is_the_oracle(method_input):
-    inputs = method_input(sigma=0)
+def test_without_noise_naive_is_the_oracle(problem):
+    inputs = problem(sigma=0)
     a, b = naive.train(inputs, CONFIG), oracle.train(inputs, CONFIG)
-    assert torch.equal(a.gaussians.means, b.gaussians.means)
-    assert torch.equal(a.gaussians.sh, b.gaussians.sh)
+    assert torch.equal(a.scene.gaussians.means, b.scene.gaussians.means)
+    assert torch.equal(a.scene.gaussians.sh, b.scene.gaussians.sh)
 
 
-def test_l1_changes_nothing_but_the_loss():
-    assert CONFIG.with_l1() == NaiveConfig(fit=FitConfig(iterations=60, sh_degree=0, mcmc=None, dssim_weight=0.0))
-
-
-def test_a_capture_without_noise_free_exposures_has_no_oracle(method_input):
+def test_a_capture_without_noise_free_exposures_has_no_oracle(problem):
     with pytest.raises(ValueError, match="noise-free exposures"):
-        oracle.train(method_input(with_clean=False), CONFIG)
+        oracle.train(problem(with_clean=False), CONFIG)
 
 
-def test_progress_and_checkpoint_reach_the_fit(method_input, tmp_path):
+def test_progress_and_checkpoint_reach_the_fit(problem, tmp_path):
     seen = []
     checkpoint = tmp_path / "checkpoint.safetensors"
-    first = naive.train(method_input(), CONFIG, progress=lambda *entry: seen.append(entry[:2]), checkpoint=checkpoint)
+    first = naive.train(problem(), CONFIG, progress=lambda *entry: seen.append(entry[:2]), checkpoint=checkpoint)
     assert seen[-1] == (60, 60)
     seen.clear()
-    again = naive.train(method_input(), CONFIG, progress=lambda *entry: seen.append(entry[:2]), checkpoint=checkpoint)
+    again = naive.train(problem(), CONFIG, progress=lambda *entry: seen.append(entry[:2]), checkpoint=checkpoint)
     assert not seen
-    assert torch.equal(again.gaussians.means, first.gaussians.means)
+    assert torch.equal(again.scene.gaussians.means, first.scene.gaussians.means)

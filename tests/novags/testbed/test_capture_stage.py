@@ -146,7 +146,7 @@ def test_jpeg_touches_the_8_bit_pictures_only(tmp_path: Path) -> None:
         config = CaptureConfig(sensor="ideal-3chip", electrons=500.0, jpeg_quality=quality)
         stages.capture(views, tmp_path / str(quality), config, QUIET)
     plain, jpeg = (open_capture(tmp_path / name) for name in ("None", "40"))
-    assert 0.001 < np.abs(plain.dark(0) - jpeg.dark(0)).mean() < 0.2
+    assert 0.001 < np.abs(plain.srgb8(0) - jpeg.srgb8(0)).mean() < 0.2
     np.testing.assert_array_equal(plain.dark(0, "16bit"), jpeg.dark(0, "16bit"))
     with pytest.raises(ValueError, match="jpeg_quality must be"):
         CaptureConfig(jpeg_quality=0)
@@ -176,5 +176,5 @@ def test_a_set_seen_through_a_cameras_own_filters_is_captured_with_them(tmp_path
     clean = srgb_to_linear(opened.clean(0)).mean(1)
     assert np.allclose(clean[5] / clean[5, 1], 1, rtol=1e-3)
     assert np.allclose(clean[20] / clean[5, 1], color / 0.4, rtol=5e-3)
-    taken = srgb_to_linear(opened.dark(1)).mean(1)
+    taken = srgb_to_linear(opened.srgb8(1)).mean(1)
     assert np.allclose(taken[20], clean[20], rtol=0.05)

@@ -3,16 +3,23 @@
 import io
 import subprocess
 import sys
+from dataclasses import replace
+from typing import Any
 
 import pytest
 
-from novags.methods.table import METHODS, method_config, suited
+from novags.methods import METHODS, VARIANTS, chosen
+from novags.methods.gaussian_fit import ORIGINAL_FIT
+from novags.methods.nova.trainer import NovaConfig
+from novags.methods.variant import parse_variant
 from novags.testbed.console import Console, losses_text
-from novags.testbed.presets import PRESETS, adapted
+from novags.testbed.presets import PRESETS, Preset, adapted
 from novags.testbed.stages.capture import CaptureConfig
-from novags.testbed.stages.reconstruct import ReconstructConfig
 from novags.testbed.stages.render import RenderConfig
-from sensor_model import PRESETS as SENSORS
+
+
+def config(preset: Preset, name: str) -> Any:
+    return preset.reconstruct(name).config
 
 
 def test_adapting_changes_what_is_named_and_nothing_else() -> None:
@@ -20,41 +27,45 @@ def test_adapting_changes_what_is_named_and_nothing_else() -> None:
     assert adapted(demo) == demo
     changed = adapted(demo, electrons=5.0, iterations=7, width=64)
     assert changed.capture.electrons == 5.0
-    assert changed.nova.fit.iterations == 7
+    assert config(changed, "naive").fit.iterations == 7
     assert changed.render.width == 64
-    assert adapted(changed, electrons=20.0, iterations=demo.nova.fit.iterations, width=demo.render.width) == demo
+    assert adapted(changed, electrons=20.0, iterations=2400, width=demo.render.width) == demo
 
 
 @pytest.mark.parametrize("name", PRESETS)
 def test_presets_compare_with_floor_and_ceiling(name: str) -> None:
-    assert {"nova", "naive", "oracle"} <= set(PRESETS[name].methods)
+    bounds = {METHODS[chosen(method).method].bound for method in PRESETS[name].methods}
+    assert {"floor", "ceiling"} <= bounds
 
 
-def test_methods_share_enhancement_and_fit() -> None:
-    nova = PRESETS["demo"].nova
-    configs = {name: method_config(name, nova) for name in METHODS}
-    assert all(config.enhance == nova.enhance for config in configs.values())
-    assert configs["naive"].fit == configs["oracle"].fit == nova.fit
-    assert configs["naive-l1"].fit.dssim_weight == 0
+@pytest.mark.parametrize("name", PRESETS)
+def test_methods_of_a_preset_share_enhancement_and_fit(name: str) -> None:
+    preset = PRESETS[name]
+    configs = {method: config(preset, method) for method in (*METHODS, *VARIANTS)}
+    assert len({c.enhance for c in configs.values()}) == 1
+    fits = {replace(c.fit, dssim_weight=0.2) for c in configs.values()}
+    assert len(fits) == 1
+    assert {method for method, c in configs.items() if c.fit.dssim_weight != 0.2} == {"naive-l1"}
 
 
-def test_channels_are_blinded_alone_only_where_their_noise_is_independent() -> None:
-    nova = PRESETS["demo"].nova
-    assert nova.denoiser.blind_spots.per_channel
-    assert suited(nova, SENSORS["a7s2-iso6400-3chip"]) == nova
-    assert not suited(nova, SENSORS["a7s2-iso6400"]).denoiser.blind_spots.per_channel
-    assert not suited(nova, SENSORS["a7s2-iso6400-3chip"], color_matrix=True).denoiser.blind_spots.per_channel
-    assert suited(PRESETS["paper"].nova, SENSORS["a7s2-iso6400"]) == PRESETS["paper"].nova
+def test_the_papers_preset_is_the_method_as_published_but_for_its_cap() -> None:
+    found = config(PRESETS["paper"], "nova")
+    assert replace(found, fit=NovaConfig().fit) == NovaConfig()
+    assert replace(found.fit, cap_max=None, checkpoint_every=1000) == ORIGINAL_FIT
+    assert found.denoiser.blind_spots.fraction(800 * 800) * 800 * 800 == 60_000
 
 
-def test_a_denoiser_setting_does_not_make_the_naive_run_stale() -> None:
+def test_a_setting_that_one_method_has_reaches_that_method_alone() -> None:
     demo, other = PRESETS["demo"], adapted(PRESETS["demo"], denoiser_steps=1)
-    naive, nova = (
-        [ReconstructConfig(method=m, points=100, nova=p.nova).resolved() for p in (demo, other)]
-        for m in ("naive", "nova")
-    )
-    assert naive[0] == naive[1]
-    assert nova[0] != nova[1]
+    assert demo.reconstruct("naive").resolved() == other.reconstruct("naive").resolved()
+    assert demo.reconstruct("nova-fast").resolved() != other.reconstruct("nova-fast").resolved()
+
+
+def test_own_variants_are_compared_beside_the_presets_methods() -> None:
+    own = parse_variant("calm=nova-fast:sh_weight=0.5")
+    preset = adapted(PRESETS["demo"], variants=(own,))
+    assert preset.methods == (*PRESETS["demo"].methods, "calm")
+    assert config(preset, "calm") == replace(config(preset, "nova-fast"), sh_weight=0.5)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """Claims about merging scores, recovered fractions, and the parts of a report."""
 
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -14,17 +15,30 @@ from novags.testbed.stages.score import merge, recovered_fractions
 
 def method(value: float, **others: Any) -> dict[str, Any]:
     scores = {"psnr": value - 1, "aligned_psnr": value, "ssim": 0.5, "aligned_ssim": 0.6, "flip": 0.1, "lpips": None}
-    return {"mean": {"enhanced": {**scores, **others}, "lit": scores}}
+    return {"mean": {"enhanced": {**scores, **others}, "lit": {**scores, "tone_aligned_psnr": value / 2}}}
+
+
+def itself(names: Iterable[str]) -> dict[str, str]:
+    """Every run is its method as it is."""
+    return {name: name for name in names}
+
+
+def fractions(scores: dict[str, Any]) -> tuple[dict[str, float], str | None]:
+    return recovered_fractions(scores, itself(scores))
 
 
 def test_recovered_is_the_share_of_the_way_from_naive_to_oracle() -> None:
-    recovered, why = recovered_fractions({"nova": method(22.0), "naive": method(20.0), "oracle": method(30.0)})
+    recovered, why = recovered_fractions(
+        scores := {"nova": method(22.0), "naive": method(20.0), "oracle": method(30.0)}, itself(scores)
+    )
     assert recovered == {"nova": pytest.approx(0.2)}
     assert why is None
 
 
 def test_a_method_worse_than_naive_recovers_a_negative_share() -> None:
-    recovered, _ = recovered_fractions({"nova": method(19.0), "naive": method(20.0), "oracle": method(30.0)})
+    recovered, _ = recovered_fractions(
+        scores := {"nova": method(19.0), "naive": method(20.0), "oracle": method(30.0)}, itself(scores)
+    )
     assert recovered["nova"] == pytest.approx(-0.1)
 
 
@@ -37,7 +51,7 @@ def test_a_method_worse_than_naive_recovers_a_negative_share() -> None:
     ],
 )
 def test_without_ends_to_measure_between_there_is_a_reason_instead_of_a_number(methods: dict, message: str) -> None:
-    recovered, why = recovered_fractions(methods)
+    recovered, why = recovered_fractions(methods, itself(methods))
     assert recovered == {}
     assert why is not None
     assert message in why
@@ -48,17 +62,33 @@ def test_merging_keeps_every_method_and_every_reason() -> None:
         name: {"methods": {name: method(value)}, "recovered": {}, "unavailable": {"lpips": "no weights"}}
         for name, value in (("nova", 25.0), ("naive", 20.0), ("oracle", 30.0))
     }
-    merged = merge(runs)
+    merged = merge(runs, itself(runs))
     assert list(merged["methods"]) == ["nova", "naive", "oracle"]
     assert merged["recovered"] == {"nova": pytest.approx(0.5)}
+    assert merged["recovered_lit"] == {"nova": pytest.approx(0.5)}
     assert merged["unavailable"] == {"lpips": "no weights"}
+
+
+def test_a_variant_of_a_bound_is_measured_between_the_bounds() -> None:
+    scores = {"naive": method(20.0), "naive-l1": method(24.0), "oracle": method(30.0)}
+    recovered, _ = recovered_fractions(scores, {**itself(scores), "naive-l1": "naive"})
+    assert recovered == {"naive-l1": pytest.approx(0.4)}
+
+
+def test_scores_of_an_earlier_version_have_no_tone_aligned_share_and_say_so() -> None:
+    scores = {name: method(value) for name, value in (("nova", 25.0), ("naive", 20.0), ("oracle", 30.0))}
+    for found in scores.values():
+        del found["mean"]["lit"]["tone_aligned_psnr"]
+    recovered, why = recovered_fractions(scores, itself(scores), "lit", "tone_aligned_psnr")
+    assert recovered == {}
+    assert "score them again" in (why or "")
 
 
 def test_the_best_method_is_marked_and_the_oracle_does_not_compete() -> None:
     metrics = {"methods": {"nova": method(25.0, flip=0.2), "naive": method(20.0), "oracle": method(30.0)}}
     marked = {
         (row["method"], cell["key"])
-        for row in score_table(metrics, "enhanced")
+        for row in score_table(metrics, "enhanced", {"nova": True, "naive": True, "oracle": False})
         for cell in row["cells"]
         if cell["best"]
     }
@@ -69,10 +99,16 @@ def test_the_best_method_is_marked_and_the_oracle_does_not_compete() -> None:
 
 
 def test_a_chart_is_well_formed_and_draws_every_series() -> None:
-    svg = line_chart({"nova": [(10, 0.5), (20, 0.1)], "a<b": [(10, 0.4)]}, x_label="x", y_label="y & z", title="t")
+    svg = line_chart(
+        {"nova": [(10, 0.5), (20, 0.1)], "a<b": [(10, 0.4)]},
+        {"nova": "m0", "a<b": "m1"},
+        x_label="x",
+        y_label="y & z",
+        title="t",
+    )
     root = ElementTree.fromstring(svg)
     lines = [element for element in root.iter() if element.tag == "polyline"]
-    assert [line.get("class") for line in lines] == ["line nova", "line a<b"]
+    assert [line.get("class") for line in lines] == ["line m0", "line m1"]
     for line in lines:
         for point in (line.get("points") or "").split():
             x, y = map(float, point.split(","))

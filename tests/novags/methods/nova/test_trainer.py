@@ -8,6 +8,7 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import load_file
 
+from novags.methods.gaussian_fit import ORIGINAL_FIT
 from novags.methods.nova import trainer
 from novags.methods.nova.consistency import ConsistencyConfig, ConsistencyLoss
 from novags.methods.nova.denoiser import Denoiser, DenoiserConfig
@@ -25,6 +26,7 @@ DENOISER = DenoiserConfig(
     residual_blur=1.0,
 )
 CONFIG = NovaConfig(
+    init_scale=0.7,
     denoiser=DENOISER,
     consistency=ConsistencyConfig(start=0.25, max_angle=60),
     fit=FitConfig(iterations=12, sh_degree=1, sh_every=4, checkpoint_every=5),
@@ -36,7 +38,7 @@ def changed(**changes) -> NovaConfig:
 
 
 def sh(result) -> torch.Tensor:
-    return result.gaussians.sh
+    return result.scene.gaussians.sh
 
 
 def test_the_paper_is_the_default():
@@ -49,23 +51,23 @@ def test_the_paper_is_the_default():
     assert config.detach_target
 
 
-def test_a_run_gives_images_losses_seconds_and_its_configuration(method_input):
-    inputs, seen = method_input(seed=3), []
+def test_a_run_gives_images_losses_seconds_and_its_configuration(problem):
+    inputs, seen = problem(seed=3), []
     result = train(inputs, CONFIG, progress=lambda *entry: seen.append(entry))
-    assert result.enhanced.shape == result.targets.shape == inputs.dark.shape
+    assert result.enhanced.shape == result.targets.shape == inputs.srgb8.shape
     assert ((result.targets >= 0) & (result.targets <= 1)).all()
     assert abs(float(result.enhanced.mean()) - 0.5) < 0.05
     assert set(result.seconds) == {"enhance", "denoise", "fit"}
-    assert result.config["fit"]["seed"] == 3
-    assert result.config["fit"]["extent"] == inputs.init.extent
-    assert result.config["denoiser"]["warmup_steps"] == 4
+    assert result.config.fit.seed == 3
+    assert result.config.fit.extent == inputs.start.extent
+    assert result.config.denoiser.warmup_steps == 4
     assert [entry[0] for entry in seen] == [1, 2, 3, 4, 14, 16]
     assert {entry[1] for entry in seen} == {16}
     assert result.losses[-1]["iteration"] == 12
 
 
-def test_targets_are_the_denoised_images_and_lie_closer_to_the_clean_ones(method_input):
-    noisy, clean = method_input(sigma=0.02), method_input(sigma=0)
+def test_targets_are_the_denoised_images_and_lie_closer_to_the_clean_ones(problem):
+    noisy, clean = problem(sigma=0.02), problem(sigma=0)
     denoiser = dataclasses.replace(DENOISER, warmup_steps=30, learning_rate=3e-3)
     result = train(noisy, changed(denoiser=denoiser))
     twin = train(clean, changed(denoiser=dataclasses.replace(DENOISER, warmup_steps=0))).enhanced
@@ -73,40 +75,40 @@ def test_targets_are_the_denoised_images_and_lie_closer_to_the_clean_ones(method
 
 
 @pytest.mark.parametrize(("every", "steps"), [(None, 4), (1, 16), (3, 8), (5, 7)])
-def test_the_denoiser_goes_on_at_its_cadence(method_input, monkeypatch, every, steps):
+def test_the_denoiser_goes_on_at_its_cadence(problem, monkeypatch, every, steps):
     taken = []
     original = Denoiser.train_step
     monkeypatch.setattr(Denoiser, "train_step", lambda self: taken.append(self.step) or original(self))
-    train(method_input(), changed(denoiser=dataclasses.replace(DENOISER, denoise_every=every)))
+    train(problem(), changed(denoiser=dataclasses.replace(DENOISER, denoise_every=every)))
     assert taken == list(range(steps))
 
 
-def test_pseudo_clean_images_are_computed_anew_only_when_stale(method_input, monkeypatch):
+def test_pseudo_clean_images_are_computed_anew_only_when_stale(problem, monkeypatch):
     calls = []
     original = Denoiser.denoise
     monkeypatch.setattr(Denoiser, "denoise", lambda self, view: calls.append(view) or original(self, view))
     frozen = dataclasses.replace(DENOISER, denoise_every=None)
-    train(method_input(), changed(denoiser=frozen, consistency=None))
+    train(problem(), changed(denoiser=frozen, consistency=None))
     # Once per view before the splats start, and once per view for the result.
     assert len(calls) == 10
     calls.clear()
-    train(method_input(), changed(consistency=None))
+    train(problem(), changed(consistency=None))
     eager = len(calls)
     calls.clear()
-    train(method_input(), changed(consistency=None, refresh_after=100))
+    train(problem(), changed(consistency=None, refresh_after=100))
     assert 10 == len(calls) < eager
 
 
-def test_each_loss_changes_the_result(method_input):
-    whole = train(method_input(), CONFIG)
+def test_each_loss_changes_the_result(problem):
+    whole = train(problem(), CONFIG)
     for off in ({"consistency": None}, {"sh_weight": None}):
-        assert not torch.equal(sh(train(method_input(), changed(**off))), sh(whole))
+        assert not torch.equal(sh(train(problem(), changed(**off))), sh(whole))
     only_start = dataclasses.replace(CONFIG.consistency, start=1.0)
-    late = train(method_input(), changed(consistency=only_start))
-    torch.testing.assert_close(sh(late), sh(train(method_input(), changed(consistency=None))))
+    late = train(problem(), changed(consistency=only_start))
+    torch.testing.assert_close(sh(late), sh(train(problem(), changed(consistency=None))))
 
 
-def test_depth_is_rendered_only_where_the_geometric_loss_is_due(method_input, monkeypatch):
+def test_depth_is_rendered_only_where_the_geometric_loss_is_due(problem, monkeypatch):
     seen = []
     original = _Training.noise_penalty
     monkeypatch.setattr(
@@ -114,15 +116,15 @@ def test_depth_is_rendered_only_where_the_geometric_loss_is_due(method_input, mo
         "noise_penalty",
         lambda self, step: seen.append(step.expected_depth is not None) or original(self, step),
     )
-    train(method_input(), changed(consistency=dataclasses.replace(CONFIG.consistency, every=4)))
+    train(problem(), changed(consistency=dataclasses.replace(CONFIG.consistency, every=4)))
     assert [i for i, with_depth in enumerate(seen) if with_depth] == [4, 8]
 
 
-def test_the_denoiser_follows_the_splats_only_if_the_target_is_not_detached(method_input):
-    detached = train(method_input(), changed(consistency=None))
-    other_fit = train(method_input(), changed(consistency=None, fit=dataclasses.replace(CONFIG.fit, dssim_weight=0.0)))
+def test_the_denoiser_follows_the_splats_only_if_the_target_is_not_detached(problem):
+    detached = train(problem(), changed(consistency=None))
+    other_fit = train(problem(), changed(consistency=None, fit=dataclasses.replace(CONFIG.fit, dssim_weight=0.0)))
     assert torch.equal(detached.targets, other_fit.targets)
-    joint = train(method_input(), changed(consistency=None, detach_target=False))
+    joint = train(problem(), changed(consistency=None, detach_target=False))
     assert not torch.allclose(joint.targets, detached.targets)
 
 
@@ -131,8 +133,8 @@ class Stop(Exception):
 
 
 @pytest.mark.parametrize("stop", [2, 4, 14])
-def test_an_interrupted_run_resumes_to_the_same_bits(method_input, tmp_path: Path, stop):
-    whole = train(method_input(), CONFIG)
+def test_an_interrupted_run_resumes_to_the_same_bits(problem, tmp_path: Path, stop):
+    whole = train(problem(), CONFIG)
     checkpoint = tmp_path / "checkpoint.safetensors"
 
     def pull(done: int, total: int, losses: dict[str, float]) -> None:
@@ -140,12 +142,12 @@ def test_an_interrupted_run_resumes_to_the_same_bits(method_input, tmp_path: Pat
             raise Stop
 
     with pytest.raises(Stop):
-        train(method_input(), CONFIG, progress=pull, checkpoint=checkpoint)
-    resumed = train(method_input(), CONFIG, checkpoint=checkpoint)
+        train(problem(), CONFIG, progress=pull, checkpoint=checkpoint)
+    resumed = train(problem(), CONFIG, checkpoint=checkpoint)
     assert torch.equal(resumed.targets, whole.targets)
     assert torch.equal(sh(resumed), sh(whole))
-    assert torch.equal(resumed.gaussians.means, whole.gaussians.means)
-    again = train(method_input(), CONFIG, checkpoint=checkpoint)
+    assert torch.equal(resumed.scene.gaussians.means, whole.scene.gaussians.means)
+    again = train(problem(), CONFIG, checkpoint=checkpoint)
     assert torch.equal(again.targets, whole.targets)
     assert torch.equal(sh(again), sh(whole))
 
@@ -184,9 +186,9 @@ class Plug:
 @pytest.mark.parametrize(
     "changes", [{}, {"refresh_after": 3}, {"detach_target": False}], ids=["paper", "stale images", "joint"]
 )
-def test_wherever_a_run_is_interrupted_it_resumes_to_the_same_bits(method_input, tmp_path: Path, monkeypatch, changes):
+def test_wherever_a_run_is_interrupted_it_resumes_to_the_same_bits(problem, tmp_path: Path, monkeypatch, changes):
     """Rationale: fit and networks learn from each other, so they must go on from one and the same moment."""
-    inputs, plug = method_input(), Plug(monkeypatch)
+    inputs, plug = problem(), Plug(monkeypatch)
     config = changed(
         denoiser=dataclasses.replace(DENOISER, warmup_steps=1, denoise_every=2),
         consistency=dataclasses.replace(CONFIG.consistency, start=0.0),
@@ -205,8 +207,8 @@ def test_wherever_a_run_is_interrupted_it_resumes_to_the_same_bits(method_input,
         plug.at = None
         resumed = train(inputs, config, checkpoint=checkpoint)
         assert torch.equal(resumed.targets, whole.targets), moment
-        for name, tensor in whole.gaussians.tensors().items():
-            assert torch.equal(resumed.gaussians.tensors()[name], tensor), (moment, name)
+        for name, tensor in whole.scene.gaussians.tensors().items():
+            assert torch.equal(resumed.scene.gaussians.tensors()[name], tensor), (moment, name)
 
 
 def stop_at(step: int):
@@ -219,83 +221,82 @@ def stop_at(step: int):
     return progress
 
 
-def test_a_long_warm_up_is_saved_as_it_goes(method_input, tmp_path: Path, monkeypatch):
+def test_a_long_warm_up_is_saved_as_it_goes(problem, tmp_path: Path, monkeypatch):
     monkeypatch.setattr(trainer, "SAVE_INTERVAL", 0.0)
 
     with pytest.raises(Stop):
-        train(method_input(), CONFIG, progress=stop_at(3), checkpoint=tmp_path / "run.safetensors")
+        train(problem(), CONFIG, progress=stop_at(3), checkpoint=tmp_path / "run.safetensors")
     seen = []
-    train(
-        method_input(), CONFIG, progress=lambda *entry: seen.append(entry[0]), checkpoint=tmp_path / "run.safetensors"
-    )
+    train(problem(), CONFIG, progress=lambda *entry: seen.append(entry[0]), checkpoint=tmp_path / "run.safetensors")
     assert seen[0] == 4
 
 
-def test_seconds_count_interrupted_attempts_too(method_input, tmp_path: Path):
+def test_seconds_count_interrupted_attempts_too(problem, tmp_path: Path):
     checkpoint = tmp_path / "run.safetensors"
     with pytest.raises(Stop):
-        train(method_input(), CONFIG, progress=stop_at(14), checkpoint=checkpoint)
+        train(problem(), CONFIG, progress=stop_at(14), checkpoint=checkpoint)
     spent = float(load_file(tmp_path / "run.denoiser.safetensors")["seconds"])
-    resumed = train(method_input(), CONFIG, checkpoint=checkpoint)
+    resumed = train(problem(), CONFIG, checkpoint=checkpoint)
     assert 0 < spent == resumed.seconds["denoise"]
     with safe_open(checkpoint, framework="pt") as file:
         saved = json.loads(file.metadata()["state"])["seconds"]
-    again = train(method_input(), CONFIG, checkpoint=checkpoint)
+    again = train(problem(), CONFIG, checkpoint=checkpoint)
     assert again.seconds["denoise"] == spent
     assert again.seconds["fit"] >= saved > 0
 
 
-def test_a_run_of_other_images_or_settings_is_not_continued(method_input, tmp_path: Path):
+def test_a_run_of_other_images_or_settings_is_not_continued(problem, tmp_path: Path):
     checkpoint = tmp_path / "run.safetensors"
     with pytest.raises(Stop):
-        train(method_input(), CONFIG, progress=stop_at(14), checkpoint=checkpoint)
-    brighter = dataclasses.replace(method_input(), dark=method_input().dark * 1.01)
-    for inputs, config in ((brighter, CONFIG), (method_input(), dataclasses.replace(CONFIG, sh_weight=0.5))):
+        train(problem(), CONFIG, progress=stop_at(14), checkpoint=checkpoint)
+    brighter = dataclasses.replace(problem(), srgb8=problem().srgb8 * 1.01)
+    for inputs, config in ((brighter, CONFIG), (problem(), dataclasses.replace(CONFIG, sh_weight=0.5))):
         with pytest.raises(ValueError, match="other images or settings"):
             train(inputs, config, checkpoint=checkpoint)
-    train(method_input(), CONFIG, checkpoint=checkpoint)
+    train(problem(), CONFIG, checkpoint=checkpoint)
 
 
-def test_a_fit_without_its_networks_is_not_continued(method_input, tmp_path: Path):
+def test_a_fit_without_its_networks_is_not_continued(problem, tmp_path: Path):
     checkpoint = tmp_path / "run.safetensors"
-    train(method_input(), CONFIG, checkpoint=checkpoint)
+    train(problem(), CONFIG, checkpoint=checkpoint)
     (tmp_path / "run.denoiser.safetensors").unlink()
     with pytest.raises(ValueError, match=r"run\.safetensors lacks the networks"):
-        train(method_input(), CONFIG, checkpoint=checkpoint)
+        train(problem(), CONFIG, checkpoint=checkpoint)
 
 
-def test_the_papers_preset_resumes_to_the_same_bits(method_input, tmp_path: Path):
+def test_the_papers_preset_resumes_to_the_same_bits(problem, tmp_path: Path):
     """Rationale: its settings, but for size and length, are what takes days and gets interrupted."""
-    paper = PRESETS["paper"].nova
-    assert paper == NovaConfig(fit=FitConfig(iterations=7000, cap_max=1_000_000, checkpoint_every=250))
+    paper = PRESETS["paper"].reconstruct("nova").config
+    fit = dataclasses.replace(ORIGINAL_FIT, iterations=7000, cap_max=1_000_000, checkpoint_every=250)
+    assert paper == NovaConfig(fit=fit)
     tiny = dataclasses.replace(paper.denoiser, network=ResUNetConfig(widths=(4,), bottleneck=6), warmup_steps=2)
     short = dataclasses.replace(paper.fit, iterations=12, checkpoint_every=5)
     config = dataclasses.replace(paper, denoiser=tiny, fit=short)
-    whole = train(method_input(), config)
+    whole = train(problem(), config)
 
     def pull(done: int, total: int, losses: dict[str, float]) -> None:
         if done == 2 + 12:
             raise Stop
 
     with pytest.raises(Stop):
-        train(method_input(), config, progress=pull, checkpoint=tmp_path / "run.safetensors")
+        train(problem(), config, progress=pull, checkpoint=tmp_path / "run.safetensors")
     seen = []
     resumed = train(
-        method_input(), config, progress=lambda *entry: seen.append(entry[0]), checkpoint=tmp_path / "run.safetensors"
+        problem(), config, progress=lambda *entry: seen.append(entry[0]), checkpoint=tmp_path / "run.safetensors"
     )
     assert seen == [2 + 12]  # fit logs every tenth iteration and the last: it went on from the tenth
     assert torch.equal(resumed.targets, whole.targets)
-    assert torch.equal(resumed.gaussians.means, whole.gaussians.means)
+    assert torch.equal(resumed.scene.gaussians.means, whole.scene.gaussians.means)
     assert torch.equal(sh(resumed), sh(whole))
 
 
-def test_a_damaged_checkpoint_is_named(method_input, tmp_path: Path):
+def test_a_damaged_checkpoint_is_named(problem, tmp_path: Path):
     (tmp_path / "run.denoiser.safetensors").write_bytes(b"half a file")
     with pytest.raises(ValueError, match=r"run\.denoiser\.safetensors is damaged"):
-        train(method_input(), CONFIG, checkpoint=tmp_path / "run.safetensors")
+        train(problem(), CONFIG, checkpoint=tmp_path / "run.safetensors")
 
 
-def test_the_confidence_network_learns_while_the_splats_do(method_input, monkeypatch):
+def test_the_confidence_network_learns_while_the_splats_do(problem, monkeypatch):
     kept: list[ConsistencyLoss] = []
     original = ConsistencyLoss.__init__
     monkeypatch.setattr(
@@ -309,7 +310,7 @@ def test_the_confidence_network_learns_while_the_splats_do(method_input, monkeyp
         return call(self, step)
 
     monkeypatch.setattr(ConsistencyLoss, "__call__", watched)
-    train(method_input(), CONFIG)
+    train(problem(), CONFIG)
     assert all(not torch.equal(a, b) for a, b in zip(before[0], kept[0].network.parameters(), strict=True))
 
 

@@ -1,0 +1,77 @@
+"""Enhanced pictures in, Gaussians out: what all methods share that fit to pictures which stay as they are."""
+
+import dataclasses
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from torch import Tensor
+
+from novags.methods.enhancers import EnhancerConfig, enhancement_record
+from novags.methods.enhancers.guided import EnhanceConfig
+from novags.methods.problem import Pictures, Problem
+from novags.methods.reconstruction import GaussianScene, Reconstruction
+from novags.methods.start import start_gaussians
+from novags.splats import FitConfig, LearningRates, McmcConfig
+from novags.splats.fit import fit
+
+Progress = Callable[[int, int, dict[str, float]], None]
+
+# What 3DGS-MCMC itself does: the rate of the means falls over 30,000 iterations however long the run is, and Gaussians
+# move until iteration 25,000.
+ORIGINAL_FIT = FitConfig(rates=LearningRates(schedule="original"), mcmc=McmcConfig(refine_stop=25_000))
+ORIGINAL_SCALE = 0.1  # of a first Gaussian, in distances to its nearest neighbours
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnhancedFitConfig:
+    """Which pictures, how they are enhanced, how Gaussians are fitted to them."""
+
+    pictures: Pictures = "8bit"
+    enhance: EnhancerConfig = field(default_factory=EnhanceConfig)
+    init_scale: float = ORIGINAL_SCALE
+    fit: FitConfig = ORIGINAL_FIT
+
+
+def fit_for(problem: Problem, config: FitConfig) -> FitConfig:
+    """The configuration with the seed and the extent of the problem."""
+    return dataclasses.replace(config, seed=problem.seed, extent=problem.start.extent)
+
+
+def fit_enhanced(
+    problem: Problem,
+    config: EnhancedFitConfig,
+    enhance: Callable[[Problem, EnhancerConfig, Pictures], Tensor],
+    progress: Progress | None,
+    checkpoint: Path | None,
+) -> Reconstruction:
+    """Fit Gaussians to what `enhance` makes of the problem's pictures.
+
+    Args:
+        problem: The problem; its seed and extent override those of `config.fit`.
+        config: All choices.
+        enhance: (problem, configuration, pictures) -> [C, H, W, 3].
+        progress: As in `splats.fit`.
+        checkpoint: As in `splats.fit`.
+
+    Returns:
+        A reconstruction whose targets are the enhanced pictures. Seconds: "enhance" and "fit".
+    """
+    config = dataclasses.replace(config, fit=fit_for(problem, config.fit))
+    started = time.perf_counter()
+    images = enhance(problem, config.enhance, config.pictures)
+    seconds = time.perf_counter() - started
+    dark = problem.encoded(config.pictures)
+    start = start_gaussians(problem.start, dark, images, sh_degree=config.fit.sh_degree, init_scale=config.init_scale)
+    result = fit(start, problem.views, lambda i: images[i], config.fit, progress=progress, checkpoint=checkpoint)
+    return Reconstruction(
+        scene=GaussianScene(result.gaussians),
+        space="enhanced",
+        config=config,
+        enhancement=enhancement_record(config.enhance, config.pictures),
+        enhanced=images,
+        targets=images,
+        losses=result.losses,
+        seconds={"enhance": seconds, "fit": result.seconds},
+    )

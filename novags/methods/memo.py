@@ -1,0 +1,38 @@
+"""Results that are expensive to make and cheap to keep, within a limit of memory."""
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
+from typing import Any, TypeVar
+
+Result = TypeVar("Result")
+
+LIMIT = 2_000_000_000  # bytes; beyond it the results that were not asked for the longest are dropped and made again
+
+
+class Memo:
+    """Keeps results by key, the most recently used ones where they do not all fit."""
+
+    def __init__(self, limit: int = LIMIT) -> None:
+        self.limit, self.size = limit, 0
+        self.kept: OrderedDict[Hashable, tuple[Any, int]] = OrderedDict()
+
+    def once(self, key: Hashable, make: Callable[[], Result]) -> Result:
+        """The result kept under `key`, or that of `make`, which is kept from now on."""
+        if key in self.kept:
+            self.kept.move_to_end(key)
+            found: Result = self.kept[key][0]
+            return found
+        made = make()
+        self.kept[key] = made, (size := bytes_of(made))
+        self.size += size
+        while self.size > self.limit and len(self.kept) > 1:
+            _, (_, dropped) = self.kept.popitem(last=False)
+            self.size -= dropped
+        return made
+
+
+def bytes_of(value: Any) -> int:
+    """Bytes of the arrays and tensors in a result."""
+    if isinstance(value, tuple | list):
+        return sum(bytes_of(part) for part in value)
+    return int(getattr(value, "nbytes", 0))

@@ -1,0 +1,100 @@
+"""What a method gives back: a scene that can be rendered and saved, and how it came about."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, Protocol
+
+import torch
+from torch import Tensor
+
+from novags.splats.gaussians import Gaussians
+from novags.splats.ply import write_ply
+from novags.splats.rasterize import rasterize
+from novags.splats.views import Views
+
+Space = Literal["enhanced", "linear", "lit"]
+
+
+class Scene(Protocol):
+    """A reconstructed scene of any kind."""
+
+    def render(self, views: Views) -> tuple[Tensor, Tensor, Tensor]:
+        """Image [C, H, W, 3], alpha [C, H, W] in 0..1, expected z-depth [C, H, W] (0 where there is nothing)."""
+        ...
+
+    def save(self, folder: Path) -> None:
+        """Write the scene into an existing folder, in formats that others read."""
+        ...
+
+    def facts(self) -> dict[str, Any]:
+        """What a record says about it: how many primitives, parameters, bytes."""
+        ...
+
+
+@dataclass(frozen=True)
+class GaussianScene:
+    """A scene of Gaussians."""
+
+    gaussians: Gaussians
+
+    def render(self, views: Views) -> tuple[Tensor, Tensor, Tensor]:
+        """As `Scene` says."""
+        g = self.gaussians
+        with torch.no_grad():
+            images, alphas, _ = rasterize(
+                g.means, g.quats, g.scales, g.opacities, g.sh, views.viewmats, views.Ks, views.width, views.height,
+                sh_degree=g.sh_degree, render_mode="RGB+ED",
+            )  # fmt: skip
+        return images[..., :3], alphas[..., 0], images[..., 3]
+
+    def save(self, folder: Path) -> None:
+        """Write point_cloud.ply in the layout of 3DGS."""
+        write_ply(folder / "point_cloud.ply", self.gaussians)
+
+    def facts(self) -> dict[str, Any]:
+        """Their number."""
+        return {"gaussians": len(self.gaussians)}
+
+
+@dataclass(kw_only=True)
+class Reconstruction:
+    """The outcome of one method.
+
+    Attributes:
+        scene: What can be rendered and saved.
+        space: What its colours are: "enhanced" (the dark pictures brightened), "linear" (the scene's light, any
+            exposure), "lit" (as in good light, sRGB).
+        config: The resolved configuration; `dataclasses.asdict` of it is saved.
+        enhancement: What made the dark pictures bright, for methods in the space "enhanced": {"enhancer", "pictures",
+            "config"}. The noise-free exposure goes through the same before renders are compared with it.
+        enhanced: The enhanced training pictures [C, H, W, 3], or None.
+        targets: What the scene was finally fitted to [C, H, W, 3] (denoised pictures, say), or None.
+        viewmats: The training cameras as training ended with them [C, 4, 4]; None: as they were given.
+        losses: Log entries of the training.
+        seconds: Wall time by part.
+    """
+
+    scene: Scene
+    space: Space
+    config: Any
+    enhancement: dict[str, Any] | None = None
+    enhanced: Tensor | None = None
+    targets: Tensor | None = None
+    viewmats: Tensor | None = None
+    losses: list[dict[str, float]] = field(default_factory=list)
+    seconds: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if (self.space == "enhanced") != (self.enhancement is not None):
+            raise ValueError(
+                "a reconstruction in the space 'enhanced' states its enhancement, and no other does, got "
+                f"{self.space!r} with {self.enhancement}"
+            )
+
+    def render(self, views: Views) -> tuple[Tensor, Tensor, Tensor]:
+        """See `Scene.render`."""
+        return self.scene.render(views)
+
+    def save(self, folder: Path) -> None:
+        """See `Scene.save`."""
+        self.scene.save(folder)

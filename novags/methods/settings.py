@@ -1,0 +1,139 @@
+"""Settings of nested configurations by dotted name: `fit.iterations`, `denoiser.network.widths`.
+
+A configuration is a frozen dataclass whose fields are values or further configurations. Values may come as text, from
+the command line or a file: `none`, `true`, `0.5`, `16,32,64`.
+"""
+
+import dataclasses
+import types
+from collections.abc import Mapping
+from difflib import get_close_matches
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+Config = TypeVar("Config")
+
+
+def flattened(config: Any, prefix: str = "") -> dict[str, Any]:
+    """Every value of a configuration by its dotted name; a part that is switched off is None."""
+    found: dict[str, Any] = {}
+    for field in dataclasses.fields(config):
+        value, name = getattr(config, field.name), f"{prefix}{field.name}"
+        if dataclasses.is_dataclass(value) and not isinstance(value, type):
+            found |= flattened(value, f"{name}.")
+        else:
+            found[name] = value
+    return found
+
+
+def has_setting(config: Any, name: str) -> bool:
+    """Whether a configuration has a field of this dotted name, and no part above it is switched off."""
+    head, _, rest = name.partition(".")
+    if not dataclasses.is_dataclass(config) or head not in {f.name for f in dataclasses.fields(config)}:
+        return False
+    return not rest or has_setting(getattr(config, head), rest)
+
+
+def changed(config: Config, settings: Mapping[str, Any], *, what: str = "setting") -> Config:
+    """The configuration with some settings changed, all at once, so that the checks see the outcome alone.
+
+    Args:
+        config: A frozen dataclass.
+        settings: Dotted name -> value, or text that stands for it. A configuration that is None is made with its
+            defaults by naming one of its settings, or by "default".
+        what: Named in errors.
+
+    Raises:
+        ValueError: If there is no such setting, a value has the wrong type, or the configuration refuses it.
+    """
+    own: dict[str, Any] = {}
+    nested: dict[str, dict[str, Any]] = {}
+    for name, value in settings.items():
+        head, _, rest = name.partition(".")
+        if rest:
+            nested.setdefault(head, {})[rest] = value
+        else:
+            own[head] = value
+    hints = get_type_hints(type(config))
+    known = [f.name for f in dataclasses.fields(config)]  # type: ignore[arg-type]  # a dataclass, as said above
+    for head in (*own, *nested):
+        if head not in known:
+            near = get_close_matches(head, known, 1)
+            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
+            raise ValueError(f"{what}: {type(config).__name__} has no setting {head!r}; {hint}")
+    values = {head: converted(value, hints[head], f"{what} {head}") for head, value in own.items()}
+    for head, inner in nested.items():
+        part = values.get(head, getattr(config, head))
+        if part is None:
+            part = _default(hints[head], f"{what} {head}")
+        if not dataclasses.is_dataclass(part):
+            raise ValueError(f"{what}: {head} is a single value and has no setting {next(iter(inner))!r}")
+        values[head] = changed(part, inner, what=what)
+    return dataclasses.replace(config, **values)  # type: ignore[type-var]  # a dataclass, as said above
+
+
+def converted(value: Any, hint: Any, what: str) -> Any:
+    """A value of the type that a field is declared with, from that type or from text.
+
+    Raises:
+        ValueError: If it cannot be one.
+    """
+    options = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
+    off = value is None or (isinstance(value, str) and value.lower() == "none")
+    if off and type(None) in options:
+        return None
+    for option in options:
+        if option is not type(None):
+            try:
+                return _as(value, option)
+            except (ValueError, TypeError):
+                continue
+    raise ValueError(f"{what} must be {_words(options)}, got {value!r}")
+
+
+def _as(value: Any, kind: Any) -> Any:
+    origin = get_origin(kind)
+    if origin is Literal:
+        return {str(choice): choice for choice in get_args(kind)}[str(value)] if _chosen(value, kind) else _no()
+    if origin is tuple:
+        parts = value.split(",") if isinstance(value, str) else list(value)
+        return tuple(_as(part, get_args(kind)[0]) for part in parts)
+    if isinstance(kind, type) and dataclasses.is_dataclass(kind):
+        return kind() if value == "default" else value if isinstance(value, kind) else _no()
+    if kind is bool:
+        words = {"true": True, "yes": True, "false": False, "no": False}
+        return value if isinstance(value, bool) else words[str(value).lower()] if str(value).lower() in words else _no()
+    if kind in (int, float) and not isinstance(value, bool):
+        number = kind(value)
+        return number if isinstance(value, str) or number == value else _no()
+    if kind is str and isinstance(value, str):
+        return value
+    return value if kind is Any else _no()
+
+
+def _chosen(value: Any, kind: Any) -> bool:
+    return str(value) in {str(choice) for choice in get_args(kind)}
+
+
+def _no() -> Any:
+    raise ValueError
+
+
+def _default(hint: Any, what: str) -> Any:
+    options = get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
+    made = [option for option in options if dataclasses.is_dataclass(option)]
+    if not made:
+        raise ValueError(f"{what} is a single value and has no settings of its own")
+    return made[0]()  # type: ignore[operator]  # mypy takes is_dataclass for an instance
+
+
+def _words(options: tuple[Any, ...]) -> str:
+    names = {int: "a whole number", float: "a number", bool: "true or false", str: "text", type(None): "none"}
+    words = []
+    for option in options:
+        if get_origin(option) is Literal:
+            words.append(f"one of {', '.join(map(str, get_args(option)))}")
+        elif get_origin(option) is tuple:
+            words.append("values separated by commas")
+        else:
+            words.append(names.get(option, "default, or settings of its own"))
+    return " or ".join(dict.fromkeys(words))

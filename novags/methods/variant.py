@@ -1,0 +1,97 @@
+"""A method, and a method with some settings changed and a name of its own."""
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+from novags.methods.reconstruction import Reconstruction
+from novags.methods.settings import changed, has_setting
+
+Family = Literal["ours", "bound", "2D + GS", "3DGS", "NeRF"]
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")  # of a folder too
+
+
+@dataclass(frozen=True, kw_only=True)
+class Method:
+    """One row of `METHODS`.
+
+    Attributes:
+        title: What it does, in a sentence.
+        family: Where it belongs in a table.
+        color: Of its lines and dots, "#rrggbb".
+        config: Its configuration, a frozen dataclass whose defaults are the method as published.
+        train: (problem, config, *, progress, checkpoint) -> Reconstruction.
+        source: The publication or text that it follows.
+        sees_clean: Whether it is given the noise-free exposures; a bound, never a rival.
+        bound: The end of the scale that "recovered" is measured on: what noise costs lies between the two.
+    """
+
+    title: str
+    family: Family
+    color: str
+    config: type
+    train: Callable[..., Reconstruction]
+    source: str
+    sees_clean: bool = False
+    bound: Literal["floor", "ceiling"] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Variant:
+    """A method under a name, with settings changed.
+
+    Attributes:
+        name: Of its folder and its row; the method's own name if nothing is changed.
+        method: Name of the method.
+        settings: Dotted setting -> value.
+        title: What is different, in a sentence; "" to list the settings instead.
+    """
+
+    name: str
+    method: str
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    title: str = ""
+
+    def __post_init__(self) -> None:
+        if not NAME.fullmatch(self.name):
+            raise ValueError(f"a variant's name must be letters, digits and . _ + -, got {self.name!r}")
+
+    def config(self, default: Any, shared: Mapping[str, Any]) -> Any:
+        """The configuration: the method's default, then settings for all methods, then the variant's own.
+
+        Args:
+            default: The method's configuration as published.
+            shared: Settings for all methods; those that this one lacks are passed over.
+
+        Raises:
+            ValueError: If a setting does not exist, or a value is refused.
+        """
+        own = {key: value for key, value in shared.items() if has_setting(default, key) and not self._decides(key)}
+        return changed(default, {**own, **self.settings}, what=self.name)
+
+    def _decides(self, key: str) -> bool:
+        """Whether the variant sets this, or switches a part off that it belongs to."""
+        return any(key == name or key.startswith(f"{name}.") for name in self.settings)
+
+
+def parse_variant(text: str) -> Variant:
+    """`NAME=METHOD:SETTING=VALUE;SETTING=VALUE` as a variant; `,` separates settings too unless values hold it.
+
+    Raises:
+        ValueError: If the text is not of this form.
+    """
+    name, equals, rest = text.partition("=")
+    method, colon, listed = rest.partition(":")
+    if not (equals and method) or (colon and not listed):
+        raise ValueError(
+            f"a variant is NAME=METHOD:SETTING=VALUE,SETTING=VALUE (nova-no-sh=nova:sh_weight=none), got {text!r}"
+        )
+    # A comma begins a new setting only if "=" follows before the next comma: 16,32,64 is one value.
+    settings: dict[str, str] = {}
+    for part in re.split(r";|,(?=[^,;=]+=)", listed) if listed else []:
+        key, equals, value = part.partition("=")
+        if not equals or not key.strip() or not value.strip():
+            raise ValueError(f"each setting of a variant is NAME=VALUE, got {part!r} in {text!r}")
+        settings[key.strip()] = value.strip()
+    return Variant(name=name.strip(), method=method.strip(), settings=settings)

@@ -1,0 +1,52 @@
+"""Types and groups of options that commands share."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import tyro
+
+PresetName = Literal["demo", "small", "paper"]
+Device = Literal["auto", "cpu", "cuda"]
+Listed = Literal["all", "scenes", "sensors", "methods", "presets", "cameras"]
+Folder = Annotated[Path, tyro.conf.Positional]
+Name = Annotated[str, tyro.conf.Positional]
+
+
+@dataclass(frozen=True)
+class LightOptions:
+    """How light gets from the lamps to the sensor."""
+
+    variant: str = "auto"
+    """Mitsuba variant."""
+    on: tuple[str, ...] = ()
+    """Effects of light to simulate whatever the plan says, by the names that `novags plan` prints."""
+    off: tuple[str, ...] = ()
+    """Effects of light to leave out."""
+    max_depth: int | None = None
+    """Longest path of light, as Mitsuba counts; the plan chooses if not given."""
+    aperture_radius: float | None = None
+    """Radius of the lens opening in scene units; a file's own lens, else a pinhole, if not given; 0 for a pinhole."""
+    focus_distance: float | None = None
+    """Depth that is sharp, in scene units."""
+    motion: float | None = None
+    """How far the cameras travel during the exposure, as a fraction of the way to the next view."""
+    response: str | None = None
+    """Measured colour sensitivities of a camera, by colour-science's name ("Nikon 5100 (NPL)"): the set then holds what
+    its filters see instead of linear sRGB, from spectra where the scene calls for them."""
+    allow_outside: bool = False
+    """Trust a Mitsuba file: let it read files outside its folder."""
+
+    def settings(self) -> dict[str, Any]:
+        """As `RenderConfig` takes them."""
+        from simscenes import Optics
+
+        lens = {"aperture_radius": self.aperture_radius, "focus_distance": self.focus_distance}
+        return {
+            "variant": self.variant, "on": self.on, "off": self.off, "max_depth": self.max_depth,
+            "allow_outside": self.allow_outside, "optics": Optics(**lens, motion=self.motion, camera=self.response),
+        }  # fmt: skip
+
+
+Light = Annotated[LightOptions, tyro.conf.arg(name=""), tyro.conf.OmitArgPrefixes]
+LIGHT = LightOptions()

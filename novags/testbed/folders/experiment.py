@@ -1,0 +1,28 @@
+"""An experiment on disk: set/, capture/, a folder for each run, experiment.json, metrics.json, report.html."""
+
+from pathlib import Path
+
+from novags.testbed.cache import UNFINISHED, read_json
+from novags.testbed.folders.run import RECORD, Run, open_run
+
+EXPERIMENT = "experiment.json"
+REPORT = "report.html"
+
+
+def find_runs(folder: Path) -> dict[str, Run]:
+    """The runs of an experiment by name, in its order; or the one run that `folder` is.
+
+    Raises:
+        ValueError: If there is none.
+    """
+    if not folder.is_dir():
+        raise ValueError(f"no such folder: {folder}")
+    if (folder / RECORD).exists() or (folder / UNFINISHED).exists():
+        run = open_run(folder)
+        return {run.name: run}
+    if (folder / EXPERIMENT).exists():
+        return {name: open_run(folder / name) for name in read_json(folder / EXPERIMENT)["methods"]}
+    raise ValueError(
+        f"{folder} is neither a run (no {RECORD}) nor an experiment (no {EXPERIMENT}; if it is "
+        "an unfinished one, run the same command again)"
+    )

@@ -1,0 +1,125 @@
+"""How a run appears in a report: its title, family and colour, and where its settings leave the published method."""
+
+import colorsys
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from novags.methods import METHODS, VARIANTS
+from novags.methods.settings import flattened
+from novags.testbed.cache import jsonable
+from novags.testbed.folders.run import Run
+
+OTHER = "#777777"  # of a method that this version does not have
+UNLISTED = ("fit.checkpoint_every", "fit.seed", "fit.extent", "fit.backend")  # what every run sets for itself
+
+
+@dataclass(frozen=True)
+class Row:
+    """One run in tables and charts.
+
+    Attributes:
+        name: Of the run.
+        key: Of its CSS class.
+        method: Of the method.
+        title: What it does.
+        family: Of the method.
+        color: "#rrggbb", different for every run of a report.
+        bound: "floor", "ceiling" or None, of a method as it is; a variant is not a bound.
+        competes: Whether it may be the best: what sees the noise-free exposures may not.
+    """
+
+    name: str
+    key: str
+    method: str
+    title: str
+    family: str
+    color: str
+    bound: str | None
+    competes: bool
+
+
+def rows_of(runs: Mapping[str, Run]) -> dict[str, Row]:
+    """The rows of a report's runs, by name, in their order."""
+    rows, used = {}, list[str]()
+    for k, (name, run) in enumerate(runs.items()):
+        method = METHODS.get(run.method)
+        variant = VARIANTS.get(name)
+        title = "" if method is None else method.title
+        if variant is not None and variant.method == run.method:
+            title = variant.title
+        elif run.record.get("variant"):
+            title = f"{run.method} with {', '.join(f'{k} = {v}' for k, v in run.record['variant'].items())}"
+        color = distinct(OTHER if method is None else method.color, used)
+        used.append(color)
+        rows[name] = Row(
+            name=name, key=f"m{k}", method=run.method, title=title, family="" if method is None else method.family,
+            color=color, bound=method.bound if method is not None and name == run.method else None,
+            competes=method is None or not method.sees_clean,
+        )  # fmt: skip
+    return rows
+
+
+def main_row(rows: Iterable[Row]) -> str:
+    """The run in the centre of a report: the first of our methods, else the first that competes."""
+    listed = list(rows)
+    ours = [row.name for row in listed if row.family == "ours"]
+    others = [row.name for row in listed if row.competes and row.bound is None]
+    return (ours or others or [listed[0].name])[0]
+
+
+def distinct(color: str, used: Iterable[str]) -> str:
+    """The colour itself, or one of another hue and lightness if it is used already."""
+    taken, found, turn = set(used), color, 0
+    red, green, blue = (int(color[i : i + 2], 16) / 255 for i in (1, 3, 5))
+    hue, light, strength = colorsys.rgb_to_hls(red, green, blue)
+    while found in taken:
+        turn += 1
+        level = min(0.72, max(0.3, light + (0.14 if turn % 2 else -0.06)))
+        shifted = colorsys.hls_to_rgb((hue + 0.09 * turn) % 1, level, strength)
+        found = "#" + "".join(f"{round(255 * part):02x}" for part in shifted)
+    return found
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """A setting that differs from the published method's."""
+
+    setting: str
+    published: str
+    here: str
+
+
+def deviations(run: Run) -> list[Deviation]:
+    """Every setting in which a run differs from its method as published, from its recorded configuration.
+
+    Size counts too, but not what every run must set: seed, extent, the cadence of checkpoints.
+    """
+    if run.method not in METHODS:
+        return []
+    published = jsonable(flattened(METHODS[run.method].config()))
+    here = _flat(run.record["config"])
+    found = []
+    for name in dict.fromkeys((*published, *here)):
+        if name in UNLISTED:
+            continue
+        a, b = _value(published, name), _value(here, name)
+        if a != b:
+            found.append(Deviation(name, a, b))
+    return found
+
+
+def _flat(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for name, value in config.items():
+        found |= _flat(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {f"{prefix}{name}": value}
+    return found
+
+
+def _value(config: Mapping[str, Any], name: str) -> str:
+    if name not in config:  # a part above it is switched off, or this version does not have it
+        return "off"
+    value = config[name]
+    if isinstance(value, list | tuple):
+        return ", ".join(map(str, value))
+    return "off" if value is None else f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,128 @@
+"""Where a reconstruction's cameras come from, and how their frame relates to the true one."""
+
+import dataclasses
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from novags.cameras import CameraConfig, CameraEstimate, KnownConfig, check_cameras, estimate_cameras
+from novags.cameras.align import Alignment, align, to_estimated
+from novags.methods.enhancers import guided
+from novags.methods.nova.denoiser import Denoiser, DenoiserConfig
+from novags.splats import Views
+from novags.testbed.console import Console
+from novags.testbed.folders.capture import Capture
+from novags.testbed.folders.set import Source
+
+DENOISER_STEPS = 300  # for pictures that features are looked for in; the method trains its own
+
+
+def cameras_of(
+    config: CameraConfig,
+    capture: Capture,
+    source: Source,
+    indices: list[int],
+    points: int,
+    seed: int,
+    device: torch.device,
+    console: Console,
+) -> CameraEstimate:
+    """Cameras of some views of a capture, and first points, from the source that `config` belongs to.
+
+    Raises:
+        ValueError: If the source cannot place at least two views, or is not installed.
+    """
+    check_cameras(config)
+    dark = torch.from_numpy(np.stack([capture.srgb8(i) for i in indices]))
+    # First points come from the set, whose depth is known if it was rendered; from the capture if sizes differ.
+    views = capture.cameras if source.scaled or not isinstance(config, KnownConfig) else source.views
+    if isinstance(config, KnownConfig):
+        return estimate_cameras(config, views, indices, dark, n_points=points, seed=seed)
+    with console.progress("cameras") as progress:
+        pictures = pictures_for(config.pictures, dark, seed)
+        return estimate_cameras(
+            config, views, indices, dark, pictures=pictures, n_points=points, seed=seed, device=device,
+            progress=progress,
+        )  # fmt: skip
+
+
+def pictures_for(kind: str, dark: Tensor, seed: int) -> np.ndarray:
+    """The pictures that features are looked for in, uint8 [C,h,w,3]: "raw", "enhanced" or "denoised".
+
+    Args:
+        kind: Which.
+        dark: [C, h, w, 3], sRGB-encoded, 0..1.
+        seed: Of the denoiser's training.
+    """
+    if kind == "raw":
+        return codes(dark)
+    enhanced = torch.stack([guided.enhance(view)[0] for view in dark])
+    if kind == "enhanced":
+        return codes(enhanced)
+    config = DenoiserConfig(batch=4, crop=48, residual_blur=0.8)
+    denoiser = Denoiser(enhanced, config, total_steps=DENOISER_STEPS, seed=seed)
+    for _ in range(DENOISER_STEPS):
+        denoiser.train_step()
+    return codes(denoiser.denoise_all())
+
+
+def codes(images: Tensor) -> np.ndarray:
+    """Images 0..1 as 8-bit codes."""
+    return (images.clamp(0, 1) * 255).round().to(torch.uint8).numpy()
+
+
+@dataclass(frozen=True)
+class Frame:
+    """The frame that a reconstruction lives in, and the true cameras seen from it.
+
+    Attributes:
+        capture: The capture.
+        indices: Of the capture's views, the training views that have a camera.
+        cameras: Those cameras as training ended with them [R, 4, 4] float64.
+        alignment: Of these cameras to the true ones.
+    """
+
+    capture: Capture
+    indices: list[int]
+    cameras: Tensor
+    alignment: Alignment
+
+    @staticmethod
+    def of(capture: Capture, indices: list[int], estimate: CameraEstimate, viewmats: Tensor | None) -> "Frame":
+        """The frame of an estimate, or of the cameras that training refined it to (`viewmats` [R, 4, 4])."""
+        cameras = estimate.viewmats if viewmats is None else viewmats.detach().cpu().double()
+        return Frame(capture, indices, cameras, align(cameras, true_cameras(capture)[indices]))
+
+    def view(self, i: int, device: torch.device) -> Views:
+        """The camera of view `i` in this frame: the method's own of a training view, else the true one brought here."""
+        rig = self.capture.cameras.rig
+        if i in self.indices:
+            viewmat = self.cameras[self.indices.index(i)][None]
+        else:
+            viewmat = to_estimated(self.alignment.similarity, true_cameras(self.capture)[i : i + 1])
+        K = torch.as_tensor(np.asarray(rig.Ks, np.float64)[i : i + 1])
+        views = Views(viewmat.to(torch.float32), K.to(torch.float32), rig.width, rig.height)
+        return dataclasses.replace(views, viewmats=views.viewmats.to(device), Ks=views.Ks.to(device))
+
+    def facts(self) -> dict[str, Any]:
+        """What a record says: which views have a camera, how far these are off after alignment, the depth scale."""
+        names, train = self.capture.names, self.capture.cameras.train_indices
+        found = self.alignment
+        return {
+            "registered": [names[i] for i in self.indices],
+            "unregistered": [names[i] for i in train if i not in self.indices],
+            "registered_share": len(self.indices) / len(train),
+            "rotation_deg": [float(v) for v in found.rotation_deg],
+            "centre_error": [float(v) for v in found.centre_error],
+            "mean_rotation_deg": float(found.rotation_deg.mean()),
+            "mean_centre_error": float(found.centre_error.mean()),
+            "depth_scale": float(found.similarity.scale),
+        }
+
+
+def true_cameras(capture: Capture) -> Tensor:
+    """World-to-camera matrices of all views [C, 4, 4] float64."""
+    return torch.from_numpy(np.array(capture.cameras.rig.viewmats, np.float64))

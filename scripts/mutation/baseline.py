@@ -1,0 +1,98 @@
+"""Which tests reach which lines, and how long they take: one run of the tests on the sources as they are.
+
+The recorder is a pytest plugin; so is the choice of tests that a mutant is judged by.
+"""
+
+import json
+import sys
+import threading
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from .mutants import Mutant
+
+
+class Recorder:
+    """Writes, at the end of a session, the seconds of each test and the lines of the watched files that it ran.
+
+    Lines that a fixture runs count for all tests of the file: the fixture may be shared among them.
+    """
+
+    def __init__(self, watched: dict[str, str], path: Path) -> None:
+        """watched: absolute path of a source -> the name it is written down by."""
+        self.watched, self.path = watched, path
+        self.seconds: dict[str, float] = defaultdict(float)
+        self.lines: dict[str, dict[str, set[int]]] = defaultdict(lambda: defaultdict(set))
+        self.now: dict[str, set[int]] = {}
+
+    def _call(self, frame: Any, event: str, arg: object) -> Any:
+        name = self.watched.get(frame.f_code.co_filename)
+        if name is None:
+            return None
+        seen = self.now.setdefault(name, set())
+        seen.add(frame.f_lineno)
+
+        def line(frame: Any, event: str, arg: object) -> Any:
+            seen.add(frame.f_lineno)
+            return line
+
+        return line
+
+    def _traced(self, item: pytest.Item, who: str) -> Iterator[None]:
+        started, self.now = time.perf_counter(), {}
+        threading.settrace(self._call)
+        sys.settrace(self._call)
+        yield
+        sys.settrace(None)
+        threading.settrace(None)  # type: ignore[arg-type]
+        self.seconds[item.nodeid] += time.perf_counter() - started
+        for name, lines in self.now.items():
+            self.lines[name][who] |= lines
+
+    @pytest.hookimpl(hookwrapper=True)
+    def pytest_runtest_setup(self, item: pytest.Item) -> Iterator[None]:
+        """Fixtures."""
+        yield from self._traced(item, item.nodeid.split("::")[0])
+
+    @pytest.hookimpl(hookwrapper=True)
+    def pytest_runtest_call(self, item: pytest.Item) -> Iterator[None]:
+        """The test itself."""
+        yield from self._traced(item, item.nodeid)
+
+    def pytest_sessionfinish(self) -> None:
+        """Write what was seen."""
+        lines = {name: {who: sorted(seen) for who, seen in by.items()} for name, by in self.lines.items()}
+        self.path.write_text(json.dumps({"seconds": self.seconds, "lines": lines}), encoding="utf-8")
+
+
+class Chosen:
+    """Only these tests, in this order; the first that fails is written down."""
+
+    def __init__(self, tests: tuple[str, ...], failed: Path) -> None:
+        self.rank, self.failed = {test: i for i, test in enumerate(tests)}, failed
+
+    @pytest.hookimpl(trylast=True)
+    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
+        """Drop the others."""
+        items[:] = sorted((i for i in items if i.nodeid in self.rank), key=lambda i: self.rank[i.nodeid])
+
+    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
+        """Note a failure of setup, test or teardown."""
+        if report.failed:
+            self.failed.write_text(report.nodeid, encoding="utf-8")
+
+
+def tests_reaching(known: dict[str, Any], file: str, mutant: Mutant) -> list[str]:
+    """Tests that evaluate the expression, quickest first; all of them if it is evaluated on import."""
+    seconds: dict[str, float] = known["seconds"]
+    if mutant.imported:
+        return sorted(seconds, key=seconds.__getitem__)
+    wanted = range(mutant.lines[0], mutant.lines[1] + 1)
+    reaching = {who for who, lines in known["lines"].get(file, {}).items() if not set(wanted).isdisjoint(lines)}
+    found = [test for test in seconds if test in reaching or test.split("::")[0] in reaching]
+    return sorted(found, key=seconds.__getitem__)

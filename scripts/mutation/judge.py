@@ -1,0 +1,163 @@
+"""Runs tests on a mutant: a forked process in which the import system hands out the changed text of one module.
+
+Forks start warm, with the libraries imported, so a mutant costs little more than its tests. The files on disk are never
+touched.
+"""
+
+import hashlib
+import importlib
+import importlib.abc
+import importlib.util
+import json
+import os
+import shutil
+import signal
+import sys
+import tempfile
+import time
+import traceback
+import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass
+from functools import partial
+from importlib.machinery import SourceFileLoader
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from .baseline import Chosen, Recorder
+from .mutants import Mutant
+
+FAILED, BROKEN = 1, 2  # pytest's exit status: a test failed; a test file could not be imported
+
+
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """One mutant of one file, and the tests to run on it, in order."""
+
+    file: str  # relative to the root
+    mutant: Mutant
+    key: str  # same key, same verdict
+    tests: tuple[str, ...]
+    limit: float  # s, after which it counts as caught
+
+
+class MutatedModule(importlib.abc.MetaPathFinder, SourceFileLoader):
+    """Hands out a changed source for one module; byte code on disk is neither read nor written."""
+
+    def __init__(self, root: Path, file: str, source: str) -> None:
+        parts = Path(file).with_suffix("").parts
+        self.package = parts[-1] == "__init__"
+        super().__init__(".".join(parts[:-1] if self.package else parts), str(root / file))
+        self.changed = source
+
+    def find_spec(self, fullname: str, path: object, target: object = None) -> Any:
+        """Ours for the one module; all others go to the next finder."""
+        if fullname != self.name:
+            return None
+        where = [str(Path(self.path).parent)] if self.package else None
+        return importlib.util.spec_from_file_location(
+            fullname, self.path, loader=self, submodule_search_locations=where
+        )
+
+    def get_code(self, fullname: str) -> Any:
+        """The changed source, compiled."""
+        return compile(self.changed, self.path, "exec", dont_inherit=True)
+
+
+def fingerprint(*texts: str) -> str:
+    """A short name for some texts."""
+    return hashlib.blake2b("\0".join(texts).encode(), digest_size=10).hexdigest()
+
+
+def in_child(call: Callable[[], int], log: Path) -> int:
+    """Fork, run `call` with its output in a file, exit with what it returns. Gives the child's process number."""
+    sys.stdout.flush()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of forks beside threads: ours takes nothing from them
+        pid = os.fork()
+    if pid:
+        return pid
+    code = 70
+    try:
+        os.setsid()  # a time limit ends the tests' own children too
+        with log.open("wb") as file:
+            os.dup2(file.fileno(), 1)
+            os.dup2(file.fileno(), 2)
+        code = int(call())
+    except BaseException:
+        traceback.print_exc()
+    finally:
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(code)  # the parent's own handlers and buffers are not the child's to run
+
+
+def run_pytest(root: Path, tests: list[str], plugin: object, folder: Path) -> int:
+    """Run pytest in this process, its temporary files in `folder`; its exit status."""
+    os.environ["PYTEST_DISABLE_PLUGIN_AUTOLOAD"] = "1"  # looking for plugins takes longer than most tests
+    options = ["-q", "--assert=plain", "-p", "no:cacheprovider", f"--basetemp={folder / 'pytest'}", f"--rootdir={root}"]
+    return int(pytest.main([*options, *tests], plugins=[plugin]))
+
+
+def baseline(root: Path, sources: list[str], tests: list[str], path: Path) -> dict[str, Any]:
+    """Seconds and reached lines of every test on the sources as they are, kept in the file `path`."""
+    if not path.exists():
+        log = path.with_suffix(".log")
+        with tempfile.TemporaryDirectory() as folder:
+            recorder = Recorder({str(root / name): name for name in sources}, path)
+            pid = in_child(partial(run_pytest, root, tests, recorder, Path(folder)), log)
+            code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+        if code or not path.exists():
+            path.unlink(missing_ok=True)
+            raise SystemExit(f"{' '.join(tests)} fail without any mistake put in: see {log}")
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+def _judge(root: Path, job: Job, folder: Path) -> int:
+    source = (root / job.file).read_text(encoding="utf-8")
+    sys.meta_path.insert(0, MutatedModule(root, job.file, job.mutant.apply(source)))
+    files = list(dict.fromkeys(test.split("::")[0] for test in job.tests))
+    return run_pytest(root, ["-x", *files], Chosen(job.tests, folder / "failed"), folder)
+
+
+def verdicts(root: Path, jobs: list[Job], workers: int) -> Iterator[dict[str, Any]]:
+    """Judge all jobs, some at a time: "caught", "survived", or "broken" where the module cannot even be imported."""
+    waiting, running = list(reversed(jobs)), dict[int, tuple[Job, Path, float]]()
+    while waiting or running:
+        while waiting and len(running) < workers:
+            job = waiting.pop()
+            if not job.tests:
+                yield _entry(job, "survived", "no test reaches it", 0.0)
+                continue
+            folder = Path(tempfile.mkdtemp(prefix="mutant-"))
+            running[in_child(partial(_judge, root, job, folder), folder / "log")] = job, folder, time.monotonic()
+        time.sleep(0.02)
+        for pid, (job, folder, started) in list(running.items()):
+            seconds = time.monotonic() - started
+            done, status = os.waitpid(pid, os.WNOHANG)
+            if done:
+                yield _entry(job, *_verdict(os.waitstatus_to_exitcode(status), folder), seconds)
+            elif seconds > job.limit:
+                os.killpg(pid, signal.SIGKILL)
+                os.waitpid(pid, 0)
+                yield _entry(job, "caught", "time limit", seconds)
+            else:
+                continue
+            del running[pid]
+            shutil.rmtree(folder, ignore_errors=True)
+
+
+def _verdict(code: int, folder: Path) -> tuple[str, str]:
+    failed = folder / "failed"
+    if code == 0:
+        return "survived", ""
+    if code == BROKEN and not failed.exists():
+        return "broken", "import"
+    return "caught", failed.read_text(encoding="utf-8") if failed.exists() else f"exit status {code}"
+
+
+def _entry(job: Job, verdict: str, by: str, seconds: float) -> dict[str, Any]:
+    own = {"key": job.key, "file": job.file, "verdict": verdict, "by": by, "seconds": round(seconds, 1)}
+    return own | asdict(job.mutant)

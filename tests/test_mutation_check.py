@@ -1,0 +1,196 @@
+"""The mutation checker finds each kind of mistake, and tells tests that notice from tests that do not."""
+
+import ast
+import sys
+from pathlib import Path
+
+import pytest
+
+SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
+
+
+@pytest.fixture(autouse=True)
+def on_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+
+
+def changed(body: str) -> dict[str, set[str]]:
+    """The mutated right-hand sides of `return <body>` in a function of some arguments, by kind."""
+    from mutation.mutants import mutants
+
+    source = f"def f(height, width, source, target, camera_t, camera_s, view, x, y, q):\n    return {body}\n"
+    out: dict[str, set[str]] = {}
+    for mutant in mutants(source):
+        text = ast.unparse(ast.parse(mutant.apply(source)).body[0].body[0])  # type: ignore[attr-defined]
+        out.setdefault(mutant.kind, set()).add(text.removeprefix("return "))
+    return out
+
+
+@pytest.mark.parametrize(
+    ("body", "kind", "mutants"),
+    [
+        ("q - 3", "sign", {"q + 3"}),
+        ("-q", "sign", {"q"}),
+        ("q + 3", "dropped term", {"q", "3"}),
+        ("q * view", "factor", {"q", "view", "q / view"}),
+        ("q / view", "factor", {"q", "q * view"}),
+        ("q * 2", "constant", {"q * 1"}),
+        ("q * 3", "constant", {"q * 6"}),
+        ("q + 0.5", "half a pixel", {"q"}),
+        ("q ** 2", "power", {"q"}),
+        ("torch.sqrt(q)", "power", {"q"}),
+        ("q.square()", "power", {"q"}),
+        ("q > 3", "comparison", {"q < 3"}),
+        ("q > 3 and view", "condition", {"q > 3", "view"}),
+        ("~q", "condition", {"q"}),
+        ("q.sum(dim=0)", "axes", {"q.sum(dim=1)"}),
+        ("q.sum(1)", "axes", {"q.sum(0)"}),
+        ("q.T", "axes", {"q"}),
+        ("q[..., 0]", "axes", {"q[..., 1]"}),
+        ("q[:, None]", "axes", {"q[None]"}),
+        ("q @ view", "axes", {"view @ q"}),
+        ("(height, q)", "axes", {"(width, q)"}),
+        ("f(height, width)", "axes", {"f(width, height)", "f(width, width)", "f(height, height)"}),
+        ("f(camera_t)", "wrong view", {"f(camera_s)"}),
+        ("q[view]", "wrong view", {"q[0]"}),
+        ("q(view)", "wrong view", {"q(0)"}),
+        ("F.leaky_relu(q)", "activation", {"F.relu(q)"}),
+        ("F.max_pool2d(q, 3)", "activation", {"F.avg_pool2d(q, 3)"}),
+        ("q.mean()", "reduction", {"q.sum()"}),
+        ("max(q, 3)", "extremes", {"min(q, 3)"}),
+        ("range(q)", "range", {"range(q - 1)"}),
+        ("np.linspace(q, 9, 5)", "range", {"np.linspace(q, 9, 5 + 1)"}),
+        ("q[1:]", "range", {"q[0:]"}),
+        ("q.detach()", "gradient", {"q"}),
+        ("pad(q, mode='reflect')", "mode", {"pad(q, mode='replicate')"}),
+        ("pad(q, centred=True)", "option", {"pad(q, centred=False)"}),
+    ],
+)
+def test_a_rule_yields_the_mistakes_of_its_kind(body, kind, mutants):
+    assert changed(body)[kind] == mutants
+
+
+@pytest.mark.parametrize("body", ["f'{q}: {view} px'", "q.norm(keepdim=True)", "q.clamp_min", "'a' + 'b'"])
+def test_messages_and_harmless_options_are_left_alone(body):
+    assert changed(body) == {}
+
+
+def test_floors_validation_annotations_and_docstrings_are_left_alone():
+    from mutation.mutants import mutants
+
+    source = '''
+class Config:
+    """Holds 1 + 1."""
+
+    def __post_init__(self):
+        if self.a < 0:
+            raise ValueError("a")
+
+def f(x: Literal[1, 2]) -> "max":
+    """min"""
+    if x < 0:
+        raise ValueError(x + 1)
+    assert x > 0
+    return x.clamp_min
+'''
+    assert mutants(source) == []
+    assert {m.kind for m in mutants("y = q / x.clamp_min(1e-9)\n")} == {"factor", "extremes", "dropped term"}
+
+
+def test_a_mutant_says_where_it_is_and_moves_no_line():
+    from mutation.mutants import mutants
+
+    source = "A = 3\n\n\nclass C:\n    def f(self, a):\n        a += g(\n            a,\n        )\n        return a\n"
+    found = mutants(source)
+    assert {(m.function, m.line, m.lines, m.imported) for m in found if m.kind in ("constant", "dropped step")} == {
+        ("", 1, (1, 1), True),
+        ("C.f", 6, (6, 8), False),
+    }
+    for mutant in found:
+        text = mutant.apply(source)
+        ast.parse(text)
+        assert text.count("\n") == source.count("\n")
+        assert text.splitlines()[-1].startswith("        return ")
+
+
+MODULE = "def area(height, width):\n    return height * width\n\n\ndef half(q):\n    return q / 2\n"
+WEAK = "from {name} import area, half\n\n\ndef test_area():\n    assert area(1, 1) == 1\n"
+GOOD = WEAK + "    assert area(2, 3) == 6\n\n\ndef test_half():\n    assert half(3) == 1.5\n"
+
+
+@pytest.mark.parametrize(("tests", "caught"), [(WEAK, 0.0), (GOOD, 1.0)], ids=["weak", "good"])
+def test_weak_tests_let_mutants_survive_and_good_ones_catch_them(tmp_path, monkeypatch, tests, caught):
+    from mutation import baseline, judge
+    from mutation.mutants import mutants
+
+    name = "weakly_tested" if tests == WEAK else "well_tested"
+    (tmp_path / f"{name}.py").write_text(MODULE)
+    (tmp_path / "test_it.py").write_text(tests.format(name=name))
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    known = judge.baseline(tmp_path, [f"{name}.py"], ["test_it.py"], tmp_path / "known.json")
+    wanted = [m for m in mutants(MODULE) if m.kind == "factor"][:4]
+    jobs = [
+        judge.Job(
+            file=f"{name}.py", mutant=m, key=str(i), limit=60.0,
+            tests=tuple(baseline.tests_reaching(known, f"{name}.py", m)),
+        )
+        for i, m in enumerate(wanted)
+    ]  # fmt: skip
+    verdicts = [entry["verdict"] for entry in judge.verdicts(tmp_path, jobs, 2)]
+    assert len(verdicts) == len(wanted) == 4
+    assert verdicts.count("caught") / len(verdicts) == caught
+    assert name not in sys.modules
+    assert (tmp_path / f"{name}.py").read_text() == MODULE
+
+
+def test_a_mutant_that_never_ends_is_caught_by_the_clock(tmp_path, monkeypatch):
+    from mutation import judge
+    from mutation.mutants import mutants
+
+    source = "def count(stop):\n    n = 0\n    while n < stop:\n        n += 1\n    return n\n"
+    (tmp_path / "counting.py").write_text(source)
+    (tmp_path / "test_it.py").write_text("from counting import count\n\n\ndef test_it():\n    assert count(3) == 3\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    endless = next(m for m in mutants(source) if m.kind == "dropped step")
+    job = judge.Job(file="counting.py", mutant=endless, key="", tests=("test_it.py::test_it",), limit=2.0)
+    (entry,) = judge.verdicts(tmp_path, [job], 1)
+    assert (entry["verdict"], entry["by"]) == ("caught", "time limit")
+
+
+def test_the_choice_is_spread_over_kinds_and_functions_and_grows_without_changing():
+    import random
+
+    from mutation.mutants import mutants
+    from mutation_check import in_turn, shares
+
+    source = "".join(f"def f{i}(a, q):\n    return q[..., 0] * 3 - a.mean()\n\n\n" for i in range(5))
+    candidates = mutants(source)
+    order = in_turn(candidates, random.Random(0))
+    assert sorted(order, key=id) == sorted(candidates, key=id)
+    kinds = {m.kind for m in candidates}
+    assert {m.kind for m in order[: len(kinds)]} == kinds
+    signs = [m.function for m in order if m.kind == "sign"]
+    assert set(signs) == {f"f{i}" for i in range(5)}
+    assert in_turn(candidates, random.Random(0)) == order
+    assert shares({"a": 100, "b": 400, "c": 0}, 30) == {"a": 10, "b": 20}
+
+
+def test_survivors_are_listed_with_the_reason_that_excuses_them(monkeypatch, tmp_path):
+    import mutation_check
+
+    monkeypatch.setattr(mutation_check, "ROOT", tmp_path)
+    (tmp_path / "a.py").write_text("x = 1 + 2\ny = 3 + 4\n")
+    common = {"file": "a.py", "kind": "sign", "by": "", "verdict": "survived"}
+    entries = [
+        common | {"line": 1, "before": "1 + 2", "after": "(1 - 2)"},
+        common | {"line": 2, "before": "3 + 4", "after": "(3 - 4)"},
+        common | {"line": 2, "before": "3", "after": "(6)", "verdict": "caught"},
+    ]
+    excuses = [{"file": "a.py", "line": "x = 1", "after": "(1 - 2)", "reason": "nobody reads x"}]
+    text = mutation_check.summary(entries, excuses)
+    assert "| `a.py` | 3 | 1 | 1 | 1 |" in text
+    assert "Caught: 33.3%" in text
+    assert "`1 + 2` becomes `(1 - 2)`: nobody reads x" in text
+    assert "`3 + 4` becomes `(3 - 4)`: to be caught" in text
