@@ -103,7 +103,7 @@ class Frame:
             viewmat = self.cameras[self.indices.index(i)][None]
         else:
             viewmat = to_estimated(self.alignment.similarity, true_cameras(self.capture)[i : i + 1])
-        K = torch.as_tensor(np.asarray(rig.Ks, np.float64)[i : i + 1])
+        K = torch.from_numpy(np.array(rig.Ks, np.float64)[i : i + 1])
         views = Views(viewmat.to(torch.float32), K.to(torch.float32), rig.width, rig.height)
         return dataclasses.replace(views, viewmats=views.viewmats.to(device), Ks=views.Ks.to(device))
 
