@@ -8,7 +8,7 @@ from typing import Any
 from novags.methods import enhance_then_fit, oracle
 from novags.methods.gaussian_fit import EnhancedFitConfig
 from novags.methods.nova import trainer as nova
-from novags.methods.variant import Method, Variant
+from novags.methods.variant import Method, Variant, spelled
 
 METHODS: dict[str, Method] = {
     "nova": Method(
@@ -115,7 +115,10 @@ def chosen(name: str, more: Mapping[str, Variant] | None = None) -> Variant:
     variant = variants.get(name, Variant(name=name, method=name))
     if variant.method in variants and variant.method not in (name, *METHODS):  # a variant of a variant
         base = chosen(variant.method, {other: v for other, v in (more or {}).items() if other != name})
-        return replace(variant, method=base.method, settings={**base.settings, **variant.settings})
+        title = variant.title or f"{base.name} with {spelled(variant.settings)}"
+        return replace(variant, method=base.method, settings={**base.settings, **variant.settings}, title=title)
+    if variant.settings and not variant.title:
+        variant = replace(variant, title=f"{variant.method} with {spelled(variant.settings)}")
     if variant.method not in METHODS:
         known = (*METHODS, *variants)
         near = get_close_matches(variant.method, known, 1)

@@ -37,9 +37,10 @@ def cameras_of(
     """
     check_cameras(config)
     dark = torch.from_numpy(np.stack([capture.srgb8(i) for i in indices]))
-    # First points come from the set, whose depth is known if it was rendered; from the capture if sizes differ.
-    views = capture.cameras if source.scaled or not isinstance(config, KnownConfig) else source.views
+    views = capture.cameras
     if isinstance(config, KnownConfig):
+        if not source.scaled:  # depth for the first points; its cameras differ from the capture's by rounding
+            views = dataclasses.replace(source.views, rig=views.rig)
         return estimate_cameras(config, views, indices, dark, n_points=points, seed=seed)
     with console.progress("cameras") as progress:
         pictures = pictures_for(config.pictures, dark, seed)

@@ -164,6 +164,7 @@ def reconstruct_views(
     return {
         "name": variant.name,
         "method": variant.method,
+        "title": variant.title or METHODS[variant.method].title,
         "variant": dict(variant.settings),
         "capture": os.path.relpath(capture.path.resolve(), folder.resolve()),
         "space": result.space,
