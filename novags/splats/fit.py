@@ -278,9 +278,7 @@ def _loss(
     return loss, float(photometric.detach())
 
 
-def _update(
-    state: TrainingState, iteration: int, config: FitConfig, cap: int, extent: float, sh_degree: int
-) -> None:
+def _update(state: TrainingState, iteration: int, config: FitConfig, cap: int, extent: float, sh_degree: int) -> None:
     """Everything that moves after the backward pass: Gaussians, their population, cameras."""
     means_rate = config.rates.means_at(iteration, config.iterations, extent)
     state.adam.step(state.gaussians, config.rates, means_rate, sh_degree)
