@@ -99,7 +99,7 @@ def test_what_is_above_white_is_white_before_a_colour_matrix():
 
 
 def test_jpeg_keeps_the_order_of_the_channels():
-    """Independent reference: JPEG stores colour at half resolution, and luminance, 0.299 R + 0.587 G + 0.114 B, at full.
+    """Independent reference: JPEG has colour at half resolution, and luminance, 0.299 R + 0.587 G + 0.114 B, at full.
     So of a chequerboard in one channel its luminance remains, in all three."""
     from sensor_model.isp import through_jpeg
 
