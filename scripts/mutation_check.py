@@ -35,17 +35,22 @@ ROOT = Path(__file__).resolve().parents[1]
 EXCUSED = Path(__file__).parent / "mutation" / "excused.toml"
 # Sources, and the tests that answer for them.
 GROUPS = (
-    (("novags/methods/enhancers/*.py",), ("tests/novags/methods/enhancers/*.py",)),
+    (("novags/methods/enhancers/[!_]*.py",), ("tests/novags/methods/enhancers/test_[!r]*.py",)),
     (("novags/methods/nova/[!t]*.py",), ("tests/novags/methods/nova/test_[!t]*.py",)),
-    (("novags/methods/nova/trainer.py", "novags/methods/*.py"),
-     ("tests/novags/methods/test_*.py", "tests/novags/methods/nova/test_trainer*.py")),
+    (("novags/methods/nova/trainer.py", "novags/methods/enhancers/__init__.py", "novags/methods/*.py"),
+     ("tests/novags/methods/test_*.py", "tests/novags/methods/enhancers/test_r*.py",
+      "tests/novags/methods/nova/test_trainer*.py")),
     (("novags/splats/losses.py", "novags/splats/mcmc.py", "novags/splats/fit.py"),
      ("tests/novags/splats/test_splats_losses*.py", "tests/novags/splats/test_splats_mcmc*.py",
       "tests/novags/splats/test_splats_fit*.py")),
     (("sensor_model/effects.py", "sensor_model/moments.py", "sensor_model/radiometry.py", "sensor_model/isp.py"),
-     ("tests/sensor_model/*.py",)),
+     tuple(f"tests/sensor_model/test_{what}*.py"
+           for what in ("effect", "moments", "radiometry", "isp", "capture", "planner", "streams", "stated"))),
     (("simscenes/rigs.py",), ("tests/simscenes/test_rigs*.py",)),
-    (("simscenes/job/*.py", "simscenes/transport/*.py"), ("tests/simscenes/*.py",)),
+    (("simscenes/job/*.py", "simscenes/transport/*.py"),
+     tuple(f"tests/simscenes/test_{what}*.py"
+           for what in ("color_plan", "curves", "finish", "hardness", "job", "lens", "lights", "pilot", "render",
+                        "roulette", "scene_digest", "transport", "wishes"))),
 )  # fmt: skip
 # Imported once, before the forks. Nothing of ours, and nothing that starts threads, which a fork would lose.
 LIBRARIES = ("torch", "numba", "scipy.stats", "scipy.optimize", "scipy.ndimage", "hypothesis", "safetensors.torch",
