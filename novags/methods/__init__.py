@@ -8,6 +8,8 @@ from typing import Any
 from novags.methods import enhance_then_fit, oracle
 from novags.methods.gaussian_fit import EnhancedFitConfig
 from novags.methods.nova import trainer as nova
+from novags.methods.nova.denoiser import FAST_DENOISER
+from novags.methods.settings import flattened
 from novags.methods.variant import Method, Variant, spelled
 
 METHODS: dict[str, Method] = {
@@ -41,28 +43,8 @@ METHODS: dict[str, Method] = {
     ),
 }
 
-# What a CPU can afford. No instance normalisation, because it erases brightness; no targeted blind spots, because they
-# favour pixels for their own noise. Starting from a blur saves the steps of learning one. Where the channels of a pixel
-# have independent noise, blinding one at a time leaves the others to inform it. A blind spot knows less about a pixel
-# than the pixel itself does, so part of the noisy picture is mixed in. Many steps on small crops learn more in the same
-# time than few steps on whole views.
-_FAST: dict[str, Any] = {
-    "denoiser.network.widths": (16, 32, 64),
-    "denoiser.network.bottleneck": 96,
-    "denoiser.network.normalization": "none",
-    "denoiser.blind_spots.mask_fraction": 0.2,
-    "denoiser.blind_spots.laplacian_share": 0.0,
-    "denoiser.blind_spots.per_channel": None,
-    "denoiser.denoise_every": None,
-    "denoiser.batch": 4,
-    "denoiser.crop": 48,
-    "denoiser.learning_rate": 1.5e-3,
-    "denoiser.decay": "cosine",
-    "denoiser.augment": True,
-    "denoiser.residual_blur": 0.8,
-    "denoiser.noisy_share": 0.35,
-    "consistency.every": 16,
-}
+_PUBLISHED = flattened(nova.NovaConfig())
+_FAST = {f"denoiser.{name}": value for name, value in flattened(FAST_DENOISER).items()} | {"consistency.every": 16}
 
 
 def _variant(name: str, method: str, title: str, settings: Mapping[str, Any]) -> tuple[str, Variant]:
@@ -76,7 +58,7 @@ VARIANTS: dict[str, Variant] = dict(
             "nova",
             "NOVA-GS with a small denoiser that trains before the fit only, and a third of the noisy picture in its "
             "target: not the paper's network",
-            _FAST,
+            {name: value for name, value in _FAST.items() if value != _PUBLISHED[name]},
         ),
         _variant("nova-no-sh", "nova", "NOVA-GS without the penalty on view-dependent colour", {"sh_weight": None}),
         _variant("nova-no-geo", "nova", "NOVA-GS without geometric consistency", {"consistency": None}),

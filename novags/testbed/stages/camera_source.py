@@ -11,7 +11,7 @@ from torch import Tensor
 from novags.cameras import CameraConfig, CameraEstimate, KnownConfig, check_cameras, estimate_cameras
 from novags.cameras.align import Alignment, align, to_estimated
 from novags.methods.enhancers import guided
-from novags.methods.nova.denoiser import Denoiser, DenoiserConfig
+from novags.methods.nova.denoiser import FAST_DENOISER, Denoiser
 from novags.splats import Views
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture
@@ -63,8 +63,7 @@ def pictures_for(kind: str, dark: Tensor, seed: int) -> np.ndarray:
     enhanced = torch.stack([guided.enhance(view)[0] for view in dark])
     if kind == "enhanced":
         return codes(enhanced)
-    config = DenoiserConfig(batch=4, crop=48, residual_blur=0.8)
-    denoiser = Denoiser(enhanced, config, total_steps=DENOISER_STEPS, seed=seed)
+    denoiser = Denoiser(enhanced, FAST_DENOISER, total_steps=DENOISER_STEPS, seed=seed)
     for _ in range(DENOISER_STEPS):
         denoiser.train_step()
     return codes(denoiser.denoise_all())
