@@ -98,7 +98,8 @@ def chosen(name: str, more: Mapping[str, Variant] | None = None) -> Variant:
     if variant.method in variants and variant.method not in (name, *METHODS):  # a variant of a variant
         base = chosen(variant.method, {other: v for other, v in (more or {}).items() if other != name})
         title = variant.title or f"{base.name} with {spelled(variant.settings)}"
-        return replace(variant, method=base.method, settings={**base.settings, **variant.settings}, title=title)
+        kept = {name: value for name, value in base.settings.items() if not variant.decides(name)}
+        return replace(variant, method=base.method, settings={**kept, **variant.settings}, title=title)
     if variant.settings and not variant.title:
         variant = replace(variant, title=f"{variant.method} with {spelled(variant.settings)}")
     if variant.method not in METHODS:

@@ -67,10 +67,10 @@ class Variant:
         Raises:
             ValueError: If a setting does not exist, or a value is refused.
         """
-        own = {key: value for key, value in shared.items() if has_setting(default, key) and not self._decides(key)}
+        own = {key: value for key, value in shared.items() if has_setting(default, key) and not self.decides(key)}
         return changed(default, {**own, **self.settings}, what=self.name)
 
-    def _decides(self, key: str) -> bool:
+    def decides(self, key: str) -> bool:
         """Whether the variant sets this, or switches a part off that it belongs to."""
         return any(key == name or key.startswith(f"{name}.") for name in self.settings)
 
