@@ -21,6 +21,7 @@ METHODS: dict[str, Method] = {
         config=nova.NovaConfig,
         train=nova.train,
         source="NOVA-GS: Noise-Aware View-Consistent Gaussian Splatting for Low-Light Novel View Synthesis",
+        cameras="vggt",
     ),
     "naive": Method(
         title="enhance, then fit the noisy pictures with the same loss (L1 and D-SSIM)",

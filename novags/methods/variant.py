@@ -23,6 +23,7 @@ class Method:
         config: Its configuration, a frozen dataclass whose defaults are the method as published.
         train: (problem, config, *, progress, checkpoint) -> Reconstruction.
         source: The publication or text that it follows.
+        cameras: The camera source that the publication uses; None if it does not matter.
         sees_clean: Whether it is given the noise-free exposures; a bound, never a rival.
         bound: The end of the scale that "recovered" is measured on: what noise costs lies between the two.
     """
@@ -33,6 +34,7 @@ class Method:
     config: type
     train: Callable[..., Reconstruction]
     source: str
+    cameras: str | None = None
     sees_clean: bool = False
     bound: Literal["floor", "ceiling"] | None = None
 

@@ -90,11 +90,15 @@ def deviations(run: Run) -> list[Deviation]:
 
     Size counts too, but not what every run must set: seed, extent, the cadence of checkpoints.
     """
-    if run.method not in METHODS:
+    method = METHODS.get(run.method)
+    if method is None:
         return []
-    published = jsonable(flattened(METHODS[run.method].config()))
+    published = jsonable(flattened(method.config()))
     here = _flat(run.record["config"])
     found = []
+    source = str((run.record.get("cameras") or {}).get("source", "known"))
+    if method.cameras is not None and not source.startswith(method.cameras):
+        found.append(Deviation("cameras", method.cameras, source))
     for name in dict.fromkeys((*published, *here)):
         if name in UNLISTED:
             continue
