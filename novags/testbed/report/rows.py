@@ -71,7 +71,8 @@ def distinct(color: str, used: Iterable[str]) -> str:
     while found in taken:
         turn += 1
         level = min(0.72, max(0.3, light + (0.14 if turn % 2 else -0.06)))
-        shifted = colorsys.hls_to_rgb((hue + 0.09 * turn) % 1, level, strength)
+        # Grey has no hue to turn: without some strength of colour the search would not end.
+        shifted = colorsys.hls_to_rgb((hue + 0.09 * turn) % 1, level, max(strength, 0.45))
         found = "#" + "".join(f"{round(255 * part):02x}" for part in shifted)
     return found
 

@@ -56,11 +56,10 @@ def test_the_help_pages_spell_commands_that_exist() -> None:
         parse_cameras(text)
     texts = re.findall(r'--variant "?([^\s"]+)', page("variants"))
     assert len(texts) >= 4
-    for text in texts:
-        own = with_variants([parse_variant(text)])
-        for name in own:
-            variant = chosen(name, own)
-            variant.config(METHODS[variant.method].config(), {})
+    own = with_variants([parse_variant(text) for text in texts])
+    for name in own:
+        variant = chosen(name, own)
+        variant.config(METHODS[variant.method].config(), {})
 
 
 def test_first_sentences_are_first_sentences() -> None:
