@@ -1,5 +1,7 @@
 """How cameras fare in the dark.
 
+    python scripts/bench_cameras.py errors --out DIR
+        PSNR of the demo against a rotation error of its cameras, 0 to 4 degrees, with and without refinement
     python scripts/bench_cameras.py registered --set SET --out FILE.json
         the share of views that structure from motion registers, and how right they are, at 2 to 1000 electrons, on the
         dark pictures as they are, enhanced, and enhanced and denoised, by both mappers
@@ -40,8 +42,7 @@ def captured(radiances: list[np.ndarray], electrons: float, seed: int) -> Tensor
 
 def denoised(enhanced: Tensor, steps: int, seed: int) -> Tensor:
     """What the self-supervised denoiser of the preset demo makes of them after a short training."""
-    from novags.methods.nova.denoiser import Denoiser
-    from novags.testbed.presets import FAST_DENOISER
+    from novags.methods.nova.denoiser import FAST_DENOISER, Denoiser
 
     denoiser = Denoiser(enhanced, replace(FAST_DENOISER, warmup_steps=steps), total_steps=steps, seed=seed)
     for _ in range(steps):
@@ -118,6 +119,32 @@ def cell(row: dict[str, Any]) -> str:
     return f"{100 * row['registered']:.0f} %{right}, {row['rotation_deg']:.2f}°"
 
 
+def errors(options: argparse.Namespace) -> None:
+    """Reconstruct the demo's capture from turned cameras, print the table."""
+    from novags.cameras import KnownConfig
+    from novags.testbed import stages
+    from novags.testbed.console import Console
+    from novags.testbed.presets import PRESETS, adapted
+
+    demo, console, out = PRESETS["demo"], Console(), options.out
+    stages.render(out / "set", demo.render, console)
+    stages.capture(out / "set", out / "capture", demo.capture, console)
+    print("| rotation error | PSNR | with refinement | rotation left |\n|---|---|---|---|")
+    for degrees in options.degrees:
+        cells, left = [], 0.0
+        for refine in (False, True):
+            preset = adapted(
+                demo, methods=(options.method,), cameras=KnownConfig(rotation_deg=degrees), refine_cameras=refine,
+                iterations=options.iterations,
+            )  # fmt: skip
+            folder = out / f"{options.method}-{degrees:g}{'-refined' if refine else ''}"
+            record = stages.reconstruct(out / "capture", folder, preset.reconstruct(options.method), console)
+            scores = stages.score(folder, console)["methods"][options.method]["mean"]
+            cells.append(f"{scores['enhanced']['aligned_psnr']:.2f} dB")
+            left = record["cameras"]["mean_rotation_deg"]
+        print(f"| {degrees:g}° | {' | '.join(cells)} | {left:.2f}° |", flush=True)
+
+
 def main() -> None:
     """Parse, measure, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -129,6 +156,12 @@ def main() -> None:
     command.add_argument("--steps", type=int, default=STEPS, help="of the denoiser")
     command.add_argument("--seed", type=int, default=0)
     command.set_defaults(run=registered)
+    command = commands.add_parser("errors", help="PSNR against the rotation error of the cameras")
+    command.add_argument("--out", type=Path, required=True)
+    command.add_argument("--method", default="naive-l1")
+    command.add_argument("--degrees", type=float, nargs="+", default=[0.0, 0.5, 1.0, 2.0, 4.0])
+    command.add_argument("--iterations", type=int, help="of the fit; those of the demo if not given")
+    command.set_defaults(run=errors)
     options = parser.parse_args()
     options.run(options)
 

@@ -42,18 +42,20 @@ def random_cloud(n: int, size: int, n_views: int) -> tuple[Gaussians, Views, Ten
 
 def oracle_problem(capture: Path, n: int) -> tuple[Gaussians, Views, Tensor]:
     """What the `oracle` method fits to: the noise-free dark exposures of a capture folder, enhanced."""
-    from novags.methods.enhancers.guided import EnhanceConfig, enhance
+    from novags.methods import chosen
+    from novags.methods.enhancers import enhanced_clean
+    from novags.methods.enhancers.guided import EnhanceConfig
     from novags.methods.start import start_gaussians
     from novags.testbed.console import Console
     from novags.testbed.folders.capture import open_capture
-    from novags.testbed.stages.reconstruct import ReconstructConfig, method_input
+    from novags.testbed.stages.reconstruct import ReconstructConfig, prepare
 
-    config = ReconstructConfig(method="oracle", points=n)
-    inputs = method_input(open_capture(capture), config, Console(quiet=True))
-    assert inputs.clean is not None
-    _, params = enhance(inputs.dark, EnhanceConfig())
-    images, _ = enhance(inputs.clean, EnhanceConfig(), params)
-    return start_gaussians(inputs.init, inputs.dark, images, sh_degree=3, init_scale=0.7), inputs.views, images
+    console, opened = Console(quiet=True), open_capture(capture)
+    config = ReconstructConfig(variant=chosen("oracle"), points=n, device="cpu")
+    problem = prepare(opened, opened.source(console), config, console).problem
+    images = enhanced_clean(problem, EnhanceConfig(), "8bit")
+    start = start_gaussians(problem.start, problem.srgb8, images, sh_degree=3, init_scale=0.7)
+    return start, problem.views, images
 
 
 def render(gaussians: Gaussians, views: Views) -> Tensor:

@@ -1,5 +1,7 @@
 """Initial points: from pixels with a depth, and coloured as the dark images show them. All numpy, float64."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -9,7 +11,7 @@ from novags.cameras.estimate import Array
 COLOR_NEIGHBOURS = 8  # points whose colours are averaged: a single dark pixel is mostly noise
 
 
-def subset(values: Array, count: int, rng: np.random.Generator) -> Array:
+def subset(values: NDArray[Any], count: int, rng: np.random.Generator) -> NDArray[Any]:
     """At most `count` rows, chosen at random."""
     return values if len(values) <= count else values[rng.choice(len(values), count, replace=False)]
 
@@ -38,7 +40,7 @@ def project(points: Array, viewmat: Array, K: Array) -> tuple[Array, Array]:
 
 def inside(pixels: Array, height: int, width: int) -> NDArray[np.bool_]:
     """Which pixels [P, 2] lie in the frame; NaN does not."""
-    return ((pixels >= 0) & (pixels < [width, height])).all(1)
+    return np.all((pixels >= 0) & (pixels < [width, height]), axis=1)
 
 
 def seen_colors(points: Array, images: NDArray[np.float32], viewmats: Array, Ks: Array) -> Array:

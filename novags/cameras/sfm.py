@@ -104,11 +104,11 @@ def structure_from_motion(
     registered = tuple(int(Path(image.name).stem) for image in images)
     viewmats = np.stack([np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]]) for image in images])
     dark = colors_from.detach().cpu().numpy().astype(np.float32)[list(registered)]
-    Ks = np.stack([image.camera.calibration_matrix() for image in images])  # as given
+    placed_Ks = np.stack([image.camera.calibration_matrix() for image in images])  # as given
     observed = [[p.point3D_id for p in image.points2D if p.has_point3D()] for image in images]
     rng = np.random.default_rng(seed)
-    points, colors = _points(model, observed, dark, viewmats, Ks, n_points, rng)
-    return as_estimate(registered, viewmats, Ks, points, averaged(points, colors))
+    points, colors = _points(model, observed, dark, viewmats, placed_Ks, n_points, rng)
+    return as_estimate(registered, viewmats, placed_Ks, points, averaged(points, colors))
 
 
 def _check(pictures: np.ndarray, Ks: np.ndarray, colors_from: Tensor, n_points: int) -> None:

@@ -8,7 +8,9 @@ from typing import Any
 from novags.methods import enhance_then_fit, oracle
 from novags.methods.gaussian_fit import EnhancedFitConfig
 from novags.methods.nova import trainer as nova
-from novags.methods.variant import Method, Variant
+from novags.methods.nova.denoiser import FAST_DENOISER
+from novags.methods.settings import flattened
+from novags.methods.variant import Method, Variant, spelled
 
 METHODS: dict[str, Method] = {
     "nova": Method(
@@ -41,28 +43,8 @@ METHODS: dict[str, Method] = {
     ),
 }
 
-# What a CPU can afford. No instance normalisation, because it erases brightness; no targeted blind spots, because they
-# favour pixels for their own noise. Starting from a blur saves the steps of learning one. Where the channels of a pixel
-# have independent noise, blinding one at a time leaves the others to inform it. A blind spot knows less about a pixel
-# than the pixel itself does, so part of the noisy picture is mixed in. Many steps on small crops learn more in the same
-# time than few steps on whole views.
-_FAST: dict[str, Any] = {
-    "denoiser.network.widths": (16, 32, 64),
-    "denoiser.network.bottleneck": 96,
-    "denoiser.network.normalization": "none",
-    "denoiser.blind_spots.mask_fraction": 0.2,
-    "denoiser.blind_spots.laplacian_share": 0.0,
-    "denoiser.blind_spots.per_channel": None,
-    "denoiser.denoise_every": None,
-    "denoiser.batch": 4,
-    "denoiser.crop": 48,
-    "denoiser.learning_rate": 1.5e-3,
-    "denoiser.decay": "cosine",
-    "denoiser.augment": True,
-    "denoiser.residual_blur": 0.8,
-    "denoiser.noisy_share": 0.35,
-    "consistency.every": 16,
-}
+_PUBLISHED = flattened(nova.NovaConfig())
+_FAST = {f"denoiser.{name}": value for name, value in flattened(FAST_DENOISER).items()} | {"consistency.every": 16}
 
 
 def _variant(name: str, method: str, title: str, settings: Mapping[str, Any]) -> tuple[str, Variant]:
@@ -76,7 +58,7 @@ VARIANTS: dict[str, Variant] = dict(
             "nova",
             "NOVA-GS with a small denoiser that trains before the fit only, and a third of the noisy picture in its "
             "target: not the paper's network",
-            _FAST,
+            {name: value for name, value in _FAST.items() if value != _PUBLISHED[name]},
         ),
         _variant("nova-no-sh", "nova", "NOVA-GS without the penalty on view-dependent colour", {"sh_weight": None}),
         _variant("nova-no-geo", "nova", "NOVA-GS without geometric consistency", {"consistency": None}),
@@ -115,7 +97,11 @@ def chosen(name: str, more: Mapping[str, Variant] | None = None) -> Variant:
     variant = variants.get(name, Variant(name=name, method=name))
     if variant.method in variants and variant.method not in (name, *METHODS):  # a variant of a variant
         base = chosen(variant.method, {other: v for other, v in (more or {}).items() if other != name})
-        return replace(variant, method=base.method, settings={**base.settings, **variant.settings})
+        title = variant.title or f"{base.name} with {spelled(variant.settings)}"
+        kept = {name: value for name, value in base.settings.items() if not variant.decides(name)}
+        return replace(variant, method=base.method, settings={**kept, **variant.settings}, title=title)
+    if variant.settings and not variant.title:
+        variant = replace(variant, title=f"{variant.method} with {spelled(variant.settings)}")
     if variant.method not in METHODS:
         known = (*METHODS, *variants)
         near = get_close_matches(variant.method, known, 1)

@@ -72,6 +72,7 @@ def fit_enhanced(
         enhancement=enhancement_record(config.enhance, config.pictures),
         enhanced=images,
         targets=images,
+        viewmats=None if config.fit.refine_cameras is None else result.viewmats,
         losses=result.losses,
         seconds={"enhance": seconds, "fit": result.seconds},
     )

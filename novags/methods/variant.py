@@ -45,7 +45,7 @@ class Variant:
         name: Of its folder and its row; the method's own name if nothing is changed.
         method: Name of the method.
         settings: Dotted setting -> value.
-        title: What is different, in a sentence; "" to list the settings instead.
+        title: What it does, in a sentence; "" for the method's own, with the settings.
     """
 
     name: str
@@ -67,12 +67,17 @@ class Variant:
         Raises:
             ValueError: If a setting does not exist, or a value is refused.
         """
-        own = {key: value for key, value in shared.items() if has_setting(default, key) and not self._decides(key)}
+        own = {key: value for key, value in shared.items() if has_setting(default, key) and not self.decides(key)}
         return changed(default, {**own, **self.settings}, what=self.name)
 
-    def _decides(self, key: str) -> bool:
+    def decides(self, key: str) -> bool:
         """Whether the variant sets this, or switches a part off that it belongs to."""
         return any(key == name or key.startswith(f"{name}.") for name in self.settings)
+
+
+def spelled(settings: Mapping[str, Any]) -> str:
+    """Settings in a sentence."""
+    return ", ".join(f"{name} = {value}" for name, value in settings.items())
 
 
 def parse_variant(text: str) -> Variant:

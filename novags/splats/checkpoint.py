@@ -14,6 +14,7 @@ from torch import Tensor
 from sensor_model.files.atomic import atomic
 
 from .adam import Adam
+from .camera_refinement import CameraState
 from .gaussians import Gaussians
 
 
@@ -24,6 +25,7 @@ class TrainingState:
     Attributes:
         gaussians: Current Gaussians.
         adam: Their optimiser.
+        cameras: Refinement of the training cameras; None where they stay as given.
         iteration: Iterations done.
         losses: Log entries.
         seconds: Wall time spent before this process took over.
@@ -31,6 +33,7 @@ class TrainingState:
 
     gaussians: Gaussians
     adam: Adam
+    cameras: CameraState | None = None
     iteration: int = 0
     losses: list[dict[str, float]] = field(default_factory=list)
     seconds: float = 0.0
@@ -69,6 +72,8 @@ def save_checkpoint(path: Path, state: TrainingState, settings: dict[str, object
     tensors = {f"gaussians.{name}": t.detach() for name, t in state.gaussians.tensors().items()}
     tensors |= {f"first.{name}": t for name, t in state.adam.first.items()}
     tensors |= {f"second.{name}": t for name, t in state.adam.second.items()}
+    if state.cameras is not None:
+        tensors |= {f"cameras.{name}": t.detach() for name, t in vars(state.cameras).items()}
     rest = {
         "iteration": state.iteration, "adam": state.adam.count, "losses": state.losses, "seconds": state.seconds,
         "settings": settings,
@@ -109,6 +114,8 @@ def _assembled(rest: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingStat
     gaussians = Gaussians(**part("gaussians."))
     adam = Adam(gaussians)
     adam.count, adam.first, adam.second = rest["adam"], part("first."), part("second.")
+    cameras = part("cameras.")
     return TrainingState(
-        gaussians=gaussians, adam=adam, iteration=rest["iteration"], losses=rest["losses"], seconds=rest["seconds"]
-    )
+        gaussians=gaussians, adam=adam, cameras=CameraState(**cameras) if cameras else None,
+        iteration=rest["iteration"], losses=rest["losses"], seconds=rest["seconds"],
+    )  # fmt: skip

@@ -5,6 +5,7 @@ import resource
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -13,14 +14,14 @@ from torch import Tensor
 
 from .activate import activate
 from .adam import Adam, LearningRates
+from .camera_refinement import CameraRefinement, CameraState, move_cameras, refined
 from .checkpoint import TrainingState, digest, load_checkpoint, save_checkpoint
 from .gaussians import Gaussians
 from .losses import photometric_loss
 from .mcmc import McmcConfig, add_noise, grow, prune_to_cap, relocate
-from .rasterize import rasterize
+from .step import Step, render_step
 from .views import Views
 
-Info = dict[str, Tensor]
 LOG_EVERY = 10  # iterations between entries of FitResult.losses and calls of progress
 
 
@@ -38,7 +39,9 @@ class FitConfig:
         scale_reg: Weight of the mean scale.
         rates: Learning rates.
         mcmc: When Gaussians move; None keeps the population as it is.
-        extent: Scene size that the rate of the means is relative to, world units; None is measured from the cameras.
+        refine_cameras: How the training cameras are refined; None takes them as they are given.
+        extent: Scene size that the rates of the means and of the cameras are relative to, world units; None is measured
+            from the cameras.
         seed: Of the order of views, of relocation and of noise.
         backend: As in `rasterize`.
         checkpoint_every: Iterations between checkpoints.
@@ -53,6 +56,7 @@ class FitConfig:
     scale_reg: float = 0.01
     rates: LearningRates = field(default_factory=LearningRates)
     mcmc: McmcConfig | None = field(default_factory=McmcConfig)
+    refine_cameras: CameraRefinement | None = None
     extent: float | None = None
     seed: int = 0
     backend: str = "auto"
@@ -78,60 +82,19 @@ class FitConfig:
 
 
 @dataclass(kw_only=True)
-class Step:
-    """One iteration as extra losses see it; `render`, `alpha` and `depth` are differentiable.
-
-    Attributes:
-        iteration: From 0.
-        iterations: Of the whole run.
-        view: Index of this iteration's training view.
-        gaussians: The trained leaves.
-        render: [H, W, 3].
-        alpha: [H, W].
-        info: "means2d" [N, 2], "radii" [N], "depths" [N] of this view.
-        views: All training views.
-        rasterize_view: Renders view j now: (render [H, W, 3], depth [H, W], alpha [H, W], info).
-        expected_depth: [H, W], or None where `needs_depth` did not ask for it.
-    """
-
-    iteration: int
-    iterations: int
-    view: int
-    gaussians: Gaussians
-    render: Tensor
-    alpha: Tensor
-    info: Info
-    views: Views
-    rasterize_view: Callable[[int], tuple[Tensor, Tensor, Tensor, Info]]
-    expected_depth: Tensor | None
-
-    @property
-    def depth(self) -> Tensor:
-        """Expected depth [H, W], world units, 0 where nothing was hit.
-
-        Raises:
-            ValueError: If the fit was not asked for depth in this iteration.
-        """
-        if self.expected_depth is None:
-            raise ValueError(
-                f"depth was not rendered in iteration {self.iteration}: call fit(..., needs_depth=True), or a function "
-                "of the iteration that says so"
-            )
-        return self.expected_depth
-
-
-@dataclass(kw_only=True)
 class FitResult:
-    """Trained Gaussians (detached) and what they cost.
+    """Trained Gaussians and cameras (detached) and what they cost.
 
     Attributes:
         gaussians: The scene.
+        viewmats: Training cameras at the end [C, 4, 4]: refined, or as they were given. The Gaussians belong to them.
         losses: One entry per LOG_EVERY iterations: "iteration", "loss", "photometric", "n_gaussians".
         seconds: Wall time, of the stopped runs before this one too.
         peak_bytes: Largest resident memory of the process (CPU) or largest allocation (CUDA) so far.
     """
 
     gaussians: Gaussians
+    viewmats: Tensor
     losses: list[dict[str, float]]
     seconds: float
     peak_bytes: int
@@ -143,35 +106,38 @@ def fit(
     target: Callable[[int], Tensor],
     config: FitConfig,
     *,
+    photometric: Callable[[Step, Tensor], Tensor] | None = None,
     extra_losses: Sequence[Callable[[Step], Tensor | None]] = (),
     before_step: Callable[[int], None] | None = None,
     needs_depth: bool | Callable[[int], bool] = False,
     progress: Callable[[int, int, dict[str, float]], None] | None = None,
     checkpoint: Path | None = None,
 ) -> FitResult:
-    """Fit Gaussians to images by 3DGS-MCMC.
+    """Fit Gaussians to images by 3DGS-MCMC, on the device of the Gaussians.
 
     Args:
         gaussians: Start; not changed. More than `cap_max` are pruned, lower SH degrees padded with zeros.
-        views: Training cameras.
+        views: Training cameras, on the same device.
         target: Image [H, W, 3] that view i should show; asked every iteration, so it may change.
         config: How to train.
+        photometric: Scalar loss of the Step and its target, which may then be of any shape; None is
+            (1 - w) L1 + w (1 - SSIM) with `config.dssim_weight`.
         extra_losses: Called with the Step after rendering; each returns a scalar to add, or None.
         before_step: Called with the iteration number before it starts.
         needs_depth: Render expected depth too; a function is asked in every iteration, by its number.
         progress: Called every LOG_EVERY iterations with (iterations done, of how many, log entry).
         checkpoint: File of the training state. Written every `checkpoint_every` iterations and at the end; if it is
-            there already, and of a run with this start, these views and this config (but maybe other targets), the
-            run goes on from it. State that `target` and `extra_losses` keep is theirs to save.
+            there already, and of a run with this start, these views and this config (but maybe other targets and
+            losses), the run goes on from it. State that `target` and losses keep is theirs to save.
 
     Returns:
         FitResult.
 
     Raises:
-        ValueError: For a checkpoint of another run, no views, targets of the wrong shape, or a loss that is not finite.
+        ValueError: For a checkpoint of another run, no views, views or targets on another device, targets of the wrong
+            shape, or a loss that is not finite.
     """
-    if len(views) == 0:
-        raise ValueError("views must hold at least one camera, got none")
+    _check_views(gaussians, views)
     started = time.perf_counter()
     extent = config.extent if config.extent is not None else views.extent
     settings = {} if checkpoint is None else _identity(gaussians, views, config, extent)
@@ -179,24 +145,22 @@ def fit(
         state = load_checkpoint(checkpoint, settings, gaussians.means.device)
         started -= state.seconds
     else:
-        start = _prepared(gaussians, config)
-        state = TrainingState(gaussians=start, adam=Adam(start))
+        state = _initial_state(gaussians, views, config)
     cap = config.cap_max if config.cap_max is not None else len(gaussians)
+    compare = photometric or partial(_default_photometric, config.dssim_weight)
     for iteration in range(state.iteration, config.iterations):
         if before_step is not None:
             before_step(iteration)
         with_depth = needs_depth(iteration) if callable(needs_depth) else needs_depth
-        step, regularizer = _render_step(state.gaussians.requires_grad_(), views, iteration, config, with_depth)
-        loss, photometric = _loss(step, regularizer, target(step.view), config, extra_losses)
+        step, regularizer = _render(state, views, iteration, config, extent, with_depth)
+        loss, part = _loss(step, regularizer, compare(step, target(step.view)), extra_losses)
         loss.backward()
-        means_rate = config.rates.means_at(iteration, config.iterations, extent)
         # extra losses may reach harmonics that are not rendered yet
         degree = 3 if extra_losses else _degree_at(iteration, config)
-        state.adam.step(state.gaussians, config.rates, means_rate, degree)
-        state.gaussians = _mcmc_step(state.gaussians.detach(), state.adam, iteration, config, cap, means_rate)
+        _update(state, iteration, config, cap, extent, degree)
         state.iteration = done = iteration + 1
         if done % LOG_EVERY == 0 or done == config.iterations:
-            entry = {"iteration": float(done), "loss": float(loss.detach()), "photometric": photometric}
+            entry = {"iteration": float(done), "loss": float(loss.detach()), "photometric": part}
             state.losses.append({**entry, "n_gaussians": float(len(state.gaussians))})
             if progress is not None:
                 progress(done, config.iterations, state.losses[-1])
@@ -204,9 +168,21 @@ def fit(
             state.seconds = time.perf_counter() - started
             save_checkpoint(checkpoint, state, settings)
     return FitResult(
-        gaussians=state.gaussians.detach(), losses=state.losses, seconds=time.perf_counter() - started,
-        peak_bytes=_peak_bytes(state.gaussians),
+        gaussians=state.gaussians.detach(), viewmats=_current(views, state, extent).viewmats.detach(),
+        losses=state.losses, seconds=time.perf_counter() - started, peak_bytes=_peak_bytes(state.gaussians),
     )  # fmt: skip
+
+
+def _check_views(gaussians: Gaussians, views: Views) -> None:
+    if len(views) == 0:
+        raise ValueError("views must hold at least one camera, got none")
+    device = gaussians.means.device
+    for name, tensor in (("viewmats", views.viewmats), ("Ks", views.Ks)):
+        if tensor.device != device:
+            raise ValueError(
+                f"views and Gaussians must be on one device, got {name} on {tensor.device} and Gaussians on {device}: "
+                "move either with .to(device)"
+            )
 
 
 def _identity(gaussians: Gaussians, views: Views, config: FitConfig, extent: float) -> dict[str, object]:
@@ -216,6 +192,12 @@ def _identity(gaussians: Gaussians, views: Views, config: FitConfig, extent: flo
         **dataclasses.asdict(config), "extent": extent, "views": len(views),
         "start": digest(*gaussians.tensors().values()), "cameras": digest(views.viewmats, views.Ks, size),
     }  # fmt: skip
+
+
+def _initial_state(gaussians: Gaussians, views: Views, config: FitConfig) -> TrainingState:
+    start = _prepared(gaussians, config)
+    cameras = None if config.refine_cameras is None else CameraState.of(views.viewmats)
+    return TrainingState(gaussians=start, adam=Adam(start), cameras=cameras)
 
 
 def _prepared(gaussians: Gaussians, config: FitConfig) -> Gaussians:
@@ -249,48 +231,42 @@ def _view_at(iteration: int, n_views: int, seed: int) -> int:
     return int(np.random.default_rng([seed, epoch]).permutation(n_views)[position])
 
 
-def _render_step(
-    gaussians: Gaussians, views: Views, iteration: int, config: FitConfig, with_depth: bool
+def _current(views: Views, state: TrainingState, extent: float) -> Views:
+    """The training views with the cameras where they are now, differentiable in their twists."""
+    if state.cameras is None:
+        return views
+    return dataclasses.replace(views, viewmats=refined(views.viewmats, state.cameras.twists, extent))
+
+
+def _render(
+    state: TrainingState, views: Views, iteration: int, config: FitConfig, extent: float, with_depth: bool
 ) -> tuple[Step, Tensor]:
     """This iteration's Step, and the regulariser."""
-    fused = config.backend != "torch"
+    gaussians, fused = state.gaussians.requires_grad_(), config.backend != "torch"
     scales, opacities, regularizer = activate(gaussians, config.opacity_reg, config.scale_reg, fused=fused)
-    degree = _degree_at(iteration, config)
-
-    def render(j: int, mode: str) -> tuple[Tensor, Tensor, Info]:
-        renders, alphas, info = rasterize(
-            gaussians.means, gaussians.quats, scales, opacities, gaussians.sh, views.viewmats[j : j + 1],
-            views.Ks[j : j + 1], views.width, views.height, sh_degree=degree, render_mode=mode, backend=config.backend,
-        )  # fmt: skip
-        return renders[0], alphas[0, ..., 0], {key: value[0] for key, value in info.items()}
-
-    def rasterize_view(j: int) -> tuple[Tensor, Tensor, Tensor, Info]:
-        image, alpha, info = render(j, "RGB+ED")
-        return image[..., :3], image[..., 3], alpha, info
-
-    view = _view_at(iteration, len(views), config.seed)
-    image, alpha, info = render(view, "RGB+ED" if with_depth else "RGB")
-    step = Step(
-        iteration=iteration, iterations=config.iterations, view=view, gaussians=gaussians, render=image[..., :3],
-        alpha=alpha, info=info, views=views, rasterize_view=rasterize_view,
-        expected_depth=image[..., 3] if with_depth else None,
+    if state.cameras is not None and config.refine_cameras is not None:
+        state.cameras.twists.requires_grad_(config.refine_cameras.factor_at(iteration, config.iterations) > 0)
+    step = render_step(
+        gaussians, scales, opacities, _current(views, state, extent), view=_view_at(iteration, len(views), config.seed),
+        iteration=iteration, iterations=config.iterations, sh_degree=_degree_at(iteration, config),
+        with_depth=with_depth, backend=config.backend,
     )  # fmt: skip
     return step, regularizer
 
 
+def _default_photometric(dssim_weight: float, step: Step, target: Tensor) -> Tensor:
+    if target.shape != step.render.shape or target.device != step.render.device:
+        raise ValueError(
+            f"target({step.view}) must be [H, W, 3] = {list(step.render.shape)} on {step.render.device} as the views, "
+            f"got {list(target.shape)} on {target.device}"
+        )
+    return photometric_loss(step.render, target, dssim_weight)
+
+
 def _loss(
-    step: Step,
-    regularizer: Tensor,
-    target: Tensor,
-    config: FitConfig,
-    extra_losses: Sequence[Callable[[Step], Tensor | None]],
+    step: Step, regularizer: Tensor, photometric: Tensor, extra_losses: Sequence[Callable[[Step], Tensor | None]]
 ) -> tuple[Tensor, float]:
     """Total loss, and its photometric part as a number."""
-    if target.shape != step.render.shape:
-        raise ValueError(
-            f"target({step.view}) must be [H, W, 3] = {list(step.render.shape)} as in views, got {list(target.shape)}"
-        )
-    photometric = photometric_loss(step.render, target, config.dssim_weight)
     loss = photometric + regularizer
     for extra in extra_losses:
         term = extra(step)
@@ -300,6 +276,16 @@ def _loss(
             f"the loss must be finite, got {float(loss.detach())} at iteration {step.iteration}, view {step.view}"
         )
     return loss, float(photometric.detach())
+
+
+def _update(state: TrainingState, iteration: int, config: FitConfig, cap: int, extent: float, sh_degree: int) -> None:
+    """Everything that moves after the backward pass: Gaussians, their population, cameras."""
+    means_rate = config.rates.means_at(iteration, config.iterations, extent)
+    state.adam.step(state.gaussians, config.rates, means_rate, sh_degree)
+    state.gaussians = _mcmc_step(state.gaussians.detach(), state.adam, iteration, config, cap, means_rate)
+    if state.cameras is not None and config.refine_cameras is not None:
+        factor = config.refine_cameras.factor_at(iteration, config.iterations)
+        move_cameras(state.cameras, config.refine_cameras, factor)
 
 
 def _mcmc_step(
@@ -323,5 +309,5 @@ def _mcmc_step(
 
 def _peak_bytes(gaussians: Gaussians) -> int:
     if gaussians.means.is_cuda:
-        return int(torch.cuda.max_memory_allocated())
+        return int(torch.cuda.max_memory_allocated(gaussians.means.device))
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024

@@ -64,6 +64,10 @@ class Gaussians:
             tensor.requires_grad_(requires_grad)
         return self
 
+    def to(self, device: torch.device | str) -> "Gaussians":
+        """The same Gaussians on a device."""
+        return Gaussians(**{name: tensor.to(device) for name, tensor in self.tensors().items()})
+
     def detach(self) -> "Gaussians":
         """The same Gaussians outside autograd; memory is shared."""
         return Gaussians(**{name: tensor.detach() for name, tensor in self.tensors().items()})

@@ -31,6 +31,10 @@ class Views:
         if self.viewmats.dtype != torch.float32 or self.Ks.dtype != torch.float32:
             raise ValueError(f"viewmats and Ks must be float32, got {self.viewmats.dtype} and {self.Ks.dtype}")
 
+    def to(self, device: torch.device | str) -> "Views":
+        """The same cameras on a device."""
+        return Views(self.viewmats.to(device), self.Ks.to(device), self.width, self.height)
+
     def __len__(self) -> int:
         return len(self.viewmats)
 
@@ -42,5 +46,5 @@ class Views:
     @property
     def extent(self) -> float:
         """Scene extent as in 3DGS: 1.1 times the largest distance of a camera from their mean; 1 for one camera."""
-        distance = float((self.centers - self.centers.mean(0)).norm(dim=-1).max())
+        distance = float((self.centers - self.centers.mean(0)).norm(dim=-1).max().detach())
         return 1.1 * distance if distance > 0 else 1.0

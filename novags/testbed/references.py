@@ -20,7 +20,9 @@ from novags.testbed.metrics import Image
 def enhanced_pair(capture: Capture, i: int, enhancement: dict[str, Any]) -> tuple[Image, Image]:
     """The dark exposure of view `i` enhanced as a run did it, and its noise-free twin through the same enhancement."""
     _, config = recorded(enhancement)
-    dark, clean = (torch.from_numpy(image.copy()) for image in (capture.dark(i, enhancement["pictures"]), capture.clean(i)))
+    dark, clean = (
+        torch.from_numpy(image.copy()) for image in (capture.dark(i, enhancement["pictures"]), capture.clean(i))
+    )
     twins = enhanced_twins(capture.memo, capture.names[i], dark, clean, config, enhancement["pictures"])
     noisy, reference = (image.numpy() for image in twins)
     return noisy, reference

@@ -71,8 +71,9 @@ def _channels(mi: Any, film: Any, spectrum: Any, wavelengths: Any) -> list[Any]:
     if mi.is_polarized:
         spectrum = mi.unpolarized_spectrum(spectrum)
     if mi.has_flag(film.flags(), mi.FilmFlags.Special):
-        room = (
-            film.base_channels_count() + 2
-        )  # weight and alpha follow; without room for them Mitsuba writes past the end
+        # A film that no mi.render has prepared writes before the start of its buffer: the process aborts.
+        film.prepare([])
+        # Weight and alpha follow; without room for them Mitsuba writes past the end.
+        room = film.base_channels_count() + 2
         return list(film.prepare_sample(spectrum, wavelengths, room))[:3]
     return list(mi.spectrum_to_srgb(spectrum, wavelengths) if mi.is_spectral else spectrum)

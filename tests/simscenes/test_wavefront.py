@@ -51,7 +51,8 @@ def test_one_block_in_every_pixel_is_what_mitsuba_renders(color: str, camera: st
         sensor, integrator = mi.load_dict(settings), mi.load_dict({"type": "path", "max_depth": 6, "rr_depth": 2})
         film = np.array(mi.render(loaded.scene, sensor=sensor, integrator=integrator, spp=16, seed=5))[..., :3]
         pixels = np.arange(SIZE * SIZE, dtype=np.uint32)
-        ((_, blocks),) = wavefront.sample_blocks(mi, loaded.scene, sensor, integrator, pixels, 16, 5)
+        fresh = mi.load_dict(settings)  # one that mi.render has not prepared
+        ((_, blocks),) = wavefront.sample_blocks(mi, loaded.scene, fresh, integrator, pixels, 16, 5)
     assert np.allclose(blocks.reshape(SIZE, SIZE, 3), film, rtol=1e-5, atol=1e-6)
 
 

@@ -288,6 +288,7 @@ def train(
         enhancement=enhancement_record(config.enhance, config.pictures),
         enhanced=images,
         targets=images if training.denoiser is None else training.denoiser.denoise_all(),
+        viewmats=None if config.fit.refine_cameras is None else result.viewmats,
         losses=result.losses,
         seconds={"enhance": enhancing, "denoise": training.seconds, "fit": result.seconds},
     )

@@ -31,6 +31,7 @@ COLUMNS = {
     "linear": (("linear_psnr", "PSNR linear", "dB", True),),
     "lit": (_ENHANCED[1], _ENHANCED[0], *_ENHANCED[2:]),
 }
+EXACT = 1e-4  # degrees or extents; camera files round, and nothing below can be seen
 GEOMETRY = (
     ("abs_rel", "relative error", "", False),
     ("within_5_percent", "within 5 %", "", True),
@@ -182,7 +183,9 @@ def camera_table(material: Material) -> list[dict[str, Any]]:
     rows = []
     for name, run in material.runs.items():
         cameras = run.record.get("cameras")
-        if cameras and (cameras["unregistered"] or cameras["mean_rotation_deg"] or cameras["mean_centre_error"]):
+        if cameras and (
+            cameras["unregistered"] or max(cameras["mean_rotation_deg"], cameras["mean_centre_error"]) > EXACT
+        ):
             rows.append({"method": name, **cameras})
     return rows
 

@@ -5,7 +5,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from novags.methods import METHODS, VARIANTS
+from novags.methods import METHODS
 from novags.methods.settings import flattened
 from novags.testbed.cache import jsonable
 from novags.testbed.folders.run import Run
@@ -44,12 +44,7 @@ def rows_of(runs: Mapping[str, Run]) -> dict[str, Row]:
     rows, used = {}, list[str]()
     for k, (name, run) in enumerate(runs.items()):
         method = METHODS.get(run.method)
-        variant = VARIANTS.get(name)
-        title = "" if method is None else method.title
-        if variant is not None and variant.method == run.method:
-            title = variant.title
-        elif run.record.get("variant"):
-            title = f"{run.method} with {', '.join(f'{k} = {v}' for k, v in run.record['variant'].items())}"
+        title = str(run.record.get("title", "" if method is None else method.title))
         color = distinct(OTHER if method is None else method.color, used)
         used.append(color)
         rows[name] = Row(

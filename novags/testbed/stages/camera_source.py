@@ -11,7 +11,7 @@ from torch import Tensor
 from novags.cameras import CameraConfig, CameraEstimate, KnownConfig, check_cameras, estimate_cameras
 from novags.cameras.align import Alignment, align, to_estimated
 from novags.methods.enhancers import guided
-from novags.methods.nova.denoiser import Denoiser, DenoiserConfig
+from novags.methods.nova.denoiser import FAST_DENOISER, Denoiser
 from novags.splats import Views
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture
@@ -37,9 +37,10 @@ def cameras_of(
     """
     check_cameras(config)
     dark = torch.from_numpy(np.stack([capture.srgb8(i) for i in indices]))
-    # First points come from the set, whose depth is known if it was rendered; from the capture if sizes differ.
-    views = capture.cameras if source.scaled or not isinstance(config, KnownConfig) else source.views
+    views = capture.cameras
     if isinstance(config, KnownConfig):
+        if not source.scaled:  # depth for the first points; its cameras differ from the capture's by rounding
+            views = dataclasses.replace(source.views, rig=views.rig)
         return estimate_cameras(config, views, indices, dark, n_points=points, seed=seed)
     with console.progress("cameras") as progress:
         pictures = pictures_for(config.pictures, dark, seed)
@@ -62,8 +63,7 @@ def pictures_for(kind: str, dark: Tensor, seed: int) -> np.ndarray:
     enhanced = torch.stack([guided.enhance(view)[0] for view in dark])
     if kind == "enhanced":
         return codes(enhanced)
-    config = DenoiserConfig(batch=4, crop=48, residual_blur=0.8)
-    denoiser = Denoiser(enhanced, config, total_steps=DENOISER_STEPS, seed=seed)
+    denoiser = Denoiser(enhanced, FAST_DENOISER, total_steps=DENOISER_STEPS, seed=seed)
     for _ in range(DENOISER_STEPS):
         denoiser.train_step()
     return codes(denoiser.denoise_all())
@@ -103,7 +103,7 @@ class Frame:
             viewmat = self.cameras[self.indices.index(i)][None]
         else:
             viewmat = to_estimated(self.alignment.similarity, true_cameras(self.capture)[i : i + 1])
-        K = torch.as_tensor(np.asarray(rig.Ks, np.float64)[i : i + 1])
+        K = torch.from_numpy(np.array(rig.Ks, np.float64)[i : i + 1])
         views = Views(viewmat.to(torch.float32), K.to(torch.float32), rig.width, rig.height)
         return dataclasses.replace(views, viewmats=views.viewmats.to(device), Ks=views.Ks.to(device))
 

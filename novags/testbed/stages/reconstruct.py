@@ -12,7 +12,7 @@ import torch
 from torch import Tensor
 
 from novags.cameras import CameraConfig, CameraEstimate, KnownConfig, spell_cameras
-from novags.methods import METHODS, chosen
+from novags.methods import METHODS
 from novags.methods.noise import camera_noise
 from novags.methods.problem import Problem, RawPictures
 from novags.methods.reconstruction import Reconstruction
@@ -35,7 +35,7 @@ from simscenes.sets.exr import write_exr
 class ReconstructConfig:
     """How to reconstruct a capture."""
 
-    variant: Variant = field(default_factory=lambda: chosen("nova"))
+    variant: Variant
     config: Any = None  # of the method; None for its defaults with the variant's settings
     cameras: CameraConfig = field(default_factory=KnownConfig)
     points: int = 8000  # Gaussians at the start, and at most if the fit's `cap_max` is None
@@ -164,6 +164,7 @@ def reconstruct_views(
     return {
         "name": variant.name,
         "method": variant.method,
+        "title": variant.title or METHODS[variant.method].title,
         "variant": dict(variant.settings),
         "capture": os.path.relpath(capture.path.resolve(), folder.resolve()),
         "space": result.space,

@@ -1,0 +1,118 @@
+"""Refinement of the training cameras during a fit: six numbers for each, trained by an Adam of their own.
+
+A twist (turn, move) turns a camera about its own three axes and moves its centre along them; moves count in scene
+extents, so that a scene in other units, or in another world frame, is refined alike. All twists start at zero, where
+the cameras are exactly the given ones.
+
+What no picture can show stays free: one rigid motion (and scale) of all cameras together with the scene. Gaussians
+that start at given points keep it small, `pull` smaller; what is left goes when the cameras are aligned to the truth,
+which has to be done before poses, or renders from true test cameras, are compared.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from .raster_torch import quat_to_rotmat
+
+# A camera is seen once in an epoch, so a memory of 1 / (1 - 0.999) visits would outlast most runs.
+BETA1, BETA2 = 0.9, 0.99
+EPS = 1e-15  # of no weight against any gradient; without it 0 / 0 for an entry whose gradients were all zero
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraRefinement:
+    """How far and when the training cameras may move.
+
+    Attributes:
+        rotation_rate: Learning rate of the turns, rad per visit.
+        translation_rate: Learning rate of the moves, scene extents per visit.
+        start: First iteration that moves cameras; before it the Gaussians settle around the given ones.
+        decay: Factor of both rates at the end of the run; log-linear from 1 at `start`.
+        pull: Weight of the sum of squares of a camera's twist (rad^2, extents^2), added to the loss of its visits.
+    """
+
+    rotation_rate: float = 5e-3
+    translation_rate: float = 2e-3
+    start: int = 100
+    decay: float = 0.1
+    pull: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("rotation_rate", "translation_rate", "pull"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name} of camera refinement must be finite and >= 0, got {getattr(self, name)}")
+        if self.start < 0:
+            raise ValueError(f"start of camera refinement must be >= 0 iterations, got {self.start}")
+        if not 0 < self.decay <= 1:
+            raise ValueError(f"decay of camera refinement must lie in (0, 1], got {self.decay}")
+
+    def factor_at(self, iteration: int, iterations: int) -> float:
+        """What the rates are multiplied with at `iteration` of a run of `iterations`; 0 before `start`."""
+        if iteration < self.start:
+            return 0.0
+        return self.decay ** ((iteration - self.start) / max(1, iterations - self.start))
+
+
+@dataclass(kw_only=True)
+class CameraState:
+    """Twists of C cameras and their Adam moments.
+
+    Attributes:
+        twists: [C, 6], three turns in rad, then three moves in scene extents.
+        first: [C, 6], mean of gradients.
+        second: [C, 6], mean of squared gradients.
+        visits: [C] int64, updates of each camera so far.
+    """
+
+    twists: Tensor
+    first: Tensor
+    second: Tensor
+    visits: Tensor
+
+    @staticmethod
+    def of(viewmats: Tensor) -> "CameraState":
+        """Zero twists for cameras [C, 4, 4]."""
+        zeros = viewmats.new_zeros(len(viewmats), 6)
+        visits = torch.zeros(len(viewmats), dtype=torch.int64, device=viewmats.device)
+        return CameraState(twists=zeros, first=zeros.clone(), second=zeros.clone(), visits=visits)
+
+
+def refined(viewmats: Tensor, twists: Tensor, extent: float) -> Tensor:
+    """Cameras [C, 4, 4] after their twists [C, 6]; differentiable in the twists, exactly `viewmats` at zero.
+
+    A turn w is the rotation by the unit quaternion along (1, w / 2), whose angle is 2 atan(|w| / 2), |w| to third order:
+    unlike the exponential map it has no special case at zero.
+    """
+    half = twists[:, :3] / 2
+    R = quat_to_rotmat(torch.cat([torch.ones_like(half[:, :1]), half], 1))
+    # the centre moves by `move` in camera axes: the world shifts by -move in them, and is then turned
+    t = viewmats[:, :3, 3] - extent * twists[:, 3:]
+    top = R @ torch.cat([viewmats[:, :3, :3], t[..., None]], 2)
+    return torch.cat([top, viewmats[:, 3:].expand(len(top), 1, 4)], 1)
+
+
+@torch.no_grad()
+def move_cameras(state: CameraState, config: CameraRefinement, factor: float) -> None:
+    """One Adam step, in place, of the cameras that had a part in the loss: those with a gradient.
+
+    Args:
+        state: Its `twists.grad` [C, 6] is used up.
+        config: Rates and pull.
+        factor: Of both rates; 0 leaves the cameras and their moments alone.
+    """
+    gradient, state.twists.grad = state.twists.grad, None
+    if factor == 0 or gradient is None:
+        return
+    seen = (gradient != 0).any(1)
+    g = gradient[seen] + 2 * config.pull * state.twists[seen]
+    state.visits[seen] += 1
+    n = state.visits[seen, None]
+    first = torch.lerp(state.first[seen], g, 1 - BETA1)
+    second = torch.lerp(state.second[seen], g * g, 1 - BETA2)
+    state.first[seen], state.second[seen] = first, second
+    rates = gradient.new_tensor([config.rotation_rate] * 3 + [config.translation_rate] * 3)
+    size = torch.sqrt(second / (1 - BETA2**n)) + EPS
+    state.twists[seen] -= factor * rates * first / (1 - BETA1**n) / size

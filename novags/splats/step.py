@@ -1,0 +1,102 @@
+"""One iteration of a fit as its losses see it."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from torch import Tensor
+
+from .gaussians import Gaussians
+from .rasterize import rasterize
+from .views import Views
+
+Info = dict[str, Tensor]
+
+
+@dataclass(kw_only=True)
+class Step:
+    """One iteration; `render`, `alpha` and `depth` are differentiable.
+
+    Attributes:
+        iteration: From 0.
+        iterations: Of the whole run.
+        view: Index of this iteration's training view.
+        gaussians: The trained leaves.
+        render: [H, W, 3].
+        alpha: [H, W].
+        info: "means2d" [N, 2], "radii" [N], "depths" [N] of this view.
+        views: All training views as they are now; where cameras are refined, `views.viewmats` is differentiable too.
+        rasterize_view: Renders view j now: (render [H, W, 3], depth [H, W], alpha [H, W], info).
+        expected_depth: [H, W], or None where `needs_depth` did not ask for it.
+    """
+
+    iteration: int
+    iterations: int
+    view: int
+    gaussians: Gaussians
+    render: Tensor
+    alpha: Tensor
+    info: Info
+    views: Views
+    rasterize_view: Callable[[int], tuple[Tensor, Tensor, Tensor, Info]]
+    expected_depth: Tensor | None
+
+    @property
+    def depth(self) -> Tensor:
+        """Expected depth [H, W], world units, 0 where nothing was hit.
+
+        Raises:
+            ValueError: If the fit was not asked for depth in this iteration.
+        """
+        if self.expected_depth is None:
+            raise ValueError(
+                f"depth was not rendered in iteration {self.iteration}: call fit(..., needs_depth=True), or pass a "
+                "function of the iteration that is true there"
+            )
+        return self.expected_depth
+
+
+def render_step(
+    gaussians: Gaussians,
+    scales: Tensor,
+    opacities: Tensor,
+    views: Views,
+    *,
+    view: int,
+    iteration: int,
+    iterations: int,
+    sh_degree: int,
+    with_depth: bool,
+    backend: str,
+) -> Step:
+    """Render a training view, with expected depth if asked for.
+
+    Args:
+        gaussians: The trained leaves.
+        scales: Of the Gaussians, activated [N, 3].
+        opacities: Of the Gaussians, activated [N].
+        views: All training views.
+        view: Index of the one to render.
+        iteration: From 0.
+        iterations: Of the whole run.
+        sh_degree: Highest spherical-harmonics degree to render, 0..3.
+        with_depth: Render expected depth too.
+        backend: As in `rasterize`.
+    """
+
+    def render(j: int, mode: str) -> tuple[Tensor, Tensor, Info]:
+        renders, alphas, info = rasterize(
+            gaussians.means, gaussians.quats, scales, opacities, gaussians.sh, views.viewmats[j : j + 1],
+            views.Ks[j : j + 1], views.width, views.height, sh_degree=sh_degree, render_mode=mode, backend=backend,
+        )  # fmt: skip
+        return renders[0], alphas[0, ..., 0], {key: value[0] for key, value in info.items()}
+
+    def rasterize_view(j: int) -> tuple[Tensor, Tensor, Tensor, Info]:
+        image, alpha, info = render(j, "RGB+ED")
+        return image[..., :3], image[..., 3], alpha, info
+
+    image, alpha, info = render(view, "RGB+ED" if with_depth else "RGB")
+    return Step(
+        iteration=iteration, iterations=iterations, view=view, gaussians=gaussians, render=image[..., :3],
+        alpha=alpha, info=info, views=views, rasterize_view=rasterize_view,
+        expected_depth=image[..., 3] if with_depth else None,
+    )  # fmt: skip

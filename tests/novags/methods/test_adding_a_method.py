@@ -1,0 +1,139 @@
+"""The example of docs/adding-a-method.md runs, and no part of the test bed asks for more than the contract."""
+
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from torch import Tensor
+
+from novags.methods import METHODS, VARIANTS
+from novags.methods.reconstruction import Reconstruction
+from novags.methods.variant import Method, parse_variant
+from novags.splats import Views
+from novags.testbed import stages
+from novags.testbed.cache import read_json
+from novags.testbed.console import Console
+from novags.testbed.experiment import run
+from novags.testbed.presets import PRESETS, adapted
+from simscenes import read_exr
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "adding-a-method.md"
+QUIET = Console(quiet=True)
+TINY = {"scene": "cornell", "n_views": 9, "width": 24, "height": 24, "spp": 8, "points": 200, "iterations": 10}
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("tiny")
+    tiny = adapted(PRESETS["demo"], **TINY)
+    stages.render(folder / "set", tiny.render, QUIET)
+    stages.capture(folder / "set", folder / "capture", tiny.capture, QUIET)
+    return folder / "capture"
+
+
+def example() -> dict[str, Any]:
+    """What the page's two pieces of code define."""
+    code, row = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.S)
+    assert len([line for line in code.splitlines() if line.strip()]) <= 36
+    space: dict[str, Any] = {"__name__": "example", "METHODS": {}, "Method": Method}
+    exec(compile(code + row, str(PAGE), "exec"), space)
+    return space
+
+
+def test_the_example_of_the_page_is_a_method(capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(METHODS, "gamma", example()["METHODS"]["gamma"])
+    own = parse_variant("dim=gamma:gamma=0.8")
+    preset = adapted(PRESETS["demo"], **TINY, variants=(own,), methods=("gamma", "dim"))
+    records = {
+        name: stages.reconstruct(capture, tmp_path / name, preset.reconstruct(name), QUIET) for name in preset.methods
+    }
+    assert [records[name]["config"]["gamma"] for name in ("gamma", "dim")] == [0.4, 0.8]
+    assert [records[name]["config"]["fit"]["iterations"] for name in ("gamma", "dim")] == [10, 10]
+    scores = {name: stages.score(tmp_path / name, QUIET)["methods"][name]["mean"] for name in preset.methods}
+    assert all(mean.keys() == {"lit"} for mean in scores.values())
+    assert scores["gamma"] != scores["dim"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConstantConfig:
+    level: float = 0.25
+    space: str = "lit"
+
+
+@dataclass
+class ConstantField:
+    """One colour everywhere, at a depth of 2: a scene without Gaussians."""
+
+    color: Tensor
+
+    def render(self, views: Views) -> tuple[Tensor, Tensor, Tensor]:
+        shape = (len(views), views.height, views.width)
+        return self.color.expand(*shape, 3), torch.ones(shape), torch.full(shape, 2.0)
+
+    def save(self, folder: Path) -> None:
+        (folder / "scene").mkdir(exist_ok=True)
+        (folder / "scene" / "color.txt").write_text(" ".join(f"{v:.6f}" for v in self.color.tolist()))
+
+    def facts(self) -> dict[str, Any]:
+        return {"colors": 1}
+
+
+def constant(problem: Any, config: ConstantConfig, *, progress: Any = None, checkpoint: Any = None) -> Reconstruction:
+    assert problem.clean is None
+    assert problem.raw is not None
+    assert problem.noise is not None
+    return Reconstruction(scene=ConstantField(torch.full((3,), config.level)), space=config.space, config=config)
+
+
+DUMMY = Method(
+    title="one colour", family="NeRF", color="#123456", config=ConstantConfig, train=constant, source="this test"
+)
+
+
+@pytest.mark.parametrize(("space", "kinds"), [("lit", {"lit"}), ("linear", {"linear", "lit"})])
+def test_a_method_without_gaussians_goes_through_the_whole_experiment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, space: str, kinds: set[str]
+) -> None:
+    """Rationale: only `Scene` and `Reconstruction` may be assumed; a field on a grid, or a mesh, is as good."""
+    monkeypatch.setitem(METHODS, "constant", replace(DUMMY, config=lambda: ConstantConfig(space=space)))
+    preset = adapted(PRESETS["demo"], **TINY, methods=("constant", "naive", "oracle"))
+    page = run(preset, tmp_path, QUIET).read_text(encoding="utf-8")
+    record, metrics = read_json(tmp_path / "constant" / "run.json"), read_json(tmp_path / "metrics.json")
+    assert (record["colors"], record["space"]) == (1, space)
+    assert "gaussians" not in record
+    assert (tmp_path / "constant" / "scene" / "color.txt").read_text() == "0.250000 0.250000 0.250000"
+    assert not (tmp_path / "constant" / "enhanced").exists()
+    found = metrics["methods"]["constant"]
+    assert found["mean"].keys() == kinds
+    assert found["training_2d"] is None
+    depth, _ = read_exr(tmp_path / "set" / "gt" / "0000.exr")
+    seen = depth["Z"][depth["Z"] < 1e9]
+    other, _ = read_exr(tmp_path / "set" / "gt" / "0008.exr")
+    errors = [float((abs(2.0 - z) / z).mean()) for z in (seen, other["Z"][other["Z"] < 1e9])]
+    assert found["geometry"]["abs_rel"] == pytest.approx(sum(errors) / 2, rel=1e-4)
+    assert "Rendered by constant" in page
+    assert "#123456" in page
+
+
+def test_no_code_outside_methods_names_one() -> None:
+    """METHODS is the one place: code that branches on a name would break for the next method."""
+    root, names = Path(__file__).resolve().parents[3] / "novags", (*METHODS, *VARIANTS)
+    allowed = {"methods/__init__.py", "testbed/presets.py", "cli.py"}  # presets choose, the command line has a default
+    found = []
+    for path in root.rglob("*.py"):
+        if path.relative_to(root).as_posix() in allowed:
+            continue
+        found += [f"{path.name}: {name}" for name in names if re.search(rf"[\"']{name}[\"']", path.read_text("utf-8"))]
+    assert found == []
+
+
+def test_methods_import_no_other_method() -> None:
+    root = Path(__file__).resolve().parents[3] / "novags" / "methods"
+    modules = {method.train.__module__ for method in METHODS.values()}
+    for module in modules:
+        file = root.parents[1] / (module.replace(".", "/") + ".py")
+        others = [other for other in modules if other != module and other in file.read_text("utf-8")]
+        assert others == []
