@@ -45,7 +45,7 @@ GROUPS = (
       "tests/novags/splats/test_splats_fit*.py")),
     (("sensor_model/effects.py", "sensor_model/moments.py", "sensor_model/radiometry.py", "sensor_model/isp.py"),
      tuple(f"tests/sensor_model/test_{what}*.py"
-           for what in ("effect", "moments", "radiometry", "isp", "capture", "planner", "streams", "stated"))),
+           for what in ("effects", "moments", "radiometry", "isp", "capture", "planner", "streams", "stated"))),
     (("simscenes/rigs.py",), ("tests/simscenes/test_rigs*.py",)),
     (("simscenes/job/*.py", "simscenes/transport/*.py"),
      tuple(f"tests/simscenes/test_{what}*.py"

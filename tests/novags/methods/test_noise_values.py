@@ -1,0 +1,122 @@
+"""The variance of each datum: against the camera's own curve, and against noise of known strength."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from novags.methods.noise import Variance, _binned, _line, camera_noise, estimate_noise
+from sensor_model import Exposure, NoiseCurve, Sensor, linear_noise, raw_noise
+
+CURVE = NoiseCurve(
+    black=(1.0, 2.0, 3.0), white=(20.0, 22.0, 24.0), offset=(0.5, 0.6, 0.7), slope=(0.3, 0.2, 0.1),
+    quadratic=(-0.002, -0.003, -0.001), switch=(12.0, 13.0, math.inf), step=(2.0, 3.0, 4.0), rounding=0.04,
+)  # fmt: skip
+MATRIX = ((1.5, -0.4, -0.1), (-0.2, 1.4, -0.2), (0.1, -0.6, 1.5))
+
+
+def means() -> np.ndarray:
+    """From below black to above white."""
+    return np.random.default_rng(0).uniform(-3, 30, (5, 7, 3))
+
+
+@pytest.mark.parametrize("matrix", [None, MATRIX])
+def test_tensors_have_the_variance_of_the_cameras_curve(matrix):
+    curve = replace(CURVE, matrix=matrix)
+    found = Variance(curve)(torch.from_numpy(means()))
+    np.testing.assert_allclose(found, curve.variance(means()), rtol=1e-9)
+
+
+def test_a_mosaic_reads_the_curve_of_each_pixels_channel():
+    mosaic, channels = means()[..., 0], np.random.default_rng(1).integers(0, 3, (5, 7))
+    found = Variance(CURVE)(torch.from_numpy(mosaic), torch.from_numpy(channels))
+    np.testing.assert_allclose(found, CURVE.variance(mosaic, channels), rtol=1e-9)
+
+
+def test_the_variance_in_numbers():
+    # x = 5 - 1; 0.5 + (0.3 - 0.002 * 4) * 4 + 0.04, and above the switch 2 more
+    variance = Variance(CURVE)
+    assert float(variance(torch.tensor([5.0, 5.0, 5.0]))[0]) == pytest.approx(0.5 + 0.292 * 4 + 0.04)
+    assert float(variance(torch.tensor([13.0, 5.0, 5.0]))[0]) == pytest.approx(0.5 + (0.3 - 0.024) * 12 + 2.04)
+
+
+def test_a_known_camera_gives_the_noise_of_its_pictures_and_its_raw_frames():
+    sensor = Sensor(gain=2.0, eta=0.5, sigma_d=3.0, mu_e_sat=10_000.0, black_level=256.0, bits=14)
+    exposure = Exposure(time=0.01)
+    noise = camera_noise(sensor, exposure, demosaic="bilinear", color_matrix=None)
+    assert noise.origin == "camera"
+    assert noise.linear16.curve == linear_noise(sensor, exposure, demosaic="bilinear", color_matrix=None)
+    assert noise.raw.curve == raw_noise(sensor, exposure)
+
+
+def pictures(offset: float, slope: float, seed: int = 0) -> torch.Tensor:
+    """Smooth ramps with noise of variance offset + slope * mean."""
+    rng = np.random.default_rng(seed)
+    ramp = np.linspace(0.02, 0.5, 160)[None, :, None] * np.linspace(0.6, 1, 128)[:, None, None]
+    mean = np.broadcast_to(ramp, (2, 128, 160, 3))
+    return torch.from_numpy(mean + rng.normal(0, np.sqrt(offset + slope * mean)))
+
+
+@pytest.mark.parametrize(("offset", "slope"), [(1e-4, 1e-3), (4e-4, 0.0), (2e-5, 4e-3)])
+def test_the_line_through_flat_pixels_recovers_shot_and_read_noise(offset, slope):
+    noise = estimate_noise(pictures(offset, slope))
+    assert (noise.origin, noise.raw) == ("pictures", None)
+    for mean in (0.05, 0.2, 0.45):
+        found = noise.linear16(torch.full((3,), mean, dtype=torch.float64))
+        # 16 bins of some 700 pixels a channel, whose neighbours overlap: about 3 % of standard error after the line
+        np.testing.assert_allclose(found, offset + slope * mean, rtol=0.15)
+
+
+def test_channels_have_lines_of_their_own():
+    mixed = torch.stack([pictures(1e-4, 0.0)[..., 0], pictures(4e-4, 0.0)[..., 1], pictures(9e-4, 0.0)[..., 2]], -1)
+    found = estimate_noise(mixed).linear16(torch.full((3,), 0.2, dtype=torch.float64))
+    np.testing.assert_allclose(found, [1e-4, 4e-4, 9e-4], rtol=0.15)
+
+
+def test_texture_counts_less_than_flat_parts():
+    noisy = pictures(1e-4, 0.0)
+    noisy[:, :, ::8] += 0.2
+    found = estimate_noise(noisy).linear16(torch.full((3,), 0.2, dtype=torch.float64))
+    assert float(found.max()) < 3e-4
+
+
+def test_bins_pair_the_mean_of_a_place_with_the_noise_of_that_place():
+    """Rationale: a plane has no noise wherever it is steep, and a step in brightness separates two noise levels."""
+    rng = np.random.default_rng(0)
+    plane = np.where(np.arange(200)[:, None] < 100, 0.1, 0.4) * np.ones((200, 64))
+    sigma = np.where(plane < 0.2, 0.01, 0.03)
+    mean, variance = _binned(torch.from_numpy(plane + rng.normal(0, sigma))[None])
+    dark, bright = mean < 0.2, mean > 0.3
+    np.testing.assert_allclose(variance[dark][:-1].median(), 1e-4, rtol=0.2)
+    np.testing.assert_allclose(variance[bright][1:].median(), 9e-4, rtol=0.2)
+
+
+def test_the_line_weighs_each_bin_by_its_own_variance():
+    mean = np.array([0.0, 0.1, 0.3, 0.6])
+    variance = np.array([1e-4, 2.5e-4, 3.0e-4, 8e-4])
+    design = np.stack([np.ones(4), mean], 1) / variance[:, None]
+    expected = np.linalg.lstsq(design, np.ones(4), rcond=None)[0]
+    found = _line(torch.from_numpy(mean), torch.from_numpy(variance))
+    np.testing.assert_allclose([float(v) for v in found], expected, rtol=1e-6)
+
+
+def test_a_falling_line_is_replaced_by_a_constant_and_an_offset_is_never_negative():
+    mean = torch.tensor([0.1, 0.2, 0.3], dtype=torch.float64)
+    offset, slope = _line(mean, torch.tensor([3e-4, 2e-4, 1e-4], dtype=torch.float64))
+    assert (float(offset), float(slope)) == (pytest.approx(2e-4), 0.0)
+    offset, slope = _line(mean, torch.tensor([1e-5, 1e-4, 2e-4], dtype=torch.float64))
+    assert float(offset) == 0
+    assert float(slope) > 0
+
+
+@pytest.mark.parametrize("shape", [(1, 15, 16, 3), (1, 16, 15, 3), (16, 16, 3), (1, 16, 16, 1)])
+def test_pictures_too_small_to_measure_are_refused(shape):
+    with pytest.raises(ValueError, match="linear must be"):
+        estimate_noise(torch.zeros(shape))
+
+
+def test_a_constant_picture_has_no_noise():
+    found = estimate_noise(torch.full((1, 16, 16, 3), 0.3)).linear16(torch.full((3,), 0.3, dtype=torch.float64))
+    np.testing.assert_allclose(found, 0, atol=1e-12)
