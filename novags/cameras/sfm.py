@@ -30,7 +30,8 @@ DEPTH_NEIGHBOURS = 4  # observed points whose inverse depths a filled-up pixel a
 class SfmConfig:
     """What is matched and how sure a match must be.
 
-    Chosen on 20 dark pictures of tabletop, 160 x 160. Of the raw ones at 5 electrons this registers all 20. With COLMAP's peak threshold it is 4, with its 15 matches 11; with first_octave=0 it is 5 at 20 electrons.
+    Chosen on 20 dark pictures of tabletop, 160 x 160. Of the raw ones at 5 electrons this registers all 20. With
+    COLMAP's peak threshold it is 4, with its 15 matches 11; with first_octave=0 it is 5 at 20 electrons.
     """
 
     pictures: Pictures = "raw"  # which pictures are looked at; the caller makes them
