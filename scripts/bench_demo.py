@@ -55,7 +55,8 @@ def mean(values: list[float]) -> float:
 def table(runs: list[dict[str, Any]], methods: list[str]) -> str:
     """Markdown, a row a method."""
     lines = [
-        "| | PSNR to enhanced | aligned PSNR (each seed) | SSIM | FLIP | tone-aligned PSNR to lit | depth error | training |",
+        "| | PSNR to enhanced | aligned PSNR (each seed) | SSIM | FLIP | tone-aligned PSNR to lit | depth error "
+        "| training |",
         "|---|---|---|---|---|---|---|---|",
     ]
     for method in methods:

@@ -3,8 +3,9 @@
 import difflib
 from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields
-from pathlib import Path
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, get_type_hints
+
+from novags.settings import converted
 
 
 def parse_settings(text: str, choices: Mapping[str, type[Any]], what: str) -> Any:
@@ -35,7 +36,7 @@ def parse_settings(text: str, choices: Mapping[str, type[Any]], what: str) -> An
             raise ValueError(f"{what} {name}: write {key}=VALUE, got {part!r}")
         if key in found:
             raise ValueError(f"{what} {name}: {key} is given twice")
-        found[key] = _value(value, kinds[key], f"{what} {name}: {key}")
+        found[key] = converted(value, kinds[key], f"{what} {name}: {key}")
     required = [f.name for f in fields(config) if f.default is MISSING and f.default_factory is MISSING]
     if missing := [key for key in required if key not in found]:
         raise ValueError(f"{what} {name} needs {missing[0]}: write {name}:{missing[0]}=VALUE")
@@ -52,21 +53,3 @@ def spell_settings(config: Any, choices: Mapping[str, type[Any]]) -> str:
 def _meant(word: str, known: Iterable[str]) -> str:
     near = difflib.get_close_matches(word, list(known), n=1)
     return f" (did you mean {near[0]}?)" if near else ""
-
-
-def _value(text: str, kind: Any, where: str) -> Any:
-    if get_origin(kind) is Literal:
-        if text not in (known := get_args(kind)):
-            raise ValueError(f"{where} must be one of {', '.join(known)}, got {text!r}{_meant(text, known)}")
-        return text
-    if kind is bool:
-        if text.lower() not in ("true", "false"):
-            raise ValueError(f"{where} must be true or false, got {text!r}")
-        return text.lower() == "true"
-    if kind is Path:
-        return Path(text).expanduser()
-    try:
-        return kind(text)
-    except ValueError:
-        names = {int: "a whole number", float: "a number"}
-        raise ValueError(f"{where} must be {names.get(kind, kind.__name__)}, got {text!r}") from None

@@ -9,8 +9,8 @@ from novags.methods import enhance_then_fit, oracle
 from novags.methods.gaussian_fit import EnhancedFitConfig
 from novags.methods.nova import trainer as nova
 from novags.methods.nova.denoiser import FAST_DENOISER
-from novags.methods.settings import flattened
 from novags.methods.variant import Method, Variant, spelled
+from novags.settings import flattened
 
 METHODS: dict[str, Method] = {
     "nova": Method(

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from novags.methods.reconstruction import Reconstruction
-from novags.methods.settings import changed, has_setting
+from novags.settings import changed, has_setting
 
 Family = Literal["ours", "bound", "2D + GS", "3DGS", "NeRF"]
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")  # of a folder too

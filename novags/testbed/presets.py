@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from novags.cameras import CameraConfig, KnownConfig
 from novags.methods import METHODS, chosen, with_variants
-from novags.methods.settings import has_setting
 from novags.methods.variant import Variant
+from novags.settings import has_setting
 from novags.testbed.stages.capture import CaptureConfig
 from novags.testbed.stages.reconstruct import ReconstructConfig
 from novags.testbed.stages.render import RenderConfig

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from novags.methods import METHODS
-from novags.methods.settings import flattened
+from novags.settings import flattened
 from novags.testbed.cache import jsonable
 from novags.testbed.folders.run import Run
 

@@ -6,8 +6,8 @@ from typing import Any, Literal
 import pytest
 
 from novags import methods
-from novags.methods.settings import changed, converted, flattened, has_setting
 from novags.methods.variant import Variant, parse_variant
+from novags.settings import changed, converted, flattened, has_setting
 
 
 @dataclass(frozen=True, kw_only=True)

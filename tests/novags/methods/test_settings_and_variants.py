@@ -9,8 +9,8 @@ from novags.methods import METHODS, VARIANTS, chosen, with_variants
 from novags.methods.nova.consistency import ConsistencyConfig
 from novags.methods.nova.denoiser import FAST_DENOISER, DenoiserConfig
 from novags.methods.nova.trainer import NovaConfig
-from novags.methods.settings import changed, flattened, has_setting
 from novags.methods.variant import Variant, parse_variant
+from novags.settings import changed, flattened, has_setting
 
 
 @dataclass(frozen=True)
