@@ -63,6 +63,9 @@ def main_row(rows: Iterable[Row]) -> str:
     return (ours or others or [listed[0].name])[0]
 
 
+BRIGHTEST = 0.3  # relative luminance: a lighter line would vanish on a white page
+
+
 def distinct(color: str, used: Iterable[str]) -> str:
     """The colour itself, or one of another hue and lightness if it is used already."""
     taken, found, turn = set(used), color, 0
@@ -70,10 +73,12 @@ def distinct(color: str, used: Iterable[str]) -> str:
     hue, light, strength = colorsys.rgb_to_hls(red, green, blue)
     while found in taken:
         turn += 1
-        level = min(0.72, max(0.3, light + (0.14 if turn % 2 else -0.06)))
+        level = min(0.6, max(0.3, light + (0.14 if turn % 2 else -0.06)))
         # Grey has no hue to turn: without some strength of colour the search would not end.
         shifted = colorsys.hls_to_rgb((hue + 0.09 * turn) % 1, level, max(strength, 0.45))
-        found = "#" + "".join(f"{round(255 * part):02x}" for part in shifted)
+        luminance = sum(weight * part**2.2 for weight, part in zip((0.2126, 0.7152, 0.0722), shifted, strict=True))
+        dimmed = (part * min(1.0, (BRIGHTEST / luminance) ** (1 / 2.2)) for part in shifted)
+        found = "#" + "".join(f"{round(255 * part):02x}" for part in dimmed)
     return found
 
 

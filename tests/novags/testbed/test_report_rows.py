@@ -78,3 +78,14 @@ def test_only_methods_as_they_are_bound_the_scale() -> None:
     rows = rows_of(runs("naive", "naive-l1", "oracle"))
     assert [rows[name].bound for name in ("naive", "naive-l1", "oracle")] == ["floor", None, "ceiling"]
     assert [rows[name].competes for name in ("naive", "naive-l1", "oracle")] == [True, True, False]
+
+
+@pytest.mark.parametrize("color", ["#c8590a", "#0072b2", "#008560"])
+def test_made_up_colours_can_be_seen_on_white(color: str) -> None:
+    """A line needs a contrast of 3 : 1 (WCAG 2.1, 1.4.11): a relative luminance of at most 0.3."""
+    used = [color]
+    for _ in range(6):
+        found = distinct(color, used)
+        used.append(found)
+        parts = [(int(found[i : i + 2], 16) / 255) ** 2.2 for i in (1, 3, 5)]
+        assert 1.05 / (0.2126 * parts[0] + 0.7152 * parts[1] + 0.0722 * parts[2] + 0.05) > 2.95
