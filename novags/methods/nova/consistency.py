@@ -141,7 +141,8 @@ def reproject(
     # Between the outermost pixel centres, where interpolation has support; the slack forgives float32 rounding of a
     # camera warped onto itself.
     inside = ((pixels > 0.499) & (pixels < size - 0.499)).all(-1)
-    positive = (depth_t > 0) & (points[..., 2] > 0) & (seen > 0) & (z_t > 0)
+    positive = (depth_t > 0) & (points[..., 2] > 0) & (seen > 0)
+    # False for z_t <= 0 too.
     visible = (depth_t - z_t).abs() < occlusion_tolerance * z_t
     return _sample(source, pixels), inside & positive & visible
 

@@ -140,3 +140,9 @@ def test_given_params_are_used_unchanged():
         L = np.stack([smooth_by_hand(plane[..., c], 2, float(params.epsilon[i])) for c in range(3)], -1)
         expected = np.minimum(plane * np.maximum(L, 1e-4) ** float(params.gamma[i]) / (L + 1e-4), 1)
         np.testing.assert_allclose(found[i], expected, rtol=1e-7, atol=1e-12)
+
+
+def test_gamma_and_epsilon_are_constants_to_the_gradient():
+    _, params = enhance(torch.from_numpy(textured()).requires_grad_())
+    assert not params.epsilon.requires_grad
+    assert not params.gamma.requires_grad

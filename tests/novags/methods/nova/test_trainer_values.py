@@ -18,6 +18,7 @@ from novags.methods.nova.sh_penalty import sh_penalty
 from novags.methods.nova.trainer import NovaConfig, _PseudoClean, run_identity, train
 from novags.methods.problem import Problem
 from novags.splats import FitConfig, Views
+from novags.splats.camera_refinement import CameraRefinement
 from novags.splats.fit import FitResult
 
 HEIGHT, WIDTH, COUNT, WARM_UP, ITERATIONS = 8, 10, 3, 2, 6
@@ -81,7 +82,10 @@ class Stage:
             keywords["before_step"](iteration)
             self.log.append("splats")
         self.during()
-        return FitResult(gaussians=gaussians, losses=[{"iteration": 6.0}], seconds=1.5, peak_bytes=0)
+        moved = views.viewmats + 1
+        return FitResult(
+            gaussians=gaussians, viewmats=moved, losses=[{"iteration": 6.0}], seconds=1.5, peak_bytes=0
+        )  # fmt: skip
 
 
 def clean(enhanced: torch.Tensor, step: int) -> torch.Tensor:
@@ -208,6 +212,13 @@ def test_the_seed_and_extent_of_the_problem_reach_the_fit_and_the_record(stage):
     assert result.enhancement["pictures"] == "8bit"
     assert result.losses == [{"iteration": 6.0}]
     assert result.seconds["fit"] == 1.5
+
+
+def test_refined_cameras_are_given_back_where_they_were_asked_for(stage):
+    inputs = problem()
+    assert train(inputs, CONFIG).viewmats is None
+    refined = train(inputs, changed(fit=dataclasses.replace(CONFIG.fit, refine_cameras=CameraRefinement())))
+    assert torch.equal(refined.viewmats, inputs.views.viewmats + 1)
 
 
 def test_progress_counts_warm_up_and_splats_together(stage):
