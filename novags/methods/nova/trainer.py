@@ -213,7 +213,8 @@ class _Training:
         if self.geo is not None:
             self.geo.restore(tensors)
         self.seconds = float(tensors["seconds"])
-        start = {name.removeprefix("start."): t for name, t in tensors.items() if name.startswith("start.")}
+        device = self.enhanced.device
+        start = {name.removeprefix("start."): t.to(device) for name, t in tensors.items() if name.startswith("start.")}
         self.start = Gaussians(**start) if start else None
         assert self.fit_path is not None
         if "fit" in tensors:
