@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import tyro
 
-from novags.options import LIGHT, Device, Folder, Light, Listed, Name, PresetName
+from novags.options import LIGHT, Device, Folder, Light, Listed, Name, PresetName, Repeated
 
 if TYPE_CHECKING:  # heavy: torch and its friends load when a command runs, so that --help answers at once
     from novags.methods.variant import Variant
@@ -25,7 +25,7 @@ def run(
     electrons: float | None = None,
     out: Path | None = None,
     methods: tuple[str, ...] | None = None,
-    variant: tuple[str, ...] = (),
+    variant: Repeated = (),
     cameras: str | None = None,
     refine_cameras: bool = False,
     views: int | None = None,
@@ -49,7 +49,8 @@ def run(
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
         out: Folder of the experiment; out/PRESET if not given.
         methods: Methods and variants to compare; `novags list methods` names them.
-        variant: Methods with settings changed, each as NAME=METHOD:SETTING=VALUE,SETTING=VALUE. Compared as well.
+        variant: A method with settings changed, NAME=METHOD:SETTING=VALUE,SETTING=VALUE, compared as well; may be given
+            several times.
         cameras: Where cameras come from: known, known:rotation_deg=1, sfm, vggt:checkpoint=FILE; see `novags help
             cameras`.
         refine_cameras: Let every fit correct its training cameras.

@@ -11,6 +11,7 @@ Device = Literal["auto", "cpu", "cuda"]
 Listed = Literal["all", "scenes", "sensors", "methods", "presets", "cameras"]
 Folder = Annotated[Path, tyro.conf.Positional]
 Name = Annotated[str, tyro.conf.Positional]
+Repeated = Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
 
 
 @dataclass(frozen=True)
