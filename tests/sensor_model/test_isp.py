@@ -166,6 +166,7 @@ def test_jpeg_costs_a_little_and_less_at_high_quality():
     [
         (np.zeros((4, 4, 3)), {}, "dn must be"),
         (np.zeros((4, 4)), {"demosaic": "ahd"}, "demosaic must be one of"),
+        (np.zeros((1, 6)), {}, "at least 2 x 2"),
         (np.zeros((4, 4)), {"jpeg_quality": 0}, "jpeg_quality"),
         (np.zeros((4, 4)), {"digital_gain": 0.0}, "digital_gain"),
         (np.zeros((4, 4)), {"color_matrix": np.eye(4)}, "color_matrix"),

@@ -169,3 +169,17 @@ def test_a_burst_shares_light_and_pattern_but_no_noise():
     assert moving[1].dn.mean() > burst[1].dn.mean()
     with pytest.raises(ValueError, match="photons must be one light or 3"):
         expose_burst(np.stack([light, light]), sensor, EXPOSURE, frames=3, seed=1, view=4)
+
+
+def test_times_that_do_not_increase_or_do_not_span_every_row_are_refused():
+    flux, exposure = np.ones((3, 5, 4)), Exposure(time=0.02, line_time=0.01)
+    # the first row opens at 0 s, the last one closes at 4 * 0.01 + 0.02 s
+    rolling_shutter(flux, [0.0, 0.03, 0.06], exposure)
+    for times, message in (
+        ([0.0, 0.07, 0.06], "increasing"),
+        ([0.0, 0.0, 0.06], "increasing"),
+        ([0.005, 0.03, 0.06], "spanning"),
+        ([0.0, 0.03, 0.059], "spanning"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            rolling_shutter(flux, times, exposure)

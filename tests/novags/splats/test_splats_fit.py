@@ -2,6 +2,7 @@
 
 import dataclasses
 import math
+import sys
 
 import pytest
 import torch
@@ -262,3 +263,16 @@ def test_points_in_any_memory_layout_give_contiguous_gaussians():
     points = torch.rand(3, 50, generator=torch.Generator().manual_seed(0)).T
     gaussians = Gaussians.from_points(points, points.flip(1), sh_degree=1)
     assert all(t.is_contiguous() for t in gaussians.tensors().values())
+
+
+@pytest.mark.parametrize(("stop", "moved"), [(None, [10, 20, 30, 40]), (21, [10, 20]), (20, [10])])
+def test_gaussians_move_until_five_sixths_of_the_run_or_the_stated_iteration(monkeypatch, stop, moved):
+    """Rationale: 3DGS-MCMC refines until 25,000 of its 30,000 iterations."""
+    module = sys.modules["novags.splats.fit"]  # the package's `fit` is the function
+    seen, at = [], []
+    original = module.relocate
+    monkeypatch.setattr(module, "relocate", lambda *rest: seen.append(at[-1]) or original(*rest))
+    start, views, images = problem(40)
+    mcmc = McmcConfig(refine_start=5, refine_every=10, refine_stop=stop)
+    fit(start, views, images.__getitem__, config(iterations=54, mcmc=mcmc), before_step=at.append)
+    assert seen == moved

@@ -71,3 +71,10 @@ def test_a_second_derivative_is_refused_by_the_fused_loss_and_given_in_float64()
     (gradient,) = torch.autograd.grad(photometric_loss(x, b.double(), 0.2), x, create_graph=True)
     gradient.square().sum().backward()
     assert x.grad.abs().sum() > 0
+
+
+def test_images_of_two_precisions_are_compared_by_the_readable_loss():
+    image, target = torch.rand(2, 12, 14, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    expected = photometric_loss(image, target, 0.2)
+    for pair in ((image.float(), target), (image, target.float())):
+        torch.testing.assert_close(photometric_loss(*pair, 0.2), expected, rtol=1e-5, atol=1e-6, check_dtype=False)
