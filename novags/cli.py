@@ -50,7 +50,7 @@ def run(
         out: Folder of the experiment; out/PRESET if not given.
         methods: Methods and variants to compare; `novags list methods` names them.
         variant: A method with settings changed, NAME=METHOD:SETTING=VALUE,SETTING=VALUE, compared as well; may be given
-            several times.
+            several times. Or a TOML file with tables [variant.NAME].
         cameras: Where cameras come from: known, known:rotation_deg=1, sfm, vggt:checkpoint=FILE; see `novags help
             cameras`.
         refine_cameras: Let every fit correct its training cameras.
@@ -65,11 +65,11 @@ def run(
         device: Where training runs; auto takes a GPU if there is one that can be used.
     """
     from novags.testbed import experiment
-    from novags.testbed.presets import PRESETS, adapted
+    from novags.testbed.presets import EXPERIMENTS, adapted
 
     chosen = adapted(
-        PRESETS[preset], scene=scene, sensor=sensor, electrons=electrons, methods=methods, n_views=views, width=width,
-        height=height, spp=spp, points=points, iterations=iterations, denoiser_steps=denoiser_steps, seed=seed,
+        EXPERIMENTS[preset], scene=scene, sensor=sensor, electrons=electrons, methods=methods, n_views=views,
+        width=width, height=height, spp=spp, points=points, iterations=iterations, denoiser_steps=denoiser_steps, seed=seed,
         variants=_variants(variant), cameras=_cameras(cameras), refine_cameras=refine_cameras, device=device,
     )  # fmt: skip
     folder = out if out is not None else Path("out") / preset
@@ -97,11 +97,11 @@ def plan(
         light: How light gets from the lamps to the sensor.
     """
     from novags.testbed.forecast import PILOT, light_plan, sensor_plan
-    from novags.testbed.presets import PRESETS, adapted
+    from novags.testbed.presets import EXPERIMENTS, adapted
     from novags.testbed.stages.capture import CaptureConfig
 
     config, console = CaptureConfig(sensor=sensor, electrons=electrons, time=time, tolerance=tolerance), _console()
-    size = adapted(PRESETS[preset], width=width, height=height).render
+    size = adapted(EXPERIMENTS[preset], width=width, height=height).render
     pilot = replace(PILOT, scene=scene, **light.settings())
     # Blur is weighed in pixels and in steps between views: those of the real images, not of the pilot.
     views = replace(pilot, n_views=size.n_views, width=size.width, height=size.height)
@@ -201,12 +201,12 @@ def reconstruct(
         device: Where training runs; auto takes a GPU if there is one that can be used.
     """
     from novags.testbed import stages
-    from novags.testbed.presets import PRESETS, adapted
+    from novags.testbed.presets import EXPERIMENTS, adapted
 
     own = _variants(() if variant is None else (variant,))
     name = own[0].name if own else method
     chosen = adapted(
-        PRESETS[preset], methods=(name,), variants=own, cameras=_cameras(cameras), refine_cameras=refine_cameras,
+        EXPERIMENTS[preset], methods=(name,), variants=own, cameras=_cameras(cameras), refine_cameras=refine_cameras,
         points=points, iterations=iterations, denoiser_steps=denoiser_steps, pictures=pictures, device=device,
     )  # fmt: skip
     config = replace(chosen.reconstruct(name), seed=seed)
@@ -305,9 +305,10 @@ COMMANDS: dict[str, Callable[..., None]] = {
 
 
 def _variants(texts: tuple[str, ...]) -> "tuple[Variant, ...]":
-    from novags.methods.variant import parse_variant
+    from novags.methods.variant import parse_variant, read_variants
 
-    return tuple(parse_variant(text) for text in texts)
+    found = [read_variants(Path(text)) if text.endswith(".toml") else [parse_variant(text)] for text in texts]
+    return tuple(variant for variants in found for variant in variants)
 
 
 def _cameras(text: str | None) -> Any:

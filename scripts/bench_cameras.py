@@ -130,9 +130,9 @@ def errors(options: argparse.Namespace) -> None:
     from novags.cameras import KnownConfig
     from novags.testbed import stages
     from novags.testbed.console import Console
-    from novags.testbed.presets import PRESETS, adapted
+    from novags.testbed.presets import EXPERIMENTS, adapted
 
-    demo, console, out = PRESETS["demo"], Console(), options.out
+    demo, console, out = EXPERIMENTS["demo"], Console(), options.out
     stages.render(out / "set", demo.render, console)
     stages.capture(out / "set", out / "capture", demo.capture, console)
     print("| rotation error | PSNR | with refinement | rotation left |\n|---|---|---|---|")

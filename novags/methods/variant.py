@@ -1,12 +1,19 @@
 """A method, and a method with some settings changed and a name of its own."""
 
 import re
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 from novags.methods.reconstruction import Reconstruction
 from novags.settings import changed, has_setting
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 Family = Literal["ours", "bound", "2D + GS", "3DGS", "NeRF"]
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")  # of a folder too
@@ -80,6 +87,35 @@ class Variant:
 def spelled(settings: Mapping[str, Any]) -> str:
     """Settings in a sentence."""
     return ", ".join(f"{name} = {value}" for name, value in settings.items())
+
+
+def read_variants(path: Path) -> list[Variant]:
+    """The variants of a TOML file, a table each: [variant.NAME] with `method` and settings by dotted name.
+
+    Raises:
+        ValueError: If the file cannot be read or a table is not a variant.
+    """
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8")).get("variant", {})
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path} is not a readable TOML file ({error})") from error
+    if not isinstance(tables, dict) or not tables:
+        raise ValueError(f"{path} has no table [variant.NAME]: there is nothing to compare in it")
+    found = []
+    for name, table in tables.items():
+        if not isinstance(table, dict) or not isinstance(table.get("method"), str):
+            raise ValueError(f'{path}: [variant.{name}] needs method = "NAME" of the method that it varies')
+        settings = {key: value for key, value in _dotted(table).items() if key != "method"}
+        found.append(Variant(name=name, method=table["method"], settings=settings))
+    return found
+
+
+def _dotted(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """TOML reads an unquoted a.b = 1 as a table in a table."""
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        found |= _dotted(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return found
 
 
 def parse_variant(text: str) -> Variant:

@@ -62,10 +62,10 @@ def methods() -> str:
 
 def presets() -> str:
     """The presets with their sizes."""
-    from novags.testbed.presets import PRESETS
+    from novags.testbed.presets import EXPERIMENTS
 
     rows = []
-    for name, preset in PRESETS.items():
+    for name, preset in EXPERIMENTS.items():
         render, capture = preset.render, preset.capture
         iterations = preset.reconstruct(preset.methods[0]).config.fit.iterations
         rows.append((

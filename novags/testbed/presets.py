@@ -59,7 +59,7 @@ _SHORT: dict[str, Any] = {
     "denoiser.warmup_steps": 400,
 }
 
-PRESETS = {
+EXPERIMENTS = {
     "demo": Preset(
         render=RenderConfig(scene="tabletop", n_views=20, width=160, height=160, spp=96),
         capture=CaptureConfig(sensor="a7s2-iso6400-3chip", electrons=20.0),

@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_model.files.atomic import atomic
 from sensor_model.isp import to_srgb8
 from simscenes.camera import camera_color
 from simscenes.job.exposure import BELOW_WHITE, RunningQuantile, exposure_scale
 from simscenes.job.sparse import surface_points
 from simscenes.rigs import Rig
 from simscenes.sets.camera_files import write_cameras
+from simscenes.sets.png import write_png
 
 SCRATCH = ".views"
 
@@ -88,16 +88,3 @@ def finish_set(out: Path, names: list[str], rig: Rig, seed: int, views: ViewStor
         return {"exposure_scale": scale}
     matrix = {"camera_matrix": views.color.matrix.tolist(), "camera_matrix_error": views.color.matrix_error}
     return {"exposure_scale": scale, **matrix}
-
-
-def write_png(path: Path, image: NDArray[np.uint8]) -> None:
-    """Write an 8-bit RGB image [h,w,3] atomically.
-
-    Raises:
-        OSError: If the file cannot be written.
-    """
-    import cv2
-
-    with atomic(path) as temporary:
-        if not cv2.imwrite(str(temporary), np.ascontiguousarray(image[..., ::-1])):
-            raise OSError(f"cannot write {path}")

@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from sensor_model import srgb_to_linear
+
 Rng = np.random.Generator
 Texels = NDArray[np.float32]
 Field = NDArray[np.float64]
@@ -21,8 +23,7 @@ Field = NDArray[np.float64]
 
 def color(hex_code: str) -> Field:
     """Linear RGB [3] of an sRGB hex colour such as "c08040"."""
-    code = np.array([int(hex_code[i : i + 2], 16) for i in (0, 2, 4)]) / 255.0
-    return np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+    return srgb_to_linear(np.array([int(hex_code[i : i + 2], 16) for i in (0, 2, 4)]) / 255.0)
 
 
 def fractal(shape: tuple[int, int], rng: Rng, *, beta: float = 1.2, stretch: tuple[float, float] = (1, 1)) -> Field:

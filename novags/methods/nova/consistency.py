@@ -45,16 +45,16 @@ class ConsistencyConfig:
 
 
 @dataclass(frozen=True)
-class Camera:
+class Pinhole:
     """One pinhole view: viewmat [4, 4] world to camera, K [3, 3]."""
 
     viewmat: Tensor
     K: Tensor
 
     @staticmethod
-    def of(views: Views, index: int) -> "Camera":
+    def of(views: Views, index: int) -> "Pinhole":
         """View number `index` of a set."""
-        return Camera(views.viewmats[index], views.Ks[index])
+        return Pinhole(views.viewmats[index], views.Ks[index])
 
 
 class ConfidenceNet(nn.Module):
@@ -85,7 +85,7 @@ def _rays(height: int, width: int, K: Tensor) -> Tensor:
     return torch.cat([pixels, torch.ones_like(pixels[..., :1])], -1) @ torch.linalg.inv(K).T
 
 
-def _move(points: Tensor, origin: Camera, goal: Camera) -> Tensor:
+def _move(points: Tensor, origin: Pinhole, goal: Pinhole) -> Tensor:
     """Points [..., 3] from the camera frame of `origin` to that of `goal`."""
     change = goal.viewmat @ torch.linalg.inv(origin.viewmat)
     return points @ change[:3, :3].T + change[:3, 3]
@@ -111,8 +111,8 @@ def reproject(
     source: Tensor,
     depth_t: Tensor,
     depth_s: Tensor,
-    camera_t: Camera,
-    camera_s: Camera,
+    camera_t: Pinhole,
+    camera_s: Pinhole,
     occlusion_tolerance: float = 0.1,
 ) -> tuple[Tensor, Tensor]:
     """Warp a source image into the target view by the rendered depths, with the mask of reliable pixels (equation 10).
@@ -217,8 +217,8 @@ class ConsistencyLoss:
             self.images(source),
             torch.where(step.alpha > least, step.depth, 0.0),
             torch.where(alpha_s > least, depth_s, 0.0),
-            Camera.of(step.views, step.view),
-            Camera.of(step.views, source),
+            Pinhole.of(step.views, step.view),
+            Pinhole.of(step.views, source),
             self.config.occlusion_tolerance,
         )
         confidence = self.network(warped, target)

@@ -17,7 +17,6 @@ from novags.methods.memo import Memo
 from novags.methods.problem import Pictures, encode
 from novags.testbed.cache import folder_digest, read_json
 from novags.testbed.console import Console
-from novags.testbed.folders.png import read_codes, read_png, write_png
 from novags.testbed.folders.raw_files import read_digital_numbers
 from novags.testbed.folders.set import Source, open_source
 from sensor_model import (
@@ -34,6 +33,7 @@ from sensor_model.isp import Demosaic
 from simscenes.sets.camera_files import CAMERA_FILES
 from simscenes.sets.exr import read_exr, write_exr
 from simscenes.sets.multiview import MultiviewSet, load_set
+from simscenes.sets.png import read_codes, read_png, write_png
 
 RECORD = "capture.json"
 OWNS = (RECORD, "raw", "images16", "images", "truth", *CAMERA_FILES)

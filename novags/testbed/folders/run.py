@@ -18,9 +18,9 @@ import numpy as np
 from novags.testbed.cache import folder_digest, read_json
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_capture
-from novags.testbed.folders.png import read_png
 from novags.testbed.folders.set import Source
 from simscenes.sets.exr import read_exr
+from simscenes.sets.png import read_png
 
 RECORD = "run.json"
 METRICS = "metrics.json"

@@ -11,11 +11,11 @@ import numpy as np
 
 from novags.methods.problem import encode
 from novags.testbed.folders.capture import Capture
-from novags.testbed.folders.png import read_png
 from novags.testbed.folders.run import Run
 from novags.testbed.folders.set import Source
 from novags.testbed.metrics import affine_aligned
 from novags.testbed.references import enhanced_pair, references, true_depth
+from simscenes.sets.png import read_png
 
 VIEWS_OF_EACH_KIND = 4  # held-out and training views shown: enough to judge, small enough to mail
 MAX_SIDE = 640  # px; larger pictures are shrunk for the report only

@@ -23,12 +23,12 @@ from novags.testbed.console import Console, losses_text
 from novags.testbed.devices import chosen_device
 from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import Capture, open_capture
-from novags.testbed.folders.png import write_png
 from novags.testbed.folders.run import CHECKPOINTS, EVENTS
 from novags.testbed.folders.set import Source
 from novags.testbed.stages.camera_source import Frame, cameras_of
 from novags.testbed.stages.paths import keep_apart
 from simscenes.sets.exr import write_exr
+from simscenes.sets.png import write_png
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -10,7 +10,6 @@ from novags.methods.problem import encode
 from novags.testbed.cache import run_stage
 from novags.testbed.console import Console, Update
 from novags.testbed.folders.capture import Capture
-from novags.testbed.folders.png import read_png
 from novags.testbed.folders.run import METRICS, Run, open_run
 from novags.testbed.folders.set import Source
 from novags.testbed.metrics import (
@@ -28,6 +27,7 @@ from novags.testbed.metrics import (
 )
 from novags.testbed.references import references, true_depth
 from simscenes.sets.correspondence import flow
+from simscenes.sets.png import read_png
 
 BLUR_SIGMA = 1.2  # px; the fixed bar a denoiser has to clear
 BLUR_GRID = tuple(float(s) for s in np.geomspace(0.4, 8.0, 20))  # px; the harder bar: the best of these for the images

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from novags.cameras import CameraEstimate, KnownConfig
 from novags.splats import Gaussians, rasterize
 from novags.testbed.console import Console
-from novags.testbed.presets import PRESETS, adapted
+from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.stages.camera_source import Frame, cameras_of, codes, pictures_for
 from simscenes import Rig, orbit_rig
 
@@ -120,7 +120,7 @@ def test_stated_errors_reach_the_cameras_that_methods_get(tmp_path_factory: pyte
     from novags.testbed.folders.capture import open_capture
 
     folder = tmp_path_factory.mktemp("turned")
-    tiny = adapted(PRESETS["demo"], scene="cornell", n_views=9, width=24, height=24, spp=4)
+    tiny = adapted(EXPERIMENTS["demo"], scene="cornell", n_views=9, width=24, height=24, spp=4)
     stages.render(folder / "set", tiny.render, QUIET)
     stages.capture(folder / "set", folder / "capture", tiny.capture, QUIET)
     opened = open_capture(folder / "capture")
