@@ -69,7 +69,8 @@ def run(
 
     chosen = adapted(
         EXPERIMENTS[preset], scene=scene, sensor=sensor, electrons=electrons, methods=methods, n_views=views,
-        width=width, height=height, spp=spp, points=points, iterations=iterations, denoiser_steps=denoiser_steps, seed=seed,
+        width=width, height=height, spp=spp, points=points, iterations=iterations,
+        denoiser_steps=denoiser_steps, seed=seed,
         variants=_variants(variant), cameras=_cameras(cameras), refine_cameras=refine_cameras, device=device,
     )  # fmt: skip
     folder = out if out is not None else Path("out") / preset
