@@ -55,7 +55,7 @@ def split_name(name: str) -> tuple[str, int]:
     """
     scene, _, seed = name.partition(":")
     if scene not in SCENES:
-        raise ValueError(f"no scene {scene!r} in the catalogue; there are {sorted(SCENES)}, or give a Mitsuba dict")
+        raise ValueError(f"no scene {scene!r} in the catalogue; available: {sorted(SCENES)}, or give a Mitsuba dict")
     if seed and not seed.isdecimal():
         raise ValueError(f"the seed in scene name {name!r} must be a whole number >= 0")
     return scene, int(seed or 0)
