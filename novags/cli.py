@@ -49,7 +49,7 @@ def run(
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
         out: Folder of the experiment; out/PRESET if not given.
         methods: Methods and variants to compare; `novags list methods` names them.
-        variant: Methods with settings changed, each as NAME=METHOD:SETTING=VALUE,SETTING=VALUE. They join the comparison.
+        variant: Methods with settings changed, each as NAME=METHOD:SETTING=VALUE,SETTING=VALUE. Compared too.
         cameras: Where cameras come from: known, known:rotation_deg=1, sfm, vggt:checkpoint=FILE; see `novags help
             cameras`.
         refine_cameras: Let every fit correct its training cameras.

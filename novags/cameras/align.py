@@ -186,7 +186,7 @@ def _robust(estimated: Array, true: Array, extent: float) -> tuple[_Fits, np.nda
     count = len(true)
     pairs = _pairs(count)
     baselines = np.linalg.norm(np.diff(centers_of(estimated)[pairs], axis=1)[:, 0], axis=-1)
-    # A pair at one point has no scale. Others with a tiny baseline have an inaccurate one, which their median error shows.
+    # A pair at one point has no scale. Others with a tiny baseline have a bad one, which their median error shows.
     pairs = pairs[baselines > 1e-9 * baselines.max()]
     candidates = _fit(estimated[pairs], true[pairs], extent)
     medians = np.median(np.hypot(*candidates.errors(estimated, true, extent)), axis=1)

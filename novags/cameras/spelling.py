@@ -44,7 +44,7 @@ def parse_settings(text: str, choices: Mapping[str, type[Any]], what: str) -> An
 
 
 def spell_settings(config: Any, choices: Mapping[str, type[Any]]) -> str:
-    """The shortest text that `parse_settings` turns into this configuration: settings at their defaults are left out."""
+    """The shortest text that `parse_settings` turns into this configuration: defaults are left out."""
     name = next(name for name, kind in choices.items() if type(config) is kind)
     given = [f"{f.name}={getattr(config, f.name)}" for f in fields(config) if getattr(config, f.name) != f.default]
     return f"{name}:{','.join(given)}" if given else name

@@ -1,6 +1,6 @@
 """Cameras and points from VGGT, with the user's own installation and weights (neither is part of this project).
 
-The parts of the package that are used: `vggt.models.vggt.VGGT` with its `aggregator`, `camera_head` and `depth_head`, and
+Parts of the package in use: `vggt.models.vggt.VGGT` with its `aggregator`, `camera_head` and `depth_head`, and
 `vggt.utils.pose_enc.pose_encoding_to_extri_intri`. Pictures are prepared as its loader does in mode "crop": 518 px
 wide, the height rounded to whole patches, cropped to the middle 518 px if it is larger.
 """

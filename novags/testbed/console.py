@@ -12,9 +12,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 Update = Callable[[int, int, str], None]
 """Steps done, total steps, and the current activity (a view, a loss)."""
 
-PLAIN_INTERVAL = (
-    5.0  # s between two plain lines of one stage: often enough to show progress, rare enough for a log file
-)
+PLAIN_INTERVAL = 5.0  # s between two plain lines of one stage: shows progress, and suits a log file
 
 
 class Console:

@@ -1,4 +1,4 @@
-"""Catalogue of procedural scenes: functions that return Mitsuba dicts, and the rig each is made to be seen with."""
+"""Catalogue of procedural scenes: functions that return Mitsuba dicts, and the rig designed for each."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def build(name: str) -> dict[str, Any]:
 
 
 def default_rig(name: str, n_views: int, width: int, height: int) -> Rig:
-    """The rig a catalogue scene is made to be seen with.
+    """The rig designed for a catalogue scene.
 
     Args:
         name: Scene name, with or without a seed.

@@ -234,8 +234,8 @@ def suited(config: NovaConfig, problem: Problem) -> NovaConfig:
     if spots.per_channel and problem.channels_share:
         raise ValueError(
             "denoiser.blind_spots.per_channel needs channels with independent noise, and here they share it through "
-            f"{' and '.join(problem.channels_share)}: a blinded channel could be inferred from the others. Set it to none "
-            "(decided for the pictures) or false"
+            f"{' and '.join(problem.channels_share)}: a blinded channel could be inferred from the others. Set it to "
+            "none (decided for the pictures) or false"
         )
     chosen = not problem.channels_share if spots.per_channel is None else spots.per_channel
     spots = dataclasses.replace(spots, per_channel=chosen)

@@ -86,9 +86,7 @@ class Capture:
     cameras: MultiviewSet
     sensor: Sensor
     content: str  # hash of all that the capture stage wrote, as it was when this was opened
-    memo: Memo = field(
-        default_factory=Memo, repr=False, compare=False
-    )  # what has been read and computed from it so far
+    memo: Memo = field(default_factory=Memo, repr=False, compare=False)  # what was read and computed from it so far
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -154,8 +152,8 @@ class Capture:
         path = (self.path / made_of["path"]).resolve()
         if not path.is_dir():
             raise ValueError(
-                f"{self.path} was made from the set {made_of['path']} (relative to it), which is not there: put it back "
-                "or capture again"
+                f"{self.path} was made from the set {made_of['path']} (relative to it), which is not there: put it "
+                "back or capture again"
             )
         source = open_source(path, console, made_of["max_size"])
         if source.digest() != self.record["stage"]["inputs"]["set"]:

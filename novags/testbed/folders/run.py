@@ -57,7 +57,7 @@ class Run:
 
     @property
     def enhancement(self) -> dict[str, Any] | None:
-        """The enhancement that its training pictures went through, and that the references need too; None if there is none."""
+        """The enhancement of its training pictures, which the references need too; None if there is none."""
         found: dict[str, Any] | None = self.record["enhancement"]
         return found
 

@@ -63,7 +63,7 @@ class Source:
 
         A set seen through colour filters of its own is balanced, so that white is white: `response` undoes that.
 
-        Photographs with the black level subtracted have noise around 0: slightly negative values count as 0, with a note.
+        Photographs with the black level subtracted have noise around 0: slightly negative values become 0, with a note.
 
         Raises:
             ValueError: If a value is not finite or more than slightly negative, or the file cannot be read.
@@ -117,7 +117,7 @@ def open_source(path: Path, console: Console, max_size: int | None = None) -> So
         max_size: Longest image side in pixels; larger images are scaled down to it. None keeps them.
 
     Raises:
-        ValueError: If the folder holds no posed images, or their shortest side is too short to be scored, or becomes so.
+        ValueError: If the folder holds no posed images, or their shortest side is, or becomes, too short for scores.
     """
     with warnings_as_notes(console):
         views = load_linear_set(path) or load_set(path)

@@ -280,8 +280,8 @@ def time_saved(seconds: dict[str, float]) -> str:
         return "The time that the plan saves was not measured for so short a render; novags plan measures it."
     planned, everything = seconds["planned"], seconds["everything on"]
     return (
-        f"A million samples took {planned:.3g} s of processor time with this plan, and {everything:.3g} s with everything "
-        f"simulated: {everything / planned:.2g} times as long."
+        f"A million samples took {planned:.3g} s of processor time with this plan, and {everything:.3g} s with "
+        f"everything simulated: {everything / planned:.2g} times as long."
     )
 
 

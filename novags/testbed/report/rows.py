@@ -1,4 +1,4 @@
-"""How a run appears in a report: its title, family and colour, and where its settings differ from the published method."""
+"""How a run appears in a report: title, family and colour, and where its settings differ from the published method."""
 
 import colorsys
 from collections.abc import Iterable, Mapping
