@@ -59,7 +59,7 @@ def changed(config: Config, settings: Mapping[str, Any], *, what: str = "setting
     for head in (*own, *nested):
         if head not in known:
             near = get_close_matches(head, known, 1)
-            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
+            hint = f"did you mean {near[0]!r}?" if near else f"available: {', '.join(known)}"
             raise ValueError(f"{what}: {type(config).__name__} has no setting {head!r}; {hint}")
     values = {head: converted(value, hints[head], f"{what} {head}") for head, value in own.items()}
     for head, inner in nested.items():

@@ -9,7 +9,7 @@ from novags.settings import converted
 
 
 def parse_settings(text: str, choices: Mapping[str, type[Any]], what: str) -> Any:
-    """The configuration that `text` spells.
+    """The configuration that `text` denotes.
 
     Args:
         text: A name of `choices`, and settings of its dataclass. A path must not hold a comma.
@@ -17,13 +17,13 @@ def parse_settings(text: str, choices: Mapping[str, type[Any]], what: str) -> An
         what: What is chosen, for messages.
 
     Raises:
-        ValueError: If the name or a setting is unknown, a setting is given twice or without value or is missing, or a
+        ValueError: If the name or a setting is unknown, a setting is given twice, has no value or is missing, or a
             value does not fit.
     """
     name, _, rest = text.partition(":")
     name = name.strip()
     if name not in choices:
-        raise ValueError(f"unknown {what} {name!r}{_meant(name, choices)}; there are {', '.join(choices)}")
+        raise ValueError(f"unknown {what} {name!r}{_meant(name, choices)}; available: {', '.join(choices)}")
     config, found = choices[name], dict[str, Any]()
     kinds = get_type_hints(config)
     for part in filter(None, (part.strip() for part in rest.split(","))):
@@ -44,7 +44,7 @@ def parse_settings(text: str, choices: Mapping[str, type[Any]], what: str) -> An
 
 
 def spell_settings(config: Any, choices: Mapping[str, type[Any]]) -> str:
-    """The shortest text that `parse_settings` makes this configuration of: settings at their defaults are left out."""
+    """The shortest text that `parse_settings` turns into this configuration: defaults are left out."""
     name = next(name for name, kind in choices.items() if type(config) is kind)
     given = [f"{f.name}={getattr(config, f.name)}" for f in fields(config) if getattr(config, f.name) != f.default]
     return f"{name}:{','.join(given)}" if given else name

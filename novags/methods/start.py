@@ -1,4 +1,4 @@
-"""The Gaussians every method starts from, so that methods differ in their targets and losses alone."""
+"""The Gaussians every method starts from, so that methods differ only in their targets and losses."""
 
 import torch
 from torch import Tensor

@@ -71,7 +71,7 @@ class Variant:
 
         Args:
             default: The method's configuration as published.
-            shared: Settings for all methods; those that this one lacks are passed over.
+            shared: Settings for all methods; those that this one lacks are ignored.
 
         Raises:
             ValueError: If a setting does not exist, or a value is refused.
@@ -80,7 +80,7 @@ class Variant:
         return changed(default, {**own, **self.settings}, what=self.name)
 
     def decides(self, key: str) -> bool:
-        """Whether the variant sets this, or switches a part off that it belongs to."""
+        """Whether the variant sets this, or switches off a part that it belongs to."""
         return any(key == name or key.startswith(f"{name}.") for name in self.settings)
 
 

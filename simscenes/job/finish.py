@@ -1,7 +1,7 @@
 """The last step of a job: 8-bit images with one exposure for the set, sparse points, cameras.
 
 One view is in memory at a time. Light and depth of each go to disk uncompressed as soon as they are known (16 bytes a
-pixel, until the set is finished), so that no EXR file is decoded again; of the exposure only the brightest pixels stay.
+pixel, until the set is finished), so that no EXR file is decoded again; the exposure needs only the brightest pixels.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class ViewStore:
     Args:
         folder: An empty folder for them.
         rig: The cameras.
-        camera: As in `Optics`. What its filters see becomes linear sRGB again, for looking at only.
+        camera: As in `Optics`. What its filters see becomes linear sRGB again, for display only.
     """
 
     def __init__(self, folder: Path, rig: Rig, camera: str | None) -> None:
@@ -58,13 +58,13 @@ class ViewStore:
         return np.asarray(np.load(self.folder / f"{i}.depth.npy"))
 
     def exposure_scale(self) -> float:
-        """One exposure for the set, when all its views are in."""
+        """One exposure for the set, once all its views are in."""
         return exposure_scale(self._white.value())
 
 
 @contextmanager
 def view_store(out: Path, rig: Rig, camera: str | None) -> Iterator[ViewStore]:
-    """A store in the set folder `out`, gone afterwards; so is what a killed process left there."""
+    """A store in the set folder `out`, removed afterwards, with anything that a killed process left there."""
     folder = out / SCRATCH
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)

@@ -1,6 +1,6 @@
 """Procedural textures with natural spectra.
 
-Every texture is linear RGB reflectance, float32 [h,w,3] inside 0.02..0.85, made from a generator and nothing else.
+Every texture is linear RGB reflectance, float32 [h,w,3] inside 0.02..0.85, made from a random generator alone.
 Contrast falls off like 1/f, so most of it survives at the 128 to 256 pixel images of quick experiments, while some
 detail stays below a pixel. Colours are written as sRGB hex, as a painter would pick them.
 """
@@ -113,7 +113,7 @@ def motif(
 ) -> Texels:
     """Printed pattern: one random mirrored figure repeated over the sheet, as in wallpaper, cloth and rugs.
 
-    `edge` is how sharp the print is: 4 is ink on paper, 1 a faded dye that runs into its ground.
+    `edge` is how sharp the print is: 4 is ink on paper, 1 a faded dye that bleeds into its ground.
     """
     y, x = _grid(shape)
     u, v = np.abs((x * repeats[1]) % 1.0 - 0.5) * 2, np.abs((y * repeats[0]) % 1.0 - 0.5) * 2

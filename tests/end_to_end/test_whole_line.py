@@ -322,7 +322,7 @@ def test_missing_truth_gives_one_clear_error(experiment: Path, quiet: Console, t
 
 def test_a_moved_set_gives_one_clear_error(experiment: Path, quiet: Console, tmp_path: Path) -> None:
     folder = copy(experiment, tmp_path, "capture", "naive")
-    with pytest.raises(ValueError, match=r"made of the set \.\./set .* not there"):
+    with pytest.raises(ValueError, match=r"made from the set \.\./set .* not there"):
         stages.score(folder / "naive", quiet)
 
 

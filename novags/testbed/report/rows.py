@@ -1,4 +1,4 @@
-"""How a run appears in a report: its title, family and colour, and where its settings leave the published method."""
+"""How a run appears in a report: title, family and colour, and where its settings differ from the published method."""
 
 import colorsys
 from collections.abc import Iterable, Mapping
@@ -25,8 +25,8 @@ class Row:
         title: What it does.
         family: Of the method.
         color: "#rrggbb", different for every run of a report.
-        bound: "floor", "ceiling" or None, of a method as it is; a variant is not a bound.
-        competes: Whether it may be the best: what sees the noise-free exposures may not.
+        bound: "floor", "ceiling" or None, for a method with its own settings; a variant is not a bound.
+        competes: Whether it may be the best: a method that sees the noise-free exposures may not.
     """
 
     name: str
@@ -56,7 +56,7 @@ def rows_of(runs: Mapping[str, Run]) -> dict[str, Row]:
 
 
 def main_row(rows: Iterable[Row]) -> str:
-    """The run in the centre of a report: the first of our methods, else the first that competes."""
+    """The main run of a report: the first of our methods, else the first that competes."""
     listed = list(rows)
     ours = [row.name for row in listed if row.family == "ours"]
     others = [row.name for row in listed if row.competes and row.bound is None]
@@ -94,7 +94,7 @@ class Deviation:
 def deviations(run: Run) -> list[Deviation]:
     """Every setting in which a run differs from its method as published, from its recorded configuration.
 
-    Size counts too, but not what every run must set: seed, extent, the cadence of checkpoints.
+    Settings of size count too, but not what every run must set: seed, extent, the cadence of checkpoints.
     """
     method = METHODS.get(run.method)
     if method is None:

@@ -60,7 +60,7 @@ def test_text_becomes_a_value_of_the_declared_type(name: str, text: object, valu
     ("settings", "message"),
     [
         ({"cuont": "1"}, "no setting 'cuont'; did you mean 'count'"),
-        ({"inner.size": "1"}, "Inner has no setting 'size'; there are share, widths"),
+        ({"inner.size": "1"}, "Inner has no setting 'size'; available: share, widths"),
         ({"count": "1.5"}, "count must be a whole number, got '1.5'"),
         ({"count": "none"}, "count must be a whole number, got 'none'"),
         ({"kind": "batch"}, "kind must be one of none, instance, got 'batch'"),

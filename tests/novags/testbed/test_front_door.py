@@ -35,7 +35,7 @@ def test_a_list_names_everything_with_a_few_words(what: str) -> None:
 
 def test_all_lists_are_one_page() -> None:
     assert listing() == "\n\n".join(listing(what) for what in LISTS)
-    with pytest.raises(ValueError, match="list of scenes, sensors, methods, presets, cameras, not of 'lenses'"):
+    with pytest.raises(ValueError, match="no list of 'lenses'; available: scenes, sensors, methods, presets, cameras"):
         listing("lenses")
 
 

@@ -126,10 +126,10 @@ def test_peak_memory_sees_a_large_array_and_forgets_it() -> None:
         ({"target_error": 0.1}, "either spp or target_error"),
         ({"spp": None, "target_error": -1.0}, "target_error must lie in"),
         ({"seed": -1}, "seed"),
-        ({"variant": "nope"}, "variant must be of auto, .* got nope"),
-        ({"on": ("foo",)}, "on and off must be of indirect light, .* got foo"),
+        ({"variant": "nope"}, "variant must be among auto, .* got nope"),
+        ({"on": ("foo",)}, "on and off must be among indirect light, .* got foo"),
         ({"on": ("indirect light",), "off": ("indirect light",)}, "indirect light: forced on and off"),
-        ({"export": ("fbx",)}, "export must be of blender, llff; got fbx"),
+        ({"export": ("fbx",)}, "export must be among blender, llff; got fbx"),
     ],
 )
 def test_impossible_renders_are_refused(values: dict, message: str) -> None:

@@ -1,4 +1,4 @@
-"""Claims about how runs appear in a report: colours, the run in the centre, deviations from the published method."""
+"""Claims about how runs appear in a report: colours, the main run, deviations from the published method."""
 
 from dataclasses import asdict
 from pathlib import Path
