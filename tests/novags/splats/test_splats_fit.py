@@ -9,6 +9,7 @@ import torch
 from safetensors.torch import save_file
 
 from novags.splats import FitConfig, Gaussians, LearningRates, McmcConfig, Step, Views, fit, rasterize
+from novags.splats.camera_refinement import CameraRefinement
 
 SIZE, N_VIEWS = 32, 6
 
@@ -276,3 +277,10 @@ def test_gaussians_move_until_five_sixths_of_the_run_or_the_stated_iteration(mon
     mcmc = McmcConfig(refine_start=5, refine_every=10, refine_stop=stop)
     fit(start, views, images.__getitem__, config(iterations=54, mcmc=mcmc), before_step=at.append)
     assert seen == moved
+
+
+def test_what_a_fit_gives_back_asks_for_no_gradient():
+    start, views, images = problem(40)
+    result = fit(start, views, images.__getitem__, config(iterations=3, refine_cameras=CameraRefinement()))
+    assert not result.viewmats.requires_grad
+    assert not any(tensor.requires_grad for tensor in result.gaussians.tensors().values())
