@@ -2,9 +2,7 @@
 
 import math
 import re
-import tracemalloc
 
-import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -12,7 +10,6 @@ from hypothesis import strategies as st
 
 from novags.splats import rasterize
 from novags.splats.cpu import pipeline
-from novags.splats.cpu.memory import empty
 
 BACKENDS = ["torch", "numba"]
 
@@ -360,46 +357,3 @@ def test_colors_scale_and_alpha_stays_between_zero_and_one(width, height, seed, 
     assert alpha.min() >= 0
     assert alpha.max() <= 1 - 1e-4 * (1 - 1e-3)
     assert (image <= alpha + 1e-5).all()  # colours are at most 1, so a pixel is at most its alpha
-
-
-def test_a_pass_takes_the_memory_that_is_stated(make_scene, monkeypatch):
-    """Bytes: 360 per Gaussian at SH degree 3, 74 per (Gaussian, tile) pair and 64 per pixel, as the pipeline says."""
-    taken, frames, forward = [], [], pipeline.forward
-
-    def counting(shape, dtype=np.float32):
-        taken.append(np.prod(shape) * np.dtype(dtype).itemsize)
-        return empty(shape, dtype)
-
-    monkeypatch.setattr(pipeline, "empty", counting)
-    monkeypatch.setattr(pipeline, "forward", lambda *arguments: frames.append(forward(*arguments)) or frames[-1])
-    scene = as_float32(make_scene(6, 8000, 160, 96, sh_degree=3))
-    scene["scales"] *= 0.3
-    totals = []
-    for n_features in (None, 4, 8, 12):
-        if n_features is not None:
-            scene = {**scene, "colors": torch.rand(8000, n_features), "sh_degree": None}
-        taken.clear()
-        scene["means"].requires_grad_()
-        image, _, _ = rasterize(**scene, backend="numba")
-        image.sum().backward()
-        totals.append(sum(taken))
-    pairs = int(frames[0][0].splats.counts.sum())
-    assert pairs > 8000
-    assert totals[0] == pytest.approx(360 * 8000 + 74 * pairs + 64 * 160 * 96, rel=0.01)
-    for more in (totals[2] - totals[1], totals[3] - totals[2]):
-        assert more == pytest.approx(80 * 8000 + 66 * pairs + 40 * 160 * 96, rel=0.01)
-
-
-def test_nothing_per_gaussian_is_allocated_outside_the_recycler(make_scene):
-    """Measured: what numpy still allocates in a pass after the first does not grow with the Gaussians."""
-    peaks = []
-    for n in (10_000, 40_000):
-        scene = as_float32(make_scene(6, n, 64, 64, sh_degree=1))
-        scene["means"][:, 2] += 50  # few pairs
-        scene["means"].requires_grad_()
-        for _ in range(3):
-            tracemalloc.start()
-            rasterize(**scene, backend="numba")[0].sum().backward()
-            peaks.append(tracemalloc.get_traced_memory()[1])
-            tracemalloc.stop()
-    assert peaks[5] - peaks[2] < 30_000  # a byte per Gaussian

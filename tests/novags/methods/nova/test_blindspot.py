@@ -103,7 +103,15 @@ def test_the_loss_is_the_mean_squared_colour_distance_of_masked_pixels_alone():
     assert torch.equal((prediction.grad != 0).any(1), mask)
 
 
-@pytest.mark.parametrize("wrong", [{"mask_fraction": 0.0}, {"mask_count": 0}, {"laplacian_share": 1.5}, {"window": 4}])
-def test_impossible_configurations_are_refused(wrong):
-    with pytest.raises(ValueError):
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"mask_fraction": 0.0}, r"mask_fraction must lie in \(0, 1\), got 0.0"),
+        ({"mask_count": 0}, "mask_count must be >= 1 or None, got 0"),
+        ({"laplacian_share": 1.5}, r"laplacian_share must lie in \[0, 1\], got 1.5"),
+        ({"window": 4}, "window must be odd and >= 3 px, got 4"),
+    ],
+)
+def test_impossible_configurations_are_refused(wrong, message):
+    with pytest.raises(ValueError, match=message):
         BlindSpotConfig(**wrong)

@@ -205,8 +205,15 @@ def test_partners_do_not_stand_in_the_same_place():
 
 
 @pytest.mark.parametrize(
-    "wrong", [{"weight": -1.0}, {"start": 1.5}, {"every": 0}, {"occlusion_tolerance": 0.0}, {"neighbours": 0}]
+    ("wrong", "message"),
+    [
+        ({"weight": -1.0}, "weights must be >= 0, got -1.0 and"),
+        ({"start": 1.5}, r"start must lie in \[0, 1\], got 1.5"),
+        ({"every": 0}, "every and neighbours must be >= 1, got 0 and"),
+        ({"occlusion_tolerance": 0.0}, "occlusion_tolerance must be > 0, got 0.0"),
+        ({"neighbours": 0}, "every and neighbours must be >= 1, got .* and 0"),
+    ],
 )
-def test_impossible_configurations_are_refused(wrong):
-    with pytest.raises(ValueError):
+def test_impossible_configurations_are_refused(wrong, message):
+    with pytest.raises(ValueError, match=message):
         ConsistencyConfig(**wrong)

@@ -145,12 +145,19 @@ def test_whole_views_are_used_without_a_crop_and_small_views_shrink_it():
 
 
 @pytest.mark.parametrize(
-    "wrong",
-    [{"warmup_steps": -1}, {"denoise_every": 0}, {"batch": 0}, {"crop": 1}, {"learning_rate": 0.0},
-     {"residual_blur": 0.0}, {"noisy_share": 1.0}],
-)  # fmt: skip
-def test_impossible_configurations_are_refused(wrong):
-    with pytest.raises(ValueError):
+    ("wrong", "message"),
+    [
+        ({"warmup_steps": -1}, "warmup_steps must be >= 0, got -1"),
+        ({"denoise_every": 0}, "denoise_every must be >= 1 or None, got 0"),
+        ({"batch": 0}, "need batch >= 1 and crop >= 2 px, got 0 and None"),
+        ({"crop": 1}, "need batch >= 1 and crop >= 2 px, got 1 and 1"),
+        ({"learning_rate": 0.0}, "learning_rate must be > 0, got 0.0"),
+        ({"residual_blur": 0.0}, "residual_blur must be > 0 px or None, got 0.0"),
+        ({"noisy_share": 1.0}, r"noisy_share must lie in \[0, 1\), got 1.0"),
+    ],
+)
+def test_impossible_configurations_are_refused(wrong, message):
+    with pytest.raises(ValueError, match=message):
         DenoiserConfig(**wrong)
 
 

@@ -74,7 +74,14 @@ def test_the_gate_scales_channels():
     assert ((ratio > 0) & (ratio < 1)).all()
 
 
-@pytest.mark.parametrize("wrong", [{"widths": ()}, {"bottleneck": 0}, {"se_reduction": 0}])
-def test_impossible_configurations_are_refused(wrong):
-    with pytest.raises(ValueError):
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"widths": ()}, r"widths and bottleneck must be >= 1 channel, got \(\) and"),
+        ({"bottleneck": 0}, "widths and bottleneck must be >= 1 channel, got .* and 0"),
+        ({"se_reduction": 0}, "se_reduction must be >= 1, got 0"),
+    ],
+)
+def test_impossible_configurations_are_refused(wrong, message):
+    with pytest.raises(ValueError, match=message):
         ResUNetConfig(**wrong)

@@ -314,7 +314,13 @@ def test_the_confidence_network_learns_while_the_splats_do(problem, monkeypatch)
     assert all(not torch.equal(a, b) for a, b in zip(before[0], kept[0].network.parameters(), strict=True))
 
 
-@pytest.mark.parametrize("wrong", [{"sh_weight": -1.0}, {"refresh_after": 0}])
-def test_impossible_configurations_are_refused(wrong):
-    with pytest.raises(ValueError):
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"sh_weight": -1.0}, "sh_weight must be > 0, or None .* got -1.0"),
+        ({"refresh_after": 0}, "refresh_after must be >= 1, got 0"),
+    ],
+)
+def test_impossible_configurations_are_refused(wrong, message):
+    with pytest.raises(ValueError, match=message):
         NovaConfig(**wrong)
