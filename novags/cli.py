@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import tyro
 
-from novags.options import LIGHT, Device, Folder, Light, Listed, Name, PresetName
+from novags.options import LIGHT, Device, Folder, Light, Listed, Name, PresetName, Repeated
 
 if TYPE_CHECKING:  # heavy: torch and its friends load when a command runs, so that --help answers at once
     from novags.methods.variant import Variant
@@ -25,7 +25,7 @@ def run(
     electrons: float | None = None,
     out: Path | None = None,
     methods: tuple[str, ...] | None = None,
-    variant: tuple[str, ...] = (),
+    variant: Repeated = (),
     cameras: str | None = None,
     refine_cameras: bool = False,
     views: int | None = None,
@@ -38,18 +38,19 @@ def run(
     seed: int | None = None,
     device: Device = "auto",
 ) -> None:
-    """The main job, whole: render, capture in the dark, reconstruct by several methods, score, report.
+    """Run a whole experiment: render, capture in the dark, reconstruct with several methods, score, report.
 
-    Work that is done is kept: the same command again only does what is missing.
+    Finished work is kept: the same command again does only what is missing.
 
     Args:
-        preset: Where every setting comes from that is not given here.
+        preset: Source of every setting that is not given here.
         scene: A scene of the catalogue ("tabletop", or "tabletop:3" for its variation 3), or a Mitsuba .xml file.
         sensor: A camera of sensor_model.PRESETS, or a TOML file of your own.
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
         out: Folder of the experiment; out/PRESET if not given.
         methods: Methods and variants to compare; `novags list methods` names them.
-        variant: Methods with settings changed, each as NAME=METHOD:SETTING=VALUE,SETTING=VALUE. Compared as well.
+        variant: A method with settings changed, NAME=METHOD:SETTING=VALUE,SETTING=VALUE, compared as well; may be given
+            several times. Or a TOML file with tables [variant.NAME].
         cameras: Where cameras come from: known, known:rotation_deg=1, sfm, vggt:checkpoint=FILE; see `novags help
             cameras`.
         refine_cameras: Let every fit correct its training cameras.
@@ -64,11 +65,12 @@ def run(
         device: Where training runs; auto takes a GPU if there is one that can be used.
     """
     from novags.testbed import experiment
-    from novags.testbed.presets import PRESETS, adapted
+    from novags.testbed.presets import EXPERIMENTS, adapted
 
     chosen = adapted(
-        PRESETS[preset], scene=scene, sensor=sensor, electrons=electrons, methods=methods, n_views=views, width=width,
-        height=height, spp=spp, points=points, iterations=iterations, denoiser_steps=denoiser_steps, seed=seed,
+        EXPERIMENTS[preset], scene=scene, sensor=sensor, electrons=electrons, methods=methods, n_views=views,
+        width=width, height=height, spp=spp, points=points, iterations=iterations,
+        denoiser_steps=denoiser_steps, seed=seed,
         variants=_variants(variant), cameras=_cameras(cameras), refine_cameras=refine_cameras, device=device,
     )  # fmt: skip
     folder = out if out is not None else Path("out") / preset
@@ -81,26 +83,26 @@ def plan(
     width: int | None = None, height: int | None = None, tolerance: float = 0.05, light_tolerance: float = 0.02,
     light: Light = LIGHT,
 ) -> None:  # fmt: skip
-    """What would be simulated, what would not, why, and the bound on the error of leaving it out.
+    """Show what would be simulated, what would not, why, and the bound on the error of leaving it out.
 
     Args:
         scene: A multiview set folder, a scene of the catalogue, or a Mitsuba .xml file.
         sensor: A camera of sensor_model.PRESETS, or a TOML file of your own.
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
         time: Exposure time in seconds; only the dark current depends on it.
-        preset: Where the image size comes from that is not given here, unless the scene is a folder.
+        preset: Source of the image size where it is not given here, unless the scene is a folder.
         width: Image width in pixels; with more pixels, rarer defects of the sensor count.
         height: Image height in pixels.
-        tolerance: Relative error of the noise's standard deviation that may be made.
+        tolerance: Allowed relative error of the noise's standard deviation.
         light_tolerance: Share of all light that may be wrong or missing.
         light: How light gets from the lamps to the sensor.
     """
     from novags.testbed.forecast import PILOT, light_plan, sensor_plan
-    from novags.testbed.presets import PRESETS, adapted
+    from novags.testbed.presets import EXPERIMENTS, adapted
     from novags.testbed.stages.capture import CaptureConfig
 
     config, console = CaptureConfig(sensor=sensor, electrons=electrons, time=time, tolerance=tolerance), _console()
-    size = adapted(PRESETS[preset], width=width, height=height).render
+    size = adapted(EXPERIMENTS[preset], width=width, height=height).render
     pilot = replace(PILOT, scene=scene, **light.settings())
     # Blur is weighed in pixels and in steps between views: those of the real images, not of the pilot.
     views = replace(pilot, n_views=size.n_views, width=size.width, height=size.height)
@@ -181,14 +183,14 @@ def reconstruct(
     points: int | None = None, iterations: int | None = None, denoiser_steps: int | None = None, seed: int = 0,
     device: Device = "auto",
 ) -> None:  # fmt: skip
-    """Reconstruct a capture by one method: a 3D model, and pictures rendered from it.
+    """Reconstruct a capture with one method: a 3D model, and pictures rendered from it.
 
     Args:
         capture: Folder of the capture.
         out: Folder of the run.
         method: A method or variant; `novags list methods` names them.
-        variant: Instead of a method: one with settings changed, NAME=METHOD:SETTING=VALUE,SETTING=VALUE.
-        preset: Where every setting of the method comes from that is not given here.
+        variant: Instead of a method: a method with settings changed, NAME=METHOD:SETTING=VALUE,SETTING=VALUE.
+        preset: Source of every setting of the method that is not given here.
         pictures: Which pictures the method sees: 8-bit sRGB, or 16-bit linear ones; its own choice if not given.
         cameras: Where cameras come from: known, known:rotation_deg=1, sfm, vggt:checkpoint=FILE; see `novags help
             cameras`.
@@ -200,12 +202,12 @@ def reconstruct(
         device: Where training runs; auto takes a GPU if there is one that can be used.
     """
     from novags.testbed import stages
-    from novags.testbed.presets import PRESETS, adapted
+    from novags.testbed.presets import EXPERIMENTS, adapted
 
     own = _variants(() if variant is None else (variant,))
     name = own[0].name if own else method
     chosen = adapted(
-        PRESETS[preset], methods=(name,), variants=own, cameras=_cameras(cameras), refine_cameras=refine_cameras,
+        EXPERIMENTS[preset], methods=(name,), variants=own, cameras=_cameras(cameras), refine_cameras=refine_cameras,
         points=points, iterations=iterations, denoiser_steps=denoiser_steps, pictures=pictures, device=device,
     )  # fmt: skip
     config = replace(chosen.reconstruct(name), seed=seed)
@@ -232,7 +234,7 @@ def score(run: Folder) -> None:
 
 
 def report(folder: Folder) -> None:
-    """Write report.html of a scored run or experiment: one file, nothing to install to read it.
+    """Write report.html for a scored run or experiment: one self-contained file.
 
     Args:
         folder: Folder of a run or of an experiment.
@@ -247,9 +249,9 @@ def characterise(folder: Folder, *, out: Path, window: int = 1024) -> None:
 
     Args:
         folder: dark/NAME/* and flat/NAME/*, each NAME some frames of one exposure (raw files, 16-bit PNG or TIFF, npy),
-            and frames.toml for what the files do not say: bits, exposure times, photons, eta.
+            and frames.toml for what the files do not state: bits, exposure times, photons, eta.
         out: The TOML file.
-        window: Pixels to a side of the middle of the sensor that is looked at.
+        window: Side of the central square of the sensor that is used, in pixels.
     """
     from novags.testbed.calibration_frames import characterise_folder
     from sensor_model import write_sensor
@@ -262,7 +264,7 @@ def characterise(folder: Folder, *, out: Path, window: int = 1024) -> None:
 
 
 def doctor() -> None:
-    """What works on this machine, what does not, and what to type to get it."""
+    """Check what works on this machine, what does not, and how to install what is missing."""
     from novags.testbed.doctor import examine
 
     marks = {"ok": "ok     ", "missing": "missing", "broken": "BROKEN "}
@@ -276,10 +278,10 @@ def doctor() -> None:
 
 
 def list_(what: Annotated[Listed, tyro.conf.Positional] = "all") -> None:
-    """What there is: scenes, sensors, methods and variants, presets, camera sources.
+    """List what is available: scenes, sensors, methods and variants, presets, camera sources.
 
     Args:
-        what: One of them, or all.
+        what: One of these lists, or all.
     """
     from novags.testbed.catalogue import listing
 
@@ -287,10 +289,10 @@ def list_(what: Annotated[Listed, tyro.conf.Positional] = "all") -> None:
 
 
 def help_(topic: Annotated[str | None, tyro.conf.Positional] = None) -> None:
-    """A page about a word: electrons, cameras, variants, scores ...; without one, the list of pages.
+    """Show the help page about a term: electrons, cameras, variants, scores ...; without one, list the pages.
 
     Args:
-        topic: The word.
+        topic: The term.
     """
     from novags.testbed.topics import page, topics
 
@@ -304,9 +306,10 @@ COMMANDS: dict[str, Callable[..., None]] = {
 
 
 def _variants(texts: tuple[str, ...]) -> "tuple[Variant, ...]":
-    from novags.methods.variant import parse_variant
+    from novags.methods.variant import parse_variant, read_variants
 
-    return tuple(parse_variant(text) for text in texts)
+    found = [read_variants(Path(text)) if text.endswith(".toml") else [parse_variant(text)] for text in texts]
+    return tuple(variant for variants in found for variant in variants)
 
 
 def _cameras(text: str | None) -> Any:
@@ -316,12 +319,12 @@ def _cameras(text: str | None) -> Any:
 
 
 def _next(command: str) -> None:
-    """Say what to do next; on standard error, so that standard output holds results alone."""
+    """Print the next command; on standard error, so that standard output holds only results."""
     print(f"next: {command}", file=sys.stderr)
 
 
 def _console() -> "Console":
-    """A console; from here on termination is an interruption like Ctrl-C."""
+    """A console; from here on, termination is an interruption like Ctrl-C."""
     import pycolmap  # noqa: F401 - its crash handler would take SIGTERM over if it were imported later
 
     from novags.testbed.console import Console
@@ -343,11 +346,11 @@ def _command_line() -> str:
 def _announce(path: Path) -> None:
     print(f"report: {path.resolve()}")
     print(f"open it in a browser: {path.resolve().as_uri()}")
-    _next("novags run --scene cornell, or novags list for what else there is")
+    _next("novags run --scene cornell, or novags list for what else is available")
 
 
 def main() -> None:
-    """Entry point: run a command; wrong input is one line on standard error and exit code 2."""
+    """Entry point: run a command; wrong input gives one line on standard error and exit code 2."""
     if sys.argv[1:] == ["--version"]:
         from importlib.metadata import version
 

@@ -11,6 +11,7 @@ Device = Literal["auto", "cpu", "cuda"]
 Listed = Literal["all", "scenes", "sensors", "methods", "presets", "cameras"]
 Folder = Annotated[Path, tyro.conf.Positional]
 Name = Annotated[str, tyro.conf.Positional]
+Repeated = Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
 
 
 @dataclass(frozen=True)
@@ -26,14 +27,14 @@ class LightOptions:
     max_depth: int | None = None
     """Longest path of light, as Mitsuba counts; the plan chooses if not given."""
     aperture_radius: float | None = None
-    """Radius of the lens opening in scene units; a file's own lens, else a pinhole, if not given; 0 for a pinhole."""
+    """Radius of the lens opening in scene units; 0 for a pinhole. If not given: a file's own lens, else a pinhole."""
     focus_distance: float | None = None
-    """Depth that is sharp, in scene units."""
+    """Depth in focus, in scene units."""
     motion: float | None = None
     """How far the cameras travel during the exposure, as a fraction of the way to the next view."""
     response: str | None = None
     """Measured colour sensitivities of a camera, by colour-science's name ("Nikon 5100 (NPL)"): the set then holds what
-    its filters see instead of linear sRGB, from spectra where the scene calls for them."""
+    its filters see instead of linear sRGB, from spectra where the scene needs them."""
     allow_outside: bool = False
     """Trust a Mitsuba file: let it read files outside its folder."""
 

@@ -12,7 +12,6 @@ SET is a folder that `novags render` wrote. Results are kept in FILE.json row by
 import argparse
 import json
 import time
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ ELECTRONS = (2.0, 5.0, 20.0, 80.0, 1000.0)
 PICTURES = ("raw", "enhanced", "denoised")
 MAPPERS = ("incremental", "global")
 SENSOR = "a7s2-iso6400-3chip"
-STEPS = 300  # of the denoiser: a minute at 160 px; it is the one of the preset demo
+STEPS = 200  # of the denoiser: half a minute on an idle core
 RIGHT_DEG = 5.0  # a registered camera further off than this is not a camera one could start from
 
 
@@ -44,7 +43,7 @@ def denoised(enhanced: Tensor, steps: int, seed: int) -> Tensor:
     """What the self-supervised denoiser of the preset demo makes of them after a short training."""
     from novags.methods.nova.denoiser import FAST_DENOISER, Denoiser
 
-    denoiser = Denoiser(enhanced, replace(FAST_DENOISER, warmup_steps=steps), total_steps=steps, seed=seed)
+    denoiser = Denoiser(enhanced, FAST_DENOISER, total_steps=steps, seed=seed)
     for _ in range(steps):
         denoiser.train_step()
     return denoiser.denoise_all()
@@ -79,23 +78,28 @@ def registered(options: argparse.Namespace) -> None:
     from simscenes import load_set
 
     multiview = load_set(options.set)
-    views, true = range(len(multiview)), multiview.rig.viewmats
-    radiances = [multiview.radiance(i) for i in views]
+    true, Ks = multiview.rig.viewmats, multiview.rig.Ks
+    radiances = [multiview.radiance(i) for i in range(len(multiview))]
     rows: dict[str, Any] = json.loads(options.out.read_text()) if options.out.exists() else {}
-    for electrons in options.electrons:
-        dark = captured(radiances, electrons, options.seed)
-        pictures = {"raw": dark, "enhanced": enhance(dark)[0]}
-        for kind in PICTURES:
-            for mapper in MAPPERS:
-                key = f"{electrons:g} {kind} {mapper} {options.seed}"
-                if key in rows:
-                    continue
-                if kind not in pictures:
-                    pictures[kind] = denoised(pictures["enhanced"], options.steps, options.seed)
-                rows[key] = measure(pictures[kind], dark, true, multiview.rig.Ks, mapper, options.seed)
-                options.out.write_text(json.dumps(rows, indent=1) + "\n")
+    for kind in options.pictures:
+        for electrons in options.electrons:
+            keys = {mapper: key_of(electrons, kind, mapper, options.seed) for mapper in MAPPERS}
+            if all(key in rows for key in keys.values()):
+                continue
+            dark = captured(radiances, electrons, options.seed)
+            pictures = dark if kind == "raw" else enhance(dark)[0]
+            if kind == "denoised":
+                pictures = denoised(pictures, options.steps, options.seed)
+            for mapper, key in keys.items():
+                rows[key] = measure(pictures, dark, true, Ks, mapper, options.seed)
                 print(f"{key}: {rows[key]}", flush=True)
+            options.out.write_text(json.dumps(rows, indent=1) + "\n")
     print(f"\n{table(rows, options.electrons, options.seed)}")
+
+
+def key_of(electrons: float, kind: str, mapper: str, seed: int) -> str:
+    """Name of a row of results."""
+    return f"{electrons:g} {kind} {mapper} {seed}"
 
 
 def table(rows: dict[str, Any], electrons: list[float], seed: int) -> str:
@@ -106,13 +110,15 @@ def table(rows: dict[str, Any], electrons: list[float], seed: int) -> str:
     ]
     for kind in PICTURES:
         for mapper in MAPPERS:
-            cells = [cell(rows[f"{e:g} {kind} {mapper} {seed}"]) for e in electrons]
+            cells = [cell(rows.get(key_of(e, kind, mapper, seed))) for e in electrons]
             lines.append(f"| {kind}, {mapper} | {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
-def cell(row: dict[str, Any]) -> str:
+def cell(row: dict[str, Any] | None) -> str:
     """Registered share, right share if it is smaller, median rotation error."""
+    if row is None:
+        return "not measured"
     if not row["registered"]:
         return "0 %"
     right = "" if row["right"] == row["registered"] else f" ({100 * row['right']:.0f} % right)"
@@ -124,9 +130,9 @@ def errors(options: argparse.Namespace) -> None:
     from novags.cameras import KnownConfig
     from novags.testbed import stages
     from novags.testbed.console import Console
-    from novags.testbed.presets import PRESETS, adapted
+    from novags.testbed.presets import EXPERIMENTS, adapted
 
-    demo, console, out = PRESETS["demo"], Console(), options.out
+    demo, console, out = EXPERIMENTS["demo"], Console(), options.out
     stages.render(out / "set", demo.render, console)
     stages.capture(out / "set", out / "capture", demo.capture, console)
     print("| rotation error | PSNR | with refinement | rotation left |\n|---|---|---|---|")
@@ -153,6 +159,7 @@ def main() -> None:
     command.add_argument("--set", type=Path, required=True)
     command.add_argument("--out", type=Path, required=True)
     command.add_argument("--electrons", type=float, nargs="+", default=list(ELECTRONS))
+    command.add_argument("--pictures", nargs="+", choices=PICTURES, default=list(PICTURES))
     command.add_argument("--steps", type=int, default=STEPS, help="of the denoiser")
     command.add_argument("--seed", type=int, default=0)
     command.set_defaults(run=registered)

@@ -18,7 +18,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-METHODS = ("naive", "nova", "naive-l1", "oracle")
+METHODS = ("naive", "nova-fast", "naive-l1", "oracle")
 
 
 def run(out: Path, scene: str, seed: int, iterations: int, methods: list[str]) -> dict[str, Any]:
@@ -36,12 +36,12 @@ def folder_of(out: Path, scene: str, seed: int, iterations: int) -> Path:
 
 
 def picture(folder: Path, file: Path) -> None:
-    """A row of images: dark, enhanced, denoised (a training view); naive, NOVA-GS, oracle (a view that nobody saw)."""
+    """A row of images: dark, enhanced, denoised (a training view); naive, nova-fast, oracle (a held-out view)."""
     import cv2
     import numpy as np
 
-    seen = ("capture/images/0007.png", "nova/enhanced/0007.png", "nova/denoised/0007.png")
-    unseen = tuple(f"{method}/renders/0008.png" for method in ("naive", "nova", "oracle"))
+    seen = ("capture/images/0007.png", "nova-fast/enhanced/0007.png", "nova-fast/denoised/0007.png")
+    unseen = tuple(f"{method}/renders/0008.png" for method in ("naive", "nova-fast", "oracle"))
     images = [cv2.imread(str(folder / name)) for name in (*seen, *unseen)]
     gap = np.full((images[0].shape[0], 4, 3), 255, np.uint8)
     cv2.imwrite(str(file), np.hstack([part for image in images for part in (image, gap)][:-1]))
@@ -55,8 +55,9 @@ def mean(values: list[float]) -> float:
 def table(runs: list[dict[str, Any]], methods: list[str]) -> str:
     """Markdown, a row a method."""
     lines = [
-        "| | PSNR to enhanced | aligned PSNR (each seed) | SSIM | FLIP | aligned PSNR to lit | training |",
-        "|---|---|---|---|---|---|---|",
+        "| | PSNR to enhanced | aligned PSNR (each seed) | SSIM | FLIP | tone-aligned PSNR to lit | depth error "
+        "| training |",
+        "|---|---|---|---|---|---|---|---|",
     ]
     for method in methods:
         scores = [r["methods"][method] for r in runs]
@@ -68,11 +69,12 @@ def table(runs: list[dict[str, Any]], methods: list[str]) -> str:
             f"{mean(aligned):.2f} dB ({', '.join(f'{v:.2f}' for v in aligned)})",
             f"{mean([m['enhanced']['ssim'] for m in means]):.3f}",
             f"{mean([m['enhanced']['flip'] for m in means]):.3f}",
-            f"{mean([m['lit']['aligned_psnr'] for m in means]):.2f} dB",
+            f"{mean([m['lit']['tone_aligned_psnr'] for m in means]):.2f} dB",
+            f"{100 * mean([s['geometry']['abs_rel'] for s in scores]):.1f} %",
             f"{seconds:.0f} s",
         ]
         lines.append(f"| `{method}` | {' | '.join(cells)} |")
-    training = [r["methods"]["nova"].get("training_2d") for r in runs if "nova" in r["methods"]]
+    training = [r["methods"]["nova-fast"].get("training_2d") for r in runs if "nova-fast" in r["methods"]]
     for key in ("enhanced", "blur", "best_blur", "denoised"):
         values = [t[key]["aligned_psnr"] for t in training if t and key in t]
         if values:

@@ -1,4 +1,4 @@
-"""A scene in, a ground-truth multiview set out. Importing this imports no mitsuba."""
+"""A scene in, a ground-truth multiview set out. Importing this does not import mitsuba."""
 
 from simscenes.backend import VariantStatus as VariantStatus
 from simscenes.backend import activate as activate

@@ -54,7 +54,7 @@ print("works")
 
 @dataclass(frozen=True)
 class VariantStatus:
-    """Whether a Mitsuba variant works here; `reason` says what was found, or why not and what helps."""
+    """Whether a Mitsuba variant works here; `reason` says what was found, or why it does not work and what helps."""
 
     variant: str
     works: bool
@@ -152,7 +152,7 @@ def backend_status(backend: str) -> tuple[bool, str]:
 
 
 def variant_report() -> list[VariantStatus]:
-    """Every variant that rendering can use, whether it works here, and why not. Imports no mitsuba."""
+    """Every variant that rendering can use, whether it works here, and why not. Does not import mitsuba."""
     status = {b: backend_status(b) for b in BACKENDS}
     return [VariantStatus(f"{b}_{c}", *status[b]) for b in BACKENDS for c in COLORS]
 
@@ -165,7 +165,7 @@ def choose_variant(variant: str = "auto", color: str = "rgb") -> str:
         color: "rgb", "spectral" or "spectral_polarized"; used when `variant` does not name one.
 
     Raises:
-        ValueError: If the variant does not exist, or was asked for by name and does not work here.
+        ValueError: If the variant does not exist, or was requested by name and does not work here.
     """
     if color not in COLORS:
         raise ValueError(f"color must be one of {COLORS}, got {color!r}")
@@ -193,7 +193,7 @@ def backend_of(variant: str = "auto") -> str:
 
 
 def activate(variant: str = "auto", color: str = "rgb") -> Any:
-    """Set a working Mitsuba variant for good and return the `mitsuba` module; for a while: `using_variant`.
+    """Set a working Mitsuba variant permanently and return the `mitsuba` module; temporarily: `using_variant`.
 
     Raises:
         ValueError: As `choose_variant`.
@@ -207,7 +207,7 @@ def activate(variant: str = "auto", color: str = "rgb") -> Any:
 
     if mi.variant() != name:
         mi.set_variant(name)
-        # Below errors Mitsuba prints to stdout, past Python's warnings; what matters of it is checked on our side.
+        # Below errors Mitsuba prints to stdout, past Python's warnings; what matters is checked on our side.
         mi.set_log_level(mi.LogLevel.Error)
     return mi
 

@@ -1,7 +1,7 @@
-"""Colour sensitivities of a camera: what its filters make of spectra, and the matrix that stands in for them in RGB.
+"""Colour sensitivities of a camera: how its filters respond to spectra, and the matrix that stands in for them in RGB.
 
 Camera RGB is the integral of radiance times sensitivity, divided by the integral of the green sensitivity: a flat
-spectrum of radiance 1 gives green 1, red and blue what the camera sees less or more of it. Wavelengths in nm.
+spectrum of radiance 1 gives green 1; red and blue show how much less or more of it the camera sees. Wavelengths in nm.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class CameraColor:
     Attributes:
         name: As in colour-science's MSDS_CAMERA_SENSITIVITIES.
         curves: Sensitivities [wavelength,3] on `WAVELENGTHS`, relative.
-        matrix: Linear sRGB -> camera RGB [3,3], best for the ColorChecker in daylight D65.
+        matrix: Linear sRGB -> camera RGB [3,3], fitted to the ColorChecker in daylight D65.
         matrix_error: Relative L1 error of that matrix on those patches: what RGB costs before any interreflection.
     """
 
@@ -55,7 +55,7 @@ class CameraColor:
 
 @functools.lru_cache
 def srgb_curves() -> Float:
-    """What linear sRGB weighs spectra with, [wavelength,3] on `WAVELENGTHS`, a flat spectrum having luminance 1."""
+    """The weights of linear sRGB for spectra, [wavelength,3] on `WAVELENGTHS`; a flat spectrum has luminance 1."""
     import colour
 
     shape = colour.SpectralShape(380, 780, 5)

@@ -13,7 +13,7 @@ class Optics:
     Attributes:
         aperture_radius: Radius of the lens opening, scene units; 0 for a pinhole; None for the lens of the scene's own
             sensor, a pinhole if it has none.
-        focus_distance: z-depth that is sharp, scene units; goes with an aperture_radius > 0.
+        focus_distance: z-depth in focus, scene units; goes with an aperture_radius > 0.
         motion: How far each camera travels during its exposure, as a fraction of the way to its neighbours in the rig,
             centred on its pose; None for a camera at rest.
         camera: Name of measured colour sensitivities in colour-science ("Nikon 5100 (NPL)"); None for linear sRGB.

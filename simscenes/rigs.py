@@ -180,15 +180,15 @@ def _check_views(n_views: int) -> None:
 
 
 def there_and_back(n: int) -> NDArray[np.intp]:
-    """Order of n places on a line: every second one there, the others back, begun amid them.
+    """Order of n positions on a line: every second one on the way out, the others on the way back, starting in between.
 
-    Every 8th view tests, and a test at an end of the line would be extrapolation, whatever the method: the loop begins
-    where neither end gets such a number.
+    Every 8th view is held out, and at an end of the line it would ask any method to extrapolate: the loop starts where
+    neither end gets such an index.
     """
     loop = np.array([*range(0, n, 2), *reversed(range(1, n, 2))])
     ends = np.flatnonzero((loop == 0) | (loop == n - 1))
     starts = range(n // 4, n // 4 + n)
-    # up to two places there is nothing but ends
+    # up to two positions, there are only ends
     start = next((s for s in starts if ((ends - s) % n % TEST_EVERY != 0).all()), 0)
     return np.roll(loop, -start)
 
@@ -207,10 +207,10 @@ def orbit_rig(
     start_deg: float = 0.0,
     sweep_deg: float = 360.0,
 ) -> Rig:
-    """Cameras on an orbit around `target`, all looking at it, their height going up and down as a wave.
+    """Cameras on an orbit around `target`, all looking at it, their height following a wave.
 
     Args:
-        n_views: Number of cameras, evenly spaced in azimuth. On an arc they are numbered there and back, so that no
+        n_views: Number of cameras, evenly spaced in azimuth. On an arc they are numbered out and back, so that no
             test view lies at an end of it.
         width: Image width in pixels.
         height: Image height in pixels.
@@ -255,7 +255,7 @@ def forward_rig(
     """Forward-facing cameras: a zigzag over a flat window around `position`, all looking at `target`.
 
     Args:
-        n_views: Number of cameras, numbered there and back along the zigzag, so that no test view lies at an end of it.
+        n_views: Number of cameras, numbered out and back along the zigzag, so that no test view lies at an end of it.
         width: Image width in pixels.
         height: Image height in pixels.
         fov_x_deg: Horizontal field of view.

@@ -27,7 +27,7 @@ LAYERS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("transport",),
         ("job",),
     ),
-    "novags": (("splats",), ("cameras",), ("methods",), ("testbed",), ("options",), ("cli", "__main__")),
+    "novags": (("settings", "splats"), ("cameras",), ("methods",), ("testbed",), ("options",), ("cli", "__main__")),
 }
 
 

@@ -50,7 +50,7 @@ def parse_cameras(text: str) -> CameraConfig:
 
 
 def spell_cameras(config: CameraConfig) -> str:
-    """The shortest text that `parse_cameras` makes this configuration of."""
+    """The shortest text that `parse_cameras` turns into this configuration."""
     return spell_settings(config, {name: source.config for name, source in SOURCES.items()})
 
 
@@ -79,11 +79,11 @@ def estimate_cameras(
     Args:
         config: Of one of `SOURCES`.
         multiview: The set. `known` takes cameras and depth from it, `sfm` intrinsics alone, `vggt` nothing.
-        indices: The views that are asked for.
+        indices: The requested views.
         dark: [C, h, w, 3] their dark images, 0..1; points take their colours from these.
         pictures: [C, h, w, 3] uint8, what `sfm` and `vggt` look at: those that `config.pictures` names. None: `dark`
             as 8-bit codes, which is what "raw" means.
-        n_points: How many points at most.
+        n_points: Maximum number of points.
         seed: Of every random choice.
         device: Where a network runs.
         progress: Called with (done, total, what), by `sfm`.

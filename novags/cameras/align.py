@@ -1,10 +1,10 @@
-"""Estimated cameras against the true ones: the similarity between their frames, and the errors that are left.
+"""Estimated cameras against the true ones: the similarity between their frames, and the remaining errors.
 
 Naming law: X_true = scale * rotation @ X_estimated + translation. All tensors are float64 on the CPU.
 
-A camera's error is sqrt(angle² + (distance / extent)²): its turn in radians and its centre's distance in units of the
-true scene extent, which weigh alike. Rotations take part because centres alone leave the turn about a line of cameras
-open, and the whole turn where there are two.
+A camera's error is sqrt(angle² + (distance / extent)²): the angle of its rotation error in radians and the distance
+of its centre in units of the true scene extent, weighted alike. Rotations are included because centres alone leave the
+rotation about a line of cameras undetermined, as with any two cameras.
 """
 
 import math
@@ -18,9 +18,9 @@ from torch import Tensor
 from novags.cameras.estimate import Array, CameraEstimate, centers_of, extent_of
 from novags.cameras.points import inside, project
 
-HYPOTHESES = 2000  # pairs of cameras that are tried at most: with 30 % outliers half of all pairs are good
+HYPOTHESES = 2000  # pairs of cameras to try at most: with 30 % outliers half of all pairs are good
 INLIER_SIGMAS = 3.0  # robust standard deviations within which a camera counts as an inlier
-FLOOR = 1e-7  # error that is rounding: without it exact cameras among outliers would not count as inliers of each other
+FLOOR = 1e-7  # rounding error: without it exact cameras among outliers would not count as inliers of each other
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ IDENTITY = Similarity(1.0, torch.eye(3, dtype=torch.float64), torch.zeros(3, dty
 
 @dataclass(frozen=True, kw_only=True)
 class Alignment:
-    """The similarity and what it leaves of the errors.
+    """The similarity and the errors that remain after it.
 
     Attributes:
         similarity: From the estimated to the true frame.
@@ -88,10 +88,10 @@ def to_true(similarity: Similarity, viewmats_estimated: Tensor) -> Tensor:
 
 
 def align(viewmats_estimated: Tensor, viewmats_true: Tensor) -> Alignment:
-    """The similarity that brings most cameras close to the true ones, whatever the others do.
+    """The similarity that brings most cameras close to the true ones, regardless of the others.
 
     The pair of cameras whose similarity has the least median error over all cameras (least median of squares, so up to
-    half of the cameras may be wrong) chooses the inliers; rotation, scale and translation are then fitted to these.
+    half of the cameras may be wrong) determines the inliers; rotation, scale and translation are then fitted to these.
     Deterministic. Equal cameras give the exact identity.
 
     Args:
@@ -186,13 +186,13 @@ def _robust(estimated: Array, true: Array, extent: float) -> tuple[_Fits, np.nda
     count = len(true)
     pairs = _pairs(count)
     baselines = np.linalg.norm(np.diff(centers_of(estimated)[pairs], axis=1)[:, 0], axis=-1)
-    # A pair at one point has no scale. Others of tiny baseline have a bad one, which their median error shows.
+    # A pair at one point has no scale. Others with a tiny baseline have a bad one, which their median error shows.
     pairs = pairs[baselines > 1e-9 * baselines.max()]
     candidates = _fit(estimated[pairs], true[pairs], extent)
     medians = np.median(np.hypot(*candidates.errors(estimated, true, extent)), axis=1)
     chosen = pairs[int(np.argmin(medians))]
     best = _fit(estimated[chosen][None], true[chosen][None], extent)
-    for _ in range(5):  # it settles after two or three
+    for _ in range(5):  # it converges after two or three
         errors = np.hypot(*best.errors(estimated, true, extent))[0]
         # 1.4826 median = standard deviation of a normal; the factor for few cameras is Rousseeuw's (1987).
         spread = 1.4826 * (1 + 5 / max(count - 2, 1)) * float(np.median(errors))
@@ -214,7 +214,7 @@ def _fit(estimated: Array, true: Array, extent: float) -> _Fits:
 
     For a given scale s the rotation maximises trace(R^T (2 s A / extent² + B)), where A = sum of true times estimated
     centres about their means and B = sum of R_true^T R_estimated (|R - Q|² = 2 angle² for small angles); for a given
-    rotation s = trace(R^T A) / sum of squared estimated centres (Umeyama 1991). The two take turns.
+    rotation s = trace(R^T A) / sum of squared estimated centres (Umeyama 1991). The two alternate.
     """
     groups, size = estimated.shape[:2]
     ce, ct = (centers_of(v.reshape(-1, 4, 4)).reshape(groups, size, 3) for v in (estimated, true))
@@ -222,7 +222,7 @@ def _fit(estimated: Array, true: Array, extent: float) -> _Fits:
     ce, ct = ce - mean_e[:, None], ct - mean_t[:, None]
     A, squares = ct.transpose(0, 2, 1) @ ce, (ce**2).sum((1, 2))
     B = np.einsum("hkji,hkjl->hil", true[..., :3, :3], estimated[..., :3, :3])
-    # Of the spreads alone: where centres and rotations contradict each other, the other formula may turn negative.
+    # From the spreads alone: if centres and rotations contradict each other, the other formula may turn negative.
     scales = first = np.sqrt((ct**2).sum((1, 2)) / squares)
     for _ in range(10):
         rotations = _nearest_rotations(2 * scales[:, None, None] * A / extent**2 + B)

@@ -1,4 +1,4 @@
-"""What every camera source gives: cameras for the views it could place, and points to start from, in one frame."""
+"""What every camera source returns: cameras for the views it could place, and points to start from, in one frame."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ class CameraEstimate:
     """Cameras and initial points, in the source's own frame: any similarity of the true one.
 
     Attributes:
-        registered: Positions, within the views that were asked for (C of them), that have a camera; increasing.
+        registered: Indices, among the C requested views, of those that have a camera; increasing.
         viewmats: [R, 4, 4] float64, world to camera, one for each registered view.
         Ks: [R, 3, 3] float64, pixels, pixel centres at +0.5.
         points: [P, 3] float32, units of the source's frame.

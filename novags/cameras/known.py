@@ -19,7 +19,7 @@ from simscenes.sets.multiview import MultiviewSet
 class KnownConfig:
     """The cameras of the set, with stated errors."""
 
-    rotation_deg: float = 0.0  # root-mean-square angle by which cameras are turned, about random axes
+    rotation_deg: float = 0.0  # root-mean-square angle by which cameras are rotated, about random axes
     translation: float = 0.0  # root-mean-square distance by which camera centres are moved, scene extents
     depth_error: float = 0.0  # standard deviation of the log of each view's depth factor
 
@@ -38,13 +38,13 @@ def known(
     config: KnownConfig | None = None,
     seed: int = 0,
 ) -> CameraEstimate:
-    """Cameras of the given views, and points from depth, from the sparse model, or at random, whichever there is.
+    """Cameras of the given views, and points from depth, else from the sparse model, else at random.
 
     Args:
         multiview: The set.
         indices: Views to use, the training views.
         colors_from: [C, h, w, 3] dark images of those views, 0..1. Never the lit ones.
-        n_points: How many points at most.
+        n_points: Maximum number of points.
         config: The errors; None: exact.
         seed: Of the errors and of the choice of points.
 
@@ -52,7 +52,7 @@ def known(
         Every view has a camera, in the frame of the set; `extent` is that of the exact cameras.
 
     Raises:
-        ValueError: For no views, images of another number or size, or fewer than 2 points.
+        ValueError: For no views, images of the wrong number or size, or fewer than 2 points.
     """
     config = config or KnownConfig()
     rig = multiview.rig
@@ -75,14 +75,14 @@ def known(
         sparse = multiview.points()
         points = _random_points(moved, n_points, rng) if sparse is None else subset(sparse[0], n_points, rng)
         colors = seen_colors(points, images, moved, Ks)
-    # Moving by nothing rounds in the last bit: the cameras are then the set's own, and the points stay those that a
-    # seed has always given.
+    # Moving by zero would round the last bit: without errors the cameras are exactly the set's own, and the points stay
+    # those that a seed has always given.
     viewmats = moved if config.rotation_deg or config.translation else exact
     return as_estimate(tuple(range(len(indices))), viewmats, Ks, points, averaged(points, colors), extent)
 
 
 def perturb(viewmats: Array, rotation_deg: float, translation: float, rng: np.random.Generator) -> Array:
-    """Turn and move cameras [C, 4, 4] by random amounts of the given root mean square (degrees, world units)."""
+    """Rotate and move cameras [C, 4, 4] by random amounts of the given root mean square (degrees, world units)."""
     count = len(viewmats)
     turns = Rotation.from_rotvec(np.radians(rotation_deg) / np.sqrt(3) * rng.standard_normal((count, 3))).as_matrix()
     moves = translation / np.sqrt(3) * rng.standard_normal((count, 3))
@@ -93,7 +93,7 @@ def perturb(viewmats: Array, rotation_deg: float, translation: float, rng: np.ra
 
 
 def _depths(multiview: MultiviewSet, indices: list[int]) -> Array | None:
-    """z-depths [C, h, w] of the views, inf where there is no surface; None if the set knows none."""
+    """z-depths [C, h, w] of the views, inf where there is no surface; None if the set has none."""
     found = [multiview.geometry(i) for i in indices]
     depths = [geometry["z"] for geometry in found if geometry is not None]
     if len(depths) < len(indices) or not any(np.isfinite(z).any() for z in depths):
@@ -113,10 +113,10 @@ def _lift(
 def _random_points(viewmats: Array, count: int, rng: np.random.Generator) -> Array:
     """Uniform points in a cube around where the cameras look, half as wide as they stand away from it."""
     centers, axes = centers_of(viewmats), viewmats[:, 2, :3]
-    # The point nearest to all optical axes; the ridge decides for parallel axes, which meet nowhere.
+    # The point nearest to all optical axes; the ridge makes it unique for parallel axes, which never meet.
     planes = np.eye(3) - axes[:, :, None] * axes[:, None, :]
     ridge = 1e-3 * len(axes) * np.eye(3)
     focus = np.linalg.solve(planes.sum(0) + ridge, np.einsum("cij,cj->i", planes, centers) + ridge @ centers.mean(0))
     reach = np.median(np.linalg.norm(centers - focus, axis=1))
-    # A single camera looks at nothing in particular: its own surroundings of unit size are as good as any.
+    # A single camera does not define such a point: its own surroundings, of unit size, serve instead.
     return focus + (reach if reach > 1e-6 else 1.0) / 2 * rng.uniform(-1, 1, (count, 3))

@@ -34,7 +34,7 @@ def project(points: Array, viewmat: Array, K: Array) -> tuple[Array, Array]:
     """Pixels [P, 2] and z-depths [P] of world points in one camera; pixels are NaN behind it."""
     camera = points @ viewmat[:3, :3].T + viewmat[:3, 3]
     z = camera[:, 2]
-    # Behind the camera projections are mirror images; on its plane they are at infinity.
+    # Behind the camera, projections are mirror images; on its plane they are at infinity.
     return (camera @ K.T)[:, :2] / np.where(z > 1e-6, z, np.nan)[:, None], z
 
 

@@ -1,6 +1,6 @@
-"""Cameras and points from VGGT, by the user's own installation and weights (neither is part of this project).
+"""Cameras and points from VGGT, with the user's own installation and weights (neither is part of this project).
 
-What is used of the package: `vggt.models.vggt.VGGT` with its `aggregator`, `camera_head` and `depth_head`, and
+Parts of the package in use: `vggt.models.vggt.VGGT` with its `aggregator`, `camera_head` and `depth_head`, and
 `vggt.utils.pose_enc.pose_encoding_to_extri_intri`. Pictures are prepared as its loader does in mode "crop": 518 px
 wide, the height rounded to whole patches, cropped to the middle 518 px if it is larger.
 """
@@ -30,8 +30,8 @@ class VggtConfig:
     """Weights, and which of the network's depths to believe."""
 
     checkpoint: Path  # of VGGT-1B: a .pt or .safetensors file
-    pictures: Pictures = "raw"  # which pictures are looked at; the caller makes them
-    drop_percent: float = 30.0  # of all pixels, those of the least confident depth give no points
+    pictures: Pictures = "raw"  # which pictures are used; the caller provides them
+    drop_percent: float = 30.0  # of all pixels, those with the least confident depth give no points
 
     def __post_init__(self) -> None:
         if self.pictures not in get_args(Pictures):
@@ -60,12 +60,12 @@ def vggt_cameras(
     seed: int = 0,
     device: str | torch.device = "cpu",
 ) -> CameraEstimate:
-    """Cameras, intrinsics and points as the network sees them; every view has a camera.
+    """Cameras, intrinsics and points as the network estimates them; every view has a camera.
 
     Args:
-        pictures: [C, h, w, 3] uint8, what the network looks at.
+        pictures: [C, h, w, 3] uint8, the network's input.
         colors_from: [C, h, w, 3] dark images of the same views, 0..1.
-        n_points: How many points at most.
+        n_points: Maximum number of points.
         config: Weights and threshold.
         seed: Of the choice of points.
         device: Where the network runs; about 5 GB of weights.
@@ -96,7 +96,7 @@ def vggt_cameras(
     view, y, x = subset(good, n_points, np.random.default_rng(seed)).T
     pixels = np.stack([x, y], -1) + 0.5
     points = unproject(pixels, depths[view, y, x], viewmats[view], Ks[view])
-    # The same place in the original pictures; at their very edge, rounding may lead just outside.
+    # The same place in the original pictures; at their very edge, rounding may end just outside.
     column, row = np.minimum(((pixels + [0, offset]) / scale).astype(int), np.array(pictures.shape[2:0:-1]) - 1).T
     colors = colors_from.detach().cpu().double().numpy()[view, row, column]
     original = unprepared(Ks, scale, offset)
@@ -104,7 +104,7 @@ def vggt_cameras(
 
 
 def prepare(pictures: NDArray[np.uint8]) -> tuple[Tensor, Array, int]:
-    """Pictures as the network wants them.
+    """Pictures as the network expects them.
 
     Returns:
         float32 [C, 3, H, W] in 0..1; the factors (x, y) by which they were scaled; the rows then cut off at the top.
@@ -123,7 +123,7 @@ def unprepared(Ks: Array, scale: Array, offset: int) -> Array:
     """Intrinsics [C, 3, 3] of prepared pictures -> those of the original ones."""
     result = Ks.copy()
     result[:, 1, 2] += offset
-    # Pixel edges, not centres, are what scaling keeps in place, so with centres at +0.5 whole rows of K scale.
+    # Scaling keeps pixel edges in place, not centres, so with centres at +0.5 whole rows of K scale.
     result[:, :2] /= scale[:, None]
     return result
 
@@ -167,7 +167,7 @@ def _infer(model: Any, images: Tensor) -> tuple[Array, Array, Array, Array]:
 
 @contextmanager
 def _half_precision(device: torch.device) -> Iterator[None]:
-    """What the authors run the backbone in on a GPU; float32 elsewhere."""
+    """The precision that the authors run the backbone in on a GPU; float32 elsewhere."""
     if device.type != "cuda":
         yield
         return

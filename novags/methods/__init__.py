@@ -1,4 +1,4 @@
-"""What is compared. `METHODS` is the one place that names methods, `VARIANTS` names settings of them worth a name."""
+"""What is compared. `METHODS` is the only place that names methods; `VARIANTS` names useful settings of them."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -9,8 +9,8 @@ from novags.methods import enhance_then_fit, oracle
 from novags.methods.gaussian_fit import EnhancedFitConfig
 from novags.methods.nova import trainer as nova
 from novags.methods.nova.denoiser import FAST_DENOISER
-from novags.methods.settings import flattened
 from novags.methods.variant import Method, Variant, spelled
+from novags.settings import flattened
 
 METHODS: dict[str, Method] = {
     "nova": Method(
@@ -21,6 +21,7 @@ METHODS: dict[str, Method] = {
         config=nova.NovaConfig,
         train=nova.train,
         source="NOVA-GS: Noise-Aware View-Consistent Gaussian Splatting for Low-Light Novel View Synthesis",
+        cameras="vggt",
     ),
     "naive": Method(
         title="enhance, then fit the noisy pictures with the same loss (L1 and D-SSIM)",
@@ -88,7 +89,7 @@ def chosen(name: str, more: Mapping[str, Variant] | None = None) -> Variant:
 
     Args:
         name: Of a method, of one of `VARIANTS`, or of one of `more`.
-        more: Variants of the caller's own.
+        more: The caller's own variants.
 
     Raises:
         ValueError: If there is none of this name, or it varies a method that does not exist.
@@ -106,12 +107,12 @@ def chosen(name: str, more: Mapping[str, Variant] | None = None) -> Variant:
         known = (*METHODS, *variants)
         near = get_close_matches(variant.method, known, 1)
         hint = f"did you mean {near[0]!r}? " if near else ""
-        raise ValueError(f"unknown method {variant.method!r}; {hint}there are {', '.join(known)}")
+        raise ValueError(f"unknown method {variant.method!r}; {hint}available: {', '.join(known)}")
     return variant
 
 
 def with_variants(variants: Iterable[Variant]) -> dict[str, Variant]:
-    """Variants of the caller's own by name.
+    """The caller's own variants by name.
 
     Raises:
         ValueError: If a name is taken or used twice.

@@ -1,4 +1,4 @@
-"""Enhanced pictures in, Gaussians out: what all methods share that fit to pictures which stay as they are."""
+"""Enhanced pictures in, Gaussians out: the part that all methods with fixed target pictures share."""
 
 import dataclasses
 import time
@@ -21,7 +21,7 @@ Progress = Callable[[int, int, dict[str, float]], None]
 # What 3DGS-MCMC itself does: the rate of the means falls over 30,000 iterations however long the run is, and Gaussians
 # move until iteration 25,000.
 ORIGINAL_FIT = FitConfig(rates=LearningRates(schedule="original"), mcmc=McmcConfig(refine_stop=25_000))
-ORIGINAL_SCALE = 0.1  # of a first Gaussian, in distances to its nearest neighbours
+ORIGINAL_SCALE = 0.1  # of an initial Gaussian, in distances to its nearest neighbours
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +46,7 @@ def fit_enhanced(
     progress: Progress | None,
     checkpoint: Path | None,
 ) -> Reconstruction:
-    """Fit Gaussians to what `enhance` makes of the problem's pictures.
+    """Fit Gaussians to the pictures that `enhance` returns for the problem.
 
     Args:
         problem: The problem; its seed and extent override those of `config.fit`.

@@ -1,4 +1,4 @@
-"""Results that are expensive to make and cheap to keep, within a limit of memory."""
+"""Results that are expensive to make and cheap to keep, within a memory limit."""
 
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
@@ -6,7 +6,7 @@ from typing import Any, TypeVar
 
 Result = TypeVar("Result")
 
-LIMIT = 2_000_000_000  # bytes; beyond it the results that were not asked for the longest are dropped and made again
+LIMIT = 2_000_000_000  # bytes; beyond it the least recently used results are dropped and made again
 
 
 class Memo:

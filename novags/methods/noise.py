@@ -13,7 +13,7 @@ from sensor_model.isp import Demosaic
 
 BINS = 16  # of brightness, each with its own estimate of the variance
 FLAT_SHARE = 0.3  # of the pixels of a bin, the flattest ones: texture would count as noise
-# Second differences in x and in y: exact zero on any plane. Their squares add up to 36.
+# Second differences in x and in y: exactly zero on any plane. Their squares add up to 36.
 _MASK = torch.tensor([[1.0, -2.0, 1.0], [-2.0, 4.0, -2.0], [1.0, -2.0, 1.0]])
 
 

@@ -1,4 +1,4 @@
-"""The ceiling: fit the noise-free dark exposures, put through the enhancement that their noisy twins chose."""
+"""The ceiling: fit the noise-free dark exposures, enhanced exactly as their noisy twins."""
 
 from pathlib import Path
 

@@ -18,7 +18,7 @@ Result = TypeVar("Result")
 
 
 class Start(Protocol):
-    """First points of the scene; any object with these attributes will do, such as a `cameras.CameraEstimate`."""
+    """Initial points of the scene; any object with these attributes will do, such as a `cameras.CameraEstimate`."""
 
     @property
     def points(self) -> Tensor:
@@ -43,7 +43,7 @@ class RawPictures:
     Attributes:
         dn: Digital numbers, float32, [C, H, W] behind a colour filter array or [C, H, W, 3] of three chips.
         cfa: Colour filter array ("RGGB", ...); None for three chips.
-        black: DN that no light gives.
+        black: DN without light.
         white: DN of saturation.
     """
 
@@ -59,17 +59,17 @@ class Problem:
 
     Attributes:
         views: Training cameras (C of them) as the camera source gave them; they may be wrong.
-        start: First points.
+        start: Initial points.
         seed: Of every random choice.
         srgb8: The 8-bit pictures, sRGB-encoded, float32 [C, H, W, 3] in 0..1.
         linear16: The 16-bit pictures, linear RGB, float32 [C, H, W, 3], 0 = black, 1 = white, not clipped at black;
             None if there are none.
         raw: The raw frames, or None.
-        noise: Variance of each datum as a function of its mean, or None if nobody knows.
+        noise: Variance of each datum as a function of its mean, or None if unknown.
         channels_share: Why the noise of a pixel's three channels is not independent ("demosaicing", "JPEG", "colour
             matrix"); empty where it is.
         clean: The exposures without noise, developed like `srgb8`, [C, H, W, 3]. Only methods with `sees_clean` get it.
-        names: One name a view; the keys of shared results.
+        names: One name per view; the keys of shared results.
         shared: Results that several methods have in common.
     """
 
@@ -94,10 +94,10 @@ class Problem:
         if not self.names:
             object.__setattr__(self, "names", tuple(f"{i:04d}" for i in range(len(self.views))))
         if len(self.names) != len(self.views):
-            raise ValueError(f"names must be one a view, got {len(self.names)} for {len(self.views)} views")
+            raise ValueError(f"there must be one name per view, got {len(self.names)} for {len(self.views)} views")
 
     def encoded(self, pictures: Pictures) -> Tensor:
-        """The dark pictures, sRGB-encoded, [C, H, W, 3] in 0..1: those of 8 bit, or the linear ones encoded.
+        """The dark pictures, sRGB-encoded, [C, H, W, 3] in 0..1: the 8-bit ones, or the linear ones encoded.
 
         Raises:
             ValueError: If there are no 16-bit pictures.

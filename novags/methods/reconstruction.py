@@ -27,7 +27,7 @@ class Scene(Protocol):
         ...
 
     def facts(self) -> dict[str, Any]:
-        """What a record says about it: how many primitives, parameters, bytes."""
+        """For the record: numbers of primitives, parameters and bytes."""
         ...
 
 
@@ -69,7 +69,7 @@ class Reconstruction:
             "config"}. The noise-free exposure goes through the same before renders are compared with it.
         enhanced: The enhanced training pictures [C, H, W, 3], or None.
         targets: What the scene was finally fitted to [C, H, W, 3] (denoised pictures, say), or None.
-        viewmats: The training cameras as training ended with them [C, 4, 4]; None: as they were given.
+        viewmats: The training cameras at the end of training [C, 4, 4]; None: unchanged.
         losses: Log entries of the training.
         seconds: Wall time by part.
     """

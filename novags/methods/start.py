@@ -1,4 +1,4 @@
-"""The Gaussians every method starts from, so that methods differ in their targets and losses alone."""
+"""The Gaussians every method starts from, so that methods differ only in their targets and losses."""
 
 import torch
 from torch import Tensor
@@ -42,5 +42,6 @@ def start_gaussians(init: Start, dark: Tensor, targets: Tensor, *, sh_degree: in
         sh_degree: 0..3.
         init_scale: Standard deviation in units of the distance to the nearest neighbours; see Gaussians.from_points.
     """
-    colors = brightened(init.colors, dark.cpu(), targets.detach().cpu())
-    return Gaussians.from_points(init.points, colors, sh_degree=sh_degree, init_scale=init_scale)
+    device = targets.device
+    colors = brightened(init.colors.cpu(), dark.cpu(), targets.detach().cpu())
+    return Gaussians.from_points(init.points.to(device), colors.to(device), sh_degree=sh_degree, init_scale=init_scale)

@@ -1,12 +1,19 @@
 """A method, and a method with some settings changed and a name of its own."""
 
 import re
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 from novags.methods.reconstruction import Reconstruction
-from novags.methods.settings import changed, has_setting
+from novags.settings import changed, has_setting
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib
 
 Family = Literal["ours", "bound", "2D + GS", "3DGS", "NeRF"]
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")  # of a folder too
@@ -23,6 +30,7 @@ class Method:
         config: Its configuration, a frozen dataclass whose defaults are the method as published.
         train: (problem, config, *, progress, checkpoint) -> Reconstruction.
         source: The publication or text that it follows.
+        cameras: The camera source that the publication uses; None if it does not matter.
         sees_clean: Whether it is given the noise-free exposures; a bound, never a rival.
         bound: The end of the scale that "recovered" is measured on: what noise costs lies between the two.
     """
@@ -33,6 +41,7 @@ class Method:
     config: type
     train: Callable[..., Reconstruction]
     source: str
+    cameras: str | None = None
     sees_clean: bool = False
     bound: Literal["floor", "ceiling"] | None = None
 
@@ -62,7 +71,7 @@ class Variant:
 
         Args:
             default: The method's configuration as published.
-            shared: Settings for all methods; those that this one lacks are passed over.
+            shared: Settings for all methods; those that this one lacks are ignored.
 
         Raises:
             ValueError: If a setting does not exist, or a value is refused.
@@ -71,13 +80,42 @@ class Variant:
         return changed(default, {**own, **self.settings}, what=self.name)
 
     def decides(self, key: str) -> bool:
-        """Whether the variant sets this, or switches a part off that it belongs to."""
+        """Whether the variant sets this, or switches off a part that it belongs to."""
         return any(key == name or key.startswith(f"{name}.") for name in self.settings)
 
 
 def spelled(settings: Mapping[str, Any]) -> str:
     """Settings in a sentence."""
     return ", ".join(f"{name} = {value}" for name, value in settings.items())
+
+
+def read_variants(path: Path) -> list[Variant]:
+    """The variants of a TOML file, a table each: [variant.NAME] with `method` and settings by dotted name.
+
+    Raises:
+        ValueError: If the file cannot be read or a table is not a variant.
+    """
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8")).get("variant", {})
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{path} is not a readable TOML file ({error})") from error
+    if not isinstance(tables, dict) or not tables:
+        raise ValueError(f"{path} has no table [variant.NAME]: there is nothing to compare in it")
+    found = []
+    for name, table in tables.items():
+        if not isinstance(table, dict) or not isinstance(table.get("method"), str):
+            raise ValueError(f'{path}: [variant.{name}] needs method = "NAME" of the method that it varies')
+        settings = {key: value for key, value in _dotted(table).items() if key != "method"}
+        found.append(Variant(name=name, method=table["method"], settings=settings))
+    return found
+
+
+def _dotted(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """TOML reads an unquoted a.b = 1 as a table in a table."""
+    found: dict[str, Any] = {}
+    for key, value in table.items():
+        found |= _dotted(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+    return found
 
 
 def parse_variant(text: str) -> Variant:

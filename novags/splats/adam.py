@@ -75,10 +75,10 @@ class Adam:
             gaussians: Leaves with gradients.
             rates: Learning rates of all but the means.
             means_rate: Learning rate of the means, world units.
-            sh_degree: Spherical harmonics above it are left alone: where they never had a gradient, a step is none.
+            sh_degree: Spherical harmonics above it are left alone: with no gradient so far they would not move.
 
         Raises:
-            ValueError: If a tensor is not contiguous: its copy would be updated in its place.
+            ValueError: If a tensor is not contiguous: a copy of it would be updated instead.
         """
         for name, tensor in gaussians.tensors().items():
             if not tensor.is_contiguous():

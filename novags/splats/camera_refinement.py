@@ -6,7 +6,8 @@ the cameras are exactly the given ones.
 
 What no picture can show stays free: one rigid motion (and scale) of all cameras together with the scene. Gaussians
 that start at given points keep it small, `pull` smaller; what is left goes when the cameras are aligned to the truth,
-which has to be done before poses, or renders from true test cameras, are compared.
+which has to be done before poses, or renders from true test cameras, are compared. Weakly visible is a turn that a
+sideways move compensates: pictures agree long before that pair is right, and it takes most of the iterations.
 """
 
 import math
@@ -83,8 +84,8 @@ class CameraState:
 def refined(viewmats: Tensor, twists: Tensor, extent: float) -> Tensor:
     """Cameras [C, 4, 4] after their twists [C, 6]; differentiable in the twists, exactly `viewmats` at zero.
 
-    A turn w is the rotation by the unit quaternion along (1, w / 2), whose angle is 2 atan(|w| / 2), |w| to third order:
-    unlike the exponential map it has no special case at zero.
+    A turn w is the rotation by the unit quaternion along (1, w / 2). Its angle is 2 atan(|w| / 2), which is |w| up to
+    third order; unlike the exponential map it has no special case at zero.
     """
     half = twists[:, :3] / 2
     R = quat_to_rotmat(torch.cat([torch.ones_like(half[:, :1]), half], 1))

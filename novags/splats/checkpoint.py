@@ -40,7 +40,7 @@ class TrainingState:
 
 
 def digest(*tensors: Tensor) -> str:
-    """Sixteen hexadecimal digits that tell tensors of other values, shapes or dtypes apart."""
+    """Sixteen hexadecimal digits that differ for tensors of other values, shapes or dtypes."""
     sums = hashlib.sha256()
     for tensor in tensors:
         sums.update(f"{tensor.dtype} {list(tensor.shape)} ".encode())
@@ -57,7 +57,7 @@ def write_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, st
     try:
         with atomic(path) as temporary:
             save_file({name: t.contiguous() for name, t in tensors.items()}, temporary, metadata=metadata)
-    except SafetensorError as error:  # what it makes of the system's own errors
+    except SafetensorError as error:  # how safetensors reports a full disk, for example
         raise OSError(f"cannot write {path}: {error}") from error
 
 
@@ -85,17 +85,17 @@ def load_checkpoint(path: Path, settings: dict[str, object], device: torch.devic
     """Read what `save_checkpoint` wrote.
 
     Raises:
-        ValueError: If the file is no training checkpoint, or belongs to a run with other settings.
+        ValueError: If the file is not a training checkpoint, or belongs to a run with other settings.
     """
     try:
         with safe_open(path, framework="pt", device=str(device)) as file:
             rest = json.loads((file.metadata() or {})["state"])
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
         state, saved = _assembled(rest, tensors), rest["settings"]
-    except (SafetensorError, KeyError, TypeError, ValueError) as error:  # the latter from JSON that is none
+    except (SafetensorError, KeyError, TypeError, ValueError) as error:  # ValueError: malformed JSON
         reason = f"{type(error).__name__}: {error}"
         raise ValueError(
-            f"{path} is no training checkpoint of this version ({reason}): delete it to start anew"
+            f"{path} is not a training checkpoint of this version ({reason}): delete it to start again"
         ) from error
     now = json.loads(json.dumps(settings))
     different = sorted(key for key in saved.keys() | now.keys() if saved.get(key) != now.get(key))

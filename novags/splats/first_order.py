@@ -1,4 +1,4 @@
-"""Backward passes made of kernels: they are not differentiable themselves, and say so."""
+"""Backward passes made of kernels: they are not differentiable themselves, and raise when asked to be."""
 
 from collections.abc import Callable
 from functools import wraps

@@ -128,7 +128,7 @@ def fit(
         progress: Called every LOG_EVERY iterations with (iterations done, of how many, log entry).
         checkpoint: File of the training state. Written every `checkpoint_every` iterations and at the end; if it is
             there already, and of a run with this start, these views and this config (but maybe other targets and
-            losses), the run goes on from it. State that `target` and losses keep is theirs to save.
+            losses), the run goes on from it. State kept by `target` or the losses is not saved.
 
     Returns:
         FitResult.
@@ -201,10 +201,10 @@ def _initial_state(gaussians: Gaussians, views: Views, config: FitConfig) -> Tra
 
 
 def _prepared(gaussians: Gaussians, config: FitConfig) -> Gaussians:
-    """A copy of the initial Gaussians with room for the SH degree and no more of them than the cap."""
+    """A copy of the initial Gaussians with room for the SH degree, at most as many as the cap."""
     if len(gaussians) == 0:
         raise ValueError("fit needs at least one Gaussian to start from, got none")
-    layout = torch.contiguous_format  # a clone keeps the strides else, and the optimiser works in place
+    layout = torch.contiguous_format  # a plain clone keeps the strides, but the optimiser works in place
     copies = {name: t.detach().clone(memory_format=layout) for name, t in gaussians.tensors().items()}
     gaussians = Gaussians(**copies)
     if config.cap_max is not None:

@@ -71,7 +71,7 @@ def relocation(opacities: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _draw(weights: Tensor, count: int, generator: torch.Generator) -> Tensor:
-    """Indices [count] drawn with replacement in proportion to weights [N]; in float64, lest small ones get lost."""
+    """Indices [count] drawn with replacement in proportion to weights [N]; sums in float64 keep small weights."""
     edges = torch.cumsum(weights.double(), 0)
     u = torch.rand(count, generator=generator, dtype=torch.float64).to(weights.device) * edges[-1]
     return torch.searchsorted(edges, u, right=True).clamp_max(len(weights) - 1)
@@ -85,7 +85,7 @@ def _split(gaussians: Gaussians, sources: Tensor) -> None:
     # eps: an opacity of exactly 1 has an infinite logit
     opacities = opacities.clamp(DEAD_OPACITY, 1 - torch.finfo(torch.float64).eps)
     gaussians.logit_opacities[drawn] = torch.logit(opacities).float()
-    # in logs: a scale below e^-103 or above e^88 is none in float32
+    # in logs: float32 cannot hold a scale below e^-103 or above e^88
     gaussians.log_scales[drawn] += torch.log(factors).float()[:, None]
 
 
@@ -94,8 +94,8 @@ def relocate(gaussians: Gaussians, generator: torch.Generator) -> Tensor:
     """Move dead Gaussians, in place, onto live ones drawn in proportion to opacity.
 
     Returns:
-        Indices of the live Gaussians that were drawn; their Adam moments have to be reset. Empty if none is dead or
-        all are.
+        Indices of the live Gaussians that were drawn; their Adam moments have to be reset. Empty if no
+        Gaussian is dead or all are.
     """
     dead = torch.nonzero(gaussians.opacities <= DEAD_OPACITY)[:, 0]
     alive = torch.nonzero(gaussians.opacities > DEAD_OPACITY)[:, 0]

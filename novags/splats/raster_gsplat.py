@@ -9,8 +9,8 @@ try:
     from gsplat import rasterization
 except ImportError as error:
     raise ImportError(
-        "backend='gsplat' needs the gsplat package and a CUDA device: install it with `pip install 'novags[cuda]'`, "
-        "or use backend='numba' on CPU tensors"
+        "CUDA tensors are rendered by gsplat, which is not installed: install it with `pip install 'novags[cuda]'`, "
+        "move all tensors to the CPU, or use backend='torch' for scenes of a few hundred Gaussians"
     ) from error
 
 
@@ -34,7 +34,9 @@ def render(
 ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
     """One camera's image [H, W, D], alpha [H, W, 1] and info; arguments as in `novags.splats.rasterize`.
 
-    D is the number of colour channels (if `with_color`) plus one for accumulated depth (if `with_depth`).
+    D is the number of colour channels (if `with_color`) plus one for accumulated depth (if `with_depth`). The gradient
+    of `viewmat` is gsplat's: along rigid motions it is that of the other backends, entry by entry it is not, because
+    gsplat takes the camera's centre from the inverse of the matrix instead of -R^T t.
 
     Raises:
         ValueError: If the tensors are not float32 on a CUDA device.

@@ -65,7 +65,7 @@ def check_finite(tensors: dict[str, Tensor]) -> None:
 
 
 def check_camera(tensors: dict[str, Tensor]) -> None:
-    """Raise ValueError for a camera or background that is not finite, or a camera that is no pinhole without skew."""
+    """Raise ValueError for a camera or background that is not finite, or a camera other than a pinhole without skew."""
     check_finite({name: tensors[name] for name in ("viewmats", "Ks", "background") if name in tensors})
     Ks = tensors["Ks"]
     focal = Ks[:, (0, 1), (0, 1)]
@@ -73,7 +73,7 @@ def check_camera(tensors: dict[str, Tensor]) -> None:
         raise ValueError(f"Ks must have positive focal lengths, got {focal.tolist()}")
     fixed = Ks[:, (0, 1, 2, 2, 2), (1, 0, 0, 1, 2)]
     if (fixed != fixed.new_tensor([0, 0, 0, 0, 1])).any():
-        raise ValueError(f"Ks must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], no skew is rendered, got {Ks.tolist()}")
+        raise ValueError(f"Ks must be [[fx, 0, cx], [0, fy, cy], [0, 0, 1]], skew is not supported, got {Ks.tolist()}")
     last = tensors["viewmats"][:, 3]
     if ((last - last.new_tensor([0, 0, 0, 1])).abs() > 1e-6).any():  # an inverse may leave a rounding error there
         raise ValueError(f"viewmats must end in [0, 0, 0, 1] (transposed?), got {last.tolist()}")

@@ -4,7 +4,7 @@ A stage writes into one folder and puts its record there last (`set.json`, `capt
 with a record is complete. The record's `stage` entry holds the key: a hash of the stage's name, the contents of its
 input folders and its resolved configuration. Same key: not run again. While a stage is under way, `unfinished.json`
 holds the key of the work in the folder; a later start with the same key continues it, another key clears it first.
-Nothing is cleared before the inputs of the new work have been read and found good.
+Nothing is cleared until the inputs of the new work have been read and found valid.
 """
 
 import hashlib
@@ -92,13 +92,13 @@ def digest(value: Any) -> str:
 def folder_digest(folder: Path, names: Sequence[str] | None = None, *, beside: Mapping[str, Path] | None = None) -> str:
     """Hash of every file's relative name and content; hidden files are left out.
 
-    Of a record, costs and versions are left out as well: work that is done again with the same outcome does not make
-    what builds on it stale.
+    Of a record, costs and versions are left out as well: repeated work with the same outcome does not make the
+    stages after it stale.
 
     Args:
         folder: Where to look.
         names: The entries of `folder` that count, where they exist; None: all of them.
-        beside: Further files by any name, wherever they lie.
+        beside: Further files by any name, wherever they are.
 
     Raises:
         ValueError: If `folder` is not a folder.
@@ -118,7 +118,7 @@ def folder_digest(folder: Path, names: Sequence[str] | None = None, *, beside: M
 
 _CONTENTS: dict[
     tuple[Path, int, int, int], bytes
-] = {}  # hashes of files as they were: every method has the same inputs
+] = {}  # hashes of files seen before: every method reads the same inputs
 SETTLED = 2_000_000_000  # ns; a file changed more recently may change again without its time stamp showing it
 
 
@@ -185,7 +185,7 @@ def run_stage(
         prepare: Reads and checks the inputs. An earlier result stays untouched until it has returned.
         work: Fills the folder (picking up what is there) with what `prepare` read, and returns the record's body.
         console: Where progress goes.
-        stale: Files elsewhere that tell of an earlier result in `folder`; removed together with it.
+        stale: Files elsewhere that describe an earlier result in `folder`; removed together with it.
 
     Returns:
         The record, as it stands in the folder.
@@ -228,7 +228,7 @@ def run_stage(
 def _earlier_seconds(
     name: str, folder: Path, record_name: str, key: str, owns: Sequence[str], console: Console
 ) -> float | None:
-    """The seconds that interrupted attempts at the work of `key` took; None if the folder has to be cleared for it."""
+    """Seconds spent by interrupted attempts at the work of `key`; None if the folder has to be cleared for it."""
     if (folder / UNFINISHED).exists():
         state = read_json(folder / UNFINISHED)
         if state.get("key") == key:
@@ -246,7 +246,7 @@ def _earlier_seconds(
 
 
 def _clear(name: str, folder: Path, key: str, targets: Sequence[Path]) -> None:
-    """Remove files and folders, in this order; what an interruption leaves of them counts as nobody's work."""
+    """Remove files and folders, in this order; what an interruption leaves behind belongs to no work."""
     folder.mkdir(parents=True, exist_ok=True)
     _mark(name, folder, None, 0.0)
     for target in targets:
@@ -258,5 +258,5 @@ def _clear(name: str, folder: Path, key: str, targets: Sequence[Path]) -> None:
 
 
 def _mark(name: str, folder: Path, key: str | None, seconds: float) -> None:
-    """Say whose unfinished work lies in the folder; a key of None: remains that are being cleared away."""
+    """Record whose unfinished work is in the folder; a key of None marks remains that are being cleared away."""
     write_json(folder / UNFINISHED, {"stage": name, "key": key, "seconds": seconds})

@@ -1,21 +1,21 @@
 """A camera from a folder of its dark and flat frames.
 
-FOLDER/dark/NAME/*   each NAME is one stack: two frames or more in darkness, all of one exposure time
+FOLDER/dark/NAME/*   each NAME is one stack: two or more dark frames, all of one exposure time
 FOLDER/flat/NAME/*   the same in front of a uniform light
-FOLDER/frames.toml   optional: what the files do not say themselves
+FOLDER/frames.toml   optional: what the files themselves do not state
 
 Frames are camera raw files, 16-bit PNG or TIFF of one channel, or .npy of [h,w] or [n,h,w]. Exposure times come from
-frames.toml, else from EXIF. Of frames.toml every line is optional but `bits`, where no raw file tells them:
+frames.toml, else from EXIF. Every line of frames.toml is optional, except `bits` if no raw file states it:
 
 bits = 12                    # of the ADC
-cfa = "RGGB"                 # colour filter array; raw files tell it, other files count as monochrome
-[camera]                     # what frames cannot tell, or what is known better: fields of a camera file
+cfa = "RGGB"                 # colour filter array; raw files state it, other files count as monochrome
+[camera]                     # what frames cannot show, or what is known better: fields of a camera file
 eta = 0.6
 [stacks."flat/middle"]
 time = 0.01                  # s
 photons = 812.0              # mean number per pixel, if it was measured: gives the quantum efficiency
 
-sensor_model sees the frames as arrays only; how they lie in folders is known here alone.
+sensor_model sees the frames only as arrays; only this module knows the layout of the folder.
 """
 
 import sys
@@ -59,14 +59,14 @@ class _File:
 
 
 def characterise_folder(folder: Path, *, window: int = 1024) -> tuple[Sensor, Characterisation]:
-    """Estimate a camera from its frames; of a mosaic the green pixels give everything but the colours.
+    """Estimate a camera from its frames; for a mosaic, the green pixels give everything except the colours.
 
     Args:
         folder: As above.
-        window: Pixels to a side of the middle of the sensor that is looked at: bounds memory.
+        window: Side of the central square of the sensor that is used, in pixels: bounds memory.
 
     Raises:
-        ValueError: If the folder is not as above, or does not say enough.
+        ValueError: If the folder is not laid out as above, or does not hold enough.
     """
     frames = read_frames(folder, window)
     if frames.cfa == "none":
@@ -78,7 +78,7 @@ def characterise_folder(folder: Path, *, window: int = 1024) -> tuple[Sensor, Ch
     for name in ("eta", "mu_e_sat"):
         if getattr(found, name) is None and name not in frames.camera:
             why = "give the photons of every flat stack" if name == "eta" else "add a flat stack beyond saturation"
-            raise ValueError(f"{folder} does not tell {name}: {why}, or {name} under [camera] in frames.toml")
+            raise ValueError(f"{folder} does not determine {name}: {why}, or {name} under [camera] in frames.toml")
     known = {name: frames.camera.get(name, getattr(found, name)) for name in ("eta", "mu_e_sat")}
     try:
         measured = asdict(found.sensor(bits=frames.bits, **known))
@@ -88,7 +88,7 @@ def characterise_folder(folder: Path, *, window: int = 1024) -> tuple[Sensor, Ch
 
 
 def read_frames(folder: Path, window: int = 1024) -> Frames:
-    """Read the folder; every frame is cut to `window` pixels a side around its middle.
+    """Read the folder; every frame is cropped to the central `window` x `window` pixels.
 
     Raises:
         ValueError: If it is not laid out as above, or a file cannot be read.
@@ -123,7 +123,7 @@ def _notes(folder: Path) -> dict[str, Any]:
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
     if unknown := sorted(set(given) - set(notes)):
-        raise ValueError(f"{path}: unknown {', '.join(unknown)}; there are {', '.join(notes)}")
+        raise ValueError(f"{path}: unknown {', '.join(unknown)}; available: {', '.join(notes)}")
     return notes | given
 
 
@@ -141,7 +141,7 @@ def _read(path: Path) -> _File:
             raise ValueError(f"{path} is not a readable image: replace or remove it")
         dn, time = image[None], _exif_time(path)
     if dn.ndim != 3 or dn.dtype.kind not in "ui":
-        raise ValueError(f"{path} must hold whole codes of one channel, got {dn.dtype} of shape {dn.shape}")
+        raise ValueError(f"{path} must hold integer codes of one channel, got {dn.dtype} of shape {dn.shape}")
     return _File(dn, time)
 
 
@@ -154,7 +154,7 @@ def _exif_time(path: Path) -> float | None:
 
 
 def _cut(file: _File, window: int) -> _File:
-    """The middle; from an even row and column on, so that the colour filter array keeps its phase."""
+    """The central part, from an even row and column on, so that the colour filter array keeps its phase."""
     y, x = (max(0, (side - window) // 2) // 2 * 2 for side in file.dn.shape[1:])
     return replace(file, dn=np.ascontiguousarray(file.dn[:, y : y + window, x : x + window]))
 
@@ -164,19 +164,19 @@ def _stack(path: Path, files: list[_File], note: dict[str, float]) -> Stack:
     if len(sizes) != 1:
         raise ValueError(f"{path} must hold frames of one size, got {sorted(sizes) or 'no frames'}")
     if unknown := sorted(set(note) - {"time", "photons"}):
-        raise ValueError(f"frames.toml: stack {path.name} has unknown {', '.join(unknown)}; there are time, photons")
+        raise ValueError(f"frames.toml: stack {path.name} has unknown {', '.join(unknown)}; available: time, photons")
     time = _agreed("exposure time", note.get("time"), [f.time for f in files], path, None)
     return Stack(np.concatenate([f.dn for f in files]), float(time), note.get("photons"))
 
 
 def _agreed(what: str, given: Any, found: list[Any], where: Path, default: Any) -> Any:
-    """What frames.toml gives, else what all files say, else the default."""
+    """What frames.toml gives, else what all files state, else the default."""
     told = {value for value in found if value is not None}
     if given is None and len(told) > 1:
         raise ValueError(f"the files in {where} differ in {what}: {', '.join(map(str, sorted(told)))}")
     value = given if given is not None else next(iter(told), default)
     if value is None:
-        raise ValueError(f"the files in {where} do not tell their {what}: give it in frames.toml")
+        raise ValueError(f"the files in {where} do not state their {what}: give it in frames.toml")
     return value
 
 

@@ -1,4 +1,4 @@
-"""What there is, as text: scenes, sensors, methods and variants, presets, camera sources."""
+"""What is available, as text: scenes, sensors, methods and variants, presets, camera sources."""
 
 import textwrap
 from collections.abc import Callable, Iterable
@@ -14,7 +14,7 @@ def listing(what: str = "all") -> str:
         ValueError: If there is no such list.
     """
     if what != "all" and what not in LISTS:
-        raise ValueError(f"there is a list of {', '.join(LISTS)}, not of {what!r}")
+        raise ValueError(f"no list of {what!r}; available: {', '.join(LISTS)}")
     chosen = LISTS if what == "all" else {what: LISTS[what]}
     return "\n\n".join(f"{name.capitalize()}\n{make()}" for name, make in chosen.items())
 
@@ -62,10 +62,10 @@ def methods() -> str:
 
 def presets() -> str:
     """The presets with their sizes."""
-    from novags.testbed.presets import PRESETS
+    from novags.testbed.presets import EXPERIMENTS
 
     rows = []
-    for name, preset in PRESETS.items():
+    for name, preset in EXPERIMENTS.items():
         render, capture = preset.render, preset.capture
         iterations = preset.reconstruct(preset.methods[0]).config.fit.iterations
         rows.append((

@@ -1,4 +1,4 @@
-"""Progress on the terminal: a live bar on a terminal, plain lines elsewhere. All of it on standard error."""
+"""Progress on the terminal: a live bar on a terminal, plain lines elsewhere. Everything goes to standard error."""
 
 import sys
 import time
@@ -10,13 +10,13 @@ from rich.console import Console as RichConsole
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 Update = Callable[[int, int, str], None]
-"""Steps done, steps in all, and what is going on (a view, a loss)."""
+"""Steps done, total steps, and the current activity (a view, a loss)."""
 
-PLAIN_INTERVAL = 5.0  # s between two plain lines of one stage: enough to see life, few enough for a log file
+PLAIN_INTERVAL = 5.0  # s between two plain lines of one stage: shows progress, and suits a log file
 
 
 class Console:
-    """Where stages say what they do."""
+    """Where stages report what they do."""
 
     def __init__(self, *, quiet: bool = False, stream: TextIO | None = None) -> None:
         self.quiet = quiet
@@ -26,12 +26,12 @@ class Console:
         self._warned: set[str] = set()
 
     def note(self, text: str) -> None:
-        """Say one line."""
+        """Print one line."""
         if not self.quiet:
             self._rich.print(text, markup=False)
 
     def warn(self, text: str) -> None:
-        """Say one line, once: every stage opens the same folders and meets the same oddities."""
+        """Print one line, once: every stage opens the same folders and meets the same oddities."""
         if text not in self._warned:
             self._warned.add(text)
             self.note(f"note: {text}")
@@ -68,12 +68,12 @@ class Console:
             nonlocal last, first
             now = time.monotonic()
             if first is None:
-                first = done  # resumed work: only what this process did tells how fast it goes
+                first = done  # resumed work: only what this process did shows its speed
             if now - last < PLAIN_INTERVAL and done < total:
                 return
             last = now
             rate = (done - first) / (now - start) if now > start else 0.0
-            known = rate > 0 and done < total and "left" not in what  # some stages know better themselves
+            known = rate > 0 and done < total and "left" not in what  # some stages give their own estimate
             left = f"  {(total - done) / rate:.0f} s left" if known else ""
             self.note(f"{stage}: {done}/{total}  {what}{left}")
 

@@ -8,7 +8,7 @@ DEVICES = ("auto", "cpu", "cuda")
 
 
 def chosen_device(name: str, console: Console) -> torch.device:
-    """The device of that name; "auto" takes a GPU if torch can use one and gsplat is installed, and says what it took.
+    """The device of that name; "auto" takes a GPU if torch can use one and gsplat is installed, and reports its choice.
 
     Raises:
         ValueError: If the name is unknown, or the device is not on this machine.

@@ -1,4 +1,4 @@
-"""What works on this machine, what does not, and what to type to get it."""
+"""What works on this machine, what does not, and how to install what is missing."""
 
 import os
 import platform
@@ -16,7 +16,7 @@ GSPLAT_USE = "only for novags.splats.rasterize with CUDA tensors of your own"
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing looked at. `state`: "ok"; "missing": optional, `detail` says how to get it; "broken": needed."""
+    """The result of one check. `state`: "ok"; "missing": optional, `detail` says how to get it; "broken": needed."""
 
     name: str
     state: Literal["ok", "missing", "broken"]
@@ -24,7 +24,7 @@ class Finding:
 
 
 def examine() -> Iterator[Finding]:
-    """Look at everything, one finding at a time (Mitsuba's variants take some seconds the first time)."""
+    """Check everything, one finding at a time (Mitsuba's variants take some seconds the first time)."""
     yield _python()
     machine = hardware()
     memory = machine["memory_bytes"] / 2**30

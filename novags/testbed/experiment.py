@@ -15,13 +15,13 @@ from novags.testbed.stages.score import merge
 
 
 def run(preset: Preset, out: Path, console: Console, *, command: str | None = None) -> Path:
-    """Do the whole experiment in `out`, as far as it is not done yet; returns the path of the report.
+    """Run what is still missing of the experiment in `out`; returns the path of the report.
 
     Args:
         preset: What to do.
         out: The experiment folder: set/, capture/, one folder per method or variant, metrics.json, report.html.
         console: Where progress goes.
-        command: What a person typed to get here, for the record.
+        command: The command line, for the record.
 
     Raises:
         ValueError: If an input is wrong or `out` holds other things.

@@ -14,7 +14,7 @@ PILOT = RenderConfig(n_views=8, width=48, height=48, spp=32)
 
 
 def light_plan(config: RenderConfig, tolerance: float, console: Console) -> Plan | None:
-    """The plan of the light transport; None for a folder, whose light is there already.
+    """The plan of the light transport; None for a folder, whose light is already rendered.
 
     Args:
         config: The views of a scene of the catalogue or a Mitsuba file; or of a multiview set folder.

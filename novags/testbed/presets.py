@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from novags.cameras import CameraConfig, KnownConfig
 from novags.methods import METHODS, chosen, with_variants
-from novags.methods.settings import has_setting
 from novags.methods.variant import Variant
+from novags.settings import has_setting
 from novags.testbed.stages.capture import CaptureConfig
 from novags.testbed.stages.reconstruct import ReconstructConfig
 from novags.testbed.stages.render import RenderConfig
@@ -34,7 +34,7 @@ class Preset:
     def __post_init__(self) -> None:
         if not self.methods or len(set(self.methods)) < len(self.methods):
             raise ValueError(f"methods must be named once each, got {', '.join(self.methods) or 'none'}")
-        configs = [self.reconstruct(name).config for name in self.methods]  # it checks the rest
+        configs = [self.reconstruct(name).config for name in self.methods]  # which checks the rest
         for key in self.settings:
             if not any(has_setting(config, key) for config in (*configs, *(m.config() for m in METHODS.values()))):
                 raise ValueError(f"no method has a setting {key!r}")
@@ -49,7 +49,7 @@ class Preset:
         )  # fmt: skip
 
 
-# The size that a CPU can do in minutes. Short runs want large first Gaussians, which close the surface at once, and
+# A size that a CPU handles in minutes. Short runs want large first Gaussians, which close the surface at once, and
 # rates that fall to their end within the run.
 _SHORT: dict[str, Any] = {
     "init_scale": 0.7,
@@ -59,7 +59,7 @@ _SHORT: dict[str, Any] = {
     "denoiser.warmup_steps": 400,
 }
 
-PRESETS = {
+EXPERIMENTS = {
     "demo": Preset(
         render=RenderConfig(scene="tabletop", n_views=20, width=160, height=160, spp=96),
         capture=CaptureConfig(sensor="a7s2-iso6400-3chip", electrons=20.0),
@@ -114,7 +114,7 @@ def adapted(
 ) -> Preset:
     """The preset with some settings changed; None keeps its own.
 
-    Variants of one's own are compared beside the preset's methods unless `methods` names all.
+    The caller's own variants are compared with the preset's methods, unless `methods` lists everything.
 
     Raises:
         ValueError: If a value is out of range.

@@ -1,4 +1,4 @@
-"""What a result was made with and what it took: versions, hardware, peak memory."""
+"""What a result was made with and what it cost: versions, hardware, peak memory."""
 
 import os
 import platform
@@ -56,7 +56,7 @@ def hardware() -> dict[str, Any]:
 def _processor() -> str:
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
-    except OSError:  # not Linux: the platform module knows some name
+    except OSError:  # not Linux: the platform module gives some name
         lines = []
     names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
     return names[0] if names else platform.processor() or platform.machine()

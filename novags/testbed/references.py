@@ -1,8 +1,8 @@
-"""What the pictures of a method are compared with; never two of them mixed.
+"""What the pictures of a method are compared with; references are never mixed.
 
-`enhanced`: the noise-free dark exposure through the enhancement of its noisy twin, for methods that end there: what
-they would show if noise were all they had to deal with. `linear`: the noise-free exposure in linear light, for methods
-that end there. `lit`: the well-lit render or photograph, for all.
+`enhanced`: the noise-free dark exposure, enhanced exactly as its noisy twin, for methods whose output is enhanced: it
+differs from their input by noise alone. `linear`: the noise-free exposure in linear light, for methods whose output is
+linear. `lit`: the well-lit render or photograph, for all methods.
 """
 
 from typing import Any

@@ -25,7 +25,7 @@ class Stopwatch:
         self.earlier: dict[str, float] = {}
 
     def with_earlier(self) -> dict[str, float]:
-        """All that the job has cost."""
+        """The total cost of the job."""
         names = dict.fromkeys((*self.earlier, *self.seconds))
         return {name: self.earlier.get(name, 0.0) + self.seconds.get(name, 0.0) for name in names}
 
@@ -42,14 +42,14 @@ class Stopwatch:
 def predict_seconds(
     method: Method, rig: Rig, views: dict[int, View], spp: int | None, target_error: float | None
 ) -> float:
-    """Predict the seconds that rendering these views will take, at a cost of some 6 % of them.
+    """Predict the seconds that rendering these views will take, at a cost of about 6 % of them.
 
-    A pass is timed the second time, when its kernel is compiled. With `target_error` it is a pass of the kind that
-    spreads samples unevenly, and the samples needed are predicted from pilots of up to three of `views`, which keep
-    them for their render.
+    A pass is timed on its second run, when its kernel is already compiled. With `target_error` the pass spreads samples
+    unevenly, and the samples needed are predicted from pilots of up to three of `views`, which keep them for
+    their render.
     """
     numbers = sorted(views)
-    first = View(method, rig, numbers[0])  # a view of its own: those in `views` must not depend on being predicted
+    first = View(method, rig, numbers[0])  # a view of its own: those in `views` must not depend on the prediction
     if target_error is None:
         size = pass_spp(min((spp or 256) * len(views) / 32, 64))
         return _seconds_per_sample(first, size, even=True) * (spp or 2) * len(views)

@@ -23,7 +23,7 @@ from simscenes.transport.pilot import RR_DEPTH
 NOISE = "relative RMSE"
 MISSING = "share of all light"
 N_VIEWS = 3
-REFERENCE_ERROR = 0.01  # relative; its square is taken off every squared error measured against it
+REFERENCE_ERROR = 0.01  # relative; its square is subtracted from every squared error measured against it
 
 Image = NDArray[np.float64]
 
@@ -70,7 +70,7 @@ class Bench:
 
     @contextmanager
     def ready(self, s: Setting) -> Iterator[tuple[Any, LoadedScene]]:
-        """Mitsuba and the scene in a setting's variant, with its lights weighed or not."""
+        """Mitsuba and the scene in a setting's variant, with its lights weighted or not."""
         with using_variant(backend_of(s.variant), s.color) as mi:
             if mi.variant() not in self._loaded:
                 self._loaded[mi.variant()] = build_scene(self.scene, mi)
@@ -81,7 +81,7 @@ class Bench:
             yield mi, loaded
 
     def view(self, mi: Any, loaded: LoadedScene, s: Setting, i: int, seed: int) -> View:
-        """One view, to be rendered as a setting says in what is `ready` for it."""
+        """One view, prepared to be rendered with a setting, in the scene that `ready` gives for it."""
         integrator = mi.load_dict({"type": s.integrator, "max_depth": s.max_depth, "rr_depth": s.rr_depth})
         view = View(Method(mi, mi.variant(), loaded, integrator, seed=seed), self.rig, i)
         settings = sensor_dict(mi, self.rig, i, loaded)
@@ -98,7 +98,7 @@ class Bench:
         return self._references[s.color]
 
     def render(self, s: Setting, i: int, seed: int) -> tuple[Image, float]:
-        """One view with a setting, and its seconds; all sensors and kernels are there before the clock starts."""
+        """One view with a setting, and its seconds; all sensors and kernels exist before the timing starts."""
         with self.ready(s) as (mi, loaded):
             for _ in range(2):  # the first time compiles the kernels
                 view = self.view(mi, loaded, s, i, seed)
@@ -125,7 +125,7 @@ class Bench:
         return _point(seconds, errors, NOISE)
 
     def missing(self, s: Setting) -> dict[str, Any]:
-        """Seconds of a view, and the light that its cut paths lack: the same paths are followed to depth 64."""
+        """Seconds of a view, and the light that its truncated paths lack: the same paths are followed to depth 64."""
         errors, seconds = [], []
         for k in range(self.repeats):
             for i in range(N_VIEWS):

@@ -16,7 +16,7 @@ class RunningQuantile:
 
     Args:
         q: The quantile, 0..1.
-        count: Values there will be in all.
+        count: Total number of values.
     """
 
     def __init__(self, q: float, count: int) -> None:
@@ -32,7 +32,7 @@ class RunningQuantile:
         self._kept, self._left = joined, self._left - values.size
 
     def value(self) -> float:
-        """The quantile, when all values are in."""
+        """The quantile, once all values are in."""
         assert self._kept is not None, "no values were added"
         assert self._left == 0, f"{self._left} values are missing"
         neighbours = np.partition(self._kept, min(1, len(self._kept) - 1))[:2]

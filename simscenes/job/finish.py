@@ -1,7 +1,7 @@
 """The last step of a job: 8-bit images with one exposure for the set, sparse points, cameras.
 
 One view is in memory at a time. Light and depth of each go to disk uncompressed as soon as they are known (16 bytes a
-pixel, until the set is finished), so that no EXR file is decoded again; of the exposure only the brightest pixels stay.
+pixel, until the set is finished), so that no EXR file is decoded again; the exposure needs only the brightest pixels.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_model.files.atomic import atomic
 from sensor_model.isp import to_srgb8
 from simscenes.camera import camera_color
 from simscenes.job.exposure import BELOW_WHITE, RunningQuantile, exposure_scale
 from simscenes.job.sparse import surface_points
 from simscenes.rigs import Rig
 from simscenes.sets.camera_files import write_cameras
+from simscenes.sets.png import write_png
 
 SCRATCH = ".views"
 
@@ -32,7 +32,7 @@ class ViewStore:
     Args:
         folder: An empty folder for them.
         rig: The cameras.
-        camera: As in `Optics`. What its filters see becomes linear sRGB again, for looking at only.
+        camera: As in `Optics`. What its filters see becomes linear sRGB again, for display only.
     """
 
     def __init__(self, folder: Path, rig: Rig, camera: str | None) -> None:
@@ -58,13 +58,13 @@ class ViewStore:
         return np.asarray(np.load(self.folder / f"{i}.depth.npy"))
 
     def exposure_scale(self) -> float:
-        """One exposure for the set, when all its views are in."""
+        """One exposure for the set, once all its views are in."""
         return exposure_scale(self._white.value())
 
 
 @contextmanager
 def view_store(out: Path, rig: Rig, camera: str | None) -> Iterator[ViewStore]:
-    """A store in the set folder `out`, gone afterwards; so is what a killed process left there."""
+    """A store in the set folder `out`, removed afterwards, with anything that a killed process left there."""
     folder = out / SCRATCH
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -88,16 +88,3 @@ def finish_set(out: Path, names: list[str], rig: Rig, seed: int, views: ViewStor
         return {"exposure_scale": scale}
     matrix = {"camera_matrix": views.color.matrix.tolist(), "camera_matrix_error": views.color.matrix_error}
     return {"exposure_scale": scale, **matrix}
-
-
-def write_png(path: Path, image: NDArray[np.uint8]) -> None:
-    """Write an 8-bit RGB image [h,w,3] atomically.
-
-    Raises:
-        OSError: If the file cannot be written.
-    """
-    import cv2
-
-    with atomic(path) as temporary:
-        if not cv2.imwrite(str(temporary), np.ascontiguousarray(image[..., ::-1])):
-            raise OSError(f"cannot write {path}")

@@ -1,4 +1,4 @@
-"""Whether pixels on disk are those asked for: hashes of all that they depend on, and files that carry them."""
+"""Whether pixels on disk are those asked for: hashes of everything they depend on, and files that carry them."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from simscenes.rigs import Rig
 from simscenes.sets.exr import read_exr
 
 VIEW_KEY = "novagsKey"
-SPENT = "seconds.json"  # what an unfinished job has cost so far; in no EXR, whose bytes must not depend on the clock
+SPENT = "seconds.json"  # cost of an unfinished job so far; not in the EXRs, whose bytes must not depend on the clock
 
 
 def plan_identity(plan: str | Plan) -> Any:
-    """What of a plan the pixels may depend on: not how long its pilots took."""
+    """The part of a plan that the pixels may depend on: not how long its pilots took."""
     if not isinstance(plan, Plan):
         return plan
     return without_nan({key: value for key, value in plan.to_dict().items() if key != "seconds"})

@@ -33,7 +33,7 @@ from simscenes.transport.plan import APERTURE, MOTION, TransportPlan
 from simscenes.transport.planner import default_plan, plan_loaded
 
 DEFAULT_SPP = 256
-FORMAT = 3  # of the folder; a change renders again
+FORMAT = 3  # of the folder; sets of another format are rendered again
 MEASURE_FROM = 3 * 10**7  # samples in a job: some 30 s, beside which the planner's slower measurements cost little
 ERROR_SEEN = (
     "relative_error is the spread between independent passes: noise only. It cannot see what every pass lacks, such as "
@@ -58,7 +58,7 @@ def render_set(
 ) -> MultiviewSet:
     """Render a scene into a set folder: radiance with variance, geometry, 8-bit images, cameras, sparse points.
 
-    A folder that already holds the same set is returned as it is; an interrupted render goes on with the views that
+    A folder that already holds the same set is returned as it is; an interrupted render continues with the views that
     are missing.
 
     Args:
@@ -70,14 +70,14 @@ def render_set(
         target_error: Relative RMSE (root mean variance over mean radiance) at which each view stops; its samples then
             go where a short pilot saw noise, instead of evenly over all pixels.
         plan: A plan from `plan_transport`; "auto" to make one, measuring everything if the job is long; or "rgb" for
-            plain path tracing to depth 64 without asking.
+            plain path tracing to depth 64 without a plan.
         optics: Aperture, motion and colour filters; None for the lens of the scene's own sensor, at rest and seeing
             linear sRGB.
-        variant: Mitsuba variant, see `choose_variant`; only its backend counts, the plan decides on its colours.
+        variant: Mitsuba variant, see `choose_variant`; only its backend counts, since the plan decides on the colours.
         seed: Of the Monte Carlo noise; each view's noise depends on it and on the camera, not on the view's place.
         allow_outside: Let an XML scene read files outside its folder.
         export: Further layouts to write, each into the folder of its name inside `out`: "blender", "llff".
-        progress: Called with (views done, views in all, what is going on, with the time left).
+        progress: Called with (views done, total views, the current activity with the time left).
 
     Raises:
         ValueError: If an argument is out of range, the scene cannot be loaded, a camera is inside an object, or the
@@ -127,7 +127,7 @@ def render_set(
 
 
 def _facts(job: Job, made: TransportPlan) -> dict[str, Any]:
-    """What set.json says beside the configuration and the results of the views."""
+    """What set.json says besides the configuration and the results of the views."""
     surfaces, rig = job.surfaces, job.rig
     return {
         "kind": "rendered", "n_views": len(rig), "width": rig.width, "height": rig.height,

@@ -33,7 +33,7 @@ class Job:
     rig: Rig
     out: Path
     names: list[str]
-    config: dict[str, Any]  # all that the pixels depend on
+    config: dict[str, Any]  # everything that the pixels depend on
     digest: str  # of the whole job
     store: ViewStore
     watch: Stopwatch
@@ -57,7 +57,7 @@ def render_views(job: Job) -> tuple[dict[str, Any], float]:
                 check_cameras(mi, job.surfaces, job.rig)
             with using_variant(job.method.variant):
                 predicted = predict_seconds(job.method, job.rig, views, job.config["spp"], job.config["target_error"])
-    left = predicted / max(len(missing), 1)  # seconds a view
+    left = predicted / max(len(missing), 1)  # seconds per view
     for done, i in enumerate(missing):
 
         def tick(part: float, i: int = i, done: int = done, each: float = left) -> None:
@@ -68,7 +68,7 @@ def render_views(job: Job) -> tuple[dict[str, Any], float]:
         tick(0.0)
         headers[i] = _render_view(job, views.pop(i), paths[i], keys[i], tick)
         write_json(job.out / SPENT, {"digest": job.digest, "seconds": job.watch.with_earlier()})
-        # From here on the past predicts better than the pilot did; radiance and geometry are what repeats per view.
+        # From here on, past views predict better than the pilot did; only radiance and geometry repeat for each view.
         left = (job.watch.seconds["radiance"] + job.watch.seconds["geometry"]) / (done + 1)
     found = {
         name: {"spp": int(h["spp"]), "relative_error": float(h["relativeError"]), "fireflies": int(h["fireflies"])}
@@ -96,7 +96,7 @@ def _render_view(job: Job, view: View, path: Path, key: str, tick: Tick) -> dict
     with job.watch.stage("radiance"), using_variant(job.method.variant):
         radiance = view.render(job.config["spp"], job.config["target_error"], tick)
     for k, c in enumerate("RGB"):
-        channels[c] = np.maximum(radiance.mean[..., k], 0)  # spectral light outside the sRGB triangle ends at its edge
+        channels[c] = np.maximum(radiance.mean[..., k], 0)  # clips spectral light that lies outside the sRGB triangle
         channels[f"var.{c}"] = radiance.variance[..., k]
     header = {
         "spp": radiance.spp, "relativeError": radiance.error, "fireflies": radiance.fireflies, VIEW_KEY: key,

@@ -1,4 +1,4 @@
-"""What a loaded scene holds, also what only its instances show."""
+"""What a loaded scene holds, including what only its instances show."""
 
 from __future__ import annotations
 
@@ -6,23 +6,23 @@ from typing import Any
 
 
 def objects_in(scene: Any, mi: Any) -> list[Any]:
-    """Every object of a scene once, in the order in which Mitsuba comes to it; shared ones cost no more than others."""
+    """Every object of a scene once, in the order in which Mitsuba visits it; shared ones cost no more than others."""
     found: dict[Any, None] = {}
 
     class Walk(mi.TraversalCallback):
         def put(self, name: str, value: Any, *flags: Any) -> None:
             if isinstance(value, mi.Object) and value not in found:
                 found[value] = None
-                value.traverse(Walk())  # of its own: one that is in use cannot be called again
+                value.traverse(Walk())  # a new one: a callback in use cannot be called again
 
     scene.traverse(Walk())
     return list(found)
 
 
 def surfaces_in(scene: Any, mi: Any) -> list[Any]:
-    """The shapes that rays meet: those of the scene, then those of its groups, which its instances repeat.
+    """The shapes that rays hit: those of the scene, then those of its groups, which its instances repeat.
 
-    Instances and groups have materials too, but ones that Mitsuba makes up and no ray meets.
+    Instances and groups have materials too, but Mitsuba invents these, and no ray hits them.
     """
     shapes = scene.shapes()
     if any(_repeats(shape) for shape in shapes):

@@ -1,4 +1,4 @@
-"""Whether two scenes are the same: a hash of how they are written and of every number that came of it."""
+"""Whether two scenes are the same: a hash of how they are written and of every number that resulted from it."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ import numpy as np
 def content_digest(description: dict[str, Any] | tuple[Path, ...], params: Any) -> str:
     """Hash a scene (sha256, 64 hex digits).
 
-    The description counts because Mitsuba does not list all it holds as parameters: how a texture is continued, a kind
-    of phase function; the parameters count because a description may name what lies elsewhere.
+    The description counts because Mitsuba does not list everything as a parameter: the wrap mode of a texture, the type
+    of a phase function; the parameters count because a description may name files elsewhere.
 
     Args:
         description: A scene dict, or the files that make up an XML scene, in order.
@@ -26,7 +26,7 @@ def content_digest(description: dict[str, Any] | tuple[Path, ...], params: Any) 
     else:
         for file in description:
             digest.update(f"{file.stat().st_size}:".encode() + file.read_bytes())
-    # Mitsuba calls what has no id by its address, which differs from load to load.
+    # Mitsuba names an object without an id by its address, which differs from load to load.
     names = {key: re.sub(r"object_\d+", "object", key).encode() for key in params.keys()}  # noqa: SIM118
     for part in sorted(hashlib.sha256(name + b":" + _content(params[key])).digest() for key, name in names.items()):
         digest.update(part)
@@ -46,7 +46,7 @@ def _feed(digest: Any, node: Any) -> None:
 
 
 def _content(value: Any) -> bytes:
-    """Numbers as their bytes; of what is more than numbers, such as a mesh, what it says of itself."""
+    """Numbers as their bytes; other objects, such as a mesh, by their printed description."""
     if "Transform" in type(value).__name__:
         value = value.matrix
     numbers = np.ascontiguousarray(np.array(value))

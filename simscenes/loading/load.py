@@ -23,8 +23,8 @@ class LoadedScene:
         name: Catalogue name, name of the file, or "custom".
         variant: The Mitsuba variant it was loaded in, and the only one it can be used in.
         scene: The Mitsuba scene.
-        digest: Hash of everything the picture depends on but the camera and the random numbers.
-        shapes: Names of the shapes and instances; the id of a pixel is 1 + place in this list.
+        digest: Hash of everything the picture depends on, except the camera and the random numbers.
+        shapes: Names of the shapes and instances; the id of a pixel is 1 + the index in this list.
         materials: Names of the materials, likewise; those within instances too.
         extent: Diagonal of the bounding box, scene units.
     """
@@ -84,7 +84,7 @@ def _load_dict(description: dict[str, Any], mi: Any) -> tuple[Any, Any]:
     for key, value in description.items():
         if isinstance(value, mi.Object):
             value.set_id(key)  # meshes made in Python do not know the name they have in the dict
-    # optimize=True orders merged objects by memory address: other light order, other noise in every process.
+    # optimize=True orders merged objects by memory address: light order and noise would differ in every process.
     return mi.load_dict(description, optimize=False), description
 
 
@@ -106,7 +106,7 @@ def set_light_weights(loaded: LoadedScene, weights: tuple[float, ...], mi: Any) 
     """Let the scene pick its lights in proportion to `weights`, one per light; () leaves them alone.
 
     Raises:
-        ValueError: If there are weights for another number of lights.
+        ValueError: If the number of weights differs from that of the lights.
     """
     lights = loaded.scene.emitters()
     if weights and len(weights) != len(lights):

@@ -1,4 +1,4 @@
-"""Numbers that no physical scene has, found once it is loaded and before it costs anything."""
+"""Unphysical numbers, found once a scene is loaded and before any rendering."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from simscenes.loading.contents import media_in
 
-# What a surface passes on of the light, by the end of a parameter's name.
+# Reflectances and transmittances, by the end of a parameter's name.
 SHARES = re.compile(r"(reflectance|albedo|base_color|transmittance|spec_trans)\.(.*\.)?(value|values|data)$")
-# How much there is of a light or a medium, by the part of a parameter's name; others are places and angles.
+# Amounts of light or of a medium, by a part of a parameter's name; other parameters are positions and angles.
 AMOUNTS = re.compile(
     r"(^|\.)(radiance|irradiance|intensity|texture|data|scale|sun_scale|sky_scale|sampling_weight|sigma_t)(\.|$)"
 )
@@ -22,8 +22,8 @@ def check_parameters(scene: Any, params: Any, mi: Any) -> None:
     """Refuse a loaded scene whose numbers are not physical.
 
     Raises:
-        ValueError: If a parameter is nan or infinite, what a surface passes on leaves 0..1, or a light or a medium is
-            negative.
+        ValueError: If a parameter is nan or infinite, a reflectance or transmittance leaves 0..1, or a light or medium
+            is negative.
     """
     if "spectral" in mi.variant():
         return  # colours are stored there as the coefficients of fitted curves, of any sign and size
@@ -34,7 +34,7 @@ def check_parameters(scene: Any, params: Any, mi: Any) -> None:
             raise ValueError(f"scene parameter {key} must be finite, got {lowest}..{highest}")
         # 1e-4: spectra given as RGB are fitted by Mitsuba, and white comes out a rounding error above 1.
         if SHARES.search(key) and (lowest < 0 or highest > 1 + 1e-4):
-            raise ValueError(f"scene parameter {key} must lie in 0..1 (what a surface passes on of the light), "
+            raise ValueError(f"scene parameter {key} must lie in 0..1 (the share of light that a surface passes on), "
                              f"got {lowest:.6g}..{highest:.6g}")  # fmt: skip
     for part in (*scene.emitters(), *media_in(scene, mi)):
         inner = mi.traverse(part)

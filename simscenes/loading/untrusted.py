@@ -1,4 +1,4 @@
-"""Scene files that nobody vouches for: what they may read, what they may run, how much work they may ask for."""
+"""Untrusted scene files: what they may read, what they may run, how much work they may cause."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def check_xml(path: Path, *, allow_outside: bool = False) -> tuple[Path, ...]:
     not found where Mitsuba searches is opened as it stands, from the working directory: that is outside as well.
 
     Args:
-        path: The scene file; of a link, what it points to, and the folder of that.
+        path: The scene file; a link is replaced by its target, in the target's folder.
         allow_outside: The file is trusted: it may name files and plugins anywhere, in any encoding.
 
     Returns:
@@ -62,10 +62,10 @@ def searching_only(folder: Path, mi: Any) -> Iterator[None]:
 
 
 def check_plugin(kind: str) -> None:
-    """Refuse the name of a plugin that is a path, or that code in the working directory would answer to.
+    """Refuse a plugin name that is a path, or that would resolve to code in the working directory.
 
     Raises:
-        ValueError: If it is.
+        ValueError: If the name is either.
     """
     if not PLUGIN.fullmatch(kind) or any(Path("plugins").glob(f"{kind}.*")):
         raise ValueError(f"plugin type {kind!r} is not one of Mitsuba's own: names are letters, digits and _, and "
@@ -100,7 +100,7 @@ class _Reader:
                              "it, or set allow_outside=True if you trust the scene")  # fmt: skip
 
     def read(self, path: Path, includes: int, depth: int, owner: str) -> None:
-        """Check one file where it is included: so deep, in the object with the id `owner`."""
+        """Check one file where it is included: at this depth, in the object with the id `owner`."""
         if includes > MAX_INCLUDE_DEPTH:
             raise ValueError(
                 f"scene file {path} includes files more than {MAX_INCLUDE_DEPTH} deep; does one include itself?"
@@ -135,7 +135,7 @@ class _Reader:
             raise ValueError(f"scene file {path} cannot be read as XML: {error}") from error
 
     def _elements(self, path: Path, depth: int, owner: str) -> Iterator[tuple[str, dict[str, str], int, str]]:
-        """Tags and attributes in document order, each with how deep it lies and the id of the object around it."""
+        """Tags and attributes in document order, each with its depth and the id of the object around it."""
         waiting = [(self._parse(path), depth + 1, owner)]
         while waiting:
             element, level, within = waiting.pop()
@@ -151,9 +151,9 @@ class _Reader:
     def check_references(self) -> None:
         sizes: dict[str, int] = {}
         try:
-            for name in TopologicalSorter(self.holds).static_order():  # what is held first
+            for name in TopologicalSorter(self.holds).static_order():  # inner objects first
                 size = 1 + sum(sizes[inner] for inner in self.holds.get(name, ()))
-                sizes[name] = min(size, MAX_OBJECTS + 1)  # more has too many digits to count with
+                sizes[name] = min(size, MAX_OBJECTS + 1)  # larger counts may have too many digits
         except CycleError as error:
             raise ValueError(f"scene objects hold each other in a circle: {' in '.join(error.args[1])}") from error
         if sizes.get("", 0) > MAX_OBJECTS:
@@ -186,7 +186,7 @@ class _Reader:
         return value
 
     def _name(self, name: str, tag: str, path: Path) -> Path | None:
-        """Note the file that Mitsuba would open for this word, which may also be no name of a file at all."""
+        """Record the file that Mitsuba would open for this word, which may not be a file name at all."""
         if tag == "path":
             self.searched.append(self.root / name)
         places = [path.parent, *self.searched] if tag == "include" else self.searched
@@ -207,7 +207,7 @@ class _Reader:
 
 
 def _check_encoding(text: bytes, path: Path) -> None:
-    """Other encodings may read differently here and in Mitsuba's parser."""
+    """Other encodings may be read differently here and in Mitsuba's parser."""
     declared = DECLARED.match(text.removeprefix(b"\xef\xbb\xbf"))
     try:
         plain = "\0" not in text.decode("utf-8")

@@ -53,9 +53,9 @@ def own_rig(loaded: LoadedScene, mi: Any, width: int | None = None, height: int 
 
 
 def with_lens(asked: Optics | None, loaded: LoadedScene, mi: Any) -> Optics:
-    """What was asked for, with the lens of the scene's own (first) sensor where none was; a pinhole has none.
+    """The requested optics, with the lens of the scene's own (first) sensor where none is given; a pinhole has none.
 
-    A thin lens keeps its focus distance for all cameras of a rig: those of `fit_rig` are as far from what they see.
+    A thin lens keeps its focus distance for all cameras of a rig: those of `fit_rig` stay as far from what they see.
     """
     asked = asked or Optics()
     sensors = loaded.scene.sensors()
@@ -130,7 +130,7 @@ def _arc_around(loaded: LoadedScene, mi: Any, own: Rig, n_views: int, sweep_deg:
 
 
 def usual_rig(source: SceneRef, loaded: LoadedScene, n_views: int, width: int, height: int) -> Rig:
-    """Cameras where none are given: a catalogue scene's own in this size, or an arc in that of the scene's sensor.
+    """Default cameras: a catalogue scene's own at this size, or an arc at the size of the scene's sensor.
 
     Raises:
         ValueError: As `fit_rig`.

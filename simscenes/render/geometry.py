@@ -15,7 +15,7 @@ from simscenes.loading.contents import unique_materials
 from simscenes.loading.load import LoadedScene
 from simscenes.rigs import Rig, invert_rigid
 
-MAX_INTERFACES = 16  # borders of fog and the like, which bend no ray and are looked through
+MAX_INTERFACES = 16  # boundaries of fog and the like, which do not bend rays and are passed through
 
 Channels = dict[str, NDArray[Any]]
 
@@ -63,7 +63,7 @@ def geometry_channels(mi: Any, loaded: LoadedScene, rig: Rig, i: int) -> Channel
 
 
 def check_cameras(mi: Any, loaded: LoadedScene, rig: Rig) -> None:
-    """Refuse cameras inside an opaque object, whose picture would be black without saying why.
+    """Refuse cameras inside an opaque object, whose picture would be black without explanation.
 
     Raises:
         ValueError: If most of what a view sees are the unlit backs of one-sided surfaces.
@@ -90,7 +90,7 @@ def shrunk(rig: Rig, i: int, size: int = 8) -> Rig:
 
 
 def first_surfaces(mi: Any, scene: Any, origin: NDArray[Any], directions: NDArray[Any]) -> tuple[Any, Any]:
-    """Rays from one point and what each hits first, borders of fog looked through; in a JIT variant."""
+    """Rays from one point and what each hits first, passing through boundaries of fog; in a JIT variant."""
     import drjit as dr
 
     direction = mi.Vector3f(np.ascontiguousarray(directions.T, dtype=np.float32))
@@ -119,7 +119,7 @@ def _intersect_wide(mi: Any, scene: Any, origin: NDArray[Any], directions: NDArr
 
 
 def _numbers(dr: Any, uint32: Any, known: list[Any], pointers: Any) -> NDArray[np.uint32]:
-    """Replace process-wide registry numbers by 1 + place in `known`."""
+    """Replace process-wide registry numbers by 1 + the index in `known`."""
     registry = [int(dr.reinterpret_array(uint32, pointer)[0]) for pointer in known]
     table = np.zeros(max(registry, default=0) + 1, dtype=np.uint32)
     table[registry] = np.arange(1, len(registry) + 1)

@@ -13,7 +13,7 @@ from simscenes.rigs import Rig, invert_rigid, unproject
 def moved_pose(rig: Rig, i: int, t: float) -> NDArray[np.float64]:
     """World-to-camera pose of view `i` at time `t`, in steps to its neighbours: -1 is the one before, 1 the one after.
 
-    Positions move on straight lines, orientations turn evenly; past the ends of the rig the last step goes on.
+    Positions move on straight lines, orientations rotate evenly; past the ends of the rig the last step continues.
     """
     from scipy.spatial.transform import Rotation
 

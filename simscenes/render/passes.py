@@ -18,7 +18,7 @@ MAX_PASS_SPP = 1024
 
 @dataclass(frozen=True)
 class Radiance:
-    """What the passes of one view add up to.
+    """The combined passes of one view.
 
     Attributes:
         mean: Radiance, float32 [h,w,3].
@@ -38,8 +38,8 @@ class Radiance:
 def pass_spp(spp: float) -> int:
     """The largest power of four that is at most `spp` (and at least 1).
 
-    Only these sizes repeat bit by bit: they fit the sampler's grid, and the samples of one pixel never straddle two
-    work units of Dr.Jit, whose threads would add to the pixel in an order that changes from run to run.
+    Only these sizes are repeatable bit for bit: they fit the sampler's grid, and the samples of a pixel never straddle
+    two work units of Dr.Jit, whose threads would add to the pixel in an order that changes from run to run.
     """
     return int(4 ** max(0, math.floor(math.log2(max(spp, 1)) / 2)))
 

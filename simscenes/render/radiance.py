@@ -1,4 +1,4 @@
-"""Radiance of one view: with as many samples everywhere, or with as many as each pixel needs for a target error."""
+"""Radiance of one view: with equally many samples everywhere, or as many as each pixel needs for a target error."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from simscenes.rigs import Rig
 
 Tick = Callable[[float], None]
 MAX_SPP = 65536  # where target_error gives up
-PLANNED_PASSES = 6  # towards a target error, each of this part of the samples predicted
-MAX_BLOCKS = 1 << 20  # of several passes held at once; a single pass of a large image may be more
-FEWEST_PASSES = 4  # whose spread is worth asking whether the target is reached
+PLANNED_PASSES = 6  # towards a target error, each with an equal part of the predicted samples
+MAX_BLOCKS = 1 << 20  # of several passes held at once; a single pass of a large image may exceed it
+FEWEST_PASSES = 4  # with fewer, their spread cannot show whether the target is reached
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class View:
 
     @cached_property
     def sensors(self) -> list[Any]:
-        """Mitsuba sensors, one a sub-frame; made when the view's turn comes, in the method's variant."""
+        """Mitsuba sensors, one per sub-frame; made when the view's turn comes, in the method's variant."""
         m = self.method
         return [m.mi.load_dict(sensor_dict(m.mi, frames, k, m.loaded, m.optics)) for frames, k in self._poses]
 
@@ -107,7 +107,7 @@ class View:
         check_radiance(image, self.i)
         if spectral:
             return image / camera.green_integral
-        return np.clip(image @ camera.matrix.T, 0, None)  # the matrix makes colours no filter can see negative
+        return np.clip(image @ camera.matrix.T, 0, None)  # the matrix can give negative values, filters cannot
 
     def render(self, spp: int | None, target_error: float | None, tick: Tick = lambda part: None) -> Radiance:
         """Render with `spp` samples in every pixel, or until the relative RMSE of the view is `target_error`.
@@ -118,7 +118,7 @@ class View:
         Towards a target, samples go where a short pilot saw noise. The pilot itself is thrown away: an average that
         kept it would be biased, since it decided how much each pixel's other samples count.
 
-        `tick` hears after every pass what part of the work is done.
+        `tick` is called after every pass with the fraction of the work that is done.
 
         Raises:
             ValueError: If a pixel is nan, infinite or negative: the scene has an impossible emitter or reflectance.
@@ -150,7 +150,7 @@ class View:
                 self.run(passes, count, size)
             else:
                 self.run_uneven(passes, count, blocks, size)
-            # As the error falls with the root of the samples, but never more than doubled on one estimate's word.
+            # The error falls with the square root of the samples; one estimate alone may at most double them.
             lacking = passes.count * ((passes.error() / target_error) ** 2 - 1)
             count = min(max(math.ceil(lacking), 1), passes.count)
             tick(passes.count / max(passes.count + lacking, passes.count))
@@ -163,7 +163,7 @@ class View:
 
     @property
     def even(self) -> bool:
-        """Whether all pixels get as many samples: scalar variants know no wavefronts, moving cameras share them out."""
+        """Whether all pixels get as many samples: scalar variants have no wavefronts, moving cameras sub-frames."""
         return self.method.variant.startswith("scalar") or len(self._poses) > 1
 
     @cached_property

@@ -55,10 +55,10 @@ def sensor_dict(mi: Any, rig: Rig, i: int, loaded: LoadedScene, optics: Optics =
 
 
 def medium_at(mi: Any, loaded: LoadedScene, position: NDArray[np.float64]) -> Any:
-    """The medium around a point, or None: a camera in fog has to be told so.
+    """The medium around a point, or None: Mitsuba has to know that a camera is in fog.
 
-    Found from the first border of a medium along +z; where there is none, on the way to the scene's own sensor, and
-    where nothing lies between, that sensor's own medium.
+    Found from the first boundary of a medium along +z; if there is none, from the first one towards the scene's own
+    sensor; if there is none either, it is that sensor's own medium.
     """
     if not media_in(loaded.scene, mi):
         return None
@@ -76,7 +76,7 @@ def medium_at(mi: Any, loaded: LoadedScene, position: NDArray[np.float64]) -> An
 def _first_border(
     mi: Any, scene: Any, position: NDArray[np.float64], direction: NDArray[np.float64], distance: float
 ) -> tuple[bool, Any]:
-    """Whether a border of a medium lies on a way, and the medium on this side of it; other surfaces are passed."""
+    """Whether a medium boundary lies on a path, and the medium on the near side of it; other surfaces are ignored."""
     ray = mi.Ray3f(mi.Point3f(*position.tolist()), mi.Vector3f(*direction.tolist()))
     for _ in range(MAX_INTERFACES):
         si = scene.ray_intersect(ray)

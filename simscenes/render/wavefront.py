@@ -1,4 +1,4 @@
-"""Samples where they are wanted: any number of them in each pixel of one view, in a JIT variant.
+"""Samples where they are needed: any number of them in each pixel of one view, in a JIT variant.
 
 `mi.render` gives every pixel the same number. Here a pixel gets whole blocks of samples, each stratified in itself, and
 the blocks are added up outside of Mitsuba's film, in float64 and in a fixed order, so that the same seed gives the same
@@ -67,7 +67,7 @@ def _trace(
 
 
 def _channels(mi: Any, film: Any, spectrum: Any, wavelengths: Any) -> list[Any]:
-    """What the film would store of each sample."""
+    """What the film would store for each sample."""
     if mi.is_polarized:
         spectrum = mi.unpolarized_spectrum(spectrum)
     if mi.has_flag(film.flags(), mi.FilmFlags.Special):

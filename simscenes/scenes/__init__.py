@@ -1,4 +1,4 @@
-"""Catalogue of procedural scenes: functions that return Mitsuba dicts, and the rig each is made to be seen with."""
+"""Catalogue of procedural scenes: functions that return Mitsuba dicts, and the rig designed for each."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def split_name(name: str) -> tuple[str, int]:
     """
     scene, _, seed = name.partition(":")
     if scene not in SCENES:
-        raise ValueError(f"no scene {scene!r} in the catalogue; there are {sorted(SCENES)}, or give a Mitsuba dict")
+        raise ValueError(f"no scene {scene!r} in the catalogue; available: {sorted(SCENES)}, or give a Mitsuba dict")
     if seed and not seed.isdecimal():
         raise ValueError(f"the seed in scene name {name!r} must be a whole number >= 0")
     return scene, int(seed or 0)
@@ -68,7 +68,7 @@ def build(name: str) -> dict[str, Any]:
 
 
 def default_rig(name: str, n_views: int, width: int, height: int) -> Rig:
-    """The rig a catalogue scene is made to be seen with.
+    """The rig designed for a catalogue scene.
 
     Args:
         name: Scene name, with or without a seed.

@@ -1,6 +1,6 @@
 """Procedural textures with natural spectra.
 
-Every texture is linear RGB reflectance, float32 [h,w,3] inside 0.02..0.85, made from a generator and nothing else.
+Every texture is linear RGB reflectance, float32 [h,w,3] inside 0.02..0.85, made from a random generator alone.
 Contrast falls off like 1/f, so most of it survives at the 128 to 256 pixel images of quick experiments, while some
 detail stays below a pixel. Colours are written as sRGB hex, as a painter would pick them.
 """
@@ -14,6 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from sensor_model import srgb_to_linear
+
 Rng = np.random.Generator
 Texels = NDArray[np.float32]
 Field = NDArray[np.float64]
@@ -21,8 +23,7 @@ Field = NDArray[np.float64]
 
 def color(hex_code: str) -> Field:
     """Linear RGB [3] of an sRGB hex colour such as "c08040"."""
-    code = np.array([int(hex_code[i : i + 2], 16) for i in (0, 2, 4)]) / 255.0
-    return np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+    return srgb_to_linear(np.array([int(hex_code[i : i + 2], 16) for i in (0, 2, 4)]) / 255.0)
 
 
 def fractal(shape: tuple[int, int], rng: Rng, *, beta: float = 1.2, stretch: tuple[float, float] = (1, 1)) -> Field:
@@ -112,7 +113,7 @@ def motif(
 ) -> Texels:
     """Printed pattern: one random mirrored figure repeated over the sheet, as in wallpaper, cloth and rugs.
 
-    `edge` is how sharp the print is: 4 is ink on paper, 1 a faded dye that runs into its ground.
+    `edge` is how sharp the print is: 4 is ink on paper, 1 a faded dye that bleeds into its ground.
     """
     y, x = _grid(shape)
     u, v = np.abs((x * repeats[1]) % 1.0 - 0.5) * 2, np.abs((y * repeats[0]) % 1.0 - 0.5) * 2

@@ -46,10 +46,10 @@ def write_cameras(
 
     Args:
         folder: Created if it is missing.
-        names: File stems in sorted order, one a camera.
+        names: File stems in sorted order, one per camera.
         rig: The cameras.
         points: (xyz [P,3], rgb uint8 [P,3]) or the same with visible bool [C,P]. Tracks are made from `visible`;
-            without it a point counts as seen wherever it projects into the image. Points seen by nobody are dropped.
+            without it a point counts as seen wherever it projects into the image. Points that no view sees are dropped.
         image_dir: Folder of the images, relative to `folder`.
 
     Raises:
@@ -97,7 +97,7 @@ def _transforms(rig: Rig, files: list[str], train: list[str], test: list[str], i
 
 
 def _tracks(rig: Rig, points: Points | None) -> tuple[Any, Any, list[NDArray[np.intp]], NDArray[np.float64]]:
-    """Points somebody sees, the indices of the points each view sees, and where they project [C,P,2]."""
+    """Points that some view sees, the indices of the points each view sees, and where they project [C,P,2]."""
     if points is None:
         return (
             np.zeros((0, 3)),

@@ -20,7 +20,7 @@ class Flow:
 
     Attributes:
         displacement: How far each pixel centre's point moves, pixels (x, y), float32 [h,w,2]; nan without a surface.
-        visible: Whether the other view sees that point: inside its image and hidden by nothing, bool [h,w].
+        visible: Whether the other view sees that point: inside its image and not occluded, bool [h,w].
     """
 
     displacement: NDArray[np.float32]
@@ -69,7 +69,7 @@ def _interpolated(z: NDArray[Any], place: NDArray[Any]) -> NDArray[np.float64]:
     if h < 2 or w < 2:
         return np.zeros(len(place))
     corner = np.clip(np.floor(place - 0.5).astype(int), 0, (w - 2, h - 2))
-    fx, fy = (place - 0.5 - corner).T  # outside 0..1 in the outer half of border pixels: the plane goes on
+    fx, fy = (place - 0.5 - corner).T  # outside 0..1 in the outer half of border pixels: the plane continues
     x, y = corner.T
     inverse = 1.0 / z.astype(np.float64)
     upper = (1 - fx) * inverse[y, x] + fx * inverse[y, x + 1]

@@ -22,7 +22,7 @@ def export_blender(views: MultiviewSet, folder: str | Path) -> Path:
         folder: Created if missing. The held-out views serve as both val and test.
 
     Raises:
-        ValueError: If the cameras are not all one centred pinhole, which is all this layout can say.
+        ValueError: If the cameras are not all one centred pinhole, which is all this layout can describe.
     """
     folder, rig = Path(folder), views.rig
     K = rig.Ks[0]
@@ -51,7 +51,7 @@ def export_llff(views: MultiviewSet, folder: str | Path) -> Path:
     """
     folder, rig = Path(folder), views.rig
     if not np.allclose(rig.Ks[:, 0, 0], rig.Ks[:, 1, 1]):
-        raise ValueError("the LLFF layout holds one focal length a view: pixels must be square")
+        raise ValueError("the LLFF layout holds one focal length per view: pixels must be square")
     (folder / "images").mkdir(parents=True, exist_ok=True)
     rows = []
     for i, c2w in enumerate(opencv_to_opengl(rig.viewmats)):

@@ -47,7 +47,7 @@ def write_exr(path: str | Path, channels: dict[str, NDArray[Any]], header: dict[
     try:
         with atomic(path) as temporary, OpenEXR.File(attributes, own) as file:
             file.write(str(temporary))
-    except RuntimeError as error:  # what it makes of the system's own errors, a full disk for example
+    except RuntimeError as error:  # how it reports the system's own errors, a full disk for example
         raise OSError(f"cannot write {path}: {error}") from error
 
 

@@ -1,6 +1,6 @@
 """Posed photographs from elsewhere: nerfstudio and instant-ngp `transforms.json`, and COLMAP models.
 
-Whatever the source's lens, a reader gives the rig of the *undistorted* images, and the lens that undoes the distortion.
+Whatever the source's lens, a reader returns the rig of the *undistorted* images and the lens that undoes distortion.
 """
 
 from __future__ import annotations
@@ -99,7 +99,7 @@ def _collect(entries: list[tuple[Path | None, NDArray[np.float64], Any]], source
     files = tuple(f for f, _, _ in found)
     stems = [f.stem for f in files]
     if len(set(stems)) < len(stems):
-        shared = Path(os.path.commonpath([f.parent for f in files]))  # not the whole path, which is another elsewhere
+        shared = Path(os.path.commonpath([f.parent for f in files]))  # whole paths differ between machines
         stems = [f.relative_to(shared).with_suffix("").as_posix().replace("/", "_") for f in files]
     return Photographs(tuple(stems), files, rig, lenses)
 
@@ -134,12 +134,12 @@ def transforms_lens(camera: dict[str, Any], width: int, height: int, source: Pat
         source: The file, for messages.
 
     Raises:
-        ValueError: If it is no pinhole with k1 k2 k3 p1 p2, or focal length or size is missing or wrong.
+        ValueError: If it is not a pinhole with k1 k2 k3 p1 p2, or focal length or size is missing or wrong.
     """
     model = "OPENCV_FISHEYE" if camera.get("is_fisheye") else camera.get("camera_model", "OPENCV")
     if model not in ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL") or camera.get("k4"):
         raise ValueError(f"load_set: {source} has a {model} camera (k4 = {camera.get('k4', 0)}); only pinholes with "
-                         "k1 k2 k3 p1 p2 are read: undistort the images first")  # fmt: skip
+                         "k1 k2 k3 p1 p2 are supported: undistort the images first")  # fmt: skip
     try:
         if "fl_x" in camera:
             fx = float(camera["fl_x"])
@@ -203,7 +203,7 @@ def _colmap_lens(camera: Any, width: int, height: int, source: Path) -> Distorte
     k1 = params["k"] if "k" in params else params.get("k1", 0.0)
     allowed = {"SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"}
     if camera.model_name not in allowed:
-        raise ValueError(f"load_set: {source} has a {camera.model_name} camera, read are {sorted(allowed)}; "
+        raise ValueError(f"load_set: {source} has a {camera.model_name} camera, supported are {sorted(allowed)}; "
                          "run colmap image_undistorter first")  # fmt: skip
     K = np.asarray(camera.calibration_matrix(), dtype=np.float64)
     K = _rescale(K, (camera.width, camera.height), (width, height), source)

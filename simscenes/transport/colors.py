@@ -19,14 +19,14 @@ from simscenes.transport.pilot import RR_DEPTH, Pilot
 from simscenes.transport.specular import SPECULAR, chained_light
 
 # Of light that two specular surfaces have passed on, polarisation changes a few per cent: measured 1 % on `tabletop`,
-# 2 to 5 % on `glassware`. Used only where nobody asked to measure, with room to spare.
+# 2 to 5 % on `glassware`. Used only where measuring was not requested, with room to spare.
 POLARISED_CHANGE = 0.1
 
 
 def color_effects(
     p: Pilot, optics: Optics, media: bool, geometry: list[Any], indirect: float, measure: bool
 ) -> tuple[list[Effect], float | None]:
-    """Polarisation and spectra, and what spectra would change in a scene that has none (None if nobody knows).
+    """Polarisation and spectra, and what spectra would change in a scene that has none (None if unknown).
 
     Mitsuba polarises spectra only: in a scene given in RGB, polarisation is worth following if it changes more than the
     spectra that have to be made up for it.
@@ -45,7 +45,7 @@ def polarisation_effect(p: Pilot, media: bool, geometry: list[Any], measure: boo
     """Polarisation shows where two specular surfaces follow each other; diffuse surfaces undo it."""
     specular = [bool(s.bsdf().flags() & SPECULAR) for s in unique_materials(p.loaded.scene, p.mi)]
     if not any(specular):
-        return decided(plan.POLARISATION, False, 0.0, p.allowed, "all surfaces are diffuse, light comes unpolarised")
+        return decided(plan.POLARISATION, False, 0.0, p.allowed, "all surfaces are diffuse, light stays unpolarised")
     if not measure or p.colors == ("rgb",):
         guess, reason = _bounded_polarisation(p, geometry, specular)
         if guess <= p.allowed or p.colors == ("rgb",):
@@ -71,9 +71,9 @@ def _bounded_polarisation(p: Pilot, geometry: list[Any], specular: list[bool]) -
 
 
 def spectral_effect(p: Pilot, optics: Optics, indirect: float, measure: bool) -> tuple[Effect, float | None]:
-    """Three channels or wavelengths, from light x surface x camera; `indirect` is the light's share that meets two.
+    """Three channels or wavelengths, from light x surface x camera; `indirect` is the share of light that meets two.
 
-    Beside the effect, what made-up spectra change in a scene given in RGB, if that was measured.
+    Besides the effect, what made-up spectra change in a scene given in RGB, if that was measured.
     """
     if p.colors == ("rgb",):
         return decided(

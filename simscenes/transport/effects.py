@@ -18,7 +18,7 @@ from simscenes.transport.pilot import RR_DEPTH, Pilot
 from simscenes.transport.roulette import most_efficient, path_lengths
 
 UNIT = "of all light"
-DEPTHS = (8, 16, 32)  # offered as max_depth
+DEPTHS = (8, 16, 32)  # candidates for max_depth
 DEEPEST = 64  # pilot paths end here
 RR_OFFERED = (RR_DEPTH, 5)  # 5 is Mitsuba's own
 
@@ -31,7 +31,7 @@ def decided(name: str, on: bool, contribution: float, bound: float, reason: str,
 def depth_effects(p: Pilot, media: bool, most: float, forced_depth: int | None) -> tuple[int, list[Effect]]:
     """Direct or indirect, and how deep: the same paths, cut at several depths.
 
-    What a cut lacks lies in an interval: from what the pilot's deepest paths still found beyond it, to three standard
+    What a cut omits lies in an interval: from what the pilot's deepest paths still found beyond it, to three standard
     errors more than that and what would come after them if every later bounce kept `most` of the light.
     """
     kind = "volpath" if media else "path"
@@ -60,7 +60,7 @@ def depth_effects(p: Pilot, media: bool, most: float, forced_depth: int | None) 
 
 
 def roulette_effect(p: Pilot, media: bool, depth: int, measure: bool) -> tuple[int, Effect]:
-    """Where roulette starts, or that it never does: the least variance times work. It changes no mean."""
+    """Where roulette starts, if at all: the least variance times work. It never changes the mean."""
     if depth <= RR_DEPTH or not measure or p.backend == "scalar":
         reason = f"from path length {RR_DEPTH}, not measured: changes noise and time, never the mean"
         return RR_DEPTH, decided(plan.ROULETTE, True, 0.0, 0.0, reason)
@@ -80,7 +80,7 @@ def roulette_effect(p: Pilot, media: bool, depth: int, measure: bool) -> tuple[i
 
 
 def media_effects(p: Pilot) -> list[Effect]:
-    """Fog and other media: there or not, what they change, and whether their extinction has a colour."""
+    """Fog and other media: present or not, what they change, and whether their extinction has a colour."""
     media = media_in(p.loaded.scene, p.mi)
     if not media:
         return [decided(plan.MEDIA, False, 0.0, p.allowed, "the scene holds no medium"),
@@ -97,7 +97,7 @@ def media_effects(p: Pilot) -> list[Effect]:
 
 
 def _is_chromatic(mi: Any, medium: Any) -> bool:
-    """Whether a medium's extinction differs between colours; Mitsuba's own flag is up for every RGB medium."""
+    """Whether a medium's extinction differs between colours; Mitsuba's own flag is set for every RGB medium."""
     params = mi.traverse(medium)
     keys = [k for k in params.keys() if k.startswith("sigma_t") and not k.endswith(("to_world", "filename"))]  # noqa: SIM118
     values = [np.array(params[k]) for k in keys]

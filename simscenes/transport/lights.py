@@ -17,12 +17,12 @@ from simscenes.render.geometry import first_surfaces, pixel_rays
 from simscenes.rigs import Rig
 
 SAMPLES = 4  # per light and pixel of the pilot views
-UNIFORM = 0.1  # part of the samples spread evenly, for points where the order of the lights is another
+UNIFORM = 0.1  # part of the samples spread evenly, for points where the lights rank differently
 MAX_LIGHTS = 64  # with more, measuring each costs more than it saves
 
 
 def light_weights(mi: Any, loaded: LoadedScene, rig: Rig, seed: int) -> tuple[float, ...]:
-    """How often to pick each light, relative; () where there is nothing to choose, or fog is in the way of measuring.
+    """How often to pick each light, relative; () where there is nothing to choose, or fog prevents measuring.
 
     A light's weight is the root mean square, over the surface points of the pilot views, of its share in the direct
     light there: the choice that minimises relative variance when one light is picked per point.
@@ -42,7 +42,7 @@ def light_weights(mi: Any, loaded: LoadedScene, rig: Rig, seed: int) -> tuple[fl
 
 
 def _direct_light(mi: Any, loaded: LoadedScene, rig: Rig, i: int, count: int, seed: int) -> NDArray[np.float64]:
-    """Irradiance from each light, shadows included, at what the pixels of view `i` show: [light, pixel]."""
+    """Irradiance from each light, shadows included, at the points that the pixels of view `i` show: [light, pixel]."""
     import drjit as dr
 
     origin, directions = pixel_rays(rig, i)

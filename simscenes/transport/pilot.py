@@ -1,4 +1,4 @@
-"""Cheap renders that tell how much each effect contributes.
+"""Cheap renders that measure how much each effect contributes.
 
 All pilots of a plan share views and random numbers, so that their differences are differences of transport: the same
 paths, cut at another depth, followed through fog or past it, with or without polarisation.
@@ -49,7 +49,7 @@ class Pilot:
     def render(self, kind: str, depth: int, rr_depth: int = RR_DEPTH, again: int = 0) -> NDArray[np.float64]:
         """The pilot views in RGB, by the same paths whatever the depth; rendered once. `again`: with other paths.
 
-        In scalar variants the paths differ, since their samplers run on from one to the next: differences are noisier
+        In scalar variants the paths differ, since their samplers continue from one to the next: differences are noisier
         there, and bounds wider.
         """
         key = (kind, depth, rr_depth, again)
@@ -149,9 +149,9 @@ def most_reflected(mi: Any, loaded: LoadedScene) -> float:
 
 
 def seconds_per_sample(mi: Any, loaded: LoadedScene, rig: Rig, integrator: dict[str, Any], seed: int) -> float:
-    """Processor seconds (on a GPU: seconds) that one sample of the middle pilot view takes, its kernel being compiled.
+    """Processor seconds (on a GPU: seconds) that one sample of the middle pilot view takes once its kernel is compiled.
 
-    Processor time, because two numbers are compared that others on the machine must not disturb.
+    Processor time, because two numbers are compared, and other processes must not disturb them.
     """
     clock = time.perf_counter if mi.variant().startswith("cuda") else time.process_time
     method, i = mi.load_dict(integrator), len(rig) // 2
@@ -167,8 +167,8 @@ def seconds_per_sample(mi: Any, loaded: LoadedScene, rig: Rig, integrator: dict[
 def changed_light(full: NDArray[np.float64], other: NDArray[np.float64], block: int = 4) -> Share:
     """Mean absolute change between two renders relative to all light, over blocks of pixels; both may err by noise.
 
-    Blocks average noise that differs between the two, which would otherwise count as change; what noise is left counts,
-    so the estimate errs upwards.
+    Blocks average noise that differs between the two, which would otherwise count as change; the remaining noise
+    counts, so the estimate errs upwards.
     """
     total = float(full.mean())
     if total <= 0:

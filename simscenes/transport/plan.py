@@ -18,16 +18,16 @@ SPECTRAL = "spectral transport"
 POLARISATION = "polarisation"
 APERTURE = "depth of field"
 MOTION = "motion blur"
-MADE_UP = "of all light, if RGB stood for smooth spectra"  # a unit of its own: nobody knows, RGB is what is given
+MADE_UP = "of all light, if RGB stood for smooth spectra"  # a unit of its own: the true spectra are unknown
 EFFECTS = (
     INDIRECT, DEEP, ROULETTE, MEDIA, SPECTRAL_MIS, POLARISATION, SPECTRAL, APERTURE, MOTION,
 )  # in the order of the table  # fmt: skip
 DIRECT_DEPTH = 2  # Mitsuba counts path vertices: 1 sees lamps only, 2 adds what they light directly
 
-# What is on, on the left, needs the right.
+# An effect on the left that is on needs the states on the right.
 NEEDS = {
     DEEP: {INDIRECT: True, ROULETTE: True},  # nothing but roulette ends an endless path
-    SPECTRAL_MIS: {MEDIA: True, POLARISATION: False},  # volpathmis knows no polarisation
+    SPECTRAL_MIS: {MEDIA: True, POLARISATION: False},  # volpathmis does not support polarisation
     POLARISATION: {SPECTRAL: True, SPECTRAL_MIS: False},  # Mitsuba polarises spectra only
 }
 
@@ -40,7 +40,7 @@ def settle(effects: Iterable[Effect], force: dict[str, bool]) -> tuple[Effect, .
         else e
         for e in effects
     }
-    for name in sorted(NEEDS, key=lambda name: name not in force):  # what is wished comes before what is only planned
+    for name in sorted(NEEDS, key=lambda name: name not in force):  # wishes come before what is only planned
         if not settled[name].on:
             continue
         lacking = [needed for needed, wanted in NEEDS[name].items() if force.get(needed, wanted) != wanted]
@@ -55,7 +55,7 @@ def settle(effects: Iterable[Effect], force: dict[str, bool]) -> tuple[Effect, .
 
 @dataclass(frozen=True, kw_only=True)
 class TransportPlan(Plan):
-    """Decisions on all transport effects, and what they make of the renderer.
+    """Decisions on all transport effects, and the renderer settings that result.
 
     Attributes:
         max_depth: Longest path followed, as Mitsuba counts (2 is direct light).
@@ -78,7 +78,7 @@ class TransportPlan(Plan):
         effects = [
             {**e, **{key: math.nan for key in ("contribution", "bound") if e[key] is None}} for e in data["effects"]
         ]
-        bound = math.nan if data["bound"] is None else data["bound"]  # null stands for what nobody measured
+        bound = math.nan if data["bound"] is None else data["bound"]  # null stands for what was not measured
         lights = tuple(data.get("light_weights", ()))
         made = super().from_dict(data | {"effects": effects, "bound": bound, "light_weights": lights})
         assert isinstance(made, cls)

@@ -45,7 +45,7 @@ def plan_transport(
     seed: int = 0,
     allow_outside: bool = False,
 ) -> TransportPlan:
-    """Decide which light transport a scene calls for.
+    """Decide which light transport a scene needs.
 
     Args:
         scene: As for `render_set`.
@@ -65,7 +65,7 @@ def plan_transport(
 
     Returns:
         The plan; print it for the table. Contributions are shares of all light (or pixels, for blur); `plan.bound` sums
-        those left out. Pilots see what paths find: a caustic that none of some 10^5 paths meets is in no number.
+        those left out. Pilots see only what paths find: a caustic that all of some 10^5 paths miss is not counted.
 
     Raises:
         ValueError: If the scene cannot be loaded, a camera is inside an object, `tolerance` is not in (0, 1), or a
@@ -110,7 +110,7 @@ def plan_loaded(
 def _decide(
     p: Pilot, rig: Rig, optics: Optics, force: dict[str, bool], max_depth: int | None, measure: bool
 ) -> TransportPlan:
-    """All effects, one after the other; what one finds may decide on a later one."""
+    """All effects, one after the other; the result for one may decide on a later one."""
     mi, loaded = p.mi, p.loaded
     has_media = bool(media_in(loaded.scene, mi))
     check_wishes(force, max_depth, optics, media=has_media, spectra="spectral" in p.colors)
@@ -132,7 +132,7 @@ def _decide(
 
 
 def everything_on(made: TransportPlan) -> TransportPlan:
-    """The same scene with all transport it could have: deep paths, spectra, polarisation, media if it holds any."""
+    """The same scene with all transport it supports: deep paths, spectra, polarisation, media if it holds any."""
     media = made.is_on(plan.MEDIA) or made[plan.MEDIA].contribution > 0
     wanted = dict.fromkeys((plan.INDIRECT, plan.SPECTRAL, plan.POLARISATION), True) | {plan.MEDIA: media}
     return replace(made, effects=settle(made.effects, wanted), max_depth=DEEPEST)
@@ -165,10 +165,10 @@ def default_plan(optics: Optics) -> TransportPlan:
 
 
 def _bounded(made: TransportPlan, made_up: float | None) -> TransportPlan:
-    """The plan with its bounds. `made_up`: what spectra change in a scene that has none; None if nobody knows.
+    """The plan with its bounds. `made_up`: what spectra change in a scene that has none; None if unknown.
 
-    Colours given as RGB are followed as RGB by definition, but a renderer that makes smooth spectra of them sees
-    another picture: by how much is a bound in a unit of its own, or an error, where the plan makes such spectra itself.
+    Colours given as RGB are followed as RGB by definition, but a renderer that turns them into smooth spectra sees
+    another picture: the difference is a bound in a unit of its own, or an error if the plan makes such spectra itself.
     """
     left_out = [e for e in made.effects if not e.on]
     bound = sum(e.contribution for e in left_out if e.unit == UNIT)

@@ -1,7 +1,7 @@
-"""From which path length Russian roulette pays: shorter paths against more noise, both told by pilots.
+"""From which path length Russian roulette pays: shorter paths against more noise, both measured by pilots.
 
-Seconds would decide differently from run to run, and with them the pixels; the number of surfaces that a path meets
-does not, and a path tracer's time goes with it.
+A decision by seconds would vary from run to run, and so would the pixels; the number of surfaces that a path meets does
+not vary, and a path tracer's time follows it.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from simscenes.render.geometry import first_surfaces, pixel_rays
 from simscenes.rigs import Rig
 
 SAMPLES = 8  # paths from each pixel of the pilot views
-MOST_SURVIVE = 0.95  # Mitsuba lets no path live on with more certainty, however bright it is
+MOST_SURVIVE = 0.95  # the largest survival probability in Mitsuba, however bright a path is
 
 
 def path_lengths(
@@ -25,8 +25,8 @@ def path_lengths(
 ) -> NDArray[np.float64]:
     """Mean number of surfaces that a path of the pilot views meets, for each `rr_depth` of `starts`; in a JIT variant.
 
-    Every path is followed to its end, and counts with its chance to have lived that long: Mitsuba divides what survives
-    by its chance, so a path of throughput t has, after roulette, lived on with min(t eta^2, 0.95 of the chance before).
+    Every path is followed to its end, weighted by its probability of surviving that long: Mitsuba divides survivors by
+    that, so a path of throughput t has, after roulette, survived with min(t eta^2, 0.95 of the probability before).
     Media are passed as if they were empty, and their borders do not count.
     """
     import drjit as dr
@@ -59,12 +59,12 @@ def path_lengths(
 
 
 def most_efficient(noise: NDArray[np.float64], lengths: NDArray[np.float64], default: int) -> int:
-    """Place of the setting with the least noise times work, unless the `default` may well be as good.
+    """Index of the setting with the least noise times work, unless the `default` may well be as good.
 
     Args:
         noise: Squared differences between two seeds, [setting, pixel]; the settings share their random numbers.
         lengths: Mean surfaces a path, [setting].
-        default: Place of the setting that is kept unless another one's lead is three of its standard errors.
+        default: Index of the setting that is kept unless another one's lead is three of its standard errors.
     """
     rays = 1 + 2 * lengths  # one from the camera, and from each surface one to a light and one onwards
     work = noise * rays[:, None]

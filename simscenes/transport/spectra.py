@@ -26,7 +26,7 @@ MEASURED = re.compile(r"((Irr|R)egularSpectrum|BlackBodySpectrum|SunskyEmitter)\
 def has_measured(mi: Any, loaded: LoadedScene) -> bool:
     """Whether a scene, loaded in spectra, has a light or a matt surface that was given as a spectrum.
 
-    What was given as RGB has no spectrum but the smooth one that Mitsuba makes up. Metals do not count: their measured
+    What was given as RGB has only the smooth spectrum that Mitsuba makes up. Metals do not count: their measured
     indices become RGB once, whatever the light.
     """
     lights = "".join(str(light) for light in loaded.scene.emitters())

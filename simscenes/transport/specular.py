@@ -17,7 +17,7 @@ SAMPLES = 16  # paths from each pixel of the pilot views
 def chained_light(mi: Any, loaded: LoadedScene, rig: Rig, integrator: dict[str, Any], seed: int) -> float:
     """Mean radiance in the pilot views that two specular lobes in a row have passed on; in a JIT variant.
 
-    The first two bounces are sampled here, lobe by lobe; what the second one sees is the integrator's to say.
+    The first two bounces are sampled here, lobe by lobe; what the second one sees is left to the integrator.
     """
     import drjit as dr
 

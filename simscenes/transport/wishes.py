@@ -1,4 +1,4 @@
-"""What the user decides instead of the planner is refused where it cannot be simulated."""
+"""Refuses what the user decides instead of the planner, if it cannot be simulated."""
 
 from __future__ import annotations
 

@@ -6,13 +6,13 @@ import pytest
 
 from novags.testbed.console import Console
 from novags.testbed.experiment import run
-from novags.testbed.presets import PRESETS, Preset, adapted
+from novags.testbed.presets import EXPERIMENTS, Preset, adapted
 
 
 @pytest.fixture(scope="session")
 def tiny() -> Preset:
     return adapted(
-        PRESETS["demo"],
+        EXPERIMENTS["demo"],
         scene="cornell",
         n_views=9,
         width=24,

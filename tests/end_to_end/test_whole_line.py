@@ -21,11 +21,11 @@ from novags.testbed.cache import folder_digest, read_json, write_text
 from novags.testbed.console import Console, Update
 from novags.testbed.experiment import run, score_all
 from novags.testbed.folders.capture import open_capture
-from novags.testbed.folders.png import write_png
 from novags.testbed.presets import Preset
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.reconstruct import ReconstructConfig
 from simscenes import load_set, read_exr, write_exr
+from simscenes.sets.png import write_png
 
 SCORES = {
     *(
@@ -322,7 +322,7 @@ def test_missing_truth_gives_one_clear_error(experiment: Path, quiet: Console, t
 
 def test_a_moved_set_gives_one_clear_error(experiment: Path, quiet: Console, tmp_path: Path) -> None:
     folder = copy(experiment, tmp_path, "capture", "naive")
-    with pytest.raises(ValueError, match=r"made of the set \.\./set .* not there"):
+    with pytest.raises(ValueError, match=r"made from the set \.\./set .* not there"):
         stages.score(folder / "naive", quiet)
 
 

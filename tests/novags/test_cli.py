@@ -34,6 +34,50 @@ def test_help_loads_no_heavy_library() -> None:
     assert all(command in done.stdout for command in cli.COMMANDS)
 
 
+def test_variants_and_cameras_reach_the_experiment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    from novags.cameras import KnownConfig
+    from novags.testbed import experiment
+
+    seen = []
+    monkeypatch.setattr(experiment, "run", lambda preset, out, console, command: seen.append(preset) or tmp_path)
+    words = ["--variant", "a=nova-fast:sh_weight=0.5", "--variant", "b=a:consistency=none", "--iterations", "7"]
+    words += ["--cameras", "known:rotation_deg=2", "--refine-cameras", "--device", "cpu", "--out", str(tmp_path)]
+    assert call(monkeypatch, "run", *words) == 0
+    (preset,) = seen
+    assert preset.methods[-2:] == ("a", "b")
+    found = preset.reconstruct("b")
+    assert (found.config.sh_weight, found.config.consistency, found.config.fit.iterations) == (0.5, None, 7)
+    assert found.cameras == KnownConfig(rotation_deg=2.0)
+    assert found.config.fit.refine_cameras is not None
+    assert found.device == "cpu"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("run", "--variant", "a"), "a variant is NAME=METHOD:SETTING=VALUE"),
+        (("run", "--methods", "navie"), "unknown method 'navie'; did you mean 'naive'"),
+        (("run", "--cameras", "sffm"), "did you mean sfm"),
+        (("help", "electron"), "did you mean 'electrons'"),
+    ],
+)
+def test_a_wrong_word_is_one_line_with_the_near_ones(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], message: str
+) -> None:
+    assert call(monkeypatch, *words) == 2
+    error = capsys.readouterr().err
+    assert message in error
+    assert len(error.splitlines()) == 1
+
+
+@pytest.mark.parametrize("words", [("--version",), ("list", "methods"), ("help",), ("help", "scores")])
+def test_the_front_door_answers(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]
+) -> None:
+    assert call(monkeypatch, *words) == 0
+    assert len(capsys.readouterr().out.split()) >= 2
+
+
 @pytest.mark.parametrize("command", ["plan", "render"])
 def test_light_has_the_same_options_everywhere(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str

@@ -15,7 +15,18 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from sensor_model import Banding, Defects, DualGain, Exposure, Limits, Optics, Sensor, expose, plan_effects, raw_noise
+from sensor_model import (
+    Banding,
+    Defects,
+    DualGain,
+    Exposure,
+    Limits,
+    Sensor,
+    SensorOptics,
+    expose,
+    plan_effects,
+    raw_noise,
+)
 from sensor_model.effect_list import EFFECT_LIST, SHARED, STRUCTURAL
 from sensor_model.effects import excess_kurtosis
 from sensor_model.files.camera_file import PARTS
@@ -124,19 +135,19 @@ CASES = (
         changes={1: 0, 2: K**2 * 0.4 * (3.0**2 - 1) * 1.5**2},
     ),
     Case(
-        effect="vignetting", on={"optics": Optics(corner_angle=15.0)}, light=400.0, at=FIRST,
+        effect="vignetting", on={"optics": SensorOptics(corner_angle=15.0)}, light=400.0, at=FIRST,
         changes={1: K * 400 * (COS4 - 1), 2: K**2 * 400 * (COS4 - 1)},
     ),
     Case(
-        effect="vignetting", on={"optics": Optics(falloff=(1.0, 0.95, 0.9), sensor_shape=(48, 64))}, light=400.0,
+        effect="vignetting", on={"optics": SensorOptics(falloff=(1.0, 0.95, 0.9), sensor_shape=(48, 64))}, light=400.0,
         at=FIRST, changes={1: K * 400 * (TABLE - 1), 2: K**2 * 400 * (TABLE - 1)},
     ),
     Case(
-        effect="crosstalk", on={"optics": Optics(crosstalk=0.02)}, light=point(4000.0), at=RIGHT,
+        effect="crosstalk", on={"optics": SensorOptics(crosstalk=0.02)}, light=point(4000.0), at=RIGHT,
         changes={1: K * 0.02 * 3980, 2: K**2 * 0.02 * 3980},
     ),
     Case(
-        effect="crosstalk", on={"optics": Optics(psf=((0.0, 0.0, 0.0), (0.0, 0.95, 0.05), (0.0, 0.0, 0.0)))},
+        effect="crosstalk", on={"optics": SensorOptics(psf=((0.0, 0.0, 0.0), (0.0, 0.95, 0.05), (0.0, 0.0, 0.0)))},
         light=point(4000.0), at=RIGHT, changes={1: K * 0.05 * 3980, 2: K**2 * 0.05 * 3980},
     ),
     Case(

@@ -1,4 +1,4 @@
-"""A dark picture in, a bright one out: one file an enhancer, one row in `ENHANCERS`."""
+"""A dark picture in, a bright one out: one file per enhancer, one row in `ENHANCERS`."""
 
 import dataclasses
 from collections.abc import Callable
@@ -33,7 +33,7 @@ ENHANCERS: dict[str, Enhancer] = {"guided": Enhancer(guided.EnhanceConfig, guide
 
 
 def enhancement_record(config: EnhancerConfig, pictures: Pictures) -> dict[str, Any]:
-    """What a run says about its enhancement.
+    """What a run records about its enhancement.
 
     Raises:
         ValueError: If no enhancer has such a configuration.
@@ -41,7 +41,7 @@ def enhancement_record(config: EnhancerConfig, pictures: Pictures) -> dict[str, 
     for name, enhancer in ENHANCERS.items():
         if isinstance(config, enhancer.config):
             return {"enhancer": name, "pictures": pictures, "config": dataclasses.asdict(config)}
-    raise ValueError(f"no enhancer has a configuration like {type(config).__name__}; there are {', '.join(ENHANCERS)}")
+    raise ValueError(f"no enhancer has a configuration like {type(config).__name__}; available: {', '.join(ENHANCERS)}")
 
 
 def recorded(enhancement: dict[str, Any]) -> tuple[Enhancer, Any]:
@@ -52,7 +52,7 @@ def recorded(enhancement: dict[str, Any]) -> tuple[Enhancer, Any]:
     """
     name = enhancement["enhancer"]
     if name not in ENHANCERS:
-        raise ValueError(f"unknown enhancer {name!r}; there are {', '.join(ENHANCERS)}")
+        raise ValueError(f"unknown enhancer {name!r}; available: {', '.join(ENHANCERS)}")
     try:
         return ENHANCERS[name], ENHANCERS[name].config(**enhancement["config"])
     except TypeError as error:
@@ -67,7 +67,7 @@ def enhanced(problem: Problem, config: EnhancerConfig, pictures: Pictures) -> Te
 
 
 def enhanced_clean(problem: Problem, config: EnhancerConfig, pictures: Pictures) -> Tensor:
-    """The noise-free exposures through the enhancement that their noisy twins chose [C, H, W, 3].
+    """The noise-free exposures, enhanced exactly as their noisy twins [C, H, W, 3].
 
     Raises:
         ValueError: If the problem has no noise-free exposures.

@@ -17,7 +17,7 @@ from novags.methods.enhancers.noise_level import immerkaer_sigma, patch_pca_sigm
 
 @dataclass(frozen=True, kw_only=True)
 class EnhanceConfig:
-    """Choices of the enhancement. The paper fixes `window` and `target`; the rest it leaves open."""
+    """Choices of the enhancement. The paper fixes `window` and `target` and leaves the rest open."""
 
     window: int = 33  # px, odd; shrunk to fit images smaller than it
     target: float = 0.5  # tau, mean of L**gamma
@@ -43,7 +43,7 @@ class EnhanceConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class EnhanceParams:
-    """What one enhancement settled on, so that another exposure of the same view can be put through the same one."""
+    """The parameters that one enhancement chose, so that another exposure of the same view can be enhanced alike."""
 
     gamma: Tensor  # [C] or scalar for a single image
     epsilon: Tensor  # same shape; regulariser of the guided filter, squared image units
@@ -134,7 +134,7 @@ def enhance(
         The enhanced images, same shape and dtype, 0..1, and the parameters used.
 
     Raises:
-        ValueError: If the shape is another one, a value is not finite or outside 0..1, or `params` belongs to another
+        ValueError: If the shape is wrong, a value is not finite or outside 0..1, or `params` belongs to another
             number of images.
     """
     config = config or EnhanceConfig()

@@ -1,8 +1,8 @@
 """Targeted blind-spot masking and its loss (paper, section 4.3.1 and 4.3.3; Noise2Void).
 
 Batches are [B, D, H, W] with D = 3 colour channels, or 1 where each channel is blinded on its own. A mask is bool
-[B, H, W], True where the network is blinded: there its input is another pixel of the neighbourhood, and only there the
-loss looks.
+[B, H, W], True where the network is blinded: there its input is another pixel of the neighbourhood, and only there
+the loss is evaluated.
 """
 
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ class BlindSpotConfig:
     """How many pixels are blinded and how they are chosen."""
 
     mask_count: int | None = 60_000  # per whole view, the paper's number; None leaves only the fraction
-    mask_fraction: float = 0.32  # at most this share of a view, which 60,000 px are of the paper's smallest ones (LOM)
+    mask_fraction: float = 0.32  # at most this share of a view; 60,000 px are this much of the paper's smallest (LOM)
     laplacian_share: float = 0.5  # of the mask, drawn by high-frequency content; the rest is uniform
     window: int = 5  # px, edge of the neighbourhood that replacements come from
     # Blind one colour channel of a pixel instead of all three: the other two show its texture. This needs channels with
@@ -61,11 +61,11 @@ def laplacian_prior(images: Tensor) -> Tensor:
 def _draw(weights: Tensor, count: int, generator: torch.Generator) -> Tensor:
     """Indices [B, count] drawn without replacement with probability proportional to weights [B, N].
 
-    The count largest weight / Exp(1) are such a sample (exponential races); unlike torch.multinomial this takes
+    The count largest weight / Exp(1) are such a sample (exponential races); unlike torch.multinomial this accepts
     zero weights, which come last.
     """
     race = torch.empty_like(weights).exponential_(generator=generator)
-    # Floor: a draw of exactly 0 would make every weight infinite, also zero ones NaN.
+    # Floor: a draw of exactly 0 would make every weight infinite, and zero ones NaN.
     return (weights / race.clamp_min(1e-30)).topk(count, dim=1).indices
 
 

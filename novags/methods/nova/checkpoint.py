@@ -1,4 +1,4 @@
-"""Networks in training on disk, as safetensors: weights, Adam moments and whatever else the next step depends on.
+"""Networks in training on disk, as safetensors: weights, Adam moments and everything else the next step depends on.
 
 Networks that learn beside a fit keep the fit's own checkpoint in the same file: the two then always belong together.
 """
@@ -16,7 +16,7 @@ _MOMENTS = ("step", "exp_avg", "exp_avg_sq")
 
 
 def pack(prefix: str, network: nn.Module, adam: Adam) -> dict[str, Tensor]:
-    """Weights, Adam moments and gradients that wait for the next step, each name starting with `prefix`."""
+    """Weights, Adam moments and gradients pending for the next step, each name starting with `prefix`."""
     tensors = {f"{prefix}.weights.{name}": value for name, value in network.state_dict().items()}
     for name, parameter in network.named_parameters():
         for key, value in adam.state.get(parameter, {}).items():
@@ -27,7 +27,7 @@ def pack(prefix: str, network: nn.Module, adam: Adam) -> dict[str, Tensor]:
 
 
 def unpack(prefix: str, tensors: dict[str, Tensor], network: nn.Module, adam: Adam) -> None:
-    """Put back what `pack` took out.
+    """Restore what `pack` saved.
 
     Raises:
         ValueError: If the tensors belong to a network of another shape.
@@ -48,14 +48,14 @@ def unpack(prefix: str, tensors: dict[str, Tensor], network: nn.Module, adam: Ad
         if (gradient := tensors.get(f"{prefix}.grad.{name}")) is not None:
             parameter.grad = torch.zeros_like(parameter).copy_(
                 gradient
-            )  # in the layout that autograd goes on adding to
+            )  # in the layout that autograd continues adding to
 
 
 def read(path: Path) -> dict[str, Tensor]:
     """The tensors `write_tensors` saved.
 
     Raises:
-        ValueError: If the file is no safetensors file.
+        ValueError: If the file is not a safetensors file.
     """
     try:
         return load_file(path)

@@ -23,7 +23,7 @@ class ConsistencyConfig:
 
     weight: float = 1.0  # of L_geo in the total loss
     confidence_weight: float = 0.05  # lambda_c; C saturates at 1 where it exceeds the residual
-    start: float = 0.25  # of the iterations, when depths begin to mean something
+    start: float = 0.25  # of the iterations, when depths become meaningful
     every: int = 1  # iterations between two evaluations, each weighted `every` times; one costs a second rendering
     occlusion_tolerance: float = 0.1  # relative depth difference
     min_alpha: float = 0.5  # pixels the Gaussians cover less have no depth
@@ -45,16 +45,16 @@ class ConsistencyConfig:
 
 
 @dataclass(frozen=True)
-class Camera:
+class Pinhole:
     """One pinhole view: viewmat [4, 4] world to camera, K [3, 3]."""
 
     viewmat: Tensor
     K: Tensor
 
     @staticmethod
-    def of(views: Views, index: int) -> "Camera":
+    def of(views: Views, index: int) -> "Pinhole":
         """View number `index` of a set."""
-        return Camera(views.viewmats[index], views.Ks[index])
+        return Pinhole(views.viewmats[index], views.Ks[index])
 
 
 class ConfidenceNet(nn.Module):
@@ -85,7 +85,7 @@ def _rays(height: int, width: int, K: Tensor) -> Tensor:
     return torch.cat([pixels, torch.ones_like(pixels[..., :1])], -1) @ torch.linalg.inv(K).T
 
 
-def _move(points: Tensor, origin: Camera, goal: Camera) -> Tensor:
+def _move(points: Tensor, origin: Pinhole, goal: Pinhole) -> Tensor:
     """Points [..., 3] from the camera frame of `origin` to that of `goal`."""
     change = goal.viewmat @ torch.linalg.inv(origin.viewmat)
     return points @ change[:3, :3].T + change[:3, 3]
@@ -111,8 +111,8 @@ def reproject(
     source: Tensor,
     depth_t: Tensor,
     depth_s: Tensor,
-    camera_t: Camera,
-    camera_s: Camera,
+    camera_t: Pinhole,
+    camera_s: Pinhole,
     occlusion_tolerance: float = 0.1,
 ) -> tuple[Tensor, Tensor]:
     """Warp a source image into the target view by the rendered depths, with the mask of reliable pixels (equation 10).
@@ -138,7 +138,7 @@ def reproject(
     lifted = torch.cat([pixels.detach(), torch.ones_like(seen[..., None])], -1) @ torch.linalg.inv(camera_s.K).T
     z_t = _move(lifted * seen[..., None], camera_s, camera_t)[..., 2]
     size = pixels.new_tensor([depth_s.shape[1], depth_s.shape[0]])
-    # Between the outermost pixel centres, where interpolation has support; the slack forgives float32 rounding of a
+    # Between the outermost pixel centres, where interpolation has support; the slack tolerates float32 rounding of a
     # camera warped onto itself.
     inside = ((pixels > 0.499) & (pixels < size - 0.499)).all(-1)
     positive = (depth_t > 0) & (points[..., 2] > 0) & (seen > 0)
@@ -170,10 +170,10 @@ def consistency_loss(
 
 
 def source_candidates(views: Views, config: ConsistencyConfig) -> list[list[int]]:
-    """For every view the views worth warping from: near, looking the same way, but not from the same place.
+    """For every view the views worth warping from: near, with a similar direction, but not in the same place.
 
     Returns:
-        One list a view, nearest first, at most `config.neighbours` long; empty where no view qualifies.
+        One list per view, nearest first, at most `config.neighbours` long; empty where no view qualifies.
     """
     centers = views.centers.double()
     axes = views.viewmats[:, 2, :3].double()
@@ -190,7 +190,7 @@ class ConsistencyLoss:
     def __init__(
         self, views: Views, images: Callable[[int], Tensor], config: ConsistencyConfig, *, iterations: int, seed: int
     ) -> None:
-        """images: the pseudo-clean image [H, W, 3] of a view, as it stands when asked for."""
+        """images: the pseudo-clean image [H, W, 3] of a view, in its state at the time of the call."""
         self.config, self.images, self.seed = config, images, seed
         self.first = round(config.start * iterations)
         self.candidates = source_candidates(views, config)
@@ -217,8 +217,8 @@ class ConsistencyLoss:
             self.images(source),
             torch.where(step.alpha > least, step.depth, 0.0),
             torch.where(alpha_s > least, depth_s, 0.0),
-            Camera.of(step.views, step.view),
-            Camera.of(step.views, source),
+            Pinhole.of(step.views, step.view),
+            Pinhole.of(step.views, source),
             self.config.occlusion_tolerance,
         )
         confidence = self.network(warped, target)
@@ -226,7 +226,7 @@ class ConsistencyLoss:
         return self.config.weight * self.config.every * loss
 
     def update(self) -> None:
-        """Let the confidence network follow the gradients that the last backward pass left in it."""
+        """Step the confidence network along the gradients that the last backward pass left in it."""
         if any(parameter.grad is not None for parameter in self.network.parameters()):
             self.optimizer.step()
             self.optimizer.zero_grad(set_to_none=True)

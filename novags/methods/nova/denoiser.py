@@ -25,7 +25,7 @@ class DenoiserConfig:
     blind_spots: BlindSpotConfig = field(default_factory=BlindSpotConfig)
     warmup_steps: int = 500  # before the first splat iteration
     denoise_every: int | None = 1  # splat iterations between two further steps; None trains in the warm-up only
-    batch: int = 1  # crops a step
+    batch: int = 1  # crops per step
     crop: int | None = None  # px; None takes whole views
     learning_rate: float = 1e-3  # Adam
     decay: Literal["constant", "cosine"] = "constant"  # of the learning rate over all steps
@@ -34,8 +34,8 @@ class DenoiserConfig:
     # the centre: training then starts at the quality of a blur. None predicts the image itself, as the paper does.
     residual_blur: float | None = None
     # Share of the noisy image in I_clean. A blind-spot network infers a pixel from its neighbours, so its error and the
-    # pixel's own noise are independent, and a mix of the two beats both; fine texture, which neighbours do not tell,
-    # comes back. 0 is the paper.
+    # pixel's own noise are independent, and a mix of the two beats both; fine texture, which neighbours do not predict,
+    # comes back. The paper has 0.
     noisy_share: float = 0.0
 
     def __post_init__(self) -> None:
@@ -78,7 +78,7 @@ FAST_DENOISER = DenoiserConfig(
 
 
 def donut_blur(images: Tensor, sigma: float) -> Tensor:
-    """Gaussian blur whose kernel has no centre, so that a pixel says nothing about itself. images: [B, D, H, W]."""
+    """Gaussian blur whose kernel has no centre, so that no pixel influences its own value. images: [B, D, H, W]."""
     radius = min(max(1, math.ceil(3 * sigma)), *(side - 1 for side in images.shape[-2:]))
     offsets = torch.arange(-radius, radius + 1, dtype=images.dtype, device=images.device)
     line = torch.exp(-0.5 * (offsets / sigma) ** 2)
@@ -101,7 +101,7 @@ class Denoiser:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.network = ResUNet(config.network).to(enhanced.device)
-        # The layout that convolutions on a CPU are fastest in.
+        # The layout in which convolutions on a CPU are fastest.
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch's stubs lack this one
         if config.residual_blur is not None:
             # A network that starts at zero starts at the blur.
@@ -171,7 +171,7 @@ class Denoiser:
         return [int(i) for i in drawn]
 
     def state(self) -> dict[str, Tensor]:
-        """Everything the next step depends on but the images: weights, Adam moments, step and random state."""
+        """Everything the next step depends on, except the images: weights, Adam moments, step and random state."""
         own = {"denoiser.generator": self.generator.get_state(), "denoiser.steps": torch.tensor(self.step)}
         return pack("denoiser", self.network, self.optimizer) | own
 

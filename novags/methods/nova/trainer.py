@@ -64,7 +64,7 @@ class NovaConfig:
 
 
 class _PseudoClean:
-    """The denoised image of each view, computed when asked for and kept while the denoiser has not moved on."""
+    """The denoised image of each view, computed on demand and kept until the denoiser has trained further."""
 
     def __init__(self, enhanced: Tensor, denoiser: Denoiser | None, config: NovaConfig) -> None:
         self.enhanced, self.denoiser, self.config = enhanced, denoiser, config
@@ -88,7 +88,7 @@ class _PseudoClean:
         return self.denoiser.denoise(view)
 
     def state(self) -> dict[str, Tensor]:
-        """The images that the denoiser as it stands might not give again, by view and denoiser step."""
+        """The images that the denoiser in its present state might not reproduce, by view and denoiser step."""
         if self.config.refresh_after == 1:
             return {}
         return {f"clean.{view}.{step}": image for view, (step, image) in self.cached.items()}
@@ -102,7 +102,7 @@ class _PseudoClean:
 
 
 def run_identity(problem: Problem, config: NovaConfig) -> Tensor:
-    """Hash of all that a run depends on, uint8."""
+    """Hash of everything that a run depends on, uint8."""
     start, dark = problem.start, problem.encoded(config.pictures)
     content = digest(problem.views.viewmats, problem.views.Ks, dark, start.points, start.colors)
     settings = json.dumps([dataclasses.asdict(config), problem.seed, start.extent], sort_keys=True, default=str)
@@ -113,8 +113,8 @@ def run_identity(problem: Problem, config: NovaConfig) -> Tensor:
 class _Training:
     """Denoiser, confidence network and their schedule beside the splat iterations.
 
-    What they need to go on is saved together with the fit's checkpoint, in one file: were the two apart, an
-    interruption between them would pair networks and splats of different iterations.
+    What they need to continue is saved together with the fit's checkpoint, in one file: with two files, an interruption
+    between the writes would pair networks and splats of different iterations.
     """
 
     def __init__(self, problem: Problem, enhanced: Tensor, config: NovaConfig, checkpoint: Path | None) -> None:
@@ -125,7 +125,7 @@ class _Training:
             total = config.denoiser.total_steps(iterations)
             self.denoiser = Denoiser(enhanced, config.denoiser, total_steps=total, seed=problem.seed)
         self.clean = _PseudoClean(enhanced, self.denoiser, config)
-        self.noise: dict[int, tuple[Tensor, Tensor]] = {}  # view -> a pseudo-clean image and the noise map made of it
+        self.noise: dict[int, tuple[Tensor, Tensor]] = {}  # view -> a pseudo-clean image and the noise map made from it
         self.geo: ConsistencyLoss | None = None
         if config.consistency is not None and config.consistency.weight > 0:
             self.geo = ConsistencyLoss(
@@ -133,7 +133,7 @@ class _Training:
             )
         self.run = run_identity(problem, config)
         self.start: Gaussians | None = None
-        self.seconds = 0.0  # until the splats start, of interrupted attempts too
+        self.seconds = 0.0  # before the splats start, in interrupted attempts too
         self.fit_path = checkpoint
         self.path = None if checkpoint is None else checkpoint.with_name(f"{checkpoint.stem}.denoiser.safetensors")
         if self.path is not None and self.path.exists():
@@ -190,7 +190,7 @@ class _Training:
         return self.config.sh_weight * sh_penalty(step.gaussians.sh, step.info["means2d"], step.info["radii"], noise)
 
     def save(self) -> None:
-        """Write all that the next iteration depends on, the fit's checkpoint included."""
+        """Write everything that the next iteration depends on, the fit's checkpoint included."""
         if self.path is None or self.fit_path is None:
             return
         tensors = self.clean.state() | (self.geo.state() if self.geo is not None else {})
@@ -213,7 +213,8 @@ class _Training:
         if self.geo is not None:
             self.geo.restore(tensors)
         self.seconds = float(tensors["seconds"])
-        start = {name.removeprefix("start."): t for name, t in tensors.items() if name.startswith("start.")}
+        device = self.enhanced.device
+        start = {name.removeprefix("start."): t.to(device) for name, t in tensors.items() if name.startswith("start.")}
         self.start = Gaussians(**start) if start else None
         assert self.fit_path is not None
         if "fit" in tensors:
@@ -234,8 +235,8 @@ def suited(config: NovaConfig, problem: Problem) -> NovaConfig:
     if spots.per_channel and problem.channels_share:
         raise ValueError(
             "denoiser.blind_spots.per_channel needs channels with independent noise, and here they share it through "
-            f"{' and '.join(problem.channels_share)}: a blinded channel would be known from the others. Set it to none "
-            "(decided for the pictures) or false"
+            f"{' and '.join(problem.channels_share)}: a blinded channel could be inferred from the others. Set it to "
+            "none (decided for the pictures) or false"
         )
     chosen = not problem.channels_share if spots.per_channel is None else spots.per_channel
     spots = dataclasses.replace(spots, per_channel=chosen)
@@ -255,12 +256,12 @@ def train(
         problem: The problem; its seed and extent override those of `config.fit`.
         config: All choices.
         progress: Called with (steps done, of how many, losses); denoiser warm-up and splat iterations count alike.
-        checkpoint: The fit's checkpoint file. Everything that a run continues from lies beside it, in
+        checkpoint: The fit's checkpoint file. Everything that a run continues from is stored beside it, in
             `<stem>.denoiser.safetensors`, with a copy of the fit's. If that file exists, the run continues.
 
     Returns:
         A reconstruction; `targets` are the denoised images. Seconds: "enhance", "denoise" (warm-up), "fit" (with the
-        concurrent denoiser steps), the latter two of interrupted attempts too.
+        concurrent denoiser steps), the latter two including interrupted attempts.
 
     Raises:
         ValueError: If a checkpoint is damaged or belongs to another run, or the configuration does not suit the

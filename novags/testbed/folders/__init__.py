@@ -1,1 +1,1 @@
-"""What lies on disk: sets, captures, runs, and the files in them."""
+"""What is stored on disk: sets, captures, runs, and the files in them."""

@@ -1,6 +1,6 @@
-"""A capture on disk: one dark exposure per view, in every form its readers want, beside the truth about it.
+"""A capture on disk: one dark exposure per view, in every form its readers need, with the ground truth.
 
-capture.json          sensor, exposure, plan, seeds, the set it was made of; written last
+capture.json          sensor, exposure, plan, seeds, the set it was made from; written last
 raw/NNNN.dng          the sensor's digital numbers
 images16/NNNN.png     linear RGB, 16-bit            images/NNNN.png    sRGB, 8-bit
 truth/NNNN.exr        digital numbers: analytic mean and variance, noise-free (clean), saturation
@@ -17,7 +17,6 @@ from novags.methods.memo import Memo
 from novags.methods.problem import Pictures, encode
 from novags.testbed.cache import folder_digest, read_json
 from novags.testbed.console import Console
-from novags.testbed.folders.png import read_codes, read_png, write_png
 from novags.testbed.folders.raw_files import read_digital_numbers
 from novags.testbed.folders.set import Source, open_source
 from sensor_model import (
@@ -34,6 +33,7 @@ from sensor_model.isp import Demosaic
 from simscenes.sets.camera_files import CAMERA_FILES
 from simscenes.sets.exr import read_exr, write_exr
 from simscenes.sets.multiview import MultiviewSet, load_set
+from simscenes.sets.png import read_codes, read_png, write_png
 
 RECORD = "capture.json"
 OWNS = (RECORD, "raw", "images16", "images", "truth", *CAMERA_FILES)
@@ -86,7 +86,7 @@ class Capture:
     cameras: MultiviewSet
     sensor: Sensor
     content: str  # hash of all that the capture stage wrote, as it was when this was opened
-    memo: Memo = field(default_factory=Memo, repr=False, compare=False)  # what was read and made of it so far
+    memo: Memo = field(default_factory=Memo, repr=False, compare=False)  # what was read and computed from it so far
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -143,7 +143,7 @@ class Capture:
         return tuple(reason for reason, holds in reasons.items() if holds)
 
     def source(self, console: Console) -> Source:
-        """The set this capture was made of.
+        """The set this capture was made from.
 
         Raises:
             ValueError: If the set is no longer where it was, or no longer what it was.
@@ -152,12 +152,12 @@ class Capture:
         path = (self.path / made_of["path"]).resolve()
         if not path.is_dir():
             raise ValueError(
-                f"{self.path} was made of the set {made_of['path']} (relative to it), which is not there: put it back "
-                "or capture again"
+                f"{self.path} was made from the set {made_of['path']} (relative to it), which is not there: put it "
+                "back or capture again"
             )
         source = open_source(path, console, made_of["max_size"])
         if source.digest() != self.record["stage"]["inputs"]["set"]:
-            raise ValueError(f"{path} has changed since {self.path} was made of it: put it back or capture again")
+            raise ValueError(f"{path} has changed since {self.path} was made from it: put it back or capture again")
         return source
 
 
@@ -165,10 +165,10 @@ _OPENED: dict[Path, Capture] = {}  # the last one: stages of one experiment open
 
 
 def open_capture(path: Path) -> Capture:
-    """Open a capture folder; one that is open already, and unchanged, is shared with what was read of it.
+    """Open a capture folder; an unchanged one that is already open is shared, with everything read from it.
 
     Raises:
-        ValueError: If the folder is missing, not a capture, or an unfinished one.
+        ValueError: If the folder is missing, is not a capture, or is unfinished.
     """
     if not path.is_dir():
         raise ValueError(f"no such capture folder: {path}")

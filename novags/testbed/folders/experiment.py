@@ -10,10 +10,10 @@ REPORT = "report.html"
 
 
 def find_runs(folder: Path) -> dict[str, Run]:
-    """The runs of an experiment by name, in its order; or the one run that `folder` is.
+    """The runs of an experiment by name, in its order; or the single run, if `folder` is a run.
 
     Raises:
-        ValueError: If there is none.
+        ValueError: If `folder` is neither.
     """
     if not folder.is_dir():
         raise ValueError(f"no such folder: {folder}")

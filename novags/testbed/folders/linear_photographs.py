@@ -20,7 +20,7 @@ from simscenes.sets.multiview import MultiviewSet
 from simscenes.sets.photographs import transforms_lens
 
 SUFFIXES = (".exr", *raw_files.SUFFIXES)
-WHITE_QUANTILE = 0.99  # of an EXR image's light, whose unit nobody knows, becomes white in its 8-bit picture
+WHITE_QUANTILE = 0.99  # of an EXR image's light, whose unit is unknown, becomes white in its 8-bit picture
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,13 +97,13 @@ def read_linear(file: Path) -> np.ndarray:
 
 
 def _listed(source: Path) -> list[tuple[dict[str, Any], str, np.ndarray]]:
-    """Camera, file and pose of every frame; none if the file is not there or not ours to read."""
+    """Camera, file and pose of every frame; empty if the file is missing or not for this reader."""
     try:
         content = json.loads(source.read_text(encoding="utf-8"))
         frames = content["frames"]
         return [({**content, **f}, f["file_path"], np.reshape(f["transform_matrix"], (4, 4))) for f in frames]
     except (OSError, ValueError, KeyError, TypeError):
-        return []  # load_set says what is wrong with it
+        return []  # load_set reports what is wrong with it
 
 
 def _size(file: Path) -> tuple[int, int]:
@@ -120,7 +120,7 @@ def _size(file: Path) -> tuple[int, int]:
 
 
 def _without_margins(size: tuple[int, int], camera: dict[str, Any]) -> tuple[int, int]:
-    """Raw files show some pixels around what the camera's own pictures show, which poses are usually found with."""
+    """Raw files show some pixels around the camera's own pictures, from which poses are usually estimated."""
     listed = int(camera.get("w", size[0])), int(camera.get("h", size[1]))
     margins = all(0.95 * whole <= part <= whole for whole, part in zip(size, listed, strict=True))
     return listed if margins else size
@@ -134,7 +134,7 @@ def _middle(light: np.ndarray, height: int, width: int) -> np.ndarray:
 def _names(files: list[Path]) -> tuple[str, ...]:
     stems = [file.stem for file in files]
     if len(set(stems)) < len(stems):
-        raise ValueError(f"file names must differ in more than their ending or folder, got {sorted(stems)}")
+        raise ValueError(f"file names must differ in more than their extension or folder, got {sorted(stems)}")
     return tuple(stems)
 
 

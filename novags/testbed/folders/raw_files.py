@@ -60,14 +60,16 @@ def _pattern(raw: Any, path: Path) -> Cfa | None:
     letters = "".join(chr(raw.color_desc[i]) for i in np.ravel(raw.raw_pattern))
     found = [cfa for cfa in CFAS if cfa == letters]
     if not found:
-        raise ValueError(f"{path} has the colour filter array {letters!r}; read are monochrome and {', '.join(CFAS)}")
+        raise ValueError(
+            f"{path} has the colour filter array {letters!r}; supported are monochrome and {', '.join(CFAS)}"
+        )
     return found[0]
 
 
 def read_radiance(path: Path) -> np.ndarray:
     """Linear sRGB float32 [h,w,3], 1 = white level: black level, camera white balance, AHD demosaicing, colour matrix.
 
-    Pixels stay as stored (no rotation), because poses refer to those.
+    Pixels stay as stored (no rotation), because poses refer to the stored pixels.
 
     Raises:
         ValueError: If the file cannot be read.
@@ -80,7 +82,7 @@ def read_radiance(path: Path) -> np.ndarray:
 
 
 def size(path: Path) -> tuple[int, int]:
-    """Width and height of what `read_radiance` gives, from the header alone.
+    """Width and height of what `read_radiance` returns, from the header alone.
 
     Raises:
         ValueError: If the file cannot be read.

@@ -1,8 +1,8 @@
-"""A run on disk: what one method made of one capture.
+"""A run on disk: what one method produced from one capture.
 
 run.json              method, resolved configuration, capture, cameras, seconds; written last
 point_cloud.ply       the scene (of a method that fits Gaussians: the standard 3DGS layout)
-events.jsonl          losses, one line a step
+events.jsonl          losses, one line per step
 enhanced/NNNN.png     training pictures after the enhancement     denoised/NNNN.png   and what was fitted, if different
 renders/NNNN.png      held-out views                              renders_train/NNNN.png    training views
 exr/NNNN.exr          of every view, float32: R G B as rendered, Z (expected depth in the method's frame), alpha
@@ -18,14 +18,14 @@ import numpy as np
 from novags.testbed.cache import folder_digest, read_json
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_capture
-from novags.testbed.folders.png import read_png
 from novags.testbed.folders.set import Source
 from simscenes.sets.exr import read_exr
+from simscenes.sets.png import read_png
 
 RECORD = "run.json"
 METRICS = "metrics.json"
 EVENTS = "events.jsonl"
-CHECKPOINTS = ("checkpoint.safetensors", "checkpoint.denoiser.safetensors")  # there while a run is under way
+CHECKPOINTS = ("checkpoint.safetensors", "checkpoint.denoiser.safetensors")  # present while a run is under way
 SCENE = "point_cloud.ply"
 RESULT = (
     RECORD, *CHECKPOINTS, SCENE, "scene", EVENTS, "enhanced", "denoised", "renders", "renders_train", "exr", "depth",
@@ -57,13 +57,13 @@ class Run:
 
     @property
     def enhancement(self) -> dict[str, Any] | None:
-        """What its training pictures went through, and the references have to go through; None if nothing."""
+        """The enhancement of its training pictures, which the references need too; None if there is none."""
         found: dict[str, Any] | None = self.record["enhancement"]
         return found
 
     @property
     def depth_scale(self) -> float:
-        """World units in a unit of the frame that the method's cameras live in."""
+        """World units per unit of the frame of the method's cameras."""
         return float((self.record.get("cameras") or {}).get("depth_scale", 1.0))
 
     def rendering(self, name: str) -> np.ndarray:
@@ -82,7 +82,7 @@ class Run:
         return channels["Z"], channels["alpha"]
 
     def inputs(self, console: Console) -> tuple[Capture, Source]:
-        """The capture it was made from, and the set that this was made of.
+        """The capture it was made from, and the set from which that was made.
 
         Raises:
             ValueError: If they are no longer where they were, or no longer what they were.
@@ -100,14 +100,14 @@ class Run:
         return capture, source
 
     def scores(self) -> dict[str, Any] | None:
-        """Its part of metrics.json; None if it was not scored since it was made."""
+        """Its part of metrics.json; None if it has not been scored since it was made."""
         if not (self.path / METRICS).exists():
             return None
         methods: dict[str, Any] = read_json(self.path / METRICS)["methods"]
         return methods.get(self.name)
 
     def digest(self) -> str:
-        """Hash of all that the method made, scores not included."""
+        """Hash of everything the method produced, scores excluded."""
         return folder_digest(self.path, RESULT)
 
     def events(self) -> list[dict[str, Any]]:
@@ -123,7 +123,7 @@ def open_run(path: Path) -> Run:
     """Open a run folder.
 
     Raises:
-        ValueError: If the folder is missing, not a run, or an unfinished one.
+        ValueError: If the folder is missing, is not a run, or is unfinished.
     """
     if not path.is_dir():
         raise ValueError(f"no such run folder: {path}")
@@ -139,7 +139,7 @@ def open_run(path: Path) -> Run:
 
 
 def _as_written_now(record: dict[str, Any]) -> dict[str, Any]:
-    """A record of version 0.1.0 with what later ones say: all methods ended in enhanced pictures."""
+    """A record of version 0.1.0 with the entries of later versions: all methods rendered enhanced pictures then."""
     if "space" in record or "enhance" not in record:
         return record
     enhancement = {"enhancer": "guided", "pictures": record.get("dark_source"), "config": record["enhance"]}

@@ -19,11 +19,11 @@ from sensor_model import linear_to_srgb
 from simscenes.rigs import Rig
 from simscenes.sets.multiview import MultiviewSet, load_set
 
-# What a set is read from beside its images: our own record and truth, and the cameras in every form that is read.
+# What a set is read from beside its images: our own record and truth, and the cameras in every supported form.
 MODEL = tuple(f"{part}.{suffix}" for part in ("cameras", "images", "points3D") for suffix in ("bin", "txt"))
 READ_FROM = ("set.json", "capture.json", "transforms.json", "nb-info.json", "sparse", "sparse/0", "gt", *MODEL)
 
-NOISE = 0.01  # of a photograph's bright light: further below 0 than this is no noise
+NOISE = 0.01  # of a photograph's bright light: values further below 0 are not noise
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class Source:
 
     @property
     def response(self) -> tuple[float, float, float] | None:
-        """What the set's own colour filters make of white, green = 1."""
+        """The response of the set's own colour filters to white, green = 1."""
         if self.filters is None:
             return None
         red, green, blue = self.filters.sum(1)
@@ -55,7 +55,7 @@ class Source:
 
     @property
     def color_matrix(self) -> np.ndarray | None:
-        """From white-balanced RGB of the set's own colour filters to linear sRGB, [3,3], white staying as it is."""
+        """From white-balanced RGB of the set's own colour filters to linear sRGB, [3,3]; white stays white."""
         return None if self.filters is None else np.linalg.inv(self.filters) * self.filters.sum(1)
 
     def radiance(self, i: int) -> np.ndarray:
@@ -63,7 +63,7 @@ class Source:
 
         A set seen through colour filters of its own is balanced, so that white is white: `response` undoes that.
 
-        Photographs with black taken off hold noise around zero: what is slightly negative counts as 0, with a note.
+        Photographs with the black level subtracted have noise around 0: slightly negative values become 0, with a note.
 
         Raises:
             ValueError: If a value is not finite or more than slightly negative, or the file cannot be read.
@@ -96,7 +96,7 @@ class Source:
         return linear_to_srgb(np.clip(light * exposure, 0.0, 1.0)).astype(np.float32)
 
     def digest(self) -> str:
-        """Hash of all that is read of the set, wherever its files lie."""
+        """Hash of everything that is read from the set, wherever its files are."""
         images = {f"images/{name}": file for name, file in zip(self.views.names, self.views.files, strict=True)}
         return folder_digest(self.views.path, READ_FROM, beside=images)
 
@@ -117,7 +117,7 @@ def open_source(path: Path, console: Console, max_size: int | None = None) -> So
         max_size: Longest image side in pixels; larger images are scaled down to it. None keeps them.
 
     Raises:
-        ValueError: If the folder holds no posed images, or their shortest side is, or gets, too short to be scored.
+        ValueError: If the folder holds no posed images, or their shortest side is, or becomes, too short for scores.
     """
     with warnings_as_notes(console):
         views = load_linear_set(path) or load_set(path)
@@ -135,14 +135,14 @@ def scaled_rig(rig: Rig, max_size: int) -> Rig:
     if longest <= max_size:
         return rig
     width, height = (max(1, round(side * max_size / longest)) for side in (rig.width, rig.height))
-    # Pixel edges, not centres, are what scaling keeps in place, so with centres at +0.5 whole rows of K scale.
+    # Scaling keeps pixel edges in place, not centres, so with centres at +0.5 whole rows of K scale.
     scale = np.array([width / rig.width, height / rig.height, 1.0])[:, None]
     return Rig(viewmats=rig.viewmats, Ks=rig.Ks * scale, width=width, height=height)
 
 
 @contextmanager
 def warnings_as_notes(console: Console) -> Iterator[None]:
-    """Show warnings (say, images that a camera file names but nobody has) as plain lines."""
+    """Show warnings (say, about images that a camera file lists but that are missing) as plain lines."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         yield

@@ -1,4 +1,4 @@
-"""PSNR in linear light, for methods whose pictures end there.
+"""PSNR in linear light, for methods whose output is linear.
 
 Images are float linear RGB [h,w,3] in any unit of light; `white` is the reference's value that a well-exposed picture
 shows as white, and the peak of the PSNR. A method knows the exposure of its dark pictures, not the reference's: one

@@ -14,7 +14,7 @@ from novags.testbed.folders.set import Source
 from novags.testbed.report.charts import line_chart
 from novags.testbed.report.rows import Row, deviations, main_row, rows_of
 
-# key, heading, unit, whether more is better; the first one is the number to look at
+# key, heading, unit, whether more is better; the first is the main score
 _ENHANCED = (
     ("aligned_psnr", "PSNR aligned", "dB", True),
     ("tone_aligned_psnr", "PSNR tone-aligned", "dB", True),
@@ -31,7 +31,7 @@ COLUMNS = {
     "linear": (("linear_psnr", "PSNR linear", "dB", True),),
     "lit": (_ENHANCED[1], _ENHANCED[0], *_ENHANCED[2:]),
 }
-EXACT = 1e-4  # degrees or extents; camera files round, and nothing below can be seen
+EXACT = 1e-4  # degrees or extents; camera files round, and smaller errors are invisible
 GEOMETRY = (
     ("abs_rel", "relative error", "", False),
     ("within_5_percent", "within 5 %", "", True),
@@ -62,11 +62,11 @@ class Material:
 
     @property
     def main(self) -> str:
-        """The run in the centre."""
+        """The main run."""
         return main_row(self.rows.values())
 
     def bound(self, end: str) -> str | None:
-        """The run at that end of the scale, if it is there."""
+        """The run at that end of the scale, if there is one."""
         return next((row.name for row in self.rows.values() if row.bound == end), None)
 
 
@@ -95,7 +95,7 @@ def what_was_done(material: Material) -> str:
 
 
 def leading(material: Material) -> tuple[str, str, str]:
-    """The reference that isolates noise where all runs have it, else the lit one; its number; what it is called."""
+    """The reference that isolates noise where all runs have it, else the lit one; its score; how to describe that."""
     means = [method["mean"] for method in material.metrics["methods"].values()]
     if all("enhanced" in mean for mean in means):
         return "enhanced", "aligned_psnr", "aligned PSNR against the noise-free exposure"
@@ -277,16 +277,16 @@ def plan_table(plan: dict[str, Any]) -> dict[str, Any]:
 def time_saved(seconds: dict[str, float]) -> str:
     """What a plan saved, where that was measured: seconds "planned" and with "everything on"."""
     if not seconds:
-        return "The time that the plan saves was not measured in so short a render; novags plan measures it."
+        return "The time that the plan saves was not measured for so short a render; novags plan measures it."
     planned, everything = seconds["planned"], seconds["everything on"]
     return (
-        f"A million samples took {planned:.3g} s of processor time so, and {everything:.3g} s with everything "
-        f"simulated: {everything / planned:.2g} times as long."
+        f"A million samples took {planned:.3g} s of processor time with this plan, and {everything:.3g} s with "
+        f"everything simulated: {everything / planned:.2g} times as long."
     )
 
 
 def render_quality(meta: dict[str, Any]) -> str:
-    """The noise that is left in the truth, and the pixels that rare bright paths spoil."""
+    """The noise that is left in the truth, and the pixels that are spoilt by rare bright paths."""
     views = meta["views"].values()
     noise, fireflies = max(view["relative_error"] for view in views), sum(view["fireflies"] for view in views)
     share = fireflies / (len(views) * meta["width"] * meta["height"])
@@ -319,12 +319,12 @@ def number(value: float | str | None, digits: int = 2) -> str:
 
 
 def signed(value: float) -> str:
-    """With its sign, a real minus included."""
+    """A number with its sign, with a true minus sign."""
     return f"{value:+.2f}".replace("-", "−")
 
 
 def duration(seconds: float) -> str:
-    """Seconds as people say them."""
+    """A duration in readable units."""
     if seconds < 10:
         return f"{seconds:.1f} s"
     if seconds < 120:

@@ -37,8 +37,8 @@ def read_material(folder: Path, console: Console) -> Material:
     """Read a scored experiment or run.
 
     Raises:
-        ValueError: If it is not there or not scored, or its runs were made from different captures or from others than
-            lie there now.
+        ValueError: If it is not there or not scored, or its runs were made from different captures or not from those
+            that are there now.
     """
     runs = find_runs(folder)
     if not (folder / METRICS).exists():

@@ -11,11 +11,11 @@ import numpy as np
 
 from novags.methods.problem import encode
 from novags.testbed.folders.capture import Capture
-from novags.testbed.folders.png import read_png
 from novags.testbed.folders.run import Run
 from novags.testbed.folders.set import Source
 from novags.testbed.metrics import affine_aligned
 from novags.testbed.references import enhanced_pair, references, true_depth
+from simscenes.sets.png import read_png
 
 VIEWS_OF_EACH_KIND = 4  # held-out and training views shown: enough to judge, small enough to mail
 MAX_SIDE = 640  # px; larger pictures are shrunk for the report only
@@ -75,7 +75,7 @@ def view_tiles(
     add("dark", "Dark input", "what the camera delivers, 8-bit sRGB", capture.srgb8(i))
     if run.enhancement is not None:
         noisy, _ = enhanced_pair(capture, i, run.enhancement)
-        add("enhanced", "Enhanced", "the dark input made bright; the noise comes along", noisy)
+        add("enhanced", "Enhanced", "the dark input made bright, noise included", noisy)
     if (denoised := run.path / "denoised" / f"{name}.png").exists():
         add("denoised", f"Denoised by {main}", "what the scene is fitted to", read_png(denoised))
     renders = {other: made.rendering(name) for other, made in runs.items()}
@@ -94,7 +94,7 @@ def view_tiles(
 
 
 def shown(image: np.ndarray, run: Run | None = None, kind: str = "") -> np.ndarray:
-    """A picture for looking at: linear light as sRGB code."""
+    """A picture for display: linear light as sRGB code."""
     linear = kind == "linear" or (run is not None and run.space == "linear")
     return encode(image) if linear else image
 

@@ -1,4 +1,4 @@
-"""How a run appears in a report: its title, family and colour, and where its settings leave the published method."""
+"""How a run appears in a report: title, family and colour, and where its settings differ from the published method."""
 
 import colorsys
 from collections.abc import Iterable, Mapping
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from novags.methods import METHODS
-from novags.methods.settings import flattened
+from novags.settings import flattened
 from novags.testbed.cache import jsonable
 from novags.testbed.folders.run import Run
 
@@ -25,8 +25,8 @@ class Row:
         title: What it does.
         family: Of the method.
         color: "#rrggbb", different for every run of a report.
-        bound: "floor", "ceiling" or None, of a method as it is; a variant is not a bound.
-        competes: Whether it may be the best: what sees the noise-free exposures may not.
+        bound: "floor", "ceiling" or None, for a method with its own settings; a variant is not a bound.
+        competes: Whether it may be the best: a method that sees the noise-free exposures may not.
     """
 
     name: str
@@ -56,11 +56,14 @@ def rows_of(runs: Mapping[str, Run]) -> dict[str, Row]:
 
 
 def main_row(rows: Iterable[Row]) -> str:
-    """The run in the centre of a report: the first of our methods, else the first that competes."""
+    """The main run of a report: the first of our methods, else the first that competes."""
     listed = list(rows)
     ours = [row.name for row in listed if row.family == "ours"]
     others = [row.name for row in listed if row.competes and row.bound is None]
     return (ours or others or [listed[0].name])[0]
+
+
+BRIGHTEST = 0.3  # relative luminance: a lighter line would vanish on a white page
 
 
 def distinct(color: str, used: Iterable[str]) -> str:
@@ -70,9 +73,12 @@ def distinct(color: str, used: Iterable[str]) -> str:
     hue, light, strength = colorsys.rgb_to_hls(red, green, blue)
     while found in taken:
         turn += 1
-        level = min(0.72, max(0.3, light + (0.14 if turn % 2 else -0.06)))
-        shifted = colorsys.hls_to_rgb((hue + 0.09 * turn) % 1, level, strength)
-        found = "#" + "".join(f"{round(255 * part):02x}" for part in shifted)
+        level = min(0.6, max(0.3, light + (0.14 if turn % 2 else -0.06)))
+        # Grey has no hue to turn: without some strength of colour the search would not end.
+        shifted = colorsys.hls_to_rgb((hue + 0.09 * turn) % 1, level, max(strength, 0.45))
+        luminance = sum(weight * part**2.2 for weight, part in zip((0.2126, 0.7152, 0.0722), shifted, strict=True))
+        dimmed = (part * min(1.0, (BRIGHTEST / luminance) ** (1 / 2.2)) for part in shifted)
+        found = "#" + "".join(f"{round(255 * part):02x}" for part in dimmed)
     return found
 
 
@@ -88,13 +94,17 @@ class Deviation:
 def deviations(run: Run) -> list[Deviation]:
     """Every setting in which a run differs from its method as published, from its recorded configuration.
 
-    Size counts too, but not what every run must set: seed, extent, the cadence of checkpoints.
+    Settings of size count too, but not what every run must set: seed, extent, the cadence of checkpoints.
     """
-    if run.method not in METHODS:
+    method = METHODS.get(run.method)
+    if method is None:
         return []
-    published = jsonable(flattened(METHODS[run.method].config()))
+    published = jsonable(flattened(method.config()))
     here = _flat(run.record["config"])
     found = []
+    source = str((run.record.get("cameras") or {}).get("source", "known"))
+    if method.cameras is not None and not source.startswith(method.cameras):
+        found.append(Deviation("cameras", method.cameras, source))
     for name in dict.fromkeys((*published, *here)):
         if name in UNLISTED:
             continue

@@ -1,6 +1,6 @@
-"""The stages, folder in, folder out. What makes them resumable and keeps finished work is `cache.run_stage`.
+"""The stages: folder in, folder out. `cache.run_stage` makes them resumable and keeps finished work.
 
-`stale` names files elsewhere that describe an earlier result; they go when it goes.
+`stale` names files elsewhere that describe an earlier result; they are removed together with it.
 """
 
 from novags.testbed.stages.capture import capture as capture

@@ -17,7 +17,7 @@ from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.set import Source
 
-DENOISER_STEPS = 300  # for pictures that features are looked for in; the method trains its own
+DENOISER_STEPS = 300  # for the pictures in which features are detected; the method trains its own
 
 
 def cameras_of(
@@ -51,10 +51,10 @@ def cameras_of(
 
 
 def pictures_for(kind: str, dark: Tensor, seed: int) -> np.ndarray:
-    """The pictures that features are looked for in, uint8 [C,h,w,3]: "raw", "enhanced" or "denoised".
+    """The pictures in which features are detected, uint8 [C,h,w,3]: "raw", "enhanced" or "denoised".
 
     Args:
-        kind: Which.
+        kind: Which of these.
         dark: [C, h, w, 3], sRGB-encoded, 0..1.
         seed: Of the denoiser's training.
     """
@@ -76,12 +76,12 @@ def codes(images: Tensor) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Frame:
-    """The frame that a reconstruction lives in, and the true cameras seen from it.
+    """The coordinate frame of a reconstruction, and the true cameras in it.
 
     Attributes:
         capture: The capture.
         indices: Of the capture's views, the training views that have a camera.
-        cameras: Those cameras as training ended with them [R, 4, 4] float64.
+        cameras: Those cameras at the end of training [R, 4, 4] float64.
         alignment: Of these cameras to the true ones.
     """
 
@@ -97,7 +97,7 @@ class Frame:
         return Frame(capture, indices, cameras, align(cameras, true_cameras(capture)[indices]))
 
     def view(self, i: int, device: torch.device) -> Views:
-        """The camera of view `i` in this frame: the method's own of a training view, else the true one brought here."""
+        """The camera of view `i` in this frame: the method's own for a training view, else the true one transformed."""
         rig = self.capture.cameras.rig
         if i in self.indices:
             viewmat = self.cameras[self.indices.index(i)][None]
@@ -108,7 +108,7 @@ class Frame:
         return dataclasses.replace(views, viewmats=views.viewmats.to(device), Ks=views.Ks.to(device))
 
     def facts(self) -> dict[str, Any]:
-        """What a record says: which views have a camera, how far these are off after alignment, the depth scale."""
+        """For the record: which views have a camera, how large the errors are after alignment, the depth scale."""
         names, train = self.capture.names, self.capture.cameras.train_indices
         found = self.alignment
         return {

@@ -61,8 +61,8 @@ class CaptureConfig:
             raise ValueError(f"jpeg_quality must be None or in 1..100, got {self.jpeg_quality}")
         if self.seed < 0:
             raise ValueError(f"seed must be >= 0, got {self.seed}")
-        if self.time and not TIMES[0] <= self.time <= TIMES[1]:  # negative ones are none of an exposure's either
-            raise ValueError(f"time must be 0 or in {TIMES} s, which its raw files can say, got {self.time}")
+        if self.time and not TIMES[0] <= self.time <= TIMES[1]:  # refuses negative times too
+            raise ValueError(f"time must be 0 or in {TIMES} s, the range of its raw files, got {self.time}")
         self.exposure, self.limits(1)  # they check the rest
 
     @property
@@ -71,16 +71,16 @@ class CaptureConfig:
         return self.sensor if self.sensor in PRESETS else Path(self.sensor).stem
 
     def resolved(self) -> dict[str, Any]:
-        """What decides the pictures: the camera itself, not the path of its file as somebody typed it."""
+        """What determines the pictures: the camera itself, not the path of its file."""
         return {**asdict(self), "sensor": self.sensor_name}
 
     @property
     def exposure(self) -> Exposure:
-        """What the sensor model calls it."""
+        """As the sensor model's own type."""
         return Exposure(time=self.time)
 
     def limits(self, pixels: int) -> Limits | None:
-        """What leaving effects out of images of so many pixels may cost; None: nothing is left out."""
+        """The error allowed for leaving effects out of images of so many pixels; None: nothing is left out."""
         if self.tolerance is None:
             return None
         return Limits(sd=self.tolerance, row_length=ROW_LENGTH, pixels=pixels)
@@ -114,7 +114,7 @@ def camera_named(name: str) -> Sensor:
     """A preset by name, or the camera in a TOML file.
 
     Raises:
-        ValueError: If there is no such preset, or the file is missing or describes no camera.
+        ValueError: If there is no such preset, or the file is missing or does not describe a camera.
     """
     if name in PRESETS:
         return PRESETS[name]
@@ -225,7 +225,7 @@ def measure_light(source: Source, sensor: Sensor, progress: Update) -> tuple[flo
     if not total > 0:
         raise ValueError(f"the set {source.views.path} is black in green: there is no light to scale to electrons")
     quantiles = np.quantile(np.concatenate(samples).astype(np.float64), QUANTILES)
-    quantiles[0], quantiles[-1] = least, most  # exact: saturation hangs on the brightest pixel
+    quantiles[0], quantiles[-1] = least, most  # exact: saturation depends on the brightest pixel
     return total, quantiles
 
 
@@ -233,6 +233,6 @@ def some_pixels(image: np.ndarray, count: int) -> np.ndarray:
     """About `count` pixels [n,3] of an image [h,w,3], spread evenly over rows and columns."""
     height, width = image.shape[:2]
     stride = max(1, height * width // count)
-    while math.gcd(stride, width) > 1:  # it would meet the same columns in every row
+    while math.gcd(stride, width) > 1:  # else it would hit the same columns in every row
         stride += 1
     return image.reshape(-1, 3)[::stride].copy()  # a view would keep the whole image in memory

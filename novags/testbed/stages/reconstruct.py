@@ -1,4 +1,4 @@
-"""Reconstruct: a capture in, a run out. Reads the pictures, lets a method work on arrays, writes what it made."""
+"""Reconstruct: a capture in, a run out. Reads the pictures, lets a method work on arrays, writes what it produced."""
 
 import json
 import os
@@ -23,12 +23,12 @@ from novags.testbed.console import Console, losses_text
 from novags.testbed.devices import chosen_device
 from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import Capture, open_capture
-from novags.testbed.folders.png import write_png
 from novags.testbed.folders.run import CHECKPOINTS, EVENTS
 from novags.testbed.folders.set import Source
 from novags.testbed.stages.camera_source import Frame, cameras_of
 from novags.testbed.stages.paths import keep_apart
 from simscenes.sets.exr import write_exr
+from simscenes.sets.png import write_png
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +40,7 @@ class ReconstructConfig:
     cameras: CameraConfig = field(default_factory=KnownConfig)
     points: int = 8000  # Gaussians at the start, and at most if the fit's `cap_max` is None
     seed: int = 0
-    device: str = "auto"  # "auto", "cpu", "cuda": where a result is made does not decide what it is
+    device: str = "auto"  # "auto", "cpu", "cuda": not part of a result's identity
 
     def __post_init__(self) -> None:
         if self.config is None:
@@ -52,7 +52,7 @@ class ReconstructConfig:
             raise ValueError(f"seed must be >= 0, got {self.seed}")
 
     def resolved(self) -> dict[str, Any]:
-        """What decides the result."""
+        """What determines the result."""
         return {
             "method": self.variant.method, "points": self.points, "seed": self.seed,
             "cameras": spell_cameras(self.cameras), "config": asdict(self.config),
@@ -191,7 +191,7 @@ def views_of(viewmats: Tensor, Ks: Tensor, width: int, height: int) -> Views:
 
 
 def write_images(folder: Path, names: Sequence[str], result: Reconstruction) -> None:
-    """Write the enhanced training images and, if the method aimed at others, what it aimed at."""
+    """Write the enhanced training images and, if they differ, the targets of the fit."""
     if result.enhanced is not None:
         for name, image in zip(names, result.enhanced, strict=True):
             write_png(folder / "enhanced" / f"{name}.png", image.cpu().numpy())
@@ -225,5 +225,5 @@ class EventLog:
         write_text(self.path, "".join(f"{line}\n" for line in ordered))
 
     def add(self, event: dict[str, Any]) -> None:
-        """Keep one event; a step that is done again after an interruption replaces its first attempt."""
+        """Keep one event; a step that is repeated after an interruption replaces its first attempt."""
         self.events[event["step"]] = event

@@ -31,12 +31,12 @@ class RenderConfig:
     n_views: int = 32
     width: int = 128  # px
     height: int = 128  # px
-    spp: int | None = 256  # samples per pixel; None: as many as `target_error` asks for
+    spp: int | None = 256  # samples per pixel; None: as many as `target_error` requires
     target_error: float | None = None  # relative RMSE of a view
     variant: str = "auto"  # of Mitsuba
     on: tuple[str, ...] = ()  # effects of light that are simulated whatever the plan says
-    off: tuple[str, ...] = ()  # and that are not
-    max_depth: int | None = None  # longest path of light, as Mitsuba counts; None: as long as the plan finds worth it
+    off: tuple[str, ...] = ()  # and that are left out
+    max_depth: int | None = None  # longest path of light, as Mitsuba counts; None: as long as the plan finds worthwhile
     optics: Optics = field(default_factory=Optics)  # lens (None: a file's own, else a pinhole), motion, colour filters
     allow_outside: bool = False  # let a Mitsuba file read files outside its folder
     export: tuple[str, ...] = ()  # further layouts of the set: "blender", "llff"
@@ -62,12 +62,12 @@ class RenderConfig:
             ("export", self.export, EXPORTS),
         ):
             if unknown := [name for name in given if name not in known]:
-                raise ValueError(f"{what} must be of {', '.join(known)}; got {', '.join(unknown)}")
+                raise ValueError(f"{what} must be among {', '.join(known)}; got {', '.join(unknown)}")
         if both := set(self.on) & set(self.off):
             raise ValueError(f"{', '.join(sorted(both))}: forced on and off at once; name each effect once")
 
     def resolved(self) -> dict[str, Any]:
-        """What decides the pixels, the content of the scene aside: no path as somebody typed it, no further layouts."""
+        """What determines the pixels, apart from the content of the scene: neither its path nor further layouts."""
         kept = {name: value for name, value in asdict(self).items() if name != "export"}
         return kept | {"scene": self.source.name}
 
@@ -107,7 +107,7 @@ def scene_digest(config: RenderConfig) -> str:
     """What the scene is: the name of a catalogue scene, or a hash of a file and of the files that it names.
 
     Raises:
-        ValueError: If the name is unknown, or the file cannot be read or is not to be trusted.
+        ValueError: If the name is unknown, or the file cannot be read or must not be trusted.
     """
     source = config.source
     if source.path is None:
@@ -166,7 +166,7 @@ def plan_of(config: RenderConfig, tolerance: float = 0.02) -> Plan:
         tolerance: Share of all light that may be wrong or missing.
 
     Raises:
-        ValueError: If the scene cannot be planned for.
+        ValueError: If no plan can be made for the scene.
     """
     from simscenes import plan_transport
 
@@ -178,7 +178,7 @@ def plan_of(config: RenderConfig, tolerance: float = 0.02) -> Plan:
 
 
 def rig_of(config: RenderConfig) -> Rig:
-    """The cameras: those a catalogue scene is made to be seen with, or an arc around a file's own camera.
+    """The cameras: those designed for a catalogue scene, or an arc around a file's own camera.
 
     Raises:
         ValueError: If the scene is unknown, cannot be loaded, or has no camera to start from.

@@ -10,7 +10,6 @@ from novags.methods.problem import encode
 from novags.testbed.cache import run_stage
 from novags.testbed.console import Console, Update
 from novags.testbed.folders.capture import Capture
-from novags.testbed.folders.png import read_png
 from novags.testbed.folders.run import METRICS, Run, open_run
 from novags.testbed.folders.set import Source
 from novags.testbed.metrics import (
@@ -28,6 +27,7 @@ from novags.testbed.metrics import (
 )
 from novags.testbed.references import references, true_depth
 from simscenes.sets.correspondence import flow
+from simscenes.sets.png import read_png
 
 BLUR_SIGMA = 1.2  # px; the fixed bar a denoiser has to clear
 BLUR_GRID = tuple(float(s) for s in np.geomspace(0.4, 8.0, 20))  # px; the harder bar: the best of these for the images
@@ -37,7 +37,7 @@ def score(run_path: Path, console: Console) -> dict[str, Any]:
     """Score the run at `run_path` against the truth of its capture; returns its metrics.json.
 
     Raises:
-        ValueError: If the run, its capture or its set cannot be read, or the run was not made from them as they are.
+        ValueError: If the run, its capture or its set cannot be read, or they have changed since the run was made.
     """
     run = open_run(run_path)
     captured, lit = run.inputs(console)
@@ -107,7 +107,7 @@ def exposure(run: Run, capture: Capture, lit: Source, indices: list[int]) -> flo
 
 
 def _shown(rendered: Image, run: Run, gain: float) -> Image:
-    """A render as a picture in sRGB code; of a method in linear light at the exposure of the capture."""
+    """A render as a picture in sRGB code; for a method in linear light, at the exposure of the capture."""
     return encode(gain * rendered) if run.space == "linear" else rendered
 
 
@@ -128,7 +128,7 @@ def score_training_images(run: Run, capture: Capture, lit: Source) -> dict[str, 
 
     Returns:
         `enhanced`, `denoised` (only if the method denoises), `blur` (sigma 1.2 px) and `best_blur` (the sigma of
-        `BLUR_GRID` that suits these very images), each with mean `psnr` and `aligned_psnr`; blurs also with `sigma`.
+        `BLUR_GRID` that suits these images best), each with mean `psnr` and `aligned_psnr`; blurs also with `sigma`.
         None for a method that enhances no pictures.
     """
     if run.enhancement is None or not (run.path / "enhanced").is_dir():
@@ -200,7 +200,7 @@ def merge(metrics: dict[str, dict[str, Any]], methods: dict[str, str]) -> dict[s
 def recovered_fractions(
     scores: dict[str, Any], methods: dict[str, str], kind: str = "enhanced", number: str = "aligned_psnr"
 ) -> tuple[dict[str, float], str | None]:
-    """The share of what noise costs that each run wins back, and why there is none if there is none.
+    """The share of what noise costs that each run wins back, and the reason if there is none.
 
     Args:
         scores: The scores of each run, by its name.
@@ -222,7 +222,7 @@ def recovered_fractions(
     if missing := [name for name in ends.values() if name not in value]:
         return {}, f"{' and '.join(missing)} were scored by an earlier version: score them again"
     floor, span = value[ends["floor"]], value[ends["ceiling"]] - value[ends["floor"]]
-    if span < 0.1:  # dB; a fraction of so little would be scatter divided by scatter
+    if span < 0.1:  # dB; a ratio of such small differences would be mostly scatter
         return {}, (
             f"{ends['ceiling']} is only {span:+.2f} dB from {ends['floor']}: noise costs too little here to speak of a "
             "fraction"

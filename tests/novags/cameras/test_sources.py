@@ -71,7 +71,7 @@ def test_defaults_are_not_spelled():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("knwn", r"unknown cameras 'knwn' \(did you mean known\?\); there are known, sfm, vggt"),
+        ("knwn", r"unknown cameras 'knwn' \(did you mean known\?\); available: known, sfm, vggt"),
         ("sfm:maper=global", r"cameras sfm has no setting 'maper' \(did you mean mapper\?\); it has pictures, mapper"),
         ("known:translation", "cameras known: write translation=VALUE"),
         ("known:translation=", "cameras known: write translation=VALUE"),

@@ -17,7 +17,7 @@ from novags.testbed import stages
 from novags.testbed.cache import read_json
 from novags.testbed.console import Console
 from novags.testbed.experiment import run
-from novags.testbed.presets import PRESETS, adapted
+from novags.testbed.presets import EXPERIMENTS, adapted
 from simscenes import read_exr
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "adding-a-method.md"
@@ -28,7 +28,7 @@ TINY = {"scene": "cornell", "n_views": 9, "width": 24, "height": 24, "spp": 8, "
 @pytest.fixture(scope="module")
 def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("tiny")
-    tiny = adapted(PRESETS["demo"], **TINY)
+    tiny = adapted(EXPERIMENTS["demo"], **TINY)
     stages.render(folder / "set", tiny.render, QUIET)
     stages.capture(folder / "set", folder / "capture", tiny.capture, QUIET)
     return folder / "capture"
@@ -46,7 +46,7 @@ def example() -> dict[str, Any]:
 def test_the_example_of_the_page_is_a_method(capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(METHODS, "gamma", example()["METHODS"]["gamma"])
     own = parse_variant("dim=gamma:gamma=0.8")
-    preset = adapted(PRESETS["demo"], **TINY, variants=(own,), methods=("gamma", "dim"))
+    preset = adapted(EXPERIMENTS["demo"], **TINY, variants=(own,), methods=("gamma", "dim"))
     records = {
         name: stages.reconstruct(capture, tmp_path / name, preset.reconstruct(name), QUIET) for name in preset.methods
     }
@@ -99,7 +99,7 @@ def test_a_method_without_gaussians_goes_through_the_whole_experiment(
 ) -> None:
     """Rationale: only `Scene` and `Reconstruction` may be assumed; a field on a grid, or a mesh, is as good."""
     monkeypatch.setitem(METHODS, "constant", replace(DUMMY, config=lambda: ConstantConfig(space=space)))
-    preset = adapted(PRESETS["demo"], **TINY, methods=("constant", "naive", "oracle"))
+    preset = adapted(EXPERIMENTS["demo"], **TINY, methods=("constant", "naive", "oracle"))
     page = run(preset, tmp_path, QUIET).read_text(encoding="utf-8")
     record, metrics = read_json(tmp_path / "constant" / "run.json"), read_json(tmp_path / "metrics.json")
     assert (record["colors"], record["space"]) == (1, space)

@@ -6,8 +6,8 @@ from typing import Any, Literal
 import pytest
 
 from novags import methods
-from novags.methods.settings import changed, converted, flattened, has_setting
 from novags.methods.variant import Variant, parse_variant
+from novags.settings import changed, converted, flattened, has_setting
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,7 +75,7 @@ def test_settings_change_what_they_name_and_nothing_else(settings, expected):
     ("settings", "match"),
     [
         ({"rat": 1}, "has no setting 'rat'; did you mean 'rate'"),
-        ({"zzzzz": 1}, "there are rate, count"),
+        ({"zzzzz": 1}, "available: rate, count"),
         ({"inner.zzzzz": 1}, "Inner has no setting"),
         ({"rate": "fast"}, "setting rate must be a number, got 'fast'"),
         ({"rate": "none"}, "rate must be a number"),
@@ -178,7 +178,7 @@ def test_a_variant_of_a_variant_adds_its_settings():
         ([Variant(name="nova", method="naive")], "needs a name of its own"),
         ([Variant(name="a", method="naive"), Variant(name="a", method="nova")], "needs a name of its own"),
         ([Variant(name="a", method="nove")], "unknown method 'nove'; did you mean 'nova"),
-        ([Variant(name="a", method="qqqqqq")], "unknown method 'qqqqqq'; there are nova"),
+        ([Variant(name="a", method="qqqqqq")], "unknown method 'qqqqqq'; available: nova"),
     ],
 )
 def test_variants_of_nothing_or_of_a_taken_name_are_refused(variants, match):

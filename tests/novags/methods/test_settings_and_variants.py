@@ -1,6 +1,7 @@
 """Claims about settings by dotted name and about variants."""
 
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Literal
 
 import pytest
@@ -9,8 +10,8 @@ from novags.methods import METHODS, VARIANTS, chosen, with_variants
 from novags.methods.nova.consistency import ConsistencyConfig
 from novags.methods.nova.denoiser import FAST_DENOISER, DenoiserConfig
 from novags.methods.nova.trainer import NovaConfig
-from novags.methods.settings import changed, flattened, has_setting
-from novags.methods.variant import Variant, parse_variant
+from novags.methods.variant import Variant, parse_variant, read_variants
+from novags.settings import changed, flattened, has_setting
 
 
 @dataclass(frozen=True)
@@ -59,7 +60,7 @@ def test_text_becomes_a_value_of_the_declared_type(name: str, text: object, valu
     ("settings", "message"),
     [
         ({"cuont": "1"}, "no setting 'cuont'; did you mean 'count'"),
-        ({"inner.size": "1"}, "Inner has no setting 'size'; there are share, widths"),
+        ({"inner.size": "1"}, "Inner has no setting 'size'; available: share, widths"),
         ({"count": "1.5"}, "count must be a whole number, got '1.5'"),
         ({"count": "none"}, "count must be a whole number, got 'none'"),
         ({"kind": "batch"}, "kind must be one of none, instance, got 'batch'"),
@@ -153,3 +154,25 @@ def test_every_name_gives_a_configuration_of_its_method(name: str) -> None:
     assert isinstance(config, method.config)
     changes = {key for key, value in flattened(config).items() if flattened(method.config()).get(key, ...) != value}
     assert bool(changes) == (name not in METHODS)
+
+
+def test_variants_can_be_written_in_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text(
+        '[variant.a]\nmethod = "nova"\nsh_weight = "none"\nfit.iterations = 5\ndenoiser.network.widths = [8, 16]\n'
+        '[variant.b]\nmethod = "a"\n"fit.sh_degree" = 1\n'
+    )
+    own = with_variants(read_variants(file))
+    config = chosen("b", own).config(NovaConfig(), {})
+    assert (config.sh_weight, config.fit.iterations, config.fit.sh_degree) == (None, 5, 1)
+    assert config.denoiser.network.widths == (8, 16)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [("", "has no table"), ("[variant.a]\nx = 1\n", 'needs method = "NAME"'), ("[[", "not a readable TOML file")],
+)
+def test_a_file_without_variants_says_what_it_lacks(tmp_path: Path, text: str, message: str) -> None:
+    (tmp_path / "mine.toml").write_text(text)
+    with pytest.raises(ValueError, match=message):
+        read_variants(tmp_path / "mine.toml")

@@ -12,7 +12,7 @@ from torch import Tensor
 from novags.splats import CameraRefinement, FitConfig, Gaussians, Step, Views, fit, rasterize
 from novags.splats.camera_refinement import CameraState, move_cameras, refined
 
-SIZE, N_VIEWS, N = 40, 8, 300
+SIZE, N_VIEWS, N = 40, 6, 300
 RADIUS, FOCAL = 2.4, 0.7  # near and wide: turns and moves of a camera then look different
 
 
@@ -50,7 +50,7 @@ def problem() -> tuple[Gaussians, Views, Tensor, Views]:
     start.means += 0.02 * torch.randn(N, 3, generator=g)
     start.sh += 0.1 * torch.randn(N, 1, 3, generator=g)
     start.logit_opacities[:] = 0
-    rng = np.random.default_rng(1)
+    rng = np.random.default_rng(2)
     wrong = views.viewmats.double().numpy().copy()
     turns = Rotation.from_rotvec(math.radians(2) / math.sqrt(3) * rng.standard_normal((N_VIEWS, 3))).as_matrix()
     wrong[:, :3] = turns @ wrong[:, :3]
@@ -59,7 +59,7 @@ def problem() -> tuple[Gaussians, Views, Tensor, Views]:
 
 
 def camera_errors(viewmats: Tensor, truth: Views) -> tuple[float, float]:
-    """Root mean square angle in degrees and distance of centres in extents, after the best similarity (Umeyama 1991)."""
+    """RMS angle in degrees and distance of centres in extents, after the best similarity (Umeyama 1991)."""
     found, true = viewmats.double().numpy(), truth.viewmats.double().numpy()
     a, b = (-np.einsum("cji,cj->ci", v[:, :3, :3], v[:, :3, 3]) for v in (found, true))
     a0, b0 = a - a.mean(0), b - b.mean(0)
@@ -84,16 +84,16 @@ def test_a_short_fit_brings_cameras_back_and_shows_the_pictures_better():
     before = camera_errors(wrong.viewmats, views)
     assert before[0] > 1.2
     assert before[1] > 0.012
+    # 67 visits to a camera take larger steps than the many of a full run
+    quick = CameraRefinement(start=10, rotation_rate=1e-2, translation_rate=4e-3)
     plain = fit(start, wrong, lambda i: images[i], config())
-    better = fit(start, wrong, lambda i: images[i], config(refine_cameras=CameraRefinement(start=20)))
+    better = fit(start, wrong, lambda i: images[i], config(refine_cameras=quick))
     after = camera_errors(better.viewmats, views)
-    print(before, after)
     assert after[0] < 0.45 * before[0]
     assert after[1] < 0.45 * before[1]
     gain = psnr(pictures(better.gaussians, better.viewmats, views), images) - psnr(
         pictures(plain.gaussians, wrong.viewmats, views), images
     )
-    print(gain)
     assert gain > 6
     assert torch.equal(plain.viewmats, wrong.viewmats)
 
@@ -236,7 +236,7 @@ def test_a_strong_pull_keeps_the_cameras_where_they_were_given():
     twist = {}
     for pull in (0.0, 1e4):
         refinement = CameraRefinement(start=0, pull=pull)
-        result = fit(start, wrong, lambda i: images[i], config(iterations=160, refine_cameras=refinement))
+        result = fit(start, wrong, lambda i: images[i], config(iterations=60, refine_cameras=refinement))
         twist[pull] = (result.viewmats - wrong.viewmats).norm().item()
     assert twist[1e4] < 0.1 * twist[0.0]
 

@@ -119,7 +119,7 @@ def test_a_file_that_is_no_checkpoint_is_refused(tmp_path, content):
     save_file({"means": start.means}, path)
     if content != "tensors":
         path.write_bytes({"text": b"no tensors" * 9, "nothing": b"", "cut": path.read_bytes()[:-8]}[content])
-    with pytest.raises(ValueError, match="other.safetensors is no training checkpoint.*delete it to start anew"):
+    with pytest.raises(ValueError, match="other.safetensors is not a training checkpoint.*delete it to start again"):
         fit(start, views, lambda i: images[i], config(iterations=1), checkpoint=path)
 
 

@@ -116,12 +116,12 @@ def test_only_the_middle_is_read_and_keeps_its_pattern(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("notes", "message"),
     [
-        ("TIMES bits", "do not tell their bits"),
-        ("bits = 12", "do not tell their exposure time"),
+        ("TIMES bits", "do not state their bits"),
+        ("bits = 12", "do not state their exposure time"),
         ("bits = 12\nlens = 3", "unknown lens"),
         ("bits = ", "frames.toml"),
         ('bits = 12\n[stacks."dark/9"]\ntime = 1.0', "stacks that are not there: dark/9"),
-        ("TIMES", "does not tell eta: give the photons"),
+        ("TIMES", "does not determine eta: give the photons"),
         ("TIMES\n[camera]\neta = 60", r"frames.toml: eta must be in \(0, 1\]"),
         ("TIMES\n[camera]\neta = 0.5\nsigma_read = 1", "got 'sigma_read'"),
     ],
@@ -144,5 +144,5 @@ def test_folders_that_are_laid_out_otherwise_are_refused(tmp_path: Path) -> None
     with pytest.raises(ValueError, match="frames of one size"):
         read_frames(tmp_path)
     np.save(tmp_path / "flat" / "0" / "zz.npy", np.zeros((16, 16), np.float32))
-    with pytest.raises(ValueError, match="whole codes of one channel"):
+    with pytest.raises(ValueError, match="integer codes of one channel"):
         read_frames(tmp_path)

@@ -13,7 +13,7 @@ from novags.methods.gaussian_fit import ORIGINAL_FIT
 from novags.methods.nova.trainer import NovaConfig
 from novags.methods.variant import parse_variant
 from novags.testbed.console import Console, losses_text
-from novags.testbed.presets import PRESETS, Preset, adapted
+from novags.testbed.presets import EXPERIMENTS, Preset, adapted
 from novags.testbed.stages.capture import CaptureConfig
 from novags.testbed.stages.render import RenderConfig
 
@@ -23,7 +23,7 @@ def config(preset: Preset, name: str) -> Any:
 
 
 def test_adapting_changes_what_is_named_and_nothing_else() -> None:
-    demo = PRESETS["demo"]
+    demo = EXPERIMENTS["demo"]
     assert adapted(demo) == demo
     changed = adapted(demo, electrons=5.0, iterations=7, width=64)
     assert changed.capture.electrons == 5.0
@@ -32,15 +32,15 @@ def test_adapting_changes_what_is_named_and_nothing_else() -> None:
     assert adapted(changed, electrons=20.0, iterations=2400, width=demo.render.width) == demo
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", EXPERIMENTS)
 def test_presets_compare_with_floor_and_ceiling(name: str) -> None:
-    bounds = {METHODS[chosen(method).method].bound for method in PRESETS[name].methods}
+    bounds = {METHODS[chosen(method).method].bound for method in EXPERIMENTS[name].methods}
     assert {"floor", "ceiling"} <= bounds
 
 
-@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("name", EXPERIMENTS)
 def test_methods_of_a_preset_share_enhancement_and_fit(name: str) -> None:
-    preset = PRESETS[name]
+    preset = EXPERIMENTS[name]
     configs = {method: config(preset, method) for method in (*METHODS, *VARIANTS)}
     assert len({c.enhance for c in configs.values()}) == 1
     fits = {replace(c.fit, dssim_weight=0.2) for c in configs.values()}
@@ -49,22 +49,22 @@ def test_methods_of_a_preset_share_enhancement_and_fit(name: str) -> None:
 
 
 def test_the_papers_preset_is_the_method_as_published_but_for_its_cap() -> None:
-    found = config(PRESETS["paper"], "nova")
+    found = config(EXPERIMENTS["paper"], "nova")
     assert replace(found, fit=NovaConfig().fit) == NovaConfig()
     assert replace(found.fit, cap_max=None, checkpoint_every=1000) == ORIGINAL_FIT
     assert found.denoiser.blind_spots.fraction(800 * 800) * 800 * 800 == 60_000
 
 
 def test_a_setting_that_one_method_has_reaches_that_method_alone() -> None:
-    demo, other = PRESETS["demo"], adapted(PRESETS["demo"], denoiser_steps=1)
+    demo, other = EXPERIMENTS["demo"], adapted(EXPERIMENTS["demo"], denoiser_steps=1)
     assert demo.reconstruct("naive").resolved() == other.reconstruct("naive").resolved()
     assert demo.reconstruct("nova-fast").resolved() != other.reconstruct("nova-fast").resolved()
 
 
 def test_own_variants_are_compared_beside_the_presets_methods() -> None:
     own = parse_variant("calm=nova-fast:sh_weight=0.5")
-    preset = adapted(PRESETS["demo"], variants=(own,))
-    assert preset.methods == (*PRESETS["demo"].methods, "calm")
+    preset = adapted(EXPERIMENTS["demo"], variants=(own,))
+    assert preset.methods == (*EXPERIMENTS["demo"].methods, "calm")
     assert config(preset, "calm") == replace(config(preset, "nova-fast"), sh_weight=0.5)
 
 
@@ -126,10 +126,10 @@ def test_peak_memory_sees_a_large_array_and_forgets_it() -> None:
         ({"target_error": 0.1}, "either spp or target_error"),
         ({"spp": None, "target_error": -1.0}, "target_error must lie in"),
         ({"seed": -1}, "seed"),
-        ({"variant": "nope"}, "variant must be of auto, .* got nope"),
-        ({"on": ("foo",)}, "on and off must be of indirect light, .* got foo"),
+        ({"variant": "nope"}, "variant must be among auto, .* got nope"),
+        ({"on": ("foo",)}, "on and off must be among indirect light, .* got foo"),
         ({"on": ("indirect light",), "off": ("indirect light",)}, "indirect light: forced on and off"),
-        ({"export": ("fbx",)}, "export must be of blender, llff; got fbx"),
+        ({"export": ("fbx",)}, "export must be among blender, llff; got fbx"),
     ],
 )
 def test_impossible_renders_are_refused(values: dict, message: str) -> None:
@@ -139,4 +139,4 @@ def test_impossible_renders_are_refused(values: dict, message: str) -> None:
 
 def test_settings_that_only_the_last_stage_needs_are_checked_before_the_first() -> None:
     with pytest.raises(ValueError, match="points must be >= 4, got -5"):
-        adapted(PRESETS["demo"], points=-5)
+        adapted(EXPERIMENTS["demo"], points=-5)

@@ -4,9 +4,9 @@ import pytest
 import torch
 
 from novags.methods.nova.consistency import (
-    Camera,
     ConfidenceNet,
     ConsistencyConfig,
+    Pinhole,
     consistency_loss,
     reproject,
     source_candidates,
@@ -17,17 +17,17 @@ SIZE = 64
 K = torch.tensor([[60.0, 0.0, 32.0], [0.0, 60.0, 32.0], [0.0, 0.0, 1.0]], dtype=torch.float64)
 
 
-def camera(x: float = 0.0, z: float = 0.0, yaw: float = 0.0) -> Camera:
+def camera(x: float = 0.0, z: float = 0.0, yaw: float = 0.0) -> Pinhole:
     """A camera at (x, 0, z), turned by yaw radians about its vertical axis."""
     c, s = math.cos(yaw), math.sin(yaw)
     rotation = torch.tensor([[c, 0, -s], [0, 1, 0], [s, 0, c]], dtype=torch.float64)
     viewmat = torch.eye(4, dtype=torch.float64)
     viewmat[:3, :3] = rotation
     viewmat[:3, 3] = -rotation @ torch.tensor([x, 0.0, z], dtype=torch.float64)
-    return Camera(viewmat, K)
+    return Pinhole(viewmat, K)
 
 
-def plane_depth(view: Camera, distance: float = 4.0) -> torch.Tensor:
+def plane_depth(view: Pinhole, distance: float = 4.0) -> torch.Tensor:
     """z-depth of the world plane z = distance seen by a camera."""
     y, x = torch.meshgrid(torch.arange(SIZE) + 0.5, torch.arange(SIZE) + 0.5, indexing="ij")
     rays = torch.stack([(x - 32) / 60, (y - 32) / 60, torch.ones_like(x)], -1).double()
@@ -35,7 +35,7 @@ def plane_depth(view: Camera, distance: float = 4.0) -> torch.Tensor:
     return (distance - center[2]) / (rays @ rotation)[..., 2]
 
 
-def plane_image(view: Camera, distance: float = 4.0) -> torch.Tensor:
+def plane_image(view: Pinhole, distance: float = 4.0) -> torch.Tensor:
     """A smooth pattern painted on that plane."""
     y, x = torch.meshgrid(torch.arange(SIZE) + 0.5, torch.arange(SIZE) + 0.5, indexing="ij")
     rays = torch.stack([(x - 32) / 60, (y - 32) / 60, torch.ones_like(x)], -1).double()

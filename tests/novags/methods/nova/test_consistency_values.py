@@ -11,10 +11,10 @@ import pytest
 import torch
 
 from novags.methods.nova.consistency import (
-    Camera,
     ConfidenceNet,
     ConsistencyConfig,
     ConsistencyLoss,
+    Pinhole,
     consistency_loss,
     reproject,
     source_candidates,
@@ -36,17 +36,17 @@ def rotation(x: float, y: float, z: float) -> np.ndarray:
     return out
 
 
-def camera(turn: tuple[float, float, float], shift: tuple[float, float, float], K: list[list[float]]) -> Camera:
+def camera(turn: tuple[float, float, float], shift: tuple[float, float, float], K: list[list[float]]) -> Pinhole:
     viewmat = np.eye(4)
     viewmat[:3, :3], viewmat[:3, 3] = rotation(*turn), shift
-    return Camera(torch.from_numpy(viewmat), torch.tensor(K, dtype=torch.float64))
+    return Pinhole(torch.from_numpy(viewmat), torch.tensor(K, dtype=torch.float64))
 
 
 TARGET = camera((0.05, -0.1, 0.02), (0.1, -0.2, 0.3), [[14.0, 0, 7.5], [0, 12.0, 4.0], [0, 0, 1]])
 SOURCE = camera((-0.03, 0.08, -0.05), (-0.3, 0.1, 0.1), [[11.0, 0, 5.0], [0, 13.0, 6.5], [0, 0, 1]])
 
 
-def depth_of_plane(view: Camera, size: tuple[int, int], normal=(0.1, 0.2, 1.0), offset=4.0) -> np.ndarray:
+def depth_of_plane(view: Pinhole, size: tuple[int, int], normal=(0.1, 0.2, 1.0), offset=4.0) -> np.ndarray:
     """z-depth of the world plane normal . X = offset."""
     R, t, K = view.viewmat[:3, :3].numpy(), view.viewmat[:3, 3].numpy(), view.K.numpy()
     out = np.empty(size)
@@ -67,12 +67,12 @@ def read(image: np.ndarray, x: float, y: float) -> np.ndarray:
     return upper * (1 - (v - top)) + lower * (v - top)
 
 
-def world(view: Camera, x: float, y: float, depth: float) -> np.ndarray:
+def world(view: Pinhole, x: float, y: float, depth: float) -> np.ndarray:
     point = depth * np.linalg.solve(view.K.numpy(), [x, y, 1])
     return view.viewmat[:3, :3].numpy().T @ (point - view.viewmat[:3, 3].numpy())
 
 
-def seen(view: Camera, point: np.ndarray) -> tuple[float, float, float]:
+def seen(view: Pinhole, point: np.ndarray) -> tuple[float, float, float]:
     """x, y, depth."""
     local = view.viewmat[:3, :3].numpy() @ point + view.viewmat[:3, 3].numpy()
     x, y, w = view.K.numpy() @ local
@@ -152,7 +152,7 @@ def test_gradients_reach_the_target_depth_and_not_the_source_depth():
 def test_a_view_of_a_set_has_its_own_pose_and_intrinsics():
     viewmats, Ks = torch.eye(4).repeat(3, 1, 1), torch.eye(3).repeat(3, 1, 1)
     viewmats[:, 0, 3], Ks[:, 0, 0] = torch.arange(3.0), torch.arange(1.0, 4.0)
-    view = Camera.of(Views(viewmats, Ks, 4, 4), 2)
+    view = Pinhole.of(Views(viewmats, Ks, 4, 4), 2)
     assert torch.equal(view.viewmat, viewmats[2])
     assert torch.equal(view.K, Ks[2])
 
@@ -255,7 +255,7 @@ class Stage:
         generator = torch.Generator().manual_seed(0)
         self.images = torch.rand(3, *self.SIZE, 3, generator=generator)
         self.alphas = torch.rand(3, *self.SIZE, generator=generator)
-        cameras = [Camera(self.views.viewmats[i].double(), self.views.Ks[i].double()) for i in range(3)]
+        cameras = [Pinhole(self.views.viewmats[i].double(), self.views.Ks[i].double()) for i in range(3)]
         self.depths = [depth_of_plane(c, self.SIZE) * (1 + 0.01 * i) for i, c in enumerate(cameras)]
         self.cameras = cameras
 

@@ -16,7 +16,7 @@ from novags.methods.nova.resunet import ResUNetConfig
 from novags.methods.nova.trainer import NovaConfig, _Training, train
 from novags.splats import FitConfig
 from novags.splats.fit import Step
-from novags.testbed.presets import PRESETS
+from novags.testbed.presets import EXPERIMENTS
 
 DENOISER = DenoiserConfig(
     network=ResUNetConfig(widths=(4,), bottleneck=6, normalization="none"),
@@ -266,7 +266,7 @@ def test_a_fit_without_its_networks_is_not_continued(problem, tmp_path: Path):
 
 def test_the_papers_preset_resumes_to_the_same_bits(problem, tmp_path: Path):
     """Rationale: its settings, but for size and length, are what takes days and gets interrupted."""
-    paper = PRESETS["paper"].reconstruct("nova").config
+    paper = EXPERIMENTS["paper"].reconstruct("nova").config
     fit = dataclasses.replace(ORIGINAL_FIT, iterations=7000, cap_max=1_000_000, checkpoint_every=250)
     assert paper == NovaConfig(fit=fit)
     tiny = dataclasses.replace(paper.denoiser, network=ResUNetConfig(widths=(4,), bottleneck=6), warmup_steps=2)

@@ -1,4 +1,4 @@
-"""PNG files in and out, RGB [h,w,3]: whole codes (uint8, uint16) or float32 in 0..1."""
+"""PNG files in and out, RGB [h,w,3]: integer codes (uint8, uint16) or float32 in 0..1."""
 
 from pathlib import Path
 
@@ -12,7 +12,7 @@ def read_png(path: Path) -> np.ndarray:
     """Read an RGB image as float32 [h,w,3] in 0..1 (code divided by the largest code).
 
     Raises:
-        ValueError: If the file is missing, unreadable, or of another depth than 8 or 16 bits.
+        ValueError: If the file is missing, unreadable, or not 8 or 16 bits deep.
     """
     codes = read_codes(path)
     return codes.astype(np.float32) / np.float32(np.iinfo(codes.dtype).max)
@@ -22,7 +22,7 @@ def read_codes(path: Path) -> np.ndarray:
     """Read an RGB image as it is stored, uint8 or uint16 [h,w,3].
 
     Raises:
-        ValueError: If the file is missing, unreadable, or of another depth.
+        ValueError: If the file is missing, unreadable, or of a different depth.
     """
     bgr = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     if bgr is None:

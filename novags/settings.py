@@ -8,6 +8,7 @@ import dataclasses
 import types
 from collections.abc import Mapping
 from difflib import get_close_matches
+from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 Config = TypeVar("Config")
@@ -58,7 +59,7 @@ def changed(config: Config, settings: Mapping[str, Any], *, what: str = "setting
     for head in (*own, *nested):
         if head not in known:
             near = get_close_matches(head, known, 1)
-            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(known)}"
+            hint = f"did you mean {near[0]!r}?" if near else f"available: {', '.join(known)}"
             raise ValueError(f"{what}: {type(config).__name__} has no setting {head!r}; {hint}")
     values = {head: converted(value, hints[head], f"{what} {head}") for head, value in own.items()}
     for head, inner in nested.items():
@@ -87,7 +88,9 @@ def converted(value: Any, hint: Any, what: str) -> Any:
                 return _as(value, option)
             except (ValueError, TypeError):
                 continue
-    raise ValueError(f"{what} must be {_words(options)}, got {value!r}")
+    choices = [str(choice) for option in options if get_origin(option) is Literal for choice in get_args(option)]
+    near = get_close_matches(str(value), choices, 1)
+    raise ValueError(f"{what} must be {_words(options)}, got {value!r}{f' (did you mean {near[0]}?)' if near else ''}")
 
 
 def _as(value: Any, kind: Any) -> Any:
@@ -107,6 +110,8 @@ def _as(value: Any, kind: Any) -> Any:
         return number if isinstance(value, str) or number == value else _no()
     if kind is str and isinstance(value, str):
         return value
+    if kind is Path and isinstance(value, str | Path):
+        return Path(value).expanduser()
     return value if kind is Any else _no()
 
 
@@ -127,7 +132,14 @@ def _default(hint: Any, what: str) -> Any:
 
 
 def _words(options: tuple[Any, ...]) -> str:
-    names = {int: "a whole number", float: "a number", bool: "true or false", str: "text", type(None): "none"}
+    names = {
+        int: "a whole number",
+        float: "a number",
+        bool: "true or false",
+        str: "text",
+        Path: "a path",
+        type(None): "none",
+    }
     words = []
     for option in options:
         if get_origin(option) is Literal:

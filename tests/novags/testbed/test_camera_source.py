@@ -1,0 +1,136 @@
+"""Claims about the frame that a reconstruction lives in, and about what a capture gives methods with wrong cameras."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+
+from novags.cameras import CameraEstimate, KnownConfig
+from novags.splats import Gaussians, rasterize
+from novags.testbed.console import Console
+from novags.testbed.presets import EXPERIMENTS, adapted
+from novags.testbed.stages.camera_source import Frame, cameras_of, codes, pictures_for
+from simscenes import Rig, orbit_rig
+
+SCALE = 2.5
+TURN = Rotation.from_rotvec([0.3, -0.8, 0.5]).as_matrix()
+MOVE = np.array([1.0, -2.0, 0.5])
+QUIET = Console(quiet=True)
+
+
+def capture(rig: Rig, train: list[int]) -> Any:
+    cameras = SimpleNamespace(rig=rig, train_indices=train)
+    return SimpleNamespace(cameras=cameras, names=tuple(f"{i:04d}" for i in range(len(rig))))
+
+
+def seen_from(viewmats: np.ndarray) -> torch.Tensor:
+    """True cameras in a frame with X_true = SCALE * TURN @ X + MOVE: the same pictures of the scene in that frame."""
+    found = viewmats.astype(np.float64).copy()
+    found[:, :3, :3] = viewmats[:, :3, :3] @ TURN
+    found[:, :3, 3] = (np.einsum("cij,j->ci", viewmats[:, :3, :3], MOVE) + viewmats[:, :3, 3]) / SCALE
+    return torch.from_numpy(found)
+
+
+def estimate(viewmats: torch.Tensor, Ks: np.ndarray, registered: tuple[int, ...]) -> CameraEstimate:
+    points = torch.zeros(2, 3)
+    return CameraEstimate(
+        registered=registered, viewmats=viewmats, Ks=torch.from_numpy(np.array(Ks, np.float64)), points=points,
+        colors=points, extent=1.0,
+    )  # fmt: skip
+
+
+@pytest.fixture
+def rig() -> Rig:
+    return orbit_rig(8, 33, 33, 50.0, radius=3.0)
+
+
+def test_held_out_views_are_rendered_from_the_true_camera_in_the_methods_frame(rig: Rig) -> None:
+    """Rationale: a method in a frame of its own must show a held-out view as one in the true frame does."""
+    train = [1, 2, 3, 5, 6, 7]
+    made = capture(rig, train)
+    given = estimate(seen_from(rig.viewmats[train]), rig.Ks[train], tuple(range(6)))
+    frame = Frame.of(made, train, given, None)
+    g = torch.Generator().manual_seed(0)
+    true = torch.rand(40, 3, generator=g, dtype=torch.float64) - 0.5
+    colors = torch.rand(40, 3, generator=g)
+    own = (true - torch.from_numpy(MOVE)) @ torch.from_numpy(TURN) / SCALE
+
+    def picture(points: torch.Tensor, size: float, viewmat: torch.Tensor, K: torch.Tensor) -> torch.Tensor:
+        splats = Gaussians.from_points(points.float(), colors, sh_degree=0)
+        scales = torch.full_like(splats.means, size)
+        return rasterize(
+            splats.means, splats.quats, scales, torch.full((40,), 0.8), splats.sh, viewmat, K, 33, 33, sh_degree=0,
+            render_mode="RGB+ED",
+        )[0]  # fmt: skip
+
+    for i in (0, 4):
+        view = frame.view(i, torch.device("cpu"))
+        K = torch.tensor(rig.Ks[i : i + 1], dtype=torch.float32)
+        there = picture(true, 0.1, torch.tensor(rig.viewmats[i : i + 1], dtype=torch.float32), K)
+        here = picture(own, 0.1 / SCALE, view.viewmats, view.Ks)
+        torch.testing.assert_close(here[..., :3], there[..., :3], atol=2e-4, rtol=0)
+        torch.testing.assert_close(here[..., 3] * frame.facts()["depth_scale"], there[..., 3], atol=2e-3, rtol=0)
+    facts = frame.facts()
+    assert facts["depth_scale"] == pytest.approx(SCALE, rel=1e-9)
+    assert facts["mean_rotation_deg"] == pytest.approx(0, abs=1e-6)
+
+
+def test_training_views_are_rendered_from_the_methods_own_cameras(rig: Rig) -> None:
+    train = [1, 2, 3, 5, 6, 7]
+    refined = seen_from(rig.viewmats[train]).float()
+    frame = Frame.of(capture(rig, train), train, estimate(refined.double(), rig.Ks[train], tuple(range(6))), refined)
+    assert torch.equal(frame.view(5, torch.device("cpu")).viewmats[0], refined[3])
+
+
+def test_views_without_a_camera_are_named(rig: Rig) -> None:
+    train = [1, 2, 3, 5, 6, 7]
+    given = estimate(torch.tensor(rig.viewmats[[1, 3, 7]], dtype=torch.float64), rig.Ks[[1, 3, 7]], (0, 2, 5))
+    facts = Frame.of(capture(rig, train), [1, 3, 7], given, None).facts()
+    assert facts["registered"] == ["0001", "0003", "0007"]
+    assert facts["unregistered"] == ["0002", "0005", "0006"]
+    assert facts["registered_share"] == 0.5
+
+
+def test_exact_cameras_stay_exact_to_the_bit(rig: Rig) -> None:
+    train = [1, 2, 3, 5, 6, 7]
+    given = estimate(torch.tensor(rig.viewmats[train], dtype=torch.float64), rig.Ks[train], tuple(range(6)))
+    frame = Frame.of(capture(rig, train), train, given, None)
+    for i in range(8):
+        assert torch.equal(frame.view(i, torch.device("cpu")).viewmats[0], torch.tensor(rig.viewmats[i]).float())
+
+
+def test_pictures_for_matching_are_those_that_were_asked_for() -> None:
+    dark = torch.rand(2, 32, 32, 3, generator=torch.Generator().manual_seed(0)) * 0.1
+    raw, enhanced = pictures_for("raw", dark, 0), pictures_for("enhanced", dark, 0)
+    assert (raw == np.round(dark.numpy() * 255)).all()
+    assert raw.mean() < 15
+    assert enhanced.mean() == pytest.approx(0.5 * 255, abs=25)  # the enhancement's target
+
+
+def test_codes_round_and_clip() -> None:
+    assert codes(torch.tensor([-0.1, 0.0, 0.5, 1.0, 1.2])).tolist() == [0, 0, 128, 255, 255]
+
+
+def test_stated_errors_reach_the_cameras_that_methods_get(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """The whole way: set, capture, cameras. The turn is 3 degrees RMS over 7 cameras, so within 40 %."""
+    from novags.testbed import stages
+    from novags.testbed.folders.capture import open_capture
+
+    folder = tmp_path_factory.mktemp("turned")
+    tiny = adapted(EXPERIMENTS["demo"], scene="cornell", n_views=9, width=24, height=24, spp=4)
+    stages.render(folder / "set", tiny.render, QUIET)
+    stages.capture(folder / "set", folder / "capture", tiny.capture, QUIET)
+    opened = open_capture(folder / "capture")
+    source, train = opened.source(QUIET), opened.cameras.train_indices
+    found = {
+        degrees: cameras_of(KnownConfig(rotation_deg=degrees), opened, source, train, 50, 0, torch.device("cpu"), QUIET)
+        for degrees in (0.0, 3.0)
+    }
+    true = np.asarray(opened.cameras.rig.viewmats, np.float64)[train]
+    assert (found[0.0].viewmats.numpy() == true).all()
+    turns = found[3.0].viewmats.numpy()[:, :3, :3] @ true[:, :3, :3].transpose(0, 2, 1)
+    angles = np.degrees([Rotation.from_matrix(turn).magnitude() for turn in turns])
+    assert np.sqrt(np.mean(angles**2)) == pytest.approx(3.0, rel=0.4)
