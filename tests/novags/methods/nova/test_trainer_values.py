@@ -4,6 +4,7 @@ The stand-in denoiser gives 0.6 of the enhanced picture plus 0.01 per step, so e
 """
 
 import dataclasses
+import time
 from types import SimpleNamespace
 
 import pytest
@@ -228,6 +229,12 @@ def test_progress_counts_warm_up_and_splats_together(stage):
     assert seen[0][2] == {"denoiser": 0.25}
     stage.seen["progress"](4, ITERATIONS, {"loss": 1.0})
     assert seen[-1] == (WARM_UP + 4, WARM_UP + ITERATIONS, {"loss": 1.0})
+
+
+def test_seconds_are_those_that_passed(stage):
+    started = time.perf_counter()
+    seconds = train(problem(), CONFIG).seconds
+    assert 0 < seconds["enhance"] + seconds["denoise"] < time.perf_counter() - started
 
 
 def test_a_run_without_progress_passes_none_on(stage):
