@@ -208,8 +208,10 @@ def test_points_twice_as_deep_have_a_depth_scale_of_two():
     Ks = torch.tensor([[20.0, 0, 10], [0, 20, 10], [0, 0, 1]], dtype=torch.float64).repeat(3, 1, 1)
     depths = torch.full((3, 20, 20), 2.0)
     depths[:, :, 15:] = math.inf
+    depths[:, 11:, :15] = 7.0  # where no point is seen, but where points would be with rows and columns exchanged
     similarity = some(np.random.default_rng(3))
-    wall = torch.cat([torch.rand(400, 2, dtype=torch.float64) - 0.5, torch.ones(400, 1, dtype=torch.float64)], 1)
+    corner = torch.tensor([0.0, -0.5], dtype=torch.float64)  # right of the middle, and above it
+    wall = torch.cat([torch.rand(400, 2, dtype=torch.float64) / 2 + corner, torch.ones(400, 1, dtype=torch.float64)], 1)
     for factor in (1.0, 2.0, 0.5):
         points = similarity.inverse().apply(wall * 2 * factor).float()
         estimate = CameraEstimate(
