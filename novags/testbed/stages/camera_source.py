@@ -82,30 +82,32 @@ class Frame:
         capture: The capture.
         indices: Of the capture's views, the training views that have a camera.
         cameras: Those cameras at the end of training [R, 4, 4] float64.
+        Ks: Their intrinsics [R, 3, 3] float64, which a source may estimate too.
         alignment: Of these cameras to the true ones.
     """
 
     capture: Capture
     indices: list[int]
     cameras: Tensor
+    Ks: Tensor
     alignment: Alignment
 
     @staticmethod
     def of(capture: Capture, indices: list[int], estimate: CameraEstimate, viewmats: Tensor | None) -> "Frame":
         """The frame of an estimate, or of the cameras that training refined it to (`viewmats` [R, 4, 4])."""
         cameras = estimate.viewmats if viewmats is None else viewmats.detach().cpu().double()
-        return Frame(capture, indices, cameras, align(cameras, true_cameras(capture)[indices]))
+        return Frame(capture, indices, cameras, estimate.Ks, align(cameras, true_cameras(capture)[indices]))
 
     def view(self, i: int, device: torch.device) -> Views:
-        """The camera of view `i` in this frame: the method's own for a training view, else the true one transformed."""
+        """The camera of view `i` in this frame: the method's own of a training view, else the true one brought here."""
         rig = self.capture.cameras.rig
         if i in self.indices:
-            viewmat = self.cameras[self.indices.index(i)][None]
+            place = self.indices.index(i)
+            viewmat, K = self.cameras[place][None], self.Ks[place][None]
         else:
             viewmat = to_estimated(self.alignment.similarity, true_cameras(self.capture)[i : i + 1])
-        K = torch.from_numpy(np.array(rig.Ks, np.float64)[i : i + 1])
-        views = Views(viewmat.to(torch.float32), K.to(torch.float32), rig.width, rig.height)
-        return dataclasses.replace(views, viewmats=views.viewmats.to(device), Ks=views.Ks.to(device))
+            K = torch.from_numpy(np.array(rig.Ks, np.float64)[i : i + 1])
+        return Views(viewmat.to(device, torch.float32), K.to(device, torch.float32), rig.width, rig.height)
 
     def facts(self) -> dict[str, Any]:
         """For the record: which views have a camera, how large the errors are after alignment, the depth scale."""

@@ -65,7 +65,10 @@ def test_values_out_of_range_are_refused_with_place_and_number(make_scene, backe
         ({"viewmats": torch.zeros(0, 4, 4), "Ks": torch.zeros(0, 3, 3)}, "at least one camera"),
         ({"opacities": torch.zeros(40, dtype=torch.float64)}, "share one float dtype"),
         ({"Ks": -torch.eye(3)[None]}, "positive focal lengths"),
-        ({"Ks": torch.eye(3)[None] + torch.eye(3)[None].roll(1, 2)}, r"Ks must be \[\[fx, 0, cx\].*skew is not supported"),
+        (
+            {"Ks": torch.eye(3)[None] + torch.eye(3)[None].roll(1, 2)},
+            r"Ks must be \[\[fx, 0, cx\].*skew is not supported",
+        ),
         ({"Ks": 2 * torch.eye(3)[None]}, r"Ks must be \[\[fx, 0, cx\]"),
         ({"width": 16.0}, "width must be an integer, got 16.0"),
         ({"height": "16"}, "height must be an integer, got '16'"),
