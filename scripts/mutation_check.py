@@ -5,7 +5,7 @@
 A mistake that no test fails on survived: either a test is missing, or the mistake changes nothing that a user could
 see; those are excused, with the reason, in `mutation/excused.toml`. Every group of tests runs once on the sources as
 they are, to learn how long each test takes and which lines it reaches. Verdicts are kept in the folder `--out` and
-reused while source, tests and mistake are the same.
+reused as long as they hold: see `mutation/record.py`.
 """
 
 import argparse
@@ -28,8 +28,9 @@ else:
     import tomli as tomllib
 
 from mutation.baseline import tests_reaching
-from mutation.judge import Job, baseline, fingerprint, verdicts
+from mutation.judge import Job, baseline, verdicts
 from mutation.mutants import Mutant, mutants
+from mutation.record import code_of_test, earlier, fingerprint, holds, keys
 
 ROOT = Path(__file__).resolve().parents[1]
 EXCUSED = Path(__file__).parent / "mutation" / "excused.toml"
@@ -64,7 +65,7 @@ def matching(patterns: tuple[str, ...]) -> list[str]:
 
 
 def test_text(tests: list[str]) -> str:
-    """The tests and their fixtures."""
+    """Tests and their fixtures."""
     files = {ROOT / test for test in tests}
     above = {folder for file in files for folder in file.parents if folder.is_relative_to(ROOT)}
     files |= {folder / "conftest.py" for folder in above if (folder / "conftest.py").is_file()}
@@ -101,30 +102,37 @@ def chosen(only: str, count: int, seed: int) -> dict[str, list[Mutant]]:
     return {name: in_turn(found[name], random.Random(f"{seed} {name}"))[:part] for name, part in parts.items()}
 
 
-def jobs(wanted: dict[str, list[Mutant]], out: Path, longest: float) -> Iterator[Job]:
-    """The chosen mutants with the tests that reach them, quickest first, none longer than `longest` seconds."""
+def reach(sources: list[str], tests: list[str], out: Path) -> dict[str, Any]:
+    """What every test reaches and how long it takes, from one run of each test file on the sources as they are."""
+    texts = [(ROOT / name).read_text(encoding="utf-8") for name in sources]
+    known: dict[str, Any] = {"seconds": {}, "lines": {}}
+    for test in tests:
+        name = fingerprint(*sources, *texts, test, test_text([test]))
+        found = baseline(ROOT, sources, test, out / f"baseline-{Path(test).stem}-{name}.json")
+        known["seconds"] |= found["seconds"]
+        for source, lines in found["lines"].items():
+            known["lines"].setdefault(source, {}).update(lines)
+    return known
+
+
+def jobs(wanted: dict[str, list[Mutant]], known: dict[str, dict[str, Any]], options: Any) -> Iterator[Job | dict]:
+    """Every chosen mutant: its earlier verdict if that still holds, else a job with the tests that reach it."""
     for patterns, test_patterns in GROUPS:
         sources, tests = matching(patterns), [name for name in matching(test_patterns) if "/test_" in name]
-        if not any(name in wanted for name in sources):
-            continue
-        texts = {name: (ROOT / name).read_text(encoding="utf-8") for name in sources}
-        about = test_text(tests)
-        known = baseline(ROOT, sources, tests, out / f"baseline-{fingerprint(*sources, *texts.values(), about)}.json")
-        for name in sources:
-            for mutant in wanted.get(name, []):
-                reaching = [t for t in tests_reaching(known, name, mutant) if known["seconds"][t] <= longest]
-                yield Job(
-                    file=name, mutant=mutant, tests=tuple(reaching),
-                    key=fingerprint(name, texts[name], about, mutant.kind, str(mutant.start), mutant.after),
-                    limit=60 + 5 * sum(known["seconds"][test] for test in reaching),
-                )  # fmt: skip
-
-
-def earlier(path: Path) -> dict[str, dict[str, Any]]:
-    """Verdicts of earlier runs by key."""
-    lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-    entries = [json.loads(line) for line in lines if line.endswith("}")]  # an interrupted run may leave half a line
-    return {entry["key"]: entry for entry in entries}
+        about, reached = fingerprint(test_text(tests)), None
+        for name in (name for name in sources if name in wanted):
+            source = (ROOT / name).read_text(encoding="utf-8")
+            named = keys(name, source, mutants(source))
+            for mutant in wanted[name]:
+                entry = known.get(named[mutant])
+                if entry is not None and holds(entry, ROOT, about):
+                    yield entry | {"line": mutant.line}
+                    continue
+                reached = reached or reach(sources, tests, options.out)
+                seconds: dict[str, float] = reached["seconds"]
+                asked = [test for test in tests_reaching(reached, name, mutant) if seconds[test] <= options.longest]
+                limit = 60 + 5 * sum(seconds[test] for test in asked)
+                yield Job(file=name, mutant=mutant, key=named[mutant], about=about, tests=tuple(asked), limit=limit)
 
 
 def reason(entry: dict[str, Any], excuses: list[dict[str, str]]) -> str | None:
@@ -178,12 +186,12 @@ def main() -> None:
     for library in LIBRARIES:
         with contextlib.suppress(ImportError):  # an extra may be absent; the tests that need it are skipped then
             importlib.import_module(library)
-    wanted = list(jobs(chosen(options.only, options.count, options.seed), options.out, options.longest))
     path = options.out / "verdicts.jsonl"
-    known = earlier(path)
-    entries = [known[job.key] for job in wanted if job.key in known]
+    wanted = list(jobs(chosen(options.only, options.count, options.seed), earlier(path), options))
+    entries = [one for one in wanted if isinstance(one, dict)]
     with path.open("a", encoding="utf-8") as file:
-        for entry in verdicts(ROOT, [job for job in wanted if job.key not in known], options.jobs):
+        for found in verdicts(ROOT, [one for one in wanted if isinstance(one, Job)], options.jobs):
+            entry = found | {"by_code": code_of_test(ROOT, found["by"])}
             entries.append(entry)
             print(json.dumps(entry), file=file, flush=True)
             print(f"{len(entries)}/{len(wanted)} {entry['verdict']:8} {_line(entry, None)}", flush=True)

@@ -128,7 +128,7 @@ def test_weak_tests_let_mutants_survive_and_good_ones_catch_them(tmp_path, monke
     (tmp_path / "test_it.py").write_text(tests.format(name=name))
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.chdir(tmp_path)
-    known = judge.baseline(tmp_path, [f"{name}.py"], ["test_it.py"], tmp_path / "known.json")
+    known = judge.baseline(tmp_path, [f"{name}.py"], "test_it.py", tmp_path / "known.json")
     wanted = [m for m in mutants(MODULE) if m.kind == "factor"][:4]
     jobs = [
         judge.Job(
@@ -194,3 +194,34 @@ def test_survivors_are_listed_with_the_reason_that_excuses_them(monkeypatch, tmp
     assert "Caught: 33.3%" in text
     assert "`1 + 2` becomes `(1 - 2)`: nobody reads x" in text
     assert "`3 + 4` becomes `(3 - 4)`: to be caught" in text
+
+
+def test_a_mutant_keeps_its_name_until_the_code_of_its_file_changes():
+    from mutation.mutants import mutants
+    from mutation.record import keys
+
+    def named(source: str) -> list[str]:
+        return list(keys("a.py", source, mutants(source)).values())
+
+    source = "def f(a, q):\n    return a + q, a + q\n"
+    first = named(source)
+    assert len(set(first)) == len(first)  # equal expressions are told apart
+    assert named('"""Doc."""\n\ndef f(a, q):  # why\n    """More."""\n    return a + q, a + q\n') == first
+    assert not set(named(source.replace("a, q)", "a, q, c)"))) & set(first)
+
+
+def test_a_verdict_holds_while_its_test_or_for_survivors_all_tests_are_the_same(tmp_path):
+    from mutation.record import code_of_test, holds
+
+    path = tmp_path / "test_a.py"
+    path.write_text("def test_x():\n    assert f(1)\n")
+    test = "test_a.py::test_x[3]"
+    caught = {"verdict": "caught", "by": test, "by_code": code_of_test(tmp_path, test), "tests": "old"}
+    survived = {"verdict": "survived", "by": "", "by_code": "", "tests": "old"}
+    path.write_text("def test_y():\n    pass\n\n\ndef test_x():\n    assert f(1)  # the same\n")
+    assert holds(caught, tmp_path, "new")
+    assert holds(survived, tmp_path, "old")
+    assert not holds(survived, tmp_path, "new")
+    path.write_text("def test_x():\n    assert f(2)\n")
+    assert not holds(caught, tmp_path, "old")
+    assert holds({**caught, "by": "time limit", "by_code": ""}, tmp_path, "new")

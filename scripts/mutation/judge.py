@@ -4,7 +4,6 @@ Forks start warm, with the libraries imported, so a mutant costs little more tha
 touched.
 """
 
-import hashlib
 import importlib
 import importlib.abc
 import importlib.util
@@ -29,7 +28,7 @@ import pytest
 from .baseline import Chosen, Recorder
 from .mutants import Mutant
 
-FAILED, BROKEN = 1, 2  # pytest's exit status: a test failed; a test file could not be imported
+BROKEN, NO_TESTS = 2, 5  # pytest's exit status: a test file could not be imported; all tests were deselected
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +37,8 @@ class Job:
 
     file: str  # relative to the root
     mutant: Mutant
-    key: str  # same key, same verdict
+    key: str  # names the mutant
+    about: str = ""  # names the tests of its group
     tests: tuple[str, ...]
     limit: float  # s, after which it counts as caught
 
@@ -64,11 +64,6 @@ class MutatedModule(importlib.abc.MetaPathFinder, SourceFileLoader):
     def get_code(self, fullname: str) -> Any:
         """The changed source, compiled."""
         return compile(self.changed, self.path, "exec", dont_inherit=True)
-
-
-def fingerprint(*texts: str) -> str:
-    """A short name for some texts."""
-    return hashlib.blake2b("\0".join(texts).encode(), digest_size=10).hexdigest()
 
 
 def in_child(call: Callable[[], int], log: Path) -> int:
@@ -101,17 +96,17 @@ def run_pytest(root: Path, tests: list[str], plugin: object, folder: Path) -> in
     return int(pytest.main([*options, *tests], plugins=[plugin]))
 
 
-def baseline(root: Path, sources: list[str], tests: list[str], path: Path) -> dict[str, Any]:
-    """Seconds and reached lines of every test on the sources as they are, kept in the file `path`."""
+def baseline(root: Path, sources: list[str], test: str, path: Path) -> dict[str, Any]:
+    """Seconds and reached lines of every test of a file on the sources as they are, kept in the file `path`."""
     if not path.exists():
         log = path.with_suffix(".log")
         with tempfile.TemporaryDirectory() as folder:
             recorder = Recorder({str(root / name): name for name in sources}, path)
-            pid = in_child(partial(run_pytest, root, tests, recorder, Path(folder)), log)
+            pid = in_child(partial(run_pytest, root, [test], recorder, Path(folder)), log)
             code = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
-        if code or not path.exists():
+        if code not in (0, NO_TESTS) or not path.exists():
             path.unlink(missing_ok=True)
-            raise SystemExit(f"{' '.join(tests)} fail without any mistake put in: see {log}")
+            raise SystemExit(f"{test} fails without any mistake put in: see {log}")
     return json.loads(path.read_text(encoding="utf-8"))
 
 
@@ -159,5 +154,12 @@ def _verdict(code: int, folder: Path) -> tuple[str, str]:
 
 
 def _entry(job: Job, verdict: str, by: str, seconds: float) -> dict[str, Any]:
-    own = {"key": job.key, "file": job.file, "verdict": verdict, "by": by, "seconds": round(seconds, 1)}
+    own = {
+        "key": job.key,
+        "tests": job.about,
+        "file": job.file,
+        "verdict": verdict,
+        "by": by,
+        "seconds": round(seconds, 1),
+    }
     return own | asdict(job.mutant)
