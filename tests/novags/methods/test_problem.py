@@ -7,7 +7,7 @@ import pytest
 import torch
 
 from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, EnhancedFitConfig, fit_for
-from novags.methods.problem import Problem
+from novags.methods.problem import Problem, RawPictures
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.start import brightened, start_gaussians
 from novags.splats import FitConfig, Gaussians, Views, rasterize
@@ -62,6 +62,22 @@ def test_results_are_shared_by_key():
 def test_a_problem_stays_itself_on_its_own_device():
     inputs = problem()
     assert inputs.to("cpu") is inputs
+
+
+def test_on_another_device_all_pictures_and_cameras_are_there_and_nothing_is_shared():
+    dn = torch.zeros(2, 4, 6)
+    inputs = problem(
+        linear16=torch.zeros(2, 4, 6, 3), clean=torch.zeros(2, 4, 6, 3),
+        raw=RawPictures(dn=dn, cfa="RGGB", black=64.0, white=1023.0),
+    )  # fmt: skip
+    inputs.once("a", lambda: 1)
+    moved = inputs.to("meta")
+    for tensor in (moved.srgb8, moved.linear16, moved.clean, moved.raw.dn, moved.views.viewmats, moved.views.Ks):
+        assert tensor.device.type == "meta"
+    assert (moved.raw.cfa, moved.raw.black, moved.raw.white) == ("RGGB", 64.0, 1023.0)
+    assert moved.once("a", lambda: 2) == 2
+    bare = problem().to("meta")
+    assert (bare.linear16, bare.clean, bare.raw) == (None, None, None)
 
 
 def test_the_fit_takes_seed_and_extent_of_the_problem():
