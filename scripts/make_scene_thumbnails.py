@@ -3,7 +3,7 @@
     python scripts/make_scene_thumbnails.py [--out docs/scenes.png] [--size 160] [--spp 256] [--columns 4] [--work DIR]
     python scripts/make_scene_thumbnails.py --scenes street market --views    (every view of the rig, to choose from)
 
-For looking at only: each picture has its own exposure and tone curve, and isolated bright pixels are taken out. With
+For looking at only: each picture has its own exposure and tone curve, and isolated bright values are taken out. With
 --work the renders are kept there, and a second run only tones and arranges them.
 """
 
@@ -17,15 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import rank_filter
 
+from sensor_model.isp import to_srgb8
 from simscenes import SCENES, Rig, default_rig, render_set
-from simscenes.sets.multiview import encode_srgb
+from simscenes.job.finish import write_png
 
 ASPECT = 3 / 4  # height over width
-VIEWS = 9  # of each scene's own rig, among which VIEW chooses
-VIEW: dict[str, int] = {}  # where the middle view is not the best one
-EFFORT = {"gallery": 2, "street": 2}  # times the samples of the others: little light finds its way in
+VIEWS = 9  # of each scene's own rig, of which the middle one is shown
+EFFORT = {"gallery": 2, "street": 2}  # times the samples of the others: light through slits, light in fog
 KEY = 0.3  # luminance that the log-average of a picture takes before highlights are compressed
-COLORS = 256  # of the palette, which halves the file
+LEVELS = 48  # of each channel: too fine to be seen, and a third off the file
 MARGIN, CAPTION = 8, 24  # px, around pictures and below each
 PAPER, INK = (255, 255, 255), (40, 40, 40)
 
@@ -39,16 +39,16 @@ def render(name: str, view: int, width: int, spp: int, work: Path) -> NDArray[np
 
 def toned(radiance: NDArray[np.float32]) -> NDArray[np.uint8]:
     """A picture of it for the eye: uint8 sRGB [h,w,3], by Reinhard's photographic operator (2002, equation 4)."""
-    luminance = radiance @ np.float32((0.2126, 0.7152, 0.0722))
-    # A pixel brighter than all eight around it is noise here: it gets the brightness of the brightest of them.
-    calm = np.minimum(luminance, rank_filter(luminance, -2, size=3))
+    # Fireflies: the two brightest values of each 3 x 3 neighbourhood count as the third.
+    calm = np.minimum(radiance, rank_filter(radiance, -3, size=(3, 3, 1)))
+    luminance = calm @ np.float32((0.2126, 0.7152, 0.0722))
     # The floor keeps black pixels, whose logarithm is infinite, from deciding the exposure.
-    floor = 1e-3 * np.quantile(calm, 0.99)
-    scaled = calm * KEY / np.exp(np.log(calm + floor).mean())
+    floor = 1e-3 * np.quantile(luminance, 0.99)
+    scaled = luminance * KEY / np.exp(np.log(luminance + floor).mean())
     white = np.quantile(scaled, 0.995)
     shown = scaled * (1 + scaled / white**2) / (1 + scaled)
     # The ratio of a black pixel is 0 / 0 without a floor.
-    return encode_srgb(radiance * (shown / np.maximum(luminance, floor))[..., None])
+    return to_srgb8(calm * (shown / np.maximum(luminance, floor))[..., None])
 
 
 def contact_sheet(pictures: dict[str, NDArray[np.uint8]], columns: int) -> NDArray[np.uint8]:
@@ -67,24 +67,21 @@ def contact_sheet(pictures: dict[str, NDArray[np.uint8]], columns: int) -> NDArr
     return sheet
 
 
+def fewer_levels(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """An 8-bit image on `LEVELS` evenly spaced values."""
+    step = 255 / (LEVELS - 1)
+    return np.rint(np.rint(image / step) * step).astype(np.uint8)
+
+
 def pictures(args: argparse.Namespace, work: Path) -> dict[str, NDArray[np.uint8]]:
     """Every picture that was asked for, by caption."""
     found = {}
     for name in args.scenes:
-        for view in range(VIEWS) if args.views else [VIEW.get(name, VIEWS // 2)]:
+        for view in range(VIEWS) if args.views else [VIEWS // 2]:
             caption = f"{name} {view}" if args.views else name
             found[caption] = toned(render(name, view, args.size, args.spp, work))
             print(caption, flush=True)
     return found
-
-
-def write(out: Path, sheet: NDArray[np.uint8]) -> None:
-    """Write a PNG with a palette of its own."""
-    from PIL import Image
-
-    out.parent.mkdir(parents=True, exist_ok=True)
-    image = Image.fromarray(sheet).quantize(COLORS, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.FLOYDSTEINBERG)
-    image.save(out, optimize=True)
 
 
 def main() -> None:
@@ -99,7 +96,9 @@ def main() -> None:
     parser.add_argument("--work", type=Path, help="where renders are kept; none: they are not")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        write(args.out, contact_sheet(pictures(args, args.work or Path(folder)), args.columns))
+        sheet = contact_sheet(pictures(args, args.work or Path(folder)), args.columns)
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    write_png(args.out, fewer_levels(sheet))
     print(f"{args.out}: {args.out.stat().st_size / 1000:.0f} kB")
 
 
