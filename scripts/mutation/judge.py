@@ -28,7 +28,7 @@ import pytest
 from .baseline import Chosen, Recorder
 from .mutants import Mutant
 
-BROKEN, NO_TESTS = 2, 5  # pytest's exit status: a test file could not be imported; all tests were deselected
+BROKEN, NO_TESTS = (1, 2), 5  # pytest's exit status: no test failed, but a file could not be imported; no test is left
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -148,7 +148,7 @@ def _verdict(code: int, folder: Path) -> tuple[str, str]:
     failed = folder / "failed"
     if code == 0:
         return "survived", ""
-    if code == BROKEN and not failed.exists():
+    if code in BROKEN and not failed.exists():
         return "broken", "import"
     return "caught", failed.read_text(encoding="utf-8") if failed.exists() else f"exit status {code}"
 
