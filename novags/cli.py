@@ -263,10 +263,20 @@ def characterise(folder: Folder, *, out: Path, window: int = 1024) -> None:
     _next(f"novags capture SET --sensor {out} --electrons 20 --out CAPTURE")
 
 
-def doctor() -> None:
-    """Check what works on this machine, what does not, and how to install what is missing."""
+def doctor(*, stability: bool = False, part: tuple[str, ...] = (), long: bool = False, out: Path | None = None) -> None:
+    """Check what works on this machine, what does not, and how to install what is missing.
+
+    Args:
+        stability: Instead, compute the numerically hard cases and show their errors beside their bounds.
+        part: Only these parts: enhance, splats, sensor, ...
+        long: With the cases that take minutes.
+        out: File for the table of hard cases, Markdown.
+    """
     from novags.testbed.doctor import examine
 
+    if stability or part or long or out is not None:
+        _stability(part, long, out)
+        return
     marks = {"ok": "ok     ", "missing": "missing", "broken": "BROKEN "}
     broken = False
     for finding in examine():
@@ -274,6 +284,23 @@ def doctor() -> None:
         broken |= finding.state == "broken"
     print("something needed is broken: see above" if broken else "ready: novags run --preset demo")
     if broken:
+        raise SystemExit(1)
+
+
+def _stability(parts: tuple[str, ...], long: bool, out: Path | None) -> None:
+    from novags.testbed import stability
+
+    if unknown := [part for part in parts if part not in stability.PARTS]:
+        raise ValueError(f"part is {unknown[0]!r}; there are: {', '.join(stability.PARTS)}")
+    results = []
+    for result in stability.measure(parts or tuple(stability.PARTS), long=long):
+        print(f"{'ok  ' if result.holds else 'FAIL'}  {result}", flush=True)
+        results.append(result)
+    if out is not None:
+        out.write_text(stability.markdown(results), encoding="utf-8")
+    failed = sum(not result.holds for result in results)
+    print(f"{len(results)} computed, {failed} beyond their bounds" if failed else f"all {len(results)} hold")
+    if failed:
         raise SystemExit(1)
 
 

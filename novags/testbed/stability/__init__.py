@@ -1,0 +1,24 @@
+"""Hard cases of every part, each with the error it may have: float32 against a reference of more digits.
+
+`novags doctor --stability` computes them here; `tests/stability` holds them to their bounds.
+"""
+
+from collections.abc import Iterator, Sequence
+
+from novags.testbed.stability import enhance
+from novags.testbed.stability.case import Case, Measured, Part, Setting, measured, refusal
+from novags.testbed.stability.table import markdown
+
+PARTS: dict[str, Part] = {part.name: part for part in (enhance.PART,)}
+
+
+def measure(parts: Sequence[str], *, long: bool = False) -> Iterator[Measured]:
+    """Compute the cases of these parts in every setting that this machine offers; the slow ones if `long`."""
+    for part in parts:
+        for case in PARTS[part].cases:
+            if long or not case.slow:
+                for setting in case.settings():
+                    yield measured(case, setting)
+
+
+__all__ = ["PARTS", "Case", "Measured", "Part", "Setting", "markdown", "measure", "measured", "refusal"]
