@@ -63,7 +63,7 @@ class Problem:
         seed: Of every random choice.
         srgb8: The 8-bit pictures, sRGB-encoded, float32 [C, H, W, 3] in 0..1.
         linear16: The 16-bit pictures, linear RGB, float32 [C, H, W, 3], 0 = black, 1 = white, not clipped at black;
-            None if there are none.
+            None without them.
         raw: The raw frames, or None.
         noise: Variance of each datum as a function of its mean, or None if unknown.
         channels_share: Why the noise of a pixel's three channels is not independent ("demosaicing", "JPEG", "colour

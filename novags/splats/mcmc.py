@@ -24,7 +24,7 @@ class McmcConfig:
         refine_stop: Iteration after which the population stays; None is 5/6 of the run (25,000 of 30,000).
         refine_every: Iterations between refinements.
         growth: Factor of growth per refinement, until the cap.
-        noise_lr: Langevin noise in units of the learning rate of the means; None is no noise.
+        noise_lr: Langevin noise in units of the learning rate of the means; None switches it off.
     """
 
     refine_start: int = 500

@@ -75,7 +75,7 @@ def read_ply(path: str | Path) -> Gaussians:
     """Read a 3DGS PLY, binary little-endian; extra properties are ignored, any order is accepted.
 
     Raises:
-        ValueError: If the file is no such PLY, is cut short, or lacks a property.
+        ValueError: If the file is not such a PLY, is cut short, or lacks a property.
     """
     path = Path(path)
     with path.open("rb") as file:

@@ -63,7 +63,7 @@ def horizontal(begin, end, image, target, channels, weights, moments):
 
 @inline
 def _clear_border(planes, n_planes, row, height, step):
-    """Whoever has the first or the last image row zeroes the rows beyond it."""
+    """The band with the first or last image row zeroes the rows beyond it."""
     for index in range(n_planes):
         start = index * (height + 2 * HALF_WINDOW) * step
         if row == 0:
