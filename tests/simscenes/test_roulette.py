@@ -42,6 +42,17 @@ def test_paths_in_a_closed_room_are_as_long_as_their_chances_say(albedo: float) 
 
 
 @pytest.mark.usefixtures("jit")
+def test_views_that_show_nothing_count_as_paths_without_surfaces() -> None:
+    """Of three views one looks at a wall that fills it; paths leave the wall for good."""
+    mi = activate()
+    wall = {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(9), "bsdf": {"type": "diffuse"}}
+    loaded = build_scene({"type": "scene", "wall": wall, "sky": {"type": "constant"}}, mi)
+    poses = np.stack([look_at((0, 0, 3), (0.1, 0, 9)), look_at((0, 0, 3), (0.1, 0, 0)), look_at((0, 0, 3), (0, 9, 9))])
+    rig = Rig(viewmats=poses, Ks=np.repeat(intrinsics(4, 4, 30)[None], 3, 0), width=4, height=4)
+    assert path_lengths(mi, loaded, rig, 8, (2, 9), seed=0) == pytest.approx([1 / 3, 1 / 3])
+
+
+@pytest.mark.usefixtures("jit")
 def test_the_start_depends_on_the_scene_and_not_on_the_clock() -> None:
     """Dark walls end paths anyway; in `hall` the light that roulette drops is missed."""
     chosen = {}
@@ -69,3 +80,14 @@ def test_the_choice_weighs_noise_against_rays_and_keeps_the_default_in_doubt() -
     # As good on average, and told apart by luck alone.
     rivals = np.stack([5 * rng.exponential(1.0, 3000), 2.75 * rng.exponential(1.0, 3000)])
     assert most_efficient(rivals, lengths[:2], 0) == 0
+
+
+@pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
+def test_a_lead_counts_from_three_standard_errors_whatever_its_unit(scale: float) -> None:
+    """Rays are 5 and 9, so that equal work is noise of 9 and 5; the rival's lead of 0.1 has a spread of 1."""
+    lengths = np.array([2.0, 4.0])
+    for size, chosen in ((898, 0), (902, 1)):  # three standard errors are 3 / sqrt(size), 0.1 at 900
+        apart = np.resize([1.0, -1.0], size)
+        noise = np.stack([(90.1 + apart) / 5, np.full(size, 90.0) / 9]) * scale
+        assert most_efficient(noise, lengths, 0) == chosen
+        assert most_efficient(noise[::-1], lengths[::-1], 1) == 1 - chosen

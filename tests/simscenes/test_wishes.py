@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from simscenes import Optics, Rig, plan_transport, render_set
+from simscenes.transport.wishes import check_wishes
 
 SceneMaker = Callable[..., dict[str, Any]]
 
@@ -48,6 +49,48 @@ def test_what_cannot_be_simulated_is_refused_before_any_pilot(
         plan_transport(diffuse_box(), rig=ring, force=force)
     with pytest.raises(ValueError, match="max_depth must be at least 2"):
         plan_transport(diffuse_box(), rig=ring, max_depth=1)
+
+
+FULL = Optics(aperture_radius=0.1, focus_distance=2.0, motion=0.5)
+LENS, MOTION, DEEP, FOG, MIS = (
+    "depth of field",
+    "motion blur",
+    "paths beyond max_depth",
+    "participating media",
+    "chromatic media",
+)
+SPECTRA, POLARISED = "spectral transport", "polarisation"
+
+
+@pytest.mark.parametrize(
+    ("force", "has", "said"),
+    [
+        ({LENS: True}, {}, None),
+        ({LENS: True}, {"optics": Optics(motion=0.5)}, "'depth of field' is forced on, but the camera is a pinhole"),
+        ({LENS: False}, {"optics": Optics()}, None),
+        ({MOTION: True}, {}, None),
+        ({MOTION: True}, {"optics": Optics()}, "'motion blur' is forced on, but the camera is at rest"),
+        ({FOG: True, MIS: True}, {}, None),
+        ({MIS: True}, {"media": False}, "'chromatic media' is forced on, but the scene holds no medium"),
+        ({SPECTRA: True, POLARISED: True}, {}, None),
+        ({SPECTRA: True}, {"spectra": False}, "'spectral transport' is forced on, but the scene holds objects"),
+        ({POLARISED: True}, {"spectra": False}, "'polarisation' is forced on, but the scene holds objects"),
+        ({MIS: True, POLARISED: True}, {}, "'chromatic media' forced on needs 'polarisation' off, and that"),
+        ({MIS: True, POLARISED: False}, {}, None),
+        ({MIS: True, FOG: False}, {}, "'chromatic media' forced on needs 'participating media' on, and that"),
+        ({MIS: False, FOG: False}, {}, None),
+        ({DEEP: True, "indirect light": True}, {}, None),
+        ({}, {"max_depth": 2, "media": False, "spectra": False, "optics": Optics()}, None),
+        ({}, {"max_depth": 1}, "max_depth must be at least 2 .lamps and what they light., got 1"),
+    ],
+)
+def test_wishes_are_granted_where_scene_and_camera_can(force: dict[str, bool], has: Any, said: str | None) -> None:
+    settings = {"max_depth": None, "optics": FULL, "media": True, "spectra": True} | has
+    if said is None:
+        check_wishes(force, **settings)
+    else:
+        with pytest.raises(ValueError, match=said):
+            check_wishes(force, **settings)
 
 
 def test_what_is_on_brings_what_it_needs(diffuse_box: SceneMaker, ring: Rig) -> None:

@@ -1,0 +1,192 @@
+"""What the cost curves make of renders: errors, spreads and settings, on renders made by hand."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simscenes import default_rig
+from simscenes.job import curves
+from simscenes.job.curves import DEFAULT, KNOBS, Bench, Setting, render_curves
+
+TRUTHS = [np.arange(1.0, 13.0).reshape(2, 2, 3) * level for level in (1.0, 2.0, 5.0)]
+
+
+@pytest.fixture
+def bench() -> Bench:
+    """A bench that has rendered nothing yet."""
+    made = Bench.__new__(Bench)
+    made.scene, made.repeats, made.seed, made.weights = "cornell", 2, 40, ()
+    made.rig = default_rig("cornell", 3, 4, 2)
+    made._loaded, made._references = {}, {}
+    return made
+
+
+def test_noise_is_the_relative_error_without_that_of_the_reference(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A checkerboard of +-e on each view, relative to its mean: e = 0.1, 0.2, 0.4 first, then three times that."""
+    sign = np.array([[1, -1], [-1, 1]])[..., None] * np.ones(3)
+    asked: list[Any] = []
+
+    def rendered(s: Setting, i: int, seed: int) -> tuple[np.ndarray, float]:
+        asked.append((i, seed))
+        error = 0.1 * 2**i * (1 if seed == 40 else 3)
+        return TRUTHS[i] + error * TRUTHS[i].mean() * sign, 3.0**i
+
+    monkeypatch.setattr(bench, "reference", lambda s: TRUTHS if s.color == "rgb" else None)
+    monkeypatch.setattr(bench, "render", rendered)
+    found = bench.noise(Setting(color="spectral"))
+    assert asked == [(i, seed) for seed in (40, 41) for i in range(3)]
+    first, second = (np.sqrt((0.01 + 0.04 + 0.16) / 3 * scale - 1e-4) for scale in (1, 9))
+    assert found["error"] == pytest.approx((first + second) / 2)
+    assert found["error_sd"] == pytest.approx((second - first) / np.sqrt(2))
+    assert found["seconds"] == 3  # the median
+    assert found["error_unit"] == "relative RMSE"
+    monkeypatch.setattr(bench, "render", lambda s, i, seed: (TRUTHS[i], 1.0))
+    assert bench.noise(Setting())["error"] == 0  # not less than the reference can tell
+
+
+def test_light_is_missing_against_the_same_paths_followed_further(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """View i lacks 1, 2, 4 % of its light, and twice that with the second seed."""
+
+    def rendered(s: Setting, i: int, seed: int) -> tuple[np.ndarray, float]:
+        lack = 0.0 if s.max_depth == 64 else 0.01 * 2**i * (seed - 39)
+        assert s.spp == 16
+        return TRUTHS[i] * (1 - lack), 100.0 if s.max_depth == 64 else 2.0 + i
+
+    monkeypatch.setattr(bench, "render", rendered)
+    found = bench.missing(Setting(spp=16, max_depth=3))
+    lacks = [0.01, 0.02, 0.04, 0.02, 0.04, 0.08]
+    assert found["error"] == pytest.approx(np.mean(lacks))
+    assert found["error_sd"] == pytest.approx(np.sqrt(sum((x - 0.035) ** 2 for x in lacks) / 5))
+    assert found["seconds"] == 3
+    assert found["error_unit"] == "share of all light"
+
+
+def test_one_repeat_has_no_spread() -> None:
+    assert curves._point([5.0, 1.0], [0.25], "u") == {"seconds": 3, "error": 0.25, "error_unit": "u", "error_sd": 0}
+
+
+def test_the_reference_is_deep_and_shares_no_random_numbers_with_what_is_measured(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It is rendered once for each kind of colours, to the error that is subtracted later."""
+    made: list[Any] = []
+
+    @contextmanager
+    def ready(s: Setting) -> Iterator[Any]:
+        yield "mi", "loaded"
+
+    def view(mi: Any, loaded: Any, s: Setting, i: int, seed: int) -> Any:
+        made.append((s, i, seed))
+        mean = np.full((2, 4, 3), i, np.float32)
+        return SimpleNamespace(render=lambda spp, error: SimpleNamespace(mean=mean * (spp is None) * (error == 0.01)))
+
+    monkeypatch.setattr(bench, "ready", ready)
+    monkeypatch.setattr(bench, "view", view)
+    for color in ("rgb", "spectral", "rgb"):
+        images = bench.reference(Setting(spp=4, max_depth=2, color=color))
+        assert [(image.dtype, image.min(), image.max()) for image in images] == [(np.float64, i, i) for i in range(3)]
+    expected = [(Setting(max_depth=64, color=color), i) for color in ("rgb", "spectral") for i in range(3)]
+    assert [(s, i) for s, i, _ in made] == expected
+    assert min(seed for _, _, seed in made) >= 1e5  # seeds of measurements count from 0
+
+
+@pytest.mark.parametrize("samples", ["even", "uneven"])
+def test_a_view_is_timed_when_its_kernels_are_compiled(
+    samples: str, bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock, runs = SimpleNamespace(now=5.0), []
+    monkeypatch.setattr(curves, "time", SimpleNamespace(perf_counter=lambda: clock.now))
+    shares = np.array([[0.2, 1.0, 3.0, 0.0], [1.4, 0.7, 0.7, 1.0]])
+
+    @contextmanager
+    def ready(s: Setting) -> Iterator[Any]:
+        yield "mi", "loaded"
+
+    class Seen:
+        @property
+        def pilot(self) -> Any:
+            clock.now += 2
+            return 9.0, shares
+
+        def run(self, passes: Any, count: int, spp: int) -> None:
+            clock.now += 50 if not runs else 4
+            runs.append((count, spp))
+            passes.add(np.full((2, 4, 3), 7.0))
+
+        def run_uneven(self, passes: Any, count: int, blocks: Any, size: int) -> None:
+            self.run(passes, count, size)
+            assert blocks.tolist() == [[1, 4, 12, 1], [6, 3, 3, 4]]  # of 16 samples, of which 64 give 4
+
+    asked: list[Any] = []
+    monkeypatch.setattr(bench, "ready", ready)
+    monkeypatch.setattr(bench, "view", lambda mi, loaded, s, i, seed: asked.append((i, seed)) or Seen())
+    image, seconds = bench.render(Setting(spp=64, samples=samples), 2, 11)
+    assert (image == 7).all()
+    assert asked == [(2, 11)] * 2
+    assert runs == [(1, 16 if samples == "uneven" else 64)] * 2
+    assert seconds == (6 if samples == "uneven" else 4)
+
+
+def test_lights_are_weighed_where_the_setting_says_so(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """And every variant loads the scene once."""
+    loads, weights = [], []
+
+    @contextmanager
+    def variant(backend: str, color: str) -> Iterator[Any]:
+        yield SimpleNamespace(variant=lambda: f"{backend}_{color}")
+
+    def load(scene: str, mi: Any) -> Any:
+        loads.append((scene, mi.variant()))
+        return SimpleNamespace(scene=SimpleNamespace(emitters=lambda: [0] * 4))
+
+    monkeypatch.setattr(curves, "using_variant", variant)
+    monkeypatch.setattr(curves, "build_scene", load)
+    monkeypatch.setattr(curves, "set_light_weights", lambda loaded, w, mi: weights.append(w))
+    bench.weights = (0.5, 0.25, 0.125, 0.125)
+    scalar = Setting(variant="scalar")
+    for s in (scalar, Setting(variant="scalar", lights="equal"), Setting(variant="scalar", color="spectral")):
+        with bench.ready(s) as (mi, _):
+            assert mi.variant() == f"scalar_{s.color}"
+    bench.weights = ()
+    with bench.ready(scalar):
+        pass
+    even = (0.25,) * 4
+    assert weights == [(0.5, 0.25, 0.125, 0.125), even, (0.5, 0.25, 0.125, 0.125), even]
+    assert loads == [("cornell", "scalar_rgb"), ("cornell", "scalar_spectral")]
+
+
+def test_every_knob_is_turned_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Depth is measured as missing light, colours against full spectra, the rest as noise; missing variants not."""
+
+    class Told:
+        def __init__(self, *made: Any) -> None:
+            assert made == ("hall", 24, 5, 6)
+
+        def noise(self, s: Setting, truth_in: str) -> dict[str, Any]:
+            return {"of": s, "by": truth_in}
+
+        def missing(self, s: Setting) -> dict[str, Any]:
+            return {"of": s, "by": "missing"}
+
+    monkeypatch.setattr(curves, "Bench", Told)
+    monkeypatch.setattr(curves, "backend_status", lambda name: (name != "cuda_ad", ""))
+    monkeypatch.setattr(curves, "backend_of", lambda: "llvm_ad")
+    lines = list(render_curves("hall", size=24, repeats=5, seed=6))
+    wanted = [(knob, value) for knob, values in KNOBS.items() for value in values if value != "cuda_ad"]
+    assert [(line["knob"], line["setting"]) for line in lines] == wanted
+    for line in lines:
+        changed = {k for k, v in vars(line["of"]).items() if v != getattr(DEFAULT, k)}
+        assert changed <= {line["knob"]}
+        assert getattr(line["of"], line["knob"]) == line["setting"]
+        assert line["by"] == {"max_depth": "missing", "color": "spectral"}.get(line["knob"], "rgb")
+    defaults = {line["knob"]: line["setting"] for line in lines if line["default"]}
+    assert defaults == {knob: getattr(DEFAULT, knob) for knob in KNOBS} | {"variant": "llvm_ad"}
+    assert sum(line["default"] for line in lines) == len(KNOBS)

@@ -1,0 +1,156 @@
+"""The arithmetic of pilots on small images made by hand, against loops and against the formulas of statistics."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simscenes import Rig, orbit_rig
+from simscenes.rigs import intrinsics
+from simscenes.transport import pilot
+from simscenes.transport.pilot import AGAIN, Pilot, Share, beyond, changed_light, missing_light, pilot_rig
+
+RNG = np.random.default_rng(4)
+
+
+def test_missing_light_is_the_mean_lack_with_three_standard_errors() -> None:
+    full, part = RNG.uniform(2, 4, (2, 3, 5, 3)), RNG.uniform(1, 3, (2, 3, 5, 3))
+    lacks = [float(sum(f - p) / 3) for f, p in zip(full.reshape(-1, 3), part.reshape(-1, 3), strict=True)]
+    mean = sum(lacks) / 30
+    error = (sum((x - mean) ** 2 for x in lacks) / 29 / 30) ** 0.5
+    total = full.sum() / full.size
+    found = missing_light(full, part)
+    assert found.estimate == pytest.approx(mean / total)
+    assert found.upper == pytest.approx((mean + 3 * error) / total)
+
+
+def test_missing_light_is_never_negative_and_one_pixel_has_no_spread() -> None:
+    full = np.full((1, 1, 1, 3), 4.0)
+    assert missing_light(full, full / 4) == Share(0.75, 0.75)
+    assert missing_light(full, 2 * full) == Share(0, 0)
+    assert missing_light(-full, full) == Share(0, 0)
+    noisy = np.array([1.0, 3.0]).reshape(1, 1, 2, 1) * np.ones(3)
+    found = missing_light(noisy, noisy + [[[[0.5], [1.5]]]])  # what is cut is brighter, by luck
+    assert found.estimate == 0
+    assert found.upper == pytest.approx(3 * np.sqrt(0.5 / 2) / 2)
+
+
+def test_beyond_sums_a_geometric_series() -> None:
+    series = sum(0.08 * 0.9 ** (5 * k) for k in range(2000))
+    assert beyond(Share(0.03, 0.08), 5, 0.9) == Share(0.03, pytest.approx(series))
+
+
+@pytest.mark.parametrize("block", [1, 2, 4])
+def test_changed_light_is_the_mean_absolute_change_of_blocks(block: int) -> None:
+    """Blocks end at the edges of the image and never reach over two views."""
+    full, other = RNG.uniform(1, 3, (2, 5, 6, 3)), RNG.uniform(1, 3, (2, 5, 6, 3))
+    changes, sizes = [], []
+    for c in range(2):
+        for top in range(0, 5, block):
+            for left in range(0, 6, block):
+                cut = (c, slice(top, top + block), slice(left, left + block))
+                changes.append(abs((other[cut] - full[cut]).sum() / other[cut].size))
+                sizes.append(other[cut].size / 3)
+    total, spread = full.sum() / full.size, np.std(changes) / len(changes) ** 0.5
+    estimate = sum(c * n for c, n in zip(changes, sizes, strict=True)) / sum(sizes)
+    found = changed_light(full, other, block)
+    assert found.estimate == pytest.approx(estimate / total)
+    assert found.upper == pytest.approx((estimate + 3 * spread) / total)
+    if block == 4:
+        assert changed_light(full, other) == found
+    assert changed_light(0 * full, other) == Share(0, 0)
+
+
+def test_pilot_views_are_spread_over_the_rig_whatever_its_order() -> None:
+    """Sorted by their cameras, the first, the middle and the last one; 64 x 18 pixels become 32 x 9."""
+    rig = orbit_rig(7, 64, 18, 50, radius=3.0)
+    Ks = rig.Ks.copy()
+    Ks[:, :2, 2] += [3, -2]
+    rig = Rig(viewmats=rig.viewmats, Ks=Ks, width=64, height=18)
+    small = pilot_rig(rig)
+    order = sorted(range(7), key=lambda i: [*rig.viewmats[i].ravel(), *rig.Ks[i].ravel()])
+    assert (small.width, small.height) == (32, 9)
+    assert np.array_equal(small.viewmats, rig.viewmats[[order[0], order[3], order[6]]])
+    f = Ks[0, 0, 0]
+    assert np.allclose(small.Ks, [[f / 2, 0, 35 / 2], [0, f / 2, 7 / 2], [0, 0, 1]])
+    shuffled = RNG.permutation(7)
+    again = pilot_rig(Rig(viewmats=rig.viewmats[shuffled], Ks=Ks[shuffled], width=64, height=18))
+    assert np.array_equal(again.viewmats, small.viewmats)
+    assert len(pilot_rig(Rig(viewmats=rig.viewmats[:2], Ks=Ks[:2], width=64, height=18))) == 2
+
+
+def test_tall_and_flat_pilots_keep_square_pixels_and_one_row() -> None:
+    tall = pilot_rig(Rig(viewmats=np.eye(4)[None], Ks=intrinsics(30, 128, 20)[None], width=30, height=128))
+    assert (tall.width, tall.height) == (8, 32)
+    assert tall.Ks[0, 0, 0] == pytest.approx(tall.Ks[0, 1, 1]) == pytest.approx(4 / np.tan(np.radians(10)))
+    assert np.allclose(tall.Ks[0, :2, 2], [4, 16])
+    flat = pilot_rig(Rig(viewmats=np.eye(4)[None], Ks=intrinsics(200, 1, 20)[None], width=200, height=1))
+    assert (flat.width, flat.height) == (32, 1)
+    assert np.allclose(flat.Ks[0, :2, 2], [16, 0.5])
+
+
+class Renderer:
+    """Stands in for mitsuba: a sample takes 1/1024 s, the first render a minute more, the third is held up for 3 s."""
+
+    def __init__(self, variant: str = "llvm_ad_rgb", bad: float = 1.0) -> None:
+        self.variant, self.bad = lambda: variant, bad
+        self.now, self.asked = 0.0, list[dict[str, Any]]()
+
+    def load_dict(self, what: dict[str, Any]) -> Any:
+        return what
+
+    def render(self, scene: Any, **asked: Any) -> Any:
+        self.now += {0: 60.0, 2: 3.0}.get(len(self.asked), 0.0) + asked["spp"] / 1024
+        self.asked.append(asked)
+        return np.full((8, 16, 4), asked["sensor"]["i"] * self.bad)
+
+
+@pytest.fixture
+def rig(monkeypatch: pytest.MonkeyPatch) -> Rig:
+    monkeypatch.setattr(pilot, "sensor_dict", lambda mi, rig, i, loaded: {"i": i + 1})
+    monkeypatch.setattr(pilot, "view_seed", lambda rig, i, seed, number: 100 * i + 10 * number + seed)
+    return orbit_rig(4, 16, 8, 40, radius=3.0)
+
+
+LOADED: Any = SimpleNamespace(scene="scene", name="custom")
+
+
+def test_pilots_render_every_view_with_the_seed_of_its_camera(rig: Rig) -> None:
+    mi = Renderer()
+    images = pilot.render_pilot(mi, LOADED, rig, {"type": "path"}, 7)
+    assert images.shape == (4, 8, 16, 3)
+    assert images[:, 0, 0, 0].tolist() == [1, 2, 3, 4]
+    assert [(a["seed"], a["spp"], a["integrator"]) for a in mi.asked] == [
+        (seed, 64, {"type": "path"}) for seed in (7, 107, 207, 307)
+    ]
+    for bad in (np.nan, np.inf):
+        with pytest.raises(ValueError, match="'custom' renders to nan"):
+            pilot.render_pilot(Renderer(bad=bad), LOADED, rig, {"type": "path"}, 7)
+
+
+@pytest.mark.parametrize("variant", ["llvm_ad_rgb", "cuda_ad_rgb"])
+def test_a_sample_is_timed_in_the_middle_view_when_its_kernel_is_compiled(
+    variant: str, rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By the processor's clock, and on a GPU by the wall's. What holds up one of two runs is not counted."""
+    mi = Renderer(variant)
+    right, wrong = ("perf_counter", "process_time") if "cuda" in variant else ("process_time", "perf_counter")
+    monkeypatch.setattr(pilot, "time", SimpleNamespace(**{right: lambda: mi.now, wrong: lambda: -mi.now}))
+    found = pilot.seconds_per_sample(mi, LOADED, rig, {"type": "path"}, 7)
+    assert [(a["sensor"]["i"], a["spp"]) for a in mi.asked] == [(3, 1), (3, 64), (3, 64)]
+    assert [a["seed"] for a in mi.asked] == [217, 847, 847]
+    assert found == pytest.approx(1 / (1024 * 16 * 8))
+
+
+def test_a_pilot_renders_each_kind_of_path_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Any] = []
+
+    def rendered(mi: Any, loaded: Any, rig: Any, integrator: dict[str, Any], seed: int) -> Any:
+        asked.append((*integrator.values(), seed))
+        return np.full(3, len(asked))
+
+    monkeypatch.setattr(pilot, "render_pilot", rendered)
+    p = Pilot(None, None, None, None, "scalar", 0.004, 5)  # type: ignore[arg-type]
+    assert [p.render(*a)[0] for a in (("path", 8), ("path", 8, 5), ("path", 8), ("volpath", 8, 2, 1))] == [1, 2, 1, 3]
+    assert asked == [("path", 8, 2, 5), ("path", 8, 5, 5), ("volpath", 8, 2, 5 + AGAIN)]

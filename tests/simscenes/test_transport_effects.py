@@ -1,0 +1,216 @@
+"""Each effect is decided from its pilots: on pilots made by hand, with the numbers worked out beside them."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simscenes import Optics, Rig, orbit_rig
+from simscenes.backend import activate
+from simscenes.transport import effects
+from simscenes.transport.effects import (
+    aperture_effect,
+    depth_effects,
+    media_effects,
+    motion_effect,
+    roulette_effect,
+)
+from simscenes.transport.pilot import Pilot
+
+SMALL = orbit_rig(2, 32, 24, 40, radius=3.0)
+
+
+def pilots(allowed: float = 0.004, backend: str = "llvm_ad", **more: Any) -> Pilot:
+    loaded: Any = SimpleNamespace(scene="scene")
+    return Pilot("mi", None, loaded, SMALL, backend, allowed, 5, **more)  # type: ignore[arg-type]
+
+
+def room(albedo: float, kind: str = "path") -> dict[Any, Any]:
+    """A closed room: of light that starts as 1 - a, a part a comes back from every surface."""
+    return {(kind, d, 2, 0): np.full((2, 3, 4, 3), 2 * (1 - albedo**d)) for d in (2, 5, 8, 16, 32, 64)}
+
+
+@pytest.mark.parametrize(
+    ("albedo", "allowed", "depth"), [(0.7, 0.06, 8), (0.7, 0.004, 16), (0.9, 0.04, 32), (0.9, 0.02, 64), (0.7, 0.7, 8)]
+)
+@pytest.mark.parametrize("media", [False, True])
+def test_paths_end_where_what_lies_beyond_is_allowed(albedo: float, allowed: float, depth: int, media: bool) -> None:
+    """Beyond d lies a^d of the light; the pilot itself lacks a^64, so that all shares are of 1 - a^64."""
+    p = pilots(allowed, images=room(albedo, "volpath" if media else "path"))
+    seen = 1 - albedo**64
+    found, (indirect, deep) = depth_effects(p, media, albedo, None)
+    assert found == depth
+    assert indirect.name == "indirect light"
+    assert indirect.contribution == pytest.approx((albedo**2 - albedo**64) / seen)
+    assert indirect.on == (allowed < albedo**2)
+    assert indirect.bound == deep.bound == allowed
+    assert not indirect.forced
+    assert indirect.reason == f"{indirect.contribution:.1%} of the light has bounced more than once"
+    assert deep.contribution == pytest.approx(albedo**depth / seen)
+    found_beyond = 0.0 if depth == 64 else (albedo**depth - albedo**64) / seen
+    assert deep.reason == f"max_depth {depth}: beyond it {found_beyond:.2g}..{deep.contribution:.2g}"
+    assert (deep.name, deep.on, deep.forced) == ("paths beyond max_depth", False, False)
+
+
+def test_a_depth_decided_by_hand_is_kept_and_bounded() -> None:
+    found, (_, deep) = depth_effects(pilots(images=room(0.7)), False, 0.7, 5)
+    assert found == 5
+    assert deep.forced
+    assert deep.contribution == pytest.approx(0.7**5 / (1 - 0.7**64))
+
+
+def noisy(starts: dict[int, float], depth: int = 8, kind: str = "path") -> dict[Any, Any]:
+    """Pairs of pilots whose squared differences are, pixel by pixel, 1 to 24 parts of what is given."""
+    base = np.linspace(1, 3, 24).reshape(2, 3, 4)[..., None] * np.ones(3)
+    found = {}
+    for start, noise in starts.items():
+        apart = np.sqrt(noise * np.arange(1, 25) / 12.5).reshape(2, 3, 4)[..., None] * np.ones(3)
+        found |= {(kind, depth, start, 0): base + apart, (kind, depth, start, 1): base}
+    return found
+
+
+@pytest.fixture
+def lengths(monkeypatch: pytest.MonkeyPatch) -> dict[int, float]:
+    """Surfaces that a path meets, by where roulette starts."""
+    told = {2: 2.0, 3: 2.5, 5: 3.0, 6: 4.0, 9: 8.0, 10: 8.5}
+
+    def path_lengths(mi: Any, loaded: Any, rig: Rig, depth: int, starts: list[int], seed: int) -> Any:
+        assert (rig, depth, seed) == (SMALL, 8, 5)
+        return np.array([told[start] for start in starts])
+
+    monkeypatch.setattr(effects, "path_lengths", path_lengths)
+    return told
+
+
+@pytest.mark.parametrize(
+    ("noise", "media", "start", "on", "reason"),
+    [  # rays of a path: 5, 7 and 17; with media one surface later: 6, 9, 18
+        ((4.0, 1.0, 0.8), False, 5, True, "from path length 5: 3 surfaces a path instead of 8, noise x 1.12"),
+        ((1.0, 0.9, 0.8), False, 2, True, "from path length 2: 2 surfaces a path instead of 8, noise x 1.12"),
+        ((40.0, 10.0, 0.8), False, 2, False, "would save 75% of the surfaces, and cost more in noise"),
+        ((4.0, 1.0, 0.8), True, 5, True, "from path length 5: 4 surfaces a path instead of 8.5, noise x 1.12"),
+    ],
+)
+@pytest.mark.usefixtures("lengths")
+def test_roulette_starts_where_noise_times_rays_is_least(
+    noise: tuple[float, ...], media: bool, start: int, on: bool, reason: str
+) -> None:
+    kind = "volpath" if media else "path"
+    p = pilots(images=noisy(dict(zip((2, 5, 9), noise, strict=True)), kind=kind))
+    found, effect = roulette_effect(p, media, 8, True)
+    assert found == start
+    assert (effect.name, effect.on, effect.contribution, effect.bound) == ("Russian roulette", on, 0, 0)
+    assert effect.reason.removesuffix("; never changes the mean") == reason
+    assert ("never changes the mean" in effect.reason) == on
+
+
+@pytest.mark.parametrize(
+    ("depth", "measure", "backend"), [(2, True, "llvm_ad"), (8, False, "llvm_ad"), (8, True, "scalar")]
+)
+def test_roulette_starts_early_where_it_is_not_measured(depth: int, measure: bool, backend: str) -> None:
+    found, effect = roulette_effect(pilots(backend=backend), False, depth, measure)
+    assert found == 2
+    assert (effect.on, effect.contribution, effect.bound) == (True, 0, 0)
+    assert effect.reason.startswith("from path length 2, not measured")
+
+
+def test_short_paths_offer_fewer_starts(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Any] = []
+    monkeypatch.setattr(effects, "path_lengths", lambda *a: asked.append(a[4]) or np.array([2.0, 3.0]))
+    roulette_effect(pilots(images=noisy({2: 1.0, 4: 1.0}, depth=3)), False, 3, True)
+    assert asked == [[2, 4]]
+
+
+@pytest.mark.parametrize(
+    ("change", "chromatic", "on", "mis"),
+    [(0.1, True, True, True), (0.1, False, True, False), (0.003, True, False, False)],
+)
+def test_media_count_by_what_they_change(
+    change: float, chromatic: bool, on: bool, mis: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Without fog it is brighter everywhere; one of two media is coloured."""
+    monkeypatch.setattr(effects, "media_in", lambda scene, mi: ["grey", "coloured"])
+    monkeypatch.setattr(effects, "_is_chromatic", lambda mi, medium: chromatic and medium == "coloured")
+    through = np.full((2, 3, 4, 3), 2.0)
+    p = pilots(images={("volpath", 8, 2, 0): through, ("path", 8, 2, 0): through * (1 + change)})
+    media, colors = media_effects(p)
+    assert (media.name, media.on, media.bound) == ("participating media", on, 0.004)
+    assert media.contribution == pytest.approx(change)
+    assert media.reason == f"2 medium boundaries; ignoring them changes {change:.1%}"
+    assert (colors.name, colors.on, colors.contribution, colors.bound) == ("chromatic media", mis, 0, 0)
+    assert colors.reason.startswith("extinction differs" if chromatic else "extinction is the same")
+
+
+def test_without_media_there_is_nothing_to_follow(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(effects, "media_in", lambda scene, mi: [])
+    found = [(e.on, e.contribution, e.bound) for e in media_effects(pilots())]
+    assert found == [(False, 0, 0.004), (False, 0, 0)]
+
+
+def test_a_homogeneous_medium_is_chromatic_by_its_extinction_alone() -> None:
+    mi = activate()
+    for sigma_t, chromatic in ((0.4, False), ([0.4, 0.4, 0.4], False), ([0.4, 0.4, 0.5], True)):
+        given = sigma_t if isinstance(sigma_t, float) else {"type": "rgb", "value": sigma_t}
+        albedo = {"type": "rgb", "value": [0.1, 0.5, 0.9]}
+        medium = mi.load_dict({"type": "homogeneous", "sigma_t": given, "albedo": albedo})
+        assert effects._is_chromatic(mi, medium) == chromatic
+
+
+def depths(*values: float) -> list[dict[str, Any]]:
+    """Two views that show as many points at each of these depths as the other."""
+    return [{"Z": np.array([part], np.float32)} for part in (values[::2], values[1::2])]
+
+
+def test_blur_by_the_lens_is_the_circle_of_confusion_of_all_views() -> None:
+    """In the plane of focus at 2 a point at depth z spreads over 2 r |1 - 2/z|; images are 20 times the pilots."""
+    focal = SMALL.Ks[0, 0, 0] * 20
+    optics = Optics(aperture_radius=0.1, focus_distance=2.0)
+    found = aperture_effect(pilots(), depths(4, 4, 4, 4), optics, 20.0)
+    assert found.contribution == pytest.approx(0.1 * focal / 2)
+    assert (found.name, found.unit, found.bound, found.on) == ("depth of field", "px", 0.5, True)
+    assert found.reason == f"circle of confusion {found.contribution:.2g} px (95th percentile)"
+    near, far = 0.2 * (2 / 1 - 1) * focal / 2, 0.2 * focal / 2  # a point at depth 1, and the sky
+    assert aperture_effect(pilots(), depths(1, 1), optics, 20.0).contribution == pytest.approx(near)
+    assert aperture_effect(pilots(), depths(np.inf, np.inf), optics, 20.0).contribution == pytest.approx(far)
+    # Of 21 points, in two views, the 20th in order.
+    z = np.linspace(2.0, 6.0, 21)
+    assert aperture_effect(pilots(), depths(*z), optics, 20.0).contribution == pytest.approx(
+        0.2 * (1 - 2 / z[19]) * focal / 2, rel=1e-5
+    )
+
+
+@pytest.mark.parametrize(("pixels", "on"), [(0.45, False), (0.55, True), (0.9, True)])
+def test_half_a_pixel_of_blur_is_allowed(pixels: float, on: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    focal = SMALL.Ks[0, 0, 0]
+    radius = pixels * 2 / focal  # of a lens that blurs things at 4, in focus at 2, by so much
+    found = aperture_effect(pilots(), depths(4, 4), Optics(aperture_radius=radius, focus_distance=2.0), 1.0)
+    assert found.contribution == pytest.approx(pixels)
+    assert found.on == on
+    monkeypatch.setattr(effects, "image_motion", lambda *a: pixels / 4)
+    moving, frames = motion_effect([], SMALL, SMALL, Optics(motion=0.3), 4.0)
+    assert (moving.name, moving.unit, moving.bound, moving.on) == ("motion blur", "px", 0.5, on)
+    assert moving.contribution == pytest.approx(pixels)
+    assert moving.reason == f"points move {pixels:.2g} px (95th percentile)"
+    assert frames == 4
+
+
+def test_a_pinhole_at_rest_blurs_nothing() -> None:
+    alone = Rig(viewmats=SMALL.viewmats[:1], Ks=SMALL.Ks[:1], width=32, height=24)
+    lens = aperture_effect(pilots(), [], Optics(), 1.0)
+    still = motion_effect([], SMALL, SMALL, Optics(), 1.0)
+    single = motion_effect([], alone, alone, Optics(motion=0.5), 1.0)
+    assert still[1] == single[1] == 1
+    for effect in (lens, still[0], single[0]):
+        assert (effect.on, effect.contribution, effect.bound, effect.unit) == (False, 0, 0.5, "px")
+
+
+@pytest.mark.parametrize(("pixels", "frames"), [(0.1, 4), (2.0, 4), (2.1, 16), (8.0, 16), (8.1, 64), (99.0, 64)])
+def test_a_step_between_poses_is_half_a_pixel_at_most(
+    pixels: float, frames: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Up to 64 poses."""
+    asked: list[Any] = []
+    monkeypatch.setattr(effects, "image_motion", lambda *a: asked.append(a) or pixels / 8)
+    assert motion_effect(["views"], SMALL, SMALL, Optics(motion=0.3), 8.0)[1] == frames
+    assert asked == [(["views"], SMALL, SMALL, 0.3)]

@@ -1,0 +1,204 @@
+"""The planner hands each decision what it needs, and what the ones before it found; nothing is rendered."""
+
+from contextlib import nullcontext
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from sensor_model.plan import Effect
+from simscenes import Optics, Rig, orbit_rig
+from simscenes.job import render_set as rendering
+from simscenes.loading.reference import SceneRef
+from simscenes.transport import pilot, planner
+from simscenes.transport.plan import EFFECTS, MADE_UP, TransportPlan
+
+RIG = orbit_rig(9, 128, 96, 40, radius=3.0)
+SOURCE = SceneRef.of("cornell")
+OPTICS = Optics(aperture_radius=0.1, focus_distance=2.0, motion=0.5)
+
+
+def decision(name: str, on: bool = False, contribution: float = 0.0) -> Effect:
+    unit = "px" if name in ("depth of field", "motion blur") else "of all light"
+    return Effect(name=name, on=on, forced=False, contribution=contribution, bound=0.0, unit=unit, reason="found")
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What every step of the planner was asked; the answers are fixed. There are media, and they are on."""
+    calls: dict[str, Any] = {}
+
+    def step(name: str, answer: Any) -> None:
+        def told(*arguments: Any, **settings: Any) -> Any:
+            calls[name] = (*arguments, *settings.values())
+            return answer
+
+        monkeypatch.setattr(planner, name, told)
+
+    monkeypatch.setattr(planner, "using_variant", lambda backend: nullcontext(SimpleNamespace(Object=int)))
+    monkeypatch.setattr(planner, "backend_of", lambda variant: f"{variant} backend")
+    monkeypatch.setattr(planner, "geometry_channels", lambda mi, loaded, rig, i: (rig.width, i))
+    step("media_in", ["fog"])
+    step("check_wishes", None)
+    step("light_weights", (0.25, 0.75))
+    step("set_light_weights", None)
+    step("media_effects", [decision("participating media", True), decision("chromatic media", False, 0.5)])
+    step(
+        "depth_effects", (16, [decision("indirect light", True, 0.3), decision("paths beyond max_depth", False, 0.001)])
+    )
+    step("roulette_effect", (5, decision("Russian roulette", True)))
+    step(
+        "color_effects", ([decision("polarisation", False, 0.002), decision("spectral transport", False, 0.004)], 0.07)
+    )
+    step("motion_effect", (decision("motion blur", False, 0.2), 16))
+    step("aperture_effect", decision("depth of field", False, 0.1))
+    step("_measure_seconds", {"planned": 1.0})
+    monkeypatch.setattr(pilot, "most_reflected", lambda mi, loaded: 0.8)
+    return calls
+
+
+def planned(**more: Any) -> TransportPlan:
+    loaded: Any = SimpleNamespace(scene="scene")
+    settings: dict[str, Any] = {"rig": RIG, "optics": OPTICS, "seed": 5, "variant": "wide"} | more
+    return planner.plan_loaded(SOURCE, loaded, 0.03, **settings)
+
+
+def test_decisions_follow_each_other(asked: dict[str, Any]) -> None:
+    made = planned(force={"polarisation": False}, max_depth=7)
+    p = asked["depth_effects"][0]
+    assert (p.source, p.backend, p.allowed, p.seed) == (SOURCE, "wide backend", 0.03 / 5, 5)
+    assert (p.rig.width, p.rig.height, len(p.rig)) == (32, 24, 3)
+    views = [(32, 0), (32, 1), (32, 2)]
+    assert asked["check_wishes"] == ({"polarisation": False}, 7, OPTICS, True, True)
+    assert asked["light_weights"][2:] == (p.rig, 5)
+    assert asked["set_light_weights"][1] == (0.25, 0.75)
+    assert asked["depth_effects"] == (p, True, 0.8, 7)
+    assert asked["roulette_effect"] == (p, True, 16, True)
+    assert asked["color_effects"] == (p, OPTICS, True, views, 0.3, True)
+    assert asked["motion_effect"] == (views, RIG, p.rig, OPTICS, 4.0)
+    assert asked["aperture_effect"] == (p, views, OPTICS, 4.0)
+    assert sorted(made.names) == sorted(EFFECTS)
+    assert (made.max_depth, made.rr_depth, made.subframes, made.light_weights) == (16, 5, 16, (0.25, 0.75))
+    assert made["polarisation"].forced
+    assert made.bound == pytest.approx(0.001 + 0.002 + 0.004 + 0.5)
+    assert made.biases == {"px": pytest.approx(0.3), MADE_UP: 0.07}
+    assert made.seconds == {"planned": 1.0}
+    assert asked["_measure_seconds"][0] is p
+
+
+def test_a_plan_without_measurements_takes_no_time(asked: dict[str, Any]) -> None:
+    made = planned(measure=False)
+    assert made.seconds == {}
+    assert "_measure_seconds" not in asked
+    assert asked["roulette_effect"][3] is asked["color_effects"][5] is False
+    assert not any(effect.forced for effect in made.effects)
+
+
+def test_a_scene_is_loaded_and_its_cameras_checked_before_it_is_planned(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without cameras it gets eight usual ones, and without optics the lens of its own sensor."""
+    done: list[Any] = []
+    monkeypatch.setattr(planner, "using_variant", lambda backend: nullcontext("mi"))
+    monkeypatch.setattr(planner, "backend_of", lambda variant: "backend")
+    monkeypatch.setattr(planner, "build_scene", lambda source, mi, allow_outside: (source.name, mi, allow_outside))
+    monkeypatch.setattr(planner, "usual_rig", lambda *a: ("usual", *a))
+    monkeypatch.setattr(planner, "check_cameras", lambda *a: done.append(a))
+    monkeypatch.setattr(planner, "with_lens", lambda optics, loaded, mi: ("lens", optics))
+    monkeypatch.setattr(planner, "plan_loaded", lambda *a, **settings: (a, settings))
+    loaded = ("cornell", "mi", True)
+    given, settings = planner.plan_transport("cornell", 0.1, seed=3, allow_outside=True, max_depth=9)
+    usual = ("usual", SOURCE, loaded, 8, 64, 64)
+    assert given == (SOURCE, loaded, 0.1)
+    assert done == [("mi", loaded, usual)]
+    assert settings == {
+        "rig": usual, "optics": ("lens", None), "force": None, "max_depth": 9, "measure": True, "variant": "auto",
+        "seed": 3, "allow_outside": True,
+    }  # fmt: skip
+    assert planner.plan_transport("cornell", rig=RIG)[0][2] == 0.02
+    assert done[1][2] is RIG
+
+
+@pytest.mark.parametrize(
+    ("spp", "target_error", "said"),
+    [
+        (2, None, None),
+        (1, None, "spp must be >= 2"),
+        (None, 0.5, None),
+        (None, 0.0, "target_error"),
+        (None, 1.0, "target_error"),
+        (None, float("nan"), "target_error"),
+        (2, 0.5, "not both"),
+        (None, None, None),
+    ],
+)
+def test_quality_is_two_samples_or_a_share(spp: int | None, target_error: float | None, said: str | None) -> None:
+    if said is None:
+        rendering._check_quality(spp, target_error)
+    else:
+        with pytest.raises(ValueError, match=said):
+            rendering._check_quality(spp, target_error)
+
+
+def test_a_job_plans_as_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = planner.default_plan(OPTICS)
+    monkeypatch.setattr(rendering, "plan_loaded", lambda *a, **settings: (a, settings))
+
+    def plan(wanted: Any) -> Any:
+        return rendering._make_plan(SOURCE, "loaded", RIG, OPTICS, wanted, {"seed": 3})  # type: ignore[arg-type]
+
+    assert plan("auto") == ((SOURCE, "loaded"), {"rig": RIG, "optics": OPTICS, "seed": 3})
+    assert plan("rgb").integrator() == made.integrator()
+    assert plan("rgb").is_on("motion blur")
+    assert plan(made) is made
+    with pytest.raises(ValueError, match="plan must be 'auto', 'rgb'"):
+        plan("best")
+
+
+class Stop(Exception):
+    """Ends a job where its plan is made."""
+
+
+@pytest.mark.parametrize(("spp", "quality", "measured"), [(None, None, True), (255, None, False), (None, 0.01, True)])
+def test_long_jobs_measure_everything(
+    spp: int | None, quality: float | None, measured: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """12 views of 100 x 98 pixels at 256 samples, which stand for any error too, are 3.01e7; at 255, 2.999e7."""
+    loaded = SimpleNamespace(name="custom", digest="d")
+    monkeypatch.setattr(rendering, "build_scene", lambda *a, **settings: loaded)
+    monkeypatch.setattr(rendering, "with_lens", lambda optics, loaded, mi: Optics())
+    monkeypatch.setattr(rendering, "using_variant", lambda variant: nullcontext("mi"))
+    monkeypatch.setattr(rendering, "usual_rig", lambda source, loaded, *size: orbit_rig(12, 100, 98, 40, radius=3.0)
+                        if size == (32, 128, 128) else None)  # fmt: skip
+    told: list[Any] = []
+
+    def make(source: Any, loaded: Any, rig: Rig, optics: Optics, plan: Any, wishes: dict[str, Any]) -> Any:
+        told.extend((plan, wishes["measure"], wishes["seed"]))
+        raise Stop
+
+    monkeypatch.setattr(rendering, "_make_plan", make)
+    with pytest.raises(Stop):
+        rendering.render_set("cornell", None, tmp_path, spp=spp, target_error=quality, seed=4)
+    assert told == ["auto", measured, 4]
+
+
+def test_a_job_says_what_it_rendered_with() -> None:
+    """Facts in set.json, besides what was asked and what each view came to."""
+    watch = SimpleNamespace(with_earlier=lambda: {"load": 2.0})
+    surfaces = SimpleNamespace(shapes=("floor", "ball"), materials=("paint",))
+    job: Any = SimpleNamespace(surfaces=surfaces, rig=RIG, watch=watch, method=SimpleNamespace(variant="llvm_ad_rgb"))
+    made = planner.default_plan(Optics())
+    found = rendering._facts(job, made)
+    assert (found["n_views"], found["width"], found["height"], found["kind"]) == (9, 128, 96, "rendered")
+    assert (found["shapes"], found["materials"], found["seconds"]) == (["floor", "ball"], ["paint"], {"load": 2.0})
+    assert found["integrator"] == made.integrator()
+    assert found["plan"]["bound"] is None
+    assert found["mitsuba_variant"] == "llvm_ad_rgb"
+
+
+def test_layouts_are_written_into_folders_of_their_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    written: list[Any] = []
+    layouts = {name: lambda views, out, name=name: written.append((name, out)) for name in ("a", "b", "c")}
+    monkeypatch.setattr(rendering, "EXPORTS", layouts)
+    views: Any = SimpleNamespace(path=tmp_path)
+    assert rendering._exported(views, ("c", "a")) is views
+    assert written == [("c", tmp_path / "c"), ("a", tmp_path / "a")]

@@ -1,0 +1,95 @@
+"""Spectra of light and surfaces, and light by two mirrors in a row, against sums and rays written out."""
+
+import numpy as np
+import pytest
+
+from simscenes import Rig
+from simscenes.backend import activate, using_variant
+from simscenes.camera import camera_color, daylight, srgb_curves
+from simscenes.loading.load import build_scene
+from simscenes.rigs import intrinsics, look_at
+from simscenes.transport.spectra import WAVELENGTHS, color_error, light_and_surface
+from simscenes.transport.specular import chained_light
+
+NIKON = "Nikon 5100 (NPL)"
+
+
+@pytest.mark.parametrize("camera", [None, NIKON])
+@pytest.mark.parametrize("bounces", [1, 2, 3])
+def test_color_error_is_that_of_sums_over_wavelengths(camera: str | None, bounces: int) -> None:
+    """Saturated surfaces leave the range of RGB, saturated light gives the camera less than nothing: both are cut."""
+    assert np.array_equal(WAVELENGTHS, np.arange(380, 781, 10))
+    rng = np.random.default_rng(0)
+    bumps = [np.exp(-(((WAVELENGTHS - at) / 25) ** 2)) for at in (420, 500, 520, 610, 700)]
+    lights = np.stack([bump + 0.01 for bump in bumps])
+    surfaces = np.stack([0.95 * bump + 0.01 for bump in bumps[::-1]]) * rng.uniform(0.8, 1, (5, 1))
+    srgb, white = srgb_curves()[::2], daylight()[::2]
+    filters = srgb if camera is None else camera_color(camera).curves[::2]
+    unit = 1.0 if camera is None else sum(camera_color(camera).curves[:, 1])
+    wrong = total = 0.0
+    outside = 0
+    for light, surface in zip(lights, surfaces, strict=True):
+        rgb = []
+        for c in range(3):
+            lit = sum(light[k] * srgb[k][c] for k in range(41))
+            reflected = sum(surface[k] * white[k] * srgb[k][c] for k in range(41))
+            reflected /= sum(white[k] * srgb[k][c] for k in range(41))
+            outside += (lit < 0) + (reflected < 0) + (reflected > 1)
+            rgb.append(max(lit, 0) * min(max(reflected, 0), 1) ** bounces)
+        if camera is not None:
+            seen = [sum(camera_color(camera).matrix[c][d] * rgb[d] for d in range(3)) for c in range(3)]
+            outside += min(seen) < 0
+            rgb = [max(value, 0) for value in seen]
+        for c in range(3):
+            exact = sum(light[k] * surface[k] ** bounces * filters[k][c] for k in range(41)) / unit
+            wrong, total = wrong + abs(rgb[c] - exact), total + abs(exact)
+    assert outside > 5
+    assert color_error(lights, surfaces, camera, bounces) == pytest.approx(wrong / total)
+    assert color_error(lights[:0], surfaces[:0], camera, bounces) == 0
+    if bounces == 1:
+        assert color_error(lights, surfaces, camera) == pytest.approx(wrong / total)
+
+
+@pytest.mark.usefixtures("jit")
+def test_spectra_of_light_and_surface_are_those_of_the_points_seen() -> None:
+    """A lamp above a floor: intensity times cosine over squared distance, pixel by pixel; the sky counts for none."""
+    steps = {"type": "spectrum", "value": [(380.0, 1.0), (580.0, 5.0), (780.0, 3.0)]}
+    paint = {"type": "spectrum", "value": [(380.0, 0.2), (780.0, 0.8)]}
+    floor = {"type": "rectangle", "bsdf": {"type": "diffuse", "reflectance": paint}}
+    lamp = {"type": "point", "position": [0.2, 0.1, 1.5], "intensity": steps}
+    poses = np.stack([look_at((0, -1, 2), (0, 0, 0)), look_at((0, 0, 1), (0, 1, 3)), look_at((0, -1, 2), (0.9, 0, 0))])
+    rig = Rig(viewmats=poses, Ks=np.repeat(intrinsics(3, 2, 40)[None], 3, 0), width=3, height=2)
+    with using_variant(color="spectral") as mi:
+        loaded = build_scene({"type": "scene", "floor": floor, "lamp": lamp}, mi)
+        light, surface = light_and_surface(mi, loaded, rig, 0)
+    irradiances = []
+    for pose in (poses[0], poses[2]):
+        c2w = np.linalg.inv(pose)
+        for y in range(2):
+            for x in range(3):
+                ray = c2w[:3, :3] @ np.linalg.solve(rig.Ks[0], [x + 0.5, y + 0.5, 1])
+                point = c2w[:3, 3] - c2w[2, 3] / ray[2] * ray
+                away = np.array([0.2, 0.1, 1.5]) - point
+                if np.abs(point[:2]).max() < 1:
+                    irradiances.append(away[2] / np.linalg.norm(away) ** 3)
+    assert 6 < len(irradiances) < 12
+    wanted = np.interp(WAVELENGTHS, [380, 580, 780], [1, 5, 3])
+    assert light.shape == surface.shape == (len(irradiances), 41)
+    assert np.allclose(light, np.outer(irradiances, wanted), rtol=1e-4)
+    assert np.allclose(surface, np.interp(WAVELENGTHS, [380, 780], [0.2, 0.8]), rtol=1e-4)
+
+
+@pytest.mark.usefixtures("jit")
+def test_light_by_two_mirrors_is_averaged_over_pixels_and_views() -> None:
+    """A mirrored corner shows a sky of 1 by two reflections in half of one view in four."""
+    mi = activate()
+    t, mirror = mi.ScalarTransform4f(), {"type": "conductor", "material": "none"}
+    floor = {"type": "rectangle", "to_world": t.translate([-50, 0, 0]).scale(50), "bsdf": mirror}
+    wall = {"type": "rectangle", "to_world": t.translate([0, 5, 0]).rotate([1, 0, 0], 90).scale(50), "bsdf": mirror}
+    sky = {"type": "constant", "radiance": {"type": "rgb", "value": 1.0}}
+    loaded = build_scene({"type": "scene", "floor": floor, "wall": wall, "sky": sky}, mi)
+    up = look_at((0, 0, 3), (0, -1, 9))
+    poses = np.stack([up, up, look_at((0, 0, 3), (0, 1.5, 0)), up])
+    rig = Rig(viewmats=poses, Ks=np.repeat(intrinsics(8, 8, 10)[None], 4, 0), width=8, height=8)
+    found = chained_light(mi, loaded, rig, {"type": "path", "max_depth": 8, "rr_depth": 9}, 0)
+    assert found == pytest.approx(1 / 8, rel=1e-5)
