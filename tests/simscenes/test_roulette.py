@@ -47,9 +47,30 @@ def test_views_that_show_nothing_count_as_paths_without_surfaces() -> None:
     mi = activate()
     wall = {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(9), "bsdf": {"type": "diffuse"}}
     loaded = build_scene({"type": "scene", "wall": wall, "sky": {"type": "constant"}}, mi)
-    poses = np.stack([look_at((0, 0, 3), (0.1, 0, 9)), look_at((0, 0, 3), (0.1, 0, 0)), look_at((0, 0, 3), (0, 9, 9))])
+    poses = np.stack([look_at((0, 0, 3), (0.1, 0, 9)), look_at((0, 0, 3), (0, 9, 9)), look_at((0, 0, 3), (0.1, 0, 0))])
     rig = Rig(viewmats=poses, Ks=np.repeat(intrinsics(4, 4, 30)[None], 3, 0), width=4, height=4)
     assert path_lengths(mi, loaded, rig, 8, (2, 9), seed=0) == pytest.approx([1 / 3, 1 / 3])
+
+
+@pytest.mark.usefixtures("jit")
+def test_glass_lets_paths_survive_that_are_dark_only_inside() -> None:
+    """At normal incidence 4 % are reflected; light in glass is 1/n^2 as bright, and roulette knows that."""
+    mi = activate()
+    glass = {"type": "dielectric", "int_ior": 1.5, "ext_ior": 1.0}
+    loaded = build_scene({"type": "scene", "ball": {"type": "sphere", "bsdf": glass}, "sky": {"type": "constant"}}, mi)
+
+    def lengths(views: int, seed: int) -> list[float]:
+        poses = np.repeat(look_at((0, 0, 3), (0, 0, 0), (0, 1, 0))[None], views, 0)
+        rig = Rig(viewmats=poses, Ks=np.repeat(intrinsics(16, 16, 0.1)[None], views, 0), width=16, height=16)
+        return [float(length) for length in path_lengths(mi, loaded, rig, 5, (1, 9), seed)]
+
+    expected = [1 + sum(0.96 * 0.04**k * survival ** (k + 1) for k in range(3)) for survival in (MOST_SURVIVE, 1)]
+    first, other, two = lengths(1, 0), lengths(1, 1), lengths(2, 0)
+    for found in (first, other, two):  # of 2048 paths or more; one standard error is 0.5 %
+        assert found == pytest.approx(expected, abs=0.02)
+    # Every seed and every view draws paths of its own.
+    assert first not in (other, two)
+    assert lengths(1, 0) == first
 
 
 @pytest.mark.usefixtures("jit")

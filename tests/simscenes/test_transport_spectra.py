@@ -89,7 +89,52 @@ def test_light_by_two_mirrors_is_averaged_over_pixels_and_views() -> None:
     sky = {"type": "constant", "radiance": {"type": "rgb", "value": 1.0}}
     loaded = build_scene({"type": "scene", "floor": floor, "wall": wall, "sky": sky}, mi)
     up = look_at((0, 0, 3), (0, -1, 9))
-    poses = np.stack([up, up, look_at((0, 0, 3), (0, 1.5, 0)), up])
+    poses = np.stack([up, up, up, look_at((0, 0, 3), (0, 1.5, 0))])
     rig = Rig(viewmats=poses, Ks=np.repeat(intrinsics(8, 8, 10)[None], 4, 0), width=8, height=8)
     found = chained_light(mi, loaded, rig, {"type": "path", "max_depth": 8, "rr_depth": 9}, 0)
     assert found == pytest.approx(1 / 8, rel=1e-5)
+
+
+@pytest.mark.usefixtures("jit")
+def test_the_light_of_a_lamp_is_averaged_over_its_whole_face() -> None:
+    """A square lamp of radiance 1 at a height h above the floor: the integral of h^2 / r^4 over its face, over pi."""
+    h = 0.5
+    x, y = np.meshgrid(*2 * [np.linspace(-1, 1, 401)[1::2]])
+    expected = 4 * (h**2 / (x**2 + y**2 + h**2) ** 2).mean()
+    pose, K = look_at((0.1, -0.1, 0.2), (0, 0, 0)), intrinsics(16, 16, 1)
+    glow = {"type": "area", "radiance": {"type": "spectrum", "value": 1.0}}
+    with using_variant(color="spectral") as mi:
+        face = mi.ScalarTransform4f().translate([0, 0, h]).rotate([1, 0, 0], 180)
+        lamp = {"type": "rectangle", "to_world": face, "emitter": glow}
+        floor = {"type": "rectangle", "bsdf": {"type": "diffuse"}}
+        loaded = build_scene({"type": "scene", "floor": floor, "lamp": lamp}, mi)
+
+        def light(views: int, seed: int) -> np.ndarray:
+            rig = Rig(viewmats=np.repeat(pose[None], views, 0), Ks=np.repeat(K[None], views, 0), width=16, height=16)
+            return light_and_surface(mi, loaded, rig, seed)[0]
+
+        first, other, two = light(1, 0), light(1, 1), light(2, 0)
+    for found in (first, other, two):
+        assert found.mean(0) == pytest.approx(np.full(41, expected), rel=0.05)
+    assert np.array_equal(two[:256], first)
+    for found in (other, two[256:]):  # every seed and every view picks points of its own
+        assert not np.allclose(found, first, rtol=0.01)
+
+
+@pytest.mark.usefixtures("jit")
+def test_every_seed_and_every_view_follows_mirrored_paths_of_its_own() -> None:
+    mi = activate()
+    rough = {"type": "roughconductor", "alpha": 0.4}
+    wall = mi.ScalarTransform4f().translate([0, 1, 0]).rotate([1, 0, 0], 90).scale(5)
+    scene = {"type": "scene", "floor": {"type": "rectangle", "bsdf": rough}, "sky": {"type": "constant"},
+             "wall": {"type": "rectangle", "to_world": wall, "bsdf": rough}}  # fmt: skip
+    loaded, pose, K = build_scene(scene, mi), look_at((0, -1, 2), (0, 0.5, 0)), intrinsics(8, 8, 10)
+
+    def light(views: int, seed: int) -> float:
+        rig = Rig(viewmats=np.repeat(pose[None], views, 0), Ks=np.repeat(K[None], views, 0), width=8, height=8)
+        return chained_light(mi, loaded, rig, {"type": "path", "max_depth": 3, "rr_depth": 9}, seed)
+
+    assert light(1, 0) == pytest.approx(light(1, 0), rel=1e-12)
+    found = [light(1, 0), light(1, 1), light(2, 0)]
+    assert min(abs(a - b) for a, b in zip(found, found[1:] + found[:1], strict=True)) > 1e-6
+    assert found == pytest.approx([found[0]] * 3, rel=0.2)
