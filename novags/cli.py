@@ -275,7 +275,10 @@ def doctor(*, stability: bool = False, part: tuple[str, ...] = (), long: bool = 
     from novags.testbed.doctor import examine
 
     if stability or part or long or out is not None:
-        _stability(part, long, out)
+        from novags.testbed.stability.console import show
+
+        if not show(part, long=long, out=out):
+            raise SystemExit(1)
         return
     marks = {"ok": "ok     ", "missing": "missing", "broken": "BROKEN "}
     broken = False
@@ -284,23 +287,6 @@ def doctor(*, stability: bool = False, part: tuple[str, ...] = (), long: bool = 
         broken |= finding.state == "broken"
     print("something needed is broken: see above" if broken else "ready: novags run --preset demo")
     if broken:
-        raise SystemExit(1)
-
-
-def _stability(parts: tuple[str, ...], long: bool, out: Path | None) -> None:
-    from novags.testbed import stability
-
-    if unknown := [part for part in parts if part not in stability.PARTS]:
-        raise ValueError(f"part is {unknown[0]!r}; there are: {', '.join(stability.PARTS)}")
-    results = []
-    for result in stability.measure(parts or tuple(stability.PARTS), long=long):
-        print(f"{'ok  ' if result.holds else 'FAIL'}  {result}", flush=True)
-        results.append(result)
-    if out is not None:
-        out.write_text(stability.markdown(results), encoding="utf-8")
-    failed = sum(not result.holds for result in results)
-    print(f"{len(results)} computed, {failed} beyond their bounds" if failed else f"all {len(results)} hold")
-    if failed:
         raise SystemExit(1)
 
 

@@ -1,0 +1,33 @@
+"""`novags doctor --stability`: the hard cases, computed here and now, one line each."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from novags.testbed import stability
+
+
+def show(parts: Sequence[str], *, long: bool = False, out: Path | None = None) -> bool:
+    """Compute and print the hard cases.
+
+    Args:
+        parts: Which parts; none: all.
+        long: With the slow ones.
+        out: File for the table, Markdown.
+
+    Returns:
+        Whether all of them hold.
+
+    Raises:
+        ValueError: If there is no such part.
+    """
+    if unknown := [part for part in parts if part not in stability.PARTS]:
+        raise ValueError(f"no part {unknown[0]!r} of the hard cases; available: {', '.join(stability.PARTS)}")
+    results = []
+    for result in stability.measure(parts or tuple(stability.PARTS), long=long):
+        print(f"{'ok  ' if result.holds else 'FAIL'}  {result}", flush=True)
+        results.append(result)
+    if out is not None:
+        out.write_text(stability.markdown(results), encoding="utf-8")
+    failed = sum(not result.holds for result in results)
+    print(f"{len(results)} computed, {failed} beyond their bounds" if failed else f"all {len(results)} hold")
+    return not failed
