@@ -27,6 +27,7 @@ SMOOTH = 0.8  # DN of noise from which rounding just adds 1/12 DN**2 (the mean e
 FEW = 16  # different pixels up to which each kind gets a table of its own
 GRID = 0.01  # sqrt(e-), spacing of such a table: linear interpolation errs by GRID**2 / 4 = 0.00003 e-
 BATCH = 512  # pixels that are integrated together
+LONGEST = 8192  # electrons in their list: 32 MiB an array
 
 
 def frame_moments(inputs: Prepared, shot: str = "poisson") -> tuple[Array, Array]:
@@ -131,8 +132,16 @@ def _many_integrals(s: Sensor, mu: Array, base: Array, extra: Array, shot: str) 
 def _in_batches(s: Sensor, mu: Array, base: Array, extra: Array, shot: str) -> tuple[Array, Array]:
     """`integrated_moments`, pixels of similar charge together, so that one list of electrons serves them all."""
     mean, variance = np.empty_like(mu), np.empty_like(mu)
-    for part in np.array_split(np.argsort(mu, kind="stable"), -(-mu.size // BATCH)):
-        mean[part], variance[part] = integrated_moments(s, mu[part], base[part], extra[part], shot)
+    parts = np.array_split(np.argsort(mu, kind="stable"), -(-mu.size // BATCH))
+    while parts:
+        part = parts.pop()
+        ends = mu[part[[0, -1]]]
+        low, high, step = _span(ends)
+        if part.size > 1 and high - low > LONGEST * step:  # hot pixels beside others
+            cut = np.searchsorted(mu[part], np.sqrt((ends[0] + 1) * (ends[1] + 1)) - 1, side="right")
+            parts += [part[:cut], part[cut:]]
+        else:
+            mean[part], variance[part] = integrated_moments(s, mu[part], base[part], extra[part], shot)
     return mean, variance
 
 
@@ -179,12 +188,18 @@ def _charges(mu: Array, shot: str) -> tuple[Array, Array]:
     if shot == "normal":
         w = np.linspace(-REACH, REACH, 321)
         return mu[:, None] + np.sqrt(mu)[:, None] * w, np.broadcast_to(np.exp(-0.5 * w * w), (mu.size, w.size))
-    # The electrons one by one; in large means every few, 20 to a standard deviation, over which nothing changes
-    ends = np.array([mu.min(), mu.max()])
-    low, high = np.floor(ends + _reach(ends) * [-1, 1])
-    step = max(1.0, np.floor(np.sqrt(ends[0]) / 20))
-    n = np.arange(max(0.0, float(low)), float(high) + 2 * step, step)[None]
+    n = np.arange(*_span(np.array([mu.min(), mu.max()])))[None]
     return n, np.exp(special.xlogy(n, mu[:, None]) - mu[:, None] - special.gammaln(n + 1))
+
+
+def _span(ends: Array) -> tuple[float, float, float]:
+    """The fewest and the most electrons that means from ends[0] to ends[1] give, and the step between those listed.
+
+    The step is 1; in large means 20 to a standard deviation, over which nothing changes.
+    """
+    low, high = np.floor(ends + _reach(ends) * [-1, 1])
+    step = max(1.0, float(np.floor(np.sqrt(ends[0]) / 20)))
+    return max(0.0, float(low)), float(high) + 2 * step, step
 
 
 def code_moments(level: Array, sd: Array, top: Array | float) -> tuple[Array, Array]:

@@ -4,8 +4,9 @@ An effect may be left out if what it would add stays within three budgets, each 
 the relative standard deviation (epsilon), a bias in DN, and a relative error of the signal. Leaving out a variance v
 changes the standard deviation by sqrt(1 + v/V) - 1 <= v / 2V, where V = S + R**2 + 1/(12 K**2) is the variance that
 every plan keeps: shot noise of the signal S, read noise, rounding. The cheapest effects are left out first. Where the
-signal comes within five standard deviations of black or white, clipping decides what is left of the noise, no such
-bound holds, and nothing that contributes is left out: give quantiles without the highlights to plan for the rest.
+charge of any pixel, its dark charge included, comes within five standard deviations of black or white, clipping decides
+what is left of the noise, no such bound holds, and nothing that contributes is left out: give quantiles without the
+highlights to plan for the rest.
 """
 
 from __future__ import annotations
@@ -77,23 +78,25 @@ def plan_effects(sensor: Sensor, exposure: Exposure, signal_e: ArrayLike, tolera
         _decided("photon_shot", True, _ratio(low, 2 * dark), limits.sd, SD, "never left out"),
         _decided("read_noise", True, _ratio(sensor.sigma_d**2, 2 * dark), limits.sd, SD, "never left out"),
     ]
-    clips = _sd_to_white(sensor, high) < CLEAR or _sd_to_black(sensor, low) < CLEAR
-    chosen, spent = _choose(_costs(sensor, exposure, low, high, limits), budgets, clips)
-    effects = (*always, *chosen, *_shapes(sensor, low, high, limits, clips))
+    most = _most_charge(sensor, exposure, high, limits)
+    clips = _sd_to_white(sensor, most, limits) < CLEAR or _sd_to_black(sensor, low, limits) < CLEAR
+    exempt = "near clipping" if clips else "codes are coarser than the noise" if _is_coarse(sensor, low, most) else None
+    chosen, spent = _choose(_costs(sensor, exposure, low, high, most, limits), budgets, exempt)
+    effects = (*always, *chosen, *_shapes(sensor, low, most, limits, exempt is not None))
     return Plan(effects=effects, bound=spent[SD], unit=SD, biases={u: spent[u] for u in (BIAS, SIGNAL)})
 
 
-def _choose(candidates: Costs, budgets: dict[str, float], clips: bool) -> tuple[list[Effect], dict[str, float]]:
-    """Leave out the cheapest effects until a budget is spent; nothing that costs where the signal clips."""
+def _choose(candidates: Costs, budgets: dict[str, float], exempt: str | None) -> tuple[list[Effect], dict[str, float]]:
+    """Leave out the cheapest effects until a budget is spent; nothing that costs where no bound holds, and why."""
     spent, effects = dict.fromkeys(budgets, 0.0), []
     for name in sorted(candidates, key=lambda n: _worst(candidates[n][0], budgets)[0]):
         cost, reason = candidates[name]
         costly = any(cost.values())
-        fits = not (clips and costly) and all(spent[unit] + value <= budgets[unit] for unit, value in cost.items())
+        fits = not (exempt and costly) and all(spent[unit] + value <= budgets[unit] for unit, value in cost.items())
         if fits:
             spent = {unit: total + cost.get(unit, 0.0) for unit, total in spent.items()}
         _, unit = _worst(cost, budgets)
-        fitting = "fits the budget" if fits else "near clipping" if clips else "exceeds what is left of the budget"
+        fitting = "fits the budget" if fits else exempt or "exceeds what is left of the budget"
         why = f"{reason}; {fitting}" if costly else "this camera has none"
         effects.append(_decided(name, not fits, cost[unit], budgets[unit], unit, why))
     return effects, spent
@@ -104,9 +107,40 @@ def kept_variance(sensor: Sensor, signal_e: float) -> float:
     return signal_e + sensor.sigma_d**2 + 1 / (12 * sensor.gain**2)
 
 
-def _costs(s: Sensor, exposure: Exposure, low: float, high: float, limits: Limits) -> Costs:
+def _most_charge(s: Sensor, exposure: Exposure, high: float, limits: Limits) -> float:
+    """Mean charge of the fullest pixel: the brightest light on the most sensitive pixel, plus dark charge. e-."""
+    peak = max(1.0, *s.optics.falloff) if s.optics and s.optics.falloff else 1.0
+    return peak * high * (1 + CLEAR * s.prnu) + s.dark_e(exposure) + _hot_e(s, exposure, limits)
+
+
+def _hot_e(s: Sensor, exposure: Exposure, limits: Limits) -> float:
+    """Dark charge of a hot pixel beyond that of the others, if there are any. e-."""
+    d = s.defects
+    return (d.hot_factor - 1) * s.dark_e(exposure) if d and d.hot_fraction * limits.pixels >= 0.01 else 0.0
+
+
+def _telegraph_variance(s: Sensor, limits: Limits) -> float:
+    """What telegraph noise adds in a pixel that has it, if there are any. e-**2."""
+    d = s.defects
+    return (d.rts_factor**2 - 1) * s.sigma_d**2 if d and d.rts_fraction * limits.pixels >= 0.01 else 0.0
+
+
+def _least_kept(s: Sensor, signal_e: float, most: float) -> float:
+    """`kept_variance` at the gain that reads with less noise, of those in use at charges from `signal_e` up. e-**2."""
+    kept, gains = kept_variance(s, signal_e), s.dual_gain
+    if gains is None or not _switches(s, most):
+        return kept
+    return min(kept, max(signal_e, gains.threshold) + gains.sigma_d**2 + gains.ratio**2 / (12 * s.gain**2))
+
+
+def _switches(s: Sensor, most: float) -> bool:
+    """Whether any charge is read at the low gain."""
+    return s.dual_gain is not None and s.dual_gain.threshold - most < CLEAR * sqrt(most)
+
+
+def _costs(s: Sensor, exposure: Exposure, low: float, high: float, most: float, limits: Limits) -> Costs:
     """What leaving out each effect costs, per budget, at the worst signal in the range; and what it is."""
-    dark, bright = (2 * kept_variance(s, x) for x in (low, high))
+    dark, bright = (2 * _least_kept(s, x, most) for x in (low, high))
     dark_e = s.dark_e(exposure)
     views, width = limits.shared_views, limits.row_length
     costs: Costs = {
@@ -117,14 +151,13 @@ def _costs(s: Sensor, exposure: Exposure, low: float, high: float, limits: Limit
         "column_noise": ({SD: width * s.sigma_column**2 / dark}, f"averaged over {width} pixels"),
         "banding": ({SD: width * (s.banding.amplitude**2 / 2 if s.banding else 0) / dark}, "row pattern"),
         "black_bias": ({BIAS: max(map(abs, s.rgb_bias))}, "error of the black level"),
-        # the slope, which scales the noise, errs by twice as much as the signal
-        "nonlinearity": ({SD: 2 * s.droop * high, SIGNAL: s.droop * high}, "at the brightest signal"),
+        # E[N**2] = q**2 + q; the slope, which scales the noise, errs by twice as much as the signal
+        "nonlinearity": ({SD: 2 * s.droop * (most + 1), SIGNAL: s.droop * (most + 1)}, "at the largest charge"),
     }
-    d, o = s.defects, s.optics
-    hot = (d.hot_factor - 1) * dark_e if d and d.hot_fraction * limits.pixels >= 0.01 else 0.0
+    o = s.optics
+    hot = _hot_e(s, exposure, limits)
     costs["hot_pixels"] = ({SD: hot / dark, BIAS: s.gain * hot}, "in a hot pixel")
-    jumps = (d.rts_factor**2 - 1) * s.sigma_d**2 if d and d.rts_fraction * limits.pixels >= 0.01 else 0.0
-    costs["telegraph_noise"] = ({SD: jumps / dark}, "in a pixel with telegraph noise")
+    costs["telegraph_noise"] = ({SD: _telegraph_variance(s, limits) / dark}, "in a pixel with telegraph noise")
     corner = 0.0 if o is None else 1 - (min(o.falloff) if o.falloff else cos(radians(o.corner_angle)) ** 4)
     costs["vignetting"] = ({SD: corner / 2, SIGNAL: corner}, "in the corners")
     spill = (
@@ -132,26 +165,26 @@ def _costs(s: Sensor, exposure: Exposure, low: float, high: float, limits: Limit
         if o
         else 0.0
     )
-    # bias of the brightest edge against its own noise: 4 c dS <= sqrt(2 eps V) in terms of the first budget
-    costs["crosstalk"] = ({SD: spill**2 / bright}, "at the strongest edge")
-    shown = 4 * s.coupling * (high - low)
+    # of the light alone; bias of the brightest edge against its own noise: 4 c dS <= sqrt(2 eps V) in the first budget
+    costs["crosstalk"] = ({SD: spill**2 / bright, BIAS: s.gain * spill}, "at the strongest edge")
+    shown = 4 * s.coupling * (most - low)  # of any charge, that of a hot pixel too
     # it also smooths the noise: (1 - 4 c)**2 + 4 c**2 of the variance, 1 - 4 c of the deviation
-    costs["coupling"] = ({SD: 4 * s.coupling + shown**2 / bright}, "at the strongest edge")
+    costs["coupling"] = ({SD: 4 * s.coupling + shown**2 / bright, BIAS: s.gain * shown}, "at the strongest edge")
     return costs
 
 
-def _shapes(s: Sensor, low: float, high: float, limits: Limits, clips: bool) -> list[Effect]:
-    """Effects that a variance does not measure: tails, and what only happens near saturation."""
+def _shapes(s: Sensor, low: float, most: float, limits: Limits, exempt: bool) -> list[Effect]:
+    """Effects that a variance does not measure: tails, and what only happens near saturation, by the fullest pixel."""
     tails = 0.0
     if s.tukey_lambda is not None and s.sigma_d:
         tails = abs(excess_kurtosis(s.tukey_lambda)) * (s.sigma_d**2 / kept_variance(s, low)) ** 2
     # Skewness (1 / (6 sqrt(2 pi)) of it, by Edgeworth's expansion), plus the steps of whole electrons where the read
     # noise does not blur them
     skew = (0.0665 + 0.2 * exp(-2 * (pi * s.sigma_d) ** 2)) / sqrt(low) if low > 0 else inf
-    full = max(0.0, CLEAR - _sd_to_white(s, high))
-    switch = inf if s.dual_gain is None else _ratio(s.dual_gain.threshold - high, sqrt(kept_variance(s, high)))
+    full = max(0.0, CLEAR - _sd_to_white(s, most, limits))
+    switch = inf if s.dual_gain is None else _ratio(s.dual_gain.threshold - most, sqrt(most))
     gains = max(0.0, CLEAR - switch)
-    keep_tails, keep_poisson = tails > (0 if clips else limits.kurtosis), clips or skew > limits.distance
+    keep_tails, keep_poisson = tails > (0 if exempt else limits.kurtosis), exempt or skew > limits.distance
     return [
         _decided("read_tails", keep_tails, tails, limits.kurtosis, KURTOSIS, "Gaussian read noise without"),
         _decided("poisson", keep_poisson, skew, limits.distance, DISTANCE, "normal shot noise without"),
@@ -161,12 +194,31 @@ def _shapes(s: Sensor, low: float, high: float, limits: Limits, clips: bool) -> 
     ]
 
 
-def _sd_to_white(s: Sensor, signal_e: float) -> float:
-    return _ratio(s.capacity_e - signal_e, sqrt(kept_variance(s, signal_e)))
+def _sd_to_white(s: Sensor, charge_e: float, limits: Limits) -> float:
+    return _ratio(s.capacity_e - charge_e, sqrt(_whole_variance(s, charge_e, limits)))
 
 
-def _sd_to_black(s: Sensor, signal_e: float) -> float:
-    return _ratio(s.black_level / s.gain + signal_e, sqrt(kept_variance(s, signal_e)))
+def _sd_to_black(s: Sensor, charge_e: float, limits: Limits) -> float:
+    room = (s.black_level + min(s.rgb_bias)) / s.gain + charge_e
+    return _ratio(room, sqrt(_whole_variance(s, charge_e, limits)))
+
+
+def _is_coarse(s: Sensor, low: float, most: float) -> bool:
+    """Whether the noise is too small to blur the codes: what rounding does then depends on where between codes it lies.
+
+    The mean of a code errs by at most f/pi DN, where f = exp(-S (1 - cos 2 pi K) - 2 (pi K R)**2) is the characteristic
+    function of shot and read noise at one cycle per code. Below f = exp(-7), 0.0003 DN, rounding just adds 1/12 DN**2.
+    """
+    reads = [(low, s.gain, s.sigma_d)]
+    if s.dual_gain and _switches(s, most):
+        reads += [(max(low, s.dual_gain.threshold), s.gain / s.dual_gain.ratio, s.dual_gain.sigma_d)]
+    return any(e * (1 - cos(2 * pi * gain)) + 2 * (pi * gain * sd) ** 2 < 7 for e, gain, sd in reads)
+
+
+def _whole_variance(s: Sensor, charge_e: float, limits: Limits) -> float:
+    """Variance of the worst pixel with all that the camera adds, at a mean charge. e-**2."""
+    lines = s.sigma_row**2 + s.sigma_column**2 + (s.banding.amplitude**2 if s.banding else 0.0)
+    return kept_variance(s, charge_e) + s.dsnu**2 + lines + _telegraph_variance(s, limits)
 
 
 def simplify(sensor: Sensor, plan: Plan | None) -> Sensor:
