@@ -81,7 +81,7 @@ def plan_effects(sensor: Sensor, exposure: Exposure, signal_e: ArrayLike, tolera
     most = _most_charge(sensor, exposure, high, limits)
     clips = _sd_to_white(sensor, most, limits) < CLEAR or _sd_to_black(sensor, low, limits) < CLEAR
     exempt = "near clipping" if clips else "codes are coarser than the noise" if _is_coarse(sensor, low, most) else None
-    chosen, spent = _choose(_costs(sensor, exposure, low, high, most, limits), budgets, exempt)
+    chosen, spent = _choose(_costs(sensor, exposure, low, high, limits), budgets, exempt)
     effects = (*always, *chosen, *_shapes(sensor, low, most, limits, exempt is not None))
     return Plan(effects=effects, bound=spent[SD], unit=SD, biases={u: spent[u] for u in (BIAS, SIGNAL)})
 
@@ -138,8 +138,9 @@ def _switches(s: Sensor, most: float) -> bool:
     return s.dual_gain is not None and s.dual_gain.threshold - most < CLEAR * sqrt(most)
 
 
-def _costs(s: Sensor, exposure: Exposure, low: float, high: float, most: float, limits: Limits) -> Costs:
+def _costs(s: Sensor, exposure: Exposure, low: float, high: float, limits: Limits) -> Costs:
     """What leaving out each effect costs, per budget, at the worst signal in the range; and what it is."""
+    most = _most_charge(s, exposure, high, limits)
     dark, bright = (2 * _least_kept(s, x, most) for x in (low, high))
     dark_e = s.dark_e(exposure)
     views, width = limits.shared_views, limits.row_length
