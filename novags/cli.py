@@ -3,14 +3,16 @@
 import os
 import signal
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
+from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import tyro
 
-from novags.options import LIGHT, Device, Folder, Light, Listed, Name, PresetName, Repeated
+from novags.inquiries import doctor, help_, list_
+from novags.options import LIGHT, Device, Folder, Light, Name, PresetName, Repeated
 
 if TYPE_CHECKING:  # heavy: torch and its friends load when a command runs, so that --help answers at once
     from novags.methods.variant import Variant
@@ -37,6 +39,7 @@ def run(
     denoiser_steps: int | None = None,
     seed: int | None = None,
     device: Device = "auto",
+    wait: bool = False,
 ) -> None:
     """Run a whole experiment: render, capture in the dark, reconstruct with several methods, score, report.
 
@@ -63,6 +66,7 @@ def run(
         denoiser_steps: Of the denoiser before the fit starts.
         seed: Of noise and training.
         device: Where training runs; auto takes a GPU if there is one that can be used.
+        wait: If another process is writing there, wait until it is done instead of refusing.
     """
     from novags.testbed import experiment
     from novags.testbed.presets import EXPERIMENTS, adapted
@@ -74,7 +78,8 @@ def run(
         variants=_variants(variant), cameras=_cameras(cameras), refine_cameras=refine_cameras, device=device,
     )  # fmt: skip
     folder = out if out is not None else Path("out") / preset
-    report_path = experiment.run(chosen, folder, _console(), command=_command_line())
+    with _writing(folder, wait) as console:
+        report_path = experiment.run(chosen, folder, console, command=_command_line())
     _announce(report_path)
 
 
@@ -116,7 +121,7 @@ def plan(
 def render(
     scene: Name, *, out: Path, views: int = 32, width: int = 128, height: int = 128, spp: int | None = None,
     target_error: float | None = None, light: Light = LIGHT,
-    export: tuple[Literal["blender", "llff"], ...] = (), seed: int = 0,
+    export: tuple[Literal["blender", "llff"], ...] = (), seed: int = 0, wait: bool = False,
 ) -> None:  # fmt: skip
     """Render a scene into a ground-truth multiview set.
 
@@ -131,6 +136,7 @@ def render(
         light: How light gets from the lamps to the sensor.
         export: Further layouts of the set to write, each into a folder of its own in it.
         seed: Of the Monte Carlo noise.
+        wait: If another process is writing there, wait until it is done instead of refusing.
     """
     from novags.testbed import stages
     from novags.testbed.stages.render import RenderConfig
@@ -140,7 +146,8 @@ def render(
         scene=scene, n_views=views, width=width, height=height, spp=samples, target_error=target_error,
         export=export, seed=seed, **light.settings(),
     )  # fmt: skip
-    stages.render(out, config, _console())
+    with _writing(out, wait) as console:
+        stages.render(out, config, console)
     print(out)
     _next(f"novags capture {out} --electrons 20 --out CAPTURE")
 
@@ -149,6 +156,7 @@ def capture(
     set: Folder, *, out: Path, sensor: str = "a7s2-iso6400-3chip", electrons: float = 20.0, time: float = 1 / 30,
     max_size: int | None = None, demosaic: Literal["menon", "malvar", "bilinear"] = "menon",
     jpeg_quality: int | None = None, tolerance: float | None = 0.05, seed: int = 0,
+    wait: bool = False,
 ) -> None:  # fmt: skip
     """Photograph a multiview set in the dark: a rendered one, or real posed photographs.
 
@@ -164,6 +172,7 @@ def capture(
         jpeg_quality: 1 to 100: put the 8-bit pictures through JPEG.
         tolerance: Leave out effects that change the noise by less than this share; None simulates all.
         seed: Of the noise.
+        wait: If another process is writing there, wait until it is done instead of refusing.
     """
     from novags.testbed import stages
     from novags.testbed.stages.capture import CaptureConfig
@@ -172,7 +181,8 @@ def capture(
         sensor=sensor, electrons=electrons, time=time, max_size=max_size, demosaic=demosaic,
         jpeg_quality=jpeg_quality, tolerance=tolerance, seed=seed,
     )  # fmt: skip
-    stages.capture(set, out, config, _console())
+    with _writing(out, wait) as console:
+        stages.capture(set, out, config, console)
     print(out)
     _next(f"novags reconstruct {out} --method nova-fast --out RUN")
 
@@ -181,7 +191,7 @@ def reconstruct(
     capture: Folder, *, out: Path, method: str = "nova-fast", variant: str | None = None, preset: PresetName = "demo",
     pictures: Literal["8bit", "16bit"] | None = None, cameras: str | None = None, refine_cameras: bool = False,
     points: int | None = None, iterations: int | None = None, denoiser_steps: int | None = None, seed: int = 0,
-    device: Device = "auto",
+    device: Device = "auto", wait: bool = False,
 ) -> None:  # fmt: skip
     """Reconstruct a capture with one method: a 3D model, and pictures rendered from it.
 
@@ -200,6 +210,7 @@ def reconstruct(
         denoiser_steps: Of the denoiser before the fit starts.
         seed: Of training.
         device: Where training runs; auto takes a GPU if there is one that can be used.
+        wait: If another process is writing there, wait until it is done instead of refusing.
     """
     from novags.testbed import stages
     from novags.testbed.presets import EXPERIMENTS, adapted
@@ -211,20 +222,24 @@ def reconstruct(
         points=points, iterations=iterations, denoiser_steps=denoiser_steps, pictures=pictures, device=device,
     )  # fmt: skip
     config = replace(chosen.reconstruct(name), seed=seed)
-    stages.reconstruct(capture, out, config, _console())
+    with _writing(out, wait) as console:
+        stages.reconstruct(capture, out, config, console)
     print(out)
     _next(f"novags score {out} && novags report {out}")
 
 
-def score(run: Folder) -> None:
+def score(run: Folder, *, wait: bool = False) -> None:
     """Score a run, or every run of an experiment, against the truth; write metrics.json.
 
     Args:
         run: Folder of a run or of an experiment.
+        wait: If another process is writing there, wait until it is done instead of refusing.
     """
     from novags.testbed.experiment import score_all
 
-    for name, mean in score_all(run, _console()).items():
+    with _writing(run, wait, make=False) as console:
+        scores = score_all(run, console)
+    for name, mean in scores.items():
         lit = mean["lit"]
         against = f"well lit {lit['tone_aligned_psnr']:.2f} dB (tone-aligned PSNR)"
         if "enhanced" in mean:
@@ -233,18 +248,21 @@ def score(run: Folder) -> None:
     _next(f"novags report {run}")
 
 
-def report(folder: Folder) -> None:
+def report(folder: Folder, *, wait: bool = False) -> None:
     """Write report.html for a scored run or experiment: one self-contained file.
 
     Args:
         folder: Folder of a run or of an experiment.
+        wait: If another process is writing there, wait until it is done instead of refusing.
     """
     from novags.testbed.report.page import write_report
 
-    _announce(write_report(folder, _console()))
+    with _writing(folder, wait, make=False) as console:
+        path = write_report(folder, console)
+    _announce(path)
 
 
-def characterise(folder: Folder, *, out: Path, window: int = 1024) -> None:
+def characterise(folder: Folder, *, out: Path, window: int = 1024, wait: bool = False) -> None:
     """Estimate a camera from its dark and flat frames, and write it as a TOML file for --sensor.
 
     Args:
@@ -252,64 +270,16 @@ def characterise(folder: Folder, *, out: Path, window: int = 1024) -> None:
             and frames.toml for what the files do not state: bits, exposure times, photons, eta.
         out: The TOML file.
         window: Side of the central square of the sensor that is used, in pixels.
+        wait: If another process is writing there, wait until it is done instead of refusing.
     """
     from novags.testbed.calibration_frames import characterise_folder
     from sensor_model import write_sensor
 
-    sensor, found = characterise_folder(folder, window=window)
-    out.parent.mkdir(parents=True, exist_ok=True)
-    write_sensor(out, sensor, comment=f"measured from {folder.resolve().name}; what the frames say:\n{found}")
+    with _writing(out.parent, wait, name=f".{out.name}.lock"):
+        sensor, found = characterise_folder(folder, window=window)
+        write_sensor(out, sensor, comment=f"measured from {folder.resolve().name}; what the frames say:\n{found}")
     print(f"{found}\n{out}")
     _next(f"novags capture SET --sensor {out} --electrons 20 --out CAPTURE")
-
-
-def doctor(*, stability: bool = False, part: tuple[str, ...] = (), long: bool = False, out: Path | None = None) -> None:
-    """Check what works on this machine, what does not, and how to install what is missing.
-
-    Args:
-        stability: Instead, compute the numerically hard cases and show their errors beside their bounds.
-        part: Only these parts: enhance, splats, sensor, ...
-        long: With the cases that take minutes.
-        out: File for the table of hard cases, Markdown.
-    """
-    from novags.testbed.doctor import examine
-
-    if stability or part or long or out is not None:
-        from novags.testbed.stability.console import show
-
-        if not show(part, long=long, out=out):
-            raise SystemExit(1)
-        return
-    marks = {"ok": "ok     ", "missing": "missing", "broken": "BROKEN "}
-    broken = False
-    for finding in examine():
-        print(f"{marks[finding.state]}  {finding.name:<18} {finding.detail}", flush=True)
-        broken |= finding.state == "broken"
-    print("something needed is broken: see above" if broken else "ready: novags run --preset demo")
-    if broken:
-        raise SystemExit(1)
-
-
-def list_(what: Annotated[Listed, tyro.conf.Positional] = "all") -> None:
-    """List what is available: scenes, sensors, methods and variants, presets, camera sources.
-
-    Args:
-        what: One of these lists, or all.
-    """
-    from novags.testbed.catalogue import listing
-
-    print(listing(what))
-
-
-def help_(topic: Annotated[str | None, tyro.conf.Positional] = None) -> None:
-    """Show the help page about a term: electrons, cameras, variants, scores ...; without one, list the pages.
-
-    Args:
-        topic: The term.
-    """
-    from novags.testbed.topics import page, topics
-
-    print(page(topic) if topic else f"novags help TOPIC, with one of: {', '.join(topics())}")
 
 
 COMMANDS: dict[str, Callable[..., None]] = {
@@ -346,6 +316,19 @@ def _console() -> "Console":
     return Console()
 
 
+@contextmanager
+def _writing(folder: Path, wait: bool, **lock: Any) -> "Iterator[Console]":
+    """Hold a folder while a command writes there; `lock`: further arguments of `locked`."""
+    from novags.testbed.folders.set import warnings_as_notes
+    from sensor_model.files.lock import locked
+
+    console = _console()
+    with ExitStack() as held:
+        with warnings_as_notes(console):
+            held.enter_context(locked(folder, wait=console.note if wait else None, **lock))
+        yield console
+
+
 def _terminated(*_: object) -> NoReturn:
     raise KeyboardInterrupt
 
@@ -373,7 +356,7 @@ def main() -> None:
         tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="novags", description=DESCRIPTION)
     except KeyboardInterrupt:
         sys.exit(_say("interrupted; the same command again continues where this one stopped", 130))
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, MemoryError) as error:
         if os.environ.get("NOVAGS_TRACEBACK"):
             raise
         sys.exit(_say(f"error: {error}", 2 if isinstance(error, ValueError) else 1))

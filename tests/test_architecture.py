@@ -27,7 +27,15 @@ LAYERS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("transport",),
         ("job",),
     ),
-    "novags": (("settings", "splats"), ("cameras",), ("methods",), ("testbed",), ("options",), ("cli", "__main__")),
+    "novags": (
+        ("settings", "splats"),
+        ("cameras",),
+        ("methods",),
+        ("testbed",),
+        ("options",),
+        ("inquiries",),
+        ("cli", "__main__"),
+    ),
 }
 
 

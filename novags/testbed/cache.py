@@ -4,7 +4,8 @@ A stage writes into one folder and puts its record there last (`set.json`, `capt
 with a record is complete. The record's `stage` entry holds the key: a hash of the stage's name, the contents of its
 input folders and its resolved configuration. Same key: not run again. While a stage is under way, `unfinished.json`
 holds the key of the work in the folder; a later start with the same key continues it, another key clears it first.
-Nothing is cleared until the inputs of the new work have been read and found valid.
+Nothing is cleared until the inputs of the new work have been read and found valid. Only one process at a time works in
+a folder.
 """
 
 import hashlib
@@ -13,15 +14,18 @@ import math
 import shutil
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, is_dataclass
+from contextlib import suppress
+from dataclasses import asdict, dataclass, is_dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
 from novags.testbed.console import Console
+from novags.testbed.memory import memory_shortage_said
 from novags.testbed.provenance import PeakMemory, environment, package_version
-from sensor_model.files.atomic import atomic
+from sensor_model.files.atomic import atomic, sweep
+from sensor_model.files.lock import locked
 
 Prepared = TypeVar("Prepared")
 
@@ -117,7 +121,7 @@ def folder_digest(folder: Path, names: Sequence[str] | None = None, *, beside: M
 
 
 _CONTENTS: dict[
-    tuple[Path, int, int, int], bytes
+    tuple[Path, int, int, int, int], bytes
 ] = {}  # hashes of files seen before: every method reads the same inputs
 SETTLED = 2_000_000_000  # ns; a file changed more recently may change again without its time stamp showing it
 
@@ -125,7 +129,8 @@ SETTLED = 2_000_000_000  # ns; a file changed more recently may change again wit
 def _content_digest(path: Path) -> bytes:
     path = path.resolve()
     stat = path.stat()
-    key = (path, stat.st_ino, stat.st_mtime_ns, stat.st_size)
+    # A clock set back, or a copy that keeps its time stamp, can repeat the time of modification; hardly that of change.
+    key = (path, stat.st_ino, stat.st_mtime_ns, stat.st_ctime_ns, stat.st_size)
     if key in _CONTENTS:
         return _CONTENTS[key]
     content = _read_digest(path)
@@ -172,6 +177,7 @@ def run_stage(
     work: Callable[[Prepared], Mapping[str, Any]],
     console: Console,
     stale: Sequence[Path] = (),
+    scrap: Sequence[str] = (),
 ) -> dict[str, Any]:
     """Do a stage's work unless its folder already holds the result of the same inputs and configuration.
 
@@ -186,77 +192,122 @@ def run_stage(
         work: Fills the folder (picking up what is there) with what `prepare` read, and returns the record's body.
         console: Where progress goes.
         stale: Files elsewhere that describe an earlier result in `folder`; removed together with it.
+        scrap: Files in `folder` that only unfinished work needs; removed once the record is written, not before.
 
     Returns:
         The record, as it stands in the folder.
 
     Raises:
         ValueError: If `folder` holds files that no stage of this kind has written, or an input is wrong.
+        BlockingIOError: If another process is writing to `folder`.
+        MemoryError: If there is not enough memory, of the GPU too.
     """
-    config = jsonable(config)
-    key = digest({"stage": name, "version": package_version("novags"), "inputs": inputs, "config": config})
-    record_path = folder / record_name
-    if record_path.exists() and (record := read_json(record_path)).get("stage", {}).get("key") == key:
-        console.note(f"{name}: unchanged, kept {folder}")
-        return record
-    earlier = _earlier_seconds(name, folder, record_name, key, owns, console)
-    start = time.perf_counter()
-    memory = PeakMemory()
-    prepared = prepare()
-    if earlier is None:
-        told = stale if record_path.exists() else ()
-        _clear(name, folder, key, [*told, *(folder / owned for owned in (record_name, *owns))])
-    try:
-        body = dict(work(prepared))
-    except BaseException:
-        _mark(name, folder, key, (earlier or 0.0) + time.perf_counter() - start)
-        raise
-    body["stage"] = {
-        "name": name,
-        "key": key,
-        "inputs": dict(inputs),
-        "config": config,
-        "seconds": (earlier or 0.0) + time.perf_counter() - start,
-        "peak_bytes": memory.peak_bytes(),
-        **environment(),
-    }
-    write_json(record_path, body)
-    (folder / UNFINISHED).unlink(missing_ok=True)
-    return read_json(record_path)
+    with locked(folder) as alone, memory_shortage_said(name):
+        if alone:
+            sweep(folder, owns)
+        stage = _Stage(name, folder, record_name, tuple(owns), tuple(scrap), console)
+        return stage.run(dict(inputs), jsonable(config), prepare, work, stale)
 
 
-def _earlier_seconds(
-    name: str, folder: Path, record_name: str, key: str, owns: Sequence[str], console: Console
-) -> float | None:
-    """Seconds spent by interrupted attempts at the work of `key`; None if the folder has to be cleared for it."""
-    if (folder / UNFINISHED).exists():
-        state = read_json(folder / UNFINISHED)
-        if state.get("key") == key:
-            console.note(f"{name}: continuing in {folder}")
-            return float(state.get("seconds", 0.0))
-    elif (folder / record_name).exists():
-        if "stage" not in read_json(folder / record_name):
-            raise ValueError(f"{folder} holds a {record_name} that novags {name} did not write: choose another --out")
-        console.note(f"{name}: inputs or configuration changed, doing {folder} again")
-    elif taken := sorted(owned for owned in owns if (folder / owned).exists()):
-        raise ValueError(
-            f"{folder} already holds {', '.join(taken)}, and novags {name} did not write them: choose another --out"
-        )
-    return None
+@dataclass(frozen=True)
+class _Stage:
+    """A stage in its folder, which is locked."""
 
+    name: str
+    folder: Path
+    record_name: str
+    owns: tuple[str, ...]
+    scrap: tuple[str, ...]
+    console: Console
 
-def _clear(name: str, folder: Path, key: str, targets: Sequence[Path]) -> None:
-    """Remove files and folders, in this order; what an interruption leaves behind belongs to no work."""
-    folder.mkdir(parents=True, exist_ok=True)
-    _mark(name, folder, None, 0.0)
-    for target in targets:
-        if target.is_dir() and not target.is_symlink():
-            shutil.rmtree(target)
-        else:
-            target.unlink(missing_ok=True)
-    _mark(name, folder, key, 0.0)
+    def run(
+        self,
+        inputs: dict[str, str],
+        config: dict[str, Any],
+        prepare: Callable[[], Prepared],
+        work: Callable[[Prepared], Mapping[str, Any]],
+        stale: Sequence[Path],
+    ) -> dict[str, Any]:
+        """As `run_stage` says."""
+        about = {"stage": self.name, "version": package_version("novags"), "inputs": inputs, "config": config}
+        key, record_path = digest(about), self.folder / self.record_name
+        if record_path.exists() and (record := read_json(record_path)).get("stage", {}).get("key") == key:
+            self._forget_interruption()
+            self.console.note(f"{self.name}: unchanged, kept {self.folder}")
+            return record
+        earlier = self._earlier_seconds(key)
+        start, memory = time.perf_counter(), PeakMemory()
+        prepared = prepare()
+        if earlier is None:
+            told = stale if record_path.exists() else ()
+            self._clear(key, [*told, *(self.folder / owned for owned in (self.record_name, *self.owns))])
+        try:
+            body = dict(work(prepared))
+        except BaseException:
+            with suppress(OSError):  # a full disk, say: whose work this is, is there already
+                self._mark(key, (earlier or 0.0) + time.perf_counter() - start)
+            raise
+        seconds = (earlier or 0.0) + time.perf_counter() - start
+        cost = {"seconds": seconds, "peak_bytes": memory.peak_bytes(), **environment()}
+        body["stage"] = {"name": self.name, "key": key, "inputs": inputs, "config": config, **cost}
+        write_json(record_path, body)
+        self._tidy()
+        return read_json(record_path)
 
+    @property
+    def _unfinished(self) -> Path:
+        return self.folder / UNFINISHED
 
-def _mark(name: str, folder: Path, key: str | None, seconds: float) -> None:
-    """Record whose unfinished work is in the folder; a key of None marks remains that are being cleared away."""
-    write_json(folder / UNFINISHED, {"stage": name, "key": key, "seconds": seconds})
+    def _forget_interruption(self) -> None:
+        """Work on this record was stopped after the record was written, or before anything was cleared for another."""
+        if self._unfinished.exists() and read_json(self._unfinished).get("record") == self.record_name:
+            self._tidy()
+
+    def _tidy(self) -> None:
+        """Remove what only unfinished work needs; what marks it goes last, so that this can be interrupted too."""
+        for name in self.scrap:
+            (self.folder / name).unlink(missing_ok=True)
+        self._unfinished.unlink(missing_ok=True)
+
+    def _earlier_seconds(self, key: str) -> float | None:
+        """Seconds spent by interrupted attempts at the work of `key`; None if the folder has to be cleared for it.
+
+        Raises:
+            ValueError: If what is there is not this stage's.
+        """
+        record, name = self.folder / self.record_name, self.name
+        if self._unfinished.exists():
+            state = read_json(self._unfinished)
+            if state.get("key") == key:
+                self.console.note(f"{name}: continuing in {self.folder}")
+                return float(state.get("seconds", 0.0))
+            if state.get("record", self.record_name) not in (self.record_name, *self.owns):
+                raise ValueError(
+                    f"{self.folder} holds unfinished work of novags {state.get('stage')}: finish that, or choose "
+                    "another --out"
+                )
+        elif record.exists():
+            if "stage" not in read_json(record):
+                raise ValueError(f"{record} is there, and novags {name} did not write it: choose another --out")
+            self.console.note(f"{name}: inputs or configuration changed, doing {self.folder} again")
+        elif taken := sorted(owned for owned in self.owns if (self.folder / owned).exists()):
+            listed = ", ".join(taken)
+            raise ValueError(
+                f"{self.folder} already holds {listed}, and novags {name} did not write them: choose another --out"
+            )
+        return None
+
+    def _clear(self, key: str, targets: Sequence[Path]) -> None:
+        """Remove files and folders, in this order; what an interruption leaves behind belongs to no work."""
+        self._mark(None, 0.0)
+        for target in targets:
+            if target.is_dir() and not target.is_symlink():
+                shutil.rmtree(target)
+            else:
+                target.unlink(missing_ok=True)
+        self._mark(key, 0.0)
+
+    def _mark(self, key: str | None, seconds: float) -> None:
+        """Record whose unfinished work is in the folder; a key of None marks remains that are being cleared away."""
+        state = {"stage": self.name, "record": self.record_name, "key": key, "seconds": seconds}
+        write_json(self._unfinished, state)

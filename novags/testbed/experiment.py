@@ -12,6 +12,8 @@ from novags.testbed.folders.run import METRICS, RECORD
 from novags.testbed.presets import Preset
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.score import merge
+from sensor_model.files.atomic import sweep
+from sensor_model.files.lock import locked
 
 
 def run(preset: Preset, out: Path, console: Console, *, command: str | None = None) -> Path:
@@ -25,16 +27,19 @@ def run(preset: Preset, out: Path, console: Console, *, command: str | None = No
 
     Raises:
         ValueError: If an input is wrong or `out` holds other things.
+        BlockingIOError: If another process is writing to `out`.
     """
-    out.mkdir(parents=True, exist_ok=True)
-    described = [out / name for name in (EXPERIMENT, METRICS, REPORT)]
-    stages.render(out / "set", preset.render, console, stale=described)
-    stages.capture(out / "set", out / "capture", preset.capture, console, stale=described)
-    for name in preset.methods:
-        stages.reconstruct(out / "capture", out / name, preset.reconstruct(name), console, stale=described)
-    write_json(out / EXPERIMENT, {"command": command, "methods": preset.methods, "preset": asdict(preset)})
-    score_all(out, console)
-    return write_report(out, console)
+    with locked(out) as alone:
+        if alone:
+            sweep(out)
+        described = [out / name for name in (EXPERIMENT, METRICS, REPORT)]
+        stages.render(out / "set", preset.render, console, stale=described)
+        stages.capture(out / "set", out / "capture", preset.capture, console, stale=described)
+        for name in preset.methods:
+            stages.reconstruct(out / "capture", out / name, preset.reconstruct(name), console, stale=described)
+        write_json(out / EXPERIMENT, {"command": command, "methods": preset.methods, "preset": asdict(preset)})
+        score_all(out, console)
+        return write_report(out, console)
 
 
 def score_all(folder: Path, console: Console) -> dict[str, Any]:
@@ -42,7 +47,13 @@ def score_all(folder: Path, console: Console) -> dict[str, Any]:
 
     Raises:
         ValueError: If `folder` is neither, or what its runs refer to is gone.
+        BlockingIOError: If another process is writing there.
     """
+    with locked(folder, make=False):
+        return _score_all(folder, console)
+
+
+def _score_all(folder: Path, console: Console) -> dict[str, Any]:
     runs = find_runs(folder)
     metrics = {name: stages.score(run.path, console) for name, run in runs.items()}
     if not (folder / RECORD).exists():

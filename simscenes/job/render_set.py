@@ -7,6 +7,8 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
+from sensor_model.files.atomic import sweep
+from sensor_model.files.lock import locked
 from sensor_model.plan import Plan
 from simscenes.backend import backend_of, using_variant
 from simscenes.job.cost import Stopwatch, peak_bytes, versions
@@ -82,48 +84,59 @@ def render_set(
     Raises:
         ValueError: If an argument is out of range, the scene cannot be loaded, a camera is inside an object, or the
             scene renders to impossible radiance.
+        BlockingIOError: If another process is writing to `out`.
     """
     _check_quality(spp, target_error)
     if unknown := set(export) - set(EXPORTS):
         raise ValueError(f"render_set: export must name layouts of {sorted(EXPORTS)}, got {sorted(unknown)}")
     report = progress or (lambda done, total, what: None)
     watch, out, source = Stopwatch(), Path(out), SceneRef.of(scene)
-    variant = backend_of(variant)
-    with watch.stage("load"), using_variant(variant) as mi:
-        loaded = build_scene(source, mi, allow_outside=allow_outside)
-        optics = with_lens(optics, loaded, mi)
-        if rig is None:
-            rig = usual_rig(source, loaded, 32, 128, 128)
-    config = {
-        "format": FORMAT, "scene": loaded.name, "scene_digest": loaded.digest, "seed": seed, "optics": asdict(optics),
-        "spp": spp if spp is not None or target_error is not None else DEFAULT_SPP, "target_error": target_error,
-        "plan": plan_identity(plan), "variant": variant,
-    }  # fmt: skip
-    names = [f"{i:04d}" for i in range(len(rig))]
-    digest = job_digest(config, rig)
-    if is_complete(out, digest, names):
+    with locked(out) as alone:
+        if alone:
+            sweep(out, ("gt", "images", "sparse", *EXPORTS))
+        variant = backend_of(variant)
+        with watch.stage("load"), using_variant(variant) as mi:
+            loaded = build_scene(source, mi, allow_outside=allow_outside)
+            optics = with_lens(optics, loaded, mi)
+            if rig is None:
+                rig = usual_rig(source, loaded, 32, 128, 128)
+        config = {
+            "format": FORMAT, "scene": loaded.name, "scene_digest": loaded.digest, "seed": seed,
+            "optics": asdict(optics),
+            "spp": spp if spp is not None or target_error is not None else DEFAULT_SPP, "target_error": target_error,
+            "plan": plan_identity(plan), "variant": variant,
+        }  # fmt: skip
+        names = [f"{i:04d}" for i in range(len(rig))]
+        digest = job_digest(config, rig)
+        if is_complete(out, digest, names):
+            (out / SPENT).unlink(missing_ok=True)  # of a process that was killed before its very last step
+            return _exported(load_set(out), export)
+        with watch.stage("plan"):
+            report(0, len(names), "planning the light transport")
+            samples = len(rig) * rig.width * rig.height * (spp or DEFAULT_SPP)
+            wishes = {
+                "variant": variant,
+                "seed": seed,
+                "measure": samples >= MEASURE_FROM,
+                "allow_outside": allow_outside,
+            }
+            made = _make_plan(source, loaded, rig, optics, plan, wishes)
+            method = _method(source, loaded, variant, made, optics, seed, allow_outside)
+        pixels = {
+            **config, "integrator": made.integrator(), "color": made.color, "lights": made.light_weights,
+            "lens": method.optics.aperture_radius, "subframes": method.subframes,
+        }  # fmt: skip
+        (out / "set.json").unlink(missing_ok=True)
+        watch.earlier = seconds_spent(out, digest)
+        with view_store(out, rig, optics.camera) as store:
+            job = Job(method, loaded, variant, rig, out, names, pixels, digest, store, watch, report)
+            views, predicted = render_views(job)
+            with watch.stage("write"):
+                finished = finish_set(out, names, rig, seed, store)
+        found = {**finished, "views": views, "predicted_seconds": predicted}
+        write_json(out / "set.json", {**config, "digest": digest, **_facts(job, made), **found})
+        (out / SPENT).unlink(missing_ok=True)
         return _exported(load_set(out), export)
-    with watch.stage("plan"):
-        report(0, len(names), "planning the light transport")
-        samples = len(rig) * rig.width * rig.height * (spp or DEFAULT_SPP)
-        wishes = {"variant": variant, "seed": seed, "measure": samples >= MEASURE_FROM, "allow_outside": allow_outside}
-        made = _make_plan(source, loaded, rig, optics, plan, wishes)
-        method = _method(source, loaded, variant, made, optics, seed, allow_outside)
-    pixels = {
-        **config, "integrator": made.integrator(), "color": made.color, "lights": made.light_weights,
-        "lens": method.optics.aperture_radius, "subframes": method.subframes,
-    }  # fmt: skip
-    (out / "set.json").unlink(missing_ok=True)
-    watch.earlier = seconds_spent(out, digest)
-    with view_store(out, rig, optics.camera) as store:
-        job = Job(method, loaded, variant, rig, out, names, pixels, digest, store, watch, report)
-        views, predicted = render_views(job)
-        with watch.stage("write"):
-            finished = finish_set(out, names, rig, seed, store)
-    found = {**finished, "views": views, "predicted_seconds": predicted}
-    write_json(out / "set.json", {**config, "digest": digest, **_facts(job, made), **found})
-    (out / SPENT).unlink(missing_ok=True)
-    return _exported(load_set(out), export)
 
 
 def _facts(job: Job, made: TransportPlan) -> dict[str, Any]:

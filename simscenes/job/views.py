@@ -98,8 +98,9 @@ def _render_view(job: Job, view: View, path: Path, key: str, tick: Tick) -> dict
     for k, c in enumerate("RGB"):
         channels[c] = np.maximum(radiance.mean[..., k], 0)  # clips spectral light that lies outside the sRGB triangle
         channels[f"var.{c}"] = radiance.variance[..., k]
+    error = float(np.float32(radiance.error))  # as the header keeps it: a render that was resumed reports what it reads
     header = {
-        "spp": radiance.spp, "relativeError": radiance.error, "fireflies": radiance.fireflies, VIEW_KEY: key,
+        "spp": radiance.spp, "relativeError": error, "fireflies": radiance.fireflies, VIEW_KEY: key,
         "worldToCamera": job.rig.viewmats[view.i].astype(np.float32),
     }  # fmt: skip
     with job.watch.stage("write"):

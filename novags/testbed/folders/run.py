@@ -27,10 +27,8 @@ METRICS = "metrics.json"
 EVENTS = "events.jsonl"
 CHECKPOINTS = ("checkpoint.safetensors", "checkpoint.denoiser.safetensors")  # present while a run is under way
 SCENE = "point_cloud.ply"
-RESULT = (
-    RECORD, *CHECKPOINTS, SCENE, "scene", EVENTS, "enhanced", "denoised", "renders", "renders_train", "exr", "depth",
-)  # fmt: skip
-OWNS = (*RESULT, METRICS, "report.html")
+RESULT = (RECORD, SCENE, "scene", EVENTS, "enhanced", "denoised", "renders", "renders_train", "exr", "depth")
+OWNS = (*RESULT, *CHECKPOINTS, METRICS, "report.html")
 
 
 @dataclass(frozen=True)

@@ -31,6 +31,7 @@ from novags.testbed.report.facts import (
     what_was_done,
 )
 from novags.testbed.report.pictures import ERROR_CEILING, pick_views, view_tiles
+from sensor_model.files.lock import locked
 
 
 def read_material(folder: Path, console: Console) -> Material:
@@ -60,7 +61,13 @@ def write_report(folder: Path, console: Console) -> Path:
 
     Raises:
         ValueError: If the folder holds nothing scored, or what it refers to is gone.
+        BlockingIOError: If another process is writing there.
     """
+    with locked(folder, make=False):
+        return _write_report(folder, console)
+
+
+def _write_report(folder: Path, console: Console) -> Path:
     import jinja2
 
     material = read_material(folder, console)

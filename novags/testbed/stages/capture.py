@@ -93,6 +93,7 @@ def capture(
 
     Raises:
         ValueError: If the set cannot be read or is black, or `out` holds other things.
+        BlockingIOError: If another process is writing to `out`.
     """
     keep_apart(out, set_path)
     source = open_source(set_path, console, config.max_size)

@@ -1,6 +1,5 @@
 """Reconstruct: a capture in, a run out. Reads the pictures, lets a method work on arrays, writes what it produced."""
 
-import json
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
@@ -18,11 +17,12 @@ from novags.methods.problem import Problem, RawPictures
 from novags.methods.reconstruction import Reconstruction
 from novags.methods.variant import Variant
 from novags.splats import Views
-from novags.testbed.cache import jsonable, run_stage, write_text
+from novags.testbed.cache import run_stage
 from novags.testbed.console import Console, losses_text
 from novags.testbed.devices import chosen_device
 from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import Capture, open_capture
+from novags.testbed.folders.events import EventLog
 from novags.testbed.folders.run import CHECKPOINTS, EVENTS
 from novags.testbed.folders.set import Source
 from novags.testbed.stages.camera_source import Frame, cameras_of
@@ -76,6 +76,7 @@ def reconstruct(
 
     Raises:
         ValueError: If the capture or its set cannot be read, or `out` holds other things.
+        BlockingIOError: If another process is writing to `out`.
     """
     keep_apart(out, capture_path)
     capture = open_capture(capture_path)
@@ -91,6 +92,7 @@ def reconstruct(
         work=lambda prepared: reconstruct_views(capture, prepared, out, config, console),
         console=console,
         stale=stale,
+        scrap=CHECKPOINTS,
     )
 
 
@@ -159,8 +161,6 @@ def reconstruct_views(
         for i, name in enumerate(capture.names):
             write_rendering(folder, i in capture.cameras.test_indices, name, result, frame.view(i, prepared.device))
             progress(i + 1, len(capture.names), f"view {name}")
-    for checkpoint in CHECKPOINTS:
-        (folder / checkpoint).unlink(missing_ok=True)
     return {
         "name": variant.name,
         "method": variant.method,
@@ -207,23 +207,3 @@ def write_rendering(folder: Path, held_out: bool, name: str, result: Reconstruct
     (folder / "exr").mkdir(exist_ok=True)
     colours = {c: np.ascontiguousarray(image[..., k]) for k, c in enumerate("RGB")}
     write_exr(folder / "exr" / f"{name}.exr", {**colours, "Z": depth, "alpha": alpha})
-
-
-class EventLog:
-    """events.jsonl: losses as they come, so that an interrupted run keeps those it had."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        lines = path.read_text(encoding="utf-8").splitlines() if path.exists() else []
-        self.events = {event["step"]: event for event in map(json.loads, lines)}
-
-    def __enter__(self) -> "EventLog":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        ordered = [json.dumps(jsonable(self.events[step])) for step in sorted(self.events)]
-        write_text(self.path, "".join(f"{line}\n" for line in ordered))
-
-    def add(self, event: dict[str, Any]) -> None:
-        """Keep one event; a step that is repeated after an interruption replaces its first attempt."""
-        self.events[event["step"]] = event

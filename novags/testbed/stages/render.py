@@ -10,6 +10,7 @@ from novags.testbed.cache import digest, read_json, run_stage
 from novags.testbed.console import Console
 from novags.testbed.folders.set import warnings_as_notes
 from sensor_model import Plan
+from sensor_model.files.lock import locked
 from simscenes import EXPORTS, Optics, Rig, load_set
 from simscenes.backend import BACKENDS, COLORS, choose_variant
 from simscenes.camera import camera_color
@@ -86,21 +87,23 @@ def render(out: Path, config: RenderConfig, console: Console, *, stale: Sequence
 
     Raises:
         ValueError: If the scene is unknown or cannot be rendered, or `out` holds other things.
+        BlockingIOError: If another process is writing to `out`.
     """
-    record = run_stage(
-        "render",
-        out,
-        RECORD,
-        inputs={"scene": scene_digest(config)},
-        config=config.resolved(),
-        owns=(RECORD, "gt", "images", SPENT, *CAMERA_FILES, *EXPORTS),
-        prepare=lambda: prepare_render(config, console),
-        work=lambda prepared: render_views(out, config, *prepared, console),
-        console=console,
-        stale=stale,
-    )
-    write_layouts(out, config.export, console)
-    return record
+    with locked(out):
+        record = run_stage(
+            "render",
+            out,
+            RECORD,
+            inputs={"scene": scene_digest(config)},
+            config=config.resolved(),
+            owns=(RECORD, "gt", "images", SPENT, *CAMERA_FILES, *EXPORTS),
+            prepare=lambda: prepare_render(config, console),
+            work=lambda prepared: render_views(out, config, *prepared, console),
+            console=console,
+            stale=stale,
+        )
+        write_layouts(out, config.export, console)
+        return record
 
 
 def scene_digest(config: RenderConfig) -> str:

@@ -26,6 +26,7 @@ from novags.testbed.metrics import (
     psnr,
 )
 from novags.testbed.references import references, true_depth
+from sensor_model.files.lock import locked
 from simscenes.sets.correspondence import flow
 from simscenes.sets.png import read_png
 
@@ -38,7 +39,13 @@ def score(run_path: Path, console: Console) -> dict[str, Any]:
 
     Raises:
         ValueError: If the run, its capture or its set cannot be read, or they have changed since the run was made.
+        BlockingIOError: If another process is writing to the run.
     """
+    with locked(run_path, make=False):  # before anything is read: it may just be reconstructed anew
+        return _score(run_path, console)
+
+
+def _score(run_path: Path, console: Console) -> dict[str, Any]:
     run = open_run(run_path)
     captured, lit = run.inputs(console)
     missing = PerceptualDistance.missing()

@@ -132,7 +132,7 @@ def test_files_of_other_origin_are_never_overwritten(tmp_path: Path) -> None:
 
 def test_a_record_of_other_origin_is_never_overwritten(tmp_path: Path) -> None:
     (tmp_path / "record.json").write_text("{}")
-    with pytest.raises(ValueError, match="did not write"):
+    with pytest.raises(ValueError, match="did not write it"):
         stage(tmp_path, writes(tmp_path, []))
 
 

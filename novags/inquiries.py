@@ -1,0 +1,57 @@
+"""Commands that answer a question about novags or this machine, and write nothing but what `--out` names."""
+
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from novags.options import Listed
+
+
+def doctor(*, stability: bool = False, part: tuple[str, ...] = (), long: bool = False, out: Path | None = None) -> None:
+    """Check what works on this machine, what does not, and how to install what is missing.
+
+    Args:
+        stability: Instead, compute the numerically hard cases and show their errors beside their bounds.
+        part: Only these parts: enhance, splats, sensor, ...
+        long: With the cases that take minutes.
+        out: File for the table of hard cases, Markdown.
+    """
+    from novags.testbed.doctor import examine
+
+    if stability or part or long or out is not None:
+        from novags.testbed.stability.console import show
+
+        if not show(part, long=long, out=out):
+            raise SystemExit(1)
+        return
+    marks = {"ok": "ok     ", "missing": "missing", "broken": "BROKEN "}
+    broken = False
+    for finding in examine():
+        print(f"{marks[finding.state]}  {finding.name:<18} {finding.detail}", flush=True)
+        broken |= finding.state == "broken"
+    print("something needed is broken: see above" if broken else "ready: novags run --preset demo")
+    if broken:
+        raise SystemExit(1)
+
+
+def list_(what: Annotated[Listed, tyro.conf.Positional] = "all") -> None:
+    """List what is available: scenes, sensors, methods and variants, presets, camera sources.
+
+    Args:
+        what: One of these lists, or all.
+    """
+    from novags.testbed.catalogue import listing
+
+    print(listing(what))
+
+
+def help_(topic: Annotated[str | None, tyro.conf.Positional] = None) -> None:
+    """Show the help page about a term: electrons, cameras, variants, scores ...; without one, list the pages.
+
+    Args:
+        topic: The term.
+    """
+    from novags.testbed.topics import page, topics
+
+    print(page(topic) if topic else f"novags help TOPIC, with one of: {', '.join(topics())}")
