@@ -24,7 +24,7 @@ import numpy as np
 from novags.testbed.console import Console
 from novags.testbed.memory import memory_shortage_said
 from novags.testbed.provenance import PeakMemory, environment, package_version
-from sensor_model.files.atomic import atomic, sweep
+from sensor_model.files.atomic import atomic
 from sensor_model.files.lock import locked
 
 Prepared = TypeVar("Prepared")
@@ -202,9 +202,7 @@ def run_stage(
         BlockingIOError: If another process is writing to `folder`.
         MemoryError: If there is not enough memory, of the GPU too.
     """
-    with locked(folder) as alone, memory_shortage_said(name):
-        if alone:
-            sweep(folder, owns)
+    with locked(folder, owns), memory_shortage_said(name):
         stage = _Stage(name, folder, record_name, tuple(owns), tuple(scrap), console)
         return stage.run(dict(inputs), jsonable(config), prepare, work, stale)
 

@@ -12,7 +12,6 @@ from novags.testbed.folders.run import METRICS, RECORD
 from novags.testbed.presets import Preset
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.score import merge
-from sensor_model.files.atomic import sweep
 from sensor_model.files.lock import locked
 
 
@@ -29,9 +28,7 @@ def run(preset: Preset, out: Path, console: Console, *, command: str | None = No
         ValueError: If an input is wrong or `out` holds other things.
         BlockingIOError: If another process is writing to `out`.
     """
-    with locked(out) as alone:
-        if alone:
-            sweep(out)
+    with locked(out):
         described = [out / name for name in (EXPERIMENT, METRICS, REPORT)]
         stages.render(out / "set", preset.render, console, stale=described)
         stages.capture(out / "set", out / "capture", preset.capture, console, stale=described)

@@ -5,9 +5,10 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-# How libraries that have no class for it put it: torch on the processor, OpenCV, Dr.Jit, the system.
+# How those that have no class for it put it: torch on the processor, OpenCV, Dr.Jit, the system, the dynamic linker.
 _SHORTAGE = re.compile(
-    r"not enough memory|out of memory|can't allocate memory|cannot allocate|insufficient memory", re.I
+    r"not enough memory|out of memory|can't allocate memory|cannot allocate|insufficient memory|failed to map segment",
+    re.I,
 )
 
 
@@ -38,7 +39,7 @@ def is_memory_shortage(error: BaseException) -> bool:
     """Whether an exception says that there is too little memory."""
     if isinstance(error, MemoryError) or _of_gpu(error):
         return True
-    known = isinstance(error, RuntimeError | OSError) or type(error).__module__.startswith("cv2")
+    known = isinstance(error, RuntimeError | OSError | ImportError) or type(error).__module__.startswith("cv2")
     return known and bool(_SHORTAGE.search(str(error)))
 
 

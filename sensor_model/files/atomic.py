@@ -22,6 +22,9 @@ def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
     Yields:
         A hidden name in the same folder, with the same suffix (some writers choose the format by it). The block writes
         a file there, or creates a folder and fills it. If the block raises, nothing is left behind.
+
+    Raises:
+        OSError: If it cannot be written; names `path` where the system names no file.
     """
     target = Path(path)
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -32,28 +35,33 @@ def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
         if temporary.is_dir():
             _remove(target)  # a folder cannot be renamed onto one that holds files
         os.replace(temporary, target)
+    except OSError as error:
+        if error.errno is None or error.filename not in (None, str(temporary)):
+            raise
+        raise OSError(error.errno, error.strerror, str(target)) from error  # its name, not the hidden one or none
     finally:
         _remove(temporary)
 
 
-def sweep(folder: str | os.PathLike[str], names: Iterable[str] = ()) -> None:
+def sweep(folder: str | os.PathLike[str], inside: Iterable[str] = (), *, own: bool = False) -> None:
     """Remove what killed processes left half-written. Call it only where nobody else writes: under the folder's lock.
 
     Args:
-        folder: Where to look, not in the folders inside it.
-        names: Folders inside it that are searched to any depth.
+        folder: Where to look, not in the folders in it.
+        inside: Folders in it that are searched to any depth.
+        own: This process has not begun to write: what bears its number is of an earlier one.
     """
-    roots = (root for name in names if (root := Path(folder) / name).is_dir())
+    roots = (root for name in inside if (root := Path(folder) / name).is_dir())
     for path in [*Path(folder).glob(".*.partial*"), *(path for root in roots for path in root.rglob(".*.partial*"))]:
         match = _PARTIAL.match(path.name)
-        if match is not None and not _is_at_work(int(match.group(1))):
+        if match is None:
+            continue
+        process = int(match.group(1))
+        if own if process == os.getpid() else not _is_alive(process):
             _remove(path)
 
 
-def _is_at_work(process: int) -> bool:
-    """Whether another process of that number lives; this one has just begun, so what bears its number is older."""
-    if process == os.getpid():
-        return False
+def _is_alive(process: int) -> bool:
     try:
         os.kill(process, 0)
     except (ProcessLookupError, OverflowError):

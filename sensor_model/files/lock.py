@@ -15,10 +15,12 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from contextvars import ContextVar
 from pathlib import Path
+
+from sensor_model.files.atomic import sweep
 
 NAME = ".novags.lock"  # hidden, so that it is part of no digest and of no listing; removed on release
 COMMAND_LENGTH = 160  # characters of it in a message: one line
@@ -33,15 +35,22 @@ _waiting: ContextVar[Tell | None] = ContextVar("novags_waiting", default=None)
 
 @contextmanager
 def locked(
-    folder: str | os.PathLike[str], *, name: str = NAME, wait: Tell | None = None, make: bool = True
+    folder: str | os.PathLike[str],
+    inside: Iterable[str] = (),
+    *,
+    name: str = NAME,
+    wait: Tell | None = None,
+    make: bool = True,
 ) -> Iterator[bool]:
     """Hold a folder against every other process and thread that takes the same lock.
 
-    The thread that holds it may take it again. A process that is killed releases it.
+    The thread that holds it may take it again. A process that is killed releases it, and what it left half-written is
+    swept when the next one begins.
 
     Args:
         folder: What to hold.
-        name: Of the lock file in it.
+        inside: Folders in it that are swept too; the folder itself always is.
+        name: Of the lock file in it. Another one than `NAME` guards less than the whole folder: nothing is swept.
         wait: Called with one line about the holder if there is one, and then waited for; None: as an enclosing `locked`
             says, else refuse.
         make: Create the folder if it is missing, and remove it again if it is empty in the end. False: a folder that is
@@ -62,6 +71,7 @@ def locked(
     path = folder.resolve() / name
     me = (os.getpid(), threading.get_ident(), path)
     if me in _held:
+        sweep(path.parent, inside)
         yield True
         return
     if not make and not folder.exists():
@@ -74,6 +84,8 @@ def locked(
         fd = _acquire(path, folder, _waiting.get())
         if fd is not None:
             _held.add(me)
+            if name == NAME:
+                sweep(path.parent, inside, own=True)
         yield fd is not None
     finally:
         _waiting.reset(waiting)

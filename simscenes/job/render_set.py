@@ -7,7 +7,6 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from sensor_model.files.atomic import sweep
 from sensor_model.files.lock import locked
 from sensor_model.plan import Plan
 from simscenes.backend import backend_of, using_variant
@@ -91,9 +90,7 @@ def render_set(
         raise ValueError(f"render_set: export must name layouts of {sorted(EXPORTS)}, got {sorted(unknown)}")
     report = progress or (lambda done, total, what: None)
     watch, out, source = Stopwatch(), Path(out), SceneRef.of(scene)
-    with locked(out) as alone:
-        if alone:
-            sweep(out, ("gt", "images", "sparse", *EXPORTS))
+    with locked(out, ("gt", "images", "sparse", *EXPORTS)):
         variant = backend_of(variant)
         with watch.stage("load"), using_variant(variant) as mi:
             loaded = build_scene(source, mi, allow_outside=allow_outside)

@@ -21,7 +21,7 @@ def test_a_full_disk_is_an_os_error_and_leaves_what_was_there(kind, tmp_path):
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
     try:
-        with pytest.raises(OSError, match="File too large"):
+        with pytest.raises(OSError, match=f"File too large: '{path}'"):
             WRITERS[kind](path)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))

@@ -7,7 +7,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
+from novags.testbed import cache
 from novags.testbed.cache import UNFINISHED, digest, folder_digest, jsonable, read_json, run_stage, write_json
 from novags.testbed.console import Console
 
@@ -136,6 +138,74 @@ def test_a_record_of_other_origin_is_never_overwritten(tmp_path: Path) -> None:
         stage(tmp_path, writes(tmp_path, []))
 
 
+def test_unfinished_work_of_another_stage_is_not_taken_over(tmp_path: Path) -> None:
+    def interrupted() -> None:
+        (tmp_path / "a.txt").write_text("half")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        stage(tmp_path, interrupted)
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    other = {"inputs": {}, "config": {}, "owns": ("b.txt",), "prepare": lambda: None, "work": lambda _: {}}
+    with pytest.raises(ValueError, match="holds unfinished work of novags toy: finish that, or choose another --out"):
+        run_stage("other", tmp_path, "other.json", **other, console=QUIET)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_kill_after_the_record_was_written_leaves_nothing_once_the_stage_has_been_asked_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def work(_: None) -> dict:
+        (tmp_path / "scrap").write_text("needed until the record is there")
+        return {}
+
+    def ask() -> None:
+        owned = {"inputs": {}, "config": {}, "owns": ("scrap",), "prepare": lambda: None, "scrap": ("scrap",)}
+        run_stage("toy", tmp_path, "record.json", **owned, work=work, console=QUIET)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(cache._Stage, "_tidy", lambda _: None)
+        ask()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["record.json", "scrap", UNFINISHED]
+    ask()
+    assert [p.name for p in tmp_path.iterdir()] == ["record.json"]
+
+
+@pytest.mark.parametrize(
+    "shortage",
+    [
+        MemoryError(),
+        MemoryError("Unable to allocate 4.00 GiB for an array"),
+        RuntimeError(
+            "[enforce fail at alloc_cpu.cpp:124] DefaultCPUAllocator: can't allocate memory: you tried to ..."
+        ),
+        RuntimeError("jit_malloc(): out of memory! Could not allocate 4096 bytes"),
+        OSError(12, "Cannot allocate memory"),
+        ImportError("scalar_rgb.so: failed to map segment from shared object"),
+        torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB"),
+    ],
+)
+def test_too_little_memory_is_one_line_that_says_what_to_do(tmp_path: Path, shortage: Exception) -> None:
+    def work() -> None:
+        raise shortage
+
+    with pytest.raises(
+        MemoryError, match=r"^toy: .*memory is not enough .*: what is finished is kept; .* fewer points"
+    ):
+        stage(tmp_path, work)
+
+
+@pytest.mark.parametrize(
+    "other", [RuntimeError("the sky is blue"), ValueError("out of memory of a camera"), OSError(28)]
+)
+def test_other_errors_are_not_taken_for_too_little_memory(tmp_path: Path, other: Exception) -> None:
+    def work() -> None:
+        raise other
+
+    with pytest.raises(type(other)):
+        stage(tmp_path, work)
+
+
 def test_files_beside_the_stages_own_survive_it(tmp_path: Path) -> None:
     (tmp_path / "notes.txt").write_text("mine")
     stage(tmp_path, writes(tmp_path, []))
@@ -202,6 +272,7 @@ def test_a_file_that_was_hashed_before_is_read_again_once_it_changed(tmp_path: P
     before = folder_digest(tmp_path)
     assert folder_digest(tmp_path) == before
     path.write_bytes(b"2")
+    os.utime(path, (1e9, 1e9))  # as a copy that keeps time stamps does, or a clock that was set back
     assert folder_digest(tmp_path) != before
 
 

@@ -1,0 +1,189 @@
+"""A tiny project on disk, and a process that runs commands on copies of it, each under a fault."""
+
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from novags.testbed.cache import VOLATILE
+
+BALL = """<scene version="3.0.0">
+  <sensor type="perspective">
+    <transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
+  </sensor>
+  <emitter type="constant"/>
+  <shape type="sphere"/>
+</scene>
+"""
+# The smallest size that every stage takes; checkpoints fall into the middle of the fit.
+VARIANT = "tiny=nova-fast:fit.checkpoint_every=10"
+SMALL = ["--views", "4", "--width", "24", "--height", "24", "--spp", "4"]
+SHORT = ["--points", "60", "--iterations", "20", "--denoiser-steps", "3", "--device", "cpu"]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A command, the folders that it needs, and the one where it writes."""
+
+    command: list[str]
+    needs: tuple[str, ...]
+    out: str
+    later: tuple[str, ...] = ()  # what later stages write there
+    before: list[str] | None = None  # a command whose result it replaces
+
+
+STAGES = {
+    "render": Stage(["render", "ball.xml", "--out", "set", "--variant", "scalar", *SMALL], (), "set"),
+    "capture": Stage(["capture", "set", "--out", "capture"], ("set",), "capture"),
+    "reconstruct": Stage(
+        ["reconstruct", "capture", "--out", "run", "--variant", VARIANT, *SHORT], ("set", "capture"), "run",
+        later=("metrics.json", "report.html"),
+    ),
+    "score": Stage(["score", "run"], ("set", "capture", "run"), "run", later=("report.html",)),
+    "report": Stage(["report", "run"], ("set", "capture", "run"), "run"),
+}  # fmt: skip
+STAGES["capture again"] = Stage(
+    STAGES["capture"].command, ("set",), "capture", before=[*STAGES["capture"].command, "--electrons", "5"]
+)
+
+
+@dataclass
+class Result:
+    """How a command ended."""
+
+    code: int
+    said: str
+    events: list[str] = field(default_factory=list)
+
+    @property
+    def line(self) -> str:
+        """The last line: what went wrong."""
+        return self.said.strip().splitlines()[-1] if self.said.strip() else ""
+
+
+class Server:
+    """Commands in forked children of a process that has loaded everything."""
+
+    def __init__(self, folder: Path, warm: list[list[str]]) -> None:
+        self.reference, reports = folder / "reference", folder / "reports"
+        reports.mkdir(parents=True)
+        self.reference.mkdir()
+        (self.reference / "ball.xml").write_text(BALL)
+        root = Path(__file__).resolve().parents[2]
+        words = [sys.executable, str(Path(__file__).with_name("server.py")), str(reports), str(self.reference)]
+        self.errors = folder / "server.log"
+        environment = {**os.environ, "PYTHONPATH": str(root), "OMP_NUM_THREADS": "1", "NOVAGS_TRACEBACK": ""}
+        with self.errors.open("w") as errors:
+            self.process = subprocess.Popen(
+                [*words, json.dumps(warm)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True,
+                env=environment,
+            )  # fmt: skip
+        self._answer()
+
+    def start(self, folder: Path, command: list[str], **request: Any) -> Callable[[], Result]:
+        """Start a command in a folder; the function returned waits for its end."""
+        process = self._ask({"folder": str(folder), "command": command, **request})["process"]
+        return lambda: Result(**self._ask({"wait": process}))
+
+    def run(self, folder: Path, command: list[str], **request: Any) -> Result:
+        return self.start(folder, command, **request)()
+
+    def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
+        assert self.process.stdin is not None
+        self.process.stdin.write(f"{json.dumps(request)}\n")
+        self.process.stdin.flush()
+        return self._answer()
+
+    def _answer(self) -> dict[str, Any]:
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        assert line, self.errors.read_text()
+        return dict(json.loads(line))
+
+    def close(self) -> None:
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        self.process.stdin.close()
+        self.process.stdout.close()
+        self.process.wait(timeout=20)
+
+
+@pytest.fixture(scope="session")
+def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+    """The server; its `reference` folder holds set, capture and run, made without interruption."""
+    order = ("render", "capture", "reconstruct", "score", "report")
+    found = Server(tmp_path_factory.mktemp("faults"), [STAGES[name].command for name in order])
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def begun(server: Server, tmp_path: Path) -> Callable[..., Path]:
+    """Make a folder in which a stage can begin, and what it needs is there."""
+
+    def make(name: str, part: object = "") -> Path:
+        stage, folder = STAGES[name], tmp_path / f"{name} {part}"
+        folder.mkdir()
+        shutil.copy(server.reference / "ball.xml", folder)
+        for need in stage.needs:
+            # Links: no stage may change what it reads, and what it writes anew gets new files.
+            shutil.copytree(server.reference / need, folder / need, copy_function=os.link)
+        for later in (*stage.later, *(("metrics.json",) if name == "score" else ())):
+            (folder / stage.out / later).unlink(missing_ok=True)
+        if name == "report":
+            (folder / "run" / "report.html").unlink()
+        if stage.before is not None:
+            assert server.run(folder, stage.before).code == 0
+        return folder
+
+    return make
+
+
+@pytest.fixture
+def same_as_reference(server: Server) -> Callable[[str, Path], list[str]]:
+    """The paths at which a stage's folder differs from the one that was never interrupted; [] if there are none."""
+
+    def compare(name: str, folder: Path) -> list[str]:
+        stage = STAGES[name]
+        wanted = tree(server.reference / stage.out)
+        for later in stage.later:
+            wanted.pop(later)
+        found = tree(folder / stage.out)
+        return sorted(path for path in wanted.keys() | found.keys() if wanted.get(path) != found.get(path))
+
+    return compare
+
+
+def tree(folder: Path) -> dict[str, object]:
+    """Every entry of a folder, hidden ones too, with its content but for what it cost."""
+    return {path.relative_to(folder).as_posix(): _content(path) for path in sorted(folder.rglob("*"))}
+
+
+def _content(path: Path) -> object:
+    if path.is_dir():
+        return "a folder"
+    if path.suffix == ".json":
+        return _without_costs(json.loads(path.read_text()))
+    if path.suffix == ".html":  # durations and sizes are in its text and in its pictures
+        return re.sub(r"\d+(\.\d+)?|base64,[\w+/=]+", "#", path.read_text())
+    return path.read_bytes()
+
+
+def _without_costs(value: Any) -> Any:
+    if isinstance(value, dict):
+        costs = {*VOLATILE, "hardware"} - {"stage"}
+        return {key: _without_costs(part) for key, part in value.items() if key not in costs}
+    return [_without_costs(part) for part in value] if isinstance(value, list) else value
+
+
+@pytest.fixture(scope="session")
+def stages() -> dict[str, Stage]:
+    return STAGES

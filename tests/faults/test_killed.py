@@ -1,0 +1,34 @@
+"""A process that is killed at any moment costs nothing finished and leaves nothing behind: the same command again ends
+with the folder that it would have made at once, logs and hidden files included.
+"""  # noqa: D205
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+SAMPLE = 3  # moments of each stage in the default run, besides the first one
+KILLED = -9
+
+
+@pytest.mark.parametrize("name", ["render", "capture", "capture again", "reconstruct", "score", "report"])
+@pytest.mark.parametrize("every", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["some", "every"])
+def test_a_stage_killed_at_any_file_event_ends_up_the_same(
+    name: str, every: bool, server, begun: Callable[..., Path], same_as_reference: Callable[[str, Path], list[str]],
+    stages,
+) -> None:  # fmt: skip
+    stage = stages[name]
+    whole = server.run(begun(name), stage.command, events=stage.out)
+    assert whole.code == 0, whole.said
+    count = len(whole.events)
+    assert count > 2 * SAMPLE or name in ("score", "report")
+    moments = range(count) if every else sorted({round(k * (count - 1) / SAMPLE) for k in range(SAMPLE + 1)})
+    wrong = {}
+    for moment in moments:
+        folder = begun(name, moment)
+        killed = server.run(folder, stage.command, events=stage.out, kill=moment)
+        assert killed.code == KILLED, killed.said
+        again = server.run(folder, stage.command)
+        if again.code or (different := same_as_reference(name, folder)):
+            wrong[f"{moment}: {whole.events[moment]}"] = again.line if again.code else different
+    assert not wrong

@@ -1,0 +1,72 @@
+"""Claims about events.jsonl: on disk at once, and in the end that of a run that was never stopped."""
+
+import json
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from novags.testbed.folders.events import EventLog
+
+pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
+
+
+def lines(*steps: int) -> str:
+    return "".join(f'{{"step": {step}, "loss": {1 / step}}}\n' for step in steps)
+
+
+def add(log: EventLog, *steps: int) -> None:
+    for step in steps:
+        log.add({"step": step, "loss": 1 / step})
+
+
+def test_a_killed_process_has_lost_none_of_its_events(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    if (process := os.fork()) == 0:
+        with EventLog(path) as log:
+            add(log, 10, 20)
+            os.kill(os.getpid(), signal.SIGKILL)
+    os.waitpid(process, 0)
+    assert path.read_text() == lines(10, 20)
+
+
+@pytest.mark.parametrize(
+    ("there", "goes_on"),
+    [
+        (lines(10, 20, 30, 40), (30, 40, 50)),  # killed after the checkpoint of step 20
+        (lines(10, 20, 30) + '{"step": 40, "lo', (30, 40, 50)),
+        (lines(10, 20, 30) + '{"step": 40, "lo', (10, 20, 30, 40, 50)),  # before the first checkpoint
+        (lines(10, 20, 30, 40, 50), ()),  # after the last one
+        (lines(10, 20, 30, 40, 50) + "{}\n[1]\nnull\n\xff", ()),
+        ("", (10, 20, 30, 40, 50)),
+    ],
+)
+def test_a_run_that_goes_on_ends_with_the_log_of_one_that_never_stopped(
+    there: str, goes_on: tuple[int, ...], tmp_path: Path
+) -> None:
+    path = tmp_path / "events.jsonl"
+    path.write_text(there, encoding="latin-1")
+    with EventLog(path) as log:
+        add(log, *goes_on)
+    assert path.read_text() == lines(10, 20, 30, 40, 50)
+
+
+def test_a_run_that_fails_before_its_first_step_keeps_what_was_logged(tmp_path: Path) -> None:
+    path = tmp_path / "events.jsonl"
+    path.write_text(lines(10, 20))
+    with pytest.raises(KeyboardInterrupt), EventLog(path):
+        raise KeyboardInterrupt
+    assert path.read_text() == lines(10, 20)
+
+
+def test_values_without_a_json_form_of_their_own_are_spelled_out(tmp_path: Path) -> None:
+    with EventLog(tmp_path / "events.jsonl") as log:
+        log.add({"step": 1, "loss": float("inf")})
+    assert json.loads((tmp_path / "events.jsonl").read_text()) == {"step": 1, "loss": "inf"}
+
+
+def test_a_run_without_steps_has_an_empty_log(tmp_path: Path) -> None:
+    with EventLog(tmp_path / "events.jsonl"):
+        pass
+    assert (tmp_path / "events.jsonl").read_text() == ""
