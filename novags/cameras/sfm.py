@@ -3,7 +3,6 @@
 Intrinsics are known and stay fixed. Everything runs on the CPU and, with one thread, reproducibly.
 """
 
-import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ from torch import Tensor
 
 from novags.cameras.estimate import Array, CameraEstimate, as_estimate
 from novags.cameras.points import averaged, project, seen_colors, unproject
+from sensor_model.files.scratch import scratch
 
 Pictures = Literal["raw", "enhanced", "denoised"]
 Mapper = Literal["incremental", "global"]
@@ -134,8 +134,8 @@ def _reconstruct(pictures: np.ndarray, Ks: np.ndarray, config: SfmConfig, seed: 
 
     count = len(pictures)
     total = 2 * count + 1
-    with _quiet(pycolmap), tempfile.TemporaryDirectory(prefix="novags-sfm-") as folder:
-        root, database = Path(folder), Path(folder) / "database.db"
+    with _quiet(pycolmap), scratch("sfm") as root:
+        database = root / "database.db"
         pycolmap.set_random_seed(seed)
         for i, (picture, K) in enumerate(zip(pictures, Ks, strict=True)):
             progress(i, total, "features")

@@ -1,6 +1,5 @@
 """What a capture of a scene would simulate, what it would leave out, and the bounds: the plans, before any work."""
 
-import tempfile
 from pathlib import Path
 
 from novags.testbed.console import Console
@@ -8,6 +7,7 @@ from novags.testbed.folders.set import open_source, warnings_as_notes
 from novags.testbed.stages.capture import CaptureConfig, meter
 from novags.testbed.stages.render import RenderConfig, plan_of, prepare_render, render_views
 from sensor_model import Plan
+from sensor_model.files.scratch import scratch
 
 # Enough to know the range of brightness and what the light does; it takes seconds.
 PILOT = RenderConfig(n_views=8, width=48, height=48, spp=32)
@@ -47,9 +47,9 @@ def sensor_plan(
     """
     if Path(pilot.scene).is_dir():
         return _plan(Path(pilot.scene), config, None, console)
-    with tempfile.TemporaryDirectory(prefix="novags-plan-") as folder:
-        render_views(Path(folder), pilot, *prepare_render(pilot, console), console)
-        return _plan(Path(folder), config, pixels, console)
+    with scratch("plan") as folder:
+        render_views(folder, pilot, *prepare_render(pilot, console), console)
+        return _plan(folder, config, pixels, console)
 
 
 def _plan(

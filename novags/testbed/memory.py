@@ -5,11 +5,10 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-# How those that have no class for it put it: torch on the processor, OpenCV, Dr.Jit, the system, the dynamic linker.
-_SHORTAGE = re.compile(
-    r"not enough memory|out of memory|can't allocate memory|cannot allocate|insufficient memory|failed to map segment",
-    re.I,
-)
+# How those that have no class for it put it. The system's own words, whatever error they are passed on in; and those of
+# torch, OpenCV and Dr.Jit, which are taken for that only in an error that a library raises.
+_SYSTEM = re.compile(r"cannot allocate memory|can't allocate memory|failed to map segment", re.I)
+_LIBRARIES = re.compile(r"not enough memory|out of memory|insufficient memory", re.I)
 
 
 @contextmanager
@@ -39,8 +38,8 @@ def is_memory_shortage(error: BaseException) -> bool:
     """Whether an exception says that there is too little memory."""
     if isinstance(error, MemoryError) or _of_gpu(error):
         return True
-    known = isinstance(error, RuntimeError | OSError | ImportError) or type(error).__module__.startswith("cv2")
-    return known and bool(_SHORTAGE.search(str(error)))
+    by_library = isinstance(error, RuntimeError) or type(error).__module__.startswith("cv2")
+    return bool(_SYSTEM.search(str(error)) or (by_library and _LIBRARIES.search(str(error))))
 
 
 def _of_gpu(error: BaseException) -> bool:

@@ -30,15 +30,17 @@ WRITES = ("os.rename", "os.remove", "os.rmdir", "os.mkdir", "os.truncate", "os.s
 
 
 class Events:
-    """Counts what changes files under a folder; kills this process right before the event of a number.
+    """Counts what changes files under a folder; signals this process right before the event of a number.
 
     An event that opens a file for writing, or renames one that was written, counts twice: the second time the process
     dies with the file half-written. Compiled libraries write without events, but always under a temporary name that is
     renamed afterwards.
     """
 
-    def __init__(self, root: Path, kill_at: int | None) -> None:
-        self.root, self.kill_at, self.seen, self.busy = str(root.resolve()) + os.sep, kill_at, [], False
+    def __init__(self, root: Path, kill_at: int | None, with_: int) -> None:
+        self.root, self.kill_at, self.signal = str(root.resolve()) + os.sep, kill_at, with_
+        self.seen: list[str] = []
+        self.busy = False
 
     def __call__(self, event: str, args: tuple[Any, ...]) -> None:
         if self.busy or (path := self._changed(event, args)) is None:
@@ -54,7 +56,7 @@ class Events:
     def _count(self, what: str, before: Callable[[], None]) -> None:
         if len(self.seen) == self.kill_at:
             before()
-            os.kill(os.getpid(), signal.SIGKILL)
+            os.kill(os.getpid(), self.signal)
         self.seen.append(what)
 
     def _changed(self, event: str, args: tuple[Any, ...]) -> str | None:
@@ -158,13 +160,15 @@ def child(request: dict[str, Any], report: Path) -> None:
     os.dup2(log, 1)
     os.dup2(log, 2)
     sys.stdout = os.fdopen(1, "w", closefd=False)  # not where the server answers
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     events, code = None, 0
     try:
         os.chdir(request["folder"])
         for name, arguments in request.get("faults", {}).items():
             FAULTS[name](*arguments)
         if "events" in request:
-            events = Events(Path(request["folder"]) / request["events"], request.get("kill"))
+            at = Path(request["folder"]) / request["events"]
+            events = Events(at, request.get("kill"), request.get("signal", signal.SIGKILL))
             sys.addaudithook(events)
         sys.argv = ["novags", *request["command"]]
         from novags.cli import main

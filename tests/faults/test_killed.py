@@ -2,6 +2,7 @@
 with the folder that it would have made at once, logs and hidden files included.
 """  # noqa: D205
 
+import signal
 from collections.abc import Callable
 from pathlib import Path
 
@@ -32,3 +33,25 @@ def test_a_stage_killed_at_any_file_event_ends_up_the_same(
         if again.code or (different := same_as_reference(name, folder)):
             wrong[f"{moment}: {whole.events[moment]}"] = again.line if again.code else different
     assert not wrong
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize(("name", "at"), [("capture", "images/0001.png"), ("reconstruct", "exr/0002.exr")])
+def test_an_interrupted_stage_says_how_to_go_on_and_keeps_what_is_done(
+    name: str, at: str, number: int, server, begun: Callable[..., Path],
+    same_as_reference: Callable[[str, Path], list[str]], stages,
+) -> None:  # fmt: skip
+    folder, stage = begun(name), stages[name]
+    events = server.run(begun(name, "whole"), stage.command, events=stage.out).events
+    parent, _, file = at.rpartition("/")
+    moment = next(k for k, e in enumerate(events) if e.startswith("os.rename") and parent in e and f".{file[:4]}." in e)
+    stopped = server.run(folder, stage.command, events=stage.out, kill=moment, signal=number)
+    assert stopped.code == 130
+    assert stopped.line == "novags: interrupted; the same command again continues where this one stopped"
+    done = {path: path.stat().st_mtime_ns for path in (folder / stage.out).glob(f"{parent}/*")}
+    assert 1 <= len(done) <= 3
+    assert not list((folder / stage.out).rglob("*.partial*"))
+    assert server.run(folder, stage.command).code == 0
+    assert same_as_reference(name, folder) == []
+    if name == "capture":  # a run keeps its training, which takes hours, and renders its views again
+        assert {path: path.stat().st_mtime_ns for path in done} == done

@@ -181,7 +181,7 @@ def test_a_kill_after_the_record_was_written_leaves_nothing_once_the_stage_has_b
         ),
         RuntimeError("jit_malloc(): out of memory! Could not allocate 4096 bytes"),
         OSError(12, "Cannot allocate memory"),
-        ImportError("scalar_rgb.so: failed to map segment from shared object"),
+        ValueError("the scene cannot be loaded: rough.so: failed to map segment from shared object"),
         torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB"),
     ],
 )
