@@ -185,5 +185,27 @@ def _without_costs(value: Any) -> Any:
 
 
 @pytest.fixture(scope="session")
+def page() -> dict[str, re.Pattern[str]]:
+    """What docs/faults.md says that one sees, by fault; "…" stands for anything."""
+    found = {}
+    for line in (Path(__file__).resolve().parents[2] / "docs" / "faults.md").read_text().splitlines():
+        cells = [cell.strip() for cell in line.strip("|").split(" | ")]
+        if len(cells) == 4 and (lines := re.findall(r"`([^`]+)`", cells[1])):
+            found[cells[0]] = re.compile("|".join(re.escape(text).replace("…", ".*") for text in lines))
+    return found
+
+
+@pytest.fixture(scope="session", name="tree")
+def tree_of() -> Callable[[Path], dict[str, object]]:
+    return tree
+
+
+@pytest.fixture(scope="session")
+def experiment() -> list[str]:
+    """A whole experiment as one command."""
+    return ["run", "--scene", "ball.xml", "--out", "all", "--variant", VARIANT, "--methods", "tiny", *SMALL, *SHORT]
+
+
+@pytest.fixture(scope="session")
 def stages() -> dict[str, Stage]:
     return STAGES

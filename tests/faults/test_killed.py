@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-SAMPLE = 3  # moments of each stage in the default run, besides the first one
+SAMPLE = 3  # moments of each stage in the default run, besides the first one and those around its record
 KILLED = -9
 
 
@@ -22,8 +22,8 @@ def test_a_stage_killed_at_any_file_event_ends_up_the_same(
     whole = server.run(begun(name), stage.command, events=stage.out)
     assert whole.code == 0, whole.said
     count = len(whole.events)
-    assert count > 2 * SAMPLE or name in ("score", "report")
-    moments = range(count) if every else sorted({round(k * (count - 1) / SAMPLE) for k in range(SAMPLE + 1)})
+    spread = {round(k * (count - 1) / SAMPLE) for k in range(SAMPLE + 1)}
+    moments = range(count) if every else sorted(spread | {count - 2})
     wrong = {}
     for moment in moments:
         folder = begun(name, moment)
@@ -35,11 +35,29 @@ def test_a_stage_killed_at_any_file_event_ends_up_the_same(
     assert not wrong
 
 
+@pytest.mark.slow
+def test_an_experiment_killed_anywhere_ends_up_the_same(
+    server, begun: Callable[..., Path], experiment: list[str], tree: Callable[[Path], dict[str, object]]
+) -> None:
+    faults: dict[str, list[object]] = {"no llvm": []}  # the other variant would start its threads in every child
+    first = begun("render", "whole")
+    whole = server.run(first, experiment, events="all", faults=faults)
+    assert whole.code == 0, whole.said
+    count, wrong = len(whole.events), {}
+    for moment in range(0, count, count // 25):
+        folder = begun("render", moment)
+        assert server.run(folder, experiment, events="all", kill=moment, faults=faults).code == KILLED
+        again = server.run(folder, experiment, faults=faults)
+        if again.code or tree(folder) != tree(first):
+            wrong[f"{moment}: {whole.events[moment]}"] = again.line
+    assert not wrong
+
+
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 @pytest.mark.parametrize(("name", "at"), [("capture", "images/0001.png"), ("reconstruct", "exr/0002.exr")])
 def test_an_interrupted_stage_says_how_to_go_on_and_keeps_what_is_done(
     name: str, at: str, number: int, server, begun: Callable[..., Path],
-    same_as_reference: Callable[[str, Path], list[str]], stages,
+    same_as_reference: Callable[[str, Path], list[str]], stages, page,
 ) -> None:  # fmt: skip
     folder, stage = begun(name), stages[name]
     events = server.run(begun(name, "whole"), stage.command, events=stage.out).events
@@ -47,7 +65,7 @@ def test_an_interrupted_stage_says_how_to_go_on_and_keeps_what_is_done(
     moment = next(k for k, e in enumerate(events) if e.startswith("os.rename") and parent in e and f".{file[:4]}." in e)
     stopped = server.run(folder, stage.command, events=stage.out, kill=moment, signal=number)
     assert stopped.code == 130
-    assert stopped.line == "novags: interrupted; the same command again continues where this one stopped"
+    assert page["interrupted (Ctrl-C, SIGTERM)"].fullmatch(stopped.line)
     done = {path: path.stat().st_mtime_ns for path in (folder / stage.out).glob(f"{parent}/*")}
     assert 1 <= len(done) <= 3
     assert not list((folder / stage.out).rglob("*.partial*"))
