@@ -69,6 +69,28 @@ class Result:
         return self.said.strip().splitlines()[-1] if self.said.strip() else ""
 
 
+@dataclass
+class Running:
+    """A command under way."""
+
+    ask: Callable[[dict[str, Any]], dict[str, Any]]
+    process: int
+    report: Path
+
+    def wait(self) -> Result:
+        """How it ends."""
+        return Result(**self.ask({"wait": [self.process, str(self.report)]}))
+
+    def said(self, text: str) -> bool:
+        """Whether it has printed this so far."""
+        log = self.report.with_suffix(".log")
+        return log.exists() and text in log.read_text()
+
+    def stopped(self) -> bool:
+        """Whether it waits for SIGCONT."""
+        return Path(f"/proc/{self.process}/stat").read_text().rpartition(")")[2].split()[0] == "T"
+
+
 class Server:
     """Commands in forked children of a process that has loaded everything."""
 
@@ -88,13 +110,12 @@ class Server:
             )  # fmt: skip
         self._answer()
 
-    def start(self, folder: Path, command: list[str], **request: Any) -> Callable[[], Result]:
-        """Start a command in a folder; the function returned waits for its end."""
-        process = self._ask({"folder": str(folder), "command": command, **request})["process"]
-        return lambda: Result(**self._ask({"wait": process}))
+    def start(self, folder: Path, command: list[str], **request: Any) -> Running:
+        process, report = self._ask({"folder": str(folder), "command": command, **request})["process"]
+        return Running(self._ask, process, Path(report))
 
     def run(self, folder: Path, command: list[str], **request: Any) -> Result:
-        return self.start(folder, command, **request)()
+        return self.start(folder, command, **request).wait()
 
     def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
         assert self.process.stdin is not None

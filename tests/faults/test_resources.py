@@ -94,8 +94,8 @@ def test_too_little_memory_is_one_line_and_costs_nothing(server, begun: Callable
 
 @pytest.mark.parametrize(
     "clock",
-    [{"clock moved": [-86400]}, {"clock moved": [86400]}, {"clock runs back": []}],
-    ids=["past", "future", "back"],
+    [{"clock moved": [-86400]}, {"clock runs back": []}],
+    ids=["set back", "runs back"],
 )
 def test_a_clock_that_was_set_changes_nothing(
     clock: dict, server, begun: Callable[..., Path], same_as_reference: Callable[[str, Path], list[str]], stages, page

@@ -1,7 +1,11 @@
 """Two processes that want the same folder: one works there, the other waits or is told who is at work."""
 
+import os
+import signal
+import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -35,40 +39,59 @@ def electrons(capture: Path) -> tuple[float, set[float]]:
     return record["electrons"], {min((5.0, 20.0), key=lambda e: abs(e - mean)) for mean in means}
 
 
+def begins(server, folder: Path, command: list[str]) -> Any:
+    """A capture that has stopped in the middle of its work."""
+    running = server.start(folder, command, events=command[3], kill=30, signal=signal.SIGSTOP)
+    until(running.stopped)
+    return running
+
+
+def until(happens: Callable[[], bool]) -> None:
+    give_up = time.monotonic() + 60
+    while not happens():
+        assert time.monotonic() < give_up
+        time.sleep(0.005)
+
+
 @pytest.mark.parametrize("trial", range(3))
-def test_two_captures_at_once_into_one_folder_never_mix(server, photographs: Path, trial: int, page) -> None:
-    out = f"{trial}/capture"
-    both = [
-        server.start(photographs, ["capture", "set", "--out", out, "--sensor", "a7s2-iso6400-3chip", "--electrons", e])
-        for e in ("5", "20")
+def test_two_captures_at_once_into_one_folder_never_mix(server, photographs: Path, trial: int) -> None:
+    command = ["capture", "set", "--out", f"{trial}/capture", "--electrons"]
+    results = [running.wait() for running in [server.start(photographs, [*command, e]) for e in ("5", "20")]]
+    assert 0 in [result.code for result in results]
+    assert all(result.code == 0 or "in use by" in result.line for result in results), [
+        result.said for result in results
     ]
-    results = [wait() for wait in both]
-    assert sorted(result.code for result in results) == [0, 1], [result.said for result in results]
-    refused = next(result for result in results if result.code)
-    assert page["another process writes there"].fullmatch(refused.line), refused.said
-    assert len(refused.said.strip().splitlines()) == 1
-    recorded, found = electrons(photographs / out)
+    recorded, found = electrons(photographs / str(trial) / "capture")
     assert found == {recorded}
 
 
-def test_who_waits_comes_second_and_the_last_one_stays(server, photographs: Path, page) -> None:
-    command = ["capture", "set", "--out", "waited/capture", "--wait", "--electrons"]
-    first, second = (server.start(photographs, [*command, e]) for e in ("5", "20"))
-    results = [first(), second()]
+def test_a_folder_in_use_is_refused_in_one_line(server, photographs: Path, page) -> None:
+    command = ["capture", "set", "--out", "used/capture"]
+    first = begins(server, photographs, command)
+    try:
+        refused = server.run(photographs, command)
+    finally:
+        os.kill(first.process, signal.SIGCONT)
+    assert refused.code == 1
+    assert page["another process writes there"].fullmatch(refused.said.strip()), refused.said
+    assert f"(process {first.process} on " in refused.said
+    assert first.wait().code == 0
+
+
+@pytest.mark.parametrize("other", ["20", "5"])
+def test_who_waits_comes_second_and_keeps_or_replaces_the_result(server, photographs: Path, page, other: str) -> None:
+    command = ["capture", "set", "--out", f"waited {other}/capture", "--wait", "--electrons"]
+    first = begins(server, photographs, [*command, "20"])
+    try:
+        second = server.start(photographs, [*command, other])
+        until(lambda: second.said("waiting for"))
+    finally:
+        os.kill(first.process, signal.SIGCONT)
+    results = [first.wait(), second.wait()]
     assert [result.code for result in results] == [0, 0], [result.said for result in results]
-    said = page["another process writes there, `--wait`"]
-    waited = [result for result in results if said.search(result.said)]
-    assert len(waited) == 1
-    recorded, found = electrons(photographs / "waited" / "capture")
-    assert found == {recorded}
-    assert recorded == (5.0 if waited[0] is results[0] else 20.0)
-
-
-def test_who_waits_for_the_same_work_keeps_it(server, photographs: Path) -> None:
-    command = ["capture", "set", "--out", "same/capture", "--wait"]
-    results = [wait() for wait in [server.start(photographs, command) for _ in range(2)]]
-    assert [result.code for result in results] == [0, 0]
-    assert sum("unchanged, kept" in result.said for result in results) == 1
+    assert page["another process writes there, `--wait`"].search(results[1].said)
+    assert ("unchanged, kept" in results[1].said) == (other == "20")
+    assert electrons(photographs / f"waited {other}" / "capture") == (float(other), {float(other)})
 
 
 @pytest.mark.parametrize(
