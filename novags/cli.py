@@ -1,6 +1,5 @@
 """The command line. Thin: every command turns its arguments into a configuration and calls the test bed."""
 
-import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import tyro
 
+from novags.failure import errors_in_one_line
 from novags.inquiries import doctor, help_, list_
 from novags.options import LIGHT, Device, Folder, Light, Name, PresetName, Repeated
 
@@ -346,25 +346,14 @@ def _announce(path: Path) -> None:
 
 
 def main() -> None:
-    """Entry point: run a command; wrong input gives one line on standard error and exit code 2."""
+    """Entry point: run a command."""
     if sys.argv[1:] == ["--version"]:
         from importlib.metadata import version
 
         print(f"novags {version('novags')}")
         return
-    try:
+    with errors_in_one_line():
         tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="novags", description=DESCRIPTION)
-    except KeyboardInterrupt:
-        sys.exit(_say("interrupted; the same command again continues where this one stopped", 130))
-    except (ValueError, OSError, MemoryError) as error:
-        if os.environ.get("NOVAGS_TRACEBACK"):
-            raise
-        sys.exit(_say(f"error: {error}", 2 if isinstance(error, ValueError) else 1))
 
 
 DESCRIPTION = "Test bed for low-light 3D reconstruction: rendered truth, dark captures, reconstructions, scores."
-
-
-def _say(text: str, code: int) -> int:
-    print(f"novags: {' '.join(text.split())}", file=sys.stderr)
-    return code

@@ -86,7 +86,7 @@ def converted(value: Any, hint: Any, what: str) -> Any:
         if option is not type(None):
             try:
                 return _as(value, option)
-            except (ValueError, TypeError):
+            except (ValueError, TypeError, OverflowError):  # OverflowError: a whole number too large for a float
                 continue
     choices = [str(choice) for option in options if get_origin(option) is Literal for choice in get_args(option)]
     near = get_close_matches(str(value), choices, 1)

@@ -14,6 +14,9 @@ Cfa = Literal["RGGB", "GRBG", "GBRG", "BGGR"]
 CFAS: tuple[Cfa, ...] = ("RGGB", "GRBG", "GBRG", "BGGR")
 
 
+LARGEST = 1e15  # of any amplitude or factor: far beyond sensors, and its square is still exact enough in float64
+
+
 def require(ok: bool, what: str, rule: str, value: object, remedy: str = "") -> None:
     """Raise ValueError naming the quantity, the rule it breaks, and its value."""
     if not ok:
@@ -24,6 +27,7 @@ def _require_not_negative(owner: object, *names: str) -> None:
     for name in names:
         value = getattr(owner, name)
         require(isfinite(value) and value >= 0, name, "finite and >= 0", value)
+        require(value <= LARGEST, name, f"at most {LARGEST:g}", value)
 
 
 def _is_spread(table: tuple[tuple[float, ...], ...]) -> bool:
@@ -142,6 +146,7 @@ class Sensor:
     def __post_init__(self) -> None:
         """Check every field."""
         require(isfinite(self.gain) and self.gain > 0, "gain", "finite and > 0 DN/e-", self.gain)
+        require(1 / LARGEST <= self.gain <= LARGEST, "gain", f"in [{1 / LARGEST:g}, {LARGEST:g}] DN/e-", self.gain)
         require(0 < self.eta <= 1, "eta", "in (0, 1]", self.eta, "give 0.6 for 60 %")
         require(self.mu_e_sat >= 1, "mu_e_sat", ">= 1 e-", self.mu_e_sat)
         require(self.bits in range(8, 17), "bits", "a whole number from 8 to 16", self.bits)
@@ -191,7 +196,9 @@ class Sensor:
     def dark_e(self, exposure: Exposure) -> float:
         """Mean dark charge of one exposure, e-. EMVA 1288: the dark current doubles every `dark_doubling` kelvin."""
         at = self.dark_temperature if exposure.temperature is None else exposure.temperature
-        return self.dark_current * exposure.time * 2.0 ** ((at - self.dark_temperature) / self.dark_doubling)
+        doublings = (at - self.dark_temperature) / self.dark_doubling
+        require(doublings < 100, "temperature", "less than 100 doublings above dark_temperature", at, "check both")
+        return self.dark_current * exposure.time * 2.0**doublings
 
 
 @dataclass(frozen=True, kw_only=True)

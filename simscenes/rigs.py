@@ -8,13 +8,15 @@ World z is up. Lengths are in scene units, angles in degrees.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Float = NDArray[np.float64]
 
+# Float32 poses from other tools round to 1e-6; a scaled or mirrored pose is off by far more.
+MAX_ROTATION_ERROR = 1e-4
 TEST_EVERY = 8  # gsplat, mip-NeRF 360 and LLFF loaders hold out every 8th sorted view, starting at the first
 
 _OPENCV_TO_MITSUBA = np.diag([-1.0, -1.0, 1.0, 1.0])
@@ -49,10 +51,7 @@ class Rig:
             raise ValueError(f"Rig: width and height must be >= 1 pixel, got {self.width} x {self.height}")
         if not (np.isfinite(viewmats).all() and np.isfinite(Ks).all()):
             raise ValueError("Rig: viewmats and Ks must be finite; check the camera file for nan or inf")
-        rotations = viewmats[:, :3, :3]
-        error = np.abs(rotations @ rotations.transpose(0, 2, 1) - np.eye(3)).max(initial=0.0)
-        # 1e-4: float32 poses from other tools round to 1e-6; a scaled or mirrored pose is off by far more.
-        if error > 1e-4 or (np.linalg.det(rotations) < 0).any():
+        if not (error := rotation_error(viewmats[:, :3, :3])) <= MAX_ROTATION_ERROR:
             raise ValueError(f"Rig: every viewmat must be a rotation and a translation (no scale, no mirror); "
                              f"R R^T differs from the identity by {error:.3g}")  # fmt: skip
         if (Ks[:, [0, 1], [0, 1]] <= 0).any():
@@ -71,6 +70,12 @@ class Rig:
         rotations, translations = self.viewmats[:, :3, :3], self.viewmats[:, :3, 3]
         return -np.einsum("cij,ci->cj", rotations, translations)
 
+    def about(self, origin: ArrayLike) -> Rig:
+        """The same cameras in a world whose zero lies at `origin` [3] of this one."""
+        viewmats = self.viewmats.copy()
+        viewmats[:, :3, 3] += viewmats[:, :3, :3] @ np.asarray(origin, np.float64)
+        return replace(self, viewmats=viewmats)
+
     def project(self, points: ArrayLike) -> tuple[Float, Float]:
         """Project world points [P,3]: pixels [C,P,2] and z-depths [C,P], negative behind the camera."""
         points = np.asarray(points, dtype=np.float64)
@@ -79,6 +84,13 @@ class Rig:
             homogeneous = np.einsum("cij,cpj->cpi", self.Ks, in_camera)
             pixels = homogeneous[..., :2] / homogeneous[..., 2:]
         return pixels, in_camera[..., 2]
+
+
+def rotation_error(matrices: Float) -> float:
+    """How far the worst of [...,3,3] is from a rotation: the largest entry of |R R^T - 1|; inf for a mirror."""
+    with np.errstate(over="ignore", invalid="ignore"):  # entries of 1e300: inf or nan, which is no rotation either
+        error = float(np.abs(matrices @ np.swapaxes(matrices, -1, -2) - np.eye(3)).max(initial=0.0))
+        return np.inf if (np.linalg.det(matrices) < 0).any() else error
 
 
 def unproject(rig: Rig, i: int, z: ArrayLike, pixels: NDArray[np.intp]) -> Float:

@@ -32,7 +32,7 @@ LAYERS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("cameras",),
         ("methods",),
         ("testbed",),
-        ("options",),
+        ("options", "failure"),
         ("inquiries",),
         ("cli", "__main__"),
     ),

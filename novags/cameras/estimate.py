@@ -68,6 +68,24 @@ def centers_of(viewmats: Array) -> Array:
     return -np.einsum("cji,cj->ci", viewmats[:, :3, :3], viewmats[:, :3, 3])
 
 
+FAR = 100.0  # scene extents; float32 then places a point to 1e-5 of the extent, a hundredth of a pixel or so
+
+
+def near_origin(viewmats: Array) -> tuple[float, float, float]:
+    """Where the zero of the world should lie, so that float32 resolves a scene with these cameras [C, 4, 4].
+
+    Zero itself, which changes no bit of anything, unless the mean camera is more than `FAR` scene extents away from it,
+    as in national grids (UTM); then the mean camera, in whole units.
+    """
+    centers = centers_of(viewmats)
+    middle = centers.mean(0)
+    extent = float(np.linalg.norm(centers - middle, axis=1).max()) or 1.0
+    if np.abs(middle).max() <= FAR * extent:
+        return 0.0, 0.0, 0.0
+    x, y, z = (float(v) for v in np.round(middle))
+    return x, y, z
+
+
 def extent_of(viewmats: Array) -> float:
     """Extent of the scene as the engine defines it (`Views.extent`) for cameras [C, 4, 4]."""
     count = len(viewmats)

@@ -1,7 +1,6 @@
 """A method, and a method with some settings changed and a name of its own."""
 
 import re
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,11 +8,8 @@ from typing import Any, Literal
 
 from novags.methods.reconstruction import Reconstruction
 from novags.settings import changed, has_setting
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from sensor_model.files.reading import reading
+from sensor_model.files.toml_file import read_toml
 
 Family = Literal["ours", "bound", "2D + GS", "3DGS", "NeRF"]
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")  # of a folder too
@@ -95,18 +91,16 @@ def read_variants(path: Path) -> list[Variant]:
     Raises:
         ValueError: If the file cannot be read or a table is not a variant.
     """
-    try:
-        tables = tomllib.loads(path.read_text(encoding="utf-8")).get("variant", {})
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{path} is not a readable TOML file ({error})") from error
+    tables = read_toml(path).get("variant", {})
     if not isinstance(tables, dict) or not tables:
         raise ValueError(f"{path} has no table [variant.NAME]: there is nothing to compare in it")
     found = []
     for name, table in tables.items():
         if not isinstance(table, dict) or not isinstance(table.get("method"), str):
             raise ValueError(f'{path}: [variant.{name}] needs method = "NAME" of the method that it varies')
-        settings = {key: value for key, value in _dotted(table).items() if key != "method"}
-        found.append(Variant(name=name, method=table["method"], settings=settings))
+        with reading(path, "correct it"):
+            settings = {key: value for key, value in _dotted(table).items() if key != "method"}
+            found.append(Variant(name=name, method=table["method"], settings=settings))
     return found
 
 

@@ -12,10 +12,13 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from sensor_model.files.atomic import atomic
+from sensor_model.files.records import check_shape
 
 from .adam import Adam
 from .camera_refinement import CameraState
 from .gaussians import Gaussians
+
+STATE = {"iteration": int, "adam": int, "losses": [{"*": float}], "seconds": float, "settings": dict}
 
 
 @dataclass(kw_only=True)
@@ -91,8 +94,9 @@ def load_checkpoint(path: Path, settings: dict[str, object], device: torch.devic
         with safe_open(path, framework="pt", device=str(device)) as file:
             rest = json.loads((file.metadata() or {})["state"])
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
-        state, saved = _assembled(rest, tensors), rest["settings"]
-    except (SafetensorError, KeyError, TypeError, ValueError) as error:  # ValueError: malformed JSON
+        check_shape(rest, STATE, "its state")
+        saved = rest["settings"]
+    except (SafetensorError, KeyError, TypeError, ValueError, RecursionError) as error:  # ValueError: malformed JSON
         reason = f"{type(error).__name__}: {error}"
         raise ValueError(
             f"{path} is not a training checkpoint of this version ({reason}): delete it to start again"
@@ -104,18 +108,49 @@ def load_checkpoint(path: Path, settings: dict[str, object], device: torch.devic
         raise ValueError(
             f"checkpoint {path} belongs to a run with other settings ({changes}); delete it or restore them"
         )
-    return state
+    try:
+        return _assembled(rest, tensors, saved)
+    except (TypeError, ValueError) as error:  # TypeError: tensors missing or too many
+        raise ValueError(f"{path} is damaged ({error}): delete it to start again") from error
 
 
-def _assembled(rest: dict[str, Any], tensors: dict[str, Tensor]) -> TrainingState:
+def _assembled(rest: dict[str, Any], tensors: dict[str, Tensor], settings: dict[str, Any]) -> TrainingState:
+    """The state, if its parts belong together and to a run with these settings."""
+
     def part(prefix: str) -> dict[str, Tensor]:
         return {name.removeprefix(prefix): t for name, t in tensors.items() if name.startswith(prefix)}
 
+    done = rest["iteration"]
+    if not 0 <= done <= settings["iterations"] or rest["adam"] != done:
+        raise ValueError(f"iteration {done} of {settings['iterations']}, and {rest['adam']} steps of the optimiser")
     gaussians = Gaussians(**part("gaussians."))
+    if not len(gaussians) or gaussians.sh_degree != settings["sh_degree"]:
+        raise ValueError(f"{len(gaussians)} Gaussians of degree {gaussians.sh_degree}")
     adam = Adam(gaussians)
-    adam.count, adam.first, adam.second = rest["adam"], part("first."), part("second.")
+    adam.count, adam.first, adam.second = done, part("first."), part("second.")
+    for prefix, moments in (("first.", adam.first), ("second.", adam.second)):
+        _check_like(gaussians.tensors(), moments, prefix)
+    _check_like(gaussians.tensors(), gaussians.tensors(), "gaussians.")
     cameras = part("cameras.")
+    if bool(cameras) != (settings["refine_cameras"] is not None):
+        raise ValueError("camera refinement is there, and the settings have none, or the other way round")
+    if cameras:
+        _check_like(vars(CameraState.of(gaussians.means.new_zeros(settings["views"], 4, 4))), cameras, "cameras.")
     return TrainingState(
         gaussians=gaussians, adam=adam, cameras=CameraState(**cameras) if cameras else None,
-        iteration=rest["iteration"], losses=rest["losses"], seconds=rest["seconds"],
+        iteration=done, losses=rest["losses"], seconds=rest["seconds"],
     )  # fmt: skip
+
+
+def _check_like(wanted: dict[str, Tensor], found: dict[str, Tensor], prefix: str) -> None:
+    if wanted.keys() != found.keys():
+        odd = sorted(wanted.keys() ^ found.keys())
+        raise ValueError(f"the tensors {prefix}* must be {', '.join(wanted)}; {', '.join(odd)} missing or too many")
+    for name, like in wanted.items():
+        tensor, kind = found[name], torch.int64 if name == "visits" else torch.float32
+        if tensor.shape != like.shape or tensor.dtype != kind:
+            raise ValueError(
+                f"{prefix}{name} must be {kind} {list(like.shape)}, got {tensor.dtype} {list(tensor.shape)}"
+            )
+        if not torch.isfinite(tensor).all():
+            raise ValueError(f"{prefix}{name} must be finite")

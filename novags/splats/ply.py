@@ -20,6 +20,8 @@ _DTYPES = {
     "int8": "i1", "short": "<i2", "int16": "<i2", "ushort": "<u2", "uint16": "<u2", "int": "<i4", "int32": "<i4",
     "uint": "<u4", "uint32": "<u4",
 }  # fmt: skip
+HEADER_LINES = 1000  # of them 3DGS needs about 70
+LEAST = {"format": 3, "element": 3, "property": 3}  # words of a line
 
 
 def _names(k: int) -> list[str]:
@@ -50,25 +52,34 @@ def write_ply(path: str | Path, gaussians: Gaussians) -> None:
 
 def _read_header(file: BinaryIO, path: Path) -> tuple[str, int, np.dtype]:
     """Format, number of vertices and record type of the vertex element, leaving `file` at the first byte of data."""
-    kind, n, fields, element = "", -1, [], ""
-    while True:
-        words = file.readline(4096).decode("ascii", "replace").split()
-        if not words:
-            raise ValueError(f"{path} must be a PLY file with an end_header line, but its header ends early")
-        if words[0] == "end_header":
+    kind, n, fields, element = "", -1, dict[str, str](), ""
+    for _ in range(HEADER_LINES):
+        line = file.readline(4096).decode("ascii", "replace")
+        words = line.split()
+        if not line:
             break
-        if words[0] == "format":
+        if words[:1] == ["end_header"]:
+            return kind, n, np.dtype(list(fields.items()))
+        if len(words) < LEAST.get(words[0] if words else "", 0):
+            raise ValueError(f"{path}: a line of the PLY header is not complete: {line.strip()!r}")
+        if words[:1] == ["format"]:
             kind = words[1]
-        elif words[0] == "element":
+        elif words[:1] == ["element"]:
             if not element and words[1] != "vertex":
                 raise ValueError(f"{path}: the first PLY element must be vertex, got {words[1]}")
             element = words[1]
-            n = int(words[2]) if element == "vertex" else n
-        elif words[0] == "property" and element == "vertex":
-            if words[1] not in _DTYPES:
-                raise ValueError(f"{path}: vertex properties must be plain numbers, got {' '.join(words)}")
-            fields.append((words[-1], _DTYPES[words[1]]))
-    return kind, n, np.dtype(fields)
+            n = _count(words[2], path) if element == "vertex" else n
+        elif words[:1] == ["property"] and element == "vertex":
+            if words[1] not in _DTYPES or words[-1] in fields:
+                raise ValueError(f"{path}: vertex properties must be plain numbers, each once, got {' '.join(words)}")
+            fields[words[-1]] = _DTYPES[words[1]]
+    raise ValueError(f"{path} must be a PLY file with an end_header line, but its header ends early")
+
+
+def _count(word: str, path: Path) -> int:
+    if not (word.isascii() and word.isdigit() and len(word) <= 15):
+        raise ValueError(f"{path}: the number of vertices must be a whole number, got {word[:40]!r}")
+    return int(word)
 
 
 def read_ply(path: str | Path) -> Gaussians:
@@ -84,11 +95,12 @@ def read_ply(path: str | Path) -> Gaussians:
         kind, n, record = _read_header(file, path)
         if kind != "binary_little_endian":
             raise ValueError(f"{path} must be binary_little_endian, got {kind or 'no format line'}; convert it first")
+        there = path.stat().st_size - file.tell()
+        if n < 0 or there < n * record.itemsize:  # before anything is allocated for what the header announces
+            raise ValueError(
+                f"{path} must hold {n} vertices of {record.itemsize} bytes, but only {there} bytes are there"
+            )
         data = file.read(n * record.itemsize)
-    if n < 0 or len(data) < n * record.itemsize:
-        raise ValueError(
-            f"{path} must hold {n} vertices of {record.itemsize} bytes, but only {len(data)} bytes are there"
-        )
     table = np.frombuffer(data, record, count=n)
     n_rest = sum(name.startswith("f_rest_") for name in record.names or ())
     degree = {3 * (n_coefficients(d) - 1): d for d in range(4)}.get(n_rest)
@@ -100,7 +112,12 @@ def read_ply(path: str | Path) -> Gaussians:
         raise ValueError(f"{path} lacks the vertex properties {', '.join(missing)}: not a 3DGS PLY")
 
     def columns(*names: str) -> torch.Tensor:
-        return torch.from_numpy(np.stack([table[name].astype(np.float32) for name in names], axis=-1))
+        with np.errstate(over="ignore"):  # a double beyond float32 becomes inf
+            values = np.stack([table[name].astype(np.float32) for name in names], axis=-1)
+        if not np.isfinite(values).all():
+            first = int(np.argwhere(~np.isfinite(values))[0, 0])
+            raise ValueError(f"{path} must hold finite numbers in {', '.join(names)}, got {values[first]} at {first}")
+        return torch.from_numpy(values)
 
     sh = columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None]
     if k > 1:

@@ -26,6 +26,7 @@ from novags.testbed.memory import memory_shortage_said
 from novags.testbed.provenance import PeakMemory, environment, package_version
 from sensor_model.files.atomic import atomic
 from sensor_model.files.lock import locked
+from sensor_model.files.records import read_record
 
 Prepared = TypeVar("Prepared")
 
@@ -68,22 +69,13 @@ def write_json(path: Path, value: Any) -> None:
     write_text(path, json.dumps(jsonable(value), indent=1, allow_nan=False) + "\n")
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON object.
+def read_json(path: Path, shape: Any = dict) -> dict[str, Any]:
+    """Read a JSON object of a shape (see `sensor_model.files.records`).
 
     Raises:
-        ValueError: If the file is missing, unreadable, not JSON, or not an object.
+        ValueError: If the file is missing, unreadable, not JSON, or of another shape.
     """
-    try:
-        value = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ValueError(f"cannot read {path}: {error.strerror or error}") from error
-    except ValueError as error:
-        raise ValueError(
-            f"{path} is not valid JSON ({error}): remove it and run the stage that makes it again"
-        ) from error
-    if not isinstance(value, dict):
-        raise ValueError(f"{path} must hold a JSON object, got {type(value).__name__}")
+    value: dict[str, Any] = read_record(path, shape, "remove it and run the stage that makes it again")
     return value
 
 

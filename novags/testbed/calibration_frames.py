@@ -18,7 +18,6 @@ photons = 812.0              # mean number per pixel, if it was measured: gives 
 sensor_model sees the frames only as arrays; only this module knows the layout of the folder.
 """
 
-import sys
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -28,15 +27,15 @@ import numpy as np
 
 from novags.testbed.folders.raw_files import is_raw, read_mosaic
 from sensor_model import Characterisation, Sensor, Stack, characterise, sensor_from_dict
+from sensor_model.files.reading import reading
+from sensor_model.files.records import check_shape
+from sensor_model.files.toml_file import read_toml
 from sensor_model.mosaic import channel_index
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
+from simscenes.sets.image_file import header, read_image
 
 IMAGES = (".png", ".tif", ".tiff")
 EXIF, EXPOSURE_TIME = 0x8769, 33434
+NOTES = {"bits?": int, "cfa?": str, "camera?": dict, "stacks?": {"*": {"time?": float, "photons?": float}}}
 
 
 @dataclass(frozen=True)
@@ -80,11 +79,9 @@ def characterise_folder(folder: Path, *, window: int = 1024) -> tuple[Sensor, Ch
             why = "give the photons of every flat stack" if name == "eta" else "add a flat stack beyond saturation"
             raise ValueError(f"{folder} does not determine {name}: {why}, or {name} under [camera] in frames.toml")
     known = {name: frames.camera.get(name, getattr(found, name)) for name in ("eta", "mu_e_sat")}
-    try:
+    with reading(folder / "frames.toml", "correct it"):
         measured = asdict(found.sensor(bits=frames.bits, **known))
         return sensor_from_dict(measured | {"cfa": frames.cfa} | colours | frames.camera), found
-    except ValueError as error:
-        raise ValueError(f"{folder / 'frames.toml'}: {error}") from error
 
 
 def read_frames(folder: Path, window: int = 1024) -> Frames:
@@ -118,12 +115,10 @@ def read_frames(folder: Path, window: int = 1024) -> Frames:
 def _notes(folder: Path) -> dict[str, Any]:
     path = folder / "frames.toml"
     notes: dict[str, Any] = {"bits": None, "cfa": None, "camera": {}, "stacks": {}}
-    try:
-        given = tomllib.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+    given = read_toml(path) if path.exists() else {}
     if unknown := sorted(set(given) - set(notes)):
         raise ValueError(f"{path}: unknown {', '.join(unknown)}; available: {', '.join(notes)}")
+    check_shape(given, NOTES, f"{path}")
     return notes | given
 
 
@@ -133,24 +128,20 @@ def _read(path: Path) -> _File:
         return _File(raw.dn[None], raw.time, raw.cfa or "none", raw.bits)
     time = None
     if path.suffix.lower() == ".npy":
-        dn = np.load(path, allow_pickle=False)
+        with reading(path, "replace or remove it"):
+            dn = np.load(path, allow_pickle=False)
         dn = dn[None] if dn.ndim == 2 else dn
     else:
-        image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        if image is None:
-            raise ValueError(f"{path} is not a readable image: replace or remove it")
-        dn, time = image[None], _exif_time(path)
+        dn, time = read_image(path, cv2.IMREAD_UNCHANGED)[None], _exif_time(path)
     if dn.ndim != 3 or dn.dtype.kind not in "ui":
         raise ValueError(f"{path} must hold integer codes of one channel, got {dn.dtype} of shape {dn.shape}")
     return _File(dn, time)
 
 
 def _exif_time(path: Path) -> float | None:
-    from PIL import Image
-
-    with Image.open(path) as image:
+    with header(path) as image:
         value = image.getexif().get_ifd(EXIF).get(EXPOSURE_TIME)
-    return None if value is None else float(value)
+        return None if value is None else float(value)
 
 
 def _cut(file: _File, window: int) -> _File:

@@ -53,7 +53,7 @@ class Console:
             TextColumn("{task.description:<22}"),
             BarColumn(bar_width=30),
             MofNCompleteColumn(),
-            TextColumn("{task.fields[what]}"),
+            TextColumn("{task.fields[what]}", markup=False),  # the name of a view may hold brackets
             TimeElapsedColumn(),
             TextColumn("left"),
             TimeRemainingColumn(),

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections.abc import Mapping
 from dataclasses import fields
 from difflib import get_close_matches
 from math import inf
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from sensor_model.files.atomic import atomic
+from sensor_model.files.reading import reading
+from sensor_model.files.toml_file import read_toml
 from sensor_model.params import Banding, Defects, DualGain, Sensor, SensorOptics, require
-
-if sys.version_info >= (3, 11):
-    import tomllib
-else:
-    import tomli as tomllib
 
 PARTS: dict[str, type] = {"banding": Banding, "defects": Defects, "optics": SensorOptics, "dual_gain": DualGain}
 WHOLE = {"bits", "serial", "rts_traps"}
@@ -39,12 +34,8 @@ def read_sensor(path: str | os.PathLike[str]) -> Sensor:
         ValueError: for text that is not TOML, an unknown or missing key, a value of the wrong type or out of range; the
             message names the file and the key. The same for a file that cannot be read.
     """
-    try:
-        return sensor_from_dict(tomllib.loads(Path(path).read_text(encoding="utf-8")))
-    except ValueError as error:  # TOMLDecodeError is one
-        raise ValueError(f"{path}: {error}") from error
-    except OSError as error:
-        raise ValueError(f"{path}: cannot be read ({error.strerror or error})") from error
+    with reading(path, "correct it"):
+        return sensor_from_dict(read_toml(path))
 
 
 def sensor_from_dict(data: Mapping[str, Any]) -> Sensor:
@@ -114,7 +105,9 @@ def _value(key: str, value: Any, prefix: str) -> Any:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
+    # A whole number of TOML or JSON can have any length; beyond float64 it is as good as infinite.
+    number = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return number and (isinstance(value, float) or abs(value) < 10**300)
 
 
 def _assignments(owner: Any) -> list[str]:

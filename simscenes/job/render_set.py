@@ -30,6 +30,7 @@ from simscenes.rigs import Rig
 from simscenes.sets.camera_files import write_json
 from simscenes.sets.export import EXPORTS
 from simscenes.sets.multiview import MultiviewSet, load_set
+from simscenes.sets.names import numbered
 from simscenes.transport.plan import APERTURE, MOTION, TransportPlan
 from simscenes.transport.planner import default_plan, plan_loaded
 
@@ -103,7 +104,7 @@ def render_set(
             "spp": spp if spp is not None or target_error is not None else DEFAULT_SPP, "target_error": target_error,
             "plan": plan_identity(plan), "variant": variant,
         }  # fmt: skip
-        names = [f"{i:04d}" for i in range(len(rig))]
+        names = numbered(len(rig))
         digest = job_digest(config, rig)
         if is_complete(out, digest, names):
             (out / SPENT).unlink(missing_ok=True)  # of a process that was killed before its very last step

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from sensor_model.files.atomic import atomic
 from simscenes.rigs import TEST_EVERY, Rig, opencv_to_opengl
+from simscenes.sets.names import check_names, file_of
 
 CAMERA_FILES = ("transforms.json", "sparse", "train_list.txt", "test_list.txt", "nb-info.json")  # by `write_cameras`
 
@@ -24,7 +25,7 @@ Points = (
 
 
 def is_test_view(index: int) -> bool:
-    """Whether the view at this place in sorted order is held out for testing."""
+    """Whether the view at this place in the order of names is held out for testing."""
     return index % TEST_EVERY == 0
 
 
@@ -46,21 +47,19 @@ def write_cameras(
 
     Args:
         folder: Created if it is missing.
-        names: File stems in sorted order, one per camera.
+        names: File stems, one per camera, sorted as files (`names.file_of`).
         rig: The cameras.
         points: (xyz [P,3], rgb uint8 [P,3]) or the same with visible bool [C,P]. Tracks are made from `visible`;
             without it a point counts as seen wherever it projects into the image. Points that no view sees are dropped.
         image_dir: Folder of the images, relative to `folder`.
 
     Raises:
-        ValueError: If names are not sorted and unique, or do not match the rig.
+        ValueError: If names are not safe, different and sorted, or do not match the rig.
     """
     folder = Path(folder)
-    if list(names) != sorted(set(names)) or len(names) != len(rig):
-        raise ValueError(f"write_cameras: names must be sorted, unique and one per camera, got {len(names)} names for "
-                         f"{len(rig)} cameras: {list(names)[:3]} ...")  # fmt: skip
+    check_names(names, len(rig))
     folder.mkdir(parents=True, exist_ok=True)
-    files = [f"{name}.png" for name in names]
+    files = [file_of(name) for name in names]
     test = [f for i, f in enumerate(files) if is_test_view(i)]
     train = [f for i, f in enumerate(files) if not is_test_view(i)]
     _write_colmap(folder / "sparse" / "0", files, rig, points)

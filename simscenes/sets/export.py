@@ -12,6 +12,8 @@ import numpy as np
 from simscenes.rigs import opencv_to_opengl
 from simscenes.sets.camera_files import write_json
 from simscenes.sets.multiview import MultiviewSet
+from simscenes.sets.names import file_of
+from simscenes.sets.png import write_png
 
 
 def export_blender(views: MultiviewSet, folder: str | Path) -> Path:
@@ -35,7 +37,7 @@ def export_blender(views: MultiviewSet, folder: str | Path) -> Path:
         (folder / split).mkdir(parents=True, exist_ok=True)
         frames: list[dict[str, Any]] = []
         for i in indices:
-            shutil.copyfile(views.files[i], folder / split / f"{views.names[i]}.png")
+            _write_image(views, i, folder / split)
             frames.append({"file_path": f"./{split}/{views.names[i]}", "transform_matrix": poses[i].tolist()})
         angle = float(2 * np.arctan(rig.width / 2 / K[0, 0]))
         size = {"w": rig.width, "h": rig.height}  # without them nerfbaselines takes 800
@@ -63,9 +65,18 @@ def export_llff(views: MultiviewSet, folder: str | Path) -> Path:
         right, up, back, centre = c2w[:3].T
         pose = np.stack([-up, right, back, centre, [rig.height, rig.width, rig.Ks[i, 0, 0]]], -1)
         rows.append(np.concatenate([pose.ravel(), [near, far]]))
-        shutil.copyfile(views.files[i], folder / "images" / f"{views.names[i]}.png")
+        _write_image(views, i, folder / "images")
     np.save(folder / "poses_bounds.npy", np.array(rows))
     return folder
+
+
+def _write_image(views: MultiviewSet, i: int, folder: Path) -> None:
+    """The image of view `i` under its name: a copy, or what the cameras describe of a photograph."""
+    source, target = views.files[i], folder / file_of(views.names[i])
+    if source.suffix == target.suffix and views.lenses is None:
+        shutil.copyfile(source, target)
+    else:
+        write_png(target, views.image(i))
 
 
 EXPORTS: dict[str, Callable[[MultiviewSet, str | Path], Path]] = {"blender": export_blender, "llff": export_llff}

@@ -5,8 +5,8 @@ Images are uint8 sRGB [h,w,3], radiance is float32 linear RGB [h,w,3]. No mitsub
 
 from __future__ import annotations
 
-import json
-from dataclasses import dataclass, field
+import os
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -14,22 +14,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensor_model import srgb_to_linear
+from sensor_model.files.records import Numbers, read_record
 from simscenes.rigs import Rig
 from simscenes.sets.camera_files import is_test_view, write_cameras
+from simscenes.sets.colmap import find_colmap, read_colmap, read_reconstruction
 from simscenes.sets.exr import read_exr
-from simscenes.sets.photographs import (
-    DistortedPinhole,
-    Photographs,
-    find_colmap,
-    read_colmap,
-    read_reconstruction,
-    read_transforms,
-)
+from simscenes.sets.image_file import read_image
+from simscenes.sets.photographs import DistortedPinhole, Photographs, read_transforms
 
 __all__ = ["MultiviewSet", "load_set", "write_cameras"]
 
 Image = NDArray[np.uint8]
 Float32 = NDArray[np.float32]
+GEOMETRY = ("Z", "distance", *(f"{kind}.{axis}" for kind in ("N", "Ng") for axis in "XYZ"),
+            *(f"albedo.{c}" for c in "RGB"), "id", "material")  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,10 +36,11 @@ class MultiviewSet:
 
     Attributes:
         path: The folder.
-        names: File stems in sorted order.
+        names: Of the views, and of their files in what is made from the set: sorted as files (`sets.names`).
         rig: Pinhole cameras; of the undistorted images if the source had distortion.
         kind: "rendered" (radiance and geometry are known) or "photographs".
         meta: Content of set.json (or capture.json), {} for folders from elsewhere.
+        origin: Where the zero of `rig` and of the points lies in the coordinates of the folder's files.
     """
 
     path: Path
@@ -51,13 +50,27 @@ class MultiviewSet:
     meta: dict[str, Any]
     files: tuple[Path, ...] = field(repr=False)
     lenses: tuple[DistortedPinhole, ...] | None = field(default=None, repr=False)
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __len__(self) -> int:
         return len(self.names)
 
+    def about(self, origin: tuple[float, float, float]) -> MultiviewSet:
+        """The same set in a world whose zero lies at `origin` of this one; itself if that is zero."""
+        if not any(origin):
+            return self
+        x, y, z = (a + b for a, b in zip(self.origin, origin, strict=True))
+        return replace(self, rig=self.rig.about(origin), origin=(x, y, z))
+
+    @property
+    def renamed(self) -> dict[str, str]:
+        """File, relative to the folder, of the views that could not be called like it, by the view's name."""
+        pairs = zip(self.names, self.files, strict=True)
+        return {name: os.path.relpath(file, self.path) for name, file in pairs if file.stem != name}
+
     @property
     def test_indices(self) -> list[int]:
-        """Held-out views: every 8th in sorted order, from 0."""
+        """Held-out views: every 8th in the order of their names, from 0."""
         return [i for i in range(len(self)) if is_test_view(i)]
 
     @property
@@ -74,9 +87,7 @@ class MultiviewSet:
         import cv2
 
         flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION  # poses refer to the pixels as stored
-        pixels = cv2.imread(str(self.files[i]), flags)
-        if pixels is None:
-            raise ValueError(f"image: {self.files[i]} is missing or not a readable image")
+        pixels = read_image(self.files[i], flags)
         rgb = np.ascontiguousarray(pixels[..., ::-1])
         if self.lenses is None:
             return rgb
@@ -85,12 +96,13 @@ class MultiviewSet:
     def radiance(self, i: int) -> Float32:
         """Linear RGB of view `i`, float32 [h,w,3]: the rendered radiance, else the image with sRGB undone."""
         if self.kind == "rendered":
-            return _stack(read_exr(self._gt(i))[0], "R", "G", "B")
+            return _stack(self._truth(i, "R", "G", "B"), "R", "G", "B")
         return srgb_to_linear(self.image(i) / np.float32(255))
 
     def variance(self, i: int) -> Float32 | None:
         """Estimated variance of `radiance(i)`, float32 [h,w,3]; None for photographs."""
-        return _stack(read_exr(self._gt(i))[0], "var.R", "var.G", "var.B") if self.kind == "rendered" else None
+        names = ("var.R", "var.G", "var.B")
+        return _stack(self._truth(i, *names), *names) if self.kind == "rendered" else None
 
     def geometry(self, i: int) -> dict[str, NDArray[Any]] | None:
         """What the ray through each pixel centre hits; None for photographs.
@@ -102,7 +114,7 @@ class MultiviewSet:
         """
         if self.kind != "rendered":
             return None
-        channels, _ = read_exr(self._gt(i))
+        channels = self._truth(i, *GEOMETRY)
         return {
             "z": channels["Z"],
             "distance": channels["distance"],
@@ -119,13 +131,22 @@ class MultiviewSet:
         # own folders, which name it in nb-info.json, and pure COLMAP folders give points.
         ours = (self.path / "nb-info.json").is_file() or not (self.path / "transforms.json").is_file()
         model = find_colmap(self.path) if ours else None
-        points = list(read_reconstruction(model).points3D.values()) if model else []
+        points = list(read_reconstruction(model)[0].points3D.values()) if model else []
         if not points:
             return None
-        return np.array([p.xyz for p in points], np.float64), np.array([p.color for p in points], np.uint8)
+        return np.array([p.xyz for p in points], np.float64) - self.origin, np.array(
+            [p.color for p in points], np.uint8
+        )
 
-    def _gt(self, i: int) -> Path:
-        return self.path / "gt" / f"{self.names[i]}.exr"
+    def _truth(self, i: int, *names: str) -> dict[str, NDArray[Any]]:
+        """Channels of view `i`, all of them, each as large as the camera says."""
+        path = self.path / "gt" / f"{self.names[i]}.exr"
+        channels, _ = read_exr(path)
+        if missing := [name for name in names if name not in channels]:
+            raise ValueError(f"{path} lacks the channels {', '.join(missing)}: render the set again")
+        if (shape := channels[names[0]].shape) != (self.rig.height, self.rig.width):
+            raise ValueError(f"{path} must be {self.rig.width} x {self.rig.height} px, got {shape[1]} x {shape[0]}")
+        return channels
 
 
 def _stack(channels: dict[str, NDArray[Any]], *names: str) -> Float32:
@@ -168,11 +189,25 @@ def _as_set(path: Path, found: Photographs, meta: dict[str, Any]) -> MultiviewSe
     )
 
 
+# What is read of set.json, where it is there; a capture.json is its own writer's business.
+EFFECT = {"name": str, "on": bool, "forced": bool, "contribution": (float, None), "bound": (float, None), "unit": str,
+          "reason": str}  # fmt: skip
+PLAN = {"effects": [EFFECT], "bound": (float, None), "unit": str, "seconds?": {"*": float},
+        "biases?": {"*": (float, None)}}  # fmt: skip
+SET = {
+    "scene?": (str, None), "exposure_scale?": float, "camera_matrix?": Numbers(3, 3), "plan?": PLAN, "width?": int,
+    "height?": int, "views?": {"*": {"relative_error": float, "fireflies": int}},
+    "stage?": {"seconds": float, "peak_bytes": int, "config": dict},
+}  # fmt: skip
+
+
 def _read_meta(path: Path) -> dict[str, Any]:
-    for name in ("set.json", "capture.json"):
+    for name, shape in (("set.json", SET), ("capture.json", dict)):
         if (path / name).is_file():
-            try:
-                return dict(json.loads((path / name).read_text(encoding="utf-8")))
-            except ValueError as error:
-                raise ValueError(f"load_set: {path / name} is not valid JSON ({error})") from error
+            meta: dict[str, Any] = read_record(path / name, shape, "make it again")
+            if name == "set.json" and (scale := meta.get("exposure_scale", 1.0)) <= 0:
+                raise ValueError(f"{path / name}: exposure_scale must be > 0, got {scale}; render the set again")
+            if "camera_matrix" in meta and abs(np.linalg.det(np.array(meta["camera_matrix"], np.float64))) < 1e-9:
+                raise ValueError(f"{path / name}: camera_matrix must be invertible; render the set again")
+            return meta
     return {}

@@ -1,13 +1,15 @@
-"""Posed photographs from elsewhere: nerfstudio and instant-ngp `transforms.json`, and COLMAP models.
+"""Posed photographs from elsewhere, as nerfstudio and instant-ngp list them: `transforms.json`.
 
 Whatever the source's lens, a reader returns the rig of the *undistorted* images and the lens that undoes distortion.
 """
 
 from __future__ import annotations
 
-import json
 import os
+import unicodedata
 import warnings
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,9 +17,22 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.rigs import Rig, intrinsics, opengl_to_opencv
+from sensor_model.files.reading import reading
+from sensor_model.files.records import Numbers, read_record
+from simscenes.rigs import MAX_ROTATION_ERROR, Rig, intrinsics, opengl_to_opencv, rotation_error
+from simscenes.sets.image_file import image_size
+from simscenes.sets.names import file_of, view_names
 
 _SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG")
+
+# What is read of a camera file, of the whole set or of one frame.
+LENS = dict.fromkeys(("w?", "h?", "fl_x?", "fl_y?", "cx?", "cy?", "camera_angle_x?", "k1?", "k2?", "k3?", "k4?", "p1?",
+                      "p2?"), float) | {"camera_model?": str, "is_fisheye?": (bool, int)}  # fmt: skip
+TRANSFORMS = {**LENS, "frames": [{**LENS, "file_path": str, "transform_matrix": Numbers(4, 4)}]}
+# Beyond these no lens makes sense, and float32, in which pictures are rendered, would overflow. Pixels, rad, OpenCV's.
+RANGES = dict.fromkeys(("w", "h", "fl_x", "fl_y"), (0.0, 1e7)) | dict.fromkeys(("cx", "cy"), (-1e7, 1e7))
+RANGES |= {"camera_angle_x": (0.0, np.pi)} | dict.fromkeys(("k1", "k2", "k3", "p1", "p2"), (-100.0, 100.0))
+MAX_COORDINATE = 1e12  # of a camera; float64 then still resolves a tenth of a millimetre in metres
 
 
 @dataclass(frozen=True)
@@ -54,8 +69,17 @@ def _from_cv(K: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 @dataclass(frozen=True)
+class Frame:
+    """An entry of a transforms.json: its camera (over that of the file), image and pose (c2w in OpenGL axes [4,4])."""
+
+    camera: dict[str, Any]
+    file_path: str
+    pose: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
 class Photographs:
-    """Posed photographs in sorted order: names, image files, the pinhole rig, one lens per view."""
+    """Posed photographs in the order of their names: names, image files, the pinhole rig, one lens per view."""
 
     names: tuple[str, ...]
     files: tuple[Path, ...]
@@ -63,45 +87,112 @@ class Photographs:
     lenses: tuple[DistortedPinhole, ...]
 
 
-def image_size(file: Path) -> tuple[int, int]:
-    """Width and height of an image file, from its header alone."""
-    from PIL import Image, UnidentifiedImageError
+def transforms_frames(source: Path) -> list[Frame]:
+    """The frames that a nerfstudio or instant-ngp transforms.json lists, checked.
 
+    Raises:
+        ValueError: If the file is not valid, or a pose is not a rotation and a translation.
+    """
+    content = read_record(source, TRANSFORMS)
+    shared = {key: value for key, value in content.items() if key != "frames"}
+    frames = []
+    for i, entry in enumerate(content["frames"]):
+        pose = np.array(entry["transform_matrix"], np.float64)
+        where = f"{source}: frames[{i}].transform_matrix"
+        if np.abs(pose[3] - [0, 0, 0, 1]).max() > 1e-6:  # other tools write a rounded inverse
+            raise ValueError(f"{where} must end in the row 0 0 0 1 (is it transposed?), got {pose[3].tolist()}")
+        check_pose(pose, where)
+        frames.append(Frame({**shared, **entry}, entry["file_path"], pose))
+    return frames
+
+
+def check_pose(pose: NDArray[np.float64], where: str) -> None:
+    """Refuse what is no camera's place: [4,4] must be a rotation and a translation of usable size.
+
+    Raises:
+        ValueError: Naming `where`.
+    """
+    if not np.isfinite(pose).all() or np.abs(pose[:3, 3]).max() > MAX_COORDINATE:
+        raise ValueError(f"{where} must be finite, with coordinates up to {MAX_COORDINATE:g}")
+    if not (error := rotation_error(pose[:3, :3])) <= MAX_ROTATION_ERROR:
+        raise ValueError(f"{where} must be a rotation and a translation (no scale, no mirror); R R^T differs from the "
+                         f"identity by {error:.3g}")  # fmt: skip
+
+
+def find_file(folder: Path, listed: str) -> Path | None:
+    """The image that a camera file lists, with or without its suffix and in either form of Unicode; None: not there."""
+    forms = dict.fromkeys((listed, *(unicodedata.normalize(form, listed) for form in ("NFC", "NFD"))))
+    paths = (folder / (form + suffix) for form in forms for suffix in _SUFFIXES)
     try:
-        with Image.open(file) as image:
-            return image.size
-    except (OSError, UnidentifiedImageError) as error:
-        raise ValueError(f"load_set: {file} is not a readable image ({error}); replace or remove it") from error
+        return next((path for path in paths if path.is_file()), None)
+    except OSError as error:
+        raise ValueError(f"{folder} cannot hold the image {listed[:60]!r} ({error.strerror}): rename it") from error
 
 
-def _find(folder: Path, file_path: str) -> Path | None:
-    return next((f for s in _SUFFIXES if (f := folder / (file_path + s)).is_file()), None)
+@dataclass(frozen=True)
+class Listed:
+    """An image that a camera file lists and that is there."""
+
+    file: Path
+    viewmat: NDArray[np.float64]
+    camera: Any
 
 
-def _collect(entries: list[tuple[Path | None, NDArray[np.float64], Any]], source: Path, lens_of: Any) -> Photographs:
-    """Sort the entries by file, skip and count those without one, and bring all to one pinhole rig."""
-    found = sorted(((f, v, c) for f, v, c in entries if f is not None), key=lambda e: str(e[0]))
-    if not found:
+def listed(entries: Sequence[tuple[Path | None, NDArray[np.float64], Any]], source: Path) -> dict[str, Listed]:
+    """What is there of what `source` lists, by the name of the view, in the order of the views.
+
+    Args:
+        entries: File (None: not there), world-to-camera [4,4] and camera of each image.
+        source: For messages.
+
+    Raises:
+        ValueError: If there is none, or one file is listed twice. Missing ones are counted in one warning.
+    """
+    there = [Listed(file, viewmat, camera) for file, viewmat, camera in entries if file is not None]
+    if not there:
         raise ValueError(
             f"load_set: none of the {len(entries)} images listed in {source} exists; put them where it says"
         )
-    if len(found) < len(entries):
-        warnings.warn(f"load_set: {len(entries) - len(found)} of {len(entries)} views listed in {source} have no image "
-                      "file and are skipped", stacklevel=4)  # fmt: skip
-    sizes = {image_size(f) for f, _, _ in found}
+    if len(there) < len(entries):
+        warnings.warn(f"load_set: {len(entries) - len(there)} of {len(entries)} views listed in {source} have no image "
+                      "file and are skipped", stacklevel=5)  # fmt: skip
+    paths = [os.path.abspath(entry.file) for entry in there]
+    for path, count in Counter(paths).items():
+        if count > 1:
+            raise ValueError(f"{source} lists {path} {count} times: keep one, else a held-out view would be trained on")
+        if not _is_text(path):
+            raise ValueError(f"the name of {path!r}, listed in {source}, is not valid UTF-8: rename it")
+    named = dict(zip(view_names([entry.file for entry in there]), there, strict=True))
+    return {name: named[name] for name in sorted(named, key=file_of)}
+
+
+def _is_text(path: str) -> bool:
+    try:
+        path.encode()
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def collect(
+    entries: Sequence[tuple[Path | None, NDArray[np.float64], Any]],
+    source: Path,
+    lens_of: Callable[[Any, int, int], DistortedPinhole],
+) -> Photographs:
+    """Bring what is there of what `source` lists to one pinhole rig; `lens_of` (camera, width, height)."""
+    found = listed(entries, source)
+    sizes = {image_size(entry.file): entry.file.name for entry in found.values()}
     if len(sizes) > 1:
-        raise ValueError(f"load_set: the images of {source} must share one size, got {sorted(sizes)}; resize them "
-                         "together with their intrinsics, or remove the odd ones")  # fmt: skip
+        got = ", ".join(f"{w} x {h} ({name})" for (w, h), name in sorted(sizes.items())[:4])
+        raise ValueError(f"load_set: the images of {source} must share one size, got {got}; resize them together with "
+                         "their intrinsics, or remove the odd ones")  # fmt: skip
     width, height = next(iter(sizes))
-    lenses = tuple(lens_of(camera, width, height) for _, _, camera in found)
-    Ks = np.stack([lens.pinhole(width, height) for lens in lenses])
-    rig = Rig(viewmats=np.stack([v for _, v, _ in found]), Ks=Ks, width=width, height=height)
-    files = tuple(f for f, _, _ in found)
-    stems = [f.stem for f in files]
-    if len(set(stems)) < len(stems):
-        shared = Path(os.path.commonpath([f.parent for f in files]))  # whole paths differ between machines
-        stems = [f.relative_to(shared).with_suffix("").as_posix().replace("/", "_") for f in files]
-    return Photographs(tuple(stems), files, rig, lenses)
+    with reading(source):
+        lenses = tuple(lens_of(entry.camera, width, height) for entry in found.values())
+        Ks = np.stack([lens.pinhole(width, height) for lens in lenses])
+        viewmats = np.stack([entry.viewmat for entry in found.values()])
+        rig = Rig(viewmats=viewmats, Ks=Ks, width=width, height=height)
+    return Photographs(tuple(found), tuple(entry.file for entry in found.values()), rig, lenses)
 
 
 def read_transforms(folder: Path) -> Photographs:
@@ -112,16 +203,9 @@ def read_transforms(folder: Path) -> Photographs:
             or sizes differ.
     """
     source = folder / "transforms.json"
-    try:
-        content = json.loads(source.read_text(encoding="utf-8"))
-        frames = [({**content, **f}, f["file_path"], f["transform_matrix"]) for f in content["frames"]]
-        poses = np.asarray([m for _, _, m in frames], dtype=np.float64).reshape(-1, 4, 4)
-    except (ValueError, KeyError, TypeError) as error:
-        raise ValueError(f"load_set: {source} must be JSON with frames of file_path and 4x4 transform_matrix "
-                         f"({type(error).__name__}: {error})") from error  # fmt: skip
-    viewmats = opengl_to_opencv(poses)
-    entries = [(_find(folder, path), v, camera) for (camera, path, _), v in zip(frames, viewmats, strict=True)]
-    return _collect(entries, source, lambda c, w, h: transforms_lens(c, w, h, source))
+    frames = transforms_frames(source)
+    entries = [(find_file(folder, frame.file_path), opengl_to_opencv(frame.pose), frame.camera) for frame in frames]
+    return collect(entries, source, lambda c, w, h: transforms_lens(c, w, h, source))
 
 
 def transforms_lens(camera: dict[str, Any], width: int, height: int, source: Path) -> DistortedPinhole:
@@ -140,71 +224,26 @@ def transforms_lens(camera: dict[str, Any], width: int, height: int, source: Pat
     if model not in ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL") or camera.get("k4"):
         raise ValueError(f"load_set: {source} has a {model} camera (k4 = {camera.get('k4', 0)}); only pinholes with "
                          "k1 k2 k3 p1 p2 are supported: undistort the images first")  # fmt: skip
-    try:
-        if "fl_x" in camera:
-            fx = float(camera["fl_x"])
-            K = np.array([[fx, 0, width / 2], [0, float(camera.get("fl_y", fx)), height / 2], [0, 0, 1]])
-        else:
-            K = intrinsics(int(camera.get("w", width)), height, np.degrees(float(camera["camera_angle_x"])))
-        listed = float(camera.get("w", width)), float(camera.get("h", height))
-        K[0, 2], K[1, 2] = float(camera.get("cx", listed[0] / 2)), float(camera.get("cy", listed[1] / 2))
-        k1, k2, p1, p2, k3 = (float(camera.get(k, 0)) for k in ("k1", "k2", "p1", "p2", "k3"))
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"load_set: {source} needs fl_x or camera_angle_x as numbers ({error})") from error
-    return DistortedPinhole(_rescale(K, listed, (width, height), source), (k1, k2, p1, p2, k3))
+    for key, (low, high) in RANGES.items():
+        if key in camera and not low < camera[key] < high:
+            raise ValueError(f"load_set: {source}: {key} must lie between {low:g} and {high:g}, got {camera[key]:.3g}")
+    listed = float(camera.get("w", width)), float(camera.get("h", height))
+    if "fl_x" in camera:
+        fx = float(camera["fl_x"])
+        K = np.array([[fx, 0, width / 2], [0, float(camera.get("fl_y", fx)), height / 2], [0, 0, 1]])
+    elif "camera_angle_x" in camera:
+        K = intrinsics(int(listed[0]), height, np.degrees(float(camera["camera_angle_x"])))
+    else:
+        raise ValueError(f"load_set: {source} needs fl_x or camera_angle_x as numbers, got neither")
+    K[0, 2], K[1, 2] = float(camera.get("cx", listed[0] / 2)), float(camera.get("cy", listed[1] / 2))
+    k1, k2, p1, p2, k3 = (float(camera.get(k, 0)) for k in ("k1", "k2", "p1", "p2", "k3"))
+    return DistortedPinhole(rescaled(K, listed, (width, height), source), (k1, k2, p1, p2, k3))
 
 
-def _rescale(K: Any, listed: tuple[float, float], actual: tuple[int, int], source: Path) -> NDArray[np.float64]:
+def rescaled(K: Any, listed: tuple[float, float], actual: tuple[int, int], source: Path) -> NDArray[np.float64]:
     """Follow images that were shrunk after their cameras were written down."""
     sx, sy = actual[0] / listed[0], actual[1] / listed[1]
     if abs(sx / sy - 1) > 0.01:
         raise ValueError(f"load_set: images are {actual[0]} x {actual[1]} but {source} says "
                          f"{listed[0]:g} x {listed[1]:g}, another shape; they do not belong together")  # fmt: skip
     return np.diag([sx, sy, 1.0]) @ K
-
-
-def find_colmap(folder: Path) -> Path | None:
-    """The folder of a COLMAP model (binary or text) inside `folder`, if there is one."""
-    places = (folder / p for p in ("sparse/0", "sparse", "."))
-    return next((p for p in places if any((p / f"cameras.{ext}").is_file() for ext in ("bin", "txt"))), None)
-
-
-def read_colmap(folder: Path, model: Path) -> Photographs:
-    """Read a COLMAP model and the photographs in `folder/images`.
-
-    Raises:
-        ValueError: If the model cannot be read, a lens is not a pinhole with OpenCV distortion, no image exists, or
-            sizes differ.
-    """
-    reconstruction = read_reconstruction(model)
-    entries = []
-    for image in reconstruction.images.values():
-        if not image.has_pose:
-            continue
-        viewmat = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
-        entries.append((_find(folder / "images", image.name), viewmat, reconstruction.cameras[image.camera_id]))
-    return _collect(entries, model, lambda c, w, h: _colmap_lens(c, w, h, model))
-
-
-def read_reconstruction(model: Path) -> Any:
-    """Open a COLMAP model with pycolmap, with a clear error where it cannot."""
-    import pycolmap
-
-    try:
-        return pycolmap.Reconstruction(str(model))
-    except Exception as error:  # pycolmap raises several types, some of them its own
-        raise ValueError(f"load_set: {model} is not a readable COLMAP model ({error})") from error
-
-
-def _colmap_lens(camera: Any, width: int, height: int, source: Path) -> DistortedPinhole:
-    names = [n.strip() for n in camera.params_info.split(",")]
-    params = {n: float(p) for n, p in zip(names, camera.params, strict=True)}
-    # COLMAP calls the radial terms of its one- and two-parameter models k, or k1 and k2.
-    k1 = params["k"] if "k" in params else params.get("k1", 0.0)
-    allowed = {"SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"}
-    if camera.model_name not in allowed:
-        raise ValueError(f"load_set: {source} has a {camera.model_name} camera, supported are {sorted(allowed)}; "
-                         "run colmap image_undistorter first")  # fmt: skip
-    K = np.asarray(camera.calibration_matrix(), dtype=np.float64)
-    K = _rescale(K, (camera.width, camera.height), (width, height), source)
-    return DistortedPinhole(K, (k1, params.get("k2", 0.0), params.get("p1", 0.0), params.get("p2", 0.0), 0.0))

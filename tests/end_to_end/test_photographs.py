@@ -1,7 +1,9 @@
 """Real photographs through the whole line, at a tiny size."""
 
+import json
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from novags.testbed.presets import Preset, adapted
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.capture import CaptureConfig
 from simscenes import orbit_rig
+from simscenes.rigs import opencv_to_opengl
 from simscenes.sets.exr import write_exr
 from simscenes.sets.multiview import write_cameras
 
@@ -70,3 +73,29 @@ def test_the_report_does_not_undo_a_curve_that_linear_files_never_had(
     page = write_report(tmp_path / "run", quiet).read_text(encoding="utf-8")
     assert "photographs, their linear light taken as radiance" in page
     assert "sRGB curve" not in page
+
+
+def test_photographs_of_any_name_go_through_the_whole_line(tiny: Preset, quiet: Console, tmp_path: Path) -> None:
+    files = ["a.png", "a-b.png", "photo.png", "photo (1).png", "one/x.png", "two/x.png", "new\nline.png", "日本[b].png"]
+    frames, shades = [], np.random.default_rng(0)
+    for name, pose in zip(
+        files, opencv_to_opengl(orbit_rig(len(files), 32, 32, 50.0, radius=3.0).viewmats), strict=True
+    ):
+        (tmp_path / "set" / name).parent.mkdir(parents=True, exist_ok=True)
+        done, data = cv2.imencode(".png", shades.integers(20, 200, (32, 32, 3), dtype=np.uint8))
+        assert done
+        (tmp_path / "set" / name).write_bytes(data.tobytes())
+        frames.append({"file_path": name, "transform_matrix": pose.tolist()})
+    (tmp_path / "set" / "transforms.json").write_text(json.dumps({"fl_x": 30.0, "frames": frames}))
+    stages.capture(tmp_path / "set", tmp_path / "capture", CaptureConfig(), quiet)
+    capture = open_capture(tmp_path / "capture")
+    assert sorted(capture.record["files"].values()) == sorted(files)
+    config = adapted(tiny, points=50, iterations=2).reconstruct("naive")
+    stages.reconstruct(tmp_path / "capture", tmp_path / "run", config, quiet)
+    views = stages.score(tmp_path / "run", quiet)["methods"]["naive"]["views"]
+    assert list(views) == ["a-b"] == [sorted(f"{name}.png" for name in capture.names)[0].removesuffix(".png")]
+    page = write_report(tmp_path / "run", quiet).read_text(encoding="utf-8")
+    assert "a-b · held out" in page
+    assert page.count(" · training") == 4
+    listed = (tmp_path / "capture" / "train_list.txt").read_text(encoding="utf-8").splitlines()
+    assert sorted(listed) == sorted(f"{name}.png" for name in capture.names if name != "a-b")

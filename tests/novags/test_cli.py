@@ -148,6 +148,53 @@ def test_the_traceback_is_there_for_those_who_ask(monkeypatch: pytest.MonkeyPatc
         call(monkeypatch, "score", "no-such-folder")
 
 
+@pytest.mark.parametrize(
+    "error", [RuntimeError("first\nsecond"), RecursionError("deep"), KeyError("x"), BaseException("a panic")]
+)
+def test_what_nobody_foresaw_is_one_line_with_the_file_and_the_way_to_a_report(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, error: BaseException
+) -> None:
+    from novags.testbed.folders import set as sets
+
+    def broken(*_: object) -> None:
+        raise error
+
+    (tmp_path / "photographs").mkdir()
+    monkeypatch.setattr(sets, "load_set", broken)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    assert call(monkeypatch, "capture", str(tmp_path / "photographs"), "--out", str(tmp_path / "x")) == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"novags: error: unexpected {type(error).__name__} (at {tmp_path / 'photographs'}): ")
+    (report,) = tmp_path.glob("novags-traceback-*.txt")
+    assert line.endswith(f"please report it: the traceback is in {report}")
+    text = report.read_text(encoding="utf-8")
+    assert "novags capture" in text.splitlines()[0]
+    assert "Traceback (most recent call last)" in text
+
+
+def test_too_little_memory_is_one_line_even_where_nothing_can_be_written(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    from novags.testbed import stages
+
+    def too_large(*_: object) -> None:
+        raise MemoryError
+
+    monkeypatch.setattr(stages, "capture", too_large)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "nowhere"))
+    assert call(monkeypatch, "capture", ".", "--out", "x") == 1
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "choose smaller pictures" in line
+    assert line.endswith("NOVAGS_TRACEBACK=1 before the same command shows the traceback")
+
+
+def test_a_path_that_is_not_utf8_is_refused_before_any_work(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(monkeypatch, "capture", "a\udcff", "--out", "x") == 2
+    assert "is not valid UTF-8: rename that file or folder" in capsys.readouterr().err
+
+
 def test_an_interruption_says_how_to_continue(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

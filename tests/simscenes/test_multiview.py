@@ -239,7 +239,7 @@ def cut_model(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("breakage", "message"),
     [
-        (broken_json, "must be JSON"), (no_frames, "frames"), (no_images, "none of the 2 images"),
+        (broken_json, "not valid JSON"), (no_frames, "frames"), (no_images, "none of the 2 images"),
         (two_sizes, "one size"), (text_as_image, "not a readable image"), (fisheye, "FISHEYE"), (no_focal, "fl_x"),
         (other_shape, "another shape"), (scaled_pose, "rotation"), (unfinished, "unfinished"), (empty, "holds no"),
         (cut_model, "COLMAP"),

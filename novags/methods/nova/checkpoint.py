@@ -30,25 +30,34 @@ def unpack(prefix: str, tensors: dict[str, Tensor], network: nn.Module, adam: Ad
     """Restore what `pack` saved.
 
     Raises:
-        ValueError: If the tensors belong to a network of another shape.
+        ValueError: If the tensors belong to a network of another shape, or are damaged.
     """
     start = f"{prefix}.weights."
     weights = {name.removeprefix(start): value for name, value in tensors.items() if name.startswith(start)}
     own = network.state_dict()
-    if weights.keys() != own.keys() or any(weights[name].shape != own[name].shape for name in own):
+    if weights.keys() != own.keys() or any(not _alike(weights[name], own[name]) for name in own):
         raise ValueError(
             f"the checkpoint's {prefix} has another shape than the configured one: delete it or restore it"
         )
     network.load_state_dict(weights)
     for name, parameter in network.named_parameters():
-        if f"{prefix}.step.{name}" in tensors:
-            moments = {key: tensors[f"{prefix}.{key}.{name}"] for key in _MOMENTS}
+        like = {"step": torch.zeros(()), "exp_avg": parameter, "exp_avg_sq": parameter}
+        moments = {key: tensors[f"{prefix}.{key}.{name}"] for key in _MOMENTS if f"{prefix}.{key}.{name}" in tensors}
+        gradient = tensors.get(f"{prefix}.grad.{name}")
+        whole = not moments or (len(moments) == len(like) and all(_alike(v, like[key]) for key, v in moments.items()))
+        if not whole or not (gradient is None or _alike(gradient, parameter)):
+            raise ValueError(f"the checkpoint's {prefix} is damaged in {name}: delete it, the run then starts over")
+        if moments:
             # torch keeps Adam's step count on the CPU whatever the device of the weights.
             adam.state[parameter] = {k: v if k == "step" else v.to(parameter) for k, v in moments.items()}
-        if (gradient := tensors.get(f"{prefix}.grad.{name}")) is not None:
+        if gradient is not None:
             parameter.grad = torch.zeros_like(parameter).copy_(
                 gradient
             )  # in the layout that autograd continues adding to
+
+
+def _alike(value: Tensor, like: Tensor) -> bool:
+    return value.shape == like.shape and value.dtype == like.dtype and bool(torch.isfinite(value).all())
 
 
 def read(path: Path) -> dict[str, Tensor]:

@@ -179,8 +179,17 @@ class Denoiser:
         """Continue from `state`.
 
         Raises:
-            ValueError: If it belongs to a network of another shape.
+            ValueError: If it belongs to a network of another shape, or is damaged.
         """
         unpack("denoiser", tensors, self.network, self.optimizer)
-        self.generator.set_state(tensors["denoiser.generator"])
-        self.step = int(tensors["denoiser.steps"])
+        steps, state = tensors.get("denoiser.steps"), tensors.get("denoiser.generator")
+        like = self.generator.get_state()
+        if state is None or state.shape != like.shape or state.dtype != like.dtype:
+            raise ValueError("the checkpoint lacks the denoiser's random state: delete it, the run then starts over")
+        if steps is None or steps.shape != () or not 0 <= (done := int(steps)) <= self.total_steps:
+            raise ValueError(
+                f"the checkpoint's denoiser must have done 0 to {self.total_steps} steps: delete it, the run then "
+                "starts over"
+            )
+        self.generator.set_state(state.cpu())
+        self.step = done

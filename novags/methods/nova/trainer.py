@@ -23,6 +23,7 @@ from novags.methods.start import start_gaussians
 from novags.splats.checkpoint import digest, write_tensors
 from novags.splats.fit import FitConfig, Step, fit
 from novags.splats.gaussians import Gaussians
+from sensor_model.files.reading import reading
 
 SAVE_INTERVAL = 60.0  # s between two checkpoints of the warm-up: its steps take from milliseconds to many seconds
 
@@ -98,6 +99,8 @@ class _PseudoClean:
         for name, image in tensors.items():
             if name.startswith("clean."):
                 view, step = map(int, name.split(".")[1:])
+                if not 0 <= view < len(self.enhanced) or image.shape != self.enhanced[view].shape:
+                    raise ValueError(f"{name} is no image of a view: delete it, the run then starts over")
                 self.cached[view] = (step, image.to(self.enhanced))
 
 
@@ -137,7 +140,8 @@ class _Training:
         self.fit_path = checkpoint
         self.path = None if checkpoint is None else checkpoint.with_name(f"{checkpoint.stem}.denoiser.safetensors")
         if self.path is not None and self.path.exists():
-            self._restore(read(self.path))
+            with reading(self.path, "delete it, the run then starts over"):
+                self._restore(read(self.path))
         elif checkpoint is not None and checkpoint.exists():
             raise ValueError(f"{checkpoint} lacks the networks that belong to it: delete it, the run then starts over")
 
@@ -205,7 +209,8 @@ class _Training:
         write_tensors(self.path, tensors)
 
     def _restore(self, tensors: dict[str, Tensor]) -> None:
-        if not torch.equal(tensors.get("run", torch.empty(0)), self.run):
+        run = tensors.get("run", torch.empty(0))
+        if run.dtype != self.run.dtype or not torch.equal(run, self.run):
             raise ValueError(f"{self.path} belongs to a run of other images or settings: delete it or restore them")
         if self.denoiser is not None:
             self.denoiser.restore(tensors)
@@ -213,6 +218,8 @@ class _Training:
         if self.geo is not None:
             self.geo.restore(tensors)
         self.seconds = float(tensors["seconds"])
+        if not 0 <= self.seconds < float("inf"):
+            raise ValueError(f"{self.path} states {self.seconds} s: delete it, the run then starts over")
         device = self.enhanced.device
         start = {name.removeprefix("start."): t.to(device) for name, t in tensors.items() if name.startswith("start.")}
         self.start = Gaussians(**start) if start else None

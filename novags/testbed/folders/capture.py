@@ -7,6 +7,7 @@ truth/NNNN.exr        digital numbers: analytic mean and variance, noise-free (c
 transforms.json ...   the cameras, as in a multiview set
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from novags.methods.memo import Memo
 from novags.methods.problem import Pictures, encode
 from novags.testbed.cache import folder_digest, read_json
 from novags.testbed.console import Console
+from novags.testbed.folders import shapes
 from novags.testbed.folders.raw_files import read_digital_numbers
 from novags.testbed.folders.set import Source, open_source
 from sensor_model import (
@@ -29,7 +31,8 @@ from sensor_model import (
     sensor_from_dict,
     write_dng,
 )
-from sensor_model.isp import Demosaic
+from sensor_model.files.reading import reading
+from sensor_model.isp import DEMOSAIC, Demosaic
 from simscenes.sets.camera_files import CAMERA_FILES
 from simscenes.sets.exr import read_exr, write_exr
 from simscenes.sets.multiview import MultiviewSet, load_set
@@ -95,16 +98,17 @@ class Capture:
 
     def srgb8(self, i: int) -> np.ndarray:
         """The 8-bit picture, sRGB-encoded float32 [h,w,3] in 0..1."""
-        return self.memo.once(("srgb8", i), lambda: read_png(self.path / "images" / f"{self.names[i]}.png"))
+        return self.memo.once(("srgb8", i), lambda: self._read(read_png, "images", i, ".png"))
 
     def linear16(self, i: int) -> np.ndarray:
         """The 16-bit picture, linear float32 [h,w,3], 0 = black, 1 = white; noise around black stays below 0."""
-        codes = self.path / "images16" / f"{self.names[i]}.png"
-        return self.memo.once(("linear16", i), lambda: from_linear16(read_codes(codes)).astype(np.float32))
+        return self.memo.once(
+            ("linear16", i), lambda: from_linear16(self._read(read_codes, "images16", i, ".png")).astype(np.float32)
+        )
 
     def raw(self, i: int) -> np.ndarray:
         """Digital numbers of the sensor, uint16 [h,w], or [h,w,3] of three chips."""
-        return read_digital_numbers(self.path / "raw" / f"{self.names[i]}.dng")
+        return self._read(read_digital_numbers, "raw", i, ".dng")
 
     def dark(self, i: int, pictures: Pictures) -> np.ndarray:
         """The dark exposure, sRGB-encoded float32 [h,w,3] in 0..1: the 8-bit picture, or the linear one encoded."""
@@ -119,18 +123,23 @@ class Capture:
         return self.memo.once(("clean linear", i), lambda: self._developed_clean(i))
 
     def _developed_clean(self, i: int) -> np.ndarray:
-        channels, _ = read_exr(self.path / "truth" / f"{self.names[i]}.exr")
-        if "clean" in channels:
-            dn = channels["clean"]
-        else:
-            dn = np.stack([channels[f"clean.{colour}"] for colour in "RGB"], axis=-1)
+        dn = self._read(_clean_dn, "truth", i, ".exr")
         matrix = self.record["color_matrix"]
         return develop_linear(dn, self.sensor, demosaic=self.record["demosaic"], color_matrix=matrix)
+
+    def _read(self, read: Callable[[Path], np.ndarray], kind: str, i: int, suffix: str) -> np.ndarray:
+        """A file of view `i`, as large as its camera says."""
+        path = self.path / kind / f"{self.names[i]}{suffix}"
+        found, rig = read(path), self.cameras.rig
+        if found.shape[:2] != (rig.height, rig.width):
+            height, width = found.shape[:2]
+            raise ValueError(f"{path} must be {rig.width} x {rig.height} px, got {width} x {height}: capture again")
+        return found
 
     @property
     def exposure(self) -> Exposure:
         """How the camera was used."""
-        return Exposure(**{**self.record["exposure"], "origin": tuple(self.record["exposure"]["origin"])})
+        return exposure_of(self.record)
 
     @property
     def channels_share(self) -> tuple[str, ...]:
@@ -161,6 +170,20 @@ class Capture:
         return source
 
 
+def _clean_dn(path: Path) -> np.ndarray:
+    channels, _ = read_exr(path)
+    if "clean" in channels:
+        return channels["clean"]
+    if missing := [name for colour in "RGB" if (name := f"clean.{colour}") not in channels]:
+        raise ValueError(f"{path} lacks the channels {', '.join(missing)}: capture again")
+    return np.stack([channels[f"clean.{colour}"] for colour in "RGB"], axis=-1)
+
+
+def exposure_of(record: dict[str, Any]) -> Exposure:
+    """The exposure in a capture's record."""
+    return Exposure(**{**record["exposure"], "origin": tuple(record["exposure"]["origin"])})
+
+
 _OPENED: dict[Path, Capture] = {}  # the last one: stages of one experiment open the same capture again and again
 
 
@@ -176,14 +199,14 @@ def open_capture(path: Path) -> Capture:
         raise ValueError(
             f"{path} holds no {RECORD}: it is not a capture, or an unfinished one (run novags capture again)"
         )
-    record = read_json(path / RECORD)
-    missing = [key for key in ("sensor", "set", "demosaic", "color_matrix", "stage") if key not in record]
-    if missing:
-        raise ValueError(f"{path / RECORD} lacks {', '.join(missing)}: capture again")
+    record = read_json(path / RECORD, shapes.CAPTURE)
+    with reading(path / RECORD, "capture again"):
+        sensor, _ = sensor_from_dict(record["sensor"]), exposure_of(record)
+        if record["demosaic"] not in DEMOSAIC:
+            raise ValueError(f"demosaic must be one of {', '.join(DEMOSAIC)}, got {record['demosaic']!r}")
     known, content = _OPENED.get(path.resolve()), folder_digest(path, OWNS)
     if known is not None and known.content == content:
         return known
-    sensor = sensor_from_dict(record["sensor"])
     capture = Capture(path=path, record=record, cameras=load_set(path), sensor=sensor, content=content)
     _OPENED.clear()
     _OPENED[path.resolve()] = capture

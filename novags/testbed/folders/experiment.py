@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from novags.testbed.cache import UNFINISHED, read_json
+from novags.testbed.folders import shapes
 from novags.testbed.folders.run import RECORD, Run, open_run
 
 EXPERIMENT = "experiment.json"
@@ -21,7 +22,7 @@ def find_runs(folder: Path) -> dict[str, Run]:
         run = open_run(folder)
         return {run.name: run}
     if (folder / EXPERIMENT).exists():
-        return {name: open_run(folder / name) for name in read_json(folder / EXPERIMENT)["methods"]}
+        return {name: open_run(folder / name) for name in read_json(folder / EXPERIMENT, shapes.EXPERIMENT)["methods"]}
     raise ValueError(
         f"{folder} is neither a run (no {RECORD}) nor an experiment (no {EXPERIMENT}; if it is "
         "an unfinished one, run the same command again)"

@@ -4,8 +4,6 @@ Readers of 8-bit photographs are in `simscenes.sets.multiview`; this one takes t
 kind of set, one file in memory at a time.
 """
 
-import json
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,10 +12,11 @@ import numpy as np
 
 from novags.testbed.folders import raw_files
 from sensor_model import to_srgb8
+from sensor_model.files.reading import reading
 from simscenes.rigs import Rig, opengl_to_opencv
 from simscenes.sets.exr import read_exr
 from simscenes.sets.multiview import MultiviewSet
-from simscenes.sets.photographs import transforms_lens
+from simscenes.sets.photographs import find_file, listed, transforms_frames, transforms_lens
 
 SUFFIXES = (".exr", *raw_files.SUFFIXES)
 WHITE_QUANTILE = 0.99  # of an EXR image's light, whose unit is unknown, becomes white in its 8-bit picture
@@ -41,43 +40,41 @@ def load_linear_set(folder: Path) -> LinearPhotographs | None:
     """The set, or None if the folder has no transforms.json that lists linear files.
 
     Raises:
-        ValueError: If linear and other files are mixed, all are missing, or their sizes differ. Listed files that are
+        ValueError: If the camera file is not valid, linear and other files are mixed, all are missing, or their sizes
+            differ. Listed files that are
             missing are skipped and counted in one warning, as `load_set` does.
     """
     source = folder / "transforms.json"
-    named = _listed(source)
-    linear = [Path(path).suffix.lower() in SUFFIXES for _, path, _ in named]
+    frames = transforms_frames(source) if source.is_file() else []
+    linear = [Path(frame.file_path).suffix.lower() in SUFFIXES for frame in frames]
     if not any(linear):
         return None
     if not all(linear):
         raise ValueError(f"{source} must list either linear files ({', '.join(SUFFIXES)}) or others, not both")
-    listed = [entry for entry in named if (folder / entry[1]).is_file()]
-    if not listed:
-        raise ValueError(f"none of the {len(named)} images listed in {source} exists; put them where it says")
-    if len(listed) < len(named):
-        missing = f"{len(named) - len(listed)} of {len(named)} views listed in {source} have no image file"
-        warnings.warn(f"{missing} and are skipped", stacklevel=2)
-    files = [folder / path for _, path, _ in listed]
-    order = sorted(range(len(files)), key=lambda i: str(files[i]))
-    files = [files[i] for i in order]
+    found = listed([(find_file(folder, f.file_path), opengl_to_opencv(f.pose), f.camera) for f in frames], source)
+    entries = list(found.values())
+    files = tuple(entry.file for entry in entries)
     sizes = {_size(file) for file in files}
     if len(sizes) > 1:
         raise ValueError(f"the images of {source} must share one size, got {sorted(sizes)}")
-    width, height = _without_margins(sizes.pop(), listed[0][0]) if raw_files.is_raw(files[0]) else sizes.pop()
-    lenses = tuple(transforms_lens(listed[i][0], width, height, source) for i in order)
-    rig = Rig(
-        viewmats=opengl_to_opencv(np.stack([listed[i][2] for i in order])),
-        Ks=np.stack([lens.pinhole(width, height) for lens in lenses]),
-        width=width,
-        height=height,
-    )
+    width, height = sizes.pop()
+    if raw_files.is_raw(files[0]):
+        width, height = _without_margins((width, height), frames[0].camera)
+    with reading(source):
+        lenses = tuple(transforms_lens(entry.camera, width, height, source) for entry in entries)
+        rig = Rig(
+            viewmats=np.stack([entry.viewmat for entry in entries]),
+            Ks=np.stack([lens.pinhole(width, height) for lens in lenses]),
+            width=width,
+            height=height,
+        )
     return LinearPhotographs(
         path=folder,
-        names=_names(files),
+        names=tuple(found),
         rig=rig,
         kind="photographs",
         meta={"exposure_scale": _exposure_scale(files)},
-        files=tuple(files),
+        files=files,
         lenses=lenses if any(any(lens.distortion) for lens in lenses) else None,
     )
 
@@ -96,16 +93,6 @@ def read_linear(file: Path) -> np.ndarray:
     return np.stack([channels[name] for name in "RGB"], axis=-1).astype(np.float32)
 
 
-def _listed(source: Path) -> list[tuple[dict[str, Any], str, np.ndarray]]:
-    """Camera, file and pose of every frame; empty if the file is missing or not for this reader."""
-    try:
-        content = json.loads(source.read_text(encoding="utf-8"))
-        frames = content["frames"]
-        return [({**content, **f}, f["file_path"], np.reshape(f["transform_matrix"], (4, 4))) for f in frames]
-    except (OSError, ValueError, KeyError, TypeError):
-        return []  # load_set reports what is wrong with it
-
-
 def _size(file: Path) -> tuple[int, int]:
     if raw_files.is_raw(file):
         return raw_files.size(file)
@@ -121,9 +108,9 @@ def _size(file: Path) -> tuple[int, int]:
 
 def _without_margins(size: tuple[int, int], camera: dict[str, Any]) -> tuple[int, int]:
     """Raw files show some pixels around the camera's own pictures, from which poses are usually estimated."""
-    listed = int(camera.get("w", size[0])), int(camera.get("h", size[1]))
-    margins = all(0.95 * whole <= part <= whole for whole, part in zip(size, listed, strict=True))
-    return listed if margins else size
+    stated = int(camera.get("w", size[0])), int(camera.get("h", size[1]))
+    margins = all(0.95 * whole <= part <= whole for whole, part in zip(size, stated, strict=True))
+    return stated if margins else size
 
 
 def _middle(light: np.ndarray, height: int, width: int) -> np.ndarray:
@@ -131,14 +118,7 @@ def _middle(light: np.ndarray, height: int, width: int) -> np.ndarray:
     return light[y : y + height, x : x + width]
 
 
-def _names(files: list[Path]) -> tuple[str, ...]:
-    stems = [file.stem for file in files]
-    if len(set(stems)) < len(stems):
-        raise ValueError(f"file names must differ in more than their extension or folder, got {sorted(stems)}")
-    return tuple(stems)
-
-
-def _exposure_scale(files: list[Path]) -> float:
+def _exposure_scale(files: tuple[Path, ...]) -> float:
     """One factor for the whole set that makes a bright part of its first view white."""
     if raw_files.is_raw(files[0]):
         return 1.0

@@ -17,8 +17,10 @@ import numpy as np
 
 from novags.testbed.cache import folder_digest, read_json
 from novags.testbed.console import Console
+from novags.testbed.folders import shapes
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.set import Source
+from sensor_model.files.records import check_shape
 from simscenes.sets.exr import read_exr
 from simscenes.sets.png import read_png
 
@@ -101,7 +103,7 @@ class Run:
         """Its part of metrics.json; None if it has not been scored since it was made."""
         if not (self.path / METRICS).exists():
             return None
-        methods: dict[str, Any] = read_json(self.path / METRICS)["methods"]
+        methods: dict[str, Any] = read_json(self.path / METRICS, shapes.METRICS)["methods"]
         return methods.get(self.name)
 
     def digest(self) -> str:
@@ -131,8 +133,7 @@ def open_run(path: Path) -> Run:
             "resumes)"
         )
     record = _as_written_now(read_json(path / RECORD))
-    if missing := [key for key in ("name", "method", "capture", "space", "stage") if key not in record]:
-        raise ValueError(f"{path / RECORD} lacks {', '.join(missing)}: reconstruct again")
+    check_shape(record, shapes.RUN, f"{path / RECORD}", "reconstruct again")
     return Run(path=path, record=record)
 
 

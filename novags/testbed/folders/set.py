@@ -121,6 +121,10 @@ def open_source(path: Path, console: Console, max_size: int | None = None) -> So
     """
     with warnings_as_notes(console):
         views = load_linear_set(path) or load_set(path)
+    if views.renamed and views.kind == "photographs" and not (path / "capture.json").is_file():
+        name, file = next(iter(views.renamed.items()))
+        console.warn(f"{len(views.renamed)} of {len(views)} files and their views cannot have one name ({file!r}: view "
+                     f"{name}); capture.json names the file of each")  # fmt: skip
     rig = views.rig if max_size is None else scaled_rig(views.rig, max_size)
     if min(rig.width, rig.height) < SSIM_WINDOW:
         larger = "" if max_size is None else f": choose a max_size larger than {max_size}"

@@ -5,6 +5,7 @@ from typing import Any
 
 from novags.testbed.cache import read_json, write_text
 from novags.testbed.console import Console, Update
+from novags.testbed.folders import shapes
 from novags.testbed.folders.experiment import EXPERIMENT, REPORT, find_runs
 from novags.testbed.folders.linear_photographs import LinearPhotographs
 from novags.testbed.folders.run import METRICS
@@ -44,7 +45,7 @@ def read_material(folder: Path, console: Console) -> Material:
     runs = find_runs(folder)
     if not (folder / METRICS).exists():
         raise ValueError(f"{folder} has no {METRICS}: run novags score {folder} first")
-    metrics = read_json(folder / METRICS)
+    metrics = read_json(folder / METRICS, shapes.METRICS)
     inputs = {captured.path: (captured, lit) for captured, lit in (run.inputs(console) for run in runs.values())}
     if len(inputs) > 1:
         raise ValueError(f"the runs in {folder} were made from different captures: {', '.join(map(str, inputs))}")
@@ -52,7 +53,7 @@ def read_material(folder: Path, console: Console) -> Material:
     if old := [name for name, run in runs.items() if name not in scored or run.scores() != scored[name]]:
         raise ValueError(f"{folder / METRICS} has no scores of {', '.join(old)} as of now: run novags score {folder}")
     capture, lit = next(iter(inputs.values()))
-    experiment = read_json(folder / EXPERIMENT) if (folder / EXPERIMENT).exists() else {}
+    experiment = read_json(folder / EXPERIMENT, shapes.EXPERIMENT) if (folder / EXPERIMENT).exists() else {}
     return Material(folder, experiment, runs, metrics, capture, lit)
 
 

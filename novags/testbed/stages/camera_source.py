@@ -10,6 +10,7 @@ from torch import Tensor
 
 from novags.cameras import CameraConfig, CameraEstimate, KnownConfig, check_cameras, estimate_cameras
 from novags.cameras.align import Alignment, align, to_estimated
+from novags.cameras.estimate import near_origin
 from novags.methods.enhancers import guided
 from novags.methods.nova.denoiser import FAST_DENOISER, Denoiser
 from novags.splats import Views
@@ -41,7 +42,7 @@ def cameras_of(
     if isinstance(config, KnownConfig):
         if not source.scaled:  # depth for the first points; its cameras differ from the capture's by rounding
             views = dataclasses.replace(source.views, rig=views.rig)
-        return estimate_cameras(config, views, indices, dark, n_points=points, seed=seed)
+        return estimate_cameras(config, views.about(origin_of(capture)), indices, dark, n_points=points, seed=seed)
     with console.progress("cameras") as progress:
         pictures = pictures_for(config.pictures, dark, seed)
         return estimate_cameras(
@@ -78,6 +79,8 @@ def codes(images: Tensor) -> np.ndarray:
 class Frame:
     """The coordinate frame of a reconstruction, and the true cameras in it.
 
+    True cameras are those of the capture, seen from `origin_of` it.
+
     Attributes:
         capture: The capture.
         indices: Of the capture's views, the training views that have a camera.
@@ -110,7 +113,11 @@ class Frame:
         return Views(viewmat.to(device, torch.float32), K.to(device, torch.float32), rig.width, rig.height)
 
     def facts(self) -> dict[str, Any]:
-        """For the record: which views have a camera, how large the errors are after alignment, the depth scale."""
+        """For the record: which views have a camera, how large the errors are after alignment, the depth scale.
+
+        `origin` is there where the set lies far from zero: add it to coordinates of the true frame (those of
+        point_cloud.ply with cameras "known") to get the set's own, which float32 could not hold.
+        """
         names, train = self.capture.names, self.capture.cameras.train_indices
         found = self.alignment
         return {
@@ -122,9 +129,18 @@ class Frame:
             "mean_rotation_deg": float(found.rotation_deg.mean()),
             "mean_centre_error": float(found.centre_error.mean()),
             "depth_scale": float(found.similarity.scale),
+            **({"origin": list(origin)} if any(origin := origin_of(self.capture)) else {}),
         }
 
 
 def true_cameras(capture: Capture) -> Tensor:
-    """World-to-camera matrices of all views [C, 4, 4] float64."""
-    return torch.from_numpy(np.array(capture.cameras.rig.viewmats, np.float64))
+    """World-to-camera matrices of all views [C, 4, 4] float64, in a world whose zero is at `origin_of` the capture."""
+    viewmats = np.array(capture.cameras.rig.viewmats, np.float64)
+    if any(origin := near_origin(viewmats)):
+        viewmats[:, :3, 3] += viewmats[:, :3, :3] @ origin
+    return torch.from_numpy(viewmats)
+
+
+def origin_of(capture: Capture) -> tuple[float, float, float]:
+    """Where the zero of reconstructions lies in the capture's coordinates: elsewhere than at zero if that is far."""
+    return near_origin(np.asarray(capture.cameras.rig.viewmats, np.float64))

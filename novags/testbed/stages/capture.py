@@ -204,7 +204,14 @@ def capture_views(
         "width": source.rig.width,
         "height": source.rig.height,
         "plan": None if plan is None else plan.to_dict(),
+        **({"files": files_of(source)} if source.views.renamed else {}),
     }
+
+
+def files_of(source: Source) -> dict[str, str]:
+    """The file of each view, relative to the set, by the view's name."""
+    views = source.views
+    return {name: os.path.relpath(file, views.path) for name, file in zip(views.names, views.files, strict=True)}
 
 
 def measure_light(source: Source, sensor: Sensor, progress: Update) -> tuple[float, np.ndarray]:

@@ -87,6 +87,14 @@ def test_other_orders_types_and_extra_properties_are_read(tmp_path):
         (lambda raw: raw.replace(b"float opacity", b"float opaqueness"), "lacks the vertex properties opacity"),
         (lambda raw: raw.replace(b"float f_rest_3", b"float other_3"), "0, 9, 24 or 45 f_rest properties, got 8"),
         (lambda raw: raw.replace(b"property float x", b"property list uchar int x"), "must be plain numbers"),
+        (lambda raw: raw.replace(b"property float y", b"property float x"), "plain numbers, each once"),
+        (lambda raw: raw.replace(b"property float x", b"property"), "a line of the PLY header is not complete"),
+        (lambda raw: raw.replace(b"element vertex 3", b"element vertex"), "a line of the PLY header is not complete"),
+        (lambda raw: raw.replace(b"vertex 3", b"vertex " + b"9" * 400), "number of vertices must be a whole number"),
+        (lambda raw: raw.replace(b"vertex 3", b"vertex 999999999999999"), "must hold 999999999999999 vertices"),
+        (lambda raw: raw.replace(b"vertex 3", b"vertex -3"), "number of vertices must be a whole number"),
+        (lambda raw: raw.replace(b"end_header\n", b"comment\n" * 2000), "its header ends early"),
+        (lambda raw: raw[:-4] + b"\0\0\xc0\x7f", "must hold finite numbers in rot_0, rot_1, rot_2, rot_3, got .* at 2"),
     ],
 )
 def test_damaged_files_are_refused(tmp_path, damage, message):

@@ -290,7 +290,7 @@ def test_jsonable_keeps_numbers_and_spells_out_what_json_lacks() -> None:
 
 @pytest.mark.parametrize(
     ("content", "message"),
-    [(None, "cannot read"), ("{", "not valid JSON"), ("[1]", "must hold a JSON object")],
+    [(None, "cannot read"), ("{", "not valid JSON"), ("[1]", "must be an object")],
 )
 def test_broken_records_give_one_clear_error(tmp_path: Path, content: str | None, message: str) -> None:
     if content is not None:

@@ -1,0 +1,78 @@
+"""What the command line says when a command fails: one line, and for what nobody foresaw a file with the traceback."""
+
+import os
+import shlex
+import sys
+import tempfile
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+OURS = ("novags.", "simscenes.", "sensor_model.")
+
+
+@contextmanager
+def errors_in_one_line() -> Iterator[None]:
+    """Around a command.
+
+    Wrong input gives one line on standard error and exit code 2; what the system refuses, and what novags did not
+    expect, one line and 1. NOVAGS_TRACEBACK=1 shows the whole traceback instead.
+    """
+    try:
+        _check_encoding(sys.argv[1:])
+        yield
+    except KeyboardInterrupt:
+        sys.exit(_say("interrupted; the same command again continues where this one stopped", 130))
+    except SystemExit:
+        raise
+    except BaseException as error:  # the panics of libraries written in Rust are no Exceptions
+        if os.environ.get("NOVAGS_TRACEBACK"):
+            raise
+        if isinstance(error, ValueError | OSError) or (isinstance(error, MemoryError) and str(error)):
+            sys.exit(_say(f"error: {error}", 2 if isinstance(error, ValueError) else 1))
+        sys.exit(_say(f"error: {explained(error)}", 1))
+
+
+def explained(error: BaseException) -> str:
+    """What happened, the file it was about and what to do; the traceback goes to a file."""
+    about = file_of(error)
+    where = f" (at {about})" if about else ""
+    said = " ".join(str(error).split())[:300]
+    if isinstance(error, MemoryError):
+        return f"{said or 'out of memory: choose smaller pictures or fewer points'}{where}; {_report(error)}"
+    return f"unexpected {type(error).__name__}{where}: {said or 'no message'}; please report it: {_report(error)}"
+
+
+def file_of(error: BaseException) -> Path | None:
+    """The file or folder that the innermost function of ours was at work on."""
+    for frame, _ in reversed(list(traceback.walk_tb(error.__traceback__))):
+        if frame.f_globals.get("__name__", "").startswith(OURS):
+            paths = [value for value in frame.f_locals.values() if isinstance(value, Path)]
+            if paths:
+                return paths[0]
+    return None
+
+
+def _report(error: BaseException) -> str:
+    """Write the traceback to a file of its own; where it is."""
+    command = shlex.join(["novags", *sys.argv[1:]])
+    try:
+        handle, name = tempfile.mkstemp(prefix="novags-traceback-", suffix=".txt")
+        with os.fdopen(handle, "w", encoding="utf-8", errors="replace") as file:
+            file.write(f"{command}\npython {sys.version}\n\n{''.join(traceback.format_exception(error))}")
+    except OSError:  # the disk is full, for example
+        return "NOVAGS_TRACEBACK=1 before the same command shows the traceback"
+    return f"the traceback is in {name}"
+
+
+def _check_encoding(words: list[str]) -> None:
+    """Refuse paths that are not UTF-8 before any work: the libraries that write images cannot open them."""
+    for word in words:
+        if any("\ud800" <= c <= "\udfff" for c in word):
+            raise ValueError(f"{word!r} is not valid UTF-8: rename that file or folder")
+
+
+def _say(text: str, code: int) -> int:
+    print(f"novags: {' '.join(text.split())}", file=sys.stderr)
+    return code

@@ -1,0 +1,42 @@
+"""What records of finished stages look like, as far as later stages rely on it; see `sensor_model.files.records`."""
+
+from typing import Any
+
+from sensor_model.files.records import Numbers
+
+MEASURED: Any = (float, str, None)  # "inf" and "nan" are text in JSON; null: not measured
+EFFECT = {"name": str, "on": bool, "forced": bool, "contribution": MEASURED, "bound": MEASURED, "unit": str,
+          "reason": str}  # fmt: skip
+PLAN = {"effects": [EFFECT], "bound": MEASURED, "unit": str, "biases?": {"*": MEASURED}}
+HARDWARE = {"processor": str, "cores": int, "memory_bytes": int, "gpu": (str, None)}
+STAGE = {"key": str, "inputs": {"*": str}, "config": dict, "seconds": float, "peak_bytes": int}
+CAPTURE = {
+    "set": {"path": str, "kind": str, "max_size": (int, None)}, "sensor_name": str, "sensor": dict,
+    "exposure": {"time": float, "temperature?": (float, None), "origin": [int], "line_time?": float},
+    "electrons": float, "signal_quantiles_e": {"0.01": float, "0.99": float}, "demosaic": str,
+    "color_matrix": (Numbers(3, 3), None), "jpeg_quality?": (int, None), "views": int, "width": int, "height": int,
+    "plan": (PLAN, None), "stage": {**STAGE, "inputs": {"set": str}},
+}  # fmt: skip
+CAMERAS = {"source": str, "unregistered": [str], "registered_share": float, "mean_rotation_deg": float,
+           "mean_centre_error": float, "depth_scale": float}  # fmt: skip
+RUN = {
+    "name": str, "method": str, "title?": str, "capture": str, "space": str, "config": dict,
+    "enhancement": ({"enhancer": str, "pictures": str, "config": dict}, None), "cameras?": (CAMERAS, None),
+    "seconds": {"*": float},
+    "stage": {**STAGE, "inputs": {"capture": str, "set": str}, "versions": {"*": str}, "hardware": HARDWARE},
+}  # fmt: skip
+EXPERIMENT = {"command": (str, None), "methods": [str], "preset": dict}
+GEOMETRY = {"abs_rel": MEASURED, "within_5_percent": MEASURED, "coverage": MEASURED, "floaters": MEASURED,
+            "consistency": {"excess": MEASURED}}  # fmt: skip
+BLUR = {"psnr": MEASURED, "aligned_psnr": MEASURED, "sigma": float}
+SCORES = {
+    "mean": {"*": {"*": MEASURED}}, "views": {"*": {"*": {"*": MEASURED}}}, "geometry?": (GEOMETRY, None),
+    "training_2d": ({"enhanced": dict, "blur": BLUR, "best_blur": BLUR}, None), "seconds": {"*": float},
+    "peak_bytes": int,
+}  # fmt: skip
+METRICS = {
+    "methods": {"*": SCORES},
+    "recovered": {"*": float},
+    "recovered_lit?": {"*": float},
+    "unavailable": {"*": str},
+}

@@ -1,0 +1,38 @@
+"""Files that people bring: whatever is wrong with one becomes one line that names it."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+WORDS: dict[type[Exception], str] = {
+    RecursionError: "is nested too deeply",
+    OverflowError: "holds a number that is too large",
+    UnicodeDecodeError: "is not UTF-8 text",
+}
+
+
+@contextmanager
+def reading(path: str | os.PathLike[str], remedy: str = "correct it or put the original back") -> Iterator[None]:
+    """Around everything that makes sense of a file's content: any failure becomes a ValueError that names the file.
+
+    Args:
+        path: The file; a ValueError that names it already passes as it is.
+        remedy: What the user can do.
+
+    Raises:
+        ValueError: For every exception but OSError and MemoryError, which are not the content's fault.
+    """
+    try:
+        yield
+    except (OSError, MemoryError):
+        raise
+    except Exception as error:
+        if isinstance(error, ValueError) and str(path) in str(error):
+            raise
+        said = [words for kind, words in WORDS.items() if isinstance(error, kind)]
+        if isinstance(error, ValueError) and not said:
+            raise ValueError(f"{path}: {error}; {remedy}") from error
+        what = said[0] if said else f"is damaged ({type(error).__name__}: {error})"
+        raise ValueError(f"{path} {what}; {remedy}") from error

@@ -1,0 +1,144 @@
+"""JSON files: read, and checked against the shape that their readers rely on, so that an edit by hand costs one line.
+
+A shape is
+    str, bool, dict, list, None   a value of that type
+    int, float                    a whole number below 2**63; a finite number, in floating point
+    Numbers(3, 3)                 finite numbers in rows of that size
+    {"a": shape, "b?": shape}     an object with these entries, those with "?" optional; others are left alone
+    {"*": shape}                  an object whose entries all have the shape
+    [shape]                       a list of any length
+    (shape, shape)                any of these
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+from sensor_model.files.reading import reading
+
+Shape = Any
+_WORDS: dict[Any, str] = {
+    str: "text", bool: "true or false", int: "a whole number", float: "a finite number", dict: "an object",
+    list: "a list", None: "null",
+}  # fmt: skip
+
+
+class Numbers:
+    """Finite numbers in nested lists of a fixed size."""
+
+    def __init__(self, *size: int) -> None:
+        self.size = size
+
+
+def read_record(path: Path, shape: Shape = dict, remedy: str = "correct it or put the original back") -> Any:
+    """The content of a JSON file.
+
+    Args:
+        path: The file.
+        shape: What it must look like.
+        remedy: What the user can do about a file that does not.
+
+    Raises:
+        ValueError: If the file is unreadable, not JSON or of another shape; names the file and the place in it.
+    """
+    try:
+        text = path.read_bytes()
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror or error}") from error
+    with reading(path, remedy):
+        try:
+            value = json.loads(text.decode())
+        except json.JSONDecodeError as error:
+            raise ValueError(f"{path} is not valid JSON ({error}); {remedy}") from error
+    check_shape(value, shape, f"{path}", remedy)
+    return value
+
+
+def check_shape(value: Any, shape: Shape, where: str, remedy: str = "") -> None:
+    """Refuse a value of another shape.
+
+    Raises:
+        ValueError: Naming the place of the first difference, what must be there and what is.
+    """
+    found = _difference(value, shape, "")
+    if found is not None:
+        place, rule, got = found
+        raise ValueError(f"{where}: {place or 'its content'} must be {rule}, got {_shown(got)}"
+                         + (f"; {remedy}" if remedy else ""))  # fmt: skip
+
+
+def _difference(value: Any, shape: Shape, place: str) -> tuple[str, str, Any] | None:
+    """Place, rule and value of the first difference."""
+    if isinstance(shape, tuple):
+        found = [_difference(value, option, place) for option in shape]
+        # Of an object or a list that is nearly right, the place inside says more than a list of all options.
+        inner = [f for f in found if f is not None and f[0] != place]
+        return None if None in found else inner[0] if inner else (place, " or ".join(map(_words, shape)), value)
+    if isinstance(shape, Numbers):
+        return None if _has_size(value, shape.size) else (place, _words(shape), value)
+    if isinstance(shape, dict | list) and not isinstance(value, type(shape)):
+        return place, _words(type(shape)), value
+    if isinstance(shape, list):
+        inside = (_difference(part, shape[0], f"{place}[{i}]") for i, part in enumerate(value))
+        return next((found for found in inside if found is not None), None)
+    if isinstance(shape, dict):
+        return _difference_inside(value, shape, f"{place}." if place else "")
+    return None if _fits(value, shape) else (place, _words(shape), value)
+
+
+def _difference_inside(value: dict[str, Any], shape: dict[str, Shape], prefix: str) -> tuple[str, str, Any] | None:
+    for key, wanted in shape.items():
+        name = key.removesuffix("?")
+        keys = list(value) if key == "*" else [name]
+        if key == name != "*" and name not in value:
+            return prefix + name, "there", _Missing()
+        for each in keys:
+            found = _difference(value[each], wanted, prefix + each) if each in value else None
+            if found is not None:
+                return found
+    return None
+
+
+def _fits(value: Any, kind: Any) -> bool:
+    if kind is None:
+        return value is None
+    if kind is int:
+        return isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**63
+    if kind is float:
+        # int: json reads whole numbers of any length, and 10**400 is no float
+        whole = isinstance(value, int) and not isinstance(value, bool) and abs(value) < 10**300
+        return whole or (isinstance(value, float) and math.isfinite(value))
+    return isinstance(value, kind)
+
+
+def _has_size(value: Any, size: tuple[int, ...]) -> bool:
+    if not size:
+        return _fits(value, float)
+    return isinstance(value, list) and len(value) == size[0] and all(_has_size(part, size[1:]) for part in value)
+
+
+class _Missing:
+    pass
+
+
+def _words(shape: Shape) -> str:
+    if isinstance(shape, Numbers):
+        return f"{' x '.join(map(str, shape.size))} finite numbers"
+    if isinstance(shape, tuple):
+        return " or ".join(map(_words, shape))
+    return _WORDS[type(shape) if isinstance(shape, dict | list) else shape]
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, _Missing):
+        return "nothing"
+    if isinstance(value, int) and not isinstance(value, bool) and abs(value) >= 10**30:
+        return "a number of more than 30 digits"  # whose text can be refused itself
+    try:
+        text = json.dumps(value, default=str)
+    except (RecursionError, ValueError):
+        return "something too large to show"
+    return text if len(text) <= 60 else f"{text[:57]}..."

@@ -1,0 +1,69 @@
+"""COLMAP models (sparse/0) and the photographs beside them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simscenes.sets.colmap_check import check_model
+from simscenes.sets.photographs import DistortedPinhole, Photographs, check_pose, collect, find_file, rescaled
+
+
+def find_colmap(folder: Path) -> Path | None:
+    """The folder of a COLMAP model (binary or text) inside `folder`, if there is one."""
+    places = (folder / p for p in ("sparse/0", "sparse", "."))
+    return next((p for p in places if any((p / f"cameras.{ext}").is_file() for ext in ("bin", "txt"))), None)
+
+
+def read_colmap(folder: Path, model: Path) -> Photographs:
+    """Read a COLMAP model and the photographs in `folder/images`.
+
+    Raises:
+        ValueError: If the model cannot be read, a lens is not a pinhole with OpenCV distortion, no image exists, or
+            sizes differ.
+    """
+    reconstruction, names = read_reconstruction(model)
+    entries: list[tuple[Path | None, NDArray[np.float64], Any]] = []
+    for image in reconstruction.images.values():
+        if not image.has_pose:
+            continue
+        viewmat = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
+        name = names[image.image_id]
+        check_pose(viewmat, f"{model}: the pose of {name}")
+        entries.append((find_file(folder / "images", name), viewmat, reconstruction.cameras[image.camera_id]))
+    return collect(entries, model, lambda c, w, h: _colmap_lens(c, w, h, model))
+
+
+def read_reconstruction(model: Path) -> tuple[Any, dict[int, str]]:
+    """Open a COLMAP model with pycolmap, which is shown nothing that is cut short or refers to what is not there.
+
+    Returns:
+        The model, and the name of each image by its number.
+
+    Raises:
+        ValueError: If the model is damaged.
+    """
+    import pycolmap
+
+    names = check_model(model)
+    try:
+        return pycolmap.Reconstruction(str(model)), names
+    except Exception as error:  # pycolmap raises several types, some of them its own
+        raise ValueError(f"load_set: {model} is not a readable COLMAP model ({error})") from error
+
+
+def _colmap_lens(camera: Any, width: int, height: int, source: Path) -> DistortedPinhole:
+    names = [n.strip() for n in camera.params_info.split(",")]
+    params = {n: float(p) for n, p in zip(names, camera.params, strict=True)}
+    # COLMAP calls the radial terms of its one- and two-parameter models k, or k1 and k2.
+    k1 = params["k"] if "k" in params else params.get("k1", 0.0)
+    allowed = {"SIMPLE_PINHOLE", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "OPENCV"}
+    if camera.model_name not in allowed:
+        raise ValueError(f"load_set: {source} has a {camera.model_name} camera, supported are {sorted(allowed)}; "
+                         "run colmap image_undistorter first")  # fmt: skip
+    K = np.asarray(camera.calibration_matrix(), dtype=np.float64)
+    K = rescaled(K, (camera.width, camera.height), (width, height), source)
+    return DistortedPinhole(K, (k1, params.get("k2", 0.0), params.get("p1", 0.0), params.get("p2", 0.0), 0.0))

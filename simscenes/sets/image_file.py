@@ -1,0 +1,69 @@
+"""Image files of any kind: their size from the header, and their pixels, with a limit on what is decoded."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from threading import Lock
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+# 23,170 x 23,170: above any camera's (phones have 200 million), and 1.6 GB as 8-bit RGB. What a file declares beyond it
+# is refused before a byte is decoded, since a few kilobytes can declare a picture that fills any memory.
+MAX_PIXELS = 2**29
+_PIL = Lock()  # its limit is one number for the whole process
+
+
+def image_size(file: Path) -> tuple[int, int]:
+    """Width and height of an image file, from its header alone.
+
+    Raises:
+        ValueError: If it is not an image, or larger than `MAX_PIXELS`.
+    """
+    with header(file) as image:
+        width, height = image.size
+    if width * height > MAX_PIXELS:
+        raise ValueError(f"{file} declares {width} x {height} pixels, at most {MAX_PIXELS} can be read: scale it down")
+    return width, height
+
+
+@contextmanager
+def header(file: Path) -> Iterator[Any]:
+    """An image file as PIL opens it, whatever size it declares, to read what is not pixels.
+
+    Raises:
+        ValueError: If it is not an image.
+    """
+    from PIL import Image
+
+    with _PIL, warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of odd metadata; whether the pixels can be read shows when they are
+        limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None  # PIL's own: 179 million
+        try:
+            with Image.open(file) as image:
+                yield image
+        except Exception as error:  # each format has errors of its own, SyntaxError and struct.error among them
+            raise ValueError(f"{file} is not a readable image ({error}); replace or remove it") from error
+        finally:
+            Image.MAX_IMAGE_PIXELS = limit
+
+
+def read_image(file: Path, flags: int) -> NDArray[Any]:
+    """Pixels as `cv2.imread` returns them with `flags`, [h,w] or [h,w,c].
+
+    Raises:
+        ValueError: If it is missing, not a readable image, or larger than `MAX_PIXELS`.
+    """
+    image_size(file)
+    try:
+        pixels = cv2.imread(str(file), flags)
+    except cv2.error as error:
+        raise ValueError(f"{file} cannot be decoded ({' '.join(str(error).split())}); replace or remove it") from error
+    if pixels is None:
+        raise ValueError(f"{file} is missing or not a readable image")
+    return np.asarray(pixels)

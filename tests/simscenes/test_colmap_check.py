@@ -1,0 +1,129 @@
+"""Claims about damaged COLMAP models: refused in pure Python, before pycolmap, which they make hang or fill memory."""
+
+import shutil
+from pathlib import Path
+from struct import pack
+
+import numpy as np
+import pycolmap
+import pytest
+
+from simscenes import orbit_rig, write_cameras
+from simscenes.sets import colmap
+from simscenes.sets.colmap_check import check_model
+
+FILES = ("cameras", "frames", "images", "points3D", "rigs")
+
+
+@pytest.fixture(scope="module")
+def binary(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("model")
+    rng = np.random.default_rng(0)
+    points = (rng.normal(0, 0.3, (3, 3)), rng.integers(0, 256, (3, 3), dtype=np.uint8))
+    write_cameras(folder, ["a", "b c"], orbit_rig(2, 40, 30, 55, radius=2.0), points=points)
+    return folder / "sparse" / "0"
+
+
+@pytest.fixture(scope="module")
+def text(binary: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("text")
+    pycolmap.Reconstruction(str(binary)).write_text(str(folder))
+    return folder
+
+
+@pytest.fixture
+def model(binary: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(binary, tmp_path / "model"))
+
+
+def test_whole_models_pass_with_the_names_of_their_images(binary: Path, text: Path) -> None:
+    assert check_model(binary) == {1: "a.png", 2: "b c.png"}
+    assert check_model(text) == {1: "a.png", 2: "b c.png"}
+
+
+@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("kind", ["binary", "text"])
+def test_a_file_cut_anywhere_is_refused_by_name(
+    kind: str, name: str, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    source: Path = request.getfixturevalue(kind)
+    copy = Path(shutil.copytree(source, tmp_path / "cut"))
+    file = copy / f"{name}.{'bin' if kind == 'binary' else 'txt'}"
+    whole = file.read_bytes()
+    for size in range(len(whole)):
+        file.write_bytes(whole[:size])
+        with pytest.raises(ValueError) as caught:
+            check_model(copy)
+        # Where a cut leaves a whole file of less, another file refers to what is gone.
+        assert any(f"/{part}." in str(caught.value) for part in FILES), size
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_text_file_without_comments_is_whole_only_with_its_last_line_break(
+    name: str, text: Path, tmp_path: Path
+) -> None:
+    copy = Path(shutil.copytree(text, tmp_path / "plain"))
+    lines = (copy / f"{name}.txt").read_text().splitlines(keepends=True)
+    plain = "".join(line for line in lines if not line.startswith("#"))
+    (copy / f"{name}.txt").write_text(plain)
+    assert len(check_model(copy)) == 2
+    (copy / f"{name}.txt").write_text(plain[:-2])
+    with pytest.raises(ValueError, match=rf"{name}\.txt: is cut short: its last line does not end"):
+        check_model(copy)
+
+
+@pytest.mark.parametrize("name", FILES)
+@pytest.mark.parametrize("count", [2**64 - 1, 2**63, 10**12, 10**6])
+def test_an_absurd_count_is_refused_before_anything_is_allocated(name: str, count: int, model: Path) -> None:
+    file = model / f"{name}.bin"
+    file.write_bytes(pack("<Q", count) + file.read_bytes()[8:])
+    with pytest.raises(ValueError, match=rf"{name}\.bin: .*announces {count} .* bytes are left"):
+        check_model(model)
+
+
+def broken(old: bytes, new: bytes) -> object:
+    def change(content: bytes) -> bytes:
+        assert old in content
+        return content.replace(old, new, 1)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("name", "change", "message"),
+    [
+        ("images", broken(b"a.png\0", b"a.png."), "damaged|cut short"),
+        ("images", broken(b"b c.png", b"a.png\0 "), "damaged|cut short"),
+        ("images", broken(b"a.png", b"\xff.png"), "not UTF-8"),
+        ("images", lambda c: c[:12] + pack("<d", np.nan) + c[20:], "pose that is not finite"),
+        ("images", lambda c: c[:12] + bytes(32) + c[44:], "pose that is not finite or zero"),
+        ("images", lambda c: c[:68] + pack("<I", 7) + c[72:], "camera 7"),
+        ("cameras", lambda c: c[:12] + pack("<i", 99) + c[16:], "camera model 99"),
+        ("cameras", lambda c: c[:16] + pack("<Q", 0) + c[24:], "camera of 0 x 30"),
+        ("cameras", lambda c: c[:32] + pack("<d", np.inf) + c[40:], "not finite in camera"),
+        ("points3D", lambda c: c[:16] + pack("<d", np.nan) + c[24:], "coordinates"),
+        ("points3D", lambda c: c[:59] + pack("<I", 5) + c[63:], "image 5, which is not there"),
+        ("points3D", lambda c: c[:63] + pack("<I", 500) + c[67:], "2D points that are not there"),
+        ("points3D", lambda c: c[:8] + pack("<Q", 77) + c[16:], "points3D does not have"),
+        ("cameras", lambda c: c + b"\0\0\0", "3 bytes after its last record"),
+    ],
+)
+def test_what_refers_to_nothing_or_is_no_number_is_refused(name: str, change, message: str, model: Path) -> None:  # noqa: ANN001
+    file = model / f"{name}.bin"
+    file.write_bytes(change(file.read_bytes()))
+    with pytest.raises(ValueError, match=message):
+        check_model(model)
+
+
+def test_pycolmap_never_sees_a_damaged_model(model: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (model / "points3D.bin").write_bytes(pack("<Q", 2**60))
+    monkeypatch.setattr(pycolmap, "Reconstruction", lambda *_: pytest.fail("pycolmap was asked"))
+    with pytest.raises(ValueError, match="points3D.bin"):
+        colmap.read_reconstruction(model)
+
+
+def test_a_model_with_a_part_missing_says_which(model: Path) -> None:
+    (model / "images.bin").unlink()
+    with pytest.raises(ValueError, match=r"lacks images\.bin; download"):
+        check_model(model)
