@@ -92,7 +92,9 @@ def score_test_views(
         name = capture.names[i]
         rendered = run.rendering(name)
         views[name] = {
-            kind: {"linear_psnr": None if is_black(reference) or gain is None else linear_psnr(rendered, reference, gain)}
+            kind: {
+                "linear_psnr": None if is_black(reference) or gain is None else linear_psnr(rendered, reference, gain)
+            }
             if kind == "linear"
             else image_scores(_shown(rendered, run, gain), reference, lpips)
             for kind, reference in references(run, capture, lit, i).items()
