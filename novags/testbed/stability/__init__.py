@@ -5,11 +5,11 @@
 
 from collections.abc import Iterator, Sequence
 
-from novags.testbed.stability import enhance, sensor
+from novags.testbed.stability import cameras, enhance, score, sensor
 from novags.testbed.stability.case import Case, Measured, Part, Setting, measured, refusal
 from novags.testbed.stability.table import markdown
 
-PARTS: dict[str, Part] = {part.name: part for part in (enhance.PART, sensor.PART)}
+PARTS: dict[str, Part] = {part.name: part for part in (enhance.PART, sensor.PART, score.PART, cameras.PART)}
 
 
 def measure(parts: Sequence[str], *, long: bool = False) -> Iterator[Measured]:

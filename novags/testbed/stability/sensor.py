@@ -183,7 +183,7 @@ def _(setting: Setting) -> float:
     return worst
 
 
-@PART.case("full pixels: charge clips, then the ADC, then white balance", bound=2 * FLOAT32, unit="of white",
+@PART.case("full pixels: charge clips, then the ADC, then white balance", bound=FLOAT32, unit="of white",
            backends=BOTH)  # fmt: skip
 def _(setting: Setting) -> float:
     worst = 0.0
@@ -236,7 +236,7 @@ def _tukey(u: NDArray, lam: float, backend: str) -> NDArray:
     return b[W : W + u.size].copy()
 
 
-@PART.case("Tukey-lambda's standard deviation around lambda = 0", bound=1e-6, unit="relative", backends=("numpy",))
+@PART.case("Tukey-lambda's standard deviation around lambda = 0", bound=1e-7, unit="relative", backends=("numpy",))
 def _(setting: Setting) -> float:
     """Near 0 the closed form loses eps / lambda**2: 2e-8 at 1e-4, where its series takes over with lambda**2."""
     import mpmath
@@ -278,7 +278,7 @@ def _poisson(u: NDArray, mu: float, backend: str) -> NDArray:
     return b[N : N + u.size].copy()
 
 
-@PART.case("odd sizes and all four filter patterns: an even colour stays even", bound=4e-6, unit="of the colour",
+@PART.case("odd sizes and all four filter patterns: an even colour stays even", bound=2e-6, unit="of the colour",
            backends=BOTH)  # fmt: skip
 def _(setting: Setting) -> float:
     """Blue is 12 DN over black, which float32 holds at 300 DN to 1.5e-5."""
