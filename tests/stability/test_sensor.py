@@ -76,7 +76,7 @@ def test_a_formula_as_first_written_exceeds_its_bound(
         assert not holds(case)
 
 
-def test_read_noise_that_is_cut_at_black_shows_in_the_mean_of_a_million_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_read_noise_that_is_cut_at_black_shows_in_the_mean_of_many_pixels(monkeypatch: pytest.MonkeyPatch) -> None:
     def cut(u: Any, sigma: Any, lam: Any) -> Any:
         return np.maximum(sigma * special.ndtri(u), 0)
 

@@ -5,11 +5,13 @@
 
 from collections.abc import Iterator, Sequence
 
-from novags.testbed.stability import cameras, enhance, score, sensor
+from novags.testbed.stability import cameras, enhance, render, score, sensor
 from novags.testbed.stability.case import Case, Measured, Part, Setting, measured, refusal
 from novags.testbed.stability.table import markdown
 
-PARTS: dict[str, Part] = {part.name: part for part in (enhance.PART, sensor.PART, score.PART, cameras.PART)}
+PARTS: dict[str, Part] = {
+    part.name: part for part in (enhance.PART, sensor.PART, render.PART, score.PART, cameras.PART)
+}
 
 
 def measure(parts: Sequence[str], *, long: bool = False) -> Iterator[Measured]:

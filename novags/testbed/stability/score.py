@@ -23,7 +23,7 @@ from novags.testbed.metrics import (
     ssim,
     tone_aligned,
 )
-from novags.testbed.stability.case import Part, Setting, refusal
+from novags.testbed.stability.case import Part, Setting, refusal, worse
 
 PART = Part("score")
 EPS = float(np.finfo(np.float32).eps)
@@ -52,7 +52,7 @@ def _(setting: Setting) -> float:
     worst = 0.0
     for picture in (noise(), flat(0.0), flat(0.5), flat(1.0), spot()):
         off = (psnr(picture, picture) - PSNR_CEILING, ssim(picture, picture) - 1, flip(picture, picture))
-        worst = max(worst, *map(abs, off), delta_e(picture, picture))
+        worst = worse(worst, *map(abs, off), delta_e(picture, picture))
     return worst
 
 
@@ -60,7 +60,7 @@ def _(setting: Setting) -> float:
 def _(setting: Setting) -> float:
     black = np.zeros((16, 16, 3))
     found = [abs(psnr(black + error, black) + 20 * math.log10(error)) for error in (1.0, 1e-3, 1.0001e-5)]
-    return max(*found, abs(psnr(black + 1e-30, black) - PSNR_CEILING))
+    return worse(*found, abs(psnr(black + 1e-30, black) - PSNR_CEILING))
 
 
 def _ssim(a: NDArray, b: NDArray) -> float:
@@ -89,7 +89,7 @@ def _(setting: Setting) -> float:
     for level in (0.0, 0.5, 0.999):
         for spread in (0.0, 1e-4, 1e-3):
             a, b = flat(level), noise(level, level + spread, seed=1)
-            worst = max(worst, abs(ssim(a, b) - _ssim(a, b)), abs(ssim(b, a) - _ssim(b, a)))
+            worst = worse(worst, abs(ssim(a, b) - _ssim(a, b)), abs(ssim(b, a) - _ssim(b, a)))
     return worst
 
 
@@ -98,7 +98,7 @@ def _(setting: Setting) -> float:
     reference = noise(seed=2)
     mean = reference.astype(np.float64).mean((0, 1))
     rounded = (flat(0.7).astype(np.float64) + 1e-9 * noise(seed=3)).astype(np.float32)  # one rounding apart at most
-    return max(float(np.abs(affine_aligned(x, reference) - mean).max()) for x in (flat(0.0), flat(0.7), rounded))
+    return worse(*(float(np.abs(affine_aligned(x, reference) - mean).max()) for x in (flat(0.0), flat(0.7), rounded)))
 
 
 @PART.case(
@@ -108,7 +108,7 @@ def _(setting: Setting) -> float:
     """The fit undoes the change as far as its digits go: 1e4 in float64 leaves 1e4 * 2e-16 / 1e-4 = 2e-8."""
     reference = noise(0.2, 0.8, seed=4).astype(np.float64)
     found = [affine_aligned(1e-4 * reference + offset, reference) - reference for offset in (0.0, 0.5, 1e4)]
-    return max(float(np.abs(error).max()) for error in found)
+    return worse(*(float(np.abs(error).max()) for error in found))
 
 
 def _isotonic(x: NDArray, y: NDArray) -> NDArray:
@@ -134,7 +134,7 @@ def _(setting: Setting) -> float:
         found = tone_aligned(picture, reference)
         for c in range(3):
             wanted = _isotonic(picture[..., c].ravel(), reference[..., c].ravel())
-            worst = max(worst, float(np.abs(found[..., c].ravel() - wanted).max()))
+            worst = worse(worst, float(np.abs(found[..., c].ravel() - wanted).max()))
     return worst
 
 
@@ -144,7 +144,7 @@ def _(setting: Setting) -> float:
     worst = 0
     for reference in (flat(0.0), flat(0.5), noise(0.5, 0.5 + 0.9 / 255)):
         scores = image_scores(noise(seed=9), reference)
-        worst = max(worst, sum(score is not None for name, score in scores.items() if "aligned" in name))
+        worst = worse(worst, sum(score is not None for name, score in scores.items() if "aligned" in name))
     return float(worst)
 
 
@@ -163,7 +163,7 @@ def _(setting: Setting) -> float:
     for bad in (math.nan, math.inf, -math.inf):
         broken, whole = noise(seed=12), noise(seed=13)
         broken[0, 0, 0] = broken[3, 4, 1] = bad
-        worst = max(
+        worst = worse(
             worst,
             refusal(lambda a=broken, b=whole: image_scores(a, b), "image must be finite", "2 values"),  # type: ignore[misc]
             refusal(lambda a=whole, b=broken: image_scores(a, b), "reference must be finite"),  # type: ignore[misc]
@@ -182,7 +182,7 @@ def _(setting: Setting) -> float:
         picture = (reference * np.float32(unit)).astype(np.float32)
         picture[2, 3] = unit  # what a method makes of a lamp is free
         gain = exposure_gain([(picture, reference)])
-        worst = max(worst, abs(gain * unit - 1), abs(linear_psnr(flat(unit), flat(1.0), 0.9 / unit) - 20))
+        worst = worse(worst, abs(gain * unit - 1), abs(linear_psnr(flat(unit), flat(1.0), 0.9 / unit) - 20))
     return worst
 
 
