@@ -141,7 +141,7 @@ def _(setting: Setting) -> float:
 @PART.case("a blank reference: aligned scores are none, not the ceiling", bound=0, unit="scores given",
            backends=("numpy",))  # fmt: skip
 def _(setting: Setting) -> float:
-    worst = 0
+    worst = 0.0
     for reference in (flat(0.0), flat(0.5), noise(0.5, 0.5 + 0.9 / 255)):
         scores = image_scores(noise(seed=9), reference)
         worst = worse(worst, sum(score is not None for name, score in scores.items() if "aligned" in name))

@@ -206,8 +206,8 @@ LAMBDAS = (-0.45, -0.25, -1e-3, -1e-12, 0.0, 1e-12, 1e-3, 0.149, 0.9)
 
 
 # The kernel's series of sinh(z)/z ends at z**16 and is used up to z = 2: the next term is 2**18 / 19!.
-@PART.case("Tukey-lambda at u = 2**-53 and 1 - 2**-53, lambda 0 and 1e-12", bound=2.2e-12, unit="of 1 + |quantile|",
-           backends=BOTH)  # fmt: skip
+@PART.case("Tukey-lambda at u = 2**-53 and 1 - 2**-53, lambda 0 and 1e-12", bound=2.2e-12,
+           unit="of 1 plus the quantile", backends=BOTH)  # fmt: skip
 def _(setting: Setting) -> float:
     import mpmath
 
@@ -318,7 +318,7 @@ def _(setting: Setting) -> float:
     """At 1 DN per electron whole electrons move the codes by whole DN: the read noise can be told from them."""
     camera = replace(CAMERA, gain=1.0, eta=1.0)
     alone = frame(np.full((64, 64), 20.0), camera, setting, shot="none").dn.astype(int) - 20
-    worst = 0
+    worst = 0.0
     for mean, shot in ((25.0, "none"), (20.0, "poisson"), (25.0, "poisson")):
         light = np.full((64, 64), mean)
         silent = frame(light, replace(camera, sigma_d=0.0), setting, shot=shot).dn.astype(int) - 64

@@ -29,7 +29,8 @@ def embedded(page: str, tables: str) -> str:
     old, end, tail = rest.partition(END)
     if not (begin and end):
         return tables
-    parts = _by_part(old) | _by_part(tables)
+    known, new = _by_part(old), _by_part(tables)
+    parts = new if new.keys() >= known.keys() else known | new  # the order of a whole table is the right one
     return f"{head}{BEGIN}\n\n{''.join(parts.values())}{END}{tail}"
 
 
