@@ -24,7 +24,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         for item in items:
             test = getattr(item, "obj", None)
             own = getattr(test, "_hypothesis_internal_use_settings", None)
-            if own is not None:
+            if own is not None and own.max_examples != settings.default.max_examples:
                 more = settings(own, max_examples=MORE * own.max_examples, derandomize=False)
                 test._hypothesis_internal_use_settings = more
 
