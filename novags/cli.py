@@ -241,11 +241,15 @@ def score(run: Folder, *, wait: bool = False) -> None:
         scores = score_all(run, console)
     for name, mean in scores.items():
         lit = mean["lit"]
-        against = f"well lit {lit['tone_aligned_psnr']:.2f} dB (tone-aligned PSNR)"
+        against = f"well lit {_decibels(lit['tone_aligned_psnr'])} (tone-aligned PSNR)"
         if "enhanced" in mean:
-            against = f"noise-free exposure {mean['enhanced']['aligned_psnr']:.2f} dB (aligned PSNR), {against}"
+            against = f"noise-free exposure {_decibels(mean['enhanced']['aligned_psnr'])} (aligned PSNR), {against}"
         print(f"{name}: {against}")
     _next(f"novags report {run}")
+
+
+def _decibels(score: float | None) -> str:
+    return "not scored, because the reference shows nothing" if score is None else f"{score:.2f} dB"
 
 
 def report(folder: Folder, *, wait: bool = False) -> None:

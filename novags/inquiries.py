@@ -15,7 +15,7 @@ def doctor(*, stability: bool = False, part: tuple[str, ...] = (), long: bool = 
         stability: Instead, compute the numerically hard cases and show their errors beside their bounds.
         part: Only these parts: enhance, splats, sensor, ...
         long: With the cases that take minutes.
-        out: File for the table of hard cases, Markdown.
+        out: File for the table of hard cases, Markdown; in a page like docs/stability.md it replaces the old table.
     """
     from novags.testbed.doctor import examine
 

@@ -1,10 +1,33 @@
 """What some tests need and not every machine has: said once, with the reason why its absence is no failure."""
 
+import os
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, settings
 
 from simscenes.backend import backend_status
+
+PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "ci")
+MORE = 100  # times as many examples in the long profile
+
+settings.register_profile("ci", derandomize=True, deadline=None, max_examples=25)
+settings.register_profile(
+    "long", deadline=None, max_examples=25 * MORE, suppress_health_check=[HealthCheck.too_slow], print_blob=True
+)
+settings.load_profile(PROFILE)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """In the long profile, property tests that say how many examples they take, and which, take others and more."""
+    if PROFILE == "long":
+        for item in items:
+            test = getattr(item, "obj", None)
+            own = getattr(test, "_hypothesis_internal_use_settings", None)
+            if own is not None and own.max_examples != settings.default.max_examples:
+                more = settings(own, max_examples=MORE * own.max_examples, derandomize=False)
+                test._hypothesis_internal_use_settings = more
+
 
 FOX = Path(__file__).resolve().parents[2] / "shared" / "data" / "fox"
 

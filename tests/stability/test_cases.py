@@ -2,7 +2,9 @@ import math
 
 import pytest
 
-from novags.testbed.stability import Case, Part, Setting, markdown, measured, refusal
+from novags.testbed.stability import Case, Part, Setting, embedded, markdown, measured, refusal
+from novags.testbed.stability.case import available, worse
+from novags.testbed.stability.table import BEGIN, END
 
 HERE = Setting("torch", 1)
 
@@ -43,3 +45,25 @@ def test_the_table_shows_the_worst_setting_and_marks_what_does_not_hold() -> Non
     case = case_that(lambda setting: {1: 1e-4, 2: 5e-3}[setting.threads])
     row = markdown([measured(case, setting) for setting in case.settings()]).splitlines()[-1]
     assert row == "| a case | **0.005** | 0.001 | relative | torch |"
+
+
+def test_new_tables_replace_the_old_ones_of_their_parts_and_nothing_else() -> None:
+    page = f"# Page\n\n{BEGIN}\n\n### a\n\nold a\n\n### b\n\nold b\n\n{END}\n\nText.\n"
+    again = embedded(page, "### b\n\nnew b\n\n### c\n\nnew c\n")
+    assert again == f"# Page\n\n{BEGIN}\n\n### a\n\nold a\n\n### b\n\nnew b\n\n### c\n\nnew c\n\n{END}\n\nText.\n"
+    assert embedded(again, "### b\n\nnew b\n") == again
+    assert embedded("", "### a\n") == "### a\n"
+
+
+def test_an_error_that_is_nan_is_never_lost_among_others() -> None:
+    assert math.isnan(worse(0.0, math.nan))
+    assert math.isnan(worse(math.nan, 1.0))
+    assert worse(0.5, 2.0, 1.0) == 2.0
+
+
+def test_a_backend_that_is_not_here_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    monkeypatch.setattr("simscenes.backend.backend_status", lambda name: (asked.append(name), (False, "none"))[1])
+    assert not available("llvm_ad_rgb")
+    assert asked == ["llvm_ad"]
+    assert available("numpy")

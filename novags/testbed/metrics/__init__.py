@@ -10,6 +10,7 @@ from novags.testbed.metrics.images import (
     PSNR_CEILING,
     SSIM_WINDOW,
     ImageScores,
+    aligned_psnr,
     delta_e,
     flip,
     gaussian_blur,
@@ -18,7 +19,7 @@ from novags.testbed.metrics.images import (
     psnr,
     ssim,
 )
-from novags.testbed.metrics.linear import exposure_gain, linear_psnr
+from novags.testbed.metrics.linear import exposure_gain, is_black, linear_psnr
 from novags.testbed.metrics.perceptual import PerceptualDistance
 from novags.testbed.metrics.tone import Image, affine_aligned, tone_aligned
 
@@ -31,6 +32,7 @@ __all__ = [
     "ImageScores",
     "PerceptualDistance",
     "affine_aligned",
+    "aligned_psnr",
     "color_change",
     "consistency_scores",
     "delta_e",
@@ -39,6 +41,7 @@ __all__ = [
     "gaussian_blur",
     "geometry_scores",
     "image_scores",
+    "is_black",
     "linear_psnr",
     "mean_scores",
     "opacity_in_front",

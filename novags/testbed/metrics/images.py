@@ -4,14 +4,15 @@ Images are float [h,w,3], sRGB-encoded. Renders may overshoot 0..1 a little. `im
 image as it is; for all other scores, and after the affine fit, it is clipped to 0..1, as a display would.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, TypedDict, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from novags.testbed.metrics.perceptual import PerceptualDistance
-from novags.testbed.metrics.tone import Image, affine_aligned, check_pair, tone_aligned
+from novags.testbed.metrics.tone import Image, affine_aligned, check_pair, tone_aligned, with_contrast
 
 SSIM_WINDOW = 11  # px; smaller images have no SSIM
 PSNR_CEILING = 100.0  # dB; two identical images have no finite PSNR, and JSON has no infinity
@@ -20,14 +21,18 @@ Scores = TypeVar("Scores")  # a TypedDict of numbers or None
 
 
 class ImageScores(TypedDict):
-    """Scores of one image against one reference; `lpips` is None where its weights are not on the machine."""
+    """Scores of one image against one reference.
+
+    `lpips` is None where its weights are not on the machine. The aligned scores are taken over the channels in which
+    the reference has contrast (`with_contrast`), and are None where no channel has any.
+    """
 
     psnr: float
-    aligned_psnr: float
-    tone_aligned_psnr: float
+    aligned_psnr: float | None
+    tone_aligned_psnr: float | None
     ssim: float
-    aligned_ssim: float
-    tone_aligned_ssim: float
+    aligned_ssim: float | None
+    tone_aligned_ssim: float | None
     flip: float
     delta_e: float
     lpips: float | None
@@ -36,6 +41,19 @@ class ImageScores(TypedDict):
 def psnr(image: Image, reference: Image) -> float:
     """Peak signal-to-noise ratio for a peak of 1, in dB, at most `PSNR_CEILING`."""
     check_pair(image, reference)
+    return _psnr(image, reference)
+
+
+def aligned_psnr(image: Image, reference: Image) -> float | None:
+    """PSNR after the affine fit, over the channels in which the reference has contrast; None if none has.
+
+    Raises:
+        ValueError: If the shapes differ or are not [h,w,3], or a value is not finite.
+    """
+    return _over(with_contrast(reference), _psnr, affine_aligned(image, reference), reference)
+
+
+def _psnr(image: Image, reference: Image) -> float:
     mse = float(np.mean((image.astype(np.float64) - reference) ** 2))
     return PSNR_CEILING if mse <= 10 ** (-PSNR_CEILING / 10) else -10.0 * float(np.log10(mse))
 
@@ -46,10 +64,14 @@ def ssim(image: Image, reference: Image) -> float:
     Raises:
         ValueError: If the images are smaller than the window.
     """
+    check_pair(image, reference)
+    return _ssim(image, reference)
+
+
+def _ssim(image: Image, reference: Image) -> float:
     import torch
     from torchmetrics.functional.image import structural_similarity_index_measure
 
-    check_pair(image, reference)
     if min(image.shape[:2]) < SSIM_WINDOW:
         size = f"{SSIM_WINDOW} x {SSIM_WINDOW} pixels"
         raise ValueError(f"SSIM needs images of at least {size}, got {image.shape[1]} x {image.shape[0]}")
@@ -89,18 +111,28 @@ def image_scores(image: Image, reference: Image, lpips: PerceptualDistance | Non
     """
     aligned = affine_aligned(image, reference)
     toned = tone_aligned(image, reference)
+    contrast = with_contrast(reference)
     clipped = np.clip(image, 0.0, 1.0)
     return {
         "psnr": psnr(clipped, reference),
-        "aligned_psnr": psnr(aligned, reference),
-        "tone_aligned_psnr": psnr(toned, reference),
+        "aligned_psnr": _over(contrast, _psnr, aligned, reference),
+        "tone_aligned_psnr": _over(contrast, _psnr, toned, reference),
         "ssim": ssim(clipped, reference),
-        "aligned_ssim": ssim(aligned, reference),
-        "tone_aligned_ssim": ssim(toned, reference),
+        "aligned_ssim": _over(contrast, _ssim, aligned, reference),
+        "tone_aligned_ssim": _over(contrast, _ssim, toned, reference),
         "flip": flip(clipped, reference),
         "delta_e": delta_e(clipped, reference),
         "lpips": None if lpips is None else lpips(clipped, reference),
     }
+
+
+def _over(
+    channels: NDArray[np.bool_], score: Callable[[Image, Image], float], image: Image, reference: Image
+) -> float | None:
+    """The score over these channels; None if there are none."""
+    if channels.all():
+        return score(image, reference)
+    return score(image[..., channels], reference[..., channels]) if channels.any() else None
 
 
 def mean_scores(scores: Sequence[Scores]) -> Scores:

@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from novags.testbed.metrics.images import psnr
+from novags.testbed.metrics.images import PSNR_CEILING, psnr
 from novags.testbed.metrics.tone import Image, check_pair
 
 
@@ -53,6 +53,12 @@ def linear_psnr(image: Image, reference: Image, gain: float, white: float = 1.0)
     _check_positive("white", white)
     exposed, true = np.asarray(image, np.float64) * (gain / white), np.asarray(reference, np.float64) / white
     return psnr(np.clip(exposed, 0.0, 1.0), np.clip(true, 0.0, 1.0))
+
+
+def is_black(reference: Image, white: float = 1.0) -> bool:
+    """Whether PSNR cannot tell the reference from black, so that every gain towards 0 would reach its ceiling."""
+    true = np.clip(np.asarray(reference, np.float64) / white, 0.0, 1.0)
+    return psnr(np.zeros_like(true), true) >= PSNR_CEILING
 
 
 def _check_positive(name: str, value: float) -> None:

@@ -10,8 +10,11 @@ the image as it is, values outside 0..1 included: clipping first would lose what
 from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
 Image: TypeAlias = np.ndarray
+
+CONTRAST = 1 / 255  # sRGB code; a channel that spans less shows one colour on any 8-bit screen
 
 
 def affine_aligned(image: Image, reference: Image) -> Image:
@@ -64,6 +67,15 @@ def _isotonic(x: Image, y: Image) -> Image:
     place = place.ravel()
     means = np.bincount(place, weights=y.ravel().astype(np.float64)) / count
     return np.asarray(isotonic_regression(means, weights=count).x)[place].reshape(x.shape)
+
+
+def with_contrast(reference: Image) -> NDArray[np.bool_]:
+    """Which channels [3] of a reference [h,w,3] span at least `CONTRAST`.
+
+    Both alignments turn a blank channel into the reference's mean. Where the reference itself is as good as blank, that
+    is the truth: the noisiest picture scores like it, so an aligned score of such a channel says nothing.
+    """
+    return np.asarray(np.ptp(reference, axis=(0, 1)) >= CONTRAST)
 
 
 def check_pair(image: Image, reference: Image) -> None:

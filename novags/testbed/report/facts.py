@@ -97,12 +97,12 @@ def what_was_done(material: Material) -> str:
 def leading(material: Material) -> tuple[str, str, str]:
     """The reference that isolates noise where all runs have it, else the lit one; its score; how to describe that."""
     means = [method["mean"] for method in material.metrics["methods"].values()]
-    if all("enhanced" in mean for mean in means):
+    if all(mean.get("enhanced", {}).get("aligned_psnr") is not None for mean in means):
         return "enhanced", "aligned_psnr", "aligned PSNR against the noise-free exposure"
     return "lit", "tone_aligned_psnr", "tone-aligned PSNR against the well-lit truth"
 
 
-def _values(material: Material) -> dict[str, float]:
+def _values(material: Material) -> dict[str, float | None]:
     kind, number, _ = leading(material)
     return {name: m["mean"][kind].get(number, m["mean"][kind]["aligned_psnr"])
             for name, m in material.metrics["methods"].items()}  # fmt: skip
@@ -117,9 +117,12 @@ def _recovered(material: Material) -> dict[str, float]:
 def verdict(material: Material) -> str:
     """One sentence with the outcome."""
     value, main, floor = _values(material), material.main, material.bound("floor")
-    text = f"{main} reaches {value[main]:.2f} dB on the held-out views ({leading(material)[2]})"
-    if floor is not None and main != floor:
-        gain = value[main] - value[floor]
+    reached = value[main]
+    if reached is None:
+        return f"{main} has no score: the references show nothing but one colour, which any blank picture equals."
+    text = f"{main} reaches {reached:.2f} dB on the held-out views ({leading(material)[2]})"
+    if floor is not None and main != floor and (other := value[floor]) is not None:
+        gain = reached - other
         text += f", {abs(gain):.2f} dB {'more' if gain >= 0 else 'less'} than {floor}"
     fraction = _recovered(material).get(main)
     if fraction is not None and fraction > 0:
@@ -131,14 +134,17 @@ def cards(material: Material) -> list[dict[str, str]]:
     """The verdict in numbers: value, unit, label."""
     value, main = _values(material), material.main
     floor, ceiling = material.bound("floor"), material.bound("ceiling")
-    found = [{"value": f"{value[main]:.2f}", "unit": "dB", "label": f"{main}, held-out views"}]
-    if floor is not None and main != floor:
-        found.append({"value": signed(value[main] - value[floor]), "unit": "dB", "label": f"over {floor}"})
+    reached, lowest, highest = (None if name is None else value[name] for name in (main, floor, ceiling))
+    found = []
+    if reached is not None:
+        found.append({"value": f"{reached:.2f}", "unit": "dB", "label": f"{main}, held-out views"})
+    if reached is not None and lowest is not None and main != floor:
+        found.append({"value": signed(reached - lowest), "unit": "dB", "label": f"over {floor}"})
     if (fraction := _recovered(material).get(main)) is not None:
         share = f"{100 * fraction:.0f}".replace("-", "−")
         found.append({"value": share, "unit": "%", "label": "of the loss to noise recovered"})
-    if ceiling is not None:
-        found.append({"value": f"{value[ceiling]:.2f}", "unit": "dB", "label": f"{ceiling}, the ceiling"})
+    if highest is not None:
+        found.append({"value": f"{highest:.2f}", "unit": "dB", "label": f"{ceiling}, the ceiling"})
     found.append({"value": duration(sum(row["seconds"] for row in costs(material))), "unit": "", "label": "in all"})
     return found
 
@@ -200,12 +206,11 @@ def training_table(material: Material) -> list[dict[str, Any]]:
     scores = material.metrics["methods"][material.main]["training_2d"]
     if scores is None:
         return []
-    labels = {
-        "enhanced": "enhanced, not denoised",
-        "blur": f"Gaussian blur, sigma {scores['blur']['sigma']:.1f} px",
-        "best_blur": f"Gaussian blur, the best sigma for these images ({scores['best_blur']['sigma']:.1f} px)",
-        "denoised": f"denoised by {material.main}",
-    }
+    labels = {"enhanced": "enhanced, not denoised", "blur": f"Gaussian blur, sigma {scores['blur']['sigma']:.1f} px"}
+    if "best_blur" in scores:  # not where nothing can be aligned
+        sigma = scores["best_blur"]["sigma"]
+        labels["best_blur"] = f"Gaussian blur, the best sigma for these images ({sigma:.1f} px)"
+    labels["denoised"] = f"denoised by {material.main}"
     return [{"label": label, "key": key, **scores[key]} for key, label in labels.items() if key in scores]
 
 

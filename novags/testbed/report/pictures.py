@@ -104,6 +104,8 @@ def _render_note(name: str, view: str, held_out: bool, metrics: Mapping[str, Any
         return "a training view"
     scores = next(iter(metrics["methods"][name]["views"][view].values()))
     number = scores.get("aligned_psnr", scores.get("linear_psnr"))
+    if number is None:
+        return "held out; not scored, because the reference shows nothing"
     return f"held out; {'aligned ' if 'aligned_psnr' in scores else 'linear '}PSNR {number:.1f} dB"
 
 

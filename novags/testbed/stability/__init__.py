@@ -5,11 +5,13 @@
 
 from collections.abc import Iterator, Sequence
 
-from novags.testbed.stability import enhance
+from novags.testbed.stability import cameras, enhance, render, score, sensor
 from novags.testbed.stability.case import Case, Measured, Part, Setting, measured, refusal
-from novags.testbed.stability.table import markdown
+from novags.testbed.stability.table import embedded, markdown
 
-PARTS: dict[str, Part] = {part.name: part for part in (enhance.PART,)}
+PARTS: dict[str, Part] = {
+    part.name: part for part in (enhance.PART, sensor.PART, render.PART, score.PART, cameras.PART)
+}
 
 
 def measure(parts: Sequence[str], *, long: bool = False) -> Iterator[Measured]:
@@ -21,4 +23,4 @@ def measure(parts: Sequence[str], *, long: bool = False) -> Iterator[Measured]:
                     yield measured(case, setting)
 
 
-__all__ = ["PARTS", "Case", "Measured", "Part", "Setting", "markdown", "measure", "measured", "refusal"]
+__all__ = ["PARTS", "Case", "Measured", "Part", "Setting", "embedded", "markdown", "measure", "measured", "refusal"]

@@ -1,6 +1,5 @@
 """A hard case: what is computed, where, and the error it may have."""
 
-import itertools
 import math
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -11,6 +10,7 @@ import numba
 import torch
 
 THREADS = (1, 2)
+THREADED = ("torch", "numba", "gsplat")  # numpy has one thread, Mitsuba its own pool
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Case:
     def settings(self) -> list[Setting]:
         """Every setting that this machine offers for the case."""
         here = [backend for backend in self.backends if available(backend)]
-        return [Setting(backend, n) for backend, n in itertools.product(here, THREADS)]
+        return [Setting(backend, n) for backend in here for n in (THREADS if backend in THREADED else (1,))]
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def available(backend: str) -> bool:
     if "_" in backend:  # a Mitsuba variant
         from simscenes.backend import backend_status
 
-        return backend_status(backend)[0]
+        return backend_status(backend.rpartition("_")[0])[0]  # without its colours
     return True
 
 
@@ -136,6 +136,11 @@ def refusal(work: Callable[[], object], *words: str) -> float:
         text = str(problem)
         return 0.0 if text and "\n" not in text and all(word in text for word in words) else math.inf
     return math.inf
+
+
+def worse(*errors: float) -> float:
+    """The largest of some errors; NaN if one is NaN, which `max` loses."""
+    return math.nan if any(map(math.isnan, errors)) else float(max(errors))
 
 
 @contextmanager

@@ -27,7 +27,8 @@ def show(parts: Sequence[str], *, long: bool = False, out: Path | None = None) -
         print(f"{'ok  ' if result.holds else 'FAIL'}  {result}", flush=True)
         results.append(result)
     if out is not None:
-        out.write_text(stability.markdown(results), encoding="utf-8")
+        page = out.read_text(encoding="utf-8") if out.is_file() else ""
+        out.write_text(stability.embedded(page, stability.markdown(results)), encoding="utf-8")
     failed = sum(not result.holds for result in results)
     print(f"{len(results)} computed, {failed} beyond their bounds" if failed else f"all {len(results)} hold")
     return not failed

@@ -4,6 +4,8 @@ from collections.abc import Iterable, Sequence
 
 from novags.testbed.stability.case import Measured
 
+BEGIN, END = "<!-- tables: novags doctor --stability --long --out -->", "<!-- end of tables -->"
+
 
 def markdown(results: Iterable[Measured]) -> str:
     """A Markdown table a part; a row a case with the worst error of all its settings."""
@@ -16,6 +18,26 @@ def markdown(results: Iterable[Measured]) -> str:
         lines += [_row(found) for found in cases.values()]
         parts.append("\n".join(lines))
     return "\n\n".join(parts) + "\n"
+
+
+def embedded(page: str, tables: str) -> str:
+    """A page whose tables between the lines `BEGIN` and `END` are those of `tables`, part by part.
+
+    Parts that were not computed keep their table. A page without these lines becomes `tables` alone.
+    """
+    head, begin, rest = page.partition(BEGIN)
+    old, end, tail = rest.partition(END)
+    if not (begin and end):
+        return tables
+    known, new = _by_part(old), _by_part(tables)
+    parts = new if new.keys() >= known.keys() else known | new  # the order of a whole table is the right one
+    return f"{head}{BEGIN}\n\n{''.join(parts.values())}{END}{tail}"
+
+
+def _by_part(tables: str) -> dict[str, str]:
+    """Each table with its heading, by the name of the part."""
+    found = (f"### {text.strip()}\n\n" for text in tables.split("### ")[1:])
+    return {text.splitlines()[0]: text for text in found}
 
 
 def _row(found: Sequence[Measured]) -> str:

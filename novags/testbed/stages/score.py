@@ -15,12 +15,13 @@ from novags.testbed.folders.set import Source
 from novags.testbed.metrics import (
     Image,
     PerceptualDistance,
-    affine_aligned,
+    aligned_psnr,
     consistency_scores,
     exposure_gain,
     gaussian_blur,
     geometry_scores,
     image_scores,
+    is_black,
     linear_psnr,
     mean_scores,
     psnr,
@@ -65,10 +66,11 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
         unavailable = {} if missing is None else {"lpips": missing}
         if scores["geometry"] is None:
             unavailable["geometry"] = "the true depth is not known: photographs, or a set scaled down for the capture"
+        unavailable |= shows_nothing(scores["views"])
         return {"methods": {run.name: method}, "recovered": {}, "unavailable": unavailable}
 
     return run_stage(
-        "score", run_path, METRICS, inputs=inputs, config={"lpips": missing is None, "format": 2}, owns=(METRICS,),
+        "score", run_path, METRICS, inputs=inputs, config={"lpips": missing is None, "format": 3}, owns=(METRICS,),
         prepare=lambda: None, work=work, console=console,
     )  # fmt: skip
 
@@ -90,7 +92,9 @@ def score_test_views(
         name = capture.names[i]
         rendered = run.rendering(name)
         views[name] = {
-            kind: {"linear_psnr": linear_psnr(rendered, reference, gain)}
+            kind: {
+                "linear_psnr": None if is_black(reference) or gain is None else linear_psnr(rendered, reference, gain)
+            }
             if kind == "linear"
             else image_scores(_shown(rendered, run, gain), reference, lpips)
             for kind, reference in references(run, capture, lit, i).items()
@@ -107,15 +111,37 @@ def score_test_views(
     }
 
 
-def exposure(run: Run, capture: Capture, lit: Source, indices: list[int]) -> float:
-    """The one factor that brings the renders of a method in linear light to the exposure of the capture."""
+def shows_nothing(views: dict[str, Any]) -> dict[str, str]:
+    """Why scores that only a reference with something to see can have are missing, by the name of the score."""
+    found = {}
+    for kind in next(iter(views.values())):
+        number = "linear_psnr" if kind == "linear" else "aligned_psnr"
+        blank = [name for name, scores in views.items() if scores[kind][number] is None]
+        if blank:
+            what = "linear_psnr" if kind == "linear" else f"aligned scores against {kind}"
+            shows = "black" if kind == "linear" else "one colour to within 1/255 in every channel"
+            found[what] = (
+                f"the reference is {shows} in {len(blank)} of {len(views)} views ({blank[0]}"
+                f"{', ...' if len(blank) > 1 else ''}), so that a blank picture scores like the truth: "
+                "use more light (--electrons)"
+            )
+    return found
+
+
+def exposure(run: Run, capture: Capture, lit: Source, indices: list[int]) -> float | None:
+    """The one factor that brings the renders of a method in linear light to the exposure of the capture.
+
+    None if every exposure is black: there is nothing to bring them to.
+    """
+    if all(is_black(references(run, capture, lit, i)["linear"]) for i in indices):
+        return None
     pairs = ((run.rendering(capture.names[i]), references(run, capture, lit, i)["linear"]) for i in indices)
     return exposure_gain(pairs)
 
 
-def _shown(rendered: Image, run: Run, gain: float) -> Image:
-    """A render as a picture in sRGB code; for a method in linear light, at the exposure of the capture."""
-    return encode(gain * rendered) if run.space == "linear" else rendered
+def _shown(rendered: Image, run: Run, gain: float | None) -> Image:
+    """A render as a picture in sRGB code; for a method in linear light, at the exposure of the capture if known."""
+    return encode((1.0 if gain is None else gain) * rendered) if run.space == "linear" else rendered
 
 
 def view_consistency(run: Run, capture: Capture, lit: Source) -> dict[str, float | None]:
@@ -135,8 +161,8 @@ def score_training_images(run: Run, capture: Capture, lit: Source) -> dict[str, 
 
     Returns:
         `enhanced`, `denoised` (only if the method denoises), `blur` (sigma 1.2 px) and `best_blur` (the sigma of
-        `BLUR_GRID` that suits these images best), each with mean `psnr` and `aligned_psnr`; blurs also with `sigma`.
-        None for a method that enhances no pictures.
+        `BLUR_GRID` that suits these images best), each with mean `psnr` and `aligned_psnr` (None where no reference has
+        contrast, and then there is no best blur); blurs also with `sigma`. None for a method that enhances no pictures.
     """
     if run.enhancement is None or not (run.path / "enhanced").is_dir():
         return None
@@ -153,21 +179,18 @@ def score_training_images(run: Run, capture: Capture, lit: Source) -> dict[str, 
     if denoised:
         scores["denoised"] = _mean_psnr(denoised, truth)
     blurs = {sigma: _blur_scores(enhanced, truth, sigma) for sigma in (BLUR_SIGMA, *BLUR_GRID)}
+    if scores["enhanced"]["aligned_psnr"] is None:
+        return {**scores, "blur": blurs[BLUR_SIGMA]}
     best = max(blurs, key=lambda sigma: blurs[sigma]["aligned_psnr"])
     return {**scores, "blur": blurs[BLUR_SIGMA], "best_blur": blurs[best]}
 
 
-def _mean_psnr(images: list[Image], references: list[Image]) -> dict[str, float]:
+def _mean_psnr(images: list[Image], references: list[Image]) -> dict[str, Any]:
     pairs = list(zip(images, references, strict=True))
-    return {
-        "psnr": float(np.mean([psnr(image, reference) for image, reference in pairs])),
-        "aligned_psnr": float(
-            np.mean([psnr(affine_aligned(image, reference), reference) for image, reference in pairs])
-        ),
-    }
+    return mean_scores([{"psnr": psnr(*pair), "aligned_psnr": aligned_psnr(*pair)} for pair in pairs])
 
 
-def _blur_scores(images: list[Image], references: list[Image], sigma: float) -> dict[str, float]:
+def _blur_scores(images: list[Image], references: list[Image], sigma: float) -> dict[str, Any]:
     return {**_mean_psnr([gaussian_blur(image, sigma) for image in images], references), "sigma": sigma}
 
 
@@ -227,6 +250,8 @@ def recovered_fractions(
         if method["mean"].get(kind, {}).get(number) is not None
     }
     if missing := [name for name in ends.values() if name not in value]:
+        if all(number in scores[name]["mean"].get(kind, {}) for name in missing):
+            return {}, f"{' and '.join(missing)} have no {number} against {kind}, so there is no span to measure on"
         return {}, f"{' and '.join(missing)} were scored by an earlier version: score them again"
     floor, span = value[ends["floor"]], value[ends["ceiling"]] - value[ends["floor"]]
     if span < 0.1:  # dB; a ratio of such small differences would be mostly scatter
