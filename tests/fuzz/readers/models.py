@@ -50,7 +50,7 @@ def read_ply(folder: Path, file: Path) -> None:
     read_ply(file)
 
 
-SETTINGS: dict[str, object] = {"iterations": 10, "seed": 0}
+SETTINGS: dict[str, object] = {"iterations": 10, "seed": 0, "sh_degree": 1}
 
 
 def make_checkpoint(folder: Path) -> None:
@@ -61,7 +61,9 @@ def make_checkpoint(folder: Path) -> None:
     from novags.splats.gaussians import Gaussians
 
     gaussians = Gaussians.from_points(torch.rand(4, 3), torch.rand(4, 3), sh_degree=1)
-    state = TrainingState(gaussians=gaussians, adam=Adam(gaussians), iteration=3, losses=[{"l1": 0.5, "iteration": 1}])
+    adam = Adam(gaussians)
+    adam.count = 3
+    state = TrainingState(gaussians=gaussians, adam=adam, iteration=3, losses=[{"l1": 0.5, "iteration": 1}])
     save_checkpoint(folder / "c.safetensors", state, SETTINGS)
 
 
