@@ -1,6 +1,6 @@
 """What Mitsuba's plugins cannot do without and do not miss themselves: they crash, or fail far from the cause.
 
-Every plugin was tried bare, in each place where one may stand (`tests/fuzz/test_bare_plugins.py`); those that refuse it
+Every plugin was tried bare, in each place where one may stand (`tests/fuzz/readers/scenes.py`); those that refuse it
 with a reason of their own are not listed here.
 """
 

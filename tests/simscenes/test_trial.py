@@ -188,3 +188,20 @@ def _python(code: str) -> tuple[str, list[str]]:
     import sys
 
     return sys.executable, [sys.executable, "-c", f"import sys; sys.path[:] = {sys.path!r}; {code}"]
+
+
+@pytest.mark.slow
+def test_no_plugin_crashes_for_being_bare_so_that_the_trial_is_for_what_nobody_thought_of(tmp_path: Path) -> None:
+    import sys
+
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+    from tests.fuzz.readers.scenes import bare
+
+    mi, crashes = activate(), []
+    for name, content in bare():
+        (tmp_path / name).write_bytes(content)
+        try:
+            build_scene(tmp_path / name, mi)
+        except ValueError as error:
+            crashes += [f"{name}: {error}"] if "crashes" in str(error) else []
+    assert crashes == []

@@ -50,7 +50,7 @@ def read_ply(folder: Path, file: Path) -> None:
     read_ply(file)
 
 
-SETTINGS: dict[str, object] = {"iterations": 10, "seed": 0, "sh_degree": 1}
+SETTINGS: dict[str, object] = {"iterations": 10, "seed": 0, "sh_degree": 1, "refine_cameras": None}
 
 
 def make_checkpoint(folder: Path) -> None:
