@@ -68,7 +68,7 @@ class Cases:
         return name, damaged(name, self.files[name], rng)
 
     def chosen(self, count: int, offset: int = 0) -> list[int]:
-        """`count` numbers of cases: all systematic ones if they fit into half of it, else evenly spread ones of them."""
+        """`count` numbers of cases: all systematic ones, if they fit into half of it, else evenly spread ones."""
         fixed = len(self.whole) + len(self.cuts)
         part = min(fixed, count // 2)
         spread = [i * fixed // part for i in range(part)] if part else []

@@ -1,8 +1,8 @@
 """Runs cases in a forked child, many in one as long as it lives, and says which of them did what no case may.
 
-A case may read its file, or raise ValueError or OSError with a message of some lines. It may not crash, take more than
-20 s or 2 GiB, or raise anything else, warnings included. A child that dies is replaced; the case in which it died is run
-again alone, so that no case is blamed for another.
+A case may read its file, or raise ValueError or OSError with a message of some lines. It may not crash, take more
+than 20 s or 2 GiB, or raise anything else, warnings included. A child that dies is replaced; the case in which it died
+is run again alone, so that no case is blamed for another.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Damage: a valid file in, a broken one out; the same for the same random numbers.
 
-`damaged` picks what suits the file: structure first (a JSON value replaced, a PNG chunk with a sum that fits), since plain
-bit flips seldom get past the first check, then bytes.
+`damaged` picks what suits the file: structure first (a JSON value replaced, a PNG chunk with a sum that fits), since
+plain bit flips seldom get past the first check, then bytes.
 """
 
 from __future__ import annotations

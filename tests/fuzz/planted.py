@@ -1,4 +1,4 @@
-"""Readers with a fault each, which the harness must find: `python -m tests.fuzz.planted` prints what it finds, as JSON."""
+"""Readers with a fault each, for the harness to find: `python -m tests.fuzz.planted` prints what it finds, as JSON."""
 
 from __future__ import annotations
 

@@ -14,8 +14,9 @@ from typing import Any
 from xml.etree import ElementTree
 
 DEEP = 3000  # nested lists: more than Python's recursion limit
-ODD = (None, True, False, "", "x", "nan", "0", "../..", "a\nb", "\ud800", "é" * 300, 0, -1, 1, 0.5, -0.0, 1e300, 1e-320, 2**31,
-       2**63, 2**64, 10**9, [], {}, [[]], [None], {"": None}, [1, 2, 3], "/dev/null", "images")  # fmt: skip
+ODD = (None, True, False, "", "x", "nan", "0", "../..", "a\nb", "\ud800", "é" * 300, 0, -1, 1, 0.5, -0.0, 1e300,
+       1e-320, 2**31, 2**63, 2**64, 10**9, [], {}, [[]], [None], {"": None}, [1, 2, 3], "/dev/null",
+       "images")  # fmt: skip
 RAW = ("NaN", "Infinity", "-Infinity", "1e999", "1" + "0" * 400, "-" + "9" * 5000, "[" * DEEP + "]" * DEEP,
        '{"a":' * DEEP + "1" + "}" * DEEP)  # fmt: skip
 
@@ -78,7 +79,8 @@ def _change(document: Any, rng: Random) -> None:
 
 
 TOML = ("nan", "inf", "-inf", "-1", "0", "1e308", "1e999", "1" + "0" * 400, '"x"', '""', '"nan"', "true", "[]", "{}",
-        "[[]]", "[1, 'a']", "{a = 1}", "1979-05-27", "07:32:00", "0x10", "1_0", "'''\na'''", "[" * DEEP + "]" * DEEP)  # fmt: skip
+        "[[]]", "[1, 'a']", "{a = 1}", "1979-05-27", "07:32:00", "0x10", "1_0", "'''\na'''",
+        "[" * DEEP + "]" * DEEP)  # fmt: skip
 
 
 def toml_line(content: bytes, rng: Random) -> bytes:
@@ -103,8 +105,8 @@ PLUGINS: list[str] = []  # filled by the reader of scenes
 TAGS = ("shape", "bsdf", "texture", "emitter", "sensor", "film", "sampler", "rfilter", "integrator", "medium", "phase",
         "volume", "spectrum", "rgb", "float", "integer", "string", "boolean", "point", "vector", "transform", "lookat",
         "rotate", "scale", "matrix", "ref", "default", "include", "path", "alias", "translate")  # fmt: skip
-VALUES = ("0", "-1", "nan", "inf", "1e38", "1e999", "", "x", "1,2", "0,0,0", "1 2 3 4", "1e-40", "4294967296", "$x", "m.ply",
-          "t.png", "e.exr", "true", "9" * 400, "1,1,1", "0,0,1", "ball")  # fmt: skip
+VALUES = ("0", "-1", "nan", "inf", "1e38", "1e999", "", "x", "1,2", "0,0,0", "1 2 3 4", "1e-40", "4294967296", "$x",
+          "m.ply", "t.png", "e.exr", "true", "9" * 400, "1,1,1", "0,0,1", "ball")  # fmt: skip
 
 
 def xml_element(content: bytes, rng: Random) -> bytes:
@@ -221,6 +223,10 @@ def ply_head(content: bytes, rng: Random) -> bytes:
     return rng.choice(mutate.TEXTUAL)(head, rng) + end + body
 
 
+WORDS = ("", "-", "--", "--x", "-1", "\ud800", "a\nb", "=", ":", "nan", "1e999", "9" * 5000, "None", "/", "..", "\0",
+         "é", "known:", "x=nova:", "x=nova:fit=1", "vggt:checkpoint=/", "🦉" * 99)  # fmt: skip
+
+
 def arguments(content: bytes, rng: Random) -> bytes:
     """A command line, a JSON list of words."""
     try:
@@ -240,8 +246,7 @@ def arguments(content: bytes, rng: Random) -> bytes:
     elif what == 3:
         words[i] = re.sub(r"[-\d.]+", lambda m: rng.choice(VALUES), str(words[i]), count=1)
     elif what == 4:
-        words[i] = rng.choice(("", "-", "--", "--x", "-1", "\ud800", "a\nb", "=", ":", "nan", "1e999", "9" * 5000, "None", "/",
-                               "..", "\0", "é", "known:", "x=nova:", "x=nova:fit=1", "vggt:checkpoint=/", "🦉" * 99))  # fmt: skip
+        words[i] = rng.choice(WORDS)
     else:
         word = str(words[i])
         at = rng.randrange(len(word) + 1)
@@ -249,5 +254,5 @@ def arguments(content: bytes, rng: Random) -> bytes:
     return json.dumps(words).encode()
 
 
-FOR = {".json": json_value, ".jsonl": json_value, ".toml": toml_line, ".xml": xml_element, ".png": png_chunk, ".argv": arguments,
-       ".safetensors": safetensors_head, ".pt": zip_member, ".ply": ply_head}  # fmt: skip
+FOR = {".json": json_value, ".jsonl": json_value, ".toml": toml_line, ".xml": xml_element, ".png": png_chunk,
+       ".argv": arguments, ".safetensors": safetensors_head, ".pt": zip_member, ".ply": ply_head}  # fmt: skip

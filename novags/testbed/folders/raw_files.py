@@ -103,5 +103,7 @@ def _opened(path: Path, *, pixels: bool = True) -> Iterator[Any]:
                 raw.unpack()
             yield raw
     except (rawpy.LibRawError, OSError) as error:
-        raise ValueError(f"{path} is not a readable raw file ({error}); replace or remove it. LibRaw also refuses images "
-                         f"under {SMALLEST} px wide or high") from error  # fmt: skip
+        raise ValueError(
+            f"{path} is not a readable raw file ({error}); replace or remove it. LibRaw also refuses images under "
+            f"{SMALLEST} px wide or high"
+        ) from error

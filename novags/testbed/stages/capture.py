@@ -98,9 +98,11 @@ def capture(
     keep_apart(out, set_path)
     source = open_source(set_path, console, config.max_size)
     if min(source.rig.width, source.rig.height) < SMALLEST:
-        console.warn(f"images of {source.rig.width} x {source.rig.height} px make raw files that LibRaw refuses: it takes "
-                     f"{SMALLEST} px of either side or more. novags reconstruct needs larger images, all other files of "
-                     "this capture are as usual")  # fmt: skip
+        console.warn(
+            f"images of {source.rig.width} x {source.rig.height} px make raw files that LibRaw refuses: it takes "
+            f"{SMALLEST} px of either side or more. novags reconstruct needs larger images, all other files of this "
+            "capture are as usual"
+        )
     return run_stage(
         "capture",
         out,

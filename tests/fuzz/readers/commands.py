@@ -13,16 +13,17 @@ from tests.fuzz.case import Reader
 LINES = [
     "run --preset small --scene tabletop:3 --sensor a7s2-iso6400-3chip --electrons 5.5 --out out --methods nova naive "
     "--variant a=nova-fast:sh_weight=none,fit.iterations=30 --variant v.toml --cameras known:rotation_deg=1 --views 9 "
-    "--width 32 --height 24 --spp 16 --points 100 --iterations 10 --denoiser-steps 5 --seed 3 --device cpu --refine-cameras",
-    "plan cornell --sensor camera.toml --electrons 20 --time 0.01 --width 64 --height 48 --tolerance 0.1 --on 'indirect light' "
-    "--off 'participating media' --max-depth 5",
+    "--width 32 --height 24 --spp 16 --points 100 --iterations 10 --denoiser-steps 5 --seed 3 --device cpu "
+    "--refine-cameras",
+    "plan cornell --sensor camera.toml --electrons 20 --time 0.01 --width 64 --height 48 --tolerance 0.1 "
+    "--on 'indirect light' --off 'participating media' --max-depth 5",
     "render scene.xml --out set --views 8 --width 32 --height 32 --target-error 0.05 --export blender llff --seed 1 "
     "--aperture-radius 0.1 --focus-distance 2 --motion 0.3 --allow-outside",
     "render cornell --out set --spp 64 --variant llvm_ad_rgb --response 'Nikon 5100 (NPL)'",
     "capture set --out cap --sensor ideal --electrons 20 --time 0.1 --max-size 800 --demosaic malvar --jpeg-quality 90 "
     "--tolerance None --seed 2",
-    "reconstruct cap --out run --method nova --preset demo --pictures 16bit --cameras sfm:pictures=enhanced --points 50 "
-    "--iterations 9 --seed 4 --device auto",
+    "reconstruct cap --out run --method nova --preset demo --pictures 16bit --cameras sfm:pictures=enhanced "
+    "--points 50 --iterations 9 --seed 4 --device auto",
     "reconstruct cap --out run --variant b=naive:init_scale=0.5 --cameras vggt:checkpoint=w.pt,drop_percent=20",
     "score run",
     "report run",

@@ -19,12 +19,11 @@ def make_exr(folder: Path) -> None:
     )
     import OpenEXR
 
-    for name, kind in (("zips", "ZIPS"), ("piz", "PIZ"), ("rle", "RLE"), ("none", "NO"), ("b44", "B44"), ("dwaa", "DWAA"),
-                       ("pxr24", "PXR24")):  # fmt: skip
+    for kind in ("ZIPS", "PIZ", "RLE", "NO", "B44", "DWAA", "PXR24"):
         head = {"compression": getattr(OpenEXR, f"{kind}_COMPRESSION"), "type": OpenEXR.scanlineimage}
         half = {c: rng.random((9, 11)).astype(np.float16) for c in "RGB"}
         with OpenEXR.File(head, half) as file:
-            file.write(str(folder / f"{name}.exr"))
+            file.write(str(folder / f"{kind.lower()}.exr"))
 
 
 def read_exr(folder: Path, file: Path) -> None:

@@ -11,6 +11,17 @@ from tests.fuzz.case import Reader
 from tests.fuzz.readers.text import some_rig
 
 SIZE = (24, 32)
+HARDWARE = {"processor": "x", "cores": 2, "memory_bytes": 10**9, "gpu": None}
+STAGE = {
+    "key": "k",
+    "config": {},
+    "seconds": 2.0,
+    "peak_bytes": 10**8,
+    "versions": {"numpy": "2"},
+    "hardware": HARDWARE,
+}
+CAMERAS = {"source": "known", "unregistered": [], "registered_share": 1.0, "mean_rotation_deg": 0.0,
+           "mean_centre_error": 0.0, "depth_scale": 1.0}  # fmt: skip
 
 
 def make_set(folder: Path) -> None:
@@ -33,8 +44,9 @@ def make_set(folder: Path) -> None:
     facts = {
         "kind": "rendered", "exposure_scale": 1.5, "camera_matrix": [[0.7, 0.2, 0.1], [0.1, 0.8, 0.1], [0.1, 0.2, 0.7]],
         "digest": "ab" * 32, "views": {n: {"spp": 4, "relative_error": 0.1, "fireflies": 0} for n in names},
-        "stage": {"seconds": 1.0, "key": "k", "name": "render", "inputs": {"scene": "cornell"}}, "seconds": {"load": 0.1},
-        "shapes": ["a"], "materials": ["m"], "n_views": 3, "width": SIZE[1], "height": SIZE[0],
+        "stage": {**STAGE, "inputs": {"scene": "cornell"}},
+        "seconds": {"load": 0.1}, "shapes": ["a"], "materials": ["m"], "n_views": 3, "width": SIZE[1],
+        "height": SIZE[0],
     }  # fmt: skip
     (folder / "set.json").write_text(json.dumps(facts))
     (folder / "seconds.json").write_text(json.dumps({"digest": "ab" * 32, "seconds": {"load": 0.5}}))
@@ -92,9 +104,9 @@ def make_run(folder: Path) -> None:
             write_exr(run / "exr" / f"{view}.exr", planes)
         record = {
             "name": name, "method": name, "capture": "../capture", "space": "enhanced", "config": config,
-            "enhancement": {"enhancer": "guided", "pictures": "8bit", "config": config["enhance"]}, "seconds": {"fit": 1.0},
-            "cameras": {"depth_scale": 1.0, "registered": list(capture.names)}, "n_gaussians": 9, "device": "cpu",
-            "stage": {"inputs": inputs, "seconds": 2.0, "peak_bytes": 10**8, "key": "k", "name": "reconstruct", "config": config},
+            "enhancement": {"enhancer": "guided", "pictures": "8bit", "config": config["enhance"]},
+            "seconds": {"fit": 1.0}, "cameras": {**CAMERAS, "registered": list(capture.names)},
+            "stage": {**STAGE, "inputs": inputs, "config": config},
         }  # fmt: skip
         (run / "run.json").write_text(json.dumps(record))
         (run / "events.jsonl").write_text(

@@ -17,9 +17,11 @@ SCENE = """<scene version="3.0.0">
   <sensor type="perspective"><float name="fov" value="45"/>
     <transform name="to_world"><lookat origin="0,-4,1.5" target="0,0,0.5" up="0,0,1"/></transform>
     <film type="hdrfilm"><integer name="width" value="$size"/><integer name="height" value="9"/>
-      <rfilter type="box"/></film><sampler type="independent"><integer name="sample_count" value="4"/></sampler></sensor>
+      <rfilter type="box"/></film>
+    <sampler type="independent"><integer name="sample_count" value="4"/></sampler></sensor>
   <bsdf type="twosided" id="paint"><bsdf type="diffuse"><texture type="bitmap" name="reflectance">
-    <string name="filename" value="t.png"/><transform name="to_uv"><scale value="2"/></transform></texture></bsdf></bsdf>
+    <string name="filename" value="t.png"/><transform name="to_uv"><scale value="2"/></transform>
+    </texture></bsdf></bsdf>
   <shape type="ply" id="m"><string name="filename" value="m.ply"/><ref id="paint"/></shape>
   <shape type="obj"><string name="filename" value="m.obj"/><bsdf type="roughplastic">
     <rgb name="diffuse_reflectance" value="0.2,0.3,0.4"/><float name="alpha" value="0.2"/></bsdf></shape>
