@@ -11,7 +11,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +19,7 @@ from typing import Any
 os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
 
 from tests.fuzz.case import Cases, Reader
-from tests.fuzz.engine import Finding, Limits, jsonable, run
+from tests.fuzz.engine import Finding, jsonable, run
 from tests.fuzz.readers import READERS
 
 BATCH = 500  # cases between two notes of how far it is
@@ -71,24 +71,29 @@ def _must_read(reader: Reader, folder: Path, path: Path) -> None:
         raise RuntimeError(f"refused: {error}") from error
 
 
-def fuzz(reader: Reader, count: int, seed: int, note: Path | None, limits: Limits) -> dict[str, Any]:
-    """Run `count` cases of a reader; the record says how many were run, the seconds and the findings."""
-    record: dict[str, Any] = {"reader": reader.name, "seed": seed, "cases": 0, "seconds": 0.0, "findings": []}
-    if note is not None and note.is_file():
-        record = json.loads(note.read_text())
-    with made(reader, seed) as (cases, folder):
-        numbers = cases.chosen(count)
-        while record["cases"] < len(numbers):
-            start = time.monotonic()
-            batch = numbers[record["cases"] : record["cases"] + BATCH]
-            for found in run(cases, batch, folder, limits):
-                record["findings"].append(jsonable(found))
-                print(f"{reader.name} {found.case} {found.file}: {found.kind} {found.place} {found.detail}", flush=True)
-            record["cases"] += len(batch)
-            record["seconds"] += time.monotonic() - start
-            if note is not None:
-                note.write_text(json.dumps(record))
-    return record
+def advance(record: dict[str, Any], cases: Cases, folder: Path, upto: int) -> None:
+    """Run the cases of a reader up to the `upto`-th, in a record that says how many were run, and what was found."""
+    numbers = cases.chosen(record["of"])
+    while record["cases"] < upto:
+        start = time.monotonic()
+        batch = numbers[record["cases"] : min(upto, record["cases"] + BATCH)]
+        for found in run(cases, batch, folder):
+            record["findings"].append(jsonable(found))
+            place = f"{found.reader} {found.case} {found.file}"
+            print(f"{place}: {found.kind} {found.place} {found.detail}", flush=True)
+        record["cases"] += len(batch)
+        record["seconds"] += time.monotonic() - start
+
+
+def opened(note: Path, reader: Reader, seed: int, count: int) -> dict[str, Any]:
+    """The record of an earlier run that this one continues, or a new one."""
+    new = {"reader": reader.name, "seed": seed, "of": count, "cases": 0, "seconds": 0.0, "findings": []}
+    if not note.is_file():
+        return new
+    earlier: dict[str, Any] = json.loads(note.read_text())
+    if earlier["of"] != count:
+        raise SystemExit(f"{note} is of a run of {earlier['of']} cases, not {count}: give another --out, or --fresh")
+    return earlier
 
 
 def table(records: list[dict[str, Any]]) -> str:
@@ -126,11 +131,19 @@ def main() -> None:
     if given.fresh:
         shutil.rmtree(given.out, ignore_errors=True)
     given.out.mkdir(parents=True, exist_ok=True)
-    records = []
-    for reader in readers:
-        note = given.out / f"{reader.name}.{given.seed}.json"
-        records.append(fuzz(reader, shares(given.cases, readers)[reader.name], given.seed, note, Limits()))
-        (given.out / "table.md").write_text(table(records))
+    counts = shares(given.cases, readers)
+    records, rounds = [], max(1, given.cases // 20_000)
+    with ExitStack() as stack:
+        jobs = []
+        for reader in readers:
+            note = given.out / f"{reader.name}.{given.seed}.json"
+            records.append(opened(note, reader, given.seed, counts[reader.name]))
+            jobs.append((records[-1], *stack.enter_context(made(reader, given.seed)), note))
+        for done in range(1, rounds + 1):  # all readers by turns, so that an interrupted run has tried each
+            for record, cases, folder, note in jobs:
+                advance(record, cases, folder, record["of"] * done // rounds)
+                note.write_text(json.dumps(record))
+            (given.out / "table.md").write_text(table(records))
     print(table(records))
     sys.exit(any(r["findings"] for r in records))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import json
 import os
 import sys
@@ -52,6 +53,7 @@ def read(folder: Path, file: Path) -> None:
     """Run a command of which every stage is left out."""
     from novags import cli
 
+    _leave_out_the_work()
     try:
         words = json.loads(file.read_text())
         if not (isinstance(words, list) and all(isinstance(word, str) for word in words)):
@@ -77,9 +79,18 @@ def _nothing(*_: Any, **__: Any) -> Any:
     return {}
 
 
-def _command_line() -> None:
+def _imports() -> None:
     import torch
 
+    import novags.testbed.experiment
+    import novags.testbed.report.page  # noqa: F401
+
+    torch.set_num_threads(1)
+
+
+@functools.cache
+def _leave_out_the_work() -> None:
+    """In the child, since other readers need the stages."""
     import novags.testbed.calibration_frames as frames
     import novags.testbed.doctor as doctor
     import novags.testbed.experiment as experiment
@@ -88,7 +99,6 @@ def _command_line() -> None:
     from novags import cli
     from novags.testbed import stability, stages
 
-    torch.set_num_threads(1)
     for module, names in (
         (stages, ("render", "capture", "reconstruct", "score")), (experiment, ("score_all",)), (doctor, ("examine",)),
         (stability, ("measure",)), (stability, ("markdown",)),
@@ -108,4 +118,4 @@ def _refused(*_: Any, **__: Any) -> Any:
     return __import__("sensor_model").PRESETS["ideal"], "measured"
 
 
-READERS = [Reader("command line", make, read, ("*.argv",), share=3, prepare=_command_line)]
+READERS = [Reader("command line", make, read, ("*.argv",), share=1.5, prepare=_imports)]

@@ -155,6 +155,6 @@ READERS = [
     Reader(
         "checkpoint of a fit", make_checkpoint, read_checkpoint, ("*.safetensors",), cut=("*",), share=8, prepare=_torch
     ),
-    Reader("checkpoint of a network", make_network, read_network, ("*.safetensors",), share=6, prepare=_torch),
+    Reader("checkpoint of a network", make_network, read_network, ("*.safetensors",), share=2, prepare=_torch),
     Reader("VGGT weights", make_weights, read_weights, ("w.*",), cut=("w.safetensors",), share=6, prepare=_stand_in),
 ]

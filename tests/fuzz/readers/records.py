@@ -175,9 +175,9 @@ RUN = (
     "capture/capture.json",
 )
 READERS = [
-    Reader("set.json", make_set, read_set, ("set.json", "seconds.json"), share=5, prepare=_line),
-    Reader("capture.json", make_capture, read_capture, ("capture/capture.json",), share=3, prepare=_line),
-    Reader("records of runs", make_run, read_experiment, RUN, share=4, prepare=_line),
+    Reader("set.json", make_set, read_set, ("set.json", "seconds.json"), share=3, prepare=_line),
+    Reader("capture.json", make_capture, read_capture, ("capture/capture.json",), share=2, prepare=_line),
+    Reader("records of runs", make_run, read_experiment, RUN, share=2, prepare=_line),
     Reader(
         "unfinished.json", make_unfinished, read_unfinished, ("unfinished.json", "metrics.json"), share=8, prepare=_line
     ),
