@@ -43,7 +43,8 @@ def _ply_bytes(start: bytes) -> int:
         if words[:2] == ["format", "ascii"]:
             binary = False
         elif len(words) == 3 and words[0] == "element":
-            count = int(words[2]) if words[2].isdecimal() and len(words[2]) < 20 else 0
+            # Mitsuba reads "-1" as 2**64 - 1.
+            count = int(words[2]) if words[2].isdecimal() and len(words[2]) < 20 else 2**64
         elif len(words) >= 3 and words[0] == "property":
             of = words[2] if words[1] == "list" else words[1]  # of a list at least the length is there
             total += count * (PLY_BYTES.get(of, 1) if binary else 2)  # a digit and a space

@@ -59,9 +59,11 @@ def test_mesh_indices_out_of_range_are_one_line_whether_mitsuba_crashes_or_reads
         ("m.ply", ply(0, 1, 2, vertices=10**9)),
         ("m.ply", ply(0, 1, 2, faces=10**9)),
         ("m.ply", ply(0, 1, 2)[:-30]),
+        ("m.ply", ply(0, 1, 2).replace(b"vertex 3", b"vertex -1")),
+        ("m.ply", ply(0, 1, 2).replace(b"vertex 3", b"vertex " + b"9" * 5000)),
         ("m.serialized", serialized(0, 1, 2, vertices=10**9)),
     ],
-    ids=["vertices", "faces", "cut short", "serialized"],
+    ids=["vertices", "faces", "cut short", "fewer than none", "5000 digits", "serialized"],
 )
 def test_a_mesh_that_announces_more_than_it_holds_is_refused_unread(name: str, content: bytes, tmp_path: Path) -> None:
     path = scene_of(tmp_path, name, content)
