@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from sensor_model.files.atomic import atomic
+from simscenes.sets.whole import check_whole
 
 
 def read_png(path: Path) -> np.ndarray:
@@ -24,6 +25,8 @@ def read_codes(path: Path) -> np.ndarray:
     Raises:
         ValueError: If the file is missing, unreadable, or of a different depth.
     """
+    if path.is_file():
+        check_whole(path)
     bgr = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     if bgr is None:
         raise ValueError(f"{path} is missing or not a readable image: run the stage that makes it again")
