@@ -85,7 +85,7 @@ def test_every_cut_of_a_png_is_refused_and_so_is_a_chunk_beyond_the_end(tmp_path
     for length in (*range(8, len(content), 17), len(content) - 1):
         file.write_bytes(content[:length])
         with pytest.raises(ValueError, match=r"a.png is cut short"):
-            read_codes(file)
+            check_whole(file)
     at = content.index(b"IDAT") - 4
     file.write_bytes(content[:at] + b"\x7f\xc0\0\0" + content[at + 4 :])  # 2 GiB in OpenCV's decoder
     with pytest.raises(ValueError, match=r"a chunk of it is damaged"):
