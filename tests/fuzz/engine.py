@@ -154,6 +154,26 @@ def cases_finding(cases: Cases, number: int, kind: str, detail: str, place: str)
     return Finding(cases.reader.name, number, cases.case(number)[0], kind, detail, place)
 
 
+class _Clock:
+    """How long a process has been at one case: what it computed, since other work on the machine is no fault of it."""
+
+    def __init__(self, pid: int) -> None:
+        self.pid, self.position, self.start, self.computed = pid, -1, 0.0, 0.0
+
+    def is_over(self, position: int, seconds: float) -> bool:
+        """Whether it has computed for longer than `seconds`, or waited for three times as long."""
+        try:
+            state, *fields = Path(f"/proc/{self.pid}/stat").read_text().rpartition(") ")[2].split()
+        except OSError:
+            return False  # it is just leaving
+        computed = (int(fields[10]) + int(fields[11])) / os.sysconf("SC_CLK_TCK")  # user and system
+        if position != self.position or state == "R":
+            self.start = time.monotonic()  # of waiting
+        if position != self.position:
+            self.position, self.computed = position, computed
+        return computed - self.computed > seconds or time.monotonic() - self.start > 3 * seconds
+
+
 class _Child:
     """A forked process that runs cases until it is through, dies or is killed."""
 
@@ -171,7 +191,7 @@ class _Child:
 
     def findings(self) -> Iterator[Finding]:
         """What the child finds; returns when it is gone."""
-        watched, buffer, since, last = os.pidfd_open(self.pid), b"", time.monotonic(), -1
+        watched, buffer, clock = os.pidfd_open(self.pid), b"", _Clock(self.pid)
         killed = ended = False
         while not ended:
             ready, _, _ = select.select([self.pipe, watched], [], [], min(0.5, self.limits.seconds / 4))
@@ -184,10 +204,7 @@ class _Child:
             *lines, buffer = buffer.split(b"\n")
             for line in lines:
                 yield Finding(**json.loads(line))
-            now = struct.unpack("q", self.shared[:8])[0]
-            if now != last:
-                since, last = time.monotonic(), now
-            elif not killed and time.monotonic() - since > self.limits.seconds:
+            if not (ended or killed) and clock.is_over(struct.unpack("q", self.shared[:8])[0], self.limits.seconds):
                 os.kill(self.pid, signal.SIGKILL)  # whatever it ignores
                 killed = True
         os.close(watched)

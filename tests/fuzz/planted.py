@@ -8,6 +8,7 @@ import os
 import signal
 import sys
 import tempfile
+import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -15,7 +16,7 @@ from pathlib import Path
 from tests.fuzz.case import Cases, Reader
 from tests.fuzz.engine import Limits, jsonable, run
 
-LIMITS = Limits(seconds=1.5, bytes=256 << 20)
+LIMITS = Limits(seconds=1.0, bytes=256 << 20)
 calls: list[int] = []
 
 
@@ -36,6 +37,10 @@ def hang() -> None:
         signal.signal(number, signal.SIG_IGN)
     while True:
         pass
+
+
+def wait() -> None:
+    time.sleep(60)
 
 
 def one_large_block() -> None:
@@ -95,8 +100,8 @@ def documented() -> None:
 
 
 FAULTS: tuple[Callable[[], None], ...] = (
-    segfault, abort, leave, hang, one_large_block, many_small_blocks, memory_behind_a_documented_error, undocumented,
-    recursion, stop, warning, silence, flood, only_after_others, documented,
+    segfault, abort, leave, hang, wait, one_large_block, many_small_blocks, memory_behind_a_documented_error,
+    undocumented, recursion, stop, warning, silence, flood, only_after_others, documented,
 )  # fmt: skip
 
 

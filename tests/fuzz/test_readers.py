@@ -14,7 +14,7 @@ sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a 
 from tests.fuzz.readers import READERS  # noqa: E402
 from tests.fuzz.readers.scenes import bare, places, plugins  # noqa: E402
 
-CASES = 3000
+CASES = 2000
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def test_damaged_files_are_read_or_refused_as_documented(records: dict[str, Any]
 
 
 def test_every_plugin_of_mitsuba_is_tried_bare_in_every_place() -> None:
-    assert len(plugins()) > 100
+    assert len(plugins()) > 90
     assert {"bitmap", "merge", "blendbsdf", "hair"} <= set(plugins())
     tags = {tag for tag, _ in places("x")}
     assert {"shape", "bsdf", "texture", "emitter", "sensor", "film", "integrator", "medium", "phase", "volume"} <= tags
