@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 from pathlib import Path
 
@@ -144,10 +145,18 @@ def read_experiment(folder: Path, file: Path) -> None:
 
 
 def read_unfinished(folder: Path, file: Path) -> None:
-    from novags.testbed.cache import _earlier_seconds
+    from novags.testbed.cache import _Stage
     from novags.testbed.console import Console
 
-    _earlier_seconds("score", folder, "metrics.json", "k", ("metrics.json",), Console(quiet=True))
+    class Started(Exception):
+        """Instead of work, which would change the folder."""
+
+    def prepare() -> None:
+        raise Started
+
+    stage = _Stage("score", folder, "metrics.json", ("metrics.json",), (), Console(quiet=True))
+    with contextlib.suppress(Started):
+        stage.run({}, {}, prepare, lambda _: {}, ())
 
 
 def make_unfinished(folder: Path) -> None:
