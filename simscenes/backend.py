@@ -93,9 +93,14 @@ def _run_probe(variant: str, library: Path | None) -> str:
     return next((line.strip() for line in reversed(lines) if line.strip()), f"exit status {done.returncode}")
 
 
+def cache_folder(kind: str) -> Path:
+    """Where this user's machine remembers what it has tried; may not exist yet."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "novags" / kind
+
+
 def _probe(variant: str, library: Path | None, stamp: str) -> str:
     """Probe once per machine: successes are remembered in the user's cache folder, failures are tried again."""
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "novags" / "variants"
+    cache = cache_folder("variants")
     identity = json.dumps([variant, str(library), stamp, *map(importlib.metadata.version, ("drjit", "mitsuba"))])
     marker = cache / hashlib.sha256(identity.encode()).hexdigest()[:24]
     if marker.is_file():

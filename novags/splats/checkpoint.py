@@ -132,7 +132,7 @@ def _assembled(rest: dict[str, Any], tensors: dict[str, Tensor], settings: dict[
         _check_like(gaussians.tensors(), moments, prefix)
     _check_like(gaussians.tensors(), gaussians.tensors(), "gaussians.")
     cameras = part("cameras.")
-    if bool(cameras) != (settings["refine_cameras"] is not None):
+    if bool(cameras) != (settings.get("refine_cameras") is not None):
         raise ValueError("camera refinement is there, and the settings have none, or the other way round")
     if cameras:
         _check_like(vars(CameraState.of(gaussians.means.new_zeros(settings["views"], 4, 4))), cameras, "cameras.")

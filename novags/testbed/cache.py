@@ -31,6 +31,8 @@ from sensor_model.files.records import read_record
 Prepared = TypeVar("Prepared")
 
 UNFINISHED = "unfinished.json"
+STATE = {"stage?": str, "record?": str, "key?": (str, None), "seconds?": float}  # what that holds
+KEYED = {"stage?": {"key?": str}}  # what a record of any stage holds
 # Entries of a record that say what it cost, not what it is.
 VOLATILE = ("stage", "seconds", "predicted_seconds", "peak_bytes", "versions")
 
@@ -221,7 +223,7 @@ class _Stage:
         """As `run_stage` says."""
         about = {"stage": self.name, "version": package_version("novags"), "inputs": inputs, "config": config}
         key, record_path = digest(about), self.folder / self.record_name
-        if record_path.exists() and (record := read_json(record_path)).get("stage", {}).get("key") == key:
+        if record_path.exists() and (record := read_json(record_path, KEYED)).get("stage", {}).get("key") == key:
             self._forget_interruption()
             self.console.note(f"{self.name}: unchanged, kept {self.folder}")
             return record
@@ -250,7 +252,7 @@ class _Stage:
 
     def _forget_interruption(self) -> None:
         """Work on this record was stopped after the record was written, or before anything was cleared for another."""
-        if self._unfinished.exists() and read_json(self._unfinished).get("record") == self.record_name:
+        if self._unfinished.exists() and read_json(self._unfinished, STATE).get("record") == self.record_name:
             self._tidy()
 
     def _tidy(self) -> None:
@@ -267,7 +269,7 @@ class _Stage:
         """
         record, name = self.folder / self.record_name, self.name
         if self._unfinished.exists():
-            state = read_json(self._unfinished)
+            state = read_json(self._unfinished, STATE)
             if state.get("key") == key:
                 self.console.note(f"{name}: continuing in {self.folder}")
                 return float(state.get("seconds", 0.0))

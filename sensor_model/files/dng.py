@@ -1,7 +1,8 @@
 """Raw frames as DNG files: a colour filter mosaic, or one or three full channels (LinearRaw), for any raw converter.
 
-LibRaw (rawpy) reads all of them bit for bit. Its own rendering of a LinearRaw file comes out darker by black/white,
-because it subtracts a black level given per channel from the data but not from the white level.
+LibRaw (rawpy) reads all of them bit for bit, if both sides have `SMALLEST` pixels or more. Its own rendering of a
+LinearRaw file comes out darker by black/white, because it subtracts a black level given per channel from the data but
+not from the white level.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from sensor_model.params import Exposure, Sensor, require
 # CIE XYZ -> linear sRGB, D65 (IEC 61966-2-1): the channels are linear sRGB times the response of the filters.
 XYZ_TO_SRGB = np.array([[3.2406, -1.5372, -0.4986], [-0.9689, 1.8758, 0.0415], [0.0557, -0.2040, 1.0570]])
 
+SMALLEST = 22  # px, of either side: LibRaw takes smaller images for damaged files
 TIMES = (1e-9, 2e9)  # s; what a rational of the format holds beside 0
 BLACK_LEVEL = (50714, (5, 8))  # pidng's own has the type SHORT; RATIONAL (type 5, 8 bytes) takes fractions too
 
@@ -35,7 +37,8 @@ def write_dng(
 
     Args:
         path: File to write; appears whole or not at all.
-        dn: uint16, [h, w] for a mosaic or a monochrome sensor, [h, w, 3] for three chips.
+        dn: uint16, [h, w] for a mosaic or a monochrome sensor, [h, w, 3] for three chips. Below `SMALLEST` px the file
+            is right, but LibRaw and what is built on it refuse it.
         sensor: The camera. A black level between two codes stays exact in the file; LibRaw rounds it.
         exposure: Its time goes into the file; 0, or what a rational of the format holds, `TIMES`.
         color_matrix: As in `develop_linear`.

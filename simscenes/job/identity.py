@@ -51,7 +51,7 @@ def is_complete(out: Path, digest: str, names: list[str]) -> bool:
     """Whether a folder holds the finished set of that digest, with all its files."""
     try:
         same = json.loads((out / "set.json").read_text(encoding="utf-8")).get("digest") == digest
-    except (OSError, ValueError, AttributeError):
+    except (OSError, ValueError, AttributeError, RecursionError):
         return False  # no set.json, or a damaged one: the set is rendered and written again
     files = [out / "gt" / f"{n}.exr" for n in names] + [out / "images" / f"{n}.png" for n in names]
     return same and all(f.is_file() for f in files)
@@ -62,7 +62,7 @@ def seconds_spent(out: Path, digest: str) -> dict[str, float]:
     try:
         spent = json.loads((out / SPENT).read_text(encoding="utf-8"))
         return dict(spent["seconds"]) if spent["digest"] == digest else {}
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return {}  # not interrupted, or in the middle of writing this; it only adds to a sum
 
 

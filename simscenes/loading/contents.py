@@ -19,6 +19,20 @@ def objects_in(scene: Any, mi: Any) -> list[Any]:
     return list(found)
 
 
+def parameters_in(scene: Any, mi: Any) -> dict[str, Any]:
+    """What `mi.traverse` finds in a loaded scene, by name, without optional parameters that are not set.
+
+    A hair without its own absorption has such a one, and Mitsuba fails to read it.
+    """
+    params, found = mi.traverse(scene), {}
+    for key in params.keys():  # noqa: SIM118  mitsuba's SceneParameters does not iterate over keys
+        try:
+            found[key] = params[key]
+        except TypeError:
+            continue
+    return found
+
+
 def surfaces_in(scene: Any, mi: Any) -> list[Any]:
     """The shapes that rays hit: those of the scene, then those of its groups, which its instances repeat.
 

@@ -7,10 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from simscenes.loading.contents import objects_in, unique_materials
+from simscenes.loading.complete import check_complete
+from simscenes.loading.contents import objects_in, parameters_in, unique_materials
 from simscenes.loading.digest import content_digest
+from simscenes.loading.meshes import check_faces
 from simscenes.loading.physical import check_parameters, scene_extent
 from simscenes.loading.reference import SceneLike, SceneRef
+from simscenes.loading.trial import check_survives
 from simscenes.loading.untrusted import check_plugin, check_xml, searching_only
 from simscenes.scenes import build
 
@@ -49,9 +52,16 @@ def build_scene(scene: SceneLike | SceneRef, mi: Any, *, allow_outside: bool = F
 
     Raises:
         ValueError: If the name is unknown, the file reaches outside its folder, Mitsuba refuses the description (its
-            reason is in the message), there is no shape, or a number in it is not physical.
+            reason is in the message) or crashes on it, there is no shape, or a number in it is not physical.
     """
     source = SceneRef.of(scene)
+    if source.path is not None and not allow_outside:
+        check_survives(source.path, check_xml(source.path), mi.variant())
+    return load_here(source, mi, allow_outside=allow_outside)
+
+
+def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> LoadedScene:
+    """As `build_scene`, at the risk of this process."""
     name = source.name
     try:
         loaded, description = _load(source, mi, allow_outside)
@@ -65,7 +75,8 @@ def build_scene(scene: SceneLike | SceneRef, mi: Any, *, allow_outside: bool = F
         raise ValueError(f"scene {name!r} holds a 'regular' or 'irregular' spectrum, which only spectral variants can "
                          "read; write it as type 'spectrum' with pairs of wavelength and value")  # fmt: skip
     extent = scene_extent(loaded)
-    params = mi.traverse(loaded)
+    params = parameters_in(loaded, mi)
+    check_faces(params)
     check_parameters(loaded, params, mi)
     shapes = tuple(s.id() for s in loaded.shapes())
     materials = tuple(_material_name(s) for s in unique_materials(loaded, mi))
@@ -91,6 +102,8 @@ def _load_dict(description: dict[str, Any], mi: Any) -> tuple[Any, Any]:
 def _check_plugins(node: dict[str, Any]) -> None:
     if isinstance(kind := node.get("type"), str):
         check_plugin(kind)
+        kinds = ["ref" for value in node.values() if not isinstance(value, (str, int, float))]  # of any kind
+        check_complete(kind, node, kinds, "the scene")
     for child in node.values():
         if isinstance(child, dict):
             _check_plugins(child)

@@ -12,6 +12,9 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+from simscenes.loading.complete import check_complete
+from simscenes.loading.meshes import check_mesh_file
+
 MAX_TEXT = 64 << 20  # characters of all files together, parameters written out
 MAX_INCLUDES = 1000
 MAX_INCLUDE_DEPTH = 15  # Mitsuba's own limit on nested files
@@ -38,12 +41,15 @@ def check_xml(path: Path, *, allow_outside: bool = False) -> tuple[Path, ...]:
 
     Raises:
         ValueError: If the file is not XML or not UTF-8, declares entities, names a file outside its folder, sets a
-            search path, asks for a plugin by a path, comes with plugins, or is too large or too deep.
+            search path, asks for a plugin by a path, comes with plugins, lacks what a plugin needs, names a mesh
+            file that is cut short, or is too large or too deep.
     """
     path = path.resolve()
     reader = _Reader(path.parent, allow_outside)
     reader.read(path, 0, 0, "")
     reader.check_references()
+    for file in reader.files:
+        check_mesh_file(file)
     return tuple(reader.files)
 
 
@@ -145,6 +151,9 @@ class _Reader:
                 )
             attributes = {name: self._written_out(value, path) for name, value in element.attrib.items()}
             yield element.tag, attributes, level, within
+            if "type" in attributes:
+                names = [self._written_out(child.get("name", ""), path) for child in element]
+                check_complete(attributes["type"], names, [child.tag for child in element], f"scene file {path}")
             inner = attributes.get("id", within)
             waiting.extend((child, level + 1, inner) for child in reversed(element))
 

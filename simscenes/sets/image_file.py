@@ -13,6 +13,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from simscenes.sets.whole import check_whole
+
 # 23,170 x 23,170: above any camera's (phones have 200 million), and 1.6 GB as 8-bit RGB. What a file declares beyond it
 # is refused before a byte is decoded, since a few kilobytes can declare a picture that fills any memory.
 MAX_PIXELS = 2**29
@@ -59,7 +61,10 @@ def read_image(file: Path, flags: int) -> NDArray[Any]:
     Raises:
         ValueError: If it is missing, not a readable image, or larger than `MAX_PIXELS`.
     """
+    if not file.is_file():
+        raise ValueError(f"{file} is missing or not a readable image")
     image_size(file)
+    check_whole(file)
     try:
         pixels = cv2.imread(str(file), flags)
     except cv2.error as error:

@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 
 from sensor_model.files.atomic import atomic
+from simscenes.sets.image_file import read_image
 
 
 def read_png(path: Path) -> np.ndarray:
@@ -24,9 +25,10 @@ def read_codes(path: Path) -> np.ndarray:
     Raises:
         ValueError: If the file is missing, unreadable, or of a different depth.
     """
-    bgr = cv2.imread(str(path), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
-    if bgr is None:
-        raise ValueError(f"{path} is missing or not a readable image: run the stage that makes it again")
+    try:
+        bgr = read_image(path, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    except ValueError as error:
+        raise ValueError(f"{error}: run the stage that makes it again") from error
     if bgr.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"{path} must hold 8- or 16-bit codes, got {bgr.dtype}")
     return np.ascontiguousarray(bgr[..., ::-1])

@@ -8,7 +8,7 @@ import pytest
 import rawpy
 
 from sensor_model import PRESETS, Exposure, develop, expose, mosaic, write_dng
-from sensor_model.files.dng import XYZ_TO_SRGB
+from sensor_model.files.dng import SMALLEST, XYZ_TO_SRGB
 from sensor_model.params import CFAS
 
 EXPOSURE = Exposure(time=0.02)
@@ -153,3 +153,20 @@ def test_any_black_level_and_exposure_time_fit_the_rationals_of_the_file(black, 
 def test_a_time_no_rational_of_the_file_holds_is_refused(time, tmp_path):
     with pytest.raises(ValueError, match="time must be"):
         write_dng(tmp_path / "a.dng", np.zeros((16, 16), np.uint16), PRESETS["imx900-hcg"], Exposure(time=time))
+
+
+@pytest.mark.parametrize("name", ["imx900-hcg", "prime-95b", "imx900-hcg-3chip"])
+def test_the_smallest_side_is_the_smallest_that_libraw_takes(name, tmp_path):
+    """Rationale: nobody can read a smaller file back, and LibRaw calls it "not RAW" without a word on the size."""
+    three = (3,) if name.endswith("3chip") else ()
+    for height, width in ((SMALLEST, SMALLEST), (SMALLEST, 65), (65, SMALLEST)):
+        dn = np.arange(height * width * 3, dtype=np.uint16)[: height * width * (3 if three else 1)]
+        dn = dn.reshape(height, width, *three)
+        write_dng(tmp_path / "a.dng", dn, PRESETS[name], EXPOSURE)
+        with rawpy.imread(str(tmp_path / "a.dng")) as raw:
+            visible = raw.raw_image_visible
+            np.testing.assert_array_equal(visible[..., :3] if three else visible, dn)
+    for height, width in ((SMALLEST - 1, 65), (65, SMALLEST - 1)):
+        write_dng(tmp_path / "a.dng", np.zeros((height, width, *three), np.uint16), PRESETS[name], EXPOSURE)
+        with pytest.raises(rawpy.LibRawFileUnsupportedError):
+            rawpy.imread(str(tmp_path / "a.dng"))

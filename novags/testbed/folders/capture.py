@@ -39,6 +39,7 @@ from simscenes.sets.multiview import MultiviewSet, load_set
 from simscenes.sets.png import read_codes, read_png, write_png
 
 RECORD = "capture.json"
+LARGEST = 1e6  # in a colour matrix, whose entries are of order 1: far larger ones overflow the float32 of pictures
 OWNS = (RECORD, "raw", "images16", "images", "truth", *CAMERA_FILES)
 
 
@@ -200,6 +201,10 @@ def open_capture(path: Path) -> Capture:
             f"{path} holds no {RECORD}: it is not a capture, or an unfinished one (run novags capture again)"
         )
     record = read_json(path / RECORD, shapes.CAPTURE)
+    largest = np.abs(record["color_matrix"] or 0.0).max()
+    if largest > LARGEST:
+        raise ValueError(f"{path / RECORD}: color_matrix must hold numbers up to {LARGEST:g}, got {largest:g}: capture "
+                         "again")  # fmt: skip
     with reading(path / RECORD, "capture again"):
         sensor, _ = sensor_from_dict(record["sensor"]), exposure_of(record)
         if record["demosaic"] not in DEMOSAIC:

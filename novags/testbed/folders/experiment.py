@@ -22,7 +22,10 @@ def find_runs(folder: Path) -> dict[str, Run]:
         run = open_run(folder)
         return {run.name: run}
     if (folder / EXPERIMENT).exists():
-        return {name: open_run(folder / name) for name in read_json(folder / EXPERIMENT, shapes.EXPERIMENT)["methods"]}
+        names = read_json(folder / EXPERIMENT, shapes.EXPERIMENT)["methods"]
+        if not names:
+            raise ValueError(f"{folder / EXPERIMENT} names no methods: run the same command again")
+        return {name: open_run(folder / name) for name in names}
     raise ValueError(
         f"{folder} is neither a run (no {RECORD}) nor an experiment (no {EXPERIMENT}; if it is "
         "an unfinished one, run the same command again)"

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from sensor_model.files.dng import SMALLEST
 from sensor_model.params import CFAS, Cfa
 
 SUFFIXES = (".dng", ".nef", ".nrw", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw")
@@ -102,4 +103,7 @@ def _opened(path: Path, *, pixels: bool = True) -> Iterator[Any]:
                 raw.unpack()
             yield raw
     except (rawpy.LibRawError, OSError) as error:
-        raise ValueError(f"{path} is not a readable raw file ({error}); replace or remove it") from error
+        raise ValueError(
+            f"{path} is not a readable raw file ({error}); replace or remove it. LibRaw also refuses images under "
+            f"{SMALLEST} px wide or high"
+        ) from error

@@ -115,7 +115,7 @@ class Run:
         path = self.path / EVENTS
         try:
             return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, RecursionError) as error:
             raise ValueError(f"{path} is missing or damaged ({error}): reconstruct again") from error
 
 

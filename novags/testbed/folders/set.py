@@ -51,6 +51,9 @@ class Source:
         if self.filters is None:
             return None
         red, green, blue = self.filters.sum(1)
+        if not min(red, green, blue) > 0:
+            raise ValueError(f"the camera_matrix of {self.views.path} must have rows with sums > 0, got "
+                             f"{red:g}, {green:g}, {blue:g}: put the original back")  # fmt: skip
         return float(red / green), 1.0, float(blue / green)
 
     @property

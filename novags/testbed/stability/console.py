@@ -21,7 +21,7 @@ def show(parts: Sequence[str], *, long: bool = False, out: Path | None = None) -
         ValueError: If there is no such part.
     """
     if unknown := [part for part in parts if part not in stability.PARTS]:
-        raise ValueError(f"no part {unknown[0]!r} of the hard cases; available: {', '.join(stability.PARTS)}")
+        raise ValueError(f"no part {unknown[0]!r:.80} of the hard cases; available: {', '.join(stability.PARTS)}")
     results = []
     for result in stability.measure(parts or tuple(stability.PARTS), long=long):
         print(f"{'ok  ' if result.holds else 'FAIL'}  {result}", flush=True)

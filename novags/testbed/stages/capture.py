@@ -26,7 +26,7 @@ from sensor_model import (
     plan_effects,
     read_sensor,
 )
-from sensor_model.files.dng import TIMES
+from sensor_model.files.dng import SMALLEST, TIMES
 from sensor_model.isp import DEMOSAIC, Demosaic
 from sensor_model.planner import Limits
 from simscenes.sets.multiview import write_cameras
@@ -97,6 +97,12 @@ def capture(
     """
     keep_apart(out, set_path)
     source = open_source(set_path, console, config.max_size)
+    if min(source.rig.width, source.rig.height) < SMALLEST:
+        console.warn(
+            f"images of {source.rig.width} x {source.rig.height} px make raw files that LibRaw refuses: it takes "
+            f"{SMALLEST} px of either side or more. novags reconstruct needs larger images, all other files of this "
+            "capture are as usual"
+        )
     return run_stage(
         "capture",
         out,

@@ -105,7 +105,9 @@ def test_a_wrong_camera_file_is_one_line_and_exit_code_2(
         lines = capsys.readouterr().err.strip().splitlines()
         assert stop.value.code == 2
         assert len(lines) == 1
-        assert lines[0].startswith("novags: error: mine.toml: ")
+        assert lines[0].startswith(
+            ("novags: error: mine.toml: ", "novags: error: mine.toml is not a readable TOML file")
+        )
         import re
 
         assert re.search(message, lines[0])
@@ -178,3 +180,19 @@ def test_a_set_seen_through_a_cameras_own_filters_is_captured_with_them(tmp_path
     assert np.allclose(clean[20] / clean[5, 1], color / 0.4, rtol=5e-3)
     taken = srgb_to_linear(opened.srgb8(1)).mean(1)
     assert np.allclose(taken[20], clean[20], rtol=0.05)
+
+
+def test_images_too_small_for_raw_files_are_said_before_the_work_and_where_they_are_needed(tmp_path: Path) -> None:
+    import io
+
+    told = io.StringIO()
+    stages.capture(photographs(tmp_path / "set"), tmp_path / "cap", CaptureConfig(), Console(stream=told))
+    notes = told.getvalue()
+    assert notes.index("20 x 16 px make raw files that LibRaw refuses: it takes 22 px") < notes.index("capture: light")
+    with pytest.raises(ValueError, match=r"0000.dng is not a readable raw file .* under 22 px"):
+        open_capture(tmp_path / "cap").raw(0)
+    told = io.StringIO()
+    large = photographs(tmp_path / "large", size=(24, 22))
+    stages.capture(large, tmp_path / "larger", CaptureConfig(), Console(stream=told))
+    assert "LibRaw" not in told.getvalue()
+    assert open_capture(tmp_path / "larger").raw(0).shape[:2] == (22, 24)

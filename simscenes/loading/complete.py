@@ -1,0 +1,55 @@
+"""What Mitsuba's plugins cannot do without and do not miss themselves: they crash, or fail far from the cause.
+
+Every plugin was tried bare, in each place where one may stand (`tests/fuzz/readers/scenes.py`); those that refuse it
+with a reason of their own are not listed here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Need:
+    """What a plugin needs: one of some named parameters, or so many children of some kinds."""
+
+    named: tuple[str, ...] = ()
+    kinds: tuple[str, ...] = ()
+    count: int = 1
+
+    def met(self, names: Collection[str], kinds: list[str]) -> bool:
+        """Whether parameters of these names and children of these kinds are enough; a <ref> may be of any kind."""
+        if self.named:
+            return any(name in names for name in self.named)
+        return sum(kind in (*self.kinds, "ref") for kind in kinds) >= self.count
+
+    def __str__(self) -> str:
+        if self.named:
+            return f"a parameter {' or '.join(map(repr, self.named))}"
+        return f"{'a child' if self.count == 1 else f'{self.count} children'} of kind {' or '.join(self.kinds)}"
+
+
+NEEDS: dict[str, Need] = {
+    "bitmap": Need(named=("filename", "bitmap", "data")),
+    "blendbsdf": Need(kinds=("bsdf",), count=2),
+    "merge": Need(kinds=("shape",)),
+    "volume": Need(kinds=("volume",)),
+}
+
+
+def check_complete(plugin: str, names: Collection[str], kinds: list[str], where: str) -> None:
+    """Refuse a plugin that lacks what it needs.
+
+    Args:
+        plugin: Its type.
+        names: Of its parameters.
+        kinds: Of its children: "bsdf", "shape", ..., or "ref" where only a name is given.
+        where: The scene, for the message.
+
+    Raises:
+        ValueError: If something is missing.
+    """
+    need = NEEDS.get(plugin)
+    if need is not None and not need.met(names, kinds):
+        raise ValueError(f"{where} holds a {plugin!r} without {need}, which Mitsuba cannot load; add it")

@@ -1,0 +1,90 @@
+"""Mesh files whose numbers contradict each other: Mitsuba would read memory that is not theirs, or reserve it all."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+PLY_BYTES = {"char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2, "int": 4,
+             "uint": 4, "int32": 4, "uint32": 4, "float": 4, "float32": 4, "double": 8, "float64": 8}  # fmt: skip
+MAX_HEADER = 1 << 16  # bytes of a PLY file
+DEFLATE = 1032  # zlib cannot make data smaller than by this factor
+
+
+def check_mesh_file(path: Path) -> None:
+    """Refuse a PLY or Mitsuba `serialized` file that announces more than it can hold; other files pass.
+
+    Raises:
+        ValueError: If it does.
+    """
+    kind = path.suffix.lower()
+    if kind not in (".ply", ".serialized"):
+        return
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        start = file.read(MAX_HEADER)
+    least = _ply_bytes(start) if kind == ".ply" else _serialized_bytes(start)
+    most = size - max(start.find(b"end_header"), 0) if kind == ".ply" else DEFLATE * size
+    if least > most:
+        raise ValueError(f"mesh file {path} announces at least {least} bytes of vertices and faces, but has {size}: it "
+                         "is cut short or damaged, get it again")  # fmt: skip
+
+
+def _ply_bytes(start: bytes) -> int:
+    """The fewest bytes that the elements of a PLY header can take; 0 if it is none, which Mitsuba refuses itself."""
+    total, count, binary = 0, 0, True
+    for line in start.split(b"end_header", 1)[0].decode("ascii", "replace").splitlines():
+        words = line.split()
+        if words[:2] == ["format", "ascii"]:
+            binary = False
+        elif len(words) == 3 and words[0] == "element":
+            # Mitsuba reads "-1" as 2**64 - 1.
+            count = int(words[2]) if words[2].isdecimal() and len(words[2]) < 20 else 2**64
+        elif len(words) >= 3 and words[0] == "property":
+            of = words[2] if words[1] == "list" else words[1]  # of a list at least the length is there
+            total += count * (PLY_BYTES.get(of, 1) if binary else 2)  # a digit and a space
+    return total
+
+
+def _serialized_bytes(start: bytes) -> int:
+    """The bytes of the first mesh of a `serialized` file; 0 if its head cannot be read, which Mitsuba refuses."""
+    if len(start) < 4:
+        return 0
+    identifier, version = struct.unpack("<HH", start[:4])
+    if identifier != 0x041C or version not in (3, 4):
+        return 0
+    try:
+        head = zlib.decompressobj().decompress(start[4:], 1 << 16)
+        if version == 4:
+            head = head[:4] + head[head.index(b"\0", 4) + 1 :]  # the name
+        flags, vertices, faces = struct.unpack("<IQQ", head[:20])
+    except (zlib.error, ValueError, struct.error):
+        return 0
+    each = 8 if flags & 0x2000 else 4
+    return int(vertices * 3 * each + faces * 3 * 4)
+
+
+def check_faces(params: Mapping[str, Any]) -> None:
+    """Refuse a loaded scene with a mesh whose faces name vertices that it does not have.
+
+    Args:
+        params: What `parameters_in` finds.
+
+    Raises:
+        ValueError: If there is one.
+    """
+    for key in params:
+        prefix, dot, name = key.rpartition(".")
+        positions = f"{prefix}{dot}vertex_positions"
+        if name != "faces" or positions not in params:
+            continue
+        corners, vertices = np.array(params[key]), len(params[positions]) // 3
+        if corners.size and int(corners.max()) >= vertices:
+            name = "without an id" if prefix.startswith("object_") else repr(prefix)
+            raise ValueError(f"a mesh {name} has {vertices} vertices, but a face names vertex "
+                             f"{int(corners.max())} (counted from 0): the file is damaged")  # fmt: skip

@@ -1,0 +1,131 @@
+"""A scene file nobody vouches for is loaded in a process of its own first: a crash of Mitsuba is one line here.
+
+The process stays for the next file, since it takes a second or two to start, and leaves by itself when none comes. What
+it survived is remembered by content, so that this happens once a file.
+"""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import importlib.metadata
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from simscenes.backend import cache_folder
+
+FORMAT = "1"  # of what is tried; scenes that passed an earlier one are tried again
+SECONDS = 600.0  # that loading may take; a scene of a gigabyte takes one minute
+_START = "import sys; sys.path[:] = {path!r}; from simscenes.loading.trial_process import serve; serve()"
+
+
+def check_survives(scene: Path, files: Sequence[Path], variant: str) -> None:
+    """Load a scene file in another process.
+
+    Args:
+        scene: The file.
+        files: All files that make up the scene, from `check_xml`.
+        variant: Of Mitsuba.
+
+    Raises:
+        ValueError: If that process crashes, hangs or refuses the scene; the reason is in the message.
+    """
+    identity = _identity(files, variant)
+    marker = cache_folder("scenes") / hashlib.sha256(identity).hexdigest()[:32]
+    if marker.is_file():
+        return
+    with _ONE_AT_A_TIME:
+        problem = _PROCESSES.setdefault(variant, _Process(variant)).load(scene)
+    if problem:
+        raise ValueError(problem)
+    try:
+        marker.parent.mkdir(parents=True, exist_ok=True)
+        marker.touch()
+    except OSError:
+        pass  # a read-only home only costs the next process one more trial
+
+
+def _identity(files: Sequence[Path], variant: str) -> bytes:
+    """Content of all files with their places relative to the scene, and what loads them."""
+    root = files[0].parent
+    parts = [FORMAT, variant, *map(importlib.metadata.version, ("drjit", "mitsuba"))]
+    for file in files:
+        parts += [os.path.relpath(file, root), hashlib.sha256(file.read_bytes()).hexdigest()]
+    return "\n".join(parts).encode()
+
+
+@dataclass
+class _Process:
+    """A Python that loads scenes in one variant, one after the other, as `trial_process.serve` describes."""
+
+    variant: str
+    running: subprocess.Popen[bytes] | None = None
+
+    def load(self, scene: Path) -> str:
+        """Why the scene must not be loaded here; "" if nothing speaks against it."""
+        try:
+            # It may leave in the moment in which it is asked: then a fresh one is asked.
+            answer = self._ask(scene) or self._ask(scene) or "!the process that tries it ends before it answers"
+        except BaseException:  # Ctrl-C: what is still to come must not be taken for the answer to the next question
+            self.stop()
+            raise
+        failed = f"scene {scene.stem!r} cannot be loaded:"
+        return f"{failed} {answer[1:]}" if answer.startswith("!") else answer.removeprefix("=")
+
+    def _ask(self, scene: Path) -> str:
+        """The answer after a "=", what happened to the process after a "!", or "" if it had left before."""
+        process = self._alive()
+        assert process.stdin is not None
+        assert process.stdout is not None
+        request = {"scene": str(scene), "variant": self.variant, "cwd": str(Path.cwd())}
+        try:
+            process.stdin.write(json.dumps(request).encode() + b"\n")
+            process.stdin.flush()
+        except BrokenPipeError:
+            self.stop()
+            return ""
+        ready, _, _ = select.select([process.stdout], [], [], SECONDS)
+        if not ready:
+            self.stop()
+            return f"!Mitsuba did not finish within {SECONDS:.0f} s"
+        answer = process.stdout.readline()
+        if answer.endswith(b"\n"):
+            return f"={json.loads(answer)}"
+        code = process.wait()
+        self.stop()
+        return "" if code == 0 else f"!Mitsuba crashes on it ({_reason(code)}); {HINT}"
+
+    def _alive(self) -> subprocess.Popen[bytes]:
+        if self.running is None or self.running.poll() is not None:
+            self.stop()
+            self.running = subprocess.Popen(
+                [sys.executable, "-c", _START.format(path=sys.path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL, start_new_session=True,  # Ctrl-C is for us alone
+            )  # fmt: skip
+            atexit.register(self.stop)
+        return self.running
+
+    def stop(self) -> None:
+        """End it, whatever it is doing."""
+        if self.running is not None:
+            self.running.kill()
+            self.running.communicate()
+            self.running = None
+        atexit.unregister(self.stop)
+
+
+HINT = "look for parameters that are missing or out of range, and for damaged meshes and textures"
+_PROCESSES: dict[str, _Process] = {}
+_ONE_AT_A_TIME = threading.Lock()
+
+
+def _reason(code: int) -> str:
+    return signal.Signals(-code).name if code < 0 else f"exit status {code}"

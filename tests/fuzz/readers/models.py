@@ -1,0 +1,160 @@
+"""COLMAP models, PLY files, safetensors and checkpoints."""
+
+from __future__ import annotations
+
+import sys
+import types
+from pathlib import Path
+
+import numpy as np
+
+from tests.fuzz.case import Reader
+from tests.fuzz.readers.text import pictures, read_transforms, some_rig
+
+
+def make_colmap(folder: Path) -> None:
+    from simscenes.sets.camera_files import write_cameras
+
+    names = ["a", "b", "c"]
+    pictures(folder / "images", names)
+    rng = np.random.default_rng(0)
+    write_cameras(folder, names, some_rig(3), points=(rng.random((6, 3)) - 0.5, rng.integers(0, 255, (6, 3), np.uint8)))
+    for name in ("transforms.json", "nb-info.json", "train_list.txt", "test_list.txt"):
+        (folder / name).unlink()
+
+
+def make_colmap_text(folder: Path) -> None:
+    import pycolmap
+
+    make_colmap(folder)
+    model = pycolmap.Reconstruction(str(folder / "sparse/0"))
+    for file in (folder / "sparse/0").iterdir():
+        file.unlink()
+    model.write_text(str(folder / "sparse/0"))
+
+
+def make_ply(folder: Path) -> None:
+    import torch
+
+    from novags.splats.gaussians import Gaussians
+    from novags.splats.ply import write_ply
+
+    points = torch.rand(5, 3)
+    for degree in (0, 1, 3):
+        write_ply(folder / f"{degree}.ply", Gaussians.from_points(points, torch.rand(5, 3), sh_degree=degree))
+
+
+def read_ply(folder: Path, file: Path) -> None:
+    from novags.splats.ply import read_ply
+
+    read_ply(file)
+
+
+SETTINGS: dict[str, object] = {"iterations": 10, "seed": 0, "sh_degree": 1, "refine_cameras": None}
+
+
+def make_checkpoint(folder: Path) -> None:
+    import torch
+
+    from novags.splats.adam import Adam
+    from novags.splats.checkpoint import TrainingState, save_checkpoint
+    from novags.splats.gaussians import Gaussians
+
+    gaussians = Gaussians.from_points(torch.rand(4, 3), torch.rand(4, 3), sh_degree=1)
+    adam = Adam(gaussians)
+    adam.count = 3
+    state = TrainingState(gaussians=gaussians, adam=adam, iteration=3, losses=[{"l1": 0.5, "iteration": 1}])
+    save_checkpoint(folder / "c.safetensors", state, SETTINGS)
+
+
+def read_checkpoint(folder: Path, file: Path) -> None:
+    import torch
+
+    from novags.splats.checkpoint import load_checkpoint
+
+    load_checkpoint(file, SETTINGS, torch.device("cpu"))
+
+
+def _network():  # noqa: ANN202
+    import torch
+
+    torch.manual_seed(0)
+    network = torch.nn.Sequential(torch.nn.Conv2d(1, 2, 3), torch.nn.Conv2d(2, 1, 1))
+    return network, torch.optim.Adam(network.parameters())
+
+
+def make_network(folder: Path) -> None:
+    import torch
+
+    from novags.methods.nova.checkpoint import pack
+    from novags.splats.checkpoint import write_tensors
+
+    network, adam = _network()
+    network(torch.rand(1, 1, 5, 5)).sum().backward()
+    adam.step()
+    write_tensors(folder / "n.safetensors", pack("denoiser", network, adam))
+
+
+def read_network(folder: Path, file: Path) -> None:
+    from novags.methods.nova.checkpoint import read, unpack
+
+    unpack("denoiser", read(file), *_network())
+
+
+def _stand_in() -> None:
+    """A package vggt of the same interface, small."""
+    import torch
+
+    class VGGT(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.head = torch.nn.Linear(3, 2)
+
+    for name in ("vggt", "vggt.models", "vggt.models.vggt"):
+        sys.modules.setdefault(name, types.ModuleType(name))
+    sys.modules["vggt.models.vggt"].VGGT = VGGT  # type: ignore[attr-defined]
+    import novags.cameras.vggt  # noqa: F401
+
+
+def make_weights(folder: Path) -> None:
+    import torch
+    from safetensors.torch import save_file
+
+    weights = {"head.weight": torch.rand(2, 3), "head.bias": torch.rand(2)}
+    torch.save(weights, folder / "w.pt")
+    save_file(weights, folder / "w.safetensors")
+
+
+def read_weights(folder: Path, file: Path) -> None:
+    from novags.cameras.vggt import _load
+
+    _load(file, "cpu")
+
+
+def _torch() -> None:
+    import torch
+
+    import novags.methods.nova.checkpoint
+    import novags.splats.ply  # noqa: F401
+
+    torch.set_num_threads(1)
+
+
+def _sets() -> None:
+    import pycolmap  # noqa: F401
+
+    import novags.testbed.folders.set  # noqa: F401
+
+
+READERS = [
+    Reader("COLMAP, binary", make_colmap, read_transforms, ("sparse/*.bin",), cut=("*.bin",), share=10, prepare=_sets),
+    Reader(
+        "COLMAP, text", make_colmap_text, read_transforms, ("sparse/*.txt",), cut=("*.txt",), share=10, prepare=_sets
+    ),
+    Reader("PLY", make_ply, read_ply, ("*.ply",), cut=("0.ply",), share=10, prepare=_torch),
+    Reader(
+        "checkpoint of a fit", make_checkpoint, read_checkpoint, ("*.safetensors",), cut=("*",), share=8, prepare=_torch
+    ),
+    Reader("checkpoint of a network", make_network, read_network, ("*.safetensors",), share=2, prepare=_torch),
+    Reader("VGGT weights", make_weights, read_weights, ("w.*",), cut=("w.safetensors",), share=6, prepare=_stand_in),
+]

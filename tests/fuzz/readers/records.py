@@ -1,0 +1,193 @@
+"""JSON records: what the stages write, and people edit."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from pathlib import Path
+
+import numpy as np
+
+from tests.fuzz.case import Reader
+from tests.fuzz.readers.text import some_rig
+
+SIZE = (24, 32)
+HARDWARE = {"processor": "x", "cores": 2, "memory_bytes": 10**9, "gpu": None}
+STAGE = {
+    "key": "k",
+    "config": {},
+    "seconds": 2.0,
+    "peak_bytes": 10**8,
+    "versions": {"numpy": "2"},
+    "hardware": HARDWARE,
+}
+CAMERAS = {"source": "known", "unregistered": [], "registered_share": 1.0, "mean_rotation_deg": 0.0,
+           "mean_centre_error": 0.0, "depth_scale": 1.0}  # fmt: skip
+
+
+def make_set(folder: Path) -> None:
+    """A rendered set, without rendering."""
+    from simscenes.sets.camera_files import write_cameras
+    from simscenes.sets.exr import write_exr
+    from simscenes.sets.png import write_png
+
+    rng = np.random.default_rng(0)
+    names = ["0000", "0001", "0002"]
+    spaces = [f"{n}.{c}" for n in ("N", "Ng") for c in "XYZ"] + [f"{n}.{c}" for n in ("var", "albedo") for c in "RGB"]
+    for name in names:
+        planes = {c: rng.random(SIZE, np.float32) for c in ("R", "G", "B", "Z", "distance", *spaces)}
+        write_exr(
+            folder / "gt" / f"{name}.exr",
+            {**planes, "id": np.ones(SIZE, np.uint32), "material": np.ones(SIZE, np.uint32)},
+        )
+        write_png(folder / "images" / f"{name}.png", rng.integers(0, 255, (*SIZE, 3), np.uint8))
+    write_cameras(folder, names, some_rig(3, SIZE[1], SIZE[0]))
+    facts = {
+        "kind": "rendered", "exposure_scale": 1.5, "camera_matrix": [[0.7, 0.2, 0.1], [0.1, 0.8, 0.1], [0.1, 0.2, 0.7]],
+        "digest": "ab" * 32, "views": {n: {"spp": 4, "relative_error": 0.1, "fireflies": 0} for n in names},
+        "stage": {**STAGE, "inputs": {"scene": "cornell"}},
+        "seconds": {"load": 0.1}, "shapes": ["a"], "materials": ["m"], "n_views": 3, "width": SIZE[1],
+        "height": SIZE[0],
+    }  # fmt: skip
+    (folder / "set.json").write_text(json.dumps(facts))
+    (folder / "seconds.json").write_text(json.dumps({"digest": "ab" * 32, "seconds": {"load": 0.5}}))
+
+
+def read_set(folder: Path, file: Path) -> None:
+    """As capture and render do."""
+    from novags.testbed.console import Console
+    from novags.testbed.folders.set import open_source
+    from simscenes.job.identity import is_complete, seconds_spent
+
+    is_complete(folder, "ab" * 32, ["0000"])
+    seconds_spent(folder, "ab" * 32)
+    source = open_source(folder, Console(quiet=True), 28)
+    source.radiance(0), source.lit(0), source.digest(), source.color_matrix
+
+
+def make_capture(folder: Path) -> None:
+    from novags.testbed.console import Console
+    from novags.testbed.stages import capture
+    from novags.testbed.stages.capture import CaptureConfig
+
+    (folder / "set").mkdir()
+    make_set(folder / "set")
+    capture(folder / "set", folder / "capture", CaptureConfig(electrons=200.0), Console(quiet=True))
+
+
+def read_capture(folder: Path, file: Path) -> None:
+    from novags.testbed.console import Console
+    from novags.testbed.folders.capture import open_capture
+
+    capture = open_capture(folder / "capture")
+    capture.clean(0), capture.linear16(0), capture.exposure, capture.channels_share
+    capture.source(Console(quiet=True))
+
+
+def make_run(folder: Path) -> None:
+    """An experiment of two runs whose training nobody did."""
+    from novags.testbed.folders.capture import open_capture
+    from simscenes.sets.exr import write_exr
+    from simscenes.sets.png import write_png
+
+    make_capture(folder)
+    capture = open_capture(folder / "capture")
+    inputs = {"capture": capture.content, "set": capture.record["stage"]["inputs"]["set"]}
+    rng = np.random.default_rng(0)
+    config = {"enhance": {"radius": 8}, "fit": {"iterations": 10}}
+    scores = {k: 20.0 for k in ("psnr", "aligned_psnr", "tone_aligned_psnr", "ssim", "aligned_ssim", "flip", "delta_e")}
+    methods = {}
+    for name in ("naive", "oracle"):
+        run = folder / name
+        for view in capture.names:
+            write_png(run / "renders" / f"{view}.png", rng.integers(0, 255, (*SIZE, 3), np.uint8))
+            planes = {c: rng.random(SIZE, np.float32) for c in ("R", "G", "B", "Z", "alpha")}
+            write_exr(run / "exr" / f"{view}.exr", planes)
+        record = {
+            "name": name, "method": name, "capture": "../capture", "space": "enhanced", "config": config,
+            "enhancement": {"enhancer": "guided", "pictures": "8bit", "config": config["enhance"]},
+            "seconds": {"fit": 1.0}, "cameras": {**CAMERAS, "registered": list(capture.names)},
+            "stage": {**STAGE, "inputs": inputs, "config": config},
+        }  # fmt: skip
+        (run / "run.json").write_text(json.dumps(record))
+        (run / "events.jsonl").write_text(
+            "".join(json.dumps({"iteration": i, "l1": 0.5 / (i + 1)}) + "\n" for i in range(4))
+        )
+        mean = {kind: dict(scores) for kind in ("enhanced", "lit")}
+        methods[name] = {
+            "mean": mean, "views": {"0000": mean}, "geometry": None, "training_2d": None, "cameras": record["cameras"],
+            "seconds": {"render": 1.0, "capture": 1.0, "reconstruct": 2.0}, "peak_bytes": 10**8,
+        }  # fmt: skip
+        (run / "metrics.json").write_text(
+            json.dumps({"methods": {name: methods[name]}, "recovered": {}, "unavailable": {}})
+        )
+    merged = {"methods": methods, "recovered": {}, "recovered_lit": {}, "unavailable": {"lpips": "not installed"}}
+    (folder / "metrics.json").write_text(json.dumps(merged))
+    (folder / "experiment.json").write_text(
+        json.dumps({"command": "novags run", "methods": ["naive", "oracle"], "preset": {}})
+    )
+
+
+def read_experiment(folder: Path, file: Path) -> None:
+    """As score and report do before they compute."""
+    from novags.testbed.console import Console
+    from novags.testbed.folders.experiment import find_runs
+    from novags.testbed.report.page import read_material
+    from novags.testbed.stages.score import merge, stage_seconds
+
+    quiet = Console(quiet=True)
+    material = read_material(folder, quiet)
+    runs = find_runs(folder)
+    for run in runs.values():
+        run.events(), run.rendering("0000"), run.depth("0000"), run.depth_scale, run.enhancement, run.space
+        stage_seconds(run, *run.inputs(quiet))
+    merge({name: material.metrics for name in runs}, {name: run.method for name, run in runs.items()})
+
+
+def read_unfinished(folder: Path, file: Path) -> None:
+    from novags.testbed.cache import _Stage
+    from novags.testbed.console import Console
+
+    class Started(Exception):
+        """Instead of work, which would change the folder."""
+
+    def prepare() -> None:
+        raise Started
+
+    stage = _Stage("score", folder, "metrics.json", ("metrics.json",), (), Console(quiet=True))
+    with contextlib.suppress(Started):
+        stage.run({}, {}, prepare, lambda _: {}, ())
+
+
+def make_unfinished(folder: Path) -> None:
+    (folder / "unfinished.json").write_text(json.dumps({"stage": "score", "key": "k", "seconds": 1.5}))
+    (folder / "metrics.json").write_text(json.dumps({"methods": {}, "stage": {"key": "k", "seconds": 3.0}}))
+
+
+def _line() -> None:
+    import cv2
+    import torch
+
+    import novags.testbed.report.page
+    import novags.testbed.stages  # noqa: F401
+
+    torch.set_num_threads(1)
+    cv2.setNumThreads(0)
+
+
+RUN = (
+    "naive/run.json",
+    "naive/metrics.json",
+    "naive/events.jsonl",
+    "experiment.json",
+    "metrics.json",
+    "capture/capture.json",
+)
+READERS = [
+    Reader("set.json", make_set, read_set, ("set.json", "seconds.json"), share=3, prepare=_line),
+    Reader("capture.json", make_capture, read_capture, ("capture/capture.json",), share=2, prepare=_line),
+    Reader("records of runs", make_run, read_experiment, RUN, share=2, prepare=_line),
+    Reader(
+        "unfinished.json", make_unfinished, read_unfinished, ("unfinished.json", "metrics.json"), share=8, prepare=_line
+    ),
+]

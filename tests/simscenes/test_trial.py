@@ -1,0 +1,209 @@
+"""Scene files that crash Mitsuba, or would: one line each, and this process lives on."""
+
+import os
+import struct
+import time
+import zlib
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from simscenes.backend import activate
+from simscenes.loading import trial
+from simscenes.loading.load import build_scene
+from simscenes.loading.meshes import check_mesh_file
+
+CORNERS = b"".join(struct.pack("<3f", *p) for p in [(0, 0, 0), (1, 0, 0), (0, 1, 0)])
+
+
+@pytest.fixture(autouse=True)
+def nothing_remembered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trial, "cache_folder", lambda kind: tmp_path / "cache" / kind)
+
+
+def ply(*face: int, vertices: int = 3, faces: int = 1) -> bytes:
+    """A triangle; its header may announce more."""
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {vertices}\nproperty float x\nproperty float y\n"
+    head += f"property float z\nelement face {faces}\nproperty list uchar int vertex_indices\nend_header\n"
+    return head.encode() + CORNERS + struct.pack("<B3i", 3, *face)
+
+
+def serialized(*face: int, vertices: int = 3) -> bytes:
+    body = struct.pack("<I", 0x1000) + b"m\0" + struct.pack("<QQ", vertices, 1) + CORNERS + struct.pack("<3I", *face)
+    return struct.pack("<HH", 0x041C, 4) + zlib.compress(body) + struct.pack("<QI", 0, 1)
+
+
+def scene_of(folder: Path, name: str, content: bytes) -> Path:
+    (folder / name).write_bytes(content)
+    shape = f'<shape type="{Path(name).suffix[1:]}" id="m"><string name="filename" value="{name}"/></shape>'
+    (folder / "scene.xml").write_text(f'<scene version="3.0.0">{shape}</scene>')
+    return folder / "scene.xml"
+
+
+@pytest.mark.parametrize(("name", "make"), [("m.ply", ply), ("m.serialized", serialized)])
+def test_mesh_indices_out_of_range_are_one_line_whether_mitsuba_crashes_or_reads_on(
+    name: str, make: Any, tmp_path: Path
+) -> None:
+    mi = activate()
+    assert build_scene(scene_of(tmp_path, name, make(0, 1, 2)), mi).shapes == ("m",)
+    with pytest.raises(ValueError, match=r"mesh 'm' has 3 vertices, but a face names vertex 900"):
+        build_scene(scene_of(tmp_path, name, make(0, 1, 900)), mi)
+    with pytest.raises(ValueError, match=r"'scene' cannot be loaded: Mitsuba crashes on it \(SIG"):
+        build_scene(scene_of(tmp_path, name, make(0, 1, 2**30)), mi)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("m.ply", ply(0, 1, 2, vertices=10**9)),
+        ("m.ply", ply(0, 1, 2, faces=10**9)),
+        ("m.ply", ply(0, 1, 2)[:-30]),
+        ("m.ply", ply(0, 1, 2).replace(b"vertex 3", b"vertex -1")),
+        ("m.ply", ply(0, 1, 2).replace(b"vertex 3", b"vertex " + b"9" * 5000)),
+        ("m.serialized", serialized(0, 1, 2, vertices=10**9)),
+    ],
+    ids=["vertices", "faces", "cut short", "fewer than none", "5000 digits", "serialized"],
+)
+def test_a_mesh_that_announces_more_than_it_holds_is_refused_unread(name: str, content: bytes, tmp_path: Path) -> None:
+    path = scene_of(tmp_path, name, content)
+    with pytest.raises(ValueError, match=rf"{name} announces at least \d+ bytes"):
+        build_scene(path, activate())
+
+
+def test_whole_meshes_of_every_kind_pass_the_check_of_sizes(tmp_path: Path) -> None:
+    text = b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    text += b"element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
+    flat = struct.pack("<HH", 0x041C, 4) + zlib.compress(
+        struct.pack("<I", 0x1000) + b"m\0" + struct.pack("<QQ", 40_000, 0) + bytes(480_000)
+    )  # compresses best
+    for name, content in (("a.ply", text), ("b.ply", ply(0, 1, 2)), ("c.serialized", flat), ("d.obj", b"")):
+        (tmp_path / name).write_bytes(content)
+        check_mesh_file(tmp_path / name)
+
+
+BALL = '<scene version="3.0.0"><shape type="sphere" id="ball">{}</shape></scene>'
+SLIDE = '<bsdf type="diffuse"><texture type="{}" name="reflectance"/></bsdf>'
+
+
+@pytest.mark.parametrize(
+    ("inside", "needs"),
+    [
+        (SLIDE.format("bitmap"), "'bitmap' without a parameter 'filename'"),
+        (SLIDE.format("volume"), "'volume' without a child of kind volume"),
+        ('<bsdf type="blendbsdf"/>', "'blendbsdf' without 2 children of kind bsdf"),
+        ('<bsdf type="blendbsdf"><bsdf type="diffuse"/><float name="weight" value="0"/></bsdf>', "without 2 children"),
+        ('</shape><shape type="merge">', "'merge' without a child of kind shape"),
+    ],
+    ids=["bitmap", "volume", "blendbsdf", "half a blendbsdf", "merge"],
+)
+def test_what_a_plugin_cannot_do_without_is_said_before_mitsuba_sees_the_file(
+    inside: str, needs: str, tmp_path: Path
+) -> None:
+    (tmp_path / "scene.xml").write_text(BALL.format(inside))
+    for trusted in (False, True):
+        with pytest.raises(ValueError, match=needs):
+            build_scene(tmp_path / "scene.xml", activate(), allow_outside=trusted)
+
+
+@pytest.mark.parametrize("inner", [{"type": "bitmap"}, {"type": "volume"}])
+def test_a_dict_is_checked_for_the_same(inner: dict[str, Any]) -> None:
+    ball = {"type": "sphere", "bsdf": {"type": "diffuse", "reflectance": inner}}
+    with pytest.raises(ValueError, match=f"{inner['type']!r} without"):
+        build_scene({"type": "scene", "ball": ball}, activate())
+    with pytest.raises(ValueError, match="without 2 children"):
+        build_scene({"type": "scene", "ball": {"type": "sphere", "bsdf": {"type": "blendbsdf"}}}, activate())
+
+
+def test_parameters_that_are_not_set_are_no_fault(tmp_path: Path) -> None:
+    """Rationale: a hair has none of two ways to say its colour, which Mitsuba lists and cannot read."""
+    (tmp_path / "scene.xml").write_text(BALL.format('<bsdf type="hair"/>'))
+    assert build_scene(tmp_path / "scene.xml", activate()).shapes == ("ball",)
+
+
+def test_a_file_is_tried_once_for_each_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+    monkeypatch.setattr(trial._Process, "load", lambda self, scene: asked.append(scene) or "")
+    path = scene_of(tmp_path, "m.ply", ply(0, 1, 2))
+    for _ in range(2):
+        build_scene(path, activate())
+    assert len(asked) == 1
+    build_scene(scene_of(tmp_path, "m.ply", ply(0, 2, 1)), activate())  # the mesh beside it changed
+    assert len(asked) == 2
+    build_scene(path, activate(), allow_outside=True)
+    assert len(asked) == 2
+
+
+def test_a_file_that_failed_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    answers = ["it crashes", ""]
+    monkeypatch.setattr(trial._Process, "load", lambda self, scene: answers.pop(0))
+    path = scene_of(tmp_path, "m.ply", ply(0, 1, 2))
+    with pytest.raises(ValueError, match="it crashes"):
+        build_scene(path, activate())
+    assert build_scene(path, activate()).shapes == ("m",)
+
+
+def stand_in(code: str, monkeypatch: pytest.MonkeyPatch) -> "trial._Process":
+    """A process that runs this instead of serving."""
+    monkeypatch.setattr(trial, "_START", code.replace("{", "{{").replace("}", "}}"))
+    return trial._Process("scalar_rgb")
+
+
+def test_a_hang_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trial, "SECONDS", 0.5)
+    process = stand_in("import signal, time; signal.signal(signal.SIGINT, signal.SIG_IGN); time.sleep(99)", monkeypatch)
+    assert process.load(Path("a.xml")) == "scene 'a' cannot be loaded: Mitsuba did not finish within 0 s"
+    assert process.running is None
+
+
+def test_a_process_that_leaves_for_lack_of_work_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = f"import os, sys; f = {str(tmp_path / 'ran')!r}; os.path.exists(f) or (open(f, 'w'), os._exit(0)); "
+    process = stand_in(first + "sys.stdin.readline(); print('\"\"', flush=True)", monkeypatch)
+    assert process.load(Path("a.xml")) == ""
+    assert (tmp_path / "ran").exists()
+    assert "ends before it answers" in stand_in("pass", monkeypatch).load(Path("a.xml"))
+
+
+def test_an_interrupted_trial_leaves_no_answer_for_the_next_file(monkeypatch: pytest.MonkeyPatch) -> None:
+    process = stand_in("import sys\nfor line in sys.stdin: print('\"' + line[11] + '\"', flush=True)", monkeypatch)
+    select = trial.select.select
+
+    def interrupted(*args: Any) -> Any:
+        time.sleep(0.2)
+        raise KeyboardInterrupt
+
+    assert process.load(Path("a")) == "a"
+    monkeypatch.setattr(trial.select, "select", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        process.load(Path("b"))
+    monkeypatch.setattr(trial.select, "select", select)
+    assert process.load(Path("c")) == "c"
+    process.stop()
+
+
+def test_the_process_ends_when_nothing_is_asked() -> None:
+    code = "from simscenes.loading import trial_process as p; p.IDLE = 0.1; p.serve()"
+    assert os.waitstatus_to_exitcode(os.waitpid(os.spawnv(os.P_NOWAIT, *_python(code)), 0)[1]) == 0
+
+
+def _python(code: str) -> tuple[str, list[str]]:
+    import sys
+
+    return sys.executable, [sys.executable, "-c", f"import sys; sys.path[:] = {sys.path!r}; {code}"]
+
+
+@pytest.mark.slow
+def test_no_plugin_crashes_for_being_bare_so_that_the_trial_is_for_what_nobody_thought_of(tmp_path: Path) -> None:
+    import sys
+
+    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+    from tests.fuzz.readers.scenes import bare
+
+    mi, crashes = activate(), []
+    for name, content in bare():
+        (tmp_path / name).write_bytes(content)
+        try:
+            build_scene(tmp_path / name, mi)
+        except ValueError as error:
+            crashes += [f"{name}: {error}"] if "crashes" in str(error) else []
+    assert crashes == []
