@@ -78,7 +78,11 @@ FAST_DENOISER = DenoiserConfig(
 
 
 def donut_blur(images: Tensor, sigma: float) -> Tensor:
-    """Gaussian blur whose kernel has no centre, so that no pixel influences its own value. images: [B, D, H, W]."""
+    """Gaussian blur whose kernel has no centre, so that no pixel influences its own value. images: [B, D, H, W].
+
+    Except a little in the second row or column from a border, where reflection brings the pixel back. In training that
+    is harmless: the picture that is blurred is blinded.
+    """
     radius = min(max(1, math.ceil(3 * sigma)), *(side - 1 for side in images.shape[-2:]))
     offsets = torch.arange(-radius, radius + 1, dtype=images.dtype, device=images.device)
     line = torch.exp(-0.5 * (offsets / sigma) ** 2)
