@@ -17,6 +17,9 @@ from novags.splats.fit import Step
 from novags.splats.views import Views
 
 
+FARTHEST = 1e10  # world units: the far plane of `rasterize`
+
+
 @dataclass(frozen=True, kw_only=True)
 class ConsistencyConfig:
     """Choices of the geometric loss; the paper fixes `occlusion_tolerance` and the network."""
@@ -132,6 +135,9 @@ def reproject(
         warped [H, W, 3] and M_geo [H, W] bool: positive depth in both cameras, inside the source frame, not occluded.
     """
     height, width = depth_t.shape
+    # Infinite, NaN or beyond the rasteriser's far plane is as unknown as 0: the mask would drop such a pixel, but not
+    # the NaN that it leaves in the loss and in every gradient.
+    depth_t = torch.where(depth_t.abs() < FARTHEST, depth_t, 0.0)
     points = _move(_rays(height, width, camera_t.K) * depth_t[..., None], camera_t, camera_s)
     pixels = _project(points, camera_s.K)
     seen = _sample(depth_s.detach()[..., None], pixels.detach())[..., 0]

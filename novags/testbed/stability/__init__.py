@@ -5,11 +5,11 @@
 
 from collections.abc import Iterator, Sequence
 
-from novags.testbed.stability import blind_spot, denoiser, enhance
+from novags.testbed.stability import blind_spot, consistency, denoiser, enhance, harmonics
 from novags.testbed.stability.case import Case, Measured, Part, Setting, measured, refusal
 from novags.testbed.stability.table import markdown
 
-PARTS: dict[str, Part] = {part.name: part for part in (enhance.PART, blind_spot.PART, denoiser.PART)}
+PARTS: dict[str, Part] = {part.name: part for part in (enhance.PART, blind_spot.PART, denoiser.PART, consistency.PART, harmonics.PART)}
 
 
 def measure(parts: Sequence[str], *, long: bool = False) -> Iterator[Measured]:
