@@ -14,8 +14,8 @@ from torch import Tensor, nn
 
 from novags.methods.nova.checkpoint import pack, unpack
 from novags.splats.fit import Step
+from novags.splats.guard import require_finite
 from novags.splats.views import Views
-
 
 FARTHEST = 1e10  # world units: the far plane of `rasterize`
 
@@ -232,8 +232,14 @@ class ConsistencyLoss:
         return self.config.weight * self.config.every * loss
 
     def update(self) -> None:
-        """Step the confidence network along the gradients that the last backward pass left in it."""
-        if any(parameter.grad is not None for parameter in self.network.parameters()):
+        """Step the confidence network along the gradients that the last backward pass left in it.
+
+        Raises:
+            NotFinite: If they are not finite; they then stay there.
+        """
+        gradients = {name: p.grad for name, p in self.network.named_parameters() if p.grad is not None}
+        if gradients:
+            require_finite("confidence gradient of", gradients, "in L_geo", resumable=True)
             self.optimizer.step()
             self.optimizer.zero_grad(set_to_none=True)
 

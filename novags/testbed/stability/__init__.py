@@ -5,11 +5,21 @@
 
 from collections.abc import Iterator, Sequence
 
-from novags.testbed.stability import blind_spot, consistency, denoiser, enhance, harmonics
+from novags.testbed.stability import (
+    blind_spot,
+    consistency,
+    denoiser,
+    enhance,
+    harmonics,
+    long_runs,
+    splats,
+    updates,
+)
 from novags.testbed.stability.case import Case, Measured, Part, Setting, measured, refusal
 from novags.testbed.stability.table import markdown
 
-PARTS: dict[str, Part] = {part.name: part for part in (enhance.PART, blind_spot.PART, denoiser.PART, consistency.PART, harmonics.PART)}
+_FILES = (enhance, blind_spot, denoiser, consistency, harmonics, splats, updates, long_runs)
+PARTS: dict[str, Part] = {file.PART.name: file.PART for file in _FILES}
 
 
 def measure(parts: Sequence[str], *, long: bool = False) -> Iterator[Measured]:

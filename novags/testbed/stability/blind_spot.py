@@ -26,7 +26,7 @@ def _stream() -> torch.Generator:
 
 
 def _prior(image: np.ndarray) -> np.ndarray:
-    """|Laplacian| of the mean colour [H, W, D] over its sum, borders repeated, in float64; 1e-12 is the code's floor."""
+    """|Laplacian| of the mean colour [H, W, D] over its sum, borders repeated, float64; 1e-12 is the code's floor."""
     grey = np.pad(image.astype(np.float64).mean(-1), 1, mode="edge")
     middle = grey[1:-1, 1:-1]
     edges = grey[:-2, 1:-1] + grey[2:, 1:-1] + grey[1:-1, :-2] + grey[1:-1, 2:]

@@ -99,7 +99,9 @@ def _kernels(directions: Array, sh: Array, weights: Array, degree: int) -> Exact
     means, flat = np.ascontiguousarray(directions, np.float32), np.ascontiguousarray(sh, np.float32).reshape(n, -1)
     center, zeros, suspect = np.zeros(3, np.float32), np.zeros(n, np.float32), np.zeros(1, np.int64)
     rows = np.zeros((n, ROW), np.float32)
-    run(harmonics.forward, n, 16, degree, means, flat, center, zeros, np.float32(0), np.ones(n, np.int32), rows, suspect)
+    run(
+        harmonics.forward, n, 16, degree, means, flat, center, zeros, np.float32(0), np.ones(n, np.int32), rows, suspect
+    )
     v_means, v_sh = np.zeros((n, 3), np.float32), np.full(flat.shape, np.nan, np.float32)
     v_colors, none = np.ascontiguousarray(weights, np.float32), np.zeros((0, 3), np.float32)
     run(harmonics.backward, -(-n // 16), 1, 16, degree, means, flat, center, v_colors, v_sh, v_means, none)
