@@ -1,7 +1,6 @@
 import pytest
 import torch
 
-from novags.methods.nova import consistency as _  # noqa: F401
 from novags.splats.views import Views
 from novags.testbed.stability import Case, Setting, consistency, measured
 from novags.testbed.stability.consistency import PART
@@ -19,10 +18,15 @@ def fails(name: str) -> bool:
     return not measured(CASES[name], HERE).holds
 
 
-def test_an_infinite_depth_that_leaves_a_nan_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    import sys
+def test_a_nan_that_the_mask_only_multiplies_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Without its first line `reproject` itself cannot be tried: torch's grid_sample crashes on its way back from NaN.
+    reproject = consistency.reproject
 
-    monkeypatch.setattr(sys.modules["novags.methods.nova.consistency"], "FARTHEST", float("inf"))
+    def leaving(*arguments):
+        warped, mask = reproject(*arguments)
+        return torch.where(mask[..., None], warped, float("nan")), mask
+
+    monkeypatch.setattr(consistency, "reproject", leaving)
     assert fails("depths of 0, below 0, infinite and NaN")
 
 

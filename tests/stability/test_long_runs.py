@@ -2,7 +2,6 @@ import math
 
 import pytest
 
-from novags.splats import fit as _  # noqa: F401
 from novags.testbed.stability import Case, Setting, long_runs, measured
 from novags.testbed.stability.long_runs import PART
 

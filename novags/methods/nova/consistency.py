@@ -136,7 +136,7 @@ def reproject(
     """
     height, width = depth_t.shape
     # Infinite, NaN or beyond the rasteriser's far plane is as unknown as 0: the mask would drop such a pixel, but not
-    # the NaN that it leaves in the loss and in every gradient.
+    # the NaN that it leaves in the loss and in every gradient (where torch's grid_sample crashes on its way back).
     depth_t = torch.where(depth_t.abs() < FARTHEST, depth_t, 0.0)
     points = _move(_rays(height, width, camera_t.K) * depth_t[..., None], camera_t, camera_s)
     pixels = _project(points, camera_s.K)

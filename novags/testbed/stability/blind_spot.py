@@ -139,7 +139,7 @@ def no_leak_of_the_network(setting: Setting) -> float:
 def no_leak_of_the_blur(setting: Setting) -> float:
     """For kernels from a point to the size of the image, where the kernel does not reach over the border."""
     worst = 0.0
-    for size, sigma in (((2, 2), 0.1), ((5, 9), 0.8), ((12, 12), 3.0), ((7, 7), 100.0)):
+    for size, sigma in (((2, 2), 0.1), ((8, 9), 0.8), ((12, 12), 1.6), ((7, 7), 100.0)):
         images = torch.rand(1, 1, *size, generator=_stream())
         n = size[0] * size[1]
         jacobian = torch.autograd.functional.jacobian(lambda x, s=sigma: donut_blur(x, s), images).reshape(n, n)

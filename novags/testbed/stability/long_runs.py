@@ -20,7 +20,7 @@ PART = Part("long_runs")
 
 ITERATIONS, ELECTRONS = 20_000, 2.0
 SIZE, VIEWS, POINTS = 24, 6, 120
-# Largest root mean squares that are still ordinary: log scales and logits of the range that the cases of `splats` cover;
+# Largest root mean squares that are still ordinary: log scales and logits of the range that `splats` covers, and
 # what Adam can move a quaternion or a colour at its rate in so many iterations; positions in world units.
 LARGEST = {"means": 50.0, "quats": 20.0, "log_scales": 40.0, "logit_opacities": 100.0, "sh": 50.0}
 
