@@ -34,7 +34,8 @@ Array = np.ndarray
 def _camera(turn: float = 0.0, center: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Array:
     """World to camera, turned about y by `turn` radians."""
     view = np.eye(4)
-    view[:3, :3] = [[math.cos(turn), 0, -math.sin(turn)], [0, 1, 0], [math.sin(turn), 0, math.cos(turn)]]
+    cosine, sine = math.cos(turn), math.sin(turn)
+    view[:3, :3] = np.array([[cosine, 0, -sine], [0, 1, 0], [sine, 0, cosine]])
     view[:3, 3] = -view[:3, :3] @ center
     return view
 

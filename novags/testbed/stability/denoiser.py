@@ -67,7 +67,7 @@ class _WrittenOut:
         goal = [max(2 * multiple, multiple * math.ceil(side / multiple)) for side in (height, width)]
         mode = "reflect" if all(g - s < s for g, s in zip(goal, (height, width), strict=True)) else "replicate"
         x = F.pad(images, (0, goal[1] - width, 0, goal[0] - height), mode=mode)
-        skips = []
+        skips: list[Tensor] = []
         for i in range(self.levels):
             skips.append(self.level(f"encoder.{i}", x if not i else F.max_pool2d(skips[-1], 2)))
         x = self.level("bottleneck", F.max_pool2d(skips[-1], 2))
@@ -133,15 +133,15 @@ def at_one_electron(setting: Setting) -> float:
     return max(_error(images, config) for config in (PAPER, SMALL))
 
 
-@PART.case("one electron: ten training steps", bound=20 * EPS, unit="of the loss")
+@PART.case("one electron: five training steps", bound=20 * EPS, unit="of the loss")
 def trained_at_one_electron(setting: Setting) -> float:
     """The losses of steps in float32 beside those of the same steps in float64: sums of some hundred squares."""
     config = DenoiserConfig(network=SMALL, blind_spots=BlindSpotConfig(laplacian_share=0.5), batch=2, crop=12)
-    pair = [Denoiser(one_electron(3, 16), config, total_steps=10, seed=0) for _ in range(2)]
+    pair = [Denoiser(one_electron(3, 16), config, total_steps=5, seed=0) for _ in range(2)]
     pair[1].network.double()
     pair[1].images = pair[1].images.double()
     pair[1].predict = _WrittenOut(dict(pair[1].network.named_parameters()), 2, False)  # type: ignore[method-assign]
-    losses = [[denoiser.train_step() for _ in range(10)] for denoiser in pair]
+    losses = [[denoiser.train_step() for _ in range(5)] for denoiser in pair]
     return relative_error(losses[0], losses[1])
 
 

@@ -5,6 +5,7 @@ passes. Like the enhancement it takes gamma and epsilon as constants of the grad
 """
 
 import math
+from functools import partial
 
 import numpy as np
 import torch
@@ -163,5 +164,5 @@ def no_picture(setting: Setting) -> float:
     for bad in (math.nan, math.inf, -1e-9, 1.0001):
         dark = 0.1 * _random(6, 7)
         dark[2, 3, 1] = bad
-        worst = max(worst, refusal(lambda dark=dark: enhance(dark), "dark must be finite and in 0..1", "(2, 3, 1)"))
+        worst = max(worst, refusal(partial(enhance, dark), "dark must be finite and in 0..1", "(2, 3, 1)"))
     return worst

@@ -52,19 +52,19 @@ def _exact(raw: bytes, n: int, degree: int) -> Exact:
     raw: Directions [N, 3], coefficients [N, 16, 3] and weights [N, 3], float64, one behind the other.
     """
     numbers = np.frombuffer(raw).reshape(-1)
-    directions, sh, weights = (part.reshape(n, -1) for part in np.split(numbers, [3 * n, 51 * n]))
-    sh = sh.reshape(n, 16, 3)
+    directions, weights = numbers[: 3 * n].reshape(n, 3), numbers[51 * n :].reshape(n, 3)
+    sh = numbers[3 * n : 51 * n].reshape(n, 16, 3)
     k, step = (degree + 1) ** 2, mpmath.mpf(10) ** -15
     colors, v_directions, v_sh = np.zeros((len(sh), 3)), np.zeros((len(sh), 3)), np.zeros(sh.shape)
     with mpmath.workdps(40):
-        for i, (direction, coefficients) in enumerate(zip(directions.tolist(), sh.tolist(), strict=True)):
-            place = [mpmath.mpf(c) for c in direction]
+        for i, coefficients in enumerate(sh):
+            place = [mpmath.mpf(float(c)) for c in directions[i]]
             basis = _basis(place, degree)
-            terms = [mpmath.fsum(basis[j] * coefficients[j][c] for j in range(k)) + 0.5 for c in range(3)]
+            terms = [mpmath.fsum(basis[j] * float(coefficients[j, c]) for j in range(k)) + 0.5 for c in range(3)]
             shown = [float(weights[i, c]) if terms[c] > 0 else 0.0 for c in range(3)]
             colors[i] = [max(0.0, float(t)) for t in terms]
             v_sh[i, :k] = [[float(b) * w for w in shown] for b in basis]
-            slope = [mpmath.fsum(coefficients[j][c] * shown[c] for c in range(3)) for j in range(k)]
+            slope = [mpmath.fsum(float(coefficients[j, c]) * shown[c] for c in range(3)) for j in range(k)]
             size = mpmath.sqrt(sum(c * c for c in place))
             for axis in range(3):
                 moved = [[c + (s * step * size if a == axis else 0) for a, c in enumerate(place)] for s in (1, -1)]

@@ -4,7 +4,9 @@ Every case is rendered in float32 and in float64 by `dense`, with a random weigh
 the worst of image, alpha and the gradients of all five tensors. "torch" is the readable rasteriser.
 """
 
+import itertools
 import math
+from functools import lru_cache
 
 import torch
 from torch import Tensor
@@ -51,9 +53,11 @@ def _rendered(setting: Setting, scene: Scene, camera: Camera, dtype: torch.dtype
     """Image, alpha and five gradients, by the library."""
     device = "cuda" if setting.backend == "gsplat" else "cpu"
     leaves = {name: scene[name].detach().to(device, dtype).requires_grad_() for name in NAMES}
+    means, quats, scales, opacities, colors = leaves.values()
+    viewmat, K = torch.eye(4, dtype=dtype, device=device), camera.matrix(dtype).to(device)
     images, alphas, _ = rasterize(
-        **leaves, viewmats=torch.eye(4, dtype=dtype, device=device)[None], Ks=camera.matrix(dtype).to(device)[None],
-        width=camera.width, height=camera.height, backend=setting.backend,
+        means, quats, scales, opacities, colors, viewmat[None], K[None], camera.width, camera.height,
+        backend=setting.backend,
     )  # fmt: skip
     weights = _weights(camera).to(device, dtype)
     ((images[0] * weights[..., :3]).sum() + (alphas[0, ..., 0] * weights[..., 3]).sum()).backward()
@@ -63,7 +67,8 @@ def _rendered(setting: Setting, scene: Scene, camera: Camera, dtype: torch.dtype
 
 def _exact(scene: Scene, camera: Camera) -> list[Tensor]:
     leaves = {name: scene[name].detach().clone().requires_grad_() for name in NAMES}
-    image, alpha = render(**leaves, camera=camera)
+    means, quats, scales, opacities, colors = leaves.values()
+    image, alpha = render(means, quats, scales, opacities, colors, camera)
     weights = _weights(camera)
     ((image * weights[..., :3]).sum() + (alpha * weights[..., 3]).sum()).backward()
     slopes = [torch.zeros_like(leaf) if leaf.grad is None else leaf.grad for leaf in leaves.values()]
@@ -154,10 +159,12 @@ def giant(setting: Setting) -> float:
 
 @PART.case("logits -100 to 100", bound=ORDINARY, unit=LARGEST, backends=ALL)
 def logits(setting: Setting) -> float:
-    """Opacities 0 and 1 exactly: not seen, and capped at 0.999 without a slope."""
+    """Opacities 0 and 1 exactly: not seen, and capped at 0.999 without a slope, in few pixels and in all."""
     worst = 0.0
-    for opacities in ([0.0, 1.0, 0.5], [1.0, 1.0, 1.0], [1 / (1 + math.exp(100.0)), 1.0, 1 - 6e-8]):
+    choices = ([0.0, 1.0, 0.5], [1.0, 1.0, 1.0], [1 / (1 + math.exp(100.0)), 1.0, 1 - 6e-8])
+    for opacities, size in itertools.product(choices, (1.0, 40.0)):
         scene = _scene(3, seed=4)
+        scene["scales"] *= size
         scene["opacities"] = torch.tensor(opacities).float().double()
         worst = max(worst, _error(setting, scene, SMALL))
     return worst
@@ -170,8 +177,16 @@ def layers(setting: Setting) -> float:
     On its way back the kernel divides the transmittance by 1 - alpha 2,300 times: as many roundings, 1e-4. A pixel may
     stop one layer earlier or later, which is 4e-7 of alpha.
     """
-    n, camera = 100_000, Camera(4, 3, 6.0)
-    g = torch.Generator().manual_seed(0)
+    scene, exact = _many_layers()
+    return worst_error(zip(_rendered(setting, scene, LAYERED, torch.float32), exact, strict=True))
+
+
+LAYERED = Camera(4, 3, 6.0)
+
+
+@lru_cache  # the settings share it
+def _many_layers() -> tuple[Scene, list[Tensor]]:
+    n, g = 100_000, torch.Generator().manual_seed(0)
     scene = {
         "means": torch.stack([torch.zeros(n), torch.zeros(n), torch.linspace(1, 50, n)], 1),
         "quats": torch.tensor([[1.0, 0, 0, 0]]).repeat(n, 1),
@@ -179,7 +194,8 @@ def layers(setting: Setting) -> float:
         "opacities": torch.full((n,), 0.004),
         "colors": torch.rand(n, 3, generator=g),
     }
-    return _error(setting, {name: value.float().double() for name, value in scene.items()}, camera)
+    scene = {name: value.float().double() for name, value in scene.items()}
+    return scene, _exact(scene, LAYERED)
 
 
 @PART.case("one ordinary scene, for comparison", bound=ORDINARY, unit=LARGEST, backends=ALL)

@@ -6,6 +6,7 @@
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 
 import mpmath
 import numpy as np
@@ -117,13 +118,14 @@ def denormal_moments(setting: Setting) -> float:
             for gradient in gradients:
                 made.logit_opacities.grad = torch.from_numpy(gradient)
                 optimiser.step(made, rates, 0.0)
-        wanted = _adam_steps(gradients, *start, count, 1.0)
+        wanted = _adam_steps(gradients, start[0], start[1], count, 1.0)
         worst = max(worst, float(np.abs(made.logit_opacities.double().numpy() - wanted).max()))
         if not all(torch.isfinite(m["logit_opacities"]).all() for m in (optimiser.first, optimiser.second)):
             return math.inf
     return worst / 5
 
 
+@lru_cache  # the settings share it
 def _relocated(opacity: mpmath.mpf, copies: int) -> tuple[mpmath.mpf, mpmath.mpf]:
     """New opacity and factor of the scale by the sum of 3DGS-MCMC (equation 9), with enough digits for its signs."""
     with mpmath.workdps(60):
