@@ -116,7 +116,7 @@ def numbers(value: Any) -> list[float]:
 
 
 def outcome(row: Row, sets: Path, here: Path) -> str:
-    """ "finite", or the line that refuses."""
+    """The word finite, the line that refuses, or what is not finite."""
     try:
         made = run(row, sets, here)
     except ValueError as refused:

@@ -2,7 +2,7 @@
 
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -33,6 +33,15 @@ class Poison(torch.autograd.Function):
         gradient = gradient.clone(memory_format=torch.contiguous_format)
         gradient.view(-1)[7] = math.nan
         return gradient
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread() -> Iterator[None]:
+    """Tensors this small are slower on two."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
 
 
 @pytest.fixture(scope="module")
@@ -145,7 +154,7 @@ def test_large_numbers_whose_sum_overflows_are_finite() -> None:
 def nova(**changes: object):
     variant = chosen("nova")
     settings = {
-        "init_scale": 0.7, "fit.iterations": 30, "fit.sh_degree": 1, "fit.sh_every": 5, "fit.checkpoint_every": 10,
+        "init_scale": 0.7, "fit.iterations": 14, "fit.sh_degree": 1, "fit.sh_every": 5, "fit.checkpoint_every": 5,
         "denoiser.warmup_steps": 6, "denoiser.network.widths": (4, 8), "denoiser.network.bottleneck": 8,
         "denoiser.crop": 12, "denoiser.denoise_every": 1, "consistency.every": 1, "consistency.start": 0.1,
     }  # fmt: skip
@@ -181,10 +190,9 @@ def plant(patch: pytest.MonkeyPatch, where: str, at: int) -> None:
     ("where", "at", "message"),
     [
         ("denoiser", 4, "the denoiser's loss must be finite, got nan at denoiser step 4, view "),
-        ("denoiser", 29, "the denoiser's loss must be finite, got nan at denoiser step 29, view "),
-        ("denoiser gradient", 29, "denoiser gradient of "),
-        ("consistency", 23, "the loss must be finite, got nan at iteration 23, view "),
-        ("consistency gradient", 23, "confidence gradient of layers.0.weight must be finite, got nan at [0, 0, 2, 1]"),
+        ("denoiser gradient", 17, "denoiser gradient of "),
+        ("consistency", 11, "the loss must be finite, got nan at iteration 11, view "),
+        ("consistency gradient", 11, "confidence gradient of layers.0.weight must be finite, got nan at [0, 0, 2, 1]"),
     ],
 )
 def test_networks_stop_too_and_are_saved_with_the_splats(
@@ -206,13 +214,14 @@ def test_networks_stop_too_and_are_saved_with_the_splats(
 
 
 def test_a_denoiser_that_lets_the_fit_reach_it_keeps_the_gradient_that_waits(monkeypatch, tmp_path: Path) -> None:
-    plant(monkeypatch, "denoiser", 29)
+    plant(monkeypatch, "denoiser", 17)
     path = tmp_path / "checkpoint.safetensors"
 
     def run() -> None:
         METHODS["nova"].train(problem(), nova(detach_target=False), checkpoint=path)
 
     first = stop_of(run)
+    assert first.startswith("the denoiser's loss must be finite, got nan at denoiser step 17, view ")
     assert stop_of(run) == first
 
 
@@ -225,7 +234,7 @@ def straight() -> Gaussians:
 def test_a_run_whose_cause_to_stop_is_gone_ends_as_one_that_never_stopped(straight, tmp_path: Path, where: str) -> None:
     path = tmp_path / "checkpoint.safetensors"
     with pytest.MonkeyPatch.context() as patch:
-        plant(patch, where, 23)
+        plant(patch, where, 11)
         stop_of(lambda: METHODS["nova"].train(problem(), nova(), checkpoint=path))
     resumed = METHODS["nova"].train(problem(), nova(), checkpoint=path).scene.gaussians
     for name, tensor in straight.tensors().items():
