@@ -6,6 +6,7 @@ from .fit import FitConfig as FitConfig
 from .fit import FitResult as FitResult
 from .fit import fit as fit
 from .gaussians import Gaussians as Gaussians
+from .guard import NotFinite as NotFinite
 from .losses import photometric_loss as photometric_loss
 from .losses import ssim as ssim
 from .mcmc import McmcConfig as McmcConfig

@@ -110,12 +110,7 @@ class Adam:
             else:
                 run(optimizer.adam, value.numel(), 4096, *(a.reshape(-1) for a in arrays), np.float32(rate), *numbers)
             return
-        if isinstance(rate, Tensor):
-            value, gradient, first, second = (t[:, : len(rate)] for t in (value, gradient, first, second))
-            rate = rate.to(value.device)
-        first.lerp_(gradient, 1 - BETA1)
-        second.mul_(BETA2).addcmul_(gradient, gradient, value=1 - BETA2)
-        value.sub_(rate / correction1 * first / (second.sqrt() / correction2 + EPS))
+        _update_torch(value, gradient, first, second, rate, correction1, correction2)
 
     def reset(self, rows: Tensor) -> None:
         """Forget the moments of some Gaussians."""
@@ -129,3 +124,16 @@ class Adam:
             for name, tensor in gaussians.tensors().items():
                 new = torch.zeros_like(tensor[len(moments[name]) :])
                 moments[name] = torch.cat([moments[name], new])
+
+
+def _update_torch(
+    value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate: float | Tensor, correction1: float,
+    correction2: float,
+) -> None:  # fmt: skip
+    """What the CPU's kernel does, on any device; a tensor of rates holds those of the first columns."""
+    if isinstance(rate, Tensor):
+        value, gradient, first, second = (t[:, : len(rate)] for t in (value, gradient, first, second))
+        rate = rate.to(value.device)
+    first.lerp_(gradient, 1 - BETA1)
+    second.mul_(BETA2).addcmul_(gradient, gradient, value=1 - BETA2)
+    value.sub_(rate / correction1 * first / (second.sqrt() / correction2 + EPS))

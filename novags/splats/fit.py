@@ -1,6 +1,7 @@
 """The one training loop: views, targets and extra losses in, Gaussians out."""
 
 import dataclasses
+import math
 import resource
 import time
 from collections.abc import Callable, Sequence
@@ -17,6 +18,7 @@ from .adam import Adam, LearningRates
 from .camera_refinement import CameraRefinement, CameraState, move_cameras, refined
 from .checkpoint import TrainingState, digest, load_checkpoint, save_checkpoint
 from .gaussians import Gaussians
+from .guard import NotFinite, norms, require_finite
 from .losses import photometric_loss
 from .mcmc import McmcConfig, add_noise, grow, prune_to_cap, relocate
 from .step import Step, render_step
@@ -88,7 +90,8 @@ class FitResult:
     Attributes:
         gaussians: The scene.
         viewmats: Training cameras at the end [C, 4, 4]: refined, or as they were given. The Gaussians belong to them.
-        losses: One entry per LOG_EVERY iterations: "iteration", "loss", "photometric", "n_gaussians".
+        losses: One entry per LOG_EVERY iterations: "iteration", "loss", "photometric", "n_gaussians", and "norm_means",
+            "norm_quats", ...: the Euclidean norm of each tensor of the Gaussians.
         seconds: Wall time, of the stopped runs before this one too.
         peak_bytes: Largest resident memory of the process (CPU) or largest allocation (CUDA) so far.
     """
@@ -134,8 +137,10 @@ def fit(
         FitResult.
 
     Raises:
-        ValueError: For a checkpoint of another run, no views, views or targets on another device, targets of the wrong
-            shape, or a loss that is not finite.
+        ValueError: For a checkpoint of another run, no views, views or targets on another device, or targets of the
+            wrong shape.
+        NotFinite: For a loss, gradient or parameter that is not finite. `checkpoint` then holds the state before that
+            iteration, or the last one that was finite: the same call stops at the same place again.
     """
     _check_views(gaussians, views)
     started = time.perf_counter()
@@ -148,29 +153,79 @@ def fit(
         state = _initial_state(gaussians, views, config)
     cap = config.cap_max if config.cap_max is not None else len(gaussians)
     compare = photometric or partial(_default_photometric, config.dssim_weight)
+    save = None if checkpoint is None else partial(_save, checkpoint, settings, started)
     for iteration in range(state.iteration, config.iterations):
-        if before_step is not None:
-            before_step(iteration)
-        with_depth = needs_depth(iteration) if callable(needs_depth) else needs_depth
-        step, regularizer = _render(state, views, iteration, config, extent, with_depth)
-        loss, part = _loss(step, regularizer, compare(step, target(step.view)), extra_losses)
-        loss.backward()
-        # extra losses may reach harmonics that are not rendered yet
-        degree = 3 if extra_losses else _degree_at(iteration, config)
-        _update(state, iteration, config, cap, extent, degree)
-        state.iteration = done = iteration + 1
+        try:
+            if before_step is not None:
+                _prepare(before_step, iteration)
+            with_depth = needs_depth(iteration) if callable(needs_depth) else needs_depth
+            step, regularizer = _render(state, views, iteration, config, extent, with_depth)
+            loss, part = _loss(step, regularizer, compare(step, target(step.view)), extra_losses)
+            loss.backward()
+            require_finite("gradient of", _gradients(state), _where(iteration, step.view), resumable=True)
+            # extra losses may reach harmonics that are not rendered yet
+            degree = 3 if extra_losses else _degree_at(iteration, config)
+            _update(state, iteration, config, cap, extent, degree)
+            state.iteration = done = iteration + 1
+            saving = done % config.checkpoint_every == 0 or done == config.iterations
+            if done % LOG_EVERY == 0 or saving:
+                sizes = norms(state.gaussians.tensors())
+                if not math.isfinite(sum(sizes.values())):
+                    _check_parameters(state, _where(iteration, step.view))
+        except NotFinite as stop:
+            raise _stopped(stop, state, checkpoint, save) from None
         if done % LOG_EVERY == 0 or done == config.iterations:
             entry = {"iteration": float(done), "loss": float(loss.detach()), "photometric": part}
-            state.losses.append({**entry, "n_gaussians": float(len(state.gaussians))})
+            state.losses.append({**entry, "n_gaussians": float(len(state.gaussians)), **sizes})
             if progress is not None:
                 progress(done, config.iterations, state.losses[-1])
-        if checkpoint is not None and (done % config.checkpoint_every == 0 or done == config.iterations):
-            state.seconds = time.perf_counter() - started
-            save_checkpoint(checkpoint, state, settings)
+        if save is not None and saving:
+            save(state)
     return FitResult(
         gaussians=state.gaussians.detach(), viewmats=_current(views, state, extent).viewmats.detach(),
         losses=state.losses, seconds=time.perf_counter() - started, peak_bytes=_peak_bytes(state.gaussians),
     )  # fmt: skip
+
+
+def _prepare(before_step: Callable[[int], None], iteration: int) -> None:
+    try:
+        before_step(iteration)
+    except NotFinite as stop:
+        raise NotFinite(f"{stop} before iteration {iteration}", resumable=stop.resumable) from None
+
+
+def _save(path: Path, settings: dict[str, object], started: float, state: TrainingState) -> None:
+    state.seconds = time.perf_counter() - started
+    save_checkpoint(path, state, settings)
+
+
+def _stopped(
+    stop: NotFinite, state: TrainingState, checkpoint: Path | None, save: Callable[[TrainingState], None] | None
+) -> NotFinite:
+    """What to raise for `stop`, once the state before it is saved; a damaged one must not replace the last good one."""
+    if save is None:
+        return stop
+    if stop.resumable:
+        save(state)
+    return NotFinite(f"{stop}; {checkpoint} leads there again", resumable=stop.resumable)
+
+
+def _where(iteration: int, view: int) -> str:
+    return f"at iteration {iteration}, view {view}"
+
+
+def _gradients(state: TrainingState) -> dict[str, Tensor]:
+    leaves = state.gaussians.tensors()
+    if state.cameras is not None:
+        leaves = {**leaves, "camera twists": state.cameras.twists}
+    return {name: tensor.grad for name, tensor in leaves.items() if tensor.grad is not None}
+
+
+def _check_parameters(state: TrainingState, where: str) -> None:
+    tensors = state.gaussians.tensors()
+    if state.cameras is not None:
+        tensors = {**tensors, "camera twists": state.cameras.twists}
+    require_finite("parameter", tensors, where, resumable=False)
 
 
 def _check_views(gaussians: Gaussians, views: Views) -> None:
@@ -246,11 +301,17 @@ def _render(
     scales, opacities, regularizer = activate(gaussians, config.opacity_reg, config.scale_reg, fused=fused)
     if state.cameras is not None and config.refine_cameras is not None:
         state.cameras.twists.requires_grad_(config.refine_cameras.factor_at(iteration, config.iterations) > 0)
-    step = render_step(
-        gaussians, scales, opacities, _current(views, state, extent), view=_view_at(iteration, len(views), config.seed),
-        iteration=iteration, iterations=config.iterations, sh_degree=_degree_at(iteration, config),
-        with_depth=with_depth, backend=config.backend,
-    )  # fmt: skip
+    view = _view_at(iteration, len(views), config.seed)
+    try:
+        step = render_step(
+            gaussians, scales, opacities, _current(views, state, extent), view=view, iteration=iteration,
+            iterations=config.iterations, sh_degree=_degree_at(iteration, config), with_depth=with_depth,
+            backend=config.backend,
+        )  # fmt: skip
+    except ValueError:
+        # The rasteriser refuses Gaussians that the last update has damaged, but knows no iterations.
+        _check_parameters(state, _where(iteration, view))
+        raise
     return step, regularizer
 
 
@@ -267,14 +328,17 @@ def _loss(
     step: Step, regularizer: Tensor, photometric: Tensor, extra_losses: Sequence[Callable[[Step], Tensor | None]]
 ) -> tuple[Tensor, float]:
     """Total loss, and its photometric part as a number."""
+    terms = {"photometric": photometric, "regulariser": regularizer}
     loss = photometric + regularizer
     for extra in extra_losses:
         term = extra(step)
-        loss = loss if term is None else loss + term
+        if term is not None:
+            terms[getattr(extra, "__name__", type(extra).__name__)] = term
+            loss = loss + term
     if not torch.isfinite(loss):
-        raise ValueError(
-            f"the loss must be finite, got {float(loss.detach())} at iteration {step.iteration}, view {step.view}"
-        )
+        values = ", ".join(f"{name} {float(term.detach())}" for name, term in terms.items())
+        where = _where(step.iteration, step.view)
+        raise NotFinite(f"the loss must be finite, got {float(loss.detach())} {where}: {values}")
     return loss, float(photometric.detach())
 
 

@@ -45,6 +45,8 @@ class Views:
 
     @property
     def extent(self) -> float:
-        """Scene extent as in 3DGS: 1.1 times the largest distance of a camera from their mean; 1 for one camera."""
+        """Scene extent as in 3DGS: 1.1 times the largest distance of a camera from their mean; 1 for one place."""
         distance = float((self.centers - self.centers.mean(0)).norm(dim=-1).max().detach())
-        return 1.1 * distance if distance > 0 else 1.0
+        # Cameras that only turn have centres that differ by rounding: as an extent, that would let nothing move.
+        rounding = 8 * torch.finfo(torch.float32).eps * float(self.viewmats[:, :3, 3].norm(dim=-1).max().detach())
+        return 1.1 * distance if distance > rounding else 1.0

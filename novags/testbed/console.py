@@ -81,7 +81,6 @@ class Console:
 
 
 def losses_text(losses: Mapping[str, float]) -> str:
-    """Losses of one step in a few characters; counters among them are left out."""
-    return "  ".join(
-        f"{name} {value:.4f}" for name, value in losses.items() if name not in ("iteration", "n_gaussians")
-    )
+    """Losses of one step in a few characters; counters and norms among them are left out."""
+    shown = (name for name in losses if name not in ("iteration", "n_gaussians") and not name.startswith("norm_"))
+    return "  ".join(f"{name} {losses[name]:.4f}" for name in shown)

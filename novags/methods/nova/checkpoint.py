@@ -45,7 +45,8 @@ def unpack(prefix: str, tensors: dict[str, Tensor], network: nn.Module, adam: Ad
         moments = {key: tensors[f"{prefix}.{key}.{name}"] for key in _MOMENTS if f"{prefix}.{key}.{name}" in tensors}
         gradient = tensors.get(f"{prefix}.grad.{name}")
         whole = not moments or (len(moments) == len(like) and all(_alike(v, like[key]) for key, v in moments.items()))
-        if not whole or not (gradient is None or _alike(gradient, parameter)):
+        # not finite where a training has stopped for that, and is to stop there again
+        if not whole or not (gradient is None or _alike(torch.nan_to_num(gradient), parameter)):
             raise ValueError(f"the checkpoint's {prefix} is damaged in {name}: delete it, the run then starts over")
         if moments:
             # torch keeps Adam's step count on the CPU whatever the device of the weights.

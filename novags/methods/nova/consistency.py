@@ -14,7 +14,10 @@ from torch import Tensor, nn
 
 from novags.methods.nova.checkpoint import pack, unpack
 from novags.splats.fit import Step
+from novags.splats.guard import require_finite
 from novags.splats.views import Views
+
+FARTHEST = 1e10  # world units: the far plane of `rasterize`
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,6 +135,9 @@ def reproject(
         warped [H, W, 3] and M_geo [H, W] bool: positive depth in both cameras, inside the source frame, not occluded.
     """
     height, width = depth_t.shape
+    # Infinite, NaN or beyond the rasteriser's far plane is as unknown as 0: the mask would drop such a pixel, but not
+    # the NaN that it leaves in the loss and in every gradient (where torch's grid_sample crashes on its way back).
+    depth_t = torch.where(depth_t.abs() < FARTHEST, depth_t, 0.0)
     points = _move(_rays(height, width, camera_t.K) * depth_t[..., None], camera_t, camera_s)
     pixels = _project(points, camera_s.K)
     seen = _sample(depth_s.detach()[..., None], pixels.detach())[..., 0]
@@ -226,8 +232,14 @@ class ConsistencyLoss:
         return self.config.weight * self.config.every * loss
 
     def update(self) -> None:
-        """Step the confidence network along the gradients that the last backward pass left in it."""
-        if any(parameter.grad is not None for parameter in self.network.parameters()):
+        """Step the confidence network along the gradients that the last backward pass left in it.
+
+        Raises:
+            NotFinite: If they are not finite; they then stay there.
+        """
+        gradients = {name: p.grad for name, p in self.network.named_parameters() if p.grad is not None}
+        if gradients:
+            require_finite("confidence gradient of", gradients, "in L_geo", resumable=True)
             self.optimizer.step()
             self.optimizer.zero_grad(set_to_none=True)
 

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 from novags.methods.nova.blindspot import BlindSpotConfig, n2v_loss, replace_masked, sample_mask
 from novags.methods.nova.checkpoint import pack, unpack
 from novags.methods.nova.resunet import ResUNet, ResUNetConfig
+from novags.splats.guard import NotFinite, all_finite, require_finite
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,7 +79,11 @@ FAST_DENOISER = DenoiserConfig(
 
 
 def donut_blur(images: Tensor, sigma: float) -> Tensor:
-    """Gaussian blur whose kernel has no centre, so that no pixel influences its own value. images: [B, D, H, W]."""
+    """Gaussian blur whose kernel has no centre, so that no pixel influences its own value. images: [B, D, H, W].
+
+    Except a little in the second row or column from a border, where reflection brings the pixel back. In training that
+    is harmless: the picture that is blurred is blinded.
+    """
     radius = min(max(1, math.ceil(3 * sigma)), *(side - 1 for side in images.shape[-2:]))
     offsets = torch.arange(-radius, radius + 1, dtype=images.dtype, device=images.device)
     line = torch.exp(-0.5 * (offsets / sigma) ** 2)
@@ -109,6 +114,7 @@ class Denoiser:
                 nn.init.zeros_(parameter)
         self.optimizer = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
         self.generator = torch.Generator(enhanced.device).manual_seed(seed)
+        self.views: list[int] = []  # of the last batch
 
     def predict(self, images: Tensor) -> Tensor:
         """The network's estimate for images [B, 3, H, W], differentiable, not clipped."""
@@ -128,9 +134,23 @@ class Denoiser:
         return n2v_loss(self.predict(blinded).reshape(planes.shape), planes, mask)
 
     def train_step(self) -> float:
-        """One optimiser step on L_N2V, plus whatever gradients the network already holds. Returns the loss."""
+        """One optimiser step on L_N2V, plus whatever gradients the network already holds. Returns the loss.
+
+        Raises:
+            NotFinite: If the loss or a gradient is not finite; everything is then as it was before the step.
+        """
+        stream, held = self.generator.get_state(), self._gradients()
+        held = {name: gradient.clone() for name, gradient in held.items()}  # none unless L_recon reaches the denoiser
         loss = self.loss()
         loss.backward()
+        value = loss.item()
+        try:
+            self._check(value)
+        except NotFinite:
+            self.generator.set_state(stream)
+            for name, parameter in self.network.named_parameters():
+                parameter.grad = held.get(name)
+            raise
         rate = self.config.learning_rate
         if self.config.decay == "cosine":
             rate *= 0.5 * (1 + math.cos(math.pi * min(1, self.step / self.total_steps)))
@@ -139,7 +159,25 @@ class Denoiser:
         self.optimizer.step()
         self.optimizer.zero_grad(set_to_none=True)
         self.step += 1
-        return loss.item()
+        return value
+
+    def _gradients(self) -> dict[str, Tensor]:
+        return {name: p.grad for name, p in self.network.named_parameters() if p.grad is not None}
+
+    def _check(self, loss: float) -> None:
+        """Raise NotFinite unless the loss and the gradients are finite.
+
+        A gradient on its way back passes through the first convolution, which therefore speaks for all layers.
+        """
+        first = next(iter(self.network.parameters())).grad
+        if math.isfinite(loss) and (first is None or all_finite([first])):
+            return
+        views = ", ".join(map(str, self.views))
+        where = f"at denoiser step {self.step}, view {views}"
+        require_finite("denoiser weight", dict(self.network.named_parameters()), where, resumable=False)
+        if not math.isfinite(loss):
+            raise NotFinite(f"the denoiser's loss must be finite, got {loss} {where}")
+        require_finite("denoiser gradient of", self._gradients(), where, resumable=True)
 
     def denoise(self, view: int) -> Tensor:
         """I_clean of one view, [H, W, 3] in 0..1: the network on the unmasked image. Differentiable in the weights."""
@@ -156,7 +194,7 @@ class Denoiser:
         """Random crops [batch, 3, crop, crop], or whole views where no crop is configured."""
         count, _, height, width = self.images.shape
         rows, columns = min(self.config.crop or height, height), min(self.config.crop or width, width)
-        views = self._integers(count)
+        self.views = views = self._integers(count)
         tops, lefts = self._integers(height - rows + 1), self._integers(width - columns + 1)
         crops = [self.images[v, :, y : y + rows, x : x + columns] for v, y, x in zip(views, tops, lefts, strict=True)]
         batch = torch.stack(crops)

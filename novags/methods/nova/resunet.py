@@ -29,8 +29,23 @@ class ResUNetConfig:
             raise ValueError(f"se_reduction must be >= 1, got {self.se_reduction}")
 
 
+class InstanceNorm(nn.InstanceNorm2d):
+    """Instance normalisation without parameters; a map that is constant up to rounding becomes 0, with no slope.
+
+    Divided by its own deviation, as any other, it would be its rounding errors times 316 (1 / sqrt(eps)). Some layers
+    of that turn a black view into noise of order one, and its gradients into infinities.
+    """
+
+    def forward(self, x: Tensor) -> Tensor:
+        """x: [B, D, H, W], normalised per image and channel."""
+        low, high = x.detach().amin((2, 3), keepdim=True), x.detach().amax((2, 3), keepdim=True)
+        # 1e-6: some float32 roundings of a sum of order one, which is what a convolution gives
+        constant = high - low <= 1e-6 * (1 + torch.maximum(high, -low))
+        return torch.where(constant, 0.0, super().forward(x))
+
+
 def _norm(channels: int, kind: str) -> nn.Module:
-    return nn.InstanceNorm2d(channels) if kind == "instance" else nn.Identity()
+    return InstanceNorm(channels) if kind == "instance" else nn.Identity()
 
 
 def _conv(channels_in: int, channels_out: int, kind: str) -> list[nn.Module]:

@@ -3,6 +3,7 @@
 import dataclasses
 import hashlib
 import json
+import math
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -23,6 +24,7 @@ from novags.methods.start import start_gaussians
 from novags.splats.checkpoint import digest, write_tensors
 from novags.splats.fit import FitConfig, Step, fit
 from novags.splats.gaussians import Gaussians
+from novags.splats.guard import NotFinite
 from sensor_model.files.reading import reading
 
 SAVE_INTERVAL = 60.0  # s between two checkpoints of the warm-up: its steps take from milliseconds to many seconds
@@ -136,6 +138,7 @@ class _Training:
             )
         self.run = run_identity(problem, config)
         self.start: Gaussians | None = None
+        self.stepping = False  # networks are between two splat iterations
         self.seconds = 0.0  # before the splats start, in interrupted attempts too
         self.fit_path = checkpoint
         self.path = None if checkpoint is None else checkpoint.with_name(f"{checkpoint.stem}.denoiser.safetensors")
@@ -163,7 +166,14 @@ class _Training:
     def _train_denoiser(self, denoiser: Denoiser, started: float, progress: Progress | None) -> None:
         steps, saved = denoiser.config.warmup_steps, time.perf_counter()
         while denoiser.step < steps:
-            loss = denoiser.train_step()
+            try:
+                loss = denoiser.train_step()
+            except NotFinite as stop:
+                if self.path is None:
+                    raise
+                if stop.resumable:
+                    self.save()
+                raise NotFinite(f"{stop}; {self.path} leads there again", resumable=stop.resumable) from None
             self.seconds = time.perf_counter() - started
             if time.perf_counter() - saved > SAVE_INTERVAL:
                 self.save()
@@ -173,14 +183,34 @@ class _Training:
 
     def before_step(self, iteration: int) -> None:
         """Bring both networks up to a splat iteration, then save if the fit has just saved."""
+        self.stepping = True
         if self.geo is not None:
             self.geo.update()
         denoiser = self.denoiser
         if denoiser is not None and denoiser.step < denoiser.config.total_steps(iteration):
             denoiser.train_step()
+        self.stepping = False
         fit = self.config.fit
         if iteration and (iteration % fit.checkpoint_every == 0 or iteration == fit.iterations):
             self.save()
+
+    def save_stopped(self, stop: NotFinite) -> None:
+        """Save the networks as they were before the step that stopped, if the splats are saved so, too."""
+        if not stop.resumable:
+            return
+        if not self.stepping:  # what this iteration's backward pass has left would count twice when it is done again
+            for part in (self.geo, self.denoiser):
+                if part is not None:
+                    part.optimizer.zero_grad(set_to_none=True)
+        self.save()
+
+    def norms(self) -> dict[str, float]:
+        """Norm of the weights of each network."""
+        networks = {"denoiser": self.denoiser, "confidence": self.geo}
+        return {
+            f"norm_{name}": math.sqrt(sum(float(p.detach().square().sum()) for p in part.network.parameters()))
+            for name, part in networks.items() if part is not None
+        }  # fmt: skip
 
     def noise_penalty(self, step: Step) -> Tensor | None:
         """Weighted L_SH of this iteration."""
@@ -273,6 +303,7 @@ def train(
     Raises:
         ValueError: If a checkpoint is damaged or belongs to another run, or the configuration does not suit the
             pictures.
+        NotFinite: As `fit` says, and for the networks; checkpoints then hold networks and splats before that step.
     """
     config = suited(dataclasses.replace(config, fit=fit_for(problem, config.fit)), problem)
     started = time.perf_counter()
@@ -281,14 +312,22 @@ def train(
     training = _Training(problem, images, config, checkpoint)
     start = training.warm_up(problem, progress)
     warmup = 0 if config.denoiser is None else config.denoiser.warmup_steps
-    result = fit(
-        start, problem.views, training.clean.target, config.fit,
-        extra_losses=[loss for loss in (training.geo, training.noise_penalty) if loss is not None],
-        before_step=training.before_step, needs_depth=training.geo.due if training.geo else False,
-        checkpoint=checkpoint,
-        progress=progress and (lambda done, total, entry: progress(warmup + done, warmup + total, entry)),
-    )  # fmt: skip
-    training.before_step(config.fit.iterations)
+
+    def report(done: int, total: int, entry: dict[str, float]) -> None:
+        if progress is not None:
+            progress(warmup + done, warmup + total, entry | training.norms())
+
+    try:
+        result = fit(
+            start, problem.views, training.clean.target, config.fit,
+            extra_losses=[loss for loss in (training.geo, training.noise_penalty) if loss is not None],
+            before_step=training.before_step, needs_depth=training.geo.due if training.geo else False,
+            checkpoint=checkpoint, progress=progress and report,
+        )  # fmt: skip
+        training.before_step(config.fit.iterations)
+    except NotFinite as stop:
+        training.save_stopped(stop)
+        raise
     return Reconstruction(
         scene=GaussianScene(result.gaussians),
         space="enhanced",

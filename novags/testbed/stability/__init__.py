@@ -5,13 +5,27 @@
 
 from collections.abc import Iterator, Sequence
 
-from novags.testbed.stability import cameras, enhance, render, score, sensor
+from novags.testbed.stability import (
+    blind_spot,
+    cameras,
+    consistency,
+    denoiser,
+    enhance,
+    harmonics,
+    long_runs,
+    render,
+    score,
+    sensor,
+    splats,
+    updates,
+)
 from novags.testbed.stability.case import Case, Measured, Part, Setting, measured, refusal
 from novags.testbed.stability.table import embedded, markdown
 
-PARTS: dict[str, Part] = {
-    part.name: part for part in (enhance.PART, sensor.PART, render.PART, score.PART, cameras.PART)
-}
+_FILES = (
+    enhance, blind_spot, denoiser, consistency, harmonics, splats, updates, sensor, render, score, cameras, long_runs,
+)  # fmt: skip
+PARTS: dict[str, Part] = {file.PART.name: file.PART for file in _FILES}
 
 
 def measure(parts: Sequence[str], *, long: bool = False) -> Iterator[Measured]:

@@ -228,7 +228,13 @@ def test_progress_counts_warm_up_and_splats_together(stage):
     assert [entry[:2] for entry in seen] == [(1, WARM_UP + ITERATIONS), (2, WARM_UP + ITERATIONS)]
     assert seen[0][2] == {"denoiser": 0.25}
     stage.seen["progress"](4, ITERATIONS, {"loss": 1.0})
-    assert seen[-1] == (WARM_UP + 4, WARM_UP + ITERATIONS, {"loss": 1.0})
+    assert seen[-1][:2] == (WARM_UP + 4, WARM_UP + ITERATIONS)
+    weights = torch.cat([p.detach().flatten().double() for p in stage.denoisers[0].network.parameters()])
+    norms = {
+        "norm_denoiser": pytest.approx(float(weights.norm()), rel=1e-5),
+        "norm_confidence": pytest.approx(3, abs=3),
+    }
+    assert seen[-1][2] == {"loss": 1.0, **norms}
 
 
 def test_seconds_are_those_that_passed(stage):
