@@ -2,8 +2,9 @@ import pytest
 import torch
 
 from novags.methods.nova import blindspot
-from novags.testbed.stability import Case, Setting, blind_spot, measured
-from novags.testbed.stability.blind_spot import PART
+from novags.testbed.stability import Case, Setting, measured
+from novags.testbed.stability.parts import blind_spot
+from novags.testbed.stability.parts.blind_spot import PART
 
 CASES = {case.name: case for case in PART.cases}
 HERE = Setting("torch", 1)

@@ -8,7 +8,7 @@ import torch
 
 from novags.cameras import align as alignment
 from novags.testbed.stability import PARTS, Case, Setting, measured
-from novags.testbed.stability import cameras as cases
+from novags.testbed.stability.parts import cameras as cases
 from simscenes import rigs
 
 

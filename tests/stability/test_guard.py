@@ -16,7 +16,7 @@ from novags.splats import FitConfig, Gaussians, NotFinite, Views, fit
 from novags.splats.checkpoint import load_checkpoint
 from novags.splats.guard import require_finite
 from novags.splats.step import Step
-from novags.testbed.stability.long_runs import problem
+from novags.testbed.stability.parts.long_runs import problem
 
 FITTING = sys.modules["novags.splats.fit"]  # the package's `fit` is the function
 

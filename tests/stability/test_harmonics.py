@@ -2,8 +2,9 @@ import numpy as np
 import pytest
 import torch
 
-from novags.testbed.stability import Case, Setting, harmonics, measured
-from novags.testbed.stability.harmonics import PART
+from novags.testbed.stability import Case, Setting, measured
+from novags.testbed.stability.parts import harmonics
+from novags.testbed.stability.parts.harmonics import PART
 
 CASES = {case.name: case for case in PART.cases}
 HERE = Setting("torch", 1)

@@ -2,8 +2,9 @@ import math
 
 import pytest
 
-from novags.testbed.stability import Case, Setting, long_runs, measured
-from novags.testbed.stability.long_runs import PART
+from novags.testbed.stability import Case, Setting, measured
+from novags.testbed.stability.parts import long_runs
+from novags.testbed.stability.parts.long_runs import PART
 
 CASES = {case.name: case for case in PART.cases}
 HERE = Setting("numba", 1)

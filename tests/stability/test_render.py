@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from novags.testbed.stability import PARTS, Case, Setting, measured
-from novags.testbed.stability import render as cases
+from novags.testbed.stability.parts import render as cases
 from simscenes.render import radiance
 
 

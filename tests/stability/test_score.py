@@ -9,7 +9,7 @@ from torchmetrics.functional.image import structural_similarity_index_measure
 
 from novags.testbed.metrics import images, tone
 from novags.testbed.stability import PARTS, Case, Setting, measured
-from novags.testbed.stability import score as cases
+from novags.testbed.stability.parts import score as cases
 
 
 def test_the_error_stays_within_its_bound(case: Case, setting: Setting) -> None:

@@ -4,8 +4,9 @@ import torch
 
 from novags.splats import adam, mcmc
 from novags.splats.cpu import noise
-from novags.testbed.stability import Case, Setting, measured, updates
-from novags.testbed.stability.updates import PART
+from novags.testbed.stability import Case, Setting, measured
+from novags.testbed.stability.parts import updates
+from novags.testbed.stability.parts.updates import PART
 
 CASES = {case.name: case for case in PART.cases}
 

@@ -5,7 +5,8 @@
 
 from collections.abc import Iterator, Sequence
 
-from novags.testbed.stability import (
+from novags.testbed.stability.case import Case, Measured, Part, Setting, measured, refusal
+from novags.testbed.stability.parts import (
     blind_spot,
     cameras,
     consistency,
@@ -19,7 +20,6 @@ from novags.testbed.stability import (
     splats,
     updates,
 )
-from novags.testbed.stability.case import Case, Measured, Part, Setting, measured, refusal
 from novags.testbed.stability.table import embedded, markdown
 
 _FILES = (

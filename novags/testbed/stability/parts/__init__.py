@@ -1,0 +1,1 @@
+"""The hard cases, one file a part of the project."""
