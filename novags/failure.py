@@ -38,7 +38,7 @@ def explained(error: BaseException) -> str:
     """What happened, the file it was about and what to do; the traceback goes to a file."""
     about = file_of(error)
     where = f" (at {about})" if about else ""
-    said = " ".join(str(error).split())[:300]
+    said = _brief(error, 300)
     if isinstance(error, MemoryError):
         return f"{said or 'out of memory: choose smaller pictures or fewer points'}{where}; {_report(error)}"
     return f"unexpected {type(error).__name__}{where}: {said or 'no message'}; please report it: {_report(error)}"
@@ -74,5 +74,11 @@ def _check_encoding(words: list[str]) -> None:
 
 
 def _say(text: str, code: int) -> int:
-    print(f"novags: {' '.join(text.split())}", file=sys.stderr)
+    print(f"novags: {_brief(text, 2000)}", file=sys.stderr)
     return code
+
+
+def _brief(found: object, length: int) -> str:
+    from sensor_model.files.reading import brief  # numpy comes with it: --help must not wait for that
+
+    return brief(found, length)

@@ -11,6 +11,7 @@ from novags.methods.nova import trainer as nova
 from novags.methods.nova.denoiser import FAST_DENOISER
 from novags.methods.variant import Method, Variant, spelled
 from novags.settings import flattened
+from sensor_model.files.reading import brief
 
 METHODS: dict[str, Method] = {
     "nova": Method(
@@ -107,7 +108,7 @@ def chosen(name: str, more: Mapping[str, Variant] | None = None) -> Variant:
         known = (*METHODS, *variants)
         near = get_close_matches(variant.method, known, 1)
         hint = f"did you mean {near[0]!r}? " if near else ""
-        raise ValueError(f"unknown method {variant.method!r}; {hint}available: {', '.join(known)}")
+        raise ValueError(f"unknown method {brief(repr(variant.method), 100)}; {hint}available: {', '.join(known)}")
     return variant
 
 

@@ -12,6 +12,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from sensor_model.files.atomic import atomic
+from sensor_model.files.reading import brief
 from sensor_model.files.records import check_shape
 
 from .adam import Adam
@@ -97,21 +98,21 @@ def load_checkpoint(path: Path, settings: dict[str, object], device: torch.devic
         check_shape(rest, STATE, "its state")
         saved = rest["settings"]
     except (SafetensorError, KeyError, TypeError, ValueError, RecursionError) as error:  # ValueError: malformed JSON
-        reason = f"{type(error).__name__}: {error}"
+        reason = brief(f"{type(error).__name__}: {error}")
         raise ValueError(
             f"{path} is not a training checkpoint of this version ({reason}): delete it to start again"
         ) from error
     now = json.loads(json.dumps(settings))
     different = sorted(key for key in saved.keys() | now.keys() if saved.get(key) != now.get(key))
     if different:
-        changes = ", ".join(f"{key}: {saved.get(key)!r} there, {now.get(key)!r} now" for key in different)
+        changes = brief(", ".join(f"{k}: {saved.get(k)!r} there, {now.get(k)!r} now" for k in different), 1000)
         raise ValueError(
             f"checkpoint {path} belongs to a run with other settings ({changes}); delete it or restore them"
         )
     try:
         return _assembled(rest, tensors, saved)
     except (TypeError, ValueError) as error:  # TypeError: tensors missing or too many
-        raise ValueError(f"{path} is damaged ({error}): delete it to start again") from error
+        raise ValueError(f"{path} is damaged ({brief(error)}): delete it to start again") from error
 
 
 def _assembled(rest: dict[str, Any], tensors: dict[str, Tensor], settings: dict[str, Any]) -> TrainingState:

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from sensor_model.files.atomic import atomic
+from sensor_model.files.reading import brief
 
 from .gaussians import Gaussians
 from .sh import n_coefficients
@@ -61,17 +62,19 @@ def _read_header(file: BinaryIO, path: Path) -> tuple[str, int, np.dtype]:
         if words[:1] == ["end_header"]:
             return kind, n, np.dtype(list(fields.items()))
         if len(words) < LEAST.get(words[0] if words else "", 0):
-            raise ValueError(f"{path}: a line of the PLY header is not complete: {line.strip()!r}")
+            raise ValueError(f"{path}: a line of the PLY header is not complete: {brief(repr(line.strip()))}")
         if words[:1] == ["format"]:
             kind = words[1]
         elif words[:1] == ["element"]:
             if not element and words[1] != "vertex":
-                raise ValueError(f"{path}: the first PLY element must be vertex, got {words[1]}")
+                raise ValueError(f"{path}: the first PLY element must be vertex, got {brief(words[1])}")
             element = words[1]
             n = _count(words[2], path) if element == "vertex" else n
         elif words[:1] == ["property"] and element == "vertex":
             if words[1] not in _DTYPES or words[-1] in fields:
-                raise ValueError(f"{path}: vertex properties must be plain numbers, each once, got {' '.join(words)}")
+                raise ValueError(
+                    f"{path}: vertex properties must be plain numbers, each once, got {brief(' '.join(words))}"
+                )
             fields[words[-1]] = _DTYPES[words[1]]
     raise ValueError(f"{path} must be a PLY file with an end_header line, but its header ends early")
 

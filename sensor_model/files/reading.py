@@ -13,6 +13,12 @@ WORDS: dict[type[Exception], str] = {
 }
 
 
+def brief(found: object, length: int = 300) -> str:
+    """What a file holds, or a library says of it, as one line of at most `length` characters."""
+    text = " ".join(str(found).split())
+    return text if len(text) <= length else f"{text[: length - 4]} ..."
+
+
 @contextmanager
 def reading(path: str | os.PathLike[str], remedy: str = "correct it or put the original back") -> Iterator[None]:
     """Around everything that makes sense of a file's content: any failure becomes a ValueError that names the file.
@@ -33,6 +39,6 @@ def reading(path: str | os.PathLike[str], remedy: str = "correct it or put the o
             raise
         said = [words for kind, words in WORDS.items() if isinstance(error, kind)]
         if isinstance(error, ValueError) and not said:
-            raise ValueError(f"{path}: {error}; {remedy}") from error
-        what = said[0] if said else f"is damaged ({type(error).__name__}: {error})"
+            raise ValueError(f"{path}: {brief(error)}; {remedy}") from error
+        what = said[0] if said else f"is damaged ({type(error).__name__}: {brief(error)})"
         raise ValueError(f"{path} {what}; {remedy}") from error

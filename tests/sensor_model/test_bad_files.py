@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from sensor_model import PRESETS, Exposure, Sensor, read_sensor, write_sensor
-from sensor_model.files.reading import reading
+from sensor_model.files.reading import brief, reading
 from sensor_model.files.records import Numbers, check_shape
 from sensor_model.files.toml_file import read_toml
 
@@ -97,3 +97,16 @@ def test_a_value_of_another_shape_is_refused_at_its_place(value: object, message
 def test_a_value_of_the_shape_passes_with_more_than_it_needs() -> None:
     value = {"a": 1, "b": [], "c": {"k": "s", "l": None}, "d": [[1, 2.5], [3, 4]], "e": None, "more": object()}
     check_shape(value, SHAPE, "here")
+
+
+def test_what_a_file_holds_is_shown_in_one_line_of_a_stated_length() -> None:
+    assert brief("short\n  and\tclean ") == "short and clean"
+    shown = brief("word " * 1000, 50)
+    assert len(shown) == 50
+    assert shown.endswith(" ...")
+
+
+def test_a_long_complaint_of_a_library_is_cut(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"x\.bin is damaged") as found, reading(tmp_path / "x.bin"):
+        raise KeyError("k" * 5000)
+    assert len(str(found.value)) < 500 + len(str(tmp_path))

@@ -11,6 +11,7 @@ from torch import Tensor, nn
 from torch.optim import Adam
 
 from sensor_model.files.atomic import atomic
+from sensor_model.files.reading import brief
 
 _MOMENTS = ("step", "exp_avg", "exp_avg_sq")
 
@@ -70,7 +71,7 @@ def read(path: Path) -> dict[str, Tensor]:
     try:
         return load_file(path)
     except Exception as error:  # safetensors raises its own class, which it does not promise to keep
-        raise ValueError(f"{path} is damaged ({error}): delete it, the run then starts over") from error
+        raise ValueError(f"{path} is damaged ({brief(error)}): delete it, the run then starts over") from error
 
 
 def file_as_tensor(path: Path) -> Tensor:

@@ -20,6 +20,7 @@ from novags.testbed.console import Console
 from novags.testbed.folders import shapes
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.set import Source
+from sensor_model.files.reading import brief
 from sensor_model.files.records import check_shape
 from simscenes.sets.exr import read_exr
 from simscenes.sets.png import read_png
@@ -116,7 +117,7 @@ class Run:
         try:
             return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
         except (OSError, ValueError, RecursionError) as error:
-            raise ValueError(f"{path} is missing or damaged ({error}): reconstruct again") from error
+            raise ValueError(f"{path} is missing or damaged ({brief(error)}): reconstruct again") from error
 
 
 def open_run(path: Path) -> Run:

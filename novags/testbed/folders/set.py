@@ -51,9 +51,10 @@ class Source:
         if self.filters is None:
             return None
         red, green, blue = self.filters.sum(1)
-        if not min(red, green, blue) > 0:
-            raise ValueError(f"the camera_matrix of {self.views.path} must have rows with sums > 0, got "
-                             f"{red:g}, {green:g}, {blue:g}: put the original back")  # fmt: skip
+        # A real filter passes a tenth to ten times what green does; by far beyond it float32 would overflow.
+        if not (min(red, green, blue) > 0 and all(1e-3 <= other / green <= 1e3 for other in (red, blue))):
+            raise ValueError(f"the camera_matrix of {self.views.path} must have rows with sums > 0, within a factor of "
+                             f"1000 of green's, got {red:g}, {green:g}, {blue:g}: put the original back")  # fmt: skip
         return float(red / green), 1.0, float(blue / green)
 
     @property

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import open_capture
+from novags.testbed.folders.set import Source
 from novags.testbed.forecast import PILOT, sensor_plan
 from novags.testbed.stages.capture import CaptureConfig
 from sensor_model import PRESETS, read_sensor, srgb_to_linear, write_sensor
@@ -196,3 +198,10 @@ def test_images_too_small_for_raw_files_are_said_before_the_work_and_where_they_
     stages.capture(large, tmp_path / "larger", CaptureConfig(), Console(stream=told))
     assert "LibRaw" not in told.getvalue()
     assert open_capture(tmp_path / "larger").raw(0).shape[:2] == (22, 24)
+
+
+@pytest.mark.parametrize("row", [[0.0, 0.0, 0.0], [1e300, 0, 0], [1e-7, 0, 0]])
+def test_colour_filters_that_no_camera_has_are_refused(row: list[float], tmp_path: Path) -> None:
+    views = SimpleNamespace(meta={"camera_matrix": [row, [0, 1, 0], [0, 0, 1]]}, path=tmp_path)
+    with pytest.raises(ValueError, match="camera_matrix of .* within a factor of 1000 of green's"):
+        _ = Source(views, None, QUIET).response
