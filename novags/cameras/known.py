@@ -93,7 +93,7 @@ def perturb(viewmats: Array, rotation_deg: float, translation: float, rng: np.ra
 
 
 def _depths(multiview: MultiviewSet, indices: list[int]) -> Array | None:
-    """z-depths [C, h, w] of the views, inf where there is no surface; None if the set has none."""
+    """z-depths [C, h, w] of the views, inf in front of empty space; None if the set has no depths."""
     found = [multiview.geometry(i) for i in indices]
     depths = [geometry["z"] for geometry in found if geometry is not None]
     if len(depths) < len(indices) or not any(np.isfinite(z).any() for z in depths):

@@ -128,7 +128,7 @@ def _check(pictures: np.ndarray, Ks: np.ndarray, colors_from: Tensor, n_points: 
 
 
 def _reconstruct(pictures: np.ndarray, Ks: np.ndarray, config: SfmConfig, seed: int, progress: Progress) -> Any:
-    """The pycolmap reconstruction with the most views, and among equals the most points; None if there is none."""
+    """The pycolmap reconstruction with the most views, and among equals the most points; None without any."""
     import cv2
     import pycolmap
 

@@ -93,7 +93,7 @@ def chosen(name: str, more: Mapping[str, Variant] | None = None) -> Variant:
         more: The caller's own variants.
 
     Raises:
-        ValueError: If there is none of this name, or it varies a method that does not exist.
+        ValueError: If the name is unknown, or it varies a method that does not exist.
     """
     variants = {**VARIANTS, **(more or {})}
     variant = variants.get(name, Variant(name=name, method=name))

@@ -60,7 +60,7 @@ def _cuda(gpu: str | None) -> Finding:
 def _gsplat(gpu: str | None) -> Finding:
     if (version := package_version("gsplat")) is not None:
         return Finding("gsplat", "ok", f"{version}; {GSPLAT_USE}")
-    where = "" if gpu else ", and there is no GPU here"
+    where = "" if gpu else ", and this machine has no GPU"
     return Finding("gsplat", "missing", f"{GSPLAT_USE}{where}: scripts/setup cuda")
 
 

@@ -204,7 +204,7 @@ def zip_member(content: bytes, rng: Random) -> bytes:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = {name: archive.read(name) for name in archive.namelist()}
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError, EOFError, zlib.error, struct.error):
-        return content
+        return content  # an earlier change has damaged the archive itself: that is a case too
     if not members:
         return content
     name = rng.choice(list(members))

@@ -52,11 +52,9 @@ def test_a_file_cut_anywhere_is_refused_by_name(
     whole = file.read_bytes()
     for size in range(len(whole)):
         file.write_bytes(whole[:size])
-        with pytest.raises(ValueError) as caught:
+        # One line; where a cut leaves a whole file of less, another file refers to what is gone.
+        with pytest.raises(ValueError, match=rf"^[^\n]*/(?:{'|'.join(FILES)})\.[^\n]*$"):
             check_model(copy)
-        # Where a cut leaves a whole file of less, another file refers to what is gone.
-        assert any(f"/{part}." in str(caught.value) for part in FILES), size
-        assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("name", FILES)

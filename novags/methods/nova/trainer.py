@@ -102,7 +102,7 @@ class _PseudoClean:
             if name.startswith("clean."):
                 view, step = map(int, name.split(".")[1:])
                 if not 0 <= view < len(self.enhanced) or image.shape != self.enhanced[view].shape:
-                    raise ValueError(f"{name} is no image of a view: delete it, the run then starts over")
+                    raise ValueError(f"{name} does not fit any view: delete it, the run then starts over")
                 self.cached[view] = (step, image.to(self.enhanced))
 
 

@@ -58,7 +58,7 @@ class Run:
 
     @property
     def enhancement(self) -> dict[str, Any] | None:
-        """The enhancement of its training pictures, which the references need too; None if there is none."""
+        """The enhancement of its training pictures, which the references need too; None for methods without one."""
         found: dict[str, Any] | None = self.record["enhancement"]
         return found
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -98,12 +99,17 @@ def read_picture(folder: Path, file: Path) -> None:
     from simscenes.sets.photographs import image_size
     from simscenes.sets.png import read_codes
 
-    errors = []
     rig = Rig(viewmats=np.eye(4)[None], Ks=intrinsics(17, 13, 60)[None], width=17, height=13)
     one = MultiviewSet(path=folder, names=("a",), rig=rig, kind="photographs", meta={}, files=(file,))
     ways = [image_size, read_codes, lambda f: one.image(0)]
     if file.name == "grey16.png":
         ways.append(_read)
+    _try_all(ways, file)
+
+
+def _try_all(ways: list[Callable[[Path], object]], file: Path) -> None:
+    """Every reader, even where an earlier one refuses the file; then the first refusal."""
+    errors = []
     for way in ways:
         try:
             way(file)
@@ -131,17 +137,10 @@ def make_dng(folder: Path) -> None:
 def read_dng(folder: Path, file: Path) -> None:
     from novags.testbed.folders import raw_files
 
-    errors = []
     ways = [raw_files.size, raw_files.read_digital_numbers, raw_files.read_radiance]
     if not file.name.startswith("three"):
         ways.append(raw_files.read_mosaic)
-    for way in ways:
-        try:
-            way(file)
-        except (ValueError, OSError) as error:
-            errors.append(error)
-    if errors:
-        raise errors[0]
+    _try_all(ways, file)
 
 
 def _images() -> None:

@@ -138,7 +138,7 @@ def _(setting: Setting) -> float:
     return worst
 
 
-@PART.case("a blank reference: aligned scores are none, not the ceiling", bound=0, unit="scores given",
+@PART.case("a blank reference: null as aligned score, not the ceiling", bound=0, unit="scores given",
            backends=("numpy",))  # fmt: skip
 def _(setting: Setting) -> float:
     worst = 0.0
