@@ -41,7 +41,7 @@ GROUPS = (
     (("novags/methods/nova/trainer.py", "novags/methods/enhancers/__init__.py", "novags/methods/*.py"),
      ("tests/novags/methods/test_*.py", "tests/novags/methods/enhancers/test_r*.py",
       "tests/novags/methods/nova/test_trainer*.py")),
-    (("novags/splats/losses.py", "novags/splats/mcmc.py", "novags/splats/fit.py"),
+    (("novags/splats/training/losses.py", "novags/splats/training/mcmc.py", "novags/splats/training/fit.py"),
      ("tests/novags/splats/test_splats_losses*.py", "tests/novags/splats/test_splats_mcmc*.py",
       "tests/novags/splats/test_splats_fit*.py")),
     (("sensor_model/effects.py", "sensor_model/moments.py", "sensor_model/radiometry.py", "sensor_model/isp.py"),

@@ -14,7 +14,7 @@ from novags.methods.problem import Pictures, Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.start import start_gaussians
 from novags.splats import FitConfig, LearningRates, McmcConfig
-from novags.splats.fit import fit
+from novags.splats.training.fit import fit
 
 Progress = Callable[[int, int, dict[str, float]], None]
 

@@ -14,7 +14,7 @@ from novags.testbed.console import Console
 from novags.testbed.experiment import run
 from novags.testbed.presets import Preset
 
-FITTING = sys.modules["novags.splats.fit"]  # the package's `fit` is the function
+FITTING = sys.modules["novags.splats.training.fit"]  # the package's `fit` is the function
 
 
 @pytest.fixture

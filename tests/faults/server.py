@@ -130,7 +130,7 @@ def gpu_memory_full(after: int) -> None:
     """Fail as a full GPU does in the `after`-th iteration of a fit."""
     import importlib
 
-    fit: Any = importlib.import_module("novags.splats.fit")  # the package has a function of that name
+    fit: Any = importlib.import_module("novags.splats.training.fit")  # the package has a function of that name
     render, left = fit.render_step, [after]
 
     def step(*args: Any, **kwargs: Any) -> Any:

@@ -10,7 +10,7 @@ import pytest
 import torch
 
 from novags.splats import Gaussians, write_ply
-from novags.splats.checkpoint import write_tensors
+from novags.splats.training.checkpoint import write_tensors
 from novags.testbed.cache import write_text
 from simscenes import write_exr
 from simscenes.sets.png import write_png

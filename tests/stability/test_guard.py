@@ -13,12 +13,12 @@ from novags.methods import METHODS, chosen
 from novags.methods.nova.consistency import ConsistencyLoss
 from novags.methods.nova.denoiser import Denoiser
 from novags.splats import FitConfig, Gaussians, NotFinite, Views, fit
-from novags.splats.checkpoint import load_checkpoint
-from novags.splats.guard import require_finite
-from novags.splats.step import Step
+from novags.splats.training.checkpoint import load_checkpoint
+from novags.splats.training.guard import require_finite
+from novags.splats.training.step import Step
 from novags.testbed.stability.parts.long_runs import problem
 
-FITTING = sys.modules["novags.splats.fit"]  # the package's `fit` is the function
+FITTING = sys.modules["novags.splats.training.fit"]  # the package's `fit` is the function
 
 
 class Poison(torch.autograd.Function):

@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import torch
 
-from novags.splats import adam, mcmc
 from novags.splats.cpu import noise
+from novags.splats.training import adam, mcmc
 from novags.testbed.stability import Case, Setting, measured
 from novags.testbed.stability.parts import updates
 from novags.testbed.stability.parts.updates import PART

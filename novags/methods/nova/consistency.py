@@ -13,8 +13,8 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from novags.methods.nova.checkpoint import pack, unpack
-from novags.splats.fit import Step
-from novags.splats.guard import require_finite
+from novags.splats.training.fit import Step
+from novags.splats.training.guard import require_finite
 from novags.splats.views import Views
 
 FARTHEST = 1e10  # world units: the far plane of `rasterize`

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from novags.methods.nova.blindspot import BlindSpotConfig, n2v_loss, replace_masked, sample_mask
 from novags.methods.nova.checkpoint import pack, unpack
 from novags.methods.nova.resunet import ResUNet, ResUNetConfig
-from novags.splats.guard import NotFinite, all_finite, require_finite
+from novags.splats.training.guard import NotFinite, all_finite, require_finite
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -21,10 +21,10 @@ from novags.methods.nova.sh_penalty import noise_map, sh_penalty
 from novags.methods.problem import Pictures, Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.start import start_gaussians
-from novags.splats.checkpoint import digest, write_tensors
-from novags.splats.fit import FitConfig, Step, fit
 from novags.splats.gaussians import Gaussians
-from novags.splats.guard import NotFinite
+from novags.splats.training.checkpoint import digest, write_tensors
+from novags.splats.training.fit import FitConfig, Step, fit
+from novags.splats.training.guard import NotFinite
 from sensor_model.files.reading import reading
 
 SAVE_INTERVAL = 60.0  # s between two checkpoints of the warm-up: its steps take from milliseconds to many seconds

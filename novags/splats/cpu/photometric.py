@@ -1,4 +1,4 @@
-"""L1 and SSIM between two images [H, W, C], with the gradient of the first; definitions as in `novags.splats.losses`.
+"""L1 and SSIM between two images [H, W, C], with the gradient of the first; as in `novags.splats.training.losses`.
 
 A row is worked on as W * C interleaved floats, in which a horizontal neighbour is C floats away. Three passes over the
 rows, each parallel: horizontal window sums of the five products; vertical ones, the score and its three derivatives;

@@ -56,9 +56,9 @@ SETTINGS: dict[str, object] = {"iterations": 10, "seed": 0, "sh_degree": 1, "ref
 def make_checkpoint(folder: Path) -> None:
     import torch
 
-    from novags.splats.adam import Adam
-    from novags.splats.checkpoint import TrainingState, save_checkpoint
     from novags.splats.gaussians import Gaussians
+    from novags.splats.training.adam import Adam
+    from novags.splats.training.checkpoint import TrainingState, save_checkpoint
 
     gaussians = Gaussians.from_points(torch.rand(4, 3), torch.rand(4, 3), sh_degree=1)
     adam = Adam(gaussians)
@@ -70,7 +70,7 @@ def make_checkpoint(folder: Path) -> None:
 def read_checkpoint(folder: Path, file: Path) -> None:
     import torch
 
-    from novags.splats.checkpoint import load_checkpoint
+    from novags.splats.training.checkpoint import load_checkpoint
 
     load_checkpoint(file, SETTINGS, torch.device("cpu"))
 
@@ -87,7 +87,7 @@ def make_network(folder: Path) -> None:
     import torch
 
     from novags.methods.nova.checkpoint import pack
-    from novags.splats.checkpoint import write_tensors
+    from novags.splats.training.checkpoint import write_tensors
 
     network, adam = _network()
     network(torch.rand(1, 1, 5, 5)).sum().backward()

@@ -9,7 +9,7 @@ import torch
 from safetensors.torch import save_file
 
 from novags.splats import FitConfig, Gaussians, LearningRates, McmcConfig, Step, Views, fit, rasterize
-from novags.splats.camera_refinement import CameraRefinement
+from novags.splats.training.camera_refinement import CameraRefinement
 
 SIZE, N_VIEWS = 32, 6
 
@@ -269,7 +269,7 @@ def test_points_in_any_memory_layout_give_contiguous_gaussians():
 @pytest.mark.parametrize(("stop", "moved"), [(None, [10, 20, 30, 40]), (21, [10, 20]), (20, [10])])
 def test_gaussians_move_until_five_sixths_of_the_run_or_the_stated_iteration(monkeypatch, stop, moved):
     """Rationale: 3DGS-MCMC refines until 25,000 of its 30,000 iterations."""
-    module = sys.modules["novags.splats.fit"]  # the package's `fit` is the function
+    module = sys.modules["novags.splats.training.fit"]  # the package's `fit` is the function
     seen, at = [], []
     original = module.relocate
     monkeypatch.setattr(module, "relocate", lambda *rest: seen.append(at[-1]) or original(*rest))

@@ -23,10 +23,10 @@ from novags.splats import (
     photometric_loss,
     rasterize,
 )
-from novags.splats.activate import activate
-from novags.splats.adam import Adam
-from novags.splats.camera_refinement import CameraState, refined
-from novags.splats.mcmc import add_noise, grow, relocate
+from novags.splats.training.activate import activate
+from novags.splats.training.adam import Adam
+from novags.splats.training.camera_refinement import CameraState, refined
+from novags.splats.training.mcmc import add_noise, grow, relocate
 
 MODULE = sys.modules[FitConfig.__module__]
 WIDTH, HEIGHT, N_VIEWS, N = 20, 14, 5, 40

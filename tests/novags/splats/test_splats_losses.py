@@ -21,7 +21,7 @@ def test_ssim_equals_torchmetrics_away_from_the_border():
     )
     _, full = metric(a.movedim(-1, 0)[None], b.movedim(-1, 0)[None])
     # torchmetrics pads by reflection, 3DGS by zeros: equal where the window is inside
-    from novags.splats.losses import ssim_map
+    from novags.splats.training.losses import ssim_map
 
     torch.testing.assert_close(ssim_map(a, b)[5:-5, 5:-5], full[0].movedim(0, -1)[5:-5, 5:-5], atol=1e-5, rtol=1e-4)
 

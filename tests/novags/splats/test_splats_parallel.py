@@ -10,10 +10,10 @@ import pytest
 import torch
 
 from novags.splats import FitConfig, Gaussians, McmcConfig, Views, fit, photometric_loss
-from novags.splats.activate import activate
 from novags.splats.cpu.memory import SMALL, Recycler, empty
 from novags.splats.cpu.parallel import run
-from novags.splats.mcmc import add_noise
+from novags.splats.training.activate import activate
+from novags.splats.training.mcmc import add_noise
 
 
 @pytest.fixture

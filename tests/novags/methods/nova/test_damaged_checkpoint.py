@@ -12,7 +12,7 @@ from novags.methods.nova.denoiser import DenoiserConfig
 from novags.methods.nova.resunet import ResUNetConfig
 from novags.methods.nova.trainer import NovaConfig, train
 from novags.splats import FitConfig
-from novags.splats.checkpoint import write_tensors
+from novags.splats.training.checkpoint import write_tensors
 
 NETWORK = ResUNetConfig(widths=(4,), bottleneck=4, normalization="none")
 CONFIG = NovaConfig(

@@ -15,7 +15,7 @@ from novags.methods.nova.denoiser import Denoiser, DenoiserConfig
 from novags.methods.nova.resunet import ResUNetConfig
 from novags.methods.nova.trainer import NovaConfig, _Training, train
 from novags.splats import FitConfig
-from novags.splats.fit import Step
+from novags.splats.training.fit import Step
 from novags.testbed.presets import EXPERIMENTS
 
 DENOISER = DenoiserConfig(
@@ -156,7 +156,7 @@ class Plug:
     """Pulled at the n-th of the moments before and after everything that a run saves or learns."""
 
     WATCHED = (
-        (sys.modules["novags.splats.fit"], "save_checkpoint"),
+        (sys.modules["novags.splats.training.fit"], "save_checkpoint"),
         (trainer, "write_tensors"),
         (Denoiser, "train_step"),
         (ConsistencyLoss, "update"),

@@ -7,10 +7,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .cpu import photometric
-from .cpu.memory import empty
-from .cpu.parallel import run
-from .first_order import first_order
+from ..cpu import photometric
+from ..cpu.memory import empty
+from ..cpu.parallel import run
+from ..first_order import first_order
 
 WINDOW, SIGMA = 11, 1.5  # Wang et al. 2004, and every 3DGS code since
 C1, C2 = 0.01**2, 0.03**2

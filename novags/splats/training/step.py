@@ -5,9 +5,9 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from .gaussians import Gaussians
-from .rasterize import rasterize
-from .views import Views
+from ..gaussians import Gaussians
+from ..rasterize import rasterize
+from ..views import Views
 
 Info = dict[str, Tensor]
 

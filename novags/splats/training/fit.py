@@ -13,16 +13,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from ..gaussians import Gaussians
+from ..views import Views
 from .activate import activate
 from .adam import Adam, LearningRates
 from .camera_refinement import CameraRefinement, CameraState, move_cameras, refined
 from .checkpoint import TrainingState, digest, load_checkpoint, save_checkpoint
-from .gaussians import Gaussians
 from .guard import NotFinite, norms, require_finite
 from .losses import photometric_loss
 from .mcmc import McmcConfig, add_noise, grow, prune_to_cap, relocate
 from .step import Step, render_step
-from .views import Views
 
 LOG_EVERY = 10  # iterations between entries of FitResult.losses and calls of progress
 

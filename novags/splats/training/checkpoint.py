@@ -15,9 +15,9 @@ from sensor_model.files.atomic import atomic
 from sensor_model.files.reading import brief
 from sensor_model.files.records import check_shape
 
+from ..gaussians import Gaussians
 from .adam import Adam
 from .camera_refinement import CameraState
-from .gaussians import Gaussians
 
 STATE = {"iteration": int, "adam": int, "losses": [{"*": float}], "seconds": float, "settings": dict}
 
