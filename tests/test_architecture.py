@@ -33,7 +33,7 @@ LAYERS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("methods",),
         ("testbed",),
         ("options", "failure"),
-        ("inquiries",),
+        ("commands",),
         ("cli", "__main__"),
     ),
 }

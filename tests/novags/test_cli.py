@@ -13,7 +13,7 @@ from novags import cli, options
 def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
     """Run a command in this process; returns the exit code."""
     monkeypatch.setattr(sys, "argv", ["novags", *arguments])
-    monkeypatch.setattr(cli.signal, "signal", lambda *_: None)  # pytest keeps its own handlers
+    monkeypatch.setattr("signal.signal", lambda *_: None)  # pytest keeps its own handlers
     try:
         cli.main()
     except SystemExit as stop:

@@ -96,7 +96,7 @@ def _leave_out_the_work() -> None:
     import novags.testbed.experiment as experiment
     import novags.testbed.forecast as forecast
     import novags.testbed.report.page as page
-    from novags import cli
+    from novags.commands import shared
     from novags.testbed import stability, stages
 
     for module, names in (
@@ -111,7 +111,7 @@ def _leave_out_the_work() -> None:
     forecast.light_plan = lambda *a, **k: None
     forecast.sensor_plan = lambda *a, **k: ("", {})
     frames.characterise_folder = _refused
-    cli._console = lambda: __import__("novags.testbed.console", fromlist=["Console"]).Console(quiet=True)
+    shared.console = lambda: __import__("novags.testbed.console", fromlist=["Console"]).Console(quiet=True)
 
 
 def _refused(*_: Any, **__: Any) -> Any:

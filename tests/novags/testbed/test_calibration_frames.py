@@ -90,7 +90,7 @@ def test_a_colour_camera_is_found_in_raw_files_and_takes_pictures(tmp_path: Path
     """Rationale: the whole way of a user, from his raw files to `--sensor`. Exposure times, pattern and bits: EXIF."""
     write_frames(tmp_path / "frames", BAYER, as_dng)
     (tmp_path / "frames" / "frames.toml").write_text("bits = 12\n[camera]\neta = 0.8847\nserial = 7\n")
-    monkeypatch.setattr(cli.signal, "signal", lambda *_: None)
+    monkeypatch.setattr("signal.signal", lambda *_: None)
     out = tmp_path / "new" / "camera.toml"
     monkeypatch.setattr("sys.argv", ["novags", "characterise", str(tmp_path / "frames"), "--out", str(out)])
     cli.main()

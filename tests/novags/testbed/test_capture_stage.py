@@ -99,7 +99,7 @@ def test_a_wrong_camera_file_is_one_line_and_exit_code_2(
     if content is not None:
         (tmp_path / "mine.toml").write_text(content)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(cli.signal, "signal", lambda *_: None)
+    monkeypatch.setattr("signal.signal", lambda *_: None)
     for command in (["capture", "set", "--out", "cap"], ["plan", "set", "--electrons", "5"], ["run", "--out", "x"]):
         monkeypatch.setattr("sys.argv", ["novags", *command, "--sensor", "mine.toml"])
         with pytest.raises(SystemExit) as stop:

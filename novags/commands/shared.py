@@ -1,0 +1,74 @@
+"""What commands share: the console, the lock on what is written, what to do next, words that stand for settings."""
+
+import signal
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
+
+if TYPE_CHECKING:  # heavy: torch and its friends load when a command runs, so that --help answers at once
+    from novags.methods.variant import Variant
+    from novags.testbed.console import Console
+
+
+def variants_of(texts: tuple[str, ...]) -> "tuple[Variant, ...]":
+    """The variants that `--variant` names: spelled out, or those of a TOML file."""
+    from novags.methods.variant import parse_variant, read_variants
+
+    found = [read_variants(Path(text)) if text.endswith(".toml") else [parse_variant(text)] for text in texts]
+    return tuple(variant for variants in found for variant in variants)
+
+
+def cameras_of(text: str | None) -> Any:
+    """The camera source that `--cameras` names; None for None."""
+    from novags.cameras import parse_cameras
+
+    return None if text is None else parse_cameras(text)
+
+
+def next_(command: str) -> None:
+    """Print the next command; on standard error, so that standard output holds only results."""
+    print(f"next: {command}", file=sys.stderr)
+
+
+def console() -> "Console":
+    """A console; from here on, termination is an interruption like Ctrl-C."""
+    import pycolmap  # noqa: F401 - its crash handler would take SIGTERM over if it were imported later
+
+    from novags.testbed.console import Console
+
+    signal.signal(signal.SIGTERM, terminated)
+    return Console()
+
+
+@contextmanager
+def writing(folder: Path, wait: bool, **lock: Any) -> "Iterator[Console]":
+    """Hold a folder while a command writes there; `lock`: further arguments of `locked`."""
+    from novags.testbed.folders.set import warnings_as_notes
+    from sensor_model.files.lock import locked
+
+    said = console()
+    with ExitStack() as held:
+        with warnings_as_notes(said):
+            held.enter_context(locked(folder, wait=said.note if wait else None, **lock))
+        yield said
+
+
+def terminated(*_: object) -> NoReturn:
+    """A signal handler."""
+    raise KeyboardInterrupt
+
+
+def command_line() -> str:
+    """As it was typed."""
+    import shlex
+
+    return shlex.join(["novags", *sys.argv[1:]])
+
+
+def announce(path: Path) -> None:
+    """Say where a report is."""
+    print(f"report: {path.resolve()}")
+    print(f"open it in a browser: {path.resolve().as_uri()}")
+    next_("novags run --scene cornell, or novags list for what else is available")

@@ -1,0 +1,157 @@
+"""The commands of single stages: plan, render, capture, reconstruct."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+from novags.commands import shared
+from novags.commands.shared import cameras_of, next_, variants_of, writing
+from novags.options import LIGHT, Device, Folder, Light, Name, PresetName
+
+
+def plan(
+    scene: Name, *, sensor: str, electrons: float, time: float = 1 / 30, preset: PresetName = "demo",
+    width: int | None = None, height: int | None = None, tolerance: float = 0.05, light_tolerance: float = 0.02,
+    light: Light = LIGHT,
+) -> None:  # fmt: skip
+    """Show what would be simulated, what would not, why, and the bound on the error of leaving it out.
+
+    Args:
+        scene: A multiview set folder, a scene of the catalogue, or a Mitsuba .xml file.
+        sensor: A camera of sensor_model.PRESETS, or a TOML file of your own.
+        electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
+        time: Exposure time in seconds; only the dark current depends on it.
+        preset: Source of the image size where it is not given here, unless the scene is a folder.
+        width: Image width in pixels; with more pixels, rarer defects of the sensor count.
+        height: Image height in pixels.
+        tolerance: Allowed relative error of the noise's standard deviation.
+        light_tolerance: Share of all light that may be wrong or missing.
+        light: How light gets from the lamps to the sensor.
+    """
+    from novags.testbed.forecast import PILOT, light_plan, sensor_plan
+    from novags.testbed.presets import EXPERIMENTS, adapted
+    from novags.testbed.stages.capture import CaptureConfig
+
+    config, console = (
+        CaptureConfig(sensor=sensor, electrons=electrons, time=time, tolerance=tolerance),
+        shared.console(),
+    )
+    size = adapted(EXPERIMENTS[preset], width=width, height=height).render
+    pilot = replace(PILOT, scene=scene, **light.settings())
+    # Blur is weighed in pixels and in steps between views: those of the real images, not of the pilot.
+    views = replace(pilot, n_views=size.n_views, width=size.width, height=size.height)
+    found = light_plan(views, light_tolerance, console)
+    print(f"Light of {scene}: {'as it is in the folder' if found is None else ''}\n{found or ''}".rstrip())
+    noise, signal_e = sensor_plan(pilot, config, size.width * size.height, console)
+    signal = ", ".join(f"{name} {value:.3g} e-" for name, value in signal_e.items())
+    print(f"\nCamera {sensor}, mean green signal {electrons:g} e-; {signal}\n{noise}")
+
+
+def render(
+    scene: Name, *, out: Path, views: int = 32, width: int = 128, height: int = 128, spp: int | None = None,
+    target_error: float | None = None, light: Light = LIGHT,
+    export: tuple[Literal["blender", "llff"], ...] = (), seed: int = 0, wait: bool = False,
+) -> None:  # fmt: skip
+    """Render a scene into a ground-truth multiview set.
+
+    Args:
+        scene: A scene of the catalogue ("tabletop", or "tabletop:3" for its variation 3), or a Mitsuba .xml file.
+        out: Folder of the set.
+        views: Number of views.
+        width: Image width in pixels.
+        height: Image height in pixels.
+        spp: Samples per pixel; 256 if neither this nor target_error is given.
+        target_error: Relative error at which each view stops instead.
+        light: How light gets from the lamps to the sensor.
+        export: Further layouts of the set to write, each into a folder of its own in it.
+        seed: Of the Monte Carlo noise.
+        wait: If another process is writing there, wait until it is done instead of refusing.
+    """
+    from novags.testbed import stages
+    from novags.testbed.stages.render import RenderConfig
+
+    samples = 256 if spp is None and target_error is None else spp
+    config = RenderConfig(
+        scene=scene, n_views=views, width=width, height=height, spp=samples, target_error=target_error,
+        export=export, seed=seed, **light.settings(),
+    )  # fmt: skip
+    with writing(out, wait) as console:
+        stages.render(out, config, console)
+    print(out)
+    next_(f"novags capture {out} --electrons 20 --out CAPTURE")
+
+
+def capture(
+    set: Folder, *, out: Path, sensor: str = "a7s2-iso6400-3chip", electrons: float = 20.0, time: float = 1 / 30,
+    max_size: int | None = None, demosaic: Literal["menon", "malvar", "bilinear"] = "menon",
+    jpeg_quality: int | None = None, tolerance: float | None = 0.05, seed: int = 0,
+    wait: bool = False,
+) -> None:  # fmt: skip
+    """Photograph a multiview set in the dark: a rendered one, or real posed photographs.
+
+    Args:
+        set: A set folder, a nerfstudio or instant-ngp folder (transforms.json with 8-bit images, camera raw files or
+            linear EXR), or a COLMAP folder (sparse/0, images).
+        out: Folder of the capture.
+        sensor: A camera of sensor_model.PRESETS, or a TOML file of your own.
+        electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
+        time: Exposure time in seconds; only the dark current depends on it.
+        max_size: Scale larger images down to this longest side, in pixels.
+        demosaic: Interpolation of the colour filter array.
+        jpeg_quality: 1 to 100: put the 8-bit pictures through JPEG.
+        tolerance: Leave out effects that change the noise by less than this share; None simulates all.
+        seed: Of the noise.
+        wait: If another process is writing there, wait until it is done instead of refusing.
+    """
+    from novags.testbed import stages
+    from novags.testbed.stages.capture import CaptureConfig
+
+    config = CaptureConfig(
+        sensor=sensor, electrons=electrons, time=time, max_size=max_size, demosaic=demosaic,
+        jpeg_quality=jpeg_quality, tolerance=tolerance, seed=seed,
+    )  # fmt: skip
+    with writing(out, wait) as console:
+        stages.capture(set, out, config, console)
+    print(out)
+    next_(f"novags reconstruct {out} --method nova-fast --out RUN")
+
+
+def reconstruct(
+    capture: Folder, *, out: Path, method: str = "nova-fast", variant: str | None = None, preset: PresetName = "demo",
+    pictures: Literal["8bit", "16bit"] | None = None, cameras: str | None = None, refine_cameras: bool = False,
+    points: int | None = None, iterations: int | None = None, denoiser_steps: int | None = None, seed: int = 0,
+    device: Device = "auto", wait: bool = False,
+) -> None:  # fmt: skip
+    """Reconstruct a capture with one method: a 3D model, and pictures rendered from it.
+
+    Args:
+        capture: Folder of the capture.
+        out: Folder of the run.
+        method: A method or variant; `novags list methods` names them.
+        variant: Instead of a method: a method with settings changed, NAME=METHOD:SETTING=VALUE,SETTING=VALUE.
+        preset: Source of every setting of the method that is not given here.
+        pictures: Which pictures the method sees: 8-bit sRGB, or 16-bit linear ones; its own choice if not given.
+        cameras: Where cameras come from: known, known:rotation_deg=1, sfm, vggt:checkpoint=FILE; see `novags help
+            cameras`.
+        refine_cameras: Let the fit correct its training cameras.
+        points: Gaussians at the start.
+        iterations: Of the fit.
+        denoiser_steps: Of the denoiser before the fit starts.
+        seed: Of training.
+        device: Where training runs; auto takes a GPU if there is one that can be used.
+        wait: If another process is writing there, wait until it is done instead of refusing.
+    """
+    from novags.testbed import stages
+    from novags.testbed.presets import EXPERIMENTS, adapted
+
+    own = variants_of(() if variant is None else (variant,))
+    name = own[0].name if own else method
+    chosen = adapted(
+        EXPERIMENTS[preset], methods=(name,), variants=own, cameras=cameras_of(cameras), refine_cameras=refine_cameras,
+        points=points, iterations=iterations, denoiser_steps=denoiser_steps, pictures=pictures, device=device,
+    )  # fmt: skip
+    config = replace(chosen.reconstruct(name), seed=seed)
+    with writing(out, wait) as console:
+        stages.reconstruct(capture, out, config, console)
+    print(out)
+    next_(f"novags score {out} && novags report {out}")
