@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -164,6 +165,26 @@ def make_unfinished(folder: Path) -> None:
     (folder / "metrics.json").write_text(json.dumps({"methods": {}, "stage": {"key": "k", "seconds": 3.0}}))
 
 
+def make_log(folder: Path) -> None:
+    """The losses of a run that was stopped."""
+    lines = [json.dumps({"step": i, "stage": "fit", "l1": 0.5 / (i + 1)}) + "\n" for i in range(0, 60, 10)]
+    (folder / "events.jsonl").write_text("".join(lines))
+
+
+def read_log(folder: Path, file: Path) -> None:
+    """As a run does that goes on, and one that has nothing left to do."""
+    from novags.testbed.folders.events import EventLog
+
+    log = folder / "resumed.jsonl"
+    shutil.copyfile(file, log)
+    with EventLog(log) as events:
+        events.add({"step": 40, "l1": 0.1})
+    with EventLog(log):
+        pass
+    if json.loads(log.read_text().splitlines()[-1]) != {"step": 40, "l1": 0.1}:
+        raise AssertionError("the step of the resumed run is not the last one")
+
+
 def _line() -> None:
     import cv2
     import torch
@@ -187,6 +208,7 @@ READERS = [
     Reader("set.json", make_set, read_set, ("set.json", "seconds.json"), share=3, prepare=_line),
     Reader("capture.json", make_capture, read_capture, ("capture/capture.json",), share=2, prepare=_line),
     Reader("records of runs", make_run, read_experiment, RUN, share=2, prepare=_line),
+    Reader("events.jsonl", make_log, read_log, ("events.jsonl",), share=4, prepare=_line),
     Reader(
         "unfinished.json", make_unfinished, read_unfinished, ("unfinished.json", "metrics.json"), share=8, prepare=_line
     ),
