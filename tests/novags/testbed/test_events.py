@@ -39,6 +39,7 @@ def test_a_killed_process_has_lost_none_of_its_events(tmp_path: Path) -> None:
         (lines(10, 20, 30) + '{"step": 40, "lo', (10, 20, 30, 40, 50)),  # before the first checkpoint
         (lines(10, 20, 30, 40, 50), ()),  # after the last one
         (lines(10, 20, 30, 40, 50) + "{}\n[1]\nnull\n\xff", ()),
+        (lines(10, 20, 30, 40, 50) + '{"step": 1e400}\n{"step": ' + "[" * 10**5, ()),
         ("", (10, 20, 30, 40, 50)),
     ],
 )
