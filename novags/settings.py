@@ -11,6 +11,8 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from sensor_model.files.reading import brief
+
 Config = TypeVar("Config")
 
 
@@ -90,7 +92,9 @@ def converted(value: Any, hint: Any, what: str) -> Any:
                 continue
     choices = [str(choice) for option in options if get_origin(option) is Literal for choice in get_args(option)]
     near = get_close_matches(str(value), choices, 1)
-    raise ValueError(f"{what} must be {_words(options)}, got {value!r}{f' (did you mean {near[0]}?)' if near else ''}")
+    raise ValueError(
+        f"{what} must be {_words(options)}, got {brief(repr(value))}{f' (did you mean {near[0]}?)' if near else ''}"
+    )
 
 
 def _as(value: Any, kind: Any) -> Any:

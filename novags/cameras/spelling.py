@@ -6,6 +6,7 @@ from dataclasses import MISSING, fields
 from typing import Any, get_type_hints
 
 from novags.settings import converted
+from sensor_model.files.reading import brief
 
 
 def parse_settings(text: str, choices: Mapping[str, type[Any]], what: str) -> Any:
@@ -23,7 +24,9 @@ def parse_settings(text: str, choices: Mapping[str, type[Any]], what: str) -> An
     name, _, rest = text.partition(":")
     name = name.strip()
     if name not in choices:
-        raise ValueError(f"unknown {what} {name!r}{_meant(name, choices)}; available: {', '.join(choices)}")
+        raise ValueError(
+            f"unknown {what} {brief(repr(name), 100)}{_meant(name, choices)}; available: {', '.join(choices)}"
+        )
     config, found = choices[name], dict[str, Any]()
     kinds = get_type_hints(config)
     for part in filter(None, (part.strip() for part in rest.split(","))):

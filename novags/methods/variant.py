@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from novags.methods.reconstruction import Reconstruction
 from novags.settings import changed, has_setting
-from sensor_model.files.reading import reading
+from sensor_model.files.reading import brief, reading
 from sensor_model.files.toml_file import read_toml
 
 Family = Literal["ours", "bound", "2D + GS", "3DGS", "NeRF"]
@@ -122,13 +122,16 @@ def parse_variant(text: str) -> Variant:
     method, colon, listed = rest.partition(":")
     if not (equals and method) or (colon and not listed):
         raise ValueError(
-            f"a variant is NAME=METHOD:SETTING=VALUE,SETTING=VALUE (nova-no-sh=nova:sh_weight=none), got {text!r}"
+            f"a variant is NAME=METHOD:SETTING=VALUE,SETTING=VALUE (nova-no-sh=nova:sh_weight=none), got "
+            f"{brief(repr(text))}"
         )
     # A comma begins a new setting only if "=" follows before the next comma: 16,32,64 is one value.
     settings: dict[str, str] = {}
     for part in re.split(r";|,(?=[^,;=]+=)", listed) if listed else []:
         key, equals, value = part.partition("=")
         if not equals or not key.strip() or not value.strip():
-            raise ValueError(f"each setting of a variant is NAME=VALUE, got {part!r} in {text!r}")
+            raise ValueError(
+                f"each setting of a variant is NAME=VALUE, got {brief(repr(part), 100)} in {brief(repr(text))}"
+            )
         settings[key.strip()] = value.strip()
     return Variant(name=name.strip(), method=method.strip(), settings=settings)

@@ -3,6 +3,7 @@
 import torch
 
 from novags.testbed.console import Console
+from sensor_model.files.reading import brief
 
 DEVICES = ("auto", "cpu", "cuda")
 
@@ -14,7 +15,7 @@ def chosen_device(name: str, console: Console) -> torch.device:
         ValueError: If the name is unknown, or the device is not on this machine.
     """
     if name not in DEVICES:
-        raise ValueError(f"device must be one of {', '.join(DEVICES)}, got {name!r}")
+        raise ValueError(f"device must be one of {', '.join(DEVICES)}, got {brief(repr(name), 100)}")
     if name == "auto":
         gpu = torch.cuda.is_available() and has_gsplat()
         if gpu:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
+from sensor_model.files.reading import brief
 from simscenes.rigs import Rig, forward_rig, orbit_rig
 from simscenes.scenes.close import glassware, thicket
 from simscenes.scenes.cornell import cornell
@@ -55,9 +56,11 @@ def split_name(name: str) -> tuple[str, int]:
     """
     scene, _, seed = name.partition(":")
     if scene not in SCENES:
-        raise ValueError(f"no scene {scene!r} in the catalogue; available: {sorted(SCENES)}, or give a Mitsuba dict")
+        raise ValueError(
+            f"no scene {brief(repr(scene), 100)} in the catalogue; available: {sorted(SCENES)}, or give a Mitsuba dict"
+        )
     if seed and not seed.isdecimal():
-        raise ValueError(f"the seed in scene name {name!r} must be a whole number >= 0")
+        raise ValueError(f"the seed in scene name {brief(repr(name), 100)} must be a whole number >= 0")
     return scene, int(seed or 0)
 
 

@@ -11,6 +11,7 @@ from torch import Tensor
 from novags.methods.enhancers import guided
 from novags.methods.memo import Memo
 from novags.methods.problem import Pictures, Problem
+from sensor_model.files.reading import brief
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ def recorded(enhancement: dict[str, Any]) -> tuple[Enhancer, Any]:
     """
     name = enhancement["enhancer"]
     if name not in ENHANCERS:
-        raise ValueError(f"unknown enhancer {name!r}; available: {', '.join(ENHANCERS)}")
+        raise ValueError(f"unknown enhancer {brief(repr(name), 100)}; available: {', '.join(ENHANCERS)}")
     try:
         return ENHANCERS[name], ENHANCERS[name].config(**enhancement["config"])
     except TypeError as error:

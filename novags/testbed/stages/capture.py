@@ -27,6 +27,7 @@ from sensor_model import (
     read_sensor,
 )
 from sensor_model.files.dng import SMALLEST, TIMES
+from sensor_model.files.reading import brief
 from sensor_model.isp import DEMOSAIC, Demosaic
 from sensor_model.planner import Limits
 from simscenes.sets.multiview import write_cameras
@@ -126,7 +127,9 @@ def camera_named(name: str) -> Sensor:
     if name in PRESETS:
         return PRESETS[name]
     if not name.endswith(".toml"):
-        raise ValueError(f"unknown sensor {name!r}; give a camera's .toml file, or one of {', '.join(PRESETS)}")
+        raise ValueError(
+            f"unknown sensor {brief(repr(name), 100)}; give a camera's .toml file, or one of {', '.join(PRESETS)}"
+        )
     return read_sensor(name)
 
 
