@@ -58,15 +58,28 @@ def _serialized_bytes(start: bytes) -> int:
     identifier, version = struct.unpack("<HH", start[:4])
     if identifier != 0x041C or version not in (3, 4):
         return 0
+    head = _inflated(start[4:])
     try:
-        head = zlib.decompressobj().decompress(start[4:], 1 << 16)
         if version == 4:
             head = head[:4] + head[head.index(b"\0", 4) + 1 :]  # the name
         flags, vertices, faces = struct.unpack("<IQQ", head[:20])
-    except (zlib.error, ValueError, struct.error):
+    except (ValueError, struct.error):
         return 0
     each = 8 if flags & 0x2000 else 4
     return int(vertices * 3 * each + faces * 3 * 4)
+
+
+def _inflated(data: bytes, most: int = 1 << 16) -> bytes:
+    """The start of a zlib stream, up to where it is damaged: Mitsuba believes the counts before that."""
+    stream, found = zlib.decompressobj(), b""
+    try:
+        for byte in data:  # one by one: an error takes what the same call has already decompressed with it
+            found += stream.decompress(bytes([byte]), most - len(found))
+            if len(found) >= most or stream.eof:
+                break
+    except zlib.error:
+        pass
+    return found
 
 
 def check_faces(params: Mapping[str, Any]) -> None:

@@ -34,6 +34,11 @@ def serialized(*face: int, vertices: int = 3) -> bytes:
     return struct.pack("<HH", 0x041C, 4) + zlib.compress(body) + struct.pack("<QI", 0, 1)
 
 
+def with_a_wrong_sum(mesh: bytes) -> bytes:
+    """The checksum that ends the compressed part, before the 12 bytes that end the file."""
+    return mesh[:-13] + bytes([mesh[-13] ^ 0xFF]) + mesh[-12:]
+
+
 def scene_of(folder: Path, name: str, content: bytes) -> Path:
     (folder / name).write_bytes(content)
     shape = f'<shape type="{Path(name).suffix[1:]}" id="m"><string name="filename" value="{name}"/></shape>'
@@ -62,8 +67,9 @@ def test_mesh_indices_out_of_range_are_one_line_whether_mitsuba_crashes_or_reads
         ("m.ply", ply(0, 1, 2).replace(b"vertex 3", b"vertex -1")),
         ("m.ply", ply(0, 1, 2).replace(b"vertex 3", b"vertex " + b"9" * 5000)),
         ("m.serialized", serialized(0, 1, 2, vertices=10**9)),
+        ("m.serialized", with_a_wrong_sum(serialized(0, 1, 2, vertices=10**9))),
     ],
-    ids=["vertices", "faces", "cut short", "fewer than none", "5000 digits", "serialized"],
+    ids=["vertices", "faces", "cut short", "fewer than none", "5000 digits", "serialized", "damaged after the counts"],
 )
 def test_a_mesh_that_announces_more_than_it_holds_is_refused_unread(name: str, content: bytes, tmp_path: Path) -> None:
     path = scene_of(tmp_path, name, content)
