@@ -88,7 +88,7 @@ class Rig:
 
 def rotation_error(matrices: Float) -> float:
     """How far the worst of [...,3,3] is from a rotation: the largest entry of |R R^T - 1|; inf for a mirror."""
-    with np.errstate(all="ignore"):  # entries of 1e300: inf or nan, which is no rotation either
+    with np.errstate(all="ignore"):  # entries of 1e300: inf or nan, which is not a rotation either
         error = float(np.abs(matrices @ np.swapaxes(matrices, -1, -2) - np.eye(3)).max(initial=0.0))
         return np.inf if (np.linalg.det(matrices) < 0).any() else error
 

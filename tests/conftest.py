@@ -1,4 +1,4 @@
-"""What some tests need and not every machine has: said once, with the reason why its absence is no failure."""
+"""What some tests need and not every machine has: said once, with the reason why its absence is not a failure."""
 
 import os
 from pathlib import Path

@@ -108,7 +108,7 @@ def _fits(value: Any, kind: Any) -> bool:
     if kind is int:
         return isinstance(value, int) and not isinstance(value, bool) and abs(value) < 2**63
     if kind is float:
-        # int: json reads whole numbers of any length, and 10**400 is no float
+        # int: json reads whole numbers of any length, and 10**400 does not fit a float
         whole = isinstance(value, int) and not isinstance(value, bool) and abs(value) < 10**300
         return whole or (isinstance(value, float) and math.isfinite(value))
     return isinstance(value, kind)

@@ -221,7 +221,7 @@ def _read_text(folder: Path) -> dict[int, str]:
         _require(len(lines) % 2 == 0, "has an image without its line of 2D points")
         for head, seen in zip(lines[::2], lines[1::2], strict=True):
             _require(len(head) >= 10 and len(seen) % 3 == 0, f"has an incomplete line for image {head[0]}")
-            np.array(seen, np.float64)  # raises for what is no number
+            np.array(seen, np.float64)  # raises for what is not a number
             points = np.array([int(word) % 2**64 for word in seen[2::3]], np.uint64)
             model.add_image(int(head[0]), int(head[8]), " ".join(head[9:]), list(map(float, head[1:8])), points)
     with reading(folder / "points3D.txt", REMEDY):
@@ -241,7 +241,7 @@ def _read_text(folder: Path) -> dict[int, str]:
 
 
 def _lines(path: Path, what: str, *, empty: bool = False, each: int = 1) -> Iterator[list[str]]:
-    """Words of each line that is no comment. COLMAP states how many things there are, each on `each` lines."""
+    """Words of each line that is not a comment. COLMAP states how many things there are, each on `each` lines."""
     text = path.read_text(encoding="utf-8")
     _require(text.endswith("\n"), "is cut short: its last line does not end (add a line break if it is whole)")
     lines = [line.strip() for line in text.split("\n")[:-1]]

@@ -107,7 +107,7 @@ def transforms_frames(source: Path) -> list[Frame]:
 
 
 def check_pose(pose: NDArray[np.float64], where: str) -> None:
-    """Refuse what is no camera's place: [4,4] must be a rotation and a translation of usable size.
+    """Refuse what cannot be a camera's pose: [4,4] must be a rotation and a translation of usable size.
 
     Raises:
         ValueError: Naming `where`.

@@ -55,7 +55,7 @@ def _png_problem(content: bytes) -> str:
             head = content[at + 8 : at + 8 + length]
         packed += length if kind == b"IDAT" else 0
         at += 12 + length
-    if len(head) == 13:  # of another length it is none, which the decoder says
+    if len(head) == 13:  # the decoder refuses any other length
         width, height = int.from_bytes(head[:4], "big"), int.from_bytes(head[4:8], "big")
         row = (width * head[8] * CHANNELS.get(head[9], 1) + 7) // 8
         if height * row > DEFLATE * packed:

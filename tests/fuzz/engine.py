@@ -155,7 +155,7 @@ def cases_finding(cases: Cases, number: int, kind: str, detail: str, place: str)
 
 
 class _Clock:
-    """How long a process has been at one case: what it computed, since other work on the machine is no fault of it."""
+    """How long a process has been at one case: what it computed, since other work on the machine must not count."""
 
     def __init__(self, pid: int) -> None:
         self.pid, self.position, self.start, self.computed = pid, -1, 0.0, 0.0

@@ -253,7 +253,7 @@ plain = st.recursive(
 
 @given(st.dictionaries(st.text(), plain, max_size=4))
 def test_records_through_json(record: dict[str, Any]) -> None:
-    # A lone surrogate is no text: UTF-8 has no form for it.
+    # A lone surrogate is not text: UTF-8 has no form for it.
     assume(all(ord(c) < 0xD800 or ord(c) > 0xDFFF for c in json.dumps(record, ensure_ascii=False)))
     with folder() as path:
         write_json(path / "a.json", record)

@@ -146,7 +146,7 @@ def test_one_may_wait_and_is_told_for_whom(tmp_path: Path) -> None:
 
 
 def test_no_two_of_many_are_ever_inside_at_once(tmp_path: Path) -> None:
-    """Rationale: the lock file goes with its holder, so those who wait for it wait for a file that is no more."""
+    """Rationale: the lock file goes with its holder, so those who wait for it wait for a file that no longer exists."""
     rounds, processes = 40, []
     counter = tmp_path / "counter"
     counter.write_text("0")

@@ -25,7 +25,7 @@ def plain(diffuse_box: SceneMaker, ring: Rig) -> TransportPlan:
 
 
 def test_a_matt_scene_needs_indirect_light_and_nothing_else(plain: TransportPlan) -> None:
-    roulette = plain.is_on("Russian roulette")  # by what it measured; it is no part of the light
+    roulette = plain.is_on("Russian roulette")  # by what it measured; it is not an effect of light
     assert [e.name for e in plain.effects if e.on and e.name != "Russian roulette"] == ["indirect light"]
     assert plain.color == "rgb"
     rr_depth = plain.rr_depth if roulette else plain.max_depth + 1

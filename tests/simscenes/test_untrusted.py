@@ -29,7 +29,7 @@ def write(path: Path, content: str, encoding: str = "utf-8") -> Path:
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """A scene's folder, beside it a mesh that is none of its business."""
+    """A scene's folder, beside it a mesh that it must not read."""
     write(tmp_path / "secret" / "mesh.obj", TRIANGLE)
     (tmp_path / "scene").mkdir()
     return tmp_path / "scene"

@@ -74,7 +74,7 @@ def test_a_score_as_first_written_exceeds_its_bound(
     (case,) = [case for case in PARTS["score"].cases if case.name.startswith(start)]
     setting = case.settings()[0]
     assert measured(case, setting).holds
-    if name == "np":  # the test for numbers that are none, taken out wherever it was imported
+    if name == "np":  # the check for NaN and infinity, taken out wherever it was imported
         for user in (tone, images):
             monkeypatch.setattr(user, "check_pair", lambda image, reference: None)
     else:

@@ -101,7 +101,7 @@ def score(begin, end, height, n, moments, weights, slopes, sums):
             b1, b2 = mx * mx + my * my + C1, (xx - mx * mx) + (yy - my * my) + C2
             inverse = ONE / (b1 * b2)
             s = a1 * a2 * inverse
-            inside = LANE() < np.float32(n - i)  # columns beyond the image are no part of it
+            inside = LANE() < np.float32(n - i)  # columns beyond the image do not count
             total += select(inside, s, ZERO)
             at = (row + HALF_WINDOW) * step + i
             store(slopes, at, select(inside, (my * (a2 - a1) - mx * s * (b2 - b1)) * inverse * TWO, ZERO))

@@ -1,4 +1,4 @@
-"""Hard cases of the geometric consistency: depths that are none, cameras that share a place, confidence 0 and 1.
+"""Hard cases of the geometric consistency: depths that are not numbers, cameras that share a place, confidence 0 and 1.
 
 The reference works pixel by pixel in numpy's float64, with its own camera matrices; its gradients are central
 differences of the loss, one pixel's depth after the other.

@@ -122,7 +122,7 @@ def quaternion_lengths(setting: Setting) -> float:
 
 @PART.case("quaternions of length 0", bound=0, unit="refused", backends=ALL)
 def no_quaternion(setting: Setting) -> float:
-    """It is no rotation."""
+    """It is not a rotation."""
     scene = _scene(5)
     scene["quats"][3] = 0
     return refusal(lambda: _rendered(setting, scene, SMALL, torch.float32), "quats must not be zero", "Gaussian 3")
