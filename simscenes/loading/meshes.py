@@ -36,7 +36,7 @@ def check_mesh_file(path: Path) -> None:
 
 
 def _ply_bytes(start: bytes) -> int:
-    """The fewest bytes that the elements of a PLY header can take; 0 for any other text, which Mitsuba refuses itself."""
+    """The fewest bytes that the elements of a PLY header can take; 0 for other text, which Mitsuba refuses itself."""
     total, count, binary = 0, 0, True
     for line in start.split(b"end_header", 1)[0].decode("ascii", "replace").splitlines():
         words = line.split()

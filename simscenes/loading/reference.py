@@ -32,7 +32,8 @@ class SceneRef:
         """What is meant by a name from `SCENES` ("tabletop:3" for variation 3), a dict, a path or a text in .xml.
 
         Raises:
-            ValueError: If a name is not in the catalogue, or the scene is neither a name, a dict nor a file. Files are not opened.
+            ValueError: If a name is not in the catalogue, or the scene is neither a name, a dict nor a file. Files
+                are not opened.
         """
         if isinstance(scene, SceneRef):
             return scene

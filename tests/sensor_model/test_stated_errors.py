@@ -46,7 +46,7 @@ def test_the_poisson_series_errs_by_less_than_the_slack_it_gives(mu):
     _series(f, n)
     error = np.abs(mu + f[N : N + n].astype(np.float64) - poisson_quantile(w.astype(np.float64), np.full(n, mu)))
     assert (error <= f[C : C + n]).all()
-    assert (f[C : C + n] < 0.05)[np.abs(w) < 2].all()  # and deciding everything in double precision would not explain it
+    assert (f[C : C + n] < 0.05)[np.abs(w) < 2].all()  # double precision everywhere would hide this
 
 
 def test_small_counts_know_within_their_slack_how_near_they_came_to_another():
