@@ -22,5 +22,6 @@ from simscenes.sets.exr import write_exr as write_exr
 from simscenes.sets.multiview import MultiviewSet as MultiviewSet
 from simscenes.sets.multiview import load_set as load_set
 from simscenes.sets.multiview import write_cameras as write_cameras
+from simscenes.sets.tracks import SparsePoints as SparsePoints
 from simscenes.transport import TransportPlan as TransportPlan
 from simscenes.transport import plan_transport as plan_transport

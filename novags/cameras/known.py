@@ -73,7 +73,7 @@ def known(
         points, colors = _lift(depths * factors[:, None, None], images, moved, Ks, n_points, rng)
     else:
         sparse = multiview.points()
-        points = _random_points(moved, n_points, rng) if sparse is None else subset(sparse[0], n_points, rng)
+        points = _random_points(moved, n_points, rng) if sparse is None else subset(sparse.xyz, n_points, rng)
         colors = seen_colors(points, images, moved, Ks)
     # Moving by zero would round the last bit: without errors the cameras are exactly the set's own, and the points stay
     # those that a seed has always given.

@@ -22,6 +22,7 @@ from simscenes.job.sparse import surface_points
 from simscenes.rigs import Rig
 from simscenes.sets.camera_files import write_cameras
 from simscenes.sets.png import write_png
+from simscenes.sets.tracks import SparsePoints
 
 SCRATCH = ".views"
 
@@ -83,7 +84,8 @@ def finish_set(out: Path, names: list[str], rig: Rig, seed: int, views: ViewStor
 
     for i, name in enumerate(names):
         write_png(out / "images" / f"{name}.png", image(i))
-    write_cameras(out, names, rig, points=surface_points(rig, views.depth, image, seed=seed))
+    xyz, rgb, visible = surface_points(rig, views.depth, image, seed=seed)
+    write_cameras(out, names, rig, points=SparsePoints.seen(rig, xyz, rgb, visible, exact=True))
     if views.color is None:
         return {"exposure_scale": scale}
     matrix = {"camera_matrix": views.color.matrix.tolist(), "camera_matrix_error": views.color.matrix_error}

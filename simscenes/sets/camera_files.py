@@ -11,17 +11,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sensor_model.files.atomic import atomic
 from simscenes.rigs import TEST_EVERY, Rig, opencv_to_opengl
 from simscenes.sets.names import check_names, file_of
+from simscenes.sets.tracks import SparsePoints
 
 CAMERA_FILES = ("transforms.json", "sparse", "train_list.txt", "test_list.txt", "nb-info.json")  # by `write_cameras`
-
-Points = (
-    tuple[NDArray[np.float64], NDArray[np.uint8]] | tuple[NDArray[np.float64], NDArray[np.uint8], NDArray[np.bool_]]
-)
 
 
 def is_test_view(index: int) -> bool:
@@ -41,7 +37,12 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def write_cameras(
-    folder: str | Path, names: Sequence[str], rig: Rig, *, points: Points | None = None, image_dir: str = "images"
+    folder: str | Path,
+    names: Sequence[str],
+    rig: Rig,
+    *,
+    points: SparsePoints | None = None,
+    image_dir: str = "images",
 ) -> None:
     """Write transforms.json, sparse/0/*.bin, train_list.txt, test_list.txt and nb-info.json into `folder`.
 
@@ -49,8 +50,7 @@ def write_cameras(
         folder: Created if it is missing.
         names: File stems, one per camera, sorted as files (`names.file_of`).
         rig: The cameras.
-        points: (xyz [P,3], rgb uint8 [P,3]) or the same with visible bool [C,P]. Tracks are made from `visible`;
-            without it a point counts as seen wherever it projects into the image. Points that no view sees are dropped.
+        points: Sparse points with their tracks and errors, which are written as they are.
         image_dir: Folder of the images, relative to `folder`.
 
     Raises:
@@ -95,27 +95,10 @@ def _transforms(rig: Rig, files: list[str], train: list[str], test: list[str], i
     }
 
 
-def _tracks(rig: Rig, points: Points | None) -> tuple[Any, Any, list[NDArray[np.intp]], NDArray[np.float64]]:
-    """Points that some view sees, the indices of the points each view sees, and where they project [C,P,2]."""
-    if points is None:
-        return (
-            np.zeros((0, 3)),
-            np.zeros((0, 3), np.uint8),
-            [np.zeros(0, np.intp)] * len(rig),
-            np.zeros((len(rig), 0, 2)),
-        )
-    xyz, rgb = np.asarray(points[0], np.float64), np.asarray(points[1], np.uint8)
-    pixels, depths = rig.project(xyz)
-    inside = (depths > 0) & (pixels >= 0).all(-1) & (pixels < (rig.width, rig.height)).all(-1)
-    visible = inside & points[2] if len(points) == 3 else inside
-    kept = visible.any(0)
-    visible = visible[:, kept]
-    return xyz[kept], rgb[kept], [np.flatnonzero(v) for v in visible], pixels[:, kept]
-
-
-def _write_colmap(folder: Path, files: list[str], rig: Rig, points: Points | None) -> None:
+def _write_colmap(folder: Path, files: list[str], rig: Rig, points: SparsePoints | None) -> None:
     import pycolmap
 
+    points = SparsePoints.untracked(np.zeros((0, 3)), np.zeros((0, 3))) if points is None else points
     reconstruction = pycolmap.Reconstruction()
     cameras = {K.tobytes(): n + 1 for n, K in enumerate(np.unique(rig.Ks, axis=0))}
     for K in np.unique(rig.Ks, axis=0):
@@ -124,18 +107,19 @@ def _write_colmap(folder: Path, files: list[str], rig: Rig, points: Points | Non
             model="PINHOLE", width=rig.width, height=rig.height, params=params, camera_id=cameras[K.tobytes()]
         )
         reconstruction.add_camera_with_trivial_rig(camera)
-    xyz, rgb, seen, pixels = _tracks(rig, points)
-    tracks = [pycolmap.Track() for _ in xyz]
+    tracks = [pycolmap.Track() for _ in range(len(points))]
     for c, file in enumerate(files):
         pose = pycolmap.Rigid3d(rig.viewmats[c, :3, :4])
+        mine = slice(*np.searchsorted(points.view, [c, c + 1]))
         image = pycolmap.Image(
-            name=file, keypoints=pixels[c, seen[c]], camera_id=cameras[rig.Ks[c].tobytes()], image_id=c + 1
+            name=file, keypoints=points.pixel[mine], camera_id=cameras[rig.Ks[c].tobytes()], image_id=c + 1
         )
         reconstruction.add_image_with_trivial_frame(image, pose)
-        for k, p in enumerate(seen[c]):
+        for k, p in enumerate(points.point[mine]):
             tracks[p].add_element(c + 1, k)
-    for position, color, track in zip(xyz, rgb, tracks, strict=True):
-        reconstruction.add_point3D(position, track, color)
+    for position, color, track, error in zip(points.xyz, points.rgb, tracks, points.error, strict=True):
+        number = reconstruction.add_point3D(position, track, color)
+        reconstruction.points3D[number].error = error
     with atomic(folder) as temporary:
         temporary.mkdir()
         reconstruction.write_binary(str(temporary))

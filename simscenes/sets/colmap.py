@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from simscenes.rigs import Rig
 from simscenes.sets.colmap_check import check_model
 from simscenes.sets.photographs import DistortedPinhole, Photographs, check_pose, collect, find_file, rescaled
+from simscenes.sets.tracks import SparsePoints
 
 
 def find_colmap(folder: Path) -> Path | None:
@@ -35,6 +39,43 @@ def read_colmap(folder: Path, model: Path) -> Photographs:
         check_pose(viewmat, f"{model}: the pose of {name}")
         entries.append((find_file(folder / "images", name), viewmat, reconstruction.cameras[image.camera_id]))
     return collect(entries, model, lambda c, w, h: _colmap_lens(c, w, h, model))
+
+
+def read_points(folder: Path, model: Path, files: Sequence[Path], rig: Rig) -> SparsePoints | None:
+    """The points of a COLMAP model and their tracks through some of its images; None if it has no points.
+
+    Observations move with the pixels they were made in: through the model's own lens to the ray, and to the pixel that
+    the pinhole `rig` has there. Errors are those in the pixels of `rig`, where the model states any.
+
+    Args:
+        folder: With `images/`.
+        model: The model.
+        files: Images of the views; others of the model are left out, and so are views that it does not have.
+        rig: One camera for each of `files`, in the frame of the model.
+
+    Raises:
+        ValueError: If the model is damaged.
+    """
+    reconstruction, names = read_reconstruction(model)
+    if not reconstruction.points3D:
+        return None
+    row = {number: i for i, number in enumerate(sorted(reconstruction.points3D))}  # pycolmap's own order is a hash's
+    points = [reconstruction.points3D[number] for number in row]
+    found = SparsePoints.untracked([p.xyz for p in points], [p.color for p in points])
+    found = replace(found, error=np.array([p.error for p in points], np.float64))
+    views = {file.resolve(): i for i, file in enumerate(files)}
+    seen = [(np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros((0, 2)))]
+    for number, image in reconstruction.images.items():
+        file = find_file(folder / "images", names[number])
+        if file is None or (i := views.get(file.resolve())) is None:
+            continue
+        observed = [p for p in image.points2D if p.has_point3D()]
+        rays = image.camera.cam_from_img(np.array([p.xy for p in observed]).reshape(-1, 2))
+        pixels = rays * np.diag(rig.Ks[i])[:2] + rig.Ks[i][:2, 2]
+        rows = np.array([row[p.point3D_id] for p in observed], np.intp)
+        seen.append((np.full(len(rows), i, np.intp), rows, pixels))
+    view, point, pixel = (np.concatenate(parts) for parts in zip(*seen, strict=True))
+    return found.observed(rig, view, point, pixel)
 
 
 def read_reconstruction(model: Path) -> tuple[Any, dict[int, str]]:

@@ -17,10 +17,11 @@ from sensor_model import srgb_to_linear
 from sensor_model.files.records import Numbers, read_record
 from simscenes.rigs import Rig
 from simscenes.sets.camera_files import is_test_view, write_cameras
-from simscenes.sets.colmap import find_colmap, read_colmap, read_reconstruction
+from simscenes.sets.colmap import find_colmap, read_colmap, read_points
 from simscenes.sets.exr import read_exr
 from simscenes.sets.image_file import read_image
 from simscenes.sets.photographs import DistortedPinhole, Photographs, read_transforms
+from simscenes.sets.tracks import SparsePoints
 
 __all__ = ["MultiviewSet", "load_set", "write_cameras"]
 
@@ -125,18 +126,16 @@ class MultiviewSet:
             "material": channels["material"],
         }
 
-    def points(self) -> tuple[NDArray[np.float64], Image] | None:
-        """Sparse points, float64 [P,3], and their colours, uint8 [P,3]; None if there are none in the views' frame."""
+    def points(self) -> SparsePoints | None:
+        """Sparse points with their tracks through the views; None if there are none in the views' frame."""
         # Beside a foreign transforms.json a COLMAP model may be in another frame (nerfstudio re-orients), so only our
         # own folders, which name it in nb-info.json, and pure COLMAP folders give points.
         ours = (self.path / "nb-info.json").is_file() or not (self.path / "transforms.json").is_file()
-        model = find_colmap(self.path) if ours else None
-        points = list(read_reconstruction(model)[0].points3D.values()) if model else []
-        if not points:
+        if (model := find_colmap(self.path) if ours else None) is None:
             return None
-        return np.array([p.xyz for p in points], np.float64) - self.origin, np.array(
-            [p.color for p in points], np.uint8
-        )
+        x, y, z = self.origin
+        found = read_points(self.path, model, self.files, self.rig.about((-x, -y, -z)))
+        return None if found is None else found.about(self.origin)
 
     def _truth(self, i: int, *names: str) -> dict[str, NDArray[Any]]:
         """Channels of view `i`, all of them, each as large as the camera says."""

@@ -8,7 +8,7 @@ import numpy as np
 import pycolmap
 import pytest
 
-from simscenes import orbit_rig, write_cameras
+from simscenes import SparsePoints, orbit_rig, write_cameras
 from simscenes.sets import colmap
 from simscenes.sets.colmap_check import check_model
 
@@ -19,8 +19,9 @@ FILES = ("cameras", "frames", "images", "points3D", "rigs")
 def binary(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("model")
     rng = np.random.default_rng(0)
-    points = (rng.normal(0, 0.3, (3, 3)), rng.integers(0, 256, (3, 3), dtype=np.uint8))
-    write_cameras(folder, ["a", "b c"], orbit_rig(2, 40, 30, 55, radius=2.0), points=points)
+    rig, xyz = orbit_rig(2, 40, 30, 55, radius=2.0), rng.normal(0, 0.3, (3, 3))
+    points = SparsePoints.seen(rig, xyz, np.zeros((3, 3)), np.ones((2, 3), bool), exact=True)
+    write_cameras(folder, ["a", "b c"], rig, points=points)
     return folder / "sparse" / "0"
 
 

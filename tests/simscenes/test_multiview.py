@@ -10,6 +10,7 @@ import pytest
 
 from simscenes import load_set, orbit_rig, write_cameras
 from simscenes.rigs import Rig, intrinsics, opencv_to_opengl
+from simscenes.sets.tracks import SparsePoints
 
 
 def make_images(folder: Path, names: list[str], width: int, height: int) -> None:
@@ -38,7 +39,8 @@ def written(tmp_path: Path) -> tuple[Path, Rig, list[str], np.ndarray]:
     rng = np.random.default_rng(0)
     xyz = rng.normal(0, 0.3, (50, 3)) + [0.1, 0.2, 0.3]
     visible = rng.random((10, 50)) < 0.5
-    write_cameras(tmp_path, names, rig, points=(xyz, rng.integers(0, 256, (50, 3), dtype=np.uint8), visible))
+    points = SparsePoints.seen(rig, xyz, rng.integers(0, 256, (50, 3), dtype=np.uint8), visible, exact=True)
+    write_cameras(tmp_path, names, rig, points=points)
     make_images(tmp_path / "images", [f"{n}.png" for n in names], 40, 30)
     return tmp_path, rig, names, visible
 
@@ -71,7 +73,7 @@ def test_written_cameras_come_back_exactly(written: tuple) -> None:
     assert (folder / "test_list.txt").read_text().split() == ["0000.png", "0008.png"]
     points = loaded.points()
     assert points is not None
-    assert (points[0].shape, points[1].dtype) == ((50, 3), np.uint8)
+    assert (points.xyz.shape, points.rgb.dtype) == ((50, 3), np.uint8)
     assert loaded.geometry(0) is None
     assert (loaded.image(3) == 30).all()
 

@@ -222,7 +222,7 @@ def test_a_set_is_complete_consistent_and_readable(tmp_path: Path) -> None:
     assert geometry is not None
     assert geometry["normals"].shape == (13, 17, 3)
     assert points is not None
-    on_surface = np.minimum(np.abs(points[0][:, 2]), np.abs(np.linalg.norm(points[0] - [0, 0, 1], axis=1) - 1))
+    on_surface = np.minimum(np.abs(points.xyz[:, 2]), np.abs(np.linalg.norm(points.xyz - [0, 0, 1], axis=1) - 1))
     assert np.median(on_surface) < 1e-5
     header = read_exr(tmp_path / "set" / "gt" / "0001.exr")[1]
     assert np.allclose(header["worldToCamera"], done.rig.viewmats[1], atol=1e-6)

@@ -18,6 +18,8 @@ from novags.testbed.metrics import SSIM_WINDOW
 from sensor_model import linear_to_srgb
 from simscenes.rigs import Rig
 from simscenes.sets.multiview import MultiviewSet, load_set
+from simscenes.sets.plausible import with_tested_tracks
+from simscenes.sets.tracks import SparsePoints
 
 # What a set is read from beside its images: our own record and truth, and the cameras in every supported form.
 MODEL = tuple(f"{part}.{suffix}" for part in ("cameras", "images", "points3D") for suffix in ("bin", "txt"))
@@ -98,6 +100,19 @@ class Source:
         if self.filters is not None:  # back through the matrix, as the set's own images were made
             light = np.asarray((light * self.response) @ np.linalg.inv(self.filters).T, np.float32)
         return linear_to_srgb(np.clip(light * exposure, 0.0, 1.0)).astype(np.float32)
+
+    def points(self) -> SparsePoints | None:
+        """The set's sparse points with their tracks through the pictures of this size; tested ones where it has none.
+
+        Raises:
+            ValueError: If the model, or a picture that has to be looked at, cannot be read.
+        """
+        points = self.views.points()
+        if points is None:
+            return None
+        if not len(points.view):
+            points = with_tested_tracks(self.views, points)
+        return points.at_size(self.views.rig, self.rig)
 
     def digest(self) -> str:
         """Hash of everything that is read from the set, wherever its files are."""

@@ -192,7 +192,7 @@ def capture_views(
                 matrix = source.color_matrix
                 write_view(folder, name, frame, sensor, exposure, config.demosaic, matrix, config.jpeg_quality)
             progress(i + 1, len(names), f"view {name}")
-    write_cameras(folder, names, source.rig, points=source.views.points())
+    write_cameras(folder, names, source.rig, points=source.points())
     return {
         "set": {
             "path": os.path.relpath(source.views.path.resolve(), folder.resolve()),

@@ -14,11 +14,14 @@ from tests.fuzz.readers.text import pictures, read_transforms, some_rig
 
 def make_colmap(folder: Path) -> None:
     from simscenes.sets.camera_files import write_cameras
+    from simscenes.sets.tracks import SparsePoints
 
     names = ["a", "b", "c"]
     pictures(folder / "images", names)
     rng = np.random.default_rng(0)
-    write_cameras(folder, names, some_rig(3), points=(rng.random((6, 3)) - 0.5, rng.integers(0, 255, (6, 3), np.uint8)))
+    xyz, rgb = rng.random((6, 3)) - 0.5, rng.integers(0, 255, (6, 3), np.uint8)
+    points = SparsePoints.seen(some_rig(3), xyz, rgb, np.ones((3, 6), bool), exact=True)
+    write_cameras(folder, names, some_rig(3), points=points)
     for name in ("transforms.json", "nb-info.json", "train_list.txt", "test_list.txt"):
         (folder / name).unlink()
 

@@ -10,6 +10,7 @@ from novags.cameras.align import align
 from novags.cameras.known import KnownConfig, known, perturb
 from simscenes.rigs import Rig, orbit_rig
 from simscenes.sets.multiview import load_set
+from simscenes.sets.tracks import SparsePoints
 
 SIZE = 20
 
@@ -20,7 +21,7 @@ class FakeSet:
 
     rig: Rig
     depth: bool = True
-    sparse: tuple[np.ndarray, np.ndarray] | None = None
+    sparse: SparsePoints | None = None
 
     def geometry(self, i: int) -> dict[str, Any] | None:
         if not self.depth:
@@ -34,7 +35,7 @@ class FakeSet:
             z = np.where(down < 0, -center[2] / down, np.inf)
         return {"z": z.astype(np.float32)}
 
-    def points(self) -> tuple[np.ndarray, np.ndarray] | None:
+    def points(self) -> SparsePoints | None:
         return self.sparse
 
 
@@ -142,7 +143,12 @@ def test_points_follow_the_perturbed_cameras():
 def test_without_depth_sparse_points_are_taken_but_never_their_lit_colours():
     points = np.random.default_rng(0).uniform(-0.3, 0.3, (200, 3))
     lit = np.full((200, 3), 255, np.uint8)
-    start = known(FakeSet(cameras(), depth=False, sparse=(points, lit)), [0, 1], shaded(2) + 0.02, n_points=100)
+    start = known(
+        FakeSet(cameras(), depth=False, sparse=SparsePoints.untracked(points, lit)),
+        [0, 1],
+        shaded(2) + 0.02,
+        n_points=100,
+    )
     assert len(start.points) == 100
     distance = (start.points[:, None].double() - torch.from_numpy(points)[None]).norm(dim=-1).min(1).values
     assert distance.max() < 1e-6

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import cv2
 import numpy as np
+import pycolmap
 import pytest
 
 from novags.testbed import stages
@@ -16,7 +17,7 @@ from novags.testbed.folders.set import Source
 from novags.testbed.forecast import PILOT, sensor_plan
 from novags.testbed.stages.capture import CaptureConfig
 from sensor_model import PRESETS, read_sensor, srgb_to_linear, write_sensor
-from simscenes import orbit_rig
+from simscenes import SparsePoints, load_set, orbit_rig
 from simscenes.sets.exr import read_exr, write_exr
 from simscenes.sets.multiview import write_cameras
 
@@ -205,3 +206,30 @@ def test_colour_filters_that_no_camera_has_are_refused(row: list[float], tmp_pat
     views = SimpleNamespace(meta={"camera_matrix": [row, [0, 1, 0], [0, 0, 1]]}, path=tmp_path)
     with pytest.raises(ValueError, match="camera_matrix of .* within a factor of 1000 of green's"):
         _ = Source(views, None, QUIET).response
+
+
+@pytest.mark.parametrize("max_size", [None, 32])
+def test_a_capture_has_the_tracks_and_errors_of_its_set(tmp_path: Path, max_size: int | None) -> None:
+    """A point that a view does not see (hidden, or not matched) stays unseen in the capture's COLMAP model."""
+    rng, rig, names = np.random.default_rng(0), orbit_rig(5, 64, 48, 50.0, radius=3.0), [f"{i:04d}" for i in range(5)]
+    sees = rng.random((5, 30)) < 0.5
+    sees[0] = True
+    xyz = rng.uniform(-0.4, 0.4, (30, 3))
+    exact = SparsePoints.seen(rig, xyz, np.zeros((30, 3)), sees, exact=True)
+    noisy = exact.observed(rig, exact.view, exact.point, exact.pixel + rng.normal(0, 0.5, exact.pixel.shape))
+    write_cameras(tmp_path / "set", names, rig, points=noisy)
+    (tmp_path / "set/images").mkdir()
+    for name in names:
+        cv2.imwrite(str(tmp_path / "set/images" / f"{name}.png"), np.full((48, 64, 3), 90, np.uint8))
+    stages.capture(tmp_path / "set", tmp_path / "cap", CaptureConfig(max_size=max_size), QUIET)
+    points = load_set(tmp_path / "cap").points()
+    model = pycolmap.Reconstruction(str(tmp_path / "cap/sparse/0"))
+    assert points is not None
+    seen = np.zeros_like(sees)
+    for image in model.images.values():
+        seen[int(Path(image.name).stem), [p.point3D_id - 1 for p in image.points2D]] = True
+    assert np.array_equal(seen, sees)
+    mean = model.compute_mean_reprojection_error()
+    model.update_point_3d_errors()
+    assert mean == pytest.approx(model.compute_mean_reprojection_error(), rel=1e-9)
+    assert mean == pytest.approx(noisy.error.mean() * (1.0 if max_size is None else 0.5), rel=1e-9)

@@ -16,6 +16,7 @@ from novags.testbed.stages.camera_source import true_cameras
 from novags.testbed.stages.capture import CaptureConfig
 from simscenes import Rig, orbit_rig
 from simscenes.sets.multiview import load_set, write_cameras
+from simscenes.sets.tracks import SparsePoints
 
 UTM = np.array([500_000.3, 5_300_000.7, 120.4])
 QUIET = Console(quiet=True)
@@ -30,7 +31,9 @@ def build(folder: Path, place: np.ndarray) -> Path:
     rng = np.random.default_rng(0)
     points, colours = rng.uniform(-0.8, 0.8, (300, 3)), rng.integers(30, 250, (300, 3), dtype=np.uint8)
     names = [f"{i:04d}" for i in range(9)]
-    write_cameras(folder, names, rig_at(place), points=(points + place, colours))
+    everywhere = np.ones((9, 300), bool)
+    sparse = SparsePoints.seen(rig_at(place), points + place, colours, everywhere, exact=True)
+    write_cameras(folder, names, rig_at(place), points=sparse)
     pixels, depth = rig_at(np.zeros(3)).project(points)
     (folder / "images").mkdir()
     for i, name in enumerate(names):
@@ -67,7 +70,8 @@ def test_a_set_in_a_national_grid_scores_as_it_does_at_the_origin(tmp_path: Path
 
 
 def test_cameras_far_away_are_seen_from_nearby_to_float64_rounding(tmp_path: Path) -> None:
-    write_cameras(tmp_path, [f"{i:04d}" for i in range(9)], rig_at(UTM), points=(UTM[None], np.zeros((1, 3), np.uint8)))
+    one = SparsePoints.untracked(UTM[None], np.zeros((1, 3)))
+    write_cameras(tmp_path, [f"{i:04d}" for i in range(9)], rig_at(UTM), points=one)
     (tmp_path / "images").mkdir()
     for i in range(9):
         cv2.imwrite(str(tmp_path / "images" / f"{i:04d}.png"), np.zeros((32, 32, 3), np.uint8))
@@ -79,7 +83,7 @@ def test_cameras_far_away_are_seen_from_nearby_to_float64_rounding(tmp_path: Pat
     assert np.abs(near.rig.viewmats - expected).max() < 1e-8  # eps of float64 at 5e6 is 1e-9
     points = near.points()
     assert points is not None
-    assert np.abs(points[0][0] - (UTM - origin)).max() < 1e-8
+    assert np.abs(points.xyz[0] - (UTM - origin)).max() < 1e-8
 
 
 def test_the_zero_of_a_set_stays_unless_it_is_far_away() -> None:
