@@ -29,6 +29,8 @@ def render(
     near_plane: float,
     far_plane: float,
     eps2d: float,
+    antialiased: bool,
+    radius_clip: float,
     with_color: bool,
     with_depth: bool,
 ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
@@ -50,6 +52,7 @@ def render(
     image, alpha, meta = rasterization(
         means, unit_largest(quats), scales, opacities, colors, viewmat[None], K[None], width, height,
         sh_degree=sh_degree, near_plane=near_plane, far_plane=far_plane, eps2d=eps2d, render_mode=mode, packed=False,
+        radius_clip=radius_clip, rasterize_mode="antialiased" if antialiased else "classic",
     )  # fmt: skip
     radii = meta["radii"][0]
     if radii.ndim == 2:  # gsplat 1.5 gives one radius per image axis

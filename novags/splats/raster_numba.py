@@ -26,6 +26,8 @@ def render(
     near_plane: float,
     far_plane: float,
     eps2d: float,
+    antialiased: bool,
+    radius_clip: float,
     with_color: bool,
     with_depth: bool,
 ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
@@ -41,7 +43,11 @@ def render(
             f"backend='numba' needs float32 tensors on the CPU, got {means.dtype} on {means.device}; "
             "convert with .float().cpu(), or use backend='torch' (any float dtype) or 'gsplat' (CUDA)"
         )
-    settings = (width, height, sh_degree, near_plane, far_plane, eps2d, with_color, with_depth)
+    camera = pipeline.Camera(
+        viewmat=_array(viewmat), K=_array(K), width=width, height=height, near=near_plane, far=far_plane, eps2d=eps2d,
+        antialiased=antialiased, radius_clip=radius_clip,
+    )  # fmt: skip
+    settings = camera, sh_degree, with_color, with_depth
     image, alpha, means2d, radii, depths = _Render.apply(means, quats, scales, opacities, colors, viewmat, K, settings)
     return image, alpha, {"means2d": means2d, "radii": radii, "depths": depths}
 
@@ -57,10 +63,7 @@ def _shape(means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor) -> p
 class _Render(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, means, quats, scales, opacities, colors, viewmat, K, settings):  # type: ignore
-        width, height, sh_degree, near, far, eps2d, with_color, with_depth = settings
-        camera = pipeline.Camera(
-            viewmat=_array(viewmat), K=_array(K), width=width, height=height, near=near, far=far, eps2d=eps2d
-        )
+        camera, sh_degree, with_color, with_depth = settings
         shape = _shape(means, quats, scales, opacities)
         frame, image, alpha = pipeline.forward(shape, _array(colors), camera, sh_degree, with_color, with_depth)
         if frame.splats.suspect:

@@ -49,6 +49,14 @@ def project(
     Returns:
         means2d [N, 2] in pixels, covariances2d [N, 2, 2] in px^2, depths [N] (camera z).
     """
+    means2d, M, z = image_axes(means, quats, scales, viewmat, K, width, height)
+    return means2d, dilated(M, eps2d), z
+
+
+def image_axes(
+    means: Tensor, quats: Tensor, scales: Tensor, viewmat: Tensor, K: Tensor, width: int, height: int
+) -> tuple[Tensor, Tensor, Tensor]:
+    """As `project`, but instead of the covariances their factors M [N, 2, 3], M M^T before dilation."""
     R = viewmat[:3, :3]
     camera = means @ R.T + viewmat[:3, 3]
     x, y, z = camera.unbind(-1)
@@ -62,8 +70,21 @@ def project(
     zero = torch.zeros_like(z)
     J = torch.stack([fx / z, zero, -fx * tx / z**2, zero, fy / z, -fy * ty / z**2], dim=-1).reshape(-1, 2, 3)
 
-    M = J @ R @ (quat_to_rotmat(quats) * scales[:, None, :])
-    return means2d, M @ M.mT + eps2d * torch.eye(2, dtype=means.dtype, device=means.device), z
+    return means2d, J @ R @ (quat_to_rotmat(quats) * scales[:, None, :]), z
+
+
+def dilated(M: Tensor, eps2d: float) -> Tensor:
+    """Covariances M M^T + eps2d [N, 2, 2], px^2."""
+    return M @ M.mT + eps2d * torch.eye(2, dtype=M.dtype, device=M.device)
+
+
+def compensation(M: Tensor, eps2d: float) -> Tensor:
+    """sqrt(det / det dilated) [N] of the covariances M M^T, by which opacities fall where a splat is dilated.
+
+    Mip-Splatting (Yu et al. 2024), eq. 9, with the dilation of gsplat. 0 for a flat Gaussian seen edge on.
+    """
+    det = torch.linalg.cross(M[:, 0], M[:, 1]).square().sum(-1)  # c_xx c_yy - c_xy^2 has no digits left for needles
+    return torch.sqrt(det / (det + eps2d * (M.square().sum((1, 2)) + eps2d)))
 
 
 def _radii(means2d: Tensor, covs2d: Tensor, opacities: Tensor, width: int, height: int) -> Tensor:
@@ -127,6 +148,8 @@ def render(
     near_plane: float,
     far_plane: float,
     eps2d: float,
+    antialiased: bool,
+    radius_clip: float,
     with_color: bool,
     with_depth: bool,
 ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
@@ -137,9 +160,17 @@ def render(
     z = means @ viewmat[2, :3] + viewmat[2, 3]
     # Chosen before projecting: the gradient of a Gaussian in the camera plane would be 0 * inf = nan.
     chosen = torch.nonzero((z > near_plane) & (z < far_plane) & (opacities >= ALPHA_MIN))[:, 0]
-    means2d, covs2d, depths = project(means[chosen], quats[chosen], scales[chosen], viewmat, K, width, height, eps2d)
+    if antialiased:  # likewise: the compensation of a Gaussian seen edge on has no slope
+        with torch.no_grad():
+            _, M, _ = image_axes(means[chosen], quats[chosen], scales[chosen], viewmat, K, width, height)
+            chosen = chosen[opacities[chosen] * compensation(M, eps2d) >= ALPHA_MIN]
+    camera = viewmat, K, width, height
+    means2d, M, depths = image_axes(means[chosen], quats[chosen], scales[chosen], *camera)
+    covs2d = dilated(M, eps2d)
+    peaks = opacities[chosen] * compensation(M, eps2d) if antialiased else opacities[chosen]
     with torch.no_grad():
-        radii = _radii(means2d, covs2d, opacities[chosen], width, height)
+        radii = _radii(means2d, covs2d, peaks, width, height)
+        radii = torch.where(radii > radius_clip, radii, 0)
         seen = torch.nonzero(radii)[:, 0]
         info = {
             "means2d": means.new_zeros(len(means), 2).index_copy(0, chosen[seen], means2d[seen]),
@@ -157,5 +188,5 @@ def render(
             features.append(sh_colors(sh_degree, means[index] - center, colors[index]))
     if with_depth:
         features.append(depths[seen, None])
-    image, alpha = composite(means2d[seen], covs2d[seen], opacities[index], torch.cat(features, 1), width, height)
+    image, alpha = composite(means2d[seen], covs2d[seen], peaks[seen], torch.cat(features, 1), width, height)
     return image, alpha, {name: value.detach() for name, value in info.items()}

@@ -32,9 +32,9 @@ def check_shapes(tensors: dict[str, Tensor], sh_degree: int | None) -> None:
         k = (sh_degree + 1) ** 2
         raise ValueError(f"colors must be [N={n}, K >= {k}, 3] for sh_degree={sh_degree}, got {list(colors.shape)}")
     channels = colors.shape[1] if sh_degree is None else 3
-    background = tensors.get("background")
-    if background is not None and background.shape not in ((channels,), (c, channels)):
-        raise ValueError(f"background must be [{channels}] or [{c}, {channels}], got {list(background.shape)}")
+    backgrounds = tensors.get("backgrounds")
+    if backgrounds is not None and backgrounds.shape not in ((channels,), (c, channels)):
+        raise ValueError(f"backgrounds must be [{channels}] or [{c}, {channels}], got {list(backgrounds.shape)}")
     for name, value in tensors.items():
         if value.dtype != colors.dtype or value.device != colors.device or not value.is_floating_point():
             raise ValueError(
@@ -43,8 +43,8 @@ def check_shapes(tensors: dict[str, Tensor], sh_degree: int | None) -> None:
             )
 
 
-def check_numbers(width: Any, height: Any, near_plane: float, far_plane: float, eps2d: float) -> None:
-    """Raise ValueError unless the image has pixels, the planes are in order and the dilation is not negative."""
+def check_numbers(width: Any, height: Any, near_plane: float, far_plane: float, eps2d: float, clip: float) -> None:
+    """Raise ValueError unless the image has pixels, the planes are in order, and dilation and clip are not negative."""
     for name, value in (("width", width), ("height", height)):
         if not isinstance(value, Integral):
             raise ValueError(f"{name} must be an integer, got {value!r}")
@@ -54,6 +54,8 @@ def check_numbers(width: Any, height: Any, near_plane: float, far_plane: float, 
         raise ValueError(f"planes must satisfy 0 < near_plane < far_plane, got {near_plane} and {far_plane}")
     if not 0 <= eps2d < float("inf"):
         raise ValueError(f"eps2d must be finite and >= 0 px^2, got {eps2d}")
+    if not 0 <= clip < float("inf"):
+        raise ValueError(f"radius_clip must be finite and >= 0 pixels, got {clip}")
 
 
 def check_finite(tensors: dict[str, Tensor]) -> None:
@@ -65,8 +67,8 @@ def check_finite(tensors: dict[str, Tensor]) -> None:
 
 
 def check_camera(tensors: dict[str, Tensor]) -> None:
-    """Raise ValueError for a camera or background that is not finite, or a camera other than a pinhole without skew."""
-    check_finite({name: tensors[name] for name in ("viewmats", "Ks", "background") if name in tensors})
+    """Raise ValueError for numbers that are not finite, or a camera other than a pinhole without skew."""
+    check_finite({name: tensors[name] for name in ("viewmats", "Ks", "backgrounds") if name in tensors})
     Ks = tensors["Ks"]
     focal = Ks[:, (0, 1), (0, 1)]
     if (focal <= 0).any():

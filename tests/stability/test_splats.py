@@ -50,8 +50,8 @@ def test_a_slope_through_the_cap_is_noticed(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_dust_without_the_added_variance_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
-    project = raster_torch.project
-    monkeypatch.setattr(raster_torch, "project", lambda *a: project(*a[:-1], 0.2))
+    dilated = raster_torch.dilated
+    monkeypatch.setattr(raster_torch, "dilated", lambda M, eps2d: dilated(M, 0.2))
     assert fails("log scales -40 to 20", "torch")
 
 

@@ -31,12 +31,15 @@ class Camera:
     near: float
     far: float
     eps2d: float  # px^2
+    antialiased: bool = False  # compensate opacities for eps2d
+    radius_clip: float = 0.0  # pixels; splats that reach no farther are left out
 
     @property
     def vector(self) -> np.ndarray:
         """As the projection kernels want it."""
         K = self.K
         rest = [K[0, 0], K[1, 1], K[0, 2], K[1, 2], self.width, self.height, self.near, self.far, self.eps2d]
+        rest += [self.antialiased, self.radius_clip]
         return np.concatenate([self.viewmat[:3].ravel(), np.array(rest, np.float32)]).astype(np.float32)
 
     @property

@@ -36,6 +36,7 @@ INPUTS = 11  # per Gaussian: mean 3, quaternion 4, scale 3, opacity
 GRAIN = 512  # Gaussians per range
 # columns of `camera`, a float32 vector
 VIEW, FX, FY, CX, CY, WIDTH, HEIGHT, NEAR, FAR, EPS2D = 0, 12, 13, 14, 15, 16, 17, 18, 19, 20
+ANTIALIASED, RADIUS_CLIP = 21, 22  # 0 or 1; pixels
 
 
 @inline
@@ -132,6 +133,16 @@ def _footprint(m, eps):
     return (row1 + eps) / det, -(m00 * m10 + m01 * m11 + m02 * m12) * inverse, inverse, row0 + eps, det
 
 
+@inline
+def _dilation(m, eps):
+    """The determinant of M M^T as a sum of squares, and what the dilation adds to it over it; see `_footprint`."""
+    m00, m01, m02, m10, m11, m12 = m
+    rows = m00 * m00 + m01 * m01 + m02 * m02 + (m10 * m10 + m11 * m11 + m12 * m12)
+    d01, d02, d12 = m00 * m11 - m01 * m10, m00 * m12 - m02 * m10, m01 * m12 - m02 * m11
+    sharp = d01 * d01 + d02 * d02 + d12 * d12
+    return sharp, eps * (rows + eps) / sharp
+
+
 @kernel
 def forward(begin, end, means, quats, scales, opacities, camera, rows, depths, radii, tiles, counts, suspect):
     """Project Gaussians begin..end-1.
@@ -176,21 +187,26 @@ def _project(c, b, out, rest):
     m00, m01, m02, m10, m11, m12 = tr[0] * s0, tr[1] * s1, tr[2] * s2, tr[3] * s0, tr[4] * s1, tr[5] * s2
     a, k, q, cxx, det = _footprint((m00, m01, m02, m10, m11, m12), c[EPS2D])
     px, py = jx * x + c[CX], jy * y + c[CY]
-    top = log2(maximum(o, ALPHA_MIN))
+    peak = o
+    if c[ANTIALIASED] > ZERO:  # sqrt(det / det dilated): a splat is dilated, but no brighter. 0 for one seen edge on
+        peak = o * sqrt(ONE / (ONE + _dilation((m00, m01, m02, m10, m11, m12), c[EPS2D])[1]))
+    top = log2(maximum(peak, ALPHA_MIN))
     log2_reach = (top - LOG2_ALPHA_MIN) / HALF_LOG2E
     rx, ry = sqrt(log2_reach * cxx), sqrt(log2_reach / q)
     # 0 * x is 0 for finite x and nan otherwise; a zero or non-finite quaternion has no unit quaternion
     zeros = ZERO * (x + y + z + s0 + s1 + s2 + r[9])
     good = (zeros == ZERO) & (o >= ZERO) & (o <= ONE) & (minimum(minimum(s0, s1), s2) >= ZERO)
-    visible = (z > c[NEAR]) & (z < c[FAR]) & (o >= ALPHA_MIN) & (det > ZERO)
+    visible = (z > c[NEAR]) & (z < c[FAR]) & (peak >= ALPHA_MIN) & (det > ZERO)
     # an infinite determinant gives a = 0, which is wrong unless q is as good as 0 too, and the centre not far off
     near = (maximum(px, -px) < CLOSE) & (maximum(py, -py) < CLOSE)
     even = (cxx < EVEN) & (q * EVEN > ONE) & near
     good = good & ((det < INFINITY) | even | (z <= c[NEAR]) | (z >= c[FAR]))
     visible = visible & (px + rx > ZERO) & (px - rx < c[WIDTH]) & (py + ry > ZERO) & (py - ry < c[HEIGHT])
+    extent = minimum(maximum(ceil(maximum(rx, ry)), ONE), MAX_RADIUS)
+    visible = visible & (extent > c[RADIUS_CLIP])
     # what is seen must have a direction, too: that of its colour is divided by this length
     good = good & (select(visible, x * x + y * y + z * z, ZERO) < INFINITY)
-    radius = select(visible, minimum(maximum(ceil(maximum(rx, ry)), ONE), MAX_RADIUS), ZERO)
+    radius = select(visible, extent, ZERO)
 
     store(out, X * LANES, select(visible, px, ZERO))
     store(out, Y * LANES, select(visible, py, ZERO))

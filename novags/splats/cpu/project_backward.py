@@ -9,7 +9,19 @@ alpha times 1, u, u^2, u dy, dy, dy^2, and of the four channels' gradients.
 import numpy as np
 
 from .compiler import inline, kernel
-from .project import EPS2D, INPUTS, _footprint, _gather, _image_axes, _jacobian, _rotation, _times_rotation, _to_camera
+from .project import (
+    ANTIALIASED,
+    EPS2D,
+    INPUTS,
+    _dilation,
+    _footprint,
+    _gather,
+    _image_axes,
+    _jacobian,
+    _rotation,
+    _times_rotation,
+    _to_camera,
+)
 from .record import CHANNELS, ROW
 from .simd import LANES, load, select, splat, store
 from .transpose import from_columns3, from_columns4, transpose
@@ -136,6 +148,22 @@ def _covariance_backward(a, k, q, v_a, v_k, v_q, eps, m):
 
 
 @inline
+def _compensation_backward(g, eps, m):
+    """Gradient of m from g, that of ln peak, through ln sqrt(det / det dilated) alone."""
+    m00, m01, m02, m10, m11, m12 = m
+    sharp, dilation = _dilation(m, eps)
+    d01, d02, d12 = m00 * m11 - m01 * m10, m00 * m12 - m02 * m10, m01 * m12 - m02 * m11
+    v_rows = -g / ((ONE + dilation) * sharp)
+    e = v_rows * eps
+    two = -v_rows * dilation
+    e01, e02, e12 = d01 * two, d02 * two, d12 * two
+    return (
+        e01 * m11 + e02 * m12 + e * m00, e12 * m12 - e01 * m10 + e * m01, e * m02 - e02 * m10 - e12 * m11,
+        e * m10 - e01 * m01 - e02 * m02, e01 * m00 - e12 * m02 + e * m11, e02 * m00 + e12 * m01 + e * m12,
+    )  # fmt: skip
+
+
+@inline
 def _rotation_backward(r, t, h):
     """Gradient of the unnormalised quaternion from h, that of T R."""
     w, x, y, z, inv = r[9], r[10], r[11], r[12], r[13]
@@ -168,6 +196,9 @@ def _backward(c, b, sums, rest, camera_sums):
     a, k, q, _, _ = _footprint(m, c[EPS2D])
     v_px, v_py = a * gu, a * k * gu + q * gd
     v_m = _covariance_backward(a, k, q, guu * (-HALF), -a * gud, gdd * (-HALF), c[EPS2D], m)
+    if c[ANTIALIASED] > ZERO:
+        w = _compensation_backward(g, c[EPS2D], m)
+        v_m = v_m[0] + w[0], v_m[1] + w[1], v_m[2] + w[2], v_m[3] + w[3], v_m[4] + w[4], v_m[5] + w[5]
     h = v_m[0] * s0, v_m[1] * s1, v_m[2] * s2, v_m[3] * s0, v_m[4] * s1, v_m[5] * s2
     vw, vx, vy, vz = _rotation_backward(r, t, h)
     vt = (

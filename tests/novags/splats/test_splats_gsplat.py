@@ -31,7 +31,8 @@ def calls(monkeypatch):
             *(call[name] for name in ("means", "quats", "scales", "opacities", "colors")),
             call["viewmats"][0], call["Ks"][0], call["width"], call["height"],
             sh_degree=call["sh_degree"], near_plane=call["near_plane"], far_plane=call["far_plane"],
-            eps2d=call["eps2d"], with_color=mode.startswith("RGB"), with_depth=mode.endswith("D"),
+            eps2d=call["eps2d"], antialiased=call["rasterize_mode"] == "antialiased", radius_clip=call["radius_clip"],
+            with_color=mode.startswith("RGB"), with_depth=mode.endswith("D"),
         )  # fmt: skip
         radii = info["radii"][:, None] * torch.tensor([2, 1]) // 2  # per axis, as since gsplat 1.5
         meta = {"means2d": info["means2d"].requires_grad_(), "depths": info["depths"], "radii": radii.int()}
@@ -47,9 +48,9 @@ def calls(monkeypatch):
 def test_images_and_info_are_those_of_the_reference(make_scene, calls, mode, sh_degree):
     scene = as_float32(make_scene(3, 60, 21, 18, sh_degree=sh_degree, cameras=2))
     background = torch.tensor([[0.1, 0.2, 0.3], [0.4, 0.5, 0.6]])
-    image, alpha, info = rasterize(**scene, background=background, render_mode=mode)
+    image, alpha, info = rasterize(**scene, backgrounds=background, render_mode=mode)
     expected, expected_alpha, expected_info = rasterize(
-        **scene, background=background, render_mode=mode, backend="torch"
+        **scene, backgrounds=background, render_mode=mode, backend="torch"
     )
     assert len(calls) == 2  # so "auto" means gsplat for CUDA tensors, camera by camera
     torch.testing.assert_close(image, expected)
@@ -61,7 +62,10 @@ def test_images_and_info_are_those_of_the_reference(make_scene, calls, mode, sh_
 
 def test_every_argument_reaches_gsplat(make_scene, calls):
     scene = as_float32(make_scene(4, 20, 12, 10, sh_degree=1))
-    rasterize(**scene, near_plane=0.5, far_plane=7.0, eps2d=0.1, render_mode="RGB+ED", backend="gsplat")
+    rasterize(
+        **scene, near_plane=0.5, far_plane=7.0, eps2d=0.1, radius_clip=1.5, render_mode="RGB+ED",
+        rasterize_mode="antialiased", backend="gsplat",
+    )  # fmt: skip
     (call,) = calls
     for name in ("means", "scales", "opacities", "colors", "viewmats", "Ks"):
         assert torch.equal(call.pop(name), scene[name])
@@ -69,7 +73,7 @@ def test_every_argument_reaches_gsplat(make_scene, calls):
     torch.testing.assert_close(direction(call.pop("quats"), dim=-1), direction(scene["quats"], dim=-1))
     assert call == {
         "width": 12, "height": 10, "sh_degree": 1, "near_plane": 0.5, "far_plane": 7.0, "eps2d": 0.1,
-        "render_mode": "RGB+D", "packed": False,
+        "radius_clip": 1.5, "render_mode": "RGB+D", "packed": False, "rasterize_mode": "antialiased",
     }  # fmt: skip
 
 

@@ -61,7 +61,7 @@ def test_values_out_of_range_are_refused_with_place_and_number(make_scene, backe
         ({"sh_degree": 1}, r"colors must be \[N=40, K >= 4, 3\]"),
         ({"render_mode": "rgb"}, "render_mode must be one of"),
         ({"backend": "cuda"}, "backend must be one of"),
-        ({"background": torch.zeros(2)}, r"background must be \[3\] or \[1, 3\]"),
+        ({"backgrounds": torch.zeros(2)}, r"backgrounds must be \[3\] or \[1, 3\]"),
         ({"viewmats": torch.zeros(0, 4, 4), "Ks": torch.zeros(0, 3, 3)}, "at least one camera"),
         ({"opacities": torch.zeros(40, dtype=torch.float64)}, "share one float dtype"),
         ({"Ks": -torch.eye(3)[None]}, "positive focal lengths"),
@@ -75,8 +75,8 @@ def test_values_out_of_range_are_refused_with_place_and_number(make_scene, backe
         ({"sh_degree": 1.0}, "sh_degree must be 0, 1, 2, 3 or None"),
         ({"means": torch.tensor(1.0)}, r"means must have shape \[N, 3\], got \[\]"),
         ({"viewmats": torch.tensor(1.0)}, r"viewmats must have shape \[C, 4, 4\], got \[\]"),
-        ({"background": torch.tensor([0, math.nan, 0])}, "background must be finite, got 1 non-finite of 3"),
-        ({"background": torch.zeros(3, dtype=torch.float64)}, "background is torch.float64"),
+        ({"backgrounds": torch.tensor([0, math.nan, 0])}, "backgrounds must be finite, got 1 non-finite of 3"),
+        ({"backgrounds": torch.zeros(3, dtype=torch.float64)}, "backgrounds is torch.float64"),
     ],
 )
 @pytest.mark.parametrize("backend", ["auto", "torch"])
@@ -208,7 +208,7 @@ def test_no_gaussians_give_the_background_and_empty_gradients(make_scene, backen
     scene["means"].requires_grad_()
     scene["colors"].requires_grad_()
     background = torch.tensor([0.1, 0.2, 0.3])
-    image, alpha, info = rasterize(**scene, background=background, render_mode=mode, backend=backend)
+    image, alpha, info = rasterize(**scene, backgrounds=background, render_mode=mode, backend=backend)
     n_color = 3 if mode.startswith("RGB") else 0
     assert image.shape == (1, 5, 9, n_color + mode.endswith("D"))
     assert info["radii"].shape == (1, 0)

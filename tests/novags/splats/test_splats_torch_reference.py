@@ -14,9 +14,10 @@ from novags.splats.raster_torch import project
 from novags.splats.sh import sh_basis, sh_colors
 
 Scene = dict[str, Any]
+AA = "antialiased"
 
 
-def loop_oracle(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+def loop_oracle(scene: Scene, *, antialiased: bool = False) -> tuple[np.ndarray, np.ndarray]:
     """EWA splatting pixel by pixel and Gaussian by Gaussian, from the formulas, in numpy."""
     a = {k: v.numpy() for k, v in scene.items() if isinstance(v, torch.Tensor)}
     view, K = a["viewmats"][0], a["Ks"][0]
@@ -34,9 +35,13 @@ def loop_oracle(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
         tx = pz * np.clip(px / pz, -(cx + 0.15 * width) / fx, (1.15 * width - cx) / fx)
         ty = pz * np.clip(py / pz, -(cy + 0.15 * height) / fy, (1.15 * height - cy) / fy)
         J = np.array([[fx / pz, 0, -fx * tx / pz**2], [0, fy / pz, -fy * ty / pz**2]])
-        cov2d = J @ view[:3, :3] @ covariance @ view[:3, :3].T @ J.T + 0.3 * np.eye(2)
+        sharp = J @ view[:3, :3] @ covariance @ view[:3, :3].T @ J.T
+        cov2d = sharp + 0.3 * np.eye(2)
+        opacity = a["opacities"][i]
+        if antialiased:
+            opacity = opacity * math.sqrt(np.linalg.det(sharp) / np.linalg.det(cov2d))
         center = np.array([fx * px / pz + cx, fy * py / pz + cy])
-        splats.append((pz, center, np.linalg.inv(cov2d), a["opacities"][i], a["colors"][i]))
+        splats.append((pz, center, np.linalg.inv(cov2d), opacity, a["colors"][i]))
     splats.sort(key=lambda s: s[0])
     image, alphas = np.zeros((height, width, 3)), np.zeros((height, width))
     for row in range(height):
@@ -55,25 +60,27 @@ def loop_oracle(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     return image, alphas
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_reference_equals_loops_over_pixels_and_gaussians(make_scene, seed):
+@pytest.mark.parametrize(("seed", "mode"), [(0, "classic"), (1, "classic"), (2, "antialiased")])
+def test_reference_equals_loops_over_pixels_and_gaussians(make_scene, seed, mode):
     scene = make_scene(seed, 60, 13, 9)
-    image, alphas, _ = rasterize(**scene, backend="torch")
-    expected, expected_alphas = loop_oracle(scene)
+    image, alphas, _ = rasterize(**scene, rasterize_mode=mode, backend="torch")
+    expected, expected_alphas = loop_oracle(scene, antialiased=mode == "antialiased")
     np.testing.assert_allclose(image[0].numpy(), expected, atol=1e-12)
     np.testing.assert_allclose(alphas[0, ..., 0].numpy(), expected_alphas, atol=1e-12)
 
 
-@pytest.mark.parametrize(("sh_degree", "mode"), [(None, "RGB+D"), (3, "RGB+ED")])
-def test_gradients_of_the_reference_equal_finite_differences(make_scene, sh_degree, mode):
+@pytest.mark.parametrize(
+    ("sh_degree", "mode", "aa"), [(None, "RGB+D", "classic"), (3, "RGB+ED", "classic"), (0, "RGB", AA)]
+)
+def test_gradients_of_the_reference_equal_finite_differences(make_scene, sh_degree, mode, aa):
     # eps is far below the depth and threshold gaps of these scenes, so the order stays frozen
     scene = make_scene(5, 3, 5, 4, sh_degree=sh_degree)
     names = ["means", "quats", "scales", "opacities", "colors", "viewmats"]
     background = torch.tensor([0.3, 0.2, 0.1], dtype=torch.float64, requires_grad=True)
 
     def render(*tensors):
-        arguments = {**scene, **dict(zip(names, tensors[:-1], strict=True)), "background": tensors[-1]}
-        image, alpha, _ = rasterize(**arguments, render_mode=mode, backend="torch")
+        arguments = {**scene, **dict(zip(names, tensors[:-1], strict=True)), "backgrounds": tensors[-1]}
+        image, alpha, _ = rasterize(**arguments, render_mode=mode, rasterize_mode=aa, backend="torch")
         return image, alpha
 
     inputs = [scene[name].clone().requires_grad_() for name in names]
@@ -152,3 +159,57 @@ def test_reference_agrees_with_gsplats_own_torch_math(make_scene):
     directions = scene["means"]
     expected = torch.clamp_min(oracle._spherical_harmonics(3, directions, scene["colors"]) + 0.5, 0)
     torch.testing.assert_close(sh_colors(3, directions, scene["colors"]), expected)
+
+
+def test_antialiased_gradients_of_the_kernels_equal_finite_differences_of_the_loops(make_scene):
+    """In a random direction of means, rotations and scales: Gaussians of all sizes about a pixel."""
+    scene = make_scene(5, 6, 7, 6)
+    scene["opacities"], scene["scales"] = 0.6 + 0.3 * scene["opacities"], 0.06 + 0.3 * scene["scales"]
+    weights = torch.randn(6, 7, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    names, step = ("means", "quats", "scales", "opacities"), 1e-6
+    leaves = {name: scene[name].float().requires_grad_() for name in names}
+    as32 = {k: v.float() if isinstance(v, torch.Tensor) else v for k, v in scene.items()}
+    image = rasterize(**{**as32, **leaves}, rasterize_mode=AA, backend="numba")[0]
+    (image[0] * weights).sum().backward()
+    for name in names:
+        way = torch.randn(scene[name].shape, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+        low, high = (
+            (loop_oracle({**scene, name: scene[name] + s * way}, antialiased=True)[0] * weights.numpy()).sum()
+            for s in (-step, step)
+        )
+        expected = (high - low) / (2 * step)
+        assert abs(float((leaves[name].grad * way).sum()) - expected) < 1e-4 * abs(expected) + 1e-4, name
+
+
+@pytest.mark.parametrize("backend", ["torch", "numba"])
+@pytest.mark.parametrize("eps2d", [0.1, 0.3])
+def test_a_compensated_sphere_keeps_its_light_however_small_it_is(backend, eps2d):
+    # the integral of alpha over the image is 2 pi o sqrt(det), dilated or not; classic adds up to eps2d / det to it
+    f, z, o = 200.0, 2.0, 0.9
+    K = torch.tensor([[[f, 0, 15.9], [0, f, 16.2], [0, 0, 1]]])
+    for sigma in (0.6, 1.2):  # pixels
+        _, alpha, _ = rasterize(
+            torch.tensor([[0.0, 0.0, z]]), torch.tensor([[1.0, 0, 0, 0]]), torch.full((1, 3), sigma * z / f),
+            torch.tensor([o]), torch.ones(1, 3), torch.eye(4)[None], K, 32, 32, eps2d=eps2d, rasterize_mode=AA,
+            backend=backend,
+        )  # fmt: skip
+        peak = o * sigma**2 / (sigma**2 + eps2d)
+        variance = sigma**2 + eps2d
+        axes = [(torch.arange(32) + 0.5 - center) ** 2 for center in (15.9, 16.2)]
+        expected = peak * torch.exp(-(axes[1][:, None] + axes[0]) / (2 * variance))
+        torch.testing.assert_close(alpha[0, ..., 0], torch.where(expected >= 1 / 255, expected, 0.0), atol=2e-6, rtol=0)
+        assert abs(float(expected.sum()) / (2 * math.pi * o * sigma**2) - 1) < 0.01
+
+
+@pytest.mark.parametrize("backend", ["torch", "numba"])
+@pytest.mark.parametrize("mode", ["classic", AA])
+def test_what_reaches_no_farther_than_the_clip_is_left_out(make_scene, backend, mode):
+    scene = {k: v.float() if isinstance(v, torch.Tensor) else v for k, v in make_scene(7, 80, 30, 26).items()}
+    radii = rasterize(**scene, rasterize_mode=mode, backend=backend)[2]["radii"][0]
+    for clip in (3, 4):
+        image, _, info = rasterize(**scene, rasterize_mode=mode, radius_clip=float(clip), backend=backend)
+        kept = radii > clip
+        assert 10 < int(kept.sum()) < int((radii > 0).sum())
+        few = {name: scene[name][kept] for name in ("means", "quats", "scales", "opacities", "colors")}
+        torch.testing.assert_close(image, rasterize(**{**scene, **few}, rasterize_mode=mode, backend=backend)[0])
+        assert torch.equal(info["radii"][0], torch.where(kept, radii, 0))
