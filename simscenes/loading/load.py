@@ -11,6 +11,7 @@ from simscenes.loading.complete import check_complete
 from simscenes.loading.contents import objects_in, parameters_in, unique_materials
 from simscenes.loading.digest import content_digest
 from simscenes.loading.meshes import check_faces
+from simscenes.loading.obj_files import completed
 from simscenes.loading.physical import check_parameters, scene_extent
 from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.loading.trial import check_survives
@@ -111,8 +112,12 @@ def _check_plugins(node: dict[str, Any]) -> None:
 
 def _load_xml(path: Path, mi: Any, allow_outside: bool) -> tuple[Any, Any]:
     files = check_xml(path, allow_outside=allow_outside)
-    with nullcontext() if allow_outside else searching_only(files[0].parent, mi):
-        return mi.load_file(str(files[0]), optimize=False), files
+    root = files[0].parent
+    with nullcontext() if allow_outside else searching_only(root, mi), completed(files) as file:
+        try:
+            return mi.load_file(str(file), optimize=False), files
+        except RuntimeError as error:
+            raise RuntimeError(str(error).replace(str(file.parent), str(root))) from error
 
 
 def set_light_weights(loaded: LoadedScene, weights: tuple[float, ...], mi: Any) -> None:
