@@ -11,6 +11,7 @@ from novags.testbed.console import Console
 from novags.testbed.folders.set import warnings_as_notes
 from sensor_model import Plan
 from sensor_model.files.lock import locked
+from sensor_model.files.reading import brief
 from simscenes import EXPORTS, Optics, Rig, load_set
 from simscenes.backend import BACKENDS, COLORS, choose_variant
 from simscenes.camera import camera_color
@@ -63,9 +64,9 @@ class RenderConfig:
             ("export", self.export, EXPORTS),
         ):
             if unknown := [name for name in given if name not in known]:
-                raise ValueError(f"{what} must be among {', '.join(known)}; got {', '.join(unknown)}")
+                raise ValueError(f"{what} must be among {', '.join(known)}; got {brief(', '.join(unknown))}")
         if both := set(self.on) & set(self.off):
-            raise ValueError(f"{', '.join(sorted(both))}: forced on and off at once; name each effect once")
+            raise ValueError(f"{brief(', '.join(sorted(both)))}: forced on and off at once; name each effect once")
 
     def resolved(self) -> dict[str, Any]:
         """What determines the pixels, apart from the content of the scene: neither its path nor further layouts."""
