@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 
 from simscenes.loading.complete import check_complete
 from simscenes.loading.meshes import check_mesh_file
+from simscenes.sets.whole import check_whole
 
 MAX_TEXT = 64 << 20  # characters of all files together, parameters written out
 MAX_INCLUDES = 1000
@@ -21,6 +22,7 @@ MAX_INCLUDE_DEPTH = 15  # Mitsuba's own limit on nested files
 MAX_DEPTH = 128  # of nested elements; Python's recursion over the loaded scene ends not far beyond
 MAX_PARAMETERS = 256
 MAX_OBJECTS = 10**7  # with all references written out: Mitsuba visits each, some million a second
+PICTURES = (".png", ".jpg", ".jpeg", ".exr")
 PATH_TAGS = ("string", "path", "include")  # whose value may be the name of a file
 PLUGIN = re.compile("[A-Za-z0-9_]+")
 DECLARED = re.compile(rb"""\s*<\?xml[^>]*\sencoding\s*=\s*["']([^"']*)""")
@@ -42,7 +44,7 @@ def check_xml(path: Path, *, allow_outside: bool = False) -> tuple[Path, ...]:
     Raises:
         ValueError: If the file is not XML or not UTF-8, declares entities, names a file outside its folder, sets a
             search path, asks for a plugin by a path, comes with plugins, lacks what a plugin needs, names a mesh
-            file that is cut short, or is too large or too deep.
+            or picture file that is cut short, or is too large or too deep.
     """
     path = path.resolve()
     reader = _Reader(path.parent, allow_outside)
@@ -50,6 +52,8 @@ def check_xml(path: Path, *, allow_outside: bool = False) -> tuple[Path, ...]:
     reader.check_references()
     for file in reader.files:
         check_mesh_file(file)
+        if file.suffix.lower() in PICTURES:
+            check_whole(file)
     return tuple(reader.files)
 
 

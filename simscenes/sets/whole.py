@@ -1,24 +1,31 @@
-"""Whether a JPEG or PNG file is there to its end, and can hold what it declares.
+"""Whether a JPEG or PNG file is there to its end, and whether it or an EXR file can hold what it declares.
 
-OpenCV fills what is missing of a JPEG with grey and says nothing, and reserves what a damaged PNG asks for: a chunk of
-two gigabytes in a file of 300 bytes.
+Decoders fill what is missing of a JPEG with grey and say nothing, and reserve what a damaged PNG or EXR file asks for:
+two gigabytes for a file of 300 bytes.
 """
 
 from __future__ import annotations
 
 import re
+import struct
 from pathlib import Path
 
-JPEG, PNG = b"\xff\xd8", b"\x89PNG\r\n\x1a\n"
+JPEG, PNG, EXR = b"\xff\xd8", b"\x89PNG\r\n\x1a\n", b"\x76\x2f\x31\x01"
 EOI = 0xD9
 # In coded data, 0xFF is followed by 0 (a plain 0xFF), a restart marker or more 0xFF; anything else ends it.
 NEXT = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]")
 DEFLATE = 1032  # zlib cannot make data smaller than by this factor
 CHANNELS = {0: 1, 2: 3, 3: 1, 4: 2, 6: 4}  # by the colour type of a PNG
+# What the compressions of EXR, by their number, can shrink pixels by at most; runs of lossy ones only roughly.
+SHRINKS = {0: 1, 1: 64, 2: DEFLATE, 3: DEFLATE, 4: 4 * DEFLATE, 5: 2 * DEFLATE, 6: 16, 7: 16}
+SHRINKS_MOST = 64 * DEFLATE  # all others
+BYTES = {0: 4, 1: 2, 2: 4}  # by the type of an EXR channel
 
 
 def check_whole(file: Path) -> None:
-    """Refuse a JPEG or PNG file that is cut short or declares more than it can hold; other files pass.
+    """Refuse a JPEG or PNG file that is cut short, and a PNG or EXR file that declares more than it can hold.
+
+    Other files pass, and so do those that are damaged in ways that their decoders notice.
 
     Raises:
         ValueError: If it is.
@@ -28,6 +35,8 @@ def check_whole(file: Path) -> None:
     if content.startswith(JPEG) and not _reaches_end(content):
         raise ValueError(f"{file} is cut short: a part of the picture is missing, copy it again")
     if content.startswith(PNG) and (problem := _png_problem(content)):
+        raise ValueError(f"{file} {problem}: copy it again")
+    if content.startswith(EXR) and (problem := _exr_problem(content)):
         raise ValueError(f"{file} {problem}: copy it again")
 
 
@@ -61,3 +70,41 @@ def _png_problem(content: bytes) -> str:
         if height * row > DEFLATE * packed:
             return f"declares {width} x {height} pixels, more than its {len(content)} bytes can hold"
     return ""
+
+
+def _exr_problem(content: bytes) -> str:
+    """What is wrong with the size of the first picture of an EXR file; "" if nothing is, or its header is damaged."""
+    try:
+        header = _exr_header(content)
+        left, top, right, bottom = struct.unpack("<4i", header[b"dataWindow"])
+        shrinks = SHRINKS.get(header[b"compression"][0], SHRINKS_MOST)
+        each = _exr_pixel_bytes(header[b"channels"])
+    except (ValueError, KeyError, IndexError, struct.error):
+        return ""
+    width, height = right - left + 1, bottom - top + 1
+    if width > 0 and height > 0 and width * height * each > shrinks * len(content):
+        return f"declares {width} x {height} pixels, more than its {len(content)} bytes can hold"
+    return ""
+
+
+def _exr_header(content: bytes) -> dict[bytes, bytes]:
+    """The attributes of the first part: name, type, length and value each, an empty name after the last one."""
+    found, at = {}, len(EXR) + 4
+    while content[at]:
+        name = content[at : content.index(b"\0", at)]
+        at = content.index(b"\0", at + len(name) + 1) + 1
+        (length,) = struct.unpack_from("<I", content, at)
+        found[name] = content[at + 4 : at + 4 + length]
+        at += 4 + length
+    return found
+
+
+def _exr_pixel_bytes(channels: bytes) -> float:
+    """Bytes of a pixel: of each channel a name, its type, four bytes, and its distances in x and y."""
+    total, at = 0.0, 0
+    while channels[at]:
+        at = channels.index(b"\0", at) + 1
+        kind, _, x, y = struct.unpack_from("<iIii", channels, at)
+        total += BYTES[kind] / max(x * y, 1)
+        at += 16
+    return total

@@ -1,13 +1,17 @@
 """Scene files nobody vouches for: nothing outside their folder is read or run, and checking them always ends."""
 
 import shutil
+import struct
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 
 from simscenes.backend import activate
 from simscenes.loading.load import build_scene
 from simscenes.loading.untrusted import check_xml
+from simscenes.sets.exr import write_exr
 
 BALL = '<shape type="sphere" id="ball">{}</shape>'
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
@@ -187,3 +191,21 @@ def test_references_cannot_multiply_without_end(folder: Path) -> None:
 def test_objects_that_hold_each_other_are_refused(folder: Path) -> None:
     pair = '<bsdf type="twosided" id="a"><ref id="b"/></bsdf><bsdf type="twosided" id="b"><ref id="a"/></bsdf>'
     refused(write(folder / "scene.xml", wrapped(pair + BALL.format('<ref id="a"/>'))), "circle")
+
+
+def test_a_texture_that_is_cut_short_or_declares_too_much_is_refused_unread(tmp_path: Path) -> None:
+    """Mitsuba fills what is missing of a JPEG with grey, and reserves what an EXR file declares."""
+    scene = '<scene version="3.0.0"><texture type="bitmap"><string name="filename" value="{}"/></texture></scene>'
+    picture = np.random.default_rng(0).integers(0, 255, (16, 16, 3), np.uint8)
+    cv2.imwrite(str(tmp_path / "a.jpg"), picture)
+    write_exr(tmp_path / "a.exr", {c: np.zeros((4, 8), np.float32) for c in "RGB"})
+    cut = (tmp_path / "a.jpg").read_bytes()[:-40]
+    large = (
+        (tmp_path / "a.exr").read_bytes().replace(struct.pack("<4i", 0, 0, 7, 3), struct.pack("<4i", 0, 0, 10**8, 3))
+    )
+    for name, content, reason in (("a.jpg", cut, "cut short"), ("a.exr", large, "declares 100000001 x 4 pixels")):
+        (tmp_path / "scene.xml").write_text(scene.format(name))
+        check_xml(tmp_path / "scene.xml")
+        (tmp_path / name).write_bytes(content)
+        with pytest.raises(ValueError, match=f"{name} .*{reason}"):
+            check_xml(tmp_path / "scene.xml")

@@ -2,11 +2,13 @@
 
 import io
 import struct
+import tempfile
 import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import OpenEXR
 import pytest
 from PIL import Image
 
@@ -95,3 +97,36 @@ def test_every_cut_of_a_png_is_refused_and_so_is_a_chunk_beyond_the_end(tmp_path
 def test_other_files_are_others_business(tmp_path: Path) -> None:
     (tmp_path / "a.jpg").write_bytes(b"GIF89a")
     check_whole(tmp_path / "a.jpg")
+
+
+def exr(compression: Any, width: int = 2000, height: int = 500) -> bytes:
+    """A picture that compresses best: all black."""
+    out = Path(tempfile.mkdtemp()) / "a.exr"
+    pixels = {"R": np.zeros((height, width), np.float16), "id": np.zeros((height, width), np.uint32)}
+    with OpenEXR.File({"compression": compression, "type": OpenEXR.scanlineimage}, pixels) as file:
+        file.write(str(out))
+    return out.read_bytes()
+
+
+COMPRESSIONS = [name for name in dir(OpenEXR) if name.endswith("_COMPRESSION") and not name.startswith("NUM")]
+
+
+@pytest.mark.parametrize("name", COMPRESSIONS)
+def test_an_exr_file_may_declare_what_its_compression_can_hold_and_not_a_thousand_times_more(
+    name: str, tmp_path: Path
+) -> None:
+    content, file = exr(getattr(OpenEXR, name)), tmp_path / "a.exr"
+    file.write_bytes(content)
+    check_whole(file)
+    window = struct.pack("<4i", 0, 0, 1999, 499)
+    at = content.index(window)  # the data window, which comes before the display window
+    file.write_bytes(content[:at] + struct.pack("<4i", -(10**9), -(10**9), 10**9, 10**9) + content[at + 16 :])
+    with pytest.raises(ValueError, match=r"a.exr declares 2000000001 x 2000000001 pixels"):
+        check_whole(file)
+
+
+def test_a_damaged_exr_header_is_left_to_the_decoder(tmp_path: Path) -> None:
+    content, file = exr(OpenEXR.ZIP_COMPRESSION), tmp_path / "a.exr"
+    for length in range(4, content.index(b"scanlineimage"), 3):
+        file.write_bytes(content[:length])
+        check_whole(file)

@@ -25,6 +25,7 @@ from simscenes.sets.tracks import SparsePoints
 MODEL = tuple(f"{part}.{suffix}" for part in ("cameras", "images", "points3D") for suffix in ("bin", "txt"))
 READ_FROM = ("set.json", "capture.json", "transforms.json", "nb-info.json", "sparse", "sparse/0", "gt", *MODEL)
 
+EXPOSURES = 1e30  # more would make NaN of a black pixel in float32
 NOISE = 0.01  # of a photograph's bright light: values further below 0 are not noise
 
 
@@ -92,14 +93,25 @@ class Source:
         return self._fit(radiance)
 
     def lit(self, i: int) -> np.ndarray:
-        """The well-lit image of view `i`: the set's own, or the photograph itself."""
+        """The well-lit image of view `i`: the set's own, or the photograph itself.
+
+        Raises:
+            ValueError: If the picture cannot be read, or the set's exposure is out of range.
+        """
         if not self.scaled:
             return self.views.image(i).astype(np.float32) / 255
         exposure = float(self.views.meta.get("exposure_scale", 1.0))
+        if not 0 < exposure <= EXPOSURES:
+            raise ValueError(
+                f"exposure_scale of {self.views.path} must be > 0 and at most {EXPOSURES:g}, got {exposure:g}: "
+                "render the set again"
+            )
         light = self.radiance(i)
         if self.filters is not None:  # back through the matrix, as the set's own images were made
             light = np.asarray((light * self.response) @ np.linalg.inv(self.filters).T, np.float32)
-        return linear_to_srgb(np.clip(light * exposure, 0.0, 1.0)).astype(np.float32)
+        with np.errstate(over="ignore"):  # beyond float32 is white
+            shown = light * np.float32(exposure)
+        return linear_to_srgb(np.clip(shown, 0.0, 1.0)).astype(np.float32)
 
     def points(self) -> SparsePoints | None:
         """The set's sparse points with their tracks through the pictures of this size; tested ones where it has none.

@@ -208,6 +208,16 @@ def test_colour_filters_that_no_camera_has_are_refused(row: list[float], tmp_pat
         _ = Source(views, None, QUIET).response
 
 
+@pytest.mark.parametrize("exposure", [0.0, -1.0, 1e31, 1e308, float("nan")])
+def test_an_exposure_of_the_set_that_would_make_pictures_black_or_nan_is_refused(
+    exposure: float, tmp_path: Path
+) -> None:
+    size = SimpleNamespace(width=4, height=4), SimpleNamespace(width=2, height=2)
+    views = SimpleNamespace(meta={"exposure_scale": exposure}, path=tmp_path, rig=size[0])
+    with pytest.raises(ValueError, match=r"exposure_scale of .* must be > 0 and at most 1e\+30, got"):
+        Source(views, size[1], QUIET).lit(0)
+
+
 @pytest.mark.parametrize("max_size", [None, 32])
 def test_a_capture_has_the_tracks_and_errors_of_its_set(tmp_path: Path, max_size: int | None) -> None:
     """A point that a view does not see (hidden, or not matched) stays unseen in the capture's COLMAP model."""
