@@ -18,11 +18,12 @@ def score(run: Folder, *, wait: bool = False) -> None:
     with writing(run, wait, make=False) as console:
         scores = score_all(run, console)
     for name, mean in scores.items():
-        lit = mean["lit"]
-        against = f"well lit {_decibels(lit['tone_aligned_psnr'])} (tone-aligned PSNR)"
-        if "enhanced" in mean:
-            against = f"noise-free exposure {_decibels(mean['enhanced']['aligned_psnr'])} (aligned PSNR), {against}"
-        print(f"{name}: {against}")
+        found = []
+        if mean.get("enhanced"):
+            found.append(f"noise-free exposure {_decibels(mean['enhanced']['aligned_psnr'])} (aligned PSNR)")
+        if mean["lit"]:
+            found.append(f"well lit {_decibels(mean['lit']['tone_aligned_psnr'])} (tone-aligned PSNR)")
+        print(f"{name}: {', '.join(found) or 'there is no truth to compare with (see unavailable in metrics.json)'}")
     next_(f"novags report {run}")
 
 

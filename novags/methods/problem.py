@@ -17,6 +17,10 @@ Pictures = Literal["8bit", "16bit"]
 Result = TypeVar("Result")
 
 
+class LacksInput(ValueError):
+    """A method needs what a capture does not have; another method may do without."""
+
+
 class Start(Protocol):
     """Initial points of the scene; any object with these attributes will do, such as a `cameras.CameraEstimate`."""
 
@@ -100,12 +104,12 @@ class Problem:
         """The dark pictures, sRGB-encoded, [C, H, W, 3] in 0..1: the 8-bit ones, or the linear ones encoded.
 
         Raises:
-            ValueError: If there are no 16-bit pictures.
+            LacksInput: If there are no 16-bit pictures.
         """
         if pictures == "8bit":
             return self.srgb8
         if self.linear16 is None:
-            raise ValueError("pictures = 16bit needs the 16-bit linear pictures, and this capture has none: use 8bit")
+            raise LacksInput("pictures = 16bit needs the 16-bit linear pictures, and this capture has none: use 8bit")
         linear = self.linear16.cpu().numpy()
         return torch.from_numpy(encode(linear)).to(self.linear16)
 

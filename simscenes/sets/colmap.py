@@ -29,16 +29,26 @@ def read_colmap(folder: Path, model: Path) -> Photographs:
         ValueError: If the model cannot be read, a lens is not a pinhole with OpenCV distortion, no image exists, or
             sizes differ.
     """
+    entries = [(find_file(folder / "images", name), viewmat, camera) for name, viewmat, camera in colmap_views(model)]
+    return collect(entries, model, lambda c, w, h: colmap_lens(c, w, h, model))
+
+
+def colmap_views(model: Path) -> list[tuple[str, NDArray[np.float64], Any]]:
+    """File name, world-to-camera [4,4] and camera of each image of a COLMAP model that has a pose.
+
+    Raises:
+        ValueError: If the model cannot be read, or a pose is of no usable size.
+    """
     reconstruction, names = read_reconstruction(model)
-    entries: list[tuple[Path | None, NDArray[np.float64], Any]] = []
+    found = []
     for image in reconstruction.images.values():
         if not image.has_pose:
             continue
         viewmat = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
         name = names[image.image_id]
         check_pose(viewmat, f"{model}: the pose of {name}")
-        entries.append((find_file(folder / "images", name), viewmat, reconstruction.cameras[image.camera_id]))
-    return collect(entries, model, lambda c, w, h: _colmap_lens(c, w, h, model))
+        found.append((name, viewmat, reconstruction.cameras[image.camera_id]))
+    return found
 
 
 def read_points(folder: Path, model: Path, files: Sequence[Path], rig: Rig) -> SparsePoints | None:
@@ -96,7 +106,12 @@ def read_reconstruction(model: Path) -> tuple[Any, dict[int, str]]:
         raise ValueError(f"load_set: {model} is not a readable COLMAP model ({error})") from error
 
 
-def _colmap_lens(camera: Any, width: int, height: int, source: Path) -> DistortedPinhole:
+def colmap_lens(camera: Any, width: int, height: int, source: Path) -> DistortedPinhole:
+    """Intrinsics and distortion of a COLMAP camera for images of this size.
+
+    Raises:
+        ValueError: If it is not a pinhole with OpenCV distortion, or images have another shape.
+    """
     names = [n.strip() for n in camera.params_info.split(",")]
     params = {n: float(p) for n, p in zip(names, camera.params, strict=True)}
     # COLMAP calls the radial terms of its one- and two-parameter models k, or k1 and k2.

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from novags.methods.enhancers import guided
 from novags.methods.memo import Memo
-from novags.methods.problem import Pictures, Problem
+from novags.methods.problem import LacksInput, Pictures, Problem
 from sensor_model.files.reading import brief
 
 
@@ -64,17 +64,17 @@ def enhanced(problem: Problem, config: EnhancerConfig, pictures: Pictures) -> Te
     """The enhanced pictures of a problem [C, H, W, 3]; made once for all methods that share them."""
     dark = problem.encoded(pictures)
     views = zip(problem.names, dark, strict=True)
-    return torch.stack([_enhanced_view(problem.shared, name, view, config, pictures)[0] for name, view in views])
+    return torch.stack([enhanced_view(problem.shared, name, view, config, pictures)[0] for name, view in views])
 
 
 def enhanced_clean(problem: Problem, config: EnhancerConfig, pictures: Pictures) -> Tensor:
     """The noise-free exposures, enhanced exactly as their noisy twins [C, H, W, 3].
 
     Raises:
-        ValueError: If the problem has no noise-free exposures.
+        LacksInput: If the problem has no noise-free exposures.
     """
     if problem.clean is None:
-        raise ValueError("this method needs the noise-free exposures (Problem.clean), and this capture has none")
+        raise LacksInput("this method needs the noise-free exposures (Problem.clean), and this capture has none")
     dark, clean = problem.encoded(pictures), problem.clean
     found = []
     for i, name in enumerate(problem.names):
@@ -95,14 +95,15 @@ def enhanced_twins(
         config: Of the enhancer.
         pictures: Which pictures `dark` is one of.
     """
-    noisy, params = _enhanced_view(shared, name, dark, config, pictures)
+    noisy, params = enhanced_view(shared, name, dark, config, pictures)
     key = ("enhanced clean", name, pictures, config)
     return noisy, shared.once(key, lambda: _enhance(clean, config, params)[0])
 
 
-def _enhanced_view(
+def enhanced_view(
     shared: Memo, name: str, dark: Tensor, config: EnhancerConfig, pictures: Pictures
 ) -> tuple[Tensor, Any]:
+    """One view enhanced [H, W, 3], and the parameters of its enhancement; arguments as for `enhanced_twins`."""
     return shared.once(("enhanced", name, pictures, config), lambda: _enhance(dark, config, None))
 
 

@@ -5,20 +5,23 @@ raw/NNNN.dng          the sensor's digital numbers
 images16/NNNN.png     linear RGB, 16-bit            images/NNNN.png    sRGB, 8-bit
 truth/NNNN.exr        digital numbers: analytic mean and variance, noise-free (clean), saturation
 transforms.json ...   the cameras, as in a multiview set
+
+A capture that was imported (`folders.imported`) has of these what its photographs have.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from novags.methods.memo import Memo
-from novags.methods.problem import Pictures, encode
+from novags.methods.noise import Noise, camera_noise
+from novags.methods.problem import LacksInput, Pictures, encode
 from novags.testbed.cache import folder_digest, read_json
 from novags.testbed.console import Console
-from novags.testbed.folders import shapes
+from novags.testbed.folders import imported, shapes
 from novags.testbed.folders.raw_files import read_digital_numbers
 from novags.testbed.folders.set import Source, open_source
 from sensor_model import (
@@ -29,6 +32,7 @@ from sensor_model import (
     develop_linear,
     from_linear16,
     sensor_from_dict,
+    srgb_to_linear,
     write_dng,
 )
 from sensor_model.files.reading import reading
@@ -40,7 +44,7 @@ from simscenes.sets.png import read_codes, read_png, write_png
 
 RECORD = "capture.json"
 LARGEST = 1e6  # in a colour matrix, whose entries are of order 1: far larger ones overflow the float32 of pictures
-OWNS = (RECORD, "raw", "images16", "images", "truth", *CAMERA_FILES)
+OWNS = (RECORD, "raw", "images16", "images", "truth", "lit", *CAMERA_FILES)
 
 
 def has_view(folder: Path, name: str) -> bool:
@@ -88,7 +92,7 @@ class Capture:
     path: Path
     record: dict[str, Any]
     cameras: MultiviewSet
-    sensor: Sensor
+    sensor: Sensor | None  # None: of imported photographs whose camera is not known
     content: str  # hash of all that the capture stage wrote, as it was when this was opened
     memo: Memo = field(default_factory=Memo, repr=False, compare=False)  # what was read and computed from it so far
 
@@ -97,33 +101,70 @@ class Capture:
         """File stems in sorted order."""
         return self.cameras.names
 
+    @property
+    def imported(self) -> bool:
+        """Whether it is photographs from elsewhere, not simulated exposures."""
+        return imported.is_imported(self.record)
+
+    def holds(self, part: str) -> bool:
+        """Whether it has "images16", "raw", "truth" (the noise-free exposure) or, in the folder itself, "lit"."""
+        return part in self.record["parts"] if self.imported else part != "lit"
+
+    def _need(self, part: str) -> None:
+        if not self.holds(part):
+            raise LacksInput(f"{self.path}: {imported.MISSING[part]}")
+
     def srgb8(self, i: int) -> np.ndarray:
         """The 8-bit picture, sRGB-encoded float32 [h,w,3] in 0..1."""
         return self.memo.once(("srgb8", i), lambda: self._read(read_png, "images", i, ".png"))
 
     def linear16(self, i: int) -> np.ndarray:
-        """The 16-bit picture, linear float32 [h,w,3], 0 = black, 1 = white; noise around black stays below 0."""
+        """The 16-bit picture, linear float32 [h,w,3], 0 = black, 1 = white; noise around black stays below 0.
+
+        Raises:
+            LacksInput: If there are none.
+        """
+        self._need("images16")
         return self.memo.once(
             ("linear16", i), lambda: from_linear16(self._read(read_codes, "images16", i, ".png")).astype(np.float32)
         )
 
     def raw(self, i: int) -> np.ndarray:
-        """Digital numbers of the sensor, uint16 [h,w], or [h,w,3] of three chips."""
+        """Digital numbers of the sensor, uint16 [h,w], or [h,w,3] of three chips.
+
+        Raises:
+            LacksInput: If there are none.
+        """
+        self._need("raw")
         return self._read(read_digital_numbers, "raw", i, ".dng")
 
     def dark(self, i: int, pictures: Pictures) -> np.ndarray:
         """The dark exposure, sRGB-encoded float32 [h,w,3] in 0..1: the 8-bit picture, or the linear one encoded."""
         return self.srgb8(i) if pictures == "8bit" else encode(self.linear16(i))
 
+    def linear(self, i: int) -> np.ndarray:
+        """The dark exposure in linear light, float32 [h,w,3]: the 16-bit picture, else the 8-bit one decoded."""
+        return self.linear16(i) if self.holds("images16") else np.asarray(srgb_to_linear(self.srgb8(i)))
+
     def clean(self, i: int) -> np.ndarray:
         """The same exposure without noise, fixed pattern or rounding, developed alike; sRGB-encoded float32 [h,w,3]."""
         return encode(self.clean_linear(i))
 
     def clean_linear(self, i: int) -> np.ndarray:
-        """The noise-free exposure in linear light, float32 [h,w,3], in the unit of `linear16`."""
+        """The noise-free exposure in linear light, float32 [h,w,3], in the unit of `linear16`.
+
+        Of imported photographs: the clean long exposure, brought to the light of the dark ones by one factor.
+
+        Raises:
+            LacksInput: If it is not known.
+        """
+        self._need("truth")
         return self.memo.once(("clean linear", i), lambda: self._developed_clean(i))
 
     def _developed_clean(self, i: int) -> np.ndarray:
+        if self.imported:
+            return self._read(imported.read_clean, "truth", i, ".exr")
+        assert self.sensor is not None
         dn = self._read(_clean_dn, "truth", i, ".exr")
         matrix = self.record["color_matrix"]
         return develop_linear(dn, self.sensor, demosaic=self.record["demosaic"], color_matrix=matrix)
@@ -145,6 +186,9 @@ class Capture:
     @property
     def channels_share(self) -> tuple[str, ...]:
         """Why the noise of a pixel's three channels is not independent; empty where it is."""
+        if self.imported:
+            return imported.channels_share(self.record)
+        assert self.sensor is not None
         reasons = {
             "demosaicing": self.sensor.cfa is not None,
             "a colour matrix": self.record["color_matrix"] is not None,
@@ -152,12 +196,32 @@ class Capture:
         }
         return tuple(reason for reason, holds in reasons.items() if holds)
 
+    @property
+    def levels(self) -> tuple[str | None, float, float]:
+        """Of the raw frames: colour filter array (None: three chips), DN without light, DN of saturation."""
+        if self.imported:
+            raw = self.record["raw"]
+            return raw["cfa"], float(raw["black"]), float(raw["white"])
+        assert self.sensor is not None
+        return self.sensor.cfa, float(self.sensor.black_level), self.sensor.white_dn
+
+    @property
+    def noise(self) -> Noise | None:
+        """The noise of the camera; None where it is not known, or where pixels were averaged after the exposure."""
+        if self.sensor is None or self.record.get("resampled") is not None:
+            return None
+        return camera_noise(
+            self.sensor, self.exposure, demosaic=self.record["demosaic"], color_matrix=self.record["color_matrix"]
+        )
+
     def source(self, console: Console) -> Source:
-        """The set this capture was made from.
+        """The set this capture was made from; of imported photographs what they themselves and their lit twins tell.
 
         Raises:
             ValueError: If the set is no longer where it was, or no longer what it was.
         """
+        if self.imported:
+            return self._twins(console)
         made_of = self.record["set"]
         path = (self.path / made_of["path"]).resolve()
         if not path.is_dir():
@@ -169,6 +233,13 @@ class Capture:
         if source.digest() != self.record["stage"]["inputs"]["set"]:
             raise ValueError(f"{path} has changed since {self.path} was made from it: put it back or capture again")
         return source
+
+    def _twins(self, console: Console) -> Source:
+        lit = self.holds("lit")
+        kind = "lit" if lit else "images"
+        files = tuple(self.path / kind / f"{name}.png" for name in self.names)
+        views = replace(self.cameras, files=files, meta={"scene": self.record["scene"]}, kind="photographs")
+        return Source(views=views, rig=self.cameras.rig, console=console, lit_known=lit)
 
 
 def _clean_dn(path: Path) -> np.ndarray:
@@ -200,13 +271,15 @@ def open_capture(path: Path) -> Capture:
         raise ValueError(
             f"{path} holds no {RECORD}: it is not a capture, or an unfinished one (run novags capture again)"
         )
-    record = read_json(path / RECORD, shapes.CAPTURE)
+    record = read_json(path / RECORD)
+    foreign = imported.is_imported(record)
+    record = imported.check_record(path / RECORD) if foreign else read_json(path / RECORD, shapes.CAPTURE)
     largest = np.abs(record["color_matrix"] or 0.0).max()
     if largest > LARGEST:
         raise ValueError(f"{path / RECORD}: color_matrix must hold numbers up to {LARGEST:g}, got {largest:g}: capture "
                          "again")  # fmt: skip
     with reading(path / RECORD, "capture again"):
-        sensor, _ = sensor_from_dict(record["sensor"]), exposure_of(record)
+        sensor, _ = None if record["sensor"] is None else sensor_from_dict(record["sensor"]), exposure_of(record)
         if record["demosaic"] not in DEMOSAIC:
             raise ValueError(f"demosaic must be one of {', '.join(DEMOSAIC)}, got {record['demosaic']!r}")
     known, content = _OPENED.get(path.resolve()), folder_digest(path, OWNS)

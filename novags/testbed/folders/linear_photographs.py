@@ -1,9 +1,10 @@
-"""Posed photographs whose files hold linear light: camera raw files or OpenEXR images, listed in a transforms.json.
+"""Posed photographs whose files hold linear light: camera raw files or OpenEXR images beside their cameras.
 
 Readers of 8-bit photographs are in `simscenes.sets.multiview`; this one takes the same camera file and gives the same
 kind of set, one file in memory at a time.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,9 +15,10 @@ from novags.testbed.folders import raw_files
 from sensor_model import to_srgb8
 from sensor_model.files.reading import reading
 from simscenes.rigs import Rig, opengl_to_opencv
+from simscenes.sets.colmap import colmap_lens, colmap_views, find_colmap
 from simscenes.sets.exr import read_exr
 from simscenes.sets.multiview import MultiviewSet
-from simscenes.sets.photographs import find_file, listed, transforms_frames, transforms_lens
+from simscenes.sets.photographs import DistortedPinhole, find_file, listed, transforms_frames, transforms_lens
 
 SUFFIXES = (".exr", *raw_files.SUFFIXES)
 WHITE_QUANTILE = 0.99  # of an EXR image's light, whose unit is unknown, becomes white in its 8-bit picture
@@ -28,7 +30,7 @@ class LinearPhotographs(MultiviewSet):
 
     def radiance(self, i: int) -> np.ndarray:
         """Linear RGB of view `i`, float32 [h,w,3], undistorted."""
-        light = _middle(read_linear(self.files[i]), self.rig.height, self.rig.width)
+        light = middle(read_linear(self.files[i]), self.rig.height, self.rig.width)
         return light if self.lenses is None else self.lenses[i].undistort(light, self.rig.Ks[i])
 
     def image(self, i: int) -> np.ndarray:
@@ -37,31 +39,28 @@ class LinearPhotographs(MultiviewSet):
 
 
 def load_linear_set(folder: Path) -> LinearPhotographs | None:
-    """The set, or None if the folder has no transforms.json that lists linear files.
+    """The set, or None if neither transforms.json nor a COLMAP model lists linear files, or pictures that are gone and
+    have linear files of the same stem in images/, raw/ or the folder itself.
 
     Raises:
         ValueError: If the camera file is not valid, linear and other files are mixed, all are missing, or their sizes
             differ. Listed files that are
             missing are skipped and counted in one warning, as `load_set` does.
     """
-    source = folder / "transforms.json"
-    frames = transforms_frames(source) if source.is_file() else []
-    linear = [Path(frame.file_path).suffix.lower() in SUFFIXES for frame in frames]
-    if not any(linear):
+    model = _model(folder)
+    if model is None:
         return None
-    if not all(linear):
-        raise ValueError(f"{source} must list either linear files ({', '.join(SUFFIXES)}) or others, not both")
-    found = listed([(find_file(folder, f.file_path), opengl_to_opencv(f.pose), f.camera) for f in frames], source)
+    found = listed(model.entries, model.source)
     entries = list(found.values())
     files = tuple(entry.file for entry in entries)
     sizes = {_size(file) for file in files}
     if len(sizes) > 1:
-        raise ValueError(f"the images of {source} must share one size, got {sorted(sizes)}")
+        raise ValueError(f"the images of {model.source} must share one size, got {sorted(sizes)}")
     width, height = sizes.pop()
     if raw_files.is_raw(files[0]):
-        width, height = _without_margins((width, height), frames[0].camera)
-    with reading(source):
-        lenses = tuple(transforms_lens(entry.camera, width, height, source) for entry in entries)
+        width, height = _without_margins((width, height), model.size(entries[0].camera))
+    with reading(model.source):
+        lenses = tuple(model.lens(entry.camera, width, height) for entry in entries)
         rig = Rig(
             viewmats=np.stack([entry.viewmat for entry in entries]),
             Ks=np.stack([lens.pinhole(width, height) for lens in lenses]),
@@ -77,6 +76,71 @@ def load_linear_set(folder: Path) -> LinearPhotographs | None:
         files=files,
         lenses=lenses if any(any(lens.distortion) for lens in lenses) else None,
     )
+
+
+@dataclass(frozen=True)
+class _Model:
+    """The cameras of a folder and their linear files, from whichever camera file it has."""
+
+    source: Path
+    entries: list[tuple[Path | None, np.ndarray, Any]]
+    size: Callable[[Any], tuple[int | None, int | None]]  # that a camera states, px
+    lens: Callable[[Any, int, int], DistortedPinhole]
+
+
+def _model(folder: Path) -> _Model | None:
+    """The cameras of linear files; None where the folder is for `load_set`."""
+    if (source := folder / "transforms.json").is_file():
+        return _of_transforms(folder, source)
+    model = find_colmap(folder)
+    return _of_colmap(folder, model) if model is not None and _has_linear(folder) else None
+
+
+def _of_transforms(folder: Path, source: Path) -> _Model | None:
+    frames = transforms_frames(source)
+    files = _linear_files(folder, folder, [frame.file_path for frame in frames], source)
+    if files is None:
+        return None
+    entries = [(f, opengl_to_opencv(frame.pose), frame.camera) for f, frame in zip(files, frames, strict=True)]
+    return _Model(source, entries, lambda c: (c.get("w"), c.get("h")), lambda c, w, h: transforms_lens(c, w, h, source))
+
+
+def _of_colmap(folder: Path, model: Path) -> _Model | None:
+    views = colmap_views(model)
+    files = _linear_files(folder, folder / "images", [name for name, _, _ in views], model)
+    if files is None:
+        return None
+    entries = [(file, viewmat, camera) for file, (_, viewmat, camera) in zip(files, views, strict=True)]
+    return _Model(model, entries, lambda c: (c.width, c.height), lambda c, w, h: colmap_lens(c, w, h, model))
+
+
+def _has_linear(folder: Path) -> bool:
+    """Whether it is worth while to read the model, which `load_set` reads again: a large one takes seconds."""
+    files = (file for part in ("images", "raw") for file in (folder / part).rglob("*"))
+    return any(file.suffix.lower() in SUFFIXES for file in (*folder.iterdir(), *files))
+
+
+def _linear_files(folder: Path, images: Path, names: list[str], source: Path) -> list[Path | None] | None:
+    """The linear file of each listed one; None if there are none."""
+    linear = [Path(name).suffix.lower() in SUFFIXES for name in names]
+    found = [find_file(images, name) for name in names]
+    if any(linear):
+        if not all(linear):
+            raise ValueError(f"{source} must list either linear files ({', '.join(SUFFIXES)}) or others, not both")
+        return found
+    if any(found):
+        return None
+    beside = [find_linear(folder, name) for name in names]
+    return beside if any(beside) else None
+
+
+def find_linear(folder: Path, name: str, places: tuple[str, ...] = ("images", "raw", "."),
+                suffixes: tuple[str, ...] = SUFFIXES) -> Path | None:  # fmt: skip
+    """The linear file that belongs to a picture that a camera file lists: of the same stem."""
+    below = Path(name).parts[1:] if Path(name).parts[:1] == ("images",) else Path(name).parts
+    stem = Path(*below).with_suffix("") if below else Path(name)
+    tried = (folder / place / f"{stem}{form}" for place in places for s in suffixes for form in (s, s.upper()))
+    return next((path for path in tried if path.is_file()), None)
 
 
 def read_linear(file: Path) -> np.ndarray:
@@ -106,14 +170,19 @@ def _size(file: Path) -> tuple[int, int]:
     return int(high[0] - low[0] + 1), int(high[1] - low[1] + 1)
 
 
-def _without_margins(size: tuple[int, int], camera: dict[str, Any]) -> tuple[int, int]:
+def _without_margins(size: tuple[int, int], stated: tuple[float | None, float | None]) -> tuple[int, int]:
     """Raw files show some pixels around the camera's own pictures, from which poses are usually estimated."""
-    stated = int(camera.get("w", size[0])), int(camera.get("h", size[1]))
-    margins = all(0.95 * whole <= part <= whole for whole, part in zip(size, stated, strict=True))
-    return stated if margins else size
+    width, height = (whole if part is None else int(part) for whole, part in zip(size, stated, strict=True))
+    return (width, height) if within_margins(size, (width, height)) else size
 
 
-def _middle(light: np.ndarray, height: int, width: int) -> np.ndarray:
+def within_margins(whole: tuple[int, int], part: tuple[int, int]) -> bool:
+    """Whether a picture of size `part` can be the middle of a raw frame of size `whole`."""
+    return all(0.95 * outer <= inner <= outer for outer, inner in zip(whole, part, strict=True))
+
+
+def middle(light: np.ndarray, height: int, width: int) -> np.ndarray:
+    """The central part of an image [h,w,...]."""
     y, x = (light.shape[0] - height) // 2, (light.shape[1] - width) // 2
     return light[y : y + height, x : x + width]
 

@@ -12,6 +12,7 @@ from sensor_model.files.dng import SMALLEST
 from sensor_model.params import CFAS, Cfa
 
 SUFFIXES = (".dng", ".nef", ".nrw", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw")
+IDENTITY = 1e-3  # files keep matrices as float32 and short fractions; the eye sees nothing of it
 
 
 def is_raw(path: Path) -> bool:
@@ -42,6 +43,67 @@ def read_mosaic(path: Path) -> Mosaic:
         shutter = raw.other.shutter_speed if hasattr(raw, "other") else 0.0
         time = float(f"{shutter:.6g}") if shutter > 0 else None  # LibRaw keeps it in float32
         return Mosaic(np.array(dn), _pattern(raw, path), time, int(raw.white_level).bit_length())
+
+
+@dataclass(frozen=True)
+class RawFormat:
+    """What a raw file says about its codes and colours."""
+
+    shape: tuple[int, ...]  # [h,w] of a mosaic, [h,w,3] of three chips
+    cfa: Cfa | None  # None: every pixel has all three channels
+    black: tuple[float, ...]  # DN, of each place in the 2 x 2 cell, row by row; of three chips, of each channel
+    white: float  # DN
+    response: tuple[float, float, float]  # of the camera's channels to what the camera took for white, green = 1
+    color_matrix: np.ndarray | None  # [3,3], white-balanced camera RGB -> linear sRGB; None: they are the same
+    time: float | None  # s
+
+
+def read_format(path: Path) -> RawFormat:
+    """Levels, colour filters, white balance and colour matrix of a raw file.
+
+    Raises:
+        ValueError: If the file cannot be read, is monochrome, is neither a Bayer mosaic nor three full channels, or
+            states levels or colours that no camera has.
+    """
+    with _opened(path) as raw:
+        codes = raw.raw_image_visible
+        if raw.num_colors == 1:
+            raise ValueError(f"{path} is monochrome; only colour raw files can be imported: convert it to 16-bit PNG")
+        blacks, mosaic = raw.black_level_per_channel, codes.ndim == 2
+        places = np.ravel(raw.raw_colors_visible[:2, :2]) if mosaic else range(3)
+        black, white = tuple(float(blacks[k]) for k in places), float(raw.white_level)
+        if not 0 <= max(black) < white <= 65535:
+            raise ValueError(f"{path} states black levels {black} and the white level {white:g}: they must be rising")
+        shutter = raw.other.shutter_speed if hasattr(raw, "other") else 0.0
+        return RawFormat(
+            shape=codes.shape if mosaic else (*codes.shape[:2], 3),
+            cfa=_pattern(raw, path) if mosaic else None,
+            black=black,
+            white=white,
+            response=_response(raw, path),
+            color_matrix=_color_matrix(raw, path),
+            time=float(f"{shutter:.6g}") if shutter > 0 else None,
+        )
+
+
+def _response(raw: Any, path: Path) -> tuple[float, float, float]:
+    """The inverse of the factors that balance white: those of the exposure, else of daylight, else equal ones."""
+    for found in (raw.camera_whitebalance, raw.daylight_whitebalance):
+        red, green, blue = (float(f"{v:.6g}") for v in found[:3])  # LibRaw keeps them in float32
+        if min(red, green, blue) > 0:
+            if not all(1e-2 <= other / green <= 1e2 for other in (red, blue)):
+                raise ValueError(f"{path} states the white balance {red:g}, {green:g}, {blue:g}: no light needs that")
+            return green / red, 1.0, green / blue
+    return 1.0, 1.0, 1.0
+
+
+def _color_matrix(raw: Any, path: Path) -> np.ndarray | None:
+    matrix = np.array(raw.color_matrix, np.float64)[:3, :3]
+    if not matrix.any() or np.abs(matrix - np.eye(3)).max() < IDENTITY:
+        return None
+    if not (np.isfinite(matrix).all() and np.abs(matrix).max() < 100 and abs(np.linalg.det(matrix)) > 1e-3):
+        raise ValueError(f"{path} states a colour matrix that no camera has: {matrix.round(3).tolist()}")
+    return matrix
 
 
 def read_digital_numbers(path: Path) -> np.ndarray:

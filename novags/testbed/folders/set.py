@@ -36,6 +36,7 @@ class Source:
     views: MultiviewSet
     rig: Rig  # of the scaled images
     console: Console  # where notes on single views go
+    lit_known: bool = True  # False: the views themselves are dark, and nothing shows them in good light
 
     @property
     def scaled(self) -> bool:

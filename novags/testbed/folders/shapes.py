@@ -17,6 +17,15 @@ CAPTURE = {
     "color_matrix": (Numbers(3, 3), None), "jpeg_quality?": (int, None), "views": int, "width": int, "height": int,
     "plan": (PLAN, None), "stage": {**STAGE, "inputs": {"set": str}},
 }  # fmt: skip
+IMPORT = {  # a capture.json of kind "imported"
+    "kind": str, "scene": str, "files": {"*": str}, "depth": str, "parts": [str], "jpeg": bool,
+    "raw": ({"cfa": (str, None), "black": float, "white": float}, None), "sensor_name": (str, None),
+    "sensor": (dict, None), "exposure": {"time": float, "temperature?": (float, None), "origin": [int],
+    "line_time?": float}, "demosaic": str, "color_matrix": (Numbers(3, 3), None), "resampled": (str, None),
+    "lit": ({"folder": str, "paired": str}, None),
+    "clean": ({"folder": str, "paired": str, "gain": float, "white_share": float}, None),
+    "views": int, "width": int, "height": int, "stage": {**STAGE, "inputs": {"*": str}},
+}  # fmt: skip
 CAMERAS = {"source": str, "unregistered": [str], "registered_share": float, "mean_rotation_deg": float,
            "mean_centre_error": float, "depth_scale": float}  # fmt: skip
 RUN = {
@@ -30,7 +39,7 @@ GEOMETRY = {"abs_rel": MEASURED, "within_5_percent": MEASURED, "coverage": MEASU
             "consistency": {"excess": MEASURED}}  # fmt: skip
 BLUR = {"psnr": MEASURED, "aligned_psnr": MEASURED, "sigma": float}
 SCORES = {
-    "mean": {"*": {"*": MEASURED}}, "views": {"*": {"*": {"*": MEASURED}}}, "geometry?": (GEOMETRY, None),
+    "mean": {"*": ({"*": MEASURED}, None)}, "views": {"*": {"*": {"*": MEASURED}}}, "geometry?": (GEOMETRY, None),
     "training_2d": ({"enhanced": dict, "blur": BLUR, "best_blur?": BLUR}, None), "seconds": {"*": float},
     "peak_bytes": int,
 }  # fmt: skip

@@ -77,11 +77,15 @@ def scene_name(material: Material) -> str:
 
 def title(material: Material) -> str:
     """The report's heading."""
+    if material.capture.imported:
+        return f"{scene_name(material)}: photographs from the dark"
     return f"{scene_name(material)} at {material.capture.record['electrons']:g} electrons per pixel"
 
 
 def what_was_done(material: Material) -> str:
     """One sentence: scene, camera, light, methods, time."""
+    if material.capture.imported:
+        return _what_was_imported(material)
     record = material.capture.record
     rendered = material.lit.views.kind == "rendered"
     views = f"{record['views']} {'views' if rendered else 'photographs'} of {scene_name(material)}"
@@ -94,33 +98,79 @@ def what_was_done(material: Material) -> str:
     )
 
 
-def leading(material: Material) -> tuple[str, str, str]:
-    """The reference that isolates noise where all runs have it, else the lit one; its score; how to describe that."""
+def _what_was_imported(material: Material) -> str:
+    record, scored = material.capture.record, leading(material) is not None
+    size = f"{record['width']} × {record['height']} px"
+    seen = "scored on views that no method had seen" if scored else "rendered from views that no method had seen"
+    return (
+        f"{record['views']} dark photographs of {scene_name(material)} ({size}) were imported, reconstructed by "
+        f"{join(list(material.runs))}, and {seen}; all of it took "
+        f"{duration(sum(row['seconds'] for row in costs(material)))}."
+    )
+
+
+def photographs_text(material: Material) -> list[str]:
+    """Of imported photographs: what they are, what is known of the camera, and where the truth comes from."""
+    record = material.capture.record
+    forms = [{"8bit": "8-bit", "16bit": "16-bit", "raw": "raw"}[record["depth"]]]
+    if "raw" in record["parts"] and record["depth"] != "raw":
+        forms.append("raw")
+    name = record["sensor_name"]
+    camera = f"The camera is {name}, as the import was told" if name else "The camera is not known"
+    noise = "known" if material.capture.noise is not None else "not known"
+    found = [f"Nothing was simulated: these are {join(forms)} photographs. {camera}, and its noise is {noise}."]
+    if record["resampled"]:
+        found.append(f"Of their pixels {record['resampled']}.")
+    if (lit := record["lit"]) is not None:
+        found.append(f"The views in good light are the pictures of {lit['folder']}, paired by their {lit['paired']}.")
+    if (clean := record["clean"]) is not None:
+        found.append(
+            f"The noise-free exposures are the long exposures of {clean['folder']}, times {clean['gain']:.4g} for all "
+            f"views; what noise they have is in the reference, and {clean['white_share']:.2%} of them is white."
+        )
+    return found
+
+
+def leading(material: Material) -> tuple[str, str, str] | None:
+    """The reference that isolates noise where all runs have it, else the lit one; its score; how to describe that.
+
+    None where no reference is known that all runs have.
+    """
     means = [method["mean"] for method in material.metrics["methods"].values()]
-    if all(mean.get("enhanced", {}).get("aligned_psnr") is not None for mean in means):
+    if all((mean.get("enhanced") or {}).get("aligned_psnr") is not None for mean in means):
         return "enhanced", "aligned_psnr", "aligned PSNR against the noise-free exposure"
-    return "lit", "tone_aligned_psnr", "tone-aligned PSNR against the well-lit truth"
+    if all(mean.get("lit") is not None for mean in means):
+        return "lit", "tone_aligned_psnr", "tone-aligned PSNR against the well-lit truth"
+    return None
 
 
 def _values(material: Material) -> dict[str, float | None]:
-    kind, number, _ = leading(material)
+    if (found := leading(material)) is None:
+        return dict.fromkeys(material.metrics["methods"])
+    kind, number, _ = found
     return {name: m["mean"][kind].get(number, m["mean"][kind]["aligned_psnr"])
             for name, m in material.metrics["methods"].items()}  # fmt: skip
 
 
 def _recovered(material: Material) -> dict[str, float]:
-    key = "recovered" if leading(material)[0] == "enhanced" else "recovered_lit"
+    found_by = leading(material)
+    key = "recovered" if found_by is not None and found_by[0] == "enhanced" else "recovered_lit"
     found: dict[str, float] = material.metrics.get(key, {})
     return found
 
 
 def verdict(material: Material) -> str:
     """One sentence with the outcome."""
+    if (found := leading(material)) is None:
+        return (
+            "There is no truth to score these photographs with: the renders can be looked at, and beside the dark "
+            "pictures. novags import takes --lit (the views in good light) and --clean (long exposures)."
+        )
     value, main, floor = _values(material), material.main, material.bound("floor")
     reached = value[main]
     if reached is None:
         return f"{main} has no score: the references show nothing but one colour, which any blank picture equals."
-    text = f"{main} reaches {reached:.2f} dB on the held-out views ({leading(material)[2]})"
+    text = f"{main} reaches {reached:.2f} dB on the held-out views ({found[2]})"
     if floor is not None and main != floor and (other := value[floor]) is not None:
         gain = reached - other
         text += f", {abs(gain):.2f} dB {'more' if gain >= 0 else 'less'} than {floor}"
@@ -157,7 +207,7 @@ def score_table(metrics: Mapping[str, Any], kind: str, competes: Mapping[str, bo
         kind: The reference.
         competes: Whether a run may be the best, by name.
     """
-    means = {name: m["mean"][kind] for name, m in metrics["methods"].items() if kind in m["mean"]}
+    means = {name: m["mean"][kind] for name, m in metrics["methods"].items() if m["mean"].get(kind)}
     return best_marked(means, COLUMNS[kind], competes)
 
 
@@ -241,7 +291,8 @@ def costs(material: Material) -> list[dict[str, Any]]:
     stages: list[tuple[str, str, dict[str, Any], dict[str, float]]] = []
     if (rendered := material.lit.views.meta.get("stage")) is not None:
         stages.append(("render", "", rendered, {}))
-    stages.append(("capture", "", material.capture.record["stage"], {}))
+    made = "import" if material.capture.imported else "capture"
+    stages.append((made, "", material.capture.record["stage"], {}))
     for name, run in material.runs.items():
         key = material.rows[name].key
         stages.append((f"reconstruct: {name}", key, run.record["stage"], run.record["seconds"]))
@@ -265,7 +316,7 @@ def plans(material: Material) -> list[dict[str, Any]]:
         table = plan_table(transport)
         table["saved"] = f"{time_saved(transport['seconds'])} {render_quality(meta)}".strip()
         found.append({"heading": "Light transport", "plan": table})
-    if (sensor := material.capture.record["plan"]) is not None:
+    if (sensor := material.capture.record.get("plan")) is not None:
         found.append({"heading": "Sensor", "plan": plan_table(sensor)})
     return found
 
@@ -303,7 +354,8 @@ def render_quality(meta: dict[str, Any]) -> str:
 
 def configurations(material: Material) -> dict[str, str]:
     """Every record's resolved configuration as indented JSON."""
-    records: dict[str, Any] = {"capture": material.capture.record["stage"]["config"]}
+    made = "import" if material.capture.imported else "capture"
+    records: dict[str, Any] = {made: material.capture.record["stage"]["config"]}
     if "stage" in material.lit.views.meta:
         records = {"render": material.lit.views.meta["stage"]["config"], **records}
     for name, run in material.runs.items():

@@ -14,7 +14,7 @@ from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import Run
 from novags.testbed.folders.set import Source
 from novags.testbed.metrics import affine_aligned
-from novags.testbed.references import enhanced_pair, references, true_depth
+from novags.testbed.references import enhanced_dark, references, true_depth
 from simscenes.sets.png import read_png
 
 VIEWS_OF_EACH_KIND = 4  # held-out and training views shown: enough to judge, small enough to mail
@@ -24,6 +24,10 @@ TRUTHS = {
     "enhanced": ("Truth: noise-free", "the same exposure without noise, enhanced alike"),
     "linear": ("Truth: noise-free", "the same exposure without noise, in linear light"),
     "lit": ("Truth: well lit", "the scene in good light"),
+}
+LONG = {  # of imported photographs
+    "enhanced": ("Truth: long exposure", "brought to the light of the dark one, enhanced alike"),
+    "linear": ("Truth: long exposure", "brought to the light of the dark one"),
 }
 WORDS = {"enhanced": "noise-free", "linear": "noise-free", "lit": "well-lit"}
 ERROR_CEILING = 0.25  # sRGB code units at the bright end of the error maps, the same in every report
@@ -74,7 +78,7 @@ def view_tiles(
 
     add("dark", "Dark input", "what the camera delivers, 8-bit sRGB", capture.srgb8(i))
     if run.enhancement is not None:
-        noisy, _ = enhanced_pair(capture, i, run.enhancement)
+        noisy = enhanced_dark(capture, i, run.enhancement)
         add("enhanced", "Enhanced", "the dark input made bright, noise included", noisy)
     if (denoised := run.path / "denoised" / f"{name}.png").exists():
         add("denoised", f"Denoised by {main}", "what the scene is fitted to", read_png(denoised))
@@ -84,8 +88,11 @@ def view_tiles(
         add(f"render-{other}", f"Rendered by {other}", note, shown(image, runs[other]))
     truths = {other: references(made, capture, lit, i) for other, made in runs.items()}
     for kind, image in truths[main].items():
-        add(f"truth-{kind}", *TRUTHS[kind], encode(image) if kind == "linear" else image)
+        label, note = LONG[kind] if capture.imported and kind in LONG else TRUTHS[kind]
+        add(f"truth-{kind}", label, note, encode(image) if kind == "linear" else image)
     for other, image in renders.items():
+        if not truths[other]:
+            continue
         kind, truth = next(iter(truths[other].items()))
         note = f"distance to the {WORDS[kind]} truth after affine alignment"
         add(f"error-{other}", f"Error of {other}", note, error_map(shown(image, runs[other]), shown(truth, kind=kind)))
@@ -102,7 +109,9 @@ def shown(image: np.ndarray, run: Run | None = None, kind: str = "") -> np.ndarr
 def _render_note(name: str, view: str, held_out: bool, metrics: Mapping[str, Any]) -> str:
     if not held_out:
         return "a training view"
-    scores = next(iter(metrics["methods"][name]["views"][view].values()))
+    scores = next(iter(metrics["methods"][name]["views"][view].values()), None)
+    if scores is None:
+        return "held out; not scored, because no truth is known"
     number = scores.get("aligned_psnr", scores.get("linear_psnr"))
     if number is None:
         return "held out; not scored, because the reference shows nothing"

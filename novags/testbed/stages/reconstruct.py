@@ -12,8 +12,7 @@ from torch import Tensor
 
 from novags.cameras import CameraConfig, CameraEstimate, KnownConfig, spell_cameras
 from novags.methods import METHODS
-from novags.methods.noise import camera_noise
-from novags.methods.problem import Problem, RawPictures
+from novags.methods.problem import LacksInput, Problem, RawPictures
 from novags.methods.reconstruction import Reconstruction
 from novags.methods.variant import Variant
 from novags.splats import Views
@@ -23,6 +22,7 @@ from novags.testbed.devices import chosen_device
 from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.events import EventLog
+from novags.testbed.folders.imported import MISSING
 from novags.testbed.folders.run import CHECKPOINTS, EVENTS
 from novags.testbed.folders.set import Source
 from novags.testbed.stages.camera_source import Frame, cameras_of
@@ -100,8 +100,14 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
     """The problem: pictures and cameras of the training views. Only methods with `sees_clean` get the noise-free ones.
 
     Raises:
+        LacksInput: If the method needs the noise-free ones and the capture has none.
         ValueError: If the capture has too few views, the camera source fails, or a file cannot be read.
     """
+    sees_clean = METHODS[config.variant.method].sees_clean
+    if sees_clean and not capture.holds("truth"):
+        raise LacksInput(
+            f"{config.variant.name} learns from noise-free exposures, and of {capture.path} {MISSING['truth']}"
+        )
     wanted = capture.cameras.train_indices
     if len(wanted) < 2:
         raise ValueError(f"{capture.path} has {len(wanted)} training view(s), at least 2 are needed")
@@ -111,27 +117,27 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
     if len(indices) < len(wanted):
         lost = [capture.names[i] for i in wanted if i not in indices]
         console.note(f"{len(lost)} of {len(wanted)} training views have no camera and are left out: {', '.join(lost)}")
-    rig, sees_clean = capture.cameras.rig, METHODS[config.variant.method].sees_clean
+    rig = capture.cameras.rig
     problem = Problem(
         views=views_of(estimate.viewmats, estimate.Ks, rig.width, rig.height),
         start=estimate,
         seed=config.seed,
         srgb8=stack([capture.srgb8(i) for i in indices]),
-        linear16=stack([capture.linear16(i) for i in indices]),
-        raw=RawPictures(
-            dn=stack([capture.raw(i) for i in indices]), cfa=capture.sensor.cfa,
-            black=float(capture.sensor.black_level), white=capture.sensor.white_dn,
-        ),
-        noise=camera_noise(
-            capture.sensor, capture.exposure, demosaic=capture.record["demosaic"],
-            color_matrix=capture.record["color_matrix"],
-        ),
+        linear16=stack([capture.linear16(i) for i in indices]) if capture.holds("images16") else None,
+        raw=raw_pictures(capture, indices) if capture.holds("raw") else None,
+        noise=capture.noise,
         channels_share=capture.channels_share,
         clean=stack([capture.clean(i) for i in indices]) if sees_clean else None,
         names=tuple(capture.names[i] for i in indices),
         shared=capture.memo,
     )  # fmt: skip
     return Prepared(problem.to(device), estimate, indices, device)
+
+
+def raw_pictures(capture: Capture, indices: list[int]) -> RawPictures:
+    """The raw frames of these views."""
+    cfa, black, white = capture.levels
+    return RawPictures(dn=stack([capture.raw(i) for i in indices]), cfa=cfa, black=black, white=white)
 
 
 def reconstruct_views(

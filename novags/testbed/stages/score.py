@@ -26,7 +26,7 @@ from novags.testbed.metrics import (
     mean_scores,
     psnr,
 )
-from novags.testbed.references import references, true_depth
+from novags.testbed.references import missing_references, references, true_depth
 from sensor_model.files.lock import locked
 from simscenes.sets.correspondence import flow
 from simscenes.sets.png import read_png
@@ -66,6 +66,7 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
         unavailable = {} if missing is None else {"lpips": missing}
         if scores["geometry"] is None:
             unavailable["geometry"] = "the true depth is not known: photographs, or a set scaled down for the capture"
+        unavailable |= missing_references(run, captured, lit)
         unavailable |= shows_nothing(scores["views"])
         return {"methods": {run.name: method}, "recovered": {}, "unavailable": unavailable}
 
@@ -81,8 +82,8 @@ def score_test_views(
     """Scores of every held-out view against each of its references, and their means.
 
     Returns:
-        `mean` and `views` hold the image scores by reference; `geometry` those of depth (None if unknown), with the
-        view consistency.
+        `mean` and `views` hold the image scores by reference (None in `mean` for one that is not known); `geometry`
+        those of depth (None if unknown), with the view consistency.
     """
     views: dict[str, Any] = {}
     depths = []
@@ -103,9 +104,10 @@ def score_test_views(
             depth, alpha = run.depth(name)
             depths.append(geometry_scores(depth * run.depth_scale, alpha, truth))
         progress(done + 1, len(indices), f"view {name}")
+    missing: dict[str, Any] = dict.fromkeys(missing_references(run, capture, lit))
     kinds = next(iter(views.values())).keys()
     return {
-        "mean": {kind: mean_scores([scores[kind] for scores in views.values()]) for kind in kinds},
+        "mean": missing | {kind: mean_scores([scores[kind] for scores in views.values()]) for kind in kinds},
         "views": views,
         "geometry": {**mean_scores(depths), "consistency": view_consistency(run, capture, lit)} if depths else None,
     }
@@ -131,12 +133,16 @@ def shows_nothing(views: dict[str, Any]) -> dict[str, str]:
 def exposure(run: Run, capture: Capture, lit: Source, indices: list[int]) -> float | None:
     """The one factor that brings the renders of a method in linear light to the exposure of the capture.
 
-    None if every exposure is black: there is nothing to bring them to.
+    Where the noise-free exposures are not known, the dark pictures themselves take their place: over so many pixels
+    their noise hardly counts. None if every exposure is black: there is nothing to bring them to.
     """
-    if all(is_black(references(run, capture, lit, i)["linear"]) for i in indices):
+
+    def exposed(i: int) -> Image:
+        return references(run, capture, lit, i).get("linear", capture.linear(i))
+
+    if all(is_black(exposed(i)) for i in indices):
         return None
-    pairs = ((run.rendering(capture.names[i]), references(run, capture, lit, i)["linear"]) for i in indices)
-    return exposure_gain(pairs)
+    return exposure_gain((run.rendering(capture.names[i]), exposed(i)) for i in indices)
 
 
 def _shown(rendered: Image, run: Run, gain: float | None) -> Image:
@@ -162,9 +168,10 @@ def score_training_images(run: Run, capture: Capture, lit: Source) -> dict[str, 
     Returns:
         `enhanced`, `denoised` (only if the method denoises), `blur` (sigma 1.2 px) and `best_blur` (the sigma of
         `BLUR_GRID` that suits these images best), each with mean `psnr` and `aligned_psnr` (None where no reference has
-        contrast, and then there is no best blur); blurs also with `sigma`. None for a method that enhances no pictures.
+        contrast, and then there is no best blur); blurs also with `sigma`. None for a method that enhances no pictures,
+        and where the noise-free exposure is not known.
     """
-    if run.enhancement is None or not (run.path / "enhanced").is_dir():
+    if run.enhancement is None or not (run.path / "enhanced").is_dir() or not capture.holds("truth"):
         return None
     enhanced, denoised, truth = [], [], []
     for i in capture.cameras.train_indices:
@@ -198,7 +205,7 @@ def stage_seconds(run: Run, captured: Capture, lit: Source) -> dict[str, float]:
     """Seconds of every stage that led to the run, and of the parts of its reconstruction."""
     rendered = lit.views.meta.get("stage")
     seconds = {} if rendered is None else {"render": float(rendered["seconds"])}
-    seconds["capture"] = float(captured.record["stage"]["seconds"])
+    seconds["import" if captured.imported else "capture"] = float(captured.record["stage"]["seconds"])
     seconds["reconstruct"] = float(run.record["stage"]["seconds"])
     return {**seconds, **{f"reconstruct/{part}": float(s) for part, s in run.record["seconds"].items()}}
 
@@ -238,6 +245,9 @@ def recovered_fractions(
         kind: The reference.
         number: The score.
     """
+    for needed, what in ((kind, f"the reference {kind}"), ("enhanced", "the noise-free exposure, the ceiling's,")):
+        if all(method["mean"].get(needed, {}) is None for method in scores.values()):
+            return {}, f"{what} is not known of these photographs, so there is no span to measure on"
     bounds = {name: METHODS[name].bound for name in scores if methods[name] == name and name in METHODS}
     ends = {bound: name for name, bound in bounds.items() if bound is not None}
     if len(ends) < 2:
@@ -247,7 +257,7 @@ def recovered_fractions(
     value = {
         name: method["mean"][kind][number]
         for name, method in scores.items()
-        if method["mean"].get(kind, {}).get(number) is not None
+        if (method["mean"].get(kind) or {}).get(number) is not None
     }
     if missing := [name for name in ends.values() if name not in value]:
         if all(number in scores[name]["mean"].get(kind, {}) for name in missing):

@@ -1,0 +1,42 @@
+"""The commands about photographs of one's own: import."""
+
+from pathlib import Path
+from typing import Literal
+
+from novags.commands.shared import next_, writing
+from novags.options import Folder
+
+
+def import_(
+    folder: Folder, *, out: Path, lit: Path | None = None, clean: Path | None = None, sensor: str | None = None,
+    time: float | None = None, black: float = 0.0, white: float = 65535.0, curve: Literal["linear", "srgb"] = "linear",
+    demosaic: Literal["menon", "malvar", "bilinear"] = "menon", max_size: int | None = None, wait: bool = False,
+) -> None:  # fmt: skip
+    """Make a capture of photographs that were taken in the dark, with what truth there is about them.
+
+    Args:
+        folder: Dark photographs with cameras: a nerfstudio or instant-ngp folder (transforms.json) or a COLMAP folder
+            (sparse/0, images) with 8-bit or 16-bit pictures or camera raw files; raw files of the pictures in raw/.
+        out: Folder of the capture.
+        lit: Folder of the same views in good light: pictures of the same names, or as many in the same order.
+        clean: Folder of long exposures of the same views in the same light: the noise-free exposures.
+        sensor: The camera that took them, of sensor_model.PRESETS or a TOML file: tells methods the noise.
+        time: Exposure time in seconds; from the raw files if not given.
+        black: Code of no light in 16-bit pictures.
+        white: Code of white in 16-bit pictures.
+        curve: Of the codes of 16-bit pictures.
+        demosaic: Interpolation of the colour filter array of raw files.
+        max_size: Scale larger images down to this longest side, in pixels.
+        wait: If another process is writing there, wait until it is done instead of refusing.
+    """
+    from novags.testbed import stages
+    from novags.testbed.stages.importing import ImportConfig
+
+    config = ImportConfig(
+        lit=lit, clean=clean, sensor=sensor, time=time, black=black, white=white, curve=curve, demosaic=demosaic,
+        max_size=max_size,
+    )  # fmt: skip
+    with writing(out, wait) as console:
+        stages.import_photographs(folder, out, config, console)
+    print(out)
+    next_(f"novags reconstruct {out} --method nova-fast --out RUN")

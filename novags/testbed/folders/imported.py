@@ -1,0 +1,78 @@
+"""What a capture folder of kind "imported" holds beside its pictures: photographs of somebody else's camera.
+
+lit/NNNN.png          the same views in good light, 8-bit sRGB, if they were given
+truth/NNNN.exr        clean.R, clean.G, clean.B: clean long exposures in linear light, brought to that of the dark
+                      pictures (0 = black, 1 = white), if they were given
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from novags.testbed.cache import read_json
+from novags.testbed.folders import shapes
+from simscenes.sets.exr import read_exr, write_exr
+
+KIND = "imported"
+PARTS = ("images16", "raw", "truth", "lit")  # folders that a capture of this kind may lack
+CHANNELS = tuple(f"clean.{colour}" for colour in "RGB")
+
+
+def is_imported(record: Mapping[str, Any]) -> bool:
+    """Whether a capture.json describes photographs, not simulated exposures."""
+    return record.get("kind") == KIND
+
+
+def check_record(path: Path) -> dict[str, Any]:
+    """The capture.json of an import.
+
+    Raises:
+        ValueError: If it is not what the import wrote.
+    """
+    record = read_json(path, shapes.IMPORT)
+    if unknown := [part for part in record["parts"] if part not in PARTS]:
+        raise ValueError(f"{path}: parts must be among {', '.join(PARTS)}, got {unknown[0]!r}: import again")
+    if ("raw" in record["parts"]) != (record["raw"] is not None):
+        raise ValueError(f"{path}: raw frames and their levels must both be there or neither: import again")
+    return record
+
+
+def write_clean(folder: Path, name: str, light: np.ndarray) -> None:
+    """Write the noise-free exposure of a view, linear float32 [h,w,3]."""
+    (folder / "truth").mkdir(exist_ok=True)
+    planes = {channel: np.ascontiguousarray(light[..., c]) for c, channel in enumerate(CHANNELS)}
+    write_exr(folder / "truth" / f"{name}.exr", planes)
+
+
+def read_clean(path: Path) -> np.ndarray:
+    """What `write_clean` wrote.
+
+    Raises:
+        ValueError: If the file cannot be read or is something else.
+    """
+    channels, _ = read_exr(path)
+    if missing := [name for name in CHANNELS if name not in channels]:
+        raise ValueError(f"{path} lacks the channels {', '.join(missing)}: import again")
+    return np.stack([channels[name] for name in CHANNELS], axis=-1).astype(np.float32)
+
+
+def channels_share(record: Mapping[str, Any]) -> tuple[str, ...]:
+    """Why the noise of a pixel's three channels is not independent; empty only where a three-chip camera is known."""
+    cfa = (record["sensor"] or {}).get("cfa") if record["sensor"] else (record["raw"] or {}).get("cfa", "unknown")
+    reasons = {
+        "demosaicing": cfa is not None,
+        "a colour matrix": record["color_matrix"] is not None,
+        "JPEG": record["jpeg"],
+    }
+    return tuple(reason for reason, holds in reasons.items() if holds)
+
+
+MISSING = {
+    "truth": "no noise-free exposure is known of these photographs: novags import takes --clean FOLDER (long exposures "
+    "of the same views)",
+    "lit": "nothing shows these views in good light: novags import takes --lit FOLDER (pictures of the same views)",
+    "images16": "there are no 16-bit linear pictures: novags import takes 16-bit or raw files",
+    "raw": "there are no raw frames: novags import takes raw files of undistorted pictures in their own size",
+}  # of `PARTS`: why a score or a method has nothing to go by, and what would give it

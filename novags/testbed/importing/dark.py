@@ -1,0 +1,84 @@
+"""A folder of dark photographs with their cameras, and the raw files that lie beside them."""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from novags.testbed.cache import folder_digest
+from novags.testbed.console import Console
+from novags.testbed.folders import raw_files
+from novags.testbed.folders.linear_photographs import find_linear
+from novags.testbed.folders.set import READ_FROM, Source, open_source
+from novags.testbed.importing.stored import PICTURES, Depth, depth_of
+from simscenes.sets.colmap import find_colmap
+
+
+@dataclass(frozen=True)
+class Dark:
+    """Dark photographs and their cameras.
+
+    Attributes:
+        source: Cameras and files, at the size of the capture.
+        depth: Of the files that have cameras.
+        raws: The raw file of each view; empty without them.
+    """
+
+    source: Source
+    depth: Depth
+    raws: tuple[Path, ...]
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """The pictures that have cameras, one a view."""
+        return self.source.views.files
+
+    def digest(self) -> str:
+        """Hash of everything that is read of it, wherever the files are."""
+        views = self.source.views
+        pictures = {f"images/{name}": file for name, file in zip(views.names, self.files, strict=True)}
+        raws = {f"raw/{name}": file for name, file in zip(views.names, self.raws, strict=False)}
+        return folder_digest(views.path, READ_FROM, beside=pictures | raws)
+
+
+def open_dark(folder: Path, max_size: int | None, console: Console) -> Dark:
+    """Open dark photographs with their cameras: any folder that can be captured, with or without raw files in raw/.
+
+    Raises:
+        ValueError: If there are no pictures or no cameras (and then how to get them), or a raw file is missing.
+    """
+    if not folder.is_dir():
+        raise ValueError(f"no such folder: {folder}")
+    if not (folder / "transforms.json").is_file() and find_colmap(folder) is None:
+        _without_cameras(folder)
+    source = open_source(folder, console, max_size)
+    files = source.views.files
+    if bad := [file for file in files if file.suffix.lower() not in PICTURES]:
+        raise ValueError(f"{bad[0]} is neither a photograph nor camera raw ({', '.join(PICTURES)}): convert it to "
+                         "16-bit PNG")  # fmt: skip
+    depth = depth_of(files[0])
+    return Dark(source, depth, files if depth == "raw" else _raws_beside(folder, source))
+
+
+def _without_cameras(folder: Path) -> None:
+    found = [file for place in (folder, folder / "images") for file in place.glob("*")]
+    count = sum(file.suffix.lower() in PICTURES for file in found)
+    raise ValueError(
+        f"{folder} holds {count} pictures and no cameras (transforms.json or a COLMAP model in sparse/0): make them "
+        f"by novags poses {folder} --out SET, then novags import SET; where it is too dark for that, put the dark "
+        "pictures under the names of the lit ones beside a model of the lit ones"
+    )
+
+
+def _raws_beside(folder: Path, source: Source) -> tuple[Path, ...]:
+    views = source.views
+    listed = [os.path.relpath(file, folder) for file in views.files]
+    found = [find_linear(folder, name, ("raw",), raw_files.SUFFIXES) for name in listed]
+    missing = [name for name, file in zip(views.names, found, strict=True) if file is None]
+    if len(missing) == len(found):
+        return ()
+    if missing:
+        raise ValueError(
+            f"{folder / 'raw'} has no file of {len(missing)} of {len(found)} views ({', '.join(missing[:4])}): add "
+            "them, or move raw/ away"
+        )
+    return tuple(file for file in found if file is not None)

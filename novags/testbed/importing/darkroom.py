@@ -1,0 +1,125 @@
+"""How picture files become the pictures of a capture: cut to their camera, undistorted, scaled down."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from novags.testbed.folders.linear_photographs import middle, within_margins
+from novags.testbed.folders.raw_files import is_raw, read_radiance, size
+from novags.testbed.importing.raw_camera import RawCamera
+from novags.testbed.importing.stored import Codes16, Depth, read_stored
+from sensor_model import Sensor, to_srgb8
+from simscenes.rigs import Rig
+from simscenes.sets.multiview import MultiviewSet
+
+
+@dataclass(frozen=True, kw_only=True)
+class Darkroom:
+    """What the dark pictures and their lit or clean twins go through alike.
+
+    Attributes:
+        views: The dark set: its cameras and lenses.
+        rig: The cameras of the capture, of smaller pictures where those are scaled down.
+        codes: What 16-bit codes mean.
+        camera: Of raw files; None without any.
+    """
+
+    views: MultiviewSet
+    rig: Rig
+    codes: Codes16
+    camera: RawCamera | None
+
+    @property
+    def resampled(self) -> str | None:
+        """Why pixels are no longer those of the files, so that raw frames and noise of single pixels mean nothing."""
+        if self.views.lenses is not None:
+            return "the distortion of the lens was undone"
+        return "the pictures were scaled down" if self._scaled else None
+
+    @property
+    def _scaled(self) -> bool:
+        return (self.rig.width, self.rig.height) != (self.views.rig.width, self.views.rig.height)
+
+    def check(self, file: Path, *, lit: bool = False) -> Depth:
+        """What the file holds.
+
+        Raises:
+            ValueError: If it cannot be read, has another size than its camera, or, being raw and not `lit`, is of
+                another camera than the first raw file.
+        """
+        if not is_raw(file):
+            stored = read_stored(file)
+            self._cut(stored, file)
+            return "8bit" if stored.dtype == np.uint8 else "16bit"
+        if lit or self.camera is None:
+            width, height = size(file)
+            self._cut(np.empty((height, width, 0)), file)
+        else:
+            self._cut(self.camera.codes(file), file)
+        return "raw"
+
+    def linear(self, file: Path, i: int) -> np.ndarray:
+        """Linear light of view `i` from one of its files, float32 [h,w,3], 0 = black, 1 = white.
+
+        Raises:
+            ValueError: If the file cannot be read or has another size than its camera.
+        """
+        if is_raw(file):
+            assert self.camera is not None
+            return self._fit(self._undistort(self._cut(self.camera.develop(self.camera.codes(file)), file), i))
+        # Codes are undistorted before they are decoded, as for every other set of photographs.
+        return self._fit(self.codes.linear(self._undistort(self._cut(read_stored(file), file), i)))
+
+    def srgb8(self, file: Path, i: int) -> np.ndarray:
+        """The 8-bit sRGB picture of view `i`, uint8 [h,w,3]: as stored, as far as it is and nothing is scaled.
+
+        Raises:
+            ValueError: As `linear`.
+        """
+        if not is_raw(file) and not self._scaled:
+            stored = read_stored(file)
+            if stored.dtype == np.uint8:
+                return self._undistort(self._cut(stored, file), i)
+        return np.asarray(to_srgb8(self.linear(file, i)))
+
+    def lit8(self, file: Path, i: int) -> np.ndarray:
+        """A well-lit picture of view `i`, uint8 [h,w,3]; a raw file as LibRaw develops it, with its own balance.
+
+        Raises:
+            ValueError: As `linear`.
+        """
+        if not is_raw(file):
+            return self.srgb8(file, i)
+        return np.asarray(to_srgb8(self._fit(self._undistort(self._cut(read_radiance(file), file), i))))
+
+    def frame(self, file: Path) -> tuple[np.ndarray, Sensor]:
+        """The codes of a raw file that belong to the picture, uint16, and the camera that such a frame is of."""
+        assert self.camera is not None
+        whole = self.camera.codes(file)
+        part = self._cut(whole, file)
+        top, left = ((a - b) // 2 for a, b in zip(whole.shape[:2], part.shape[:2], strict=True))
+        return np.ascontiguousarray(part), self.camera.cut_sensor(top, left)
+
+    def _cut(self, image: np.ndarray, file: Path) -> np.ndarray:
+        rig = self.views.rig
+        height, width = image.shape[:2]
+        if (width, height) == (rig.width, rig.height):
+            return image
+        if is_raw(file) and within_margins((width, height), (rig.width, rig.height)):
+            return middle(image, rig.height, rig.width)
+        raise ValueError(
+            f"{file} must be {rig.width} x {rig.height} px like the pictures that {self.views.path} has cameras of, "
+            f"got {width} x {height}"
+        )
+
+    def _undistort(self, image: np.ndarray, i: int) -> np.ndarray:
+        lenses = self.views.lenses
+        return image if lenses is None else lenses[i].undistort(image, self.views.rig.Ks[i])
+
+    def _fit(self, image: np.ndarray) -> np.ndarray:
+        if not self._scaled:
+            return image
+        import cv2
+
+        return cv2.resize(image, (self.rig.width, self.rig.height), interpolation=cv2.INTER_AREA)

@@ -1,0 +1,66 @@
+"""Picture files as a camera or a converter left them: 8-bit sRGB, 16-bit linear or sRGB, camera raw."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from novags.testbed.folders.raw_files import SUFFIXES as RAW
+from novags.testbed.folders.raw_files import is_raw
+from sensor_model import srgb_to_linear
+from simscenes.sets.image_file import read_image
+
+PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *RAW)
+AS_STORED = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION  # poses refer to stored pixels
+
+Depth = Literal["8bit", "16bit", "raw"]
+Curve = Literal["linear", "srgb"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Codes16:
+    """What the codes of 16-bit files mean."""
+
+    black: float = 0.0  # code of no light
+    white: float = 65535.0  # code of white
+    curve: Curve = "linear"  # of the codes between the two
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.black < self.white <= 65535:
+            raise ValueError(
+                f"the levels of 16-bit files must be 0 <= black < white <= 65535, got {self.black:g} and {self.white:g}"
+            )
+        if self.curve not in ("linear", "srgb"):
+            raise ValueError(f"the curve of 16-bit files must be linear or srgb, got {self.curve!r}")
+
+    def linear(self, codes: np.ndarray) -> np.ndarray:
+        """Linear light float32, 0 = black, 1 = white, of 8-bit sRGB codes or of 16-bit codes; not clipped at black."""
+        if codes.dtype == np.uint8:
+            return np.asarray(srgb_to_linear(codes / np.float32(255)))
+        light = (codes.astype(np.float64) - self.black) / (self.white - self.black)
+        return np.asarray(srgb_to_linear(light) if self.curve == "srgb" else light).astype(np.float32)
+
+
+def read_stored(file: Path) -> np.ndarray:
+    """The codes of a picture that is not camera raw, RGB, uint8 or uint16 [h,w,3], as stored (no rotation).
+
+    Raises:
+        ValueError: If it cannot be read, or is not 8 or 16 bits deep.
+    """
+    pixels = read_image(file, AS_STORED)
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise ValueError(f"{file} must hold 8- or 16-bit codes, got {pixels.dtype}: convert it to 16-bit PNG or TIFF")
+    return np.ascontiguousarray(pixels[..., ::-1])
+
+
+def depth_of(file: Path) -> Depth:
+    """What the file holds.
+
+    Raises:
+        ValueError: As `read_stored`.
+    """
+    if is_raw(file):
+        return "raw"
+    return "8bit" if read_stored(file).dtype == np.uint8 else "16bit"

@@ -1,0 +1,97 @@
+"""Lit or clean pictures of the views of a dark set: which file belongs to which view."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from novags.testbed.cache import folder_digest
+from novags.testbed.console import Console
+from novags.testbed.folders.linear_photographs import load_linear_set
+from novags.testbed.folders.set import warnings_as_notes
+from novags.testbed.importing.stored import PICTURES
+from simscenes.sets.colmap import find_colmap
+from simscenes.sets.multiview import MultiviewSet, load_set
+from simscenes.sets.names import file_of, view_names
+
+SHOWN = 4  # names in a message
+
+
+@dataclass(frozen=True)
+class Twins:
+    """Pictures of the dark views, one each.
+
+    Attributes:
+        folder: Where they are.
+        files: In the order of the views.
+        paired: How they were found: by "names", or by their "order".
+    """
+
+    folder: Path
+    files: tuple[Path, ...]
+    paired: str
+
+    def digest(self) -> str:
+        """Hash of the files in the order of the views."""
+        return folder_digest(self.folder, (), beside={f"{i:06d}": file for i, file in enumerate(self.files)})
+
+    def record(self) -> dict[str, Any]:
+        """For capture.json."""
+        return {"folder": self.folder.resolve().name, "paired": self.paired}
+
+
+def pictures_in(folder: Path) -> dict[str, Path]:
+    """The pictures of a folder by the names of their views: those that its cameras list, else those in it or images/.
+
+    Raises:
+        ValueError: If there are none, or the camera file is broken.
+    """
+    if (folder / "transforms.json").is_file() or find_colmap(folder):
+        views = load_linear_set(folder) or load_set(folder)
+        return dict(zip(views.names, views.files, strict=True))
+    for place in (folder / "images", folder):
+        files = sorted(file for file in place.glob("*") if file.suffix.lower() in PICTURES and file.is_file())
+        if files:
+            named = zip(view_names(files), files, strict=True)
+            return dict(sorted(named, key=lambda pair: file_of(pair[0])))
+    raise ValueError(f"{folder} holds no pictures ({', '.join(PICTURES)})")
+
+
+def twins_of(dark: MultiviewSet, folder: Path, option: str, console: Console) -> Twins:
+    """The picture in `folder` of each dark view: of the same name, or if no name agrees, in the same order.
+
+    Args:
+        dark: The dark set.
+        folder: Of the twins.
+        option: That named it, for messages.
+        console: Where notes go.
+
+    Raises:
+        ValueError: If some or all views have none.
+    """
+    if not folder.is_dir():
+        raise ValueError(f"{option}: no such folder: {folder}")
+    with warnings_as_notes(console):
+        found = pictures_in(folder)
+    missing = [name for name in dark.names if name not in found]
+    if not missing:
+        if len(found) > len(dark):
+            console.warn(f"{len(found) - len(dark)} of {len(found)} pictures of {folder} belong to no dark view")
+        return Twins(folder, tuple(found[name] for name in dark.names), "names")
+    if len(missing) < len(dark):
+        raise ValueError(
+            f"{option} {folder} has no picture of {len(missing)} of {len(dark)} views ({_some(missing)}): names must "
+            "be those of the dark pictures"
+        )
+    if len(found) != len(dark):
+        raise ValueError(
+            f"{option} {folder} has {len(found)} pictures ({_some(list(found))}), the dark set {len(dark)} "
+            f"({_some(list(dark.names))}), with no name in common: give them the same names, or as many, in the same "
+            "order"
+        )
+    first = f"{dark.names[0]} with {next(iter(found.values())).name}"
+    console.warn(f"the pictures of {folder} have other names than the dark ones: paired by order, {first} and so on")
+    return Twins(folder, tuple(found.values()), "order")
+
+
+def _some(names: list[str]) -> str:
+    return f"{', '.join(names[:SHOWN])}{', ...' if len(names) > SHOWN else ''}"

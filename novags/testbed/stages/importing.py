@@ -1,0 +1,245 @@
+"""Import: dark photographs from elsewhere in, a capture folder out, with what truth there is about them."""
+
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, get_args
+
+import numpy as np
+
+from novags.testbed.cache import run_stage
+from novags.testbed.console import Console
+from novags.testbed.folders import capture as capture_folder
+from novags.testbed.folders.capture import has_view
+from novags.testbed.folders.imported import write_clean
+from novags.testbed.importing.clean import Match, match_clean
+from novags.testbed.importing.dark import Dark, open_dark
+from novags.testbed.importing.darkroom import Darkroom
+from novags.testbed.importing.raw_camera import raw_camera
+from novags.testbed.importing.stored import Codes16, Curve
+from novags.testbed.importing.twins import Twins, twins_of
+from novags.testbed.stages.capture import FULL_SIZE, camera_named, files_of
+from novags.testbed.stages.paths import keep_apart
+from sensor_model import PRESETS, Exposure, Sensor, write_dng
+from sensor_model.files.dng import SMALLEST, TIMES
+from sensor_model.isp import Demosaic, to_linear16
+from simscenes.sets.multiview import write_cameras
+from simscenes.sets.png import write_png
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportConfig:
+    """What is known about dark photographs beside their files."""
+
+    lit: Path | None = None  # well-lit pictures of the same views
+    clean: Path | None = None  # long exposures of the same views in the same light
+    sensor: str | None = None  # a name of sensor_model.PRESETS or a camera's TOML file: gives methods the noise
+    time: float | None = None  # s, of the dark exposures; None: what raw files say, else unknown and counted as 0
+    black: float = 0.0  # code of no light in 16-bit files
+    white: float = 65535.0  # code of white in them
+    curve: Curve = "linear"  # of their codes in between
+    demosaic: Demosaic = "menon"  # for raw files with a colour filter array
+    max_size: int | None = None  # px; scale larger pictures down to this longest side
+    camera: Sensor | None = field(init=False)  # what `sensor` stands for
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "camera", None if self.sensor is None else camera_named(self.sensor))
+        if self.time is not None and not (self.time == 0 or TIMES[0] <= self.time <= TIMES[1]):
+            raise ValueError(f"time must be 0 or in {TIMES} s, the range of raw files, got {self.time}")
+        if self.demosaic not in FULL_SIZE:
+            raise ValueError(f"demosaic must be one of {', '.join(FULL_SIZE)}, got {self.demosaic!r}")
+        if self.curve not in get_args(Curve):
+            raise ValueError(f"curve must be one of {', '.join(get_args(Curve))}, got {self.curve!r}")
+        self.codes  # noqa: B018 - it checks the levels
+
+    @property
+    def codes(self) -> Codes16:
+        """What 16-bit codes mean."""
+        return Codes16(black=self.black, white=self.white, curve=self.curve)
+
+    @property
+    def sensor_name(self) -> str | None:
+        """Name of the preset or of the camera's file."""
+        return self.sensor if self.sensor is None or self.sensor in PRESETS else Path(self.sensor).stem
+
+    def resolved(self) -> dict[str, Any]:
+        """What determines the result beside the content of folders."""
+        return {
+            "sensor": self.sensor_name, "camera": self.camera, "time": self.time, "black": self.black,
+            "white": self.white, "curve": self.curve, "demosaic": self.demosaic, "max_size": self.max_size,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Material:
+    """Everything an import reads."""
+
+    dark: Dark
+    lit: Twins | None
+    clean: Twins | None
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What all views share."""
+
+    darkroom: Darkroom
+    match: Match | None
+
+
+def import_photographs(folder: Path, out: Path, config: ImportConfig, console: Console) -> dict[str, Any]:
+    """Make a capture folder of the dark photographs in `folder`; returns its capture.json.
+
+    Raises:
+        ValueError: If there are no pictures or cameras, a file cannot be read, twins do not fit, or `out` holds other
+            things.
+        BlockingIOError: If another process is writing to `out`.
+    """
+    for given in (folder, config.lit, config.clean):
+        if given is not None:
+            keep_apart(out, given)
+    dark = open_dark(folder, config.max_size, console)
+    lit, clean = (
+        None if path is None else twins_of(dark.source.views, path, option, console)
+        for path, option in ((config.lit, "--lit"), (config.clean, "--clean"))
+    )
+    material = Material(dark, lit, clean)
+    inputs = {"dark": dark.digest(), "lit": lit.digest() if lit else "", "clean": clean.digest() if clean else ""}
+    return run_stage(
+        "import",
+        out,
+        capture_folder.RECORD,
+        inputs=inputs,
+        config=config.resolved(),
+        owns=capture_folder.OWNS,
+        prepare=lambda: prepare(material, config, console),
+        work=lambda prepared: import_views(material, prepared, out, config, console),
+        console=console,
+    )
+
+
+def prepare(material: Material, config: ImportConfig, console: Console) -> Prepared:
+    """Read every file once, so that nothing is cleared for what cannot be imported, and match the long exposures.
+
+    Raises:
+        ValueError: If a file cannot be read, is of another kind or size than the first, or shows nothing.
+    """
+    dark = material.dark
+    camera = raw_camera(dark.raws[0], config.camera, config.demosaic) if dark.raws else None
+    darkroom = Darkroom(views=dark.source.views, rig=dark.source.rig, codes=config.codes, camera=camera)
+    files = [(file, False) for group in (dark.files, dark.raws) for file in group]
+    given = [twins for twins in (material.lit, material.clean) if twins is not None]
+    files += [(file, twins is material.lit) for twins in given for file in twins.files]
+    total = len(files) + (len(dark.files) if material.clean else 0)
+    match = None
+    with console.progress("import: files") as progress:
+        for done, (file, lit) in enumerate(files):
+            depth = darkroom.check(file, lit=lit)
+            if done < len(dark.files) and depth != dark.depth:
+                raise ValueError(f"{file} is {depth}, {dark.files[0].name} {dark.depth}: import files of one kind")
+            progress(done + 1, total, file.name)
+        if material.clean is not None:
+            match = match_clean(dark, material.clean.files, darkroom, progress, len(files), total)
+    _say(dark, darkroom, config, match, console)
+    return Prepared(darkroom, match)
+
+
+def _say(dark: Dark, darkroom: Darkroom, config: ImportConfig, match: Match | None, console: Console) -> None:
+    """What was taken for granted and what could not be kept."""
+    if dark.depth == "16bit":
+        console.note(
+            f"import: 16-bit files: code {config.black:g} is black, {config.white:g} white, {config.curve} in between "
+            "(--black, --white, --curve)"
+        )
+    if darkroom.resampled and (dark.raws or config.camera):
+        kept = "no raw frames" if dark.raws else ""
+        noise = "no known noise" if config.camera else ""
+        console.note(f"import: {darkroom.resampled}: {' and '.join(filter(None, (kept, noise)))}")
+    elif dark.raws and min(darkroom.rig.width, darkroom.rig.height) < SMALLEST:
+        raise ValueError(
+            f"raw frames must be {SMALLEST} px wide and high or more, got {darkroom.rig.width} x {darkroom.rig.height}"
+        )
+    if match is not None:
+        console.note(f"import: the dark pictures have {match.gain:.4g} times the light of the clean ones")
+        if match.white_share > 0.001:
+            console.warn(f"{match.white_share:.1%} of the clean pictures is white, where they are too dark a reference")
+
+
+def import_views(
+    material: Material, prepared: Prepared, folder: Path, config: ImportConfig, console: Console
+) -> dict[str, Any]:
+    """Write every view that is not complete yet, then the cameras; returns the body of capture.json.
+
+    Raises:
+        ValueError: If a file cannot be read.
+    """
+    dark, darkroom = material.dark, prepared.darkroom
+    views, rig = dark.source.views, darkroom.rig
+    with console.progress("import") as progress:
+        for i, name in enumerate(views.names):
+            if not has_view(folder, name):
+                import_view(material, prepared, i, name, folder, exposure_of(config, darkroom))
+            progress(i + 1, len(views), f"view {name}")
+    write_cameras(folder, views.names, rig, points=dark.source.points())
+    return record_of(material, prepared, config)
+
+
+def import_view(material: Material, prepared: Prepared, i: int, name: str, folder: Path, exposure: Exposure) -> None:
+    """Write all forms of one view; the 8-bit picture, which says that the view is complete, last."""
+    dark, darkroom = material.dark, prepared.darkroom
+    if material.lit is not None:
+        write_png(folder / "lit" / f"{name}.png", darkroom.lit8(material.lit.files[i], i))
+    if material.clean is not None and prepared.match is not None:
+        light = darkroom.linear(material.clean.files[i], i) * np.float32(prepared.match.gain)
+        write_clean(folder, name, light)
+    if holds_raw(dark, darkroom):
+        dn, sensor = darkroom.frame(dark.raws[i])
+        assert darkroom.camera is not None
+        matrix = darkroom.camera.format.color_matrix
+        write_dng(folder / "raw" / f"{name}.dng", dn, sensor, exposure, color_matrix=matrix)
+    if dark.raws or dark.depth == "16bit":
+        light = darkroom.linear(dark.raws[i] if dark.raws else dark.files[i], i)
+        write_png(folder / "images16" / f"{name}.png", to_linear16(light))
+    write_png(folder / "images" / f"{name}.png", darkroom.srgb8(dark.files[i], i))
+
+
+def holds_raw(dark: Dark, darkroom: Darkroom) -> bool:
+    """Whether raw frames of the capture's pixels exist."""
+    return bool(dark.raws) and darkroom.resampled is None
+
+
+def exposure_of(config: ImportConfig, darkroom: Darkroom) -> Exposure:
+    """The exposure, of unknown time (0) if neither the user nor the raw files say it."""
+    stated = None if darkroom.camera is None else darkroom.camera.format.time
+    return Exposure(time=next((time for time in (config.time, stated) if time is not None), 0.0))
+
+
+def record_of(material: Material, prepared: Prepared, config: ImportConfig) -> dict[str, Any]:
+    """The body of capture.json."""
+    dark, darkroom, match = material.dark, prepared.darkroom, prepared.match
+    camera, raw = darkroom.camera, None
+    if camera is not None and holds_raw(dark, darkroom):
+        sensor = darkroom.frame(dark.raws[0])[1]
+        raw = {"cfa": sensor.cfa, "black": sensor.black_level, "white": sensor.white_dn}
+    sixteen = bool(dark.raws) or dark.depth == "16bit"
+    jpeg = any(file.suffix.lower() in (".jpg", ".jpeg") for file in dark.files)
+    parts = {"images16": sixteen, "raw": raw is not None, "truth": match is not None, "lit": material.lit is not None}
+    return {
+        "kind": "imported",
+        "scene": dark.source.views.path.resolve().name,
+        "files": files_of(dark.source),
+        "depth": dark.depth,
+        "parts": [part for part, there in parts.items() if there],
+        "raw": raw,
+        "jpeg": jpeg,
+        "sensor_name": config.sensor_name,
+        "sensor": camera.sensor if camera is not None and camera.known else config.camera,
+        "exposure": exposure_of(config, darkroom),
+        "demosaic": config.demosaic,
+        "color_matrix": None if camera is None else camera.format.color_matrix,
+        "resampled": darkroom.resampled,
+        "lit": None if material.lit is None else material.lit.record(),
+        "clean": None if material.clean is None or match is None else material.clean.record() | asdict(match),
+        "views": len(dark.source.views),
+        "width": darkroom.rig.width,
+        "height": darkroom.rig.height,
+    }  # fmt: skip
