@@ -8,12 +8,12 @@ import tyro
 from novags.commands.experiment import run
 from novags.commands.inquiries import doctor, help_, list_
 from novags.commands.results import characterise, report, score
-from novags.commands.stages import capture, plan, reconstruct, render
+from novags.commands.stages import capture, plan, poses, reconstruct, render
 from novags.failure import errors_in_one_line
 
 COMMANDS: dict[str, Callable[..., None]] = {
     function.__name__.rstrip("_"): function
-    for function in (run, list_, plan, render, capture, reconstruct, score, report, characterise, doctor, help_)
+    for function in (run, list_, plan, render, poses, capture, reconstruct, score, report, characterise, doctor, help_)
 }
 
 

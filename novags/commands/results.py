@@ -44,7 +44,7 @@ def report(folder: Folder, *, wait: bool = False) -> None:
     announce(path)
 
 
-def characterise(folder: Folder, *, out: Path, window: int = 1024, wait: bool = False) -> None:
+def characterise(folder: Folder, *, out: Path, window: int = 1024, overwrite: bool = False, wait: bool = False) -> None:
     """Estimate a camera from its dark and flat frames, and write it as a TOML file for --sensor.
 
     Args:
@@ -52,6 +52,7 @@ def characterise(folder: Folder, *, out: Path, window: int = 1024, wait: bool = 
             and frames.toml for what the files do not state: bits, exposure times, photons, eta.
         out: The TOML file.
         window: Side of the central square of the sensor that is used, in pixels.
+        overwrite: Replace a file of other content.
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
     from novags.testbed.calibration_frames import characterise_folder
@@ -59,6 +60,7 @@ def characterise(folder: Folder, *, out: Path, window: int = 1024, wait: bool = 
 
     with writing(out.parent, wait, name=f".{out.name}.lock"):
         sensor, found = characterise_folder(folder, window=window)
-        write_sensor(out, sensor, comment=f"measured from {folder.resolve().name}; what the frames say:\n{found}")
+        comment = f"measured from {folder.resolve().name}; what the frames say:\n{found}"
+        write_sensor(out, sensor, comment=comment, overwrite=overwrite)
     print(f"{found}\n{out}")
     next_(f"novags capture SET --sensor {out} --electrons 20 --out CAPTURE")

@@ -38,7 +38,7 @@ def read_colmap(folder: Path, model: Path) -> Photographs:
         name = names[image.image_id]
         check_pose(viewmat, f"{model}: the pose of {name}")
         entries.append((find_file(folder / "images", name), viewmat, reconstruction.cameras[image.camera_id]))
-    return collect(entries, model, lambda c, w, h: _colmap_lens(c, w, h, model))
+    return collect(entries, model, lambda c, w, h: colmap_lens(c, w, h, model))
 
 
 def read_points(folder: Path, model: Path, files: Sequence[Path], rig: Rig) -> SparsePoints | None:
@@ -96,7 +96,12 @@ def read_reconstruction(model: Path) -> tuple[Any, dict[int, str]]:
         raise ValueError(f"load_set: {model} is not a readable COLMAP model ({error})") from error
 
 
-def _colmap_lens(camera: Any, width: int, height: int, source: Path) -> DistortedPinhole:
+def colmap_lens(camera: Any, width: int, height: int, source: Path) -> DistortedPinhole:
+    """The lens of a camera of COLMAP, for images of this size.
+
+    Raises:
+        ValueError: Naming `source`, if it is not a pinhole with OpenCV distortion, or the shape differs.
+    """
     names = [n.strip() for n in camera.params_info.split(",")]
     params = {n: float(p) for n, p in zip(names, camera.params, strict=True)}
     # COLMAP calls the radial terms of its one- and two-parameter models k, or k1 and k2.

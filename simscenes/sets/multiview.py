@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from sensor_model import srgb_to_linear
 from sensor_model.files.records import Numbers, read_record
 from simscenes.rigs import Rig
+from simscenes.sets.bare import picture_files
 from simscenes.sets.camera_files import is_test_view, write_cameras
 from simscenes.sets.colmap import find_colmap, read_colmap, read_points
 from simscenes.sets.exr import read_exr
-from simscenes.sets.image_file import read_image
+from simscenes.sets.image_file import read_rgb
 from simscenes.sets.photographs import DistortedPinhole, Photographs, read_transforms
 from simscenes.sets.tracks import SparsePoints
 
@@ -41,6 +42,7 @@ class MultiviewSet:
         rig: Pinhole cameras; of the undistorted images if the source had distortion.
         kind: "rendered" (radiance and geometry are known) or "photographs".
         meta: Content of set.json (or capture.json), {} for folders from elsewhere.
+        unregistered: Photographs of the same take that have no camera, as files relative to their folder.
         origin: Where the zero of `rig` and of the points lies in the coordinates of the folder's files.
     """
 
@@ -51,6 +53,7 @@ class MultiviewSet:
     meta: dict[str, Any]
     files: tuple[Path, ...] = field(repr=False)
     lenses: tuple[DistortedPinhole, ...] | None = field(default=None, repr=False)
+    unregistered: tuple[str, ...] = field(default=(), repr=False)
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __len__(self) -> int:
@@ -80,16 +83,12 @@ class MultiviewSet:
         return [i for i in range(len(self)) if not is_test_view(i)]
 
     def image(self, i: int) -> Image:
-        """The sRGB image of view `i`, uint8 [h,w,3], undistorted.
+        """The sRGB image of view `i`, uint8 [h,w,3], undistorted, before white where it is transparent.
 
         Raises:
             ValueError: If the file cannot be read.
         """
-        import cv2
-
-        flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION  # poses refer to the pixels as stored
-        pixels = read_image(self.files[i], flags)
-        rgb = np.ascontiguousarray(pixels[..., ::-1])
+        rgb = read_rgb(self.files[i])
         if self.lenses is None:
             return rgb
         return self.lenses[i].undistort(rgb, self.rig.Ks[i])
@@ -152,6 +151,11 @@ def _stack(channels: dict[str, NDArray[Any]], *names: str) -> Float32:
     return np.stack([channels[n] for n in names], axis=-1).astype(np.float32)
 
 
+def is_rendered(folder: Path) -> bool:
+    """Whether a set folder holds a render, with its truth, rather than photographs."""
+    return (folder / "gt").is_dir()
+
+
 def load_set(path: str | Path) -> MultiviewSet:
     """Open a folder of posed images: our sets and captures, nerfstudio or instant-ngp data, or a COLMAP model.
 
@@ -165,7 +169,7 @@ def load_set(path: str | Path) -> MultiviewSet:
     path = Path(path)
     if not path.is_dir():
         raise ValueError(f"load_set: no such folder: {path}")
-    if (path / "gt").is_dir() and not (path / "set.json").is_file():
+    if is_rendered(path) and not (path / "set.json").is_file():
         raise ValueError(
             f"load_set: {path} holds an unfinished render (gt/ without set.json); run the render again, it resumes"
         )
@@ -175,17 +179,37 @@ def load_set(path: str | Path) -> MultiviewSet:
     elif model := find_colmap(path):
         found = read_colmap(path, model)
     else:
-        raise ValueError(f"load_set: {path} holds no set.json, no transforms.json and no COLMAP model (sparse/0)")
+        raise ValueError(_no_set(path))
     return _as_set(path, found, meta)
 
 
 def _as_set(path: Path, found: Photographs, meta: dict[str, Any]) -> MultiviewSet:
-    kind: Literal["rendered", "photographs"] = "rendered" if (path / "gt").is_dir() else "photographs"
+    kind: Literal["rendered", "photographs"] = "rendered" if is_rendered(path) else "photographs"
     distorted = any(any(lens.distortion) for lens in found.lenses)
     lenses = found.lenses if distorted else None
     return MultiviewSet(
-        path=path, names=found.names, rig=found.rig, kind=kind, meta=meta, files=found.files, lenses=lenses
-    )
+        path=path, names=found.names, rig=found.rig, kind=kind, meta=meta, files=found.files, lenses=lenses,
+        unregistered=_unregistered(path, found, meta) if kind == "photographs" else (),
+    )  # fmt: skip
+
+
+def _unregistered(path: Path, found: Photographs, meta: dict[str, Any]) -> tuple[str, ...]:
+    """As set.json says; without one, the pictures that lie beside those that have a camera."""
+    if meta:
+        return tuple(meta.get("unregistered", ()))
+    placed = {os.path.abspath(file) for file in found.files}
+    suffixes = {file.suffix.lower() for file in found.files}
+    beside = (file for folder in {file.parent for file in found.files} for file in folder.iterdir())
+    left = [file for file in beside if file.suffix.lower() in suffixes and os.path.abspath(file) not in placed]
+    return tuple(sorted(os.path.relpath(file, path) for file in left if not file.name.startswith(".")))
+
+
+def _no_set(path: Path) -> str:
+    """Why a folder is no set, with what to do about it."""
+    if pictures := picture_files(path):
+        return (f"{path} holds {len(pictures)} pictures without camera poses: find the poses first, with "
+                f"novags poses {path} --out SET")  # fmt: skip
+    return f"load_set: {path} holds no set.json, no transforms.json and no COLMAP model (sparse/0)"
 
 
 # What is read of set.json, where it is there; a capture.json is its own writer's business.
@@ -195,7 +219,7 @@ PLAN = {"effects": [EFFECT], "bound": (float, None), "unit": str, "seconds?": {"
         "biases?": {"*": (float, None)}}  # fmt: skip
 SET = {
     "scene?": (str, None), "exposure_scale?": float, "camera_matrix?": Numbers(3, 3), "plan?": PLAN, "width?": int,
-    "height?": int, "views?": {"*": {"relative_error": float, "fireflies": int}},
+    "height?": int, "unregistered?": [str], "views?": {"*": {"relative_error": float, "fireflies": int}},
     "stage?": {"seconds": float, "peak_bytes": int, "config": dict},
 }  # fmt: skip
 

@@ -88,12 +88,19 @@ class CaptureConfig:
 
 
 def capture(
-    set_path: Path, out: Path, config: CaptureConfig, console: Console, *, stale: Sequence[Path] = ()
+    set_path: Path,
+    out: Path,
+    config: CaptureConfig,
+    console: Console,
+    *,
+    stale: Sequence[Path] = (),
+    overwrite: bool = False,
 ) -> dict[str, Any]:
     """Photograph the set at `set_path` in the dark; returns capture.json.
 
     Raises:
-        ValueError: If the set cannot be read or is black, or `out` holds other things.
+        ValueError: If the set cannot be read or is black, or `out` holds other things or, unless `overwrite`, a
+            finished result of another request.
         BlockingIOError: If another process is writing to `out`.
     """
     keep_apart(out, set_path)
@@ -115,6 +122,7 @@ def capture(
         work=lambda light: capture_views(source, light, out, config, console),
         console=console,
         stale=stale,
+        overwrite=overwrite,
     )
 
 

@@ -71,7 +71,7 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
 
     return run_stage(
         "score", run_path, METRICS, inputs=inputs, config={"lpips": missing is None, "format": 3}, owns=(METRICS,),
-        prepare=lambda: None, work=work, console=console,
+        prepare=lambda: None, work=work, console=console, overwrite=True,  # scores describe what is there now
     )  # fmt: skip
 
 
