@@ -41,6 +41,21 @@ class Shot:
 
 
 @dataclass(frozen=True)
+class Observed:
+    """Observations of one view.
+
+    Attributes:
+        points: Which points it sees [n].
+        pixels: Where, as the picture is [n, 2].
+        rays: x / z and y / z of them in its camera [n, 2]: without the lens.
+    """
+
+    points: NDArray[np.intp]
+    pixels: Array
+    rays: Array
+
+
+@dataclass(frozen=True)
 class Registered:
     """Where pictures were taken, and the points they share, in a frame of their own.
 
@@ -49,7 +64,7 @@ class Registered:
         viewmats: [R, 4, 4], world to camera.
         lenses: One for each of them.
         points: [P, 3].
-        seen: For each view the points it observes [n] and where, px, as pictures are [n, 2].
+        seen: What each view observes.
         error: Mean reprojection error, px.
     """
 
@@ -57,7 +72,7 @@ class Registered:
     viewmats: Array
     lenses: tuple[DistortedPinhole, ...]
     points: Array
-    seen: tuple[tuple[NDArray[np.intp], Array], ...]
+    seen: tuple[Observed, ...]
     error: float
 
 
@@ -179,8 +194,9 @@ def _placed(model: Any, names: list[str], folder: Path) -> Registered:
     seen = []
     for image in images:
         found = [p for p in image.points2D if p.has_point3D()]
-        seen.append((np.array([row[p.point3D_id] for p in found], np.intp),
-                     np.array([p.xy for p in found], np.float64).reshape(-1, 2)))  # fmt: skip
+        pixels = np.array([p.xy for p in found], np.float64).reshape(-1, 2)
+        rays = np.asarray(image.camera.cam_from_img(pixels), np.float64)
+        seen.append(Observed(np.array([row[p.point3D_id] for p in found], np.intp), pixels, rays))
     return Registered(
         indices=tuple(names.index(image.name) for image in images),
         viewmats=np.stack([np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]]) for image in images]),

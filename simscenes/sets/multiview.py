@@ -20,7 +20,8 @@ from simscenes.sets.bare import picture_files
 from simscenes.sets.camera_files import is_test_view, write_cameras
 from simscenes.sets.colmap import find_colmap, read_colmap, read_points
 from simscenes.sets.exr import read_exr
-from simscenes.sets.image_file import read_rgb
+from simscenes.sets.image_file import has_alpha, read_rgb
+from simscenes.sets.nerf_synthetic import is_nerf_synthetic, read_nerf_synthetic
 from simscenes.sets.photographs import DistortedPinhole, Photographs, read_transforms
 from simscenes.sets.tracks import SparsePoints
 
@@ -42,6 +43,7 @@ class MultiviewSet:
         rig: Pinhole cameras; of the undistorted images if the source had distortion.
         kind: "rendered" (radiance and geometry are known) or "photographs".
         meta: Content of set.json (or capture.json), {} for folders from elsewhere.
+        held_out: Places of the views that the folder itself holds out; None: every 8th is.
         unregistered: Photographs of the same take that have no camera, as files relative to their folder.
         origin: Where the zero of `rig` and of the points lies in the coordinates of the folder's files.
     """
@@ -53,6 +55,7 @@ class MultiviewSet:
     meta: dict[str, Any]
     files: tuple[Path, ...] = field(repr=False)
     lenses: tuple[DistortedPinhole, ...] | None = field(default=None, repr=False)
+    held_out: tuple[int, ...] | None = None
     unregistered: tuple[str, ...] = field(default=(), repr=False)
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
@@ -74,13 +77,20 @@ class MultiviewSet:
 
     @property
     def test_indices(self) -> list[int]:
-        """Held-out views: every 8th in the order of their names, from 0."""
-        return [i for i in range(len(self)) if is_test_view(i)]
+        """Held-out views: the folder's own, else every 8th in the order of their names, from 0."""
+        return [i for i in range(len(self)) if is_test_view(i)] if self.held_out is None else list(self.held_out)
 
     @property
     def train_indices(self) -> list[int]:
         """All views but the held-out ones."""
-        return [i for i in range(len(self)) if not is_test_view(i)]
+        tested = set(self.test_indices)
+        return [i for i in range(len(self)) if i not in tested]
+
+    @property
+    def transparent(self) -> bool:
+        """Whether some photograph can be transparent: what is behind counts as white then."""
+        clear = (file for file in self.files if file.suffix.lower() not in (".jpg", ".jpeg"))
+        return self.kind == "photographs" and any(has_alpha(file) for file in clear)
 
     def image(self, i: int) -> Image:
         """The sRGB image of view `i`, uint8 [h,w,3], undistorted, before white where it is transparent.
@@ -157,10 +167,11 @@ def is_rendered(folder: Path) -> bool:
 
 
 def load_set(path: str | Path) -> MultiviewSet:
-    """Open a folder of posed images: our sets and captures, nerfstudio or instant-ngp data, or a COLMAP model.
+    """Open a folder of posed images: our sets and captures, nerfstudio, instant-ngp, NeRF-synthetic or COLMAP data.
 
     Args:
-        path: The folder. It holds set.json (rendered here), or transforms.json, or sparse/0 and images/.
+        path: The folder. It holds set.json (rendered here), or transforms.json, or sparse/0 and images/, or
+            transforms_train.json.
 
     Raises:
         ValueError: If the folder is none of these, a render in it is unfinished, a camera file is broken or no image
@@ -178,6 +189,8 @@ def load_set(path: str | Path) -> MultiviewSet:
         found = read_transforms(path)
     elif model := find_colmap(path):
         found = read_colmap(path, model)
+    elif is_nerf_synthetic(path):
+        found = read_nerf_synthetic(path)
     else:
         raise ValueError(_no_set(path))
     return _as_set(path, found, meta)
@@ -189,6 +202,7 @@ def _as_set(path: Path, found: Photographs, meta: dict[str, Any]) -> MultiviewSe
     lenses = found.lenses if distorted else None
     return MultiviewSet(
         path=path, names=found.names, rig=found.rig, kind=kind, meta=meta, files=found.files, lenses=lenses,
+        held_out=found.held_out,
         unregistered=_unregistered(path, found, meta) if kind == "photographs" else (),
     )  # fmt: skip
 
@@ -197,6 +211,8 @@ def _unregistered(path: Path, found: Photographs, meta: dict[str, Any]) -> tuple
     """As set.json says; without one, the pictures that lie beside those that have a camera."""
     if meta:
         return tuple(meta.get("unregistered", ()))
+    if is_nerf_synthetic(path):  # beside its pictures lie their depths and normals
+        return ()
     placed = {os.path.abspath(file) for file in found.files}
     suffixes = {file.suffix.lower() for file in found.files}
     beside = (file for folder in {file.parent for file in found.files} for file in folder.iterdir())
@@ -209,7 +225,8 @@ def _no_set(path: Path) -> str:
     if pictures := picture_files(path):
         return (f"{path} holds {len(pictures)} pictures without camera poses: find the poses first, with "
                 f"novags poses {path} --out SET")  # fmt: skip
-    return f"load_set: {path} holds no set.json, no transforms.json and no COLMAP model (sparse/0)"
+    return (f"load_set: {path} holds no set.json, no transforms.json (or transforms_train.json) and no COLMAP model "
+            "(sparse/0)")  # fmt: skip
 
 
 # What is read of set.json, where it is there; a capture.json is its own writer's business.

@@ -16,7 +16,14 @@ from sensor_model.files.reading import reading
 from simscenes.rigs import Rig, opengl_to_opencv
 from simscenes.sets.exr import read_exr
 from simscenes.sets.multiview import MultiviewSet
-from simscenes.sets.photographs import find_file, listed, transforms_frames, transforms_lens
+from simscenes.sets.photographs import (
+    find_file,
+    held_out,
+    listed,
+    listed_for_testing,
+    transforms_frames,
+    transforms_lens,
+)
 
 SUFFIXES = (".exr", *raw_files.SUFFIXES)
 WHITE_QUANTILE = 0.99  # of an EXR image's light, whose unit is unknown, becomes white in its 8-bit picture
@@ -75,6 +82,7 @@ def load_linear_set(folder: Path) -> LinearPhotographs | None:
         kind="photographs",
         meta={"exposure_scale": _exposure_scale(files)},
         files=files,
+        held_out=held_out(files, listed_for_testing(source), source),
         lenses=lenses if any(any(lens.distortion) for lens in lenses) else None,
     )
 

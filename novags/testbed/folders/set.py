@@ -18,12 +18,13 @@ from novags.testbed.metrics import SSIM_WINDOW
 from sensor_model import linear_to_srgb
 from simscenes.rigs import Rig
 from simscenes.sets.multiview import MultiviewSet, load_set
+from simscenes.sets.nerf_synthetic import PARTS
 from simscenes.sets.plausible import with_tested_tracks
 from simscenes.sets.tracks import SparsePoints
 
 # What a set is read from beside its images: our own record and truth, and the cameras in every supported form.
 MODEL = tuple(f"{part}.{suffix}" for part in ("cameras", "images", "points3D") for suffix in ("bin", "txt"))
-READ_FROM = ("set.json", "capture.json", "transforms.json", "nb-info.json", "sparse", "sparse/0", "gt", *MODEL)
+READ_FROM = ("set.json", "capture.json", "transforms.json", *PARTS, "nb-info.json", "sparse", "sparse/0", "gt", *MODEL)
 
 EXPOSURES = 1e30  # more would make NaN of a black pixel in float32
 NOISE = 0.01  # of a photograph's bright light: values further below 0 are not noise
@@ -158,6 +159,8 @@ def open_source(path: Path, console: Console, max_size: int | None = None) -> So
                      f"{name}); capture.json names the file of each")  # fmt: skip
     if missing := left_out(views.unregistered, len(views) + len(views.unregistered)):
         console.warn(missing)
+    if views.transparent:
+        console.warn(f"pictures of {path} have transparent pixels: what is behind them counts as white")
     rig = views.rig if max_size is None else scaled_rig(views.rig, max_size)
     if min(rig.width, rig.height) < SSIM_WINDOW:
         larger = "" if max_size is None else f": choose a max_size larger than {max_size}"

@@ -84,7 +84,9 @@ def what_was_done(material: Material) -> str:
     """One sentence: scene, camera, light, methods, time."""
     record = material.capture.record
     rendered = material.lit.views.kind == "rendered"
-    views = f"{record['views']} {'views' if rendered else 'photographs'} of {scene_name(material)}"
+    lost = len(material.lit.views.unregistered)
+    of = f" of {record['views'] + lost}" if lost else ""
+    views = f"{record['views']}{of} {'views' if rendered else 'photographs'} of {scene_name(material)}"
     total = sum(row["seconds"] for row in costs(material))
     return (
         f"{views} ({record['width']} × {record['height']} px) were {'rendered, ' if rendered else ''}"
@@ -239,8 +241,8 @@ def smoothed(points: list[tuple[float, float]], count: int = 50) -> list[tuple[f
 def costs(material: Material) -> list[dict[str, Any]]:
     """Seconds and peak memory of every stage, in order, with the parts of each reconstruction."""
     stages: list[tuple[str, str, dict[str, Any], dict[str, float]]] = []
-    if (rendered := material.lit.views.meta.get("stage")) is not None:
-        stages.append(("render", "", rendered, {}))
+    if (made := material.lit.views.meta.get("stage")) is not None:
+        stages.append((made.get("name", "render"), "", made, {}))
     stages.append(("capture", "", material.capture.record["stage"], {}))
     for name, run in material.runs.items():
         key = material.rows[name].key
@@ -305,7 +307,8 @@ def configurations(material: Material) -> dict[str, str]:
     """Every record's resolved configuration as indented JSON."""
     records: dict[str, Any] = {"capture": material.capture.record["stage"]["config"]}
     if "stage" in material.lit.views.meta:
-        records = {"render": material.lit.views.meta["stage"]["config"], **records}
+        made = material.lit.views.meta["stage"]
+        records = {made.get("name", "render"): made["config"], **records}
     for name, run in material.runs.items():
         records[f"reconstruct: {name}"] = run.record["config"]
     return {name: json.dumps(config, indent=2) for name, config in records.items()}

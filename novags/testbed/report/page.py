@@ -120,6 +120,8 @@ def report_context(material: Material, progress: Update) -> dict[str, Any]:
         "kind": material.lit.views.kind,
         "linear": isinstance(material.lit.views, LinearPhotographs),
         "record": material.capture.record,
+        "background": material.capture.record["set"].get("background"),
+        "unregistered": material.lit.views.unregistered,
         "unavailable": material.metrics["unavailable"],
         "configurations": configurations(material),
         "command": material.experiment.get("command"),

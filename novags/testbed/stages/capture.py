@@ -200,12 +200,13 @@ def capture_views(
                 matrix = source.color_matrix
                 write_view(folder, name, frame, sensor, exposure, config.demosaic, matrix, config.jpeg_quality)
             progress(i + 1, len(names), f"view {name}")
-    write_cameras(folder, names, source.rig, points=source.points())
+    write_cameras(folder, names, source.rig, points=source.points(), held_out=source.views.test_indices)
     return {
         "set": {
             "path": os.path.relpath(source.views.path.resolve(), folder.resolve()),
             "kind": source.views.kind,
             "max_size": config.max_size,
+            "background": "white" if source.views.transparent else None,  # behind transparent pixels
         },
         "sensor_name": config.sensor_name,
         "sensor": sensor,

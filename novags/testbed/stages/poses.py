@@ -1,13 +1,13 @@
 """Poses: photographs or a video of which nothing is known in, a multiview set of undistorted pictures out."""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from novags.cameras.registration import PLACED, Registered, Shot, register
+from novags.cameras.registration import PLACED, Observed, Registered, Shot, register
 from novags.testbed.cache import folder_digest, run_stage
 from novags.testbed.console import Console
 from novags.testbed.folders.set import left_out
@@ -20,6 +20,7 @@ from simscenes.sets.bare import SUFFIXES, Bare, picture_files, survey
 from simscenes.sets.camera_files import write_cameras
 from simscenes.sets.names import file_of, view_names
 from simscenes.sets.png import write_png
+from simscenes.sets.tracks import SparsePoints
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,10 +153,10 @@ def write_set(
     for k, i in enumerate(found.indices):
         pixels = bare[i].pixels()
         h, w = pixels.shape[:2]
-        points, places = found.seen[k]
-        x, y = np.clip(places.astype(int), 0, (w - 1, h - 1)).T
-        np.add.at(colors, points, pixels[y, x])
-        np.add.at(count, points, 1)
+        seen = found.seen[k]
+        x, y = np.clip(seen.pixels.astype(int), 0, (w - 1, h - 1)).T
+        np.add.at(colors, seen.points, pixels[y, x])
+        np.add.at(count, seen.points, 1)
         lens = found.lenses[k]
         pinhole = lens.pinhole(w, h)
         left, top = (w - width) // 2, (h - height) // 2
@@ -163,13 +164,18 @@ def write_set(
         write_png(out / "images" / file_of(names[k]), np.ascontiguousarray(picture))
         Ks[k] = pinhole - [[0, 0, left], [0, 0, top], [0, 0, 0]]
     order = sorted(range(len(names)), key=lambda k: file_of(names[k]))
-    seen = np.zeros((len(names), len(found.points)), bool)
-    for row, k in enumerate(order):
-        seen[row, found.seen[k][0]] = True
     rig = Rig(viewmats=found.viewmats[order], Ks=Ks[order], width=width, height=height)
-    shown = np.round(colors / np.maximum(count, 1)[:, None]).astype(np.uint8)
-    write_cameras(out, [names[k] for k in order], rig, points=(found.points, shown, seen))
+    shown = np.round(colors / np.maximum(count, 1)[:, None])
+    points = replace(SparsePoints.untracked(found.points, shown), error=np.zeros(len(shown)))
+    write_cameras(out, [names[k] for k in order], rig, points=_tracked(points, [found.seen[k] for k in order], rig))
     return names
+
+
+def _tracked(points: SparsePoints, seen: Sequence[Observed], rig: Rig) -> SparsePoints:
+    """The points with what each view observes, at the pixels that the pinholes of `rig` have there."""
+    view = np.concatenate([np.full(len(one.points), i) for i, one in enumerate(seen)])
+    pixels = [one.rays * np.diag(K)[:2] + K[:2, 2] for one, K in zip(seen, rig.Ks, strict=True)]
+    return points.observed(rig, view, np.concatenate([one.points for one in seen]), np.concatenate(pixels))
 
 
 def _facts(

@@ -62,7 +62,7 @@ def test_a_scene_is_its_file_and_all_files_that_it_names(scene: Path, name: str,
 
 def test_a_set_is_rendered_again_only_if_a_file_of_its_scene_changed(scene: Path, tmp_path: Path) -> None:
     def render() -> int:
-        stages.render(tmp_path / "set", RenderConfig(scene=str(scene), **TINY), QUIET)
+        stages.render(tmp_path / "set", RenderConfig(scene=str(scene), **TINY), QUIET, overwrite=True)
         return (tmp_path / "set" / "gt" / "0001.exr").stat().st_mtime_ns  # its bytes are the same each time
 
     first = render()
