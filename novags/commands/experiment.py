@@ -81,7 +81,7 @@ def run(
         else Path("out") / _default_name(preset, scene if photos is None else str(photos), electrons)
     )
     with writing(folder, wait) as console:
-        report_path = experiment.run(chosen, folder, console, command=command_line(), overwrite=overwrite)
+        report_path = experiment.run(chosen, folder, console, command=command_line(folder), overwrite=overwrite)
     announce(report_path)
 
 

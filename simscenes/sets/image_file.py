@@ -74,6 +74,7 @@ def read_image(file: Path, flags: int) -> NDArray[Any]:
     return np.asarray(pixels)
 
 
+WITH_ALPHA = (".png", ".tif", ".tiff", ".webp")  # formats of 8-bit photographs that can be transparent
 BACKGROUND = 255  # sRGB code behind transparent pixels: white, as in the papers that use the NeRF-synthetic scenes
 
 

@@ -20,7 +20,7 @@ from simscenes.sets.bare import picture_files
 from simscenes.sets.camera_files import is_test_view, write_cameras
 from simscenes.sets.colmap import find_colmap, read_colmap, read_points
 from simscenes.sets.exr import read_exr
-from simscenes.sets.image_file import has_alpha, read_rgb
+from simscenes.sets.image_file import WITH_ALPHA, has_alpha, read_rgb
 from simscenes.sets.nerf_synthetic import is_nerf_synthetic, read_nerf_synthetic
 from simscenes.sets.photographs import DistortedPinhole, Photographs, read_transforms
 from simscenes.sets.tracks import SparsePoints
@@ -89,7 +89,7 @@ class MultiviewSet:
     @property
     def transparent(self) -> bool:
         """Whether some photograph can be transparent: what is behind counts as white then."""
-        clear = (file for file in self.files if file.suffix.lower() not in (".jpg", ".jpeg"))
+        clear = (file for file in self.files if file.suffix.lower() in WITH_ALPHA)
         return self.kind == "photographs" and any(has_alpha(file) for file in clear)
 
     def image(self, i: int) -> Image:

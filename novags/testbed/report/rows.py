@@ -50,7 +50,7 @@ def rows_of(runs: Mapping[str, Run]) -> dict[str, Row]:
         used.append(color)
         rows[name] = Row(
             name=name, key=f"m{k}", method=run.method, title=title, family="" if method is None else method.family,
-            color=color, bound=method.bound if method is not None and name == run.method else None,
+            color=color, bound=method.bound if method is not None and run.name == run.method else None,
             competes=method is None or not method.sees_clean,
         )  # fmt: skip
     return rows
