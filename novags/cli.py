@@ -9,7 +9,7 @@ from novags.commands.experiment import run
 from novags.commands.inquiries import doctor, help_, list_
 from novags.commands.photographs import import_
 from novags.commands.results import characterise, report, score
-from novags.commands.stages import capture, plan, reconstruct, render
+from novags.commands.stages import capture, plan, poses, reconstruct, render
 from novags.failure import errors_in_one_line
 
 COMMANDS: dict[str, Callable[..., None]] = {
@@ -19,6 +19,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
         list_,
         plan,
         render,
+        poses,
         capture,
         import_,
         reconstruct,

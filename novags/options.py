@@ -10,6 +10,7 @@ PresetName = Literal["demo", "small", "paper"]
 Device = Literal["auto", "cpu", "cuda"]
 Listed = Literal["all", "scenes", "sensors", "methods", "presets", "cameras"]
 Folder = Annotated[Path, tyro.conf.Positional]
+Folders = Annotated[tuple[Path, ...], tyro.conf.Positional]
 Name = Annotated[str, tyro.conf.Positional]
 Repeated = Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
 

@@ -3,8 +3,6 @@
 Intrinsics are known and stay fixed. Everything runs on the CPU and, with one thread, reproducibly.
 """
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, get_args
@@ -14,14 +12,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
+from novags.cameras.colmap import Progress, extraction, largest, quiet, verification
 from novags.cameras.estimate import Array, CameraEstimate, as_estimate
 from novags.cameras.points import averaged, project, seen_colors, unproject
 from sensor_model.files.scratch import scratch
 
 Pictures = Literal["raw", "enhanced", "denoised"]
 Mapper = Literal["incremental", "global"]
-Progress = Callable[[int, int, str], None]
-"""Steps done, total steps, and the current activity."""
 
 DEPTH_NEIGHBOURS = 4  # observed points whose inverse depths a filled-up pixel averages
 
@@ -134,7 +131,12 @@ def _reconstruct(pictures: np.ndarray, Ks: np.ndarray, config: SfmConfig, seed: 
 
     count = len(pictures)
     total = 2 * count + 1
-    with _quiet(pycolmap), scratch("sfm") as root:
+    features = extraction(
+        pycolmap, max_features=config.max_features, peak_threshold=config.peak_threshold,
+        first_octave=config.first_octave, threads=config.threads,
+    )  # fmt: skip
+    pairs = verification(pycolmap, min_matches=config.min_matches, max_error=config.max_error, seed=seed)
+    with quiet(pycolmap), scratch("sfm") as root:
         database = root / "database.db"
         pycolmap.set_random_seed(seed)
         for i, (picture, K) in enumerate(zip(pictures, Ks, strict=True)):
@@ -145,13 +147,13 @@ def _reconstruct(pictures: np.ndarray, Ks: np.ndarray, config: SfmConfig, seed: 
             # One call per picture, in order: picture and camera numbers then depend on nothing else.
             pycolmap.extract_features(
                 database, root, [name], pycolmap.CameraMode.PER_IMAGE, _camera(pycolmap, K),
-                _extraction(pycolmap, config), pycolmap.Device.cpu,
+                features, pycolmap.Device.cpu,
             )  # fmt: skip
         progress(count, total, "matches")
         pycolmap.match_exhaustive(
             database,
             pycolmap.FeatureMatchingOptions(use_gpu=False, num_threads=config.threads),
-            verification_options=_verification(pycolmap, config, seed),
+            verification_options=pairs,
             device=pycolmap.Device.cpu,
         )
         progress(count + 1, total, "cameras")
@@ -164,36 +166,12 @@ def _reconstruct(pictures: np.ndarray, Ks: np.ndarray, config: SfmConfig, seed: 
                 next_image_callback=lambda: progress(next(placed, total - 1), total, "cameras"),
             )  # fmt: skip
         progress(total, total, "cameras")
-    return max(models.values(), key=lambda m: (m.num_reg_images(), m.num_points3D()), default=None)
-
-
-@contextmanager
-def _quiet(pycolmap: Any) -> Iterator[None]:
-    """COLMAP without its log lines, some of which are warnings about pairs without matches."""
-    before, pycolmap.logging.minloglevel = pycolmap.logging.minloglevel, int(pycolmap.logging.FATAL)
-    try:
-        yield
-    finally:
-        pycolmap.logging.minloglevel = before
+    return largest(models)
 
 
 def _camera(pycolmap: Any, K: np.ndarray) -> Any:
     parameters = ",".join(repr(float(K[i, j])) for i, j in ((0, 0), (1, 1), (0, 2), (1, 2)))
     return pycolmap.ImageReaderOptions(camera_model="PINHOLE", camera_params=parameters)
-
-
-def _extraction(pycolmap: Any, config: SfmConfig) -> Any:
-    options = pycolmap.FeatureExtractionOptions(use_gpu=False, num_threads=config.threads)
-    options.sift.max_num_features = config.max_features
-    options.sift.peak_threshold = config.peak_threshold
-    options.sift.first_octave = config.first_octave
-    return options
-
-
-def _verification(pycolmap: Any, config: SfmConfig, seed: int) -> Any:
-    options = pycolmap.TwoViewGeometryOptions(min_num_inliers=config.min_matches)
-    options.ransac.random_seed, options.ransac.max_error = seed, config.max_error
-    return options
 
 
 def _incremental(pycolmap: Any, config: SfmConfig, seed: int) -> Any:

@@ -10,6 +10,8 @@ def run(
     *,
     preset: PresetName = "demo",
     scene: str | None = None,
+    photos: Path | None = None,
+    fps: float | None = None,
     sensor: str | None = None,
     electrons: float | None = None,
     out: Path | None = None,
@@ -21,11 +23,13 @@ def run(
     width: int | None = None,
     height: int | None = None,
     spp: int | None = None,
+    max_size: int | None = None,
     points: int | None = None,
     iterations: int | None = None,
     denoiser_steps: int | None = None,
     seed: int | None = None,
     device: Device = "auto",
+    overwrite: bool = False,
     wait: bool = False,
 ) -> None:
     """Run a whole experiment: render, capture in the dark, reconstruct with several methods, score, report.
@@ -34,10 +38,13 @@ def run(
 
     Args:
         preset: Source of every setting that is not given here.
-        scene: A scene of the catalogue ("tabletop", or "tabletop:3" for its variation 3), or a Mitsuba .xml file.
+        scene: A scene of the catalogue ("tabletop", or "tabletop:3" for its variation 3), a Mitsuba .xml file, or a set
+            folder: one of novags, nerfstudio, instant-ngp or COLMAP.
+        photos: Instead of a scene: a folder of photographs without poses, or a video file; the poses are found first.
+        fps: Frames to take from each second of the video; 2 if not given.
         sensor: A camera of sensor_model.PRESETS, or a TOML file of your own.
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
-        out: Folder of the experiment; out/PRESET if not given.
+        out: Folder of the experiment; if not given, out/PRESET, with the scene and the electrons where they are given.
         methods: Methods and variants to compare; `novags list methods` names them.
         variant: A method with settings changed, NAME=METHOD:SETTING=VALUE,SETTING=VALUE, compared as well; may be given
             several times. Or a TOML file with tables [variant.NAME].
@@ -48,23 +55,39 @@ def run(
         width: Image width in pixels.
         height: Image height in pixels.
         spp: Samples per pixel of the render.
+        max_size: Scale larger images down to this longest side, in pixels; for photographs the preset's size if not
+            given.
         points: Gaussians at the start.
         iterations: Of the fit.
         denoiser_steps: Of the denoiser before the fit starts.
         seed: Of noise and training.
         device: Where training runs; auto takes a GPU if there is one that can be used.
+        overwrite: Replace finished results of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
     from novags.testbed import experiment
     from novags.testbed.presets import EXPERIMENTS, adapted
 
     chosen = adapted(
-        EXPERIMENTS[preset], scene=scene, sensor=sensor, electrons=electrons, methods=methods, n_views=views,
-        width=width, height=height, spp=spp, points=points, iterations=iterations,
+        EXPERIMENTS[preset], scene=scene, photos=photos, fps=fps, sensor=sensor, electrons=electrons,
+        methods=methods, n_views=views,
+        width=width, height=height, spp=spp, max_size=max_size, points=points, iterations=iterations,
         denoiser_steps=denoiser_steps, seed=seed,
         variants=variants_of(variant), cameras=cameras_of(cameras), refine_cameras=refine_cameras, device=device,
     )  # fmt: skip
-    folder = out if out is not None else Path("out") / preset
+    folder = (
+        out
+        if out is not None
+        else Path("out") / _default_name(preset, scene if photos is None else str(photos), electrons)
+    )
     with writing(folder, wait) as console:
-        report_path = experiment.run(chosen, folder, console, command=command_line())
+        report_path = experiment.run(chosen, folder, console, command=command_line(folder), overwrite=overwrite)
     announce(report_path)
+
+
+def _default_name(preset: str, source: str | None, electrons: float | None) -> str:
+    """Of the folder of an experiment: different scenes and light do not meet in one."""
+    from simscenes.sets.names import safe_name
+
+    parts = [preset, *([] if source is None else [safe_name(Path(source).resolve().stem)])]
+    return "-".join([*parts, *([] if electrons is None else [f"{electrons:g}e"])])

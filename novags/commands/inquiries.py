@@ -8,7 +8,8 @@ import tyro
 from novags.options import Listed
 
 
-def doctor(*, stability: bool = False, part: tuple[str, ...] = (), long: bool = False, out: Path | None = None) -> None:
+def doctor(*, stability: bool = False, part: tuple[str, ...] = (), long: bool = False, out: Path | None = None,
+           overwrite: bool = False) -> None:  # fmt: skip
     """Check what works on this machine, what does not, and how to install what is missing.
 
     Args:
@@ -16,13 +17,14 @@ def doctor(*, stability: bool = False, part: tuple[str, ...] = (), long: bool = 
         part: Only these parts: enhance, splats, sensor, ...
         long: With the cases that take minutes.
         out: File for the table of hard cases, Markdown; in a page like docs/stability.md it replaces the old table.
+        overwrite: Replace a file that holds anything else.
     """
     from novags.testbed.doctor import examine
 
     if stability or part or long or out is not None:
         from novags.testbed.stability.console import show
 
-        if not show(part, long=long, out=out):
+        if not show(part, long=long, out=out, overwrite=overwrite):
             raise SystemExit(1)
         return
     marks = {"ok": "ok     ", "missing": "missing", "broken": "BROKEN "}

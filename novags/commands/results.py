@@ -1,51 +1,78 @@
 """The commands about what is there: score, report, characterise."""
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+from novags.commands import shared
 from novags.commands.shared import announce, next_, writing
-from novags.options import Folder
+from novags.options import Folder, Folders
+
+if TYPE_CHECKING:
+    from novags.testbed.comparison import Group
 
 
-def score(run: Folder, *, wait: bool = False) -> None:
-    """Score a run, or every run of an experiment, against the truth; write metrics.json.
+def score(runs: Folders, *, wait: bool = False) -> None:
+    """Score runs against the truth, write metrics.json, and compare them.
 
     Args:
-        run: Folder of a run or of an experiment.
+        runs: Folders of runs, of experiments, or folders that hold such.
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
+    from novags.testbed.comparison import groups_of
     from novags.testbed.experiment import score_all
+    from novags.testbed.folders.experiment import experiments_in
 
-    with writing(run, wait, make=False) as console:
-        scores = score_all(run, console)
-    for name, mean in scores.items():
-        found = []
-        if mean.get("enhanced"):
-            found.append(f"noise-free exposure {_decibels(mean['enhanced']['aligned_psnr'])} (aligned PSNR)")
-        if mean["lit"]:
-            found.append(f"well lit {_decibels(mean['lit']['tone_aligned_psnr'])} (tone-aligned PSNR)")
-        print(f"{name}: {', '.join(found) or 'there is no truth to compare with (see unavailable in metrics.json)'}")
-    next_(f"novags report {run}")
+    for folder in [part for given in runs for part in experiments_in(given)]:
+        with writing(folder, wait, make=False) as console:
+            score_all(folder, console)
+    groups = groups_of(runs, shared.console())
+    for group in groups:
+        if len(groups) > 1:
+            print(f"{group.title}:")
+        for name, scores in group.metrics["methods"].items():
+            print(f"{name}: {_in_words(scores['mean'], group, name)}")
+    next_(f"novags report {' '.join(str(run) for run in runs)}")
+
+
+def _in_words(mean: Mapping[str, Any], group: "Group", name: str) -> str:
+    """Main scores of a run, what it has over the floor, and what it recovers."""
+    words = []
+    for kind, number, what, share in (
+        ("enhanced", "aligned_psnr", "noise-free exposure {} (aligned PSNR{})", "recovered"),
+        ("lit", "tone_aligned_psnr", "well lit {} (tone-aligned PSNR{})", "recovered_lit"),
+    ):
+        if number not in (mean.get(kind) or {}):
+            continue
+        delta, base = group.deltas(kind)
+        found = f", {delta[name]:+.2f} over {base}" if name in delta else ""
+        recovered = group.metrics[share].get(name)
+        found += "" if recovered is None else f", {recovered:.0%} recovered"
+        words.append(what.format(_decibels(mean[kind][number]), found))
+    return "; ".join(words) or "there is no truth to compare with (see unavailable in metrics.json)"
 
 
 def _decibels(score: float | None) -> str:
     return "not scored, because the reference shows nothing" if score is None else f"{score:.2f} dB"
 
 
-def report(folder: Folder, *, wait: bool = False) -> None:
-    """Write report.html for a scored run or experiment: one self-contained file.
+def report(runs: Folders, *, out: Path | None = None, overwrite: bool = False, wait: bool = False) -> None:
+    """Write a report on scored runs: one self-contained HTML file.
 
     Args:
-        folder: Folder of a run or of an experiment.
+        runs: Folders of runs, of experiments, or folders that hold such.
+        out: The file; if not given, report.html in a single folder, comparison.html beside several.
+        overwrite: Replace a file that is no report on the same runs.
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
-    from novags.testbed.report.page import write_report
+    from novags.testbed.report.page import report_path, write_reports
 
-    with writing(folder, wait, make=False) as console:
-        path = write_report(folder, console)
+    with writing((out or report_path(runs)).parent, wait, make=out is not None) as console:
+        path = write_reports(runs, console, out=out, overwrite=overwrite)
     announce(path)
 
 
-def characterise(folder: Folder, *, out: Path, window: int = 1024, wait: bool = False) -> None:
+def characterise(folder: Folder, *, out: Path, window: int = 1024, overwrite: bool = False, wait: bool = False) -> None:
     """Estimate a camera from its dark and flat frames, and write it as a TOML file for --sensor.
 
     Args:
@@ -53,6 +80,7 @@ def characterise(folder: Folder, *, out: Path, window: int = 1024, wait: bool = 
             and frames.toml for what the files do not state: bits, exposure times, photons, eta.
         out: The TOML file.
         window: Side of the central square of the sensor that is used, in pixels.
+        overwrite: Replace a file of other content.
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
     from novags.testbed.calibration_frames import characterise_folder
@@ -60,6 +88,7 @@ def characterise(folder: Folder, *, out: Path, window: int = 1024, wait: bool = 
 
     with writing(out.parent, wait, name=f".{out.name}.lock"):
         sensor, found = characterise_folder(folder, window=window)
-        write_sensor(out, sensor, comment=f"measured from {folder.resolve().name}; what the frames say:\n{found}")
+        comment = f"measured from {folder.resolve().name}; what the frames say:\n{found}"
+        write_sensor(out, sensor, comment=comment, overwrite=overwrite)
     print(f"{found}\n{out}")
     next_(f"novags capture SET --sensor {out} --electrons 20 --out CAPTURE")

@@ -60,11 +60,11 @@ def terminated(*_: object) -> NoReturn:
     raise KeyboardInterrupt
 
 
-def command_line() -> str:
-    """As it was typed."""
-    import shlex
+def command_line(folder: Path) -> str:
+    """What was typed, as a command that does the same when it is run in `folder`."""
+    from novags.testbed.again import relative_command
 
-    return shlex.join(["novags", *sys.argv[1:]])
+    return relative_command(sys.argv[1:], folder)
 
 
 def announce(path: Path) -> None:

@@ -1,4 +1,4 @@
-"""The commands of single stages: plan, render, capture, reconstruct."""
+"""The commands of single stages: plan, render, poses, capture, reconstruct."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -50,7 +50,7 @@ def plan(
 def render(
     scene: Name, *, out: Path, views: int = 32, width: int = 128, height: int = 128, spp: int | None = None,
     target_error: float | None = None, light: Light = LIGHT,
-    export: tuple[Literal["blender", "llff"], ...] = (), seed: int = 0, wait: bool = False,
+    export: tuple[Literal["blender", "llff"], ...] = (), seed: int = 0, overwrite: bool = False, wait: bool = False,
 ) -> None:  # fmt: skip
     """Render a scene into a ground-truth multiview set.
 
@@ -65,6 +65,7 @@ def render(
         light: How light gets from the lamps to the sensor.
         export: Further layouts of the set to write, each into a folder of its own in it.
         seed: Of the Monte Carlo noise.
+        overwrite: Replace a finished result of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
     from novags.testbed import stages
@@ -76,15 +77,45 @@ def render(
         export=export, seed=seed, **light.settings(),
     )  # fmt: skip
     with writing(out, wait) as console:
-        stages.render(out, config, console)
+        stages.render(out, config, console, overwrite=overwrite)
     print(out)
     next_(f"novags capture {out} --electrons 20 --out CAPTURE")
+
+
+def poses(
+    photographs: Folder, *, out: Path, fps: float = 2.0, max_size: int | None = 1600, max_features: int = 4096,
+    peak_threshold: float = 0.0067, seed: int = 0, overwrite: bool = False, wait: bool = False,
+) -> None:  # fmt: skip
+    """Find the cameras of photographs of which nothing is known, and make a multiview set of them.
+
+    Args:
+        photographs: A folder of photographs of one scene, or a video file.
+        out: Folder of the set: undistorted pictures with their cameras.
+        fps: Frames to take from each second of a video.
+        max_size: Scale larger photographs down to this longest side first, in pixels; None keeps them.
+        max_features: Features in a picture, the largest ones.
+        peak_threshold: Contrast of a feature, 0 to 1; lower it for soft or dark photographs.
+        seed: Of the robust estimates.
+        overwrite: Replace a finished result of another request in the same folder.
+        wait: If another process is writing there, wait until it is done instead of refusing.
+    """
+    from novags.testbed import stages
+    from novags.testbed.stages.poses import PosesConfig
+
+    config = PosesConfig(
+        photographs=photographs, fps=fps, max_size=max_size, max_features=max_features, peak_threshold=peak_threshold,
+        seed=seed,
+    )  # fmt: skip
+    with writing(out, wait) as console:
+        stages.poses(out, config, console, overwrite=overwrite)
+    print(out)
+    next_(f"novags capture {out} --electrons 20 --out CAPTURE, or novags run --scene {out}")
 
 
 def capture(
     set: Folder, *, out: Path, sensor: str = "a7s2-iso6400-3chip", electrons: float = 20.0, time: float = 1 / 30,
     max_size: int | None = None, demosaic: Literal["menon", "malvar", "bilinear"] = "menon",
-    jpeg_quality: int | None = None, tolerance: float | None = 0.05, seed: int = 0,
+    jpeg_quality: int | None = None, tolerance: float | None = 0.05, seed: int = 0, overwrite: bool = False,
     wait: bool = False,
 ) -> None:  # fmt: skip
     """Photograph a multiview set in the dark: a rendered one, or real posed photographs.
@@ -101,6 +132,7 @@ def capture(
         jpeg_quality: 1 to 100: put the 8-bit pictures through JPEG.
         tolerance: Leave out effects that change the noise by less than this share; None simulates all.
         seed: Of the noise.
+        overwrite: Replace a finished result of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
     from novags.testbed import stages
@@ -111,7 +143,7 @@ def capture(
         jpeg_quality=jpeg_quality, tolerance=tolerance, seed=seed,
     )  # fmt: skip
     with writing(out, wait) as console:
-        stages.capture(set, out, config, console)
+        stages.capture(set, out, config, console, overwrite=overwrite)
     print(out)
     next_(f"novags reconstruct {out} --method nova-fast --out RUN")
 
@@ -120,7 +152,7 @@ def reconstruct(
     capture: Folder, *, out: Path, method: str = "nova-fast", variant: str | None = None, preset: PresetName = "demo",
     pictures: Literal["8bit", "16bit"] | None = None, cameras: str | None = None, refine_cameras: bool = False,
     points: int | None = None, iterations: int | None = None, denoiser_steps: int | None = None, seed: int = 0,
-    device: Device = "auto", wait: bool = False,
+    device: Device = "auto", overwrite: bool = False, wait: bool = False,
 ) -> None:  # fmt: skip
     """Reconstruct a capture with one method: a 3D model, and pictures rendered from it.
 
@@ -139,6 +171,7 @@ def reconstruct(
         denoiser_steps: Of the denoiser before the fit starts.
         seed: Of training.
         device: Where training runs; auto takes a GPU if there is one that can be used.
+        overwrite: Replace a finished result of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
     from novags.testbed import stages
@@ -152,6 +185,6 @@ def reconstruct(
     )  # fmt: skip
     config = replace(chosen.reconstruct(name), seed=seed)
     with writing(out, wait) as console:
-        stages.reconstruct(capture, out, config, console)
+        stages.reconstruct(capture, out, config, console, overwrite=overwrite)
     print(out)
     next_(f"novags score {out} && novags report {out}")

@@ -4,8 +4,8 @@ A stage writes into one folder and puts its record there last (`set.json`, `capt
 with a record is complete. The record's `stage` entry holds the key: a hash of the stage's name, the contents of its
 input folders and its resolved configuration. Same key: not run again. While a stage is under way, `unfinished.json`
 holds the key of the work in the folder; a later start with the same key continues it, another key clears it first.
-Nothing is cleared until the inputs of the new work have been read and found valid. Only one process at a time works in
-a folder.
+Nothing is cleared until the inputs of the new work have been read and found valid. A finished result of other work is
+not cleared at all unless the caller says so. Only one process at a time works in a folder.
 """
 
 import hashlib
@@ -22,6 +22,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from novags.testbed.console import Console
+from novags.testbed.difference import differences, listed
 from novags.testbed.memory import memory_shortage_said
 from novags.testbed.provenance import PeakMemory, environment, package_version
 from sensor_model.files.atomic import atomic
@@ -33,6 +34,7 @@ Prepared = TypeVar("Prepared")
 UNFINISHED = "unfinished.json"
 STATE = {"stage?": str, "record?": str, "key?": (str, None), "seconds?": float}  # what that holds
 KEYED = {"stage?": {"key?": str}}  # what a record of any stage holds
+MADE = {"stage?": {"key?": str, "config?": dict, "inputs?": {"*": str}, "versions?": {"*": str}}}
 # Entries of a record that say what it cost, not what it is.
 VOLATILE = ("stage", "seconds", "predicted_seconds", "peak_bytes", "versions")
 
@@ -172,6 +174,7 @@ def run_stage(
     console: Console,
     stale: Sequence[Path] = (),
     scrap: Sequence[str] = (),
+    overwrite: bool = False,
 ) -> dict[str, Any]:
     """Do a stage's work unless its folder already holds the result of the same inputs and configuration.
 
@@ -187,18 +190,63 @@ def run_stage(
         console: Where progress goes.
         stale: Files elsewhere that describe an earlier result in `folder`; removed together with it.
         scrap: Files in `folder` that only unfinished work needs; removed once the record is written, not before.
+        overwrite: Replace a finished result of other inputs or another configuration.
 
     Returns:
         The record, as it stands in the folder.
 
     Raises:
-        ValueError: If `folder` holds files that no stage of this kind has written, or an input is wrong.
+        ValueError: If `folder` holds files that no stage of this kind has written, or a finished result of another
+            request, or an input is wrong.
         BlockingIOError: If another process is writing to `folder`.
         MemoryError: If there is not enough memory, of the GPU too.
     """
     with locked(folder, owns), memory_shortage_said(name):
-        stage = _Stage(name, folder, record_name, tuple(owns), tuple(scrap), console)
+        stage = _Stage(name, folder, record_name, tuple(owns), tuple(scrap), overwrite, console)
         return stage.run(dict(inputs), jsonable(config), prepare, work, stale)
+
+
+def refuse_other(
+    folder: Path, record_name: str, config: Mapping[str, Any], inputs: Mapping[str, str] | None = None
+) -> None:
+    """Refuse to replace a finished result by that of another request.
+
+    Args:
+        folder: Where the request would write.
+        record_name: Of the record there.
+        config: The request's resolved configuration.
+        inputs: Content hash of each of its inputs; None: not known yet, configurations alone count.
+
+    Raises:
+        ValueError: If `folder` holds a finished result of another one; says what differs.
+    """
+    stage = _finished(folder, record_name)
+    if stage is None:
+        return
+    found = differences(stage.get("config", {}), jsonable(config))
+    before = stage.get("inputs", {})
+    found += [f"another {name}" for name, content in (inputs or {}).items() if before.get(name) != content]
+    if not found and inputs is not None:
+        made, here = stage.get("versions", {}).get("novags"), package_version("novags")
+        found.append(f"made by novags {made}, this is {here}" if made != here else "made by another stage")
+    if found:
+        raise ValueError(
+            f"{folder} holds a finished result of another request ({listed(found)}): choose another --out, or add "
+            "--overwrite to replace it"
+        )
+
+
+def _finished(folder: Path, record_name: str) -> dict[str, Any] | None:
+    """The `stage` entry of a finished result; None where there is none, or it is just being replaced."""
+    path, unfinished = folder / record_name, folder / UNFINISHED
+    if not path.exists():
+        return None
+    stage: dict[str, Any] | None = read_json(path, MADE).get("stage")
+    if stage is None or not unfinished.exists():
+        return stage
+    state = read_json(unfinished, STATE)  # of a later stage here, or left by an interruption after this one's end
+    other = state.get("record", record_name) != record_name
+    return stage if other or state.get("key") == stage.get("key") else None
 
 
 @dataclass(frozen=True)
@@ -210,6 +258,7 @@ class _Stage:
     record_name: str
     owns: tuple[str, ...]
     scrap: tuple[str, ...]
+    overwrite: bool
     console: Console
 
     def run(
@@ -227,6 +276,8 @@ class _Stage:
             self._forget_interruption()
             self.console.note(f"{self.name}: unchanged, kept {self.folder}")
             return record
+        if not self.overwrite:
+            refuse_other(self.folder, self.record_name, config, inputs)
         earlier = self._earlier_seconds(key)
         start, memory = time.perf_counter(), PeakMemory()
         prepared = prepare()

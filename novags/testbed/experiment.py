@@ -1,42 +1,80 @@
-"""The main job: render, capture, reconstruct by every method, score, report, in one folder."""
+"""The main job: a set, a capture of it, reconstructions by every method, scores, a report, in one folder."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from novags.testbed import stages
-from novags.testbed.cache import write_json
+from novags.testbed.cache import read_json, refuse_other, write_json
 from novags.testbed.console import Console
+from novags.testbed.folders import capture as capture_folder
+from novags.testbed.folders import shapes
 from novags.testbed.folders.experiment import EXPERIMENT, REPORT, find_runs
 from novags.testbed.folders.run import METRICS, RECORD
 from novags.testbed.presets import Preset
 from novags.testbed.report.page import write_report
+from novags.testbed.stages.render import RECORD as SET
 from novags.testbed.stages.score import merge
 from sensor_model.files.lock import locked
 
 
-def run(preset: Preset, out: Path, console: Console, *, command: str | None = None) -> Path:
+def run(preset: Preset, out: Path, console: Console, *, command: str | None = None, overwrite: bool = False) -> Path:
     """Run what is still missing of the experiment in `out`; returns the path of the report.
 
     Args:
         preset: What to do.
-        out: The experiment folder: set/, capture/, one folder per method or variant, metrics.json, report.html.
+        out: The experiment folder: set/ (unless a set is given), capture/, one folder per method or variant,
+            metrics.json, report.html.
         console: Where progress goes.
         command: The command line, for the record.
+        overwrite: Replace finished results of another request.
 
     Raises:
-        ValueError: If an input is wrong or `out` holds other things.
+        ValueError: If an input is wrong, or `out` holds other things or, unless `overwrite`, finished results of
+            another request; that is said before any work.
         BlockingIOError: If another process is writing to `out`.
     """
     with locked(out):
+        if not overwrite:
+            _refuse_other(preset, out)
         described = [out / name for name in (EXPERIMENT, METRICS, REPORT)]
-        stages.render(out / "set", preset.render, console, stale=described)
-        stages.capture(out / "set", out / "capture", preset.capture, console, stale=described)
+        source = _source(preset, out, console, described, overwrite)
+        capture = out / "capture"
+        stages.capture(source, capture, preset.capture, console, stale=described, overwrite=overwrite)
         for name in preset.methods:
-            stages.reconstruct(out / "capture", out / name, preset.reconstruct(name), console, stale=described)
+            config = preset.reconstruct(name)
+            stages.reconstruct(capture, out / name, config, console, stale=described, overwrite=overwrite)
         write_json(out / EXPERIMENT, {"command": command, "methods": preset.methods, "preset": asdict(preset)})
         score_all(out, console)
         return write_report(out, console)
+
+
+def _source(preset: Preset, out: Path, console: Console, stale: Sequence[Path], overwrite: bool) -> Path:
+    """The set to photograph: the given one, or one made in the experiment's folder."""
+    if preset.folder is not None:
+        return preset.folder
+    if preset.photos is not None:
+        stages.poses(out / "set", preset.photos, console, stale=stale, overwrite=overwrite)
+        return out / "set"
+    stages.render(out / "set", preset.render, console, stale=stale, overwrite=overwrite)
+    return out / "set"
+
+
+def _refuse_other(preset: Preset, out: Path) -> None:
+    """Refuse a request that would replace finished results in `out`, before any work."""
+    if preset.folder is None:
+        refuse_other(out / "set", SET, (preset.photos or preset.render).resolved())
+    refuse_other(out / "capture", capture_folder.RECORD, preset.capture.resolved())
+    for name in preset.methods:
+        refuse_other(out / name, RECORD, preset.reconstruct(name).resolved())
+    if (out / EXPERIMENT).exists():
+        before = read_json(out / EXPERIMENT, shapes.EXPERIMENT)["methods"]
+        if lost := [name for name in before if name not in preset.methods]:
+            raise ValueError(
+                f"{out} holds a finished comparison with {', '.join(lost)}, which this request leaves out: name them "
+                "too (--methods), choose another --out, or add --overwrite"
+            )
 
 
 def score_all(folder: Path, console: Console) -> dict[str, Any]:

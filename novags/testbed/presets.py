@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from novags.cameras import CameraConfig, KnownConfig
@@ -9,8 +10,10 @@ from novags.methods import METHODS, chosen, with_variants
 from novags.methods.variant import Variant
 from novags.settings import has_setting
 from novags.testbed.stages.capture import CaptureConfig
+from novags.testbed.stages.poses import PosesConfig
 from novags.testbed.stages.reconstruct import ReconstructConfig
 from novags.testbed.stages.render import RenderConfig
+from simscenes.sets.multiview import is_rendered
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -23,6 +26,8 @@ class Preset:
     """An experiment: what to render, how to photograph it, which methods with which settings."""
 
     render: RenderConfig
+    folder: Path | None = None  # a set folder to photograph instead of a render
+    photos: PosesConfig | None = None  # or photographs, of which a set is made first
     capture: CaptureConfig
     methods: tuple[str, ...]  # names of methods or variants
     variants: tuple[Variant, ...] = ()  # of this experiment alone
@@ -95,6 +100,9 @@ def adapted(
     preset: Preset,
     *,
     scene: str | None = None,
+    photos: Path | None = None,
+    fps: float | None = None,
+    max_size: int | None = None,
     sensor: str | None = None,
     electrons: float | None = None,
     methods: tuple[str, ...] | None = None,
@@ -114,11 +122,22 @@ def adapted(
 ) -> Preset:
     """The preset with some settings changed; None keeps its own.
 
-    The caller's own variants are compared with the preset's methods, unless `methods` lists everything.
+    The caller's own variants are compared with the preset's methods, unless `methods` lists everything. A `scene` that
+    is a folder is photographed as it is, and of `photos` (a folder or a video, with its `fps`) a set is made first;
+    photographs are scaled to the preset's size unless `max_size` says another.
 
     Raises:
-        ValueError: If a value is out of range.
+        ValueError: If a value is out of range, or one of a render is given for a folder.
     """
+    folder = None if scene is None or not Path(scene).is_dir() else Path(scene)
+    if folder is not None:
+        _refuse_of_render(f"the set {folder}", views=n_views, width=width, height=height, spp=spp)
+        scene = None
+    bare = _bare(photos, fps, seed, also=None if folder is None and scene is None else "--scene")
+    if bare is not None:
+        _refuse_of_render(f"what --photos names ({photos})", views=n_views, width=width, height=height, spp=spp)
+    if max_size is None and (bare is not None or (folder is not None and not is_rendered(folder))):
+        max_size = max(preset.render.width, preset.render.height)
     settings = {"fit.iterations": iterations, "denoiser.warmup_steps": denoiser_steps, "pictures": pictures}
     given = {name: value for name, value in settings.items() if value is not None}
     if refine_cameras:
@@ -128,7 +147,9 @@ def adapted(
     return _changed(
         preset,
         render=_changed(preset.render, scene=scene, n_views=n_views, width=width, height=height, spp=spp, seed=seed),
-        capture=_changed(preset.capture, sensor=sensor, electrons=electrons, seed=seed),
+        folder=folder,
+        photos=bare,
+        capture=_changed(preset.capture, sensor=sensor, electrons=electrons, max_size=max_size, seed=seed),
         methods=methods,
         variants=variants,
         cameras=cameras,
@@ -136,6 +157,23 @@ def adapted(
         settings={**preset.settings, **given},
         device=device,
     )
+
+
+def _bare(photos: Path | None, fps: float | None, seed: int | None, also: str | None) -> PosesConfig | None:
+    """How to make a set of photographs; None without any."""
+    if photos is None:
+        if fps is not None:
+            raise ValueError(f"--fps {fps:g} belongs to a video: name it with --photos")
+        return None
+    if also is not None:
+        raise ValueError(f"give either --photos {photos} or {also}, not both")
+    return _changed(PosesConfig(photographs=photos), fps=fps, seed=seed)
+
+
+def _refuse_of_render(source: str, **given: int | None) -> None:
+    if named := [f"--{name}" for name, value in given.items() if value is not None]:
+        raise ValueError(f"{', '.join(named)} belong to a render, and {source} is photographed as it is: leave out "
+                         f"{'it' if len(named) == 1 else 'them'} (--max-size scales pictures down)")  # fmt: skip
 
 
 def _changed(config: Config, **values: Any) -> Config:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from dataclasses import fields
 from difflib import get_close_matches
 from math import inf
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -53,15 +54,24 @@ def _present(data: Mapping[str, Any]) -> dict[str, Any]:
     return {key: _present(v) if isinstance(v, dict) else v for key, v in named.items() if v is not None}
 
 
-def write_sensor(path: str | os.PathLike[str], sensor: Sensor, *, comment: str = "") -> None:
-    """Write a camera that `read_sensor` reads back exactly; the file appears whole or not at all."""
+def write_sensor(path: str | os.PathLike[str], sensor: Sensor, *, comment: str = "", overwrite: bool = True) -> None:
+    """Write a camera that `read_sensor` reads back exactly; the file appears whole or not at all.
+
+    Raises:
+        ValueError: If the file is there with another content, unless `overwrite`.
+    """
     lines = [f"# {line}" for line in comment.splitlines()]
     lines += _assignments(sensor)
     for part in PARTS:
         if (value := getattr(sensor, part)) is not None:
             lines += ["", f"[{part}]", *_assignments(value)]
+    content = "\n".join([*lines, ""]).encode()
+    if not overwrite and Path(path).exists() and Path(path).read_bytes() != content:
+        raise ValueError(
+            f"{path} is there with another content: choose another --out, or add --overwrite to replace it"
+        )
     with atomic(path) as temporary:
-        temporary.write_bytes("\n".join([*lines, ""]).encode())
+        temporary.write_bytes(content)
 
 
 def _values(kind: type, data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

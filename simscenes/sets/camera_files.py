@@ -42,6 +42,7 @@ def write_cameras(
     rig: Rig,
     *,
     points: SparsePoints | None = None,
+    held_out: Sequence[int] | None = None,
     image_dir: str = "images",
 ) -> None:
     """Write transforms.json, sparse/0/*.bin, train_list.txt, test_list.txt and nb-info.json into `folder`.
@@ -51,6 +52,7 @@ def write_cameras(
         names: File stems, one per camera, sorted as files (`names.file_of`).
         rig: The cameras.
         points: Sparse points with their tracks and errors, which are written as they are.
+        held_out: Places of the views for testing; None: every 8th, from 0.
         image_dir: Folder of the images, relative to `folder`.
 
     Raises:
@@ -60,8 +62,9 @@ def write_cameras(
     check_names(names, len(rig))
     folder.mkdir(parents=True, exist_ok=True)
     files = [file_of(name) for name in names]
-    test = [f for i, f in enumerate(files) if is_test_view(i)]
-    train = [f for i, f in enumerate(files) if not is_test_view(i)]
+    tested = {i for i in range(len(files)) if is_test_view(i)} if held_out is None else set(held_out)
+    test = [f for i, f in enumerate(files) if i in tested]
+    train = [f for i, f in enumerate(files) if i not in tested]
     _write_colmap(folder / "sparse" / "0", files, rig, points)
     write_json(folder / "transforms.json", _transforms(rig, files, train, test, image_dir))
     write_text(folder / "train_list.txt", "".join(f"{f}\n" for f in train))

@@ -72,3 +72,36 @@ def read_image(file: Path, flags: int) -> NDArray[Any]:
     if pixels is None:
         raise ValueError(f"{file} is missing or not a readable image")
     return np.asarray(pixels)
+
+
+WITH_ALPHA = (".png", ".tif", ".tiff", ".webp")  # formats of 8-bit photographs that can be transparent
+BACKGROUND = 255  # sRGB code behind transparent pixels: white, as in the papers that use the NeRF-synthetic scenes
+
+
+def has_alpha(file: Path) -> bool:
+    """Whether pixels of the image can be transparent, from its header alone.
+
+    Raises:
+        ValueError: If it is not an image.
+    """
+    with header(file) as image:
+        return image.mode in ("RGBA", "LA", "PA", "RGBa", "La") or "transparency" in image.info
+
+
+def read_rgb(file: Path) -> NDArray[np.uint8]:
+    """Pixels as stored, 8-bit sRGB [h,w,3]; transparent ones before a white background, mixed as codes are.
+
+    A mark of orientation is ignored, since poses refer to the pixels as stored.
+
+    Raises:
+        ValueError: If it is missing, not a readable image, or larger than `MAX_PIXELS`.
+    """
+    if file.is_file() and has_alpha(file):
+        found = read_image(file, cv2.IMREAD_UNCHANGED)
+        codes = found / np.float32(257) if found.dtype == np.uint16 else found.astype(np.float32)
+        if codes.ndim == 3 and codes.shape[2] == 4:
+            alpha = codes[..., 3:] / np.float32(255)
+            mixed = codes[..., 2::-1] * alpha + np.float32(BACKGROUND) * (1 - alpha)
+            return np.asarray(np.round(mixed), np.uint8)
+    pixels = read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    return np.ascontiguousarray(pixels[..., ::-1])

@@ -16,10 +16,12 @@ from numpy.typing import NDArray
 from sensor_model import srgb_to_linear
 from sensor_model.files.records import Numbers, read_record
 from simscenes.rigs import Rig
+from simscenes.sets.bare import picture_files
 from simscenes.sets.camera_files import is_test_view, write_cameras
 from simscenes.sets.colmap import find_colmap, read_colmap, read_points
 from simscenes.sets.exr import read_exr
-from simscenes.sets.image_file import read_image
+from simscenes.sets.image_file import WITH_ALPHA, has_alpha, read_rgb
+from simscenes.sets.nerf_synthetic import is_nerf_synthetic, read_nerf_synthetic
 from simscenes.sets.photographs import DistortedPinhole, Photographs, read_transforms
 from simscenes.sets.tracks import SparsePoints
 
@@ -41,6 +43,8 @@ class MultiviewSet:
         rig: Pinhole cameras; of the undistorted images if the source had distortion.
         kind: "rendered" (radiance and geometry are known) or "photographs".
         meta: Content of set.json (or capture.json), {} for folders from elsewhere.
+        held_out: Places of the views that the folder itself holds out; None: every 8th is.
+        unregistered: Photographs of the same take that have no camera, as files relative to their folder.
         origin: Where the zero of `rig` and of the points lies in the coordinates of the folder's files.
     """
 
@@ -51,6 +55,8 @@ class MultiviewSet:
     meta: dict[str, Any]
     files: tuple[Path, ...] = field(repr=False)
     lenses: tuple[DistortedPinhole, ...] | None = field(default=None, repr=False)
+    held_out: tuple[int, ...] | None = None
+    unregistered: tuple[str, ...] = field(default=(), repr=False)
     origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     def __len__(self) -> int:
@@ -71,25 +77,28 @@ class MultiviewSet:
 
     @property
     def test_indices(self) -> list[int]:
-        """Held-out views: every 8th in the order of their names, from 0."""
-        return [i for i in range(len(self)) if is_test_view(i)]
+        """Held-out views: the folder's own, else every 8th in the order of their names, from 0."""
+        return [i for i in range(len(self)) if is_test_view(i)] if self.held_out is None else list(self.held_out)
 
     @property
     def train_indices(self) -> list[int]:
         """All views but the held-out ones."""
-        return [i for i in range(len(self)) if not is_test_view(i)]
+        tested = set(self.test_indices)
+        return [i for i in range(len(self)) if i not in tested]
+
+    @property
+    def transparent(self) -> bool:
+        """Whether some photograph can be transparent: what is behind counts as white then."""
+        clear = (file for file in self.files if file.suffix.lower() in WITH_ALPHA)
+        return self.kind == "photographs" and any(has_alpha(file) for file in clear)
 
     def image(self, i: int) -> Image:
-        """The sRGB image of view `i`, uint8 [h,w,3], undistorted.
+        """The sRGB image of view `i`, uint8 [h,w,3], undistorted, before white where it is transparent.
 
         Raises:
             ValueError: If the file cannot be read.
         """
-        import cv2
-
-        flags = cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION  # poses refer to the pixels as stored
-        pixels = read_image(self.files[i], flags)
-        rgb = np.ascontiguousarray(pixels[..., ::-1])
+        rgb = read_rgb(self.files[i])
         if self.lenses is None:
             return rgb
         return self.lenses[i].undistort(rgb, self.rig.Ks[i])
@@ -152,11 +161,17 @@ def _stack(channels: dict[str, NDArray[Any]], *names: str) -> Float32:
     return np.stack([channels[n] for n in names], axis=-1).astype(np.float32)
 
 
+def is_rendered(folder: Path) -> bool:
+    """Whether a set folder holds a render, with its truth, rather than photographs."""
+    return (folder / "gt").is_dir()
+
+
 def load_set(path: str | Path) -> MultiviewSet:
-    """Open a folder of posed images: our sets and captures, nerfstudio or instant-ngp data, or a COLMAP model.
+    """Open a folder of posed images: our sets and captures, nerfstudio, instant-ngp, NeRF-synthetic or COLMAP data.
 
     Args:
-        path: The folder. It holds set.json (rendered here), or transforms.json, or sparse/0 and images/.
+        path: The folder. It holds set.json (rendered here), or transforms.json, or sparse/0 and images/, or
+            transforms_train.json.
 
     Raises:
         ValueError: If the folder is none of these, a render in it is unfinished, a camera file is broken or no image
@@ -165,7 +180,7 @@ def load_set(path: str | Path) -> MultiviewSet:
     path = Path(path)
     if not path.is_dir():
         raise ValueError(f"load_set: no such folder: {path}")
-    if (path / "gt").is_dir() and not (path / "set.json").is_file():
+    if is_rendered(path) and not (path / "set.json").is_file():
         raise ValueError(
             f"load_set: {path} holds an unfinished render (gt/ without set.json); run the render again, it resumes"
         )
@@ -174,18 +189,44 @@ def load_set(path: str | Path) -> MultiviewSet:
         found = read_transforms(path)
     elif model := find_colmap(path):
         found = read_colmap(path, model)
+    elif is_nerf_synthetic(path):
+        found = read_nerf_synthetic(path)
     else:
-        raise ValueError(f"load_set: {path} holds no set.json, no transforms.json and no COLMAP model (sparse/0)")
+        raise ValueError(_no_set(path))
     return _as_set(path, found, meta)
 
 
 def _as_set(path: Path, found: Photographs, meta: dict[str, Any]) -> MultiviewSet:
-    kind: Literal["rendered", "photographs"] = "rendered" if (path / "gt").is_dir() else "photographs"
+    kind: Literal["rendered", "photographs"] = "rendered" if is_rendered(path) else "photographs"
     distorted = any(any(lens.distortion) for lens in found.lenses)
     lenses = found.lenses if distorted else None
     return MultiviewSet(
-        path=path, names=found.names, rig=found.rig, kind=kind, meta=meta, files=found.files, lenses=lenses
-    )
+        path=path, names=found.names, rig=found.rig, kind=kind, meta=meta, files=found.files, lenses=lenses,
+        held_out=found.held_out,
+        unregistered=_unregistered(path, found, meta) if kind == "photographs" else (),
+    )  # fmt: skip
+
+
+def _unregistered(path: Path, found: Photographs, meta: dict[str, Any]) -> tuple[str, ...]:
+    """As set.json says; without one, the pictures that lie beside those that have a camera."""
+    if meta:
+        return tuple(meta.get("unregistered", ()))
+    if is_nerf_synthetic(path):  # beside its pictures lie their depths and normals
+        return ()
+    placed = {os.path.abspath(file) for file in found.files}
+    suffixes = {file.suffix.lower() for file in found.files}
+    beside = (file for folder in {file.parent for file in found.files} for file in folder.iterdir())
+    left = [file for file in beside if file.suffix.lower() in suffixes and os.path.abspath(file) not in placed]
+    return tuple(sorted(os.path.relpath(file, path) for file in left if not file.name.startswith(".")))
+
+
+def _no_set(path: Path) -> str:
+    """Why a folder is no set, with what to do about it."""
+    if pictures := picture_files(path):
+        return (f"{path} holds {len(pictures)} pictures without camera poses: find the poses first, with "
+                f"novags poses {path} --out SET")  # fmt: skip
+    return (f"load_set: {path} holds no set.json, no transforms.json (or transforms_train.json) and no COLMAP model "
+            "(sparse/0)")  # fmt: skip
 
 
 # What is read of set.json, where it is there; a capture.json is its own writer's business.
@@ -195,7 +236,7 @@ PLAN = {"effects": [EFFECT], "bound": (float, None), "unit": str, "seconds?": {"
         "biases?": {"*": (float, None)}}  # fmt: skip
 SET = {
     "scene?": (str, None), "exposure_scale?": float, "camera_matrix?": Numbers(3, 3), "plan?": PLAN, "width?": int,
-    "height?": int, "views?": {"*": {"relative_error": float, "fireflies": int}},
+    "height?": int, "unregistered?": [str], "views?": {"*": {"relative_error": float, "fireflies": int}},
     "stage?": {"seconds": float, "peak_bytes": int, "config": dict},
 }  # fmt: skip
 

@@ -9,8 +9,8 @@ import os
 import unicodedata
 import warnings
 from collections import Counter
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -79,12 +79,47 @@ class Frame:
 
 @dataclass(frozen=True)
 class Photographs:
-    """Posed photographs in the order of their names: names, image files, the pinhole rig, one lens per view."""
+    """Posed photographs in the order of their names: names, image files, the pinhole rig, one lens per view.
+
+    `held_out` are the views that their source holds out for testing; None: it does not say.
+    """
 
     names: tuple[str, ...]
     files: tuple[Path, ...]
     rig: Rig
     lenses: tuple[DistortedPinhole, ...]
+    held_out: tuple[int, ...] | None = None
+
+    def holding_out(self, tested: Collection[Path], source: Path) -> Photographs:
+        """The same with these files held out.
+
+        Raises:
+            ValueError: Naming `source`, if nothing is left to train on.
+        """
+        return replace(self, held_out=held_out(self.files, tested, source))
+
+
+def held_out(files: Sequence[Path], tested: Collection[Path], source: Path) -> tuple[int, ...] | None:
+    """The places of the tested files; None if there are none.
+
+    Raises:
+        ValueError: Naming `source`, if nothing is left to train on.
+    """
+    found = tuple(i for i, file in enumerate(files) if file in tested)
+    if found and len(found) == len(files):
+        raise ValueError(f"{source} holds every image out for testing: list some for training")
+    return found or None
+
+
+def listed_for_testing(source: Path) -> set[Path]:
+    """Of the images that a transforms.json holds out, the files that are there."""
+    return {file for name in names_for_testing(source) if (file := find_file(source.parent, name)) is not None}
+
+
+def names_for_testing(source: Path) -> list[str]:
+    """The images that a transforms.json in the manner of nerfstudio names under `test_filenames`, or else `val_…`."""
+    content = read_record(source, {"test_filenames?": [str], "val_filenames?": [str]})
+    return content.get("test_filenames") or content.get("val_filenames") or []
 
 
 def transforms_frames(source: Path) -> list[Frame]:
@@ -205,7 +240,8 @@ def read_transforms(folder: Path) -> Photographs:
     source = folder / "transforms.json"
     frames = transforms_frames(source)
     entries = [(find_file(folder, frame.file_path), opengl_to_opencv(frame.pose), frame.camera) for frame in frames]
-    return collect(entries, source, lambda c, w, h: transforms_lens(c, w, h, source))
+    found = collect(entries, source, lambda c, w, h: transforms_lens(c, w, h, source))
+    return found.holding_out(listed_for_testing(source), source)
 
 
 def transforms_lens(camera: dict[str, Any], width: int, height: int, source: Path) -> DistortedPinhole:

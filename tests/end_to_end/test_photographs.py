@@ -87,6 +87,7 @@ def test_photographs_of_any_name_go_through_the_whole_line(tiny: Preset, quiet: 
         (tmp_path / "set" / name).write_bytes(data.tobytes())
         frames.append({"file_path": name, "transform_matrix": pose.tolist()})
     (tmp_path / "set" / "transforms.json").write_text(json.dumps({"fl_x": 30.0, "frames": frames}))
+    (tmp_path / "set" / "stray.png").write_bytes((tmp_path / "set" / "a.png").read_bytes())
     stages.capture(tmp_path / "set", tmp_path / "capture", CaptureConfig(), quiet)
     capture = open_capture(tmp_path / "capture")
     assert sorted(capture.record["files"].values()) == sorted(files)
@@ -97,5 +98,7 @@ def test_photographs_of_any_name_go_through_the_whole_line(tiny: Preset, quiet: 
     page = write_report(tmp_path / "run", quiet).read_text(encoding="utf-8")
     assert "a-b · held out" in page
     assert page.count(" · training") == 4
+    assert "8 of 9 photographs of set" in page
+    assert "No camera was found for 1 of 9 photographs, which are left out: stray.png." in page
     listed = (tmp_path / "capture" / "train_list.txt").read_text(encoding="utf-8").splitlines()
     assert sorted(listed) == sorted(f"{name}.png" for name in capture.names if name != "a-b")

@@ -167,13 +167,31 @@ def test_a_second_run_does_nothing_but_the_report(experiment: Path, tiny: Preset
     assert changed == {"experiment.json", "metrics.json", "report.html"}
 
 
+def test_another_request_on_the_same_folder_is_refused_before_any_work(
+    experiment: Path, tiny: Preset, quiet: Console
+) -> None:
+    before = modified(experiment)
+    for other, said in (
+        (replace(tiny, capture=replace(tiny.capture, electrons=5.0)), r"capture holds .*electrons was 20.0, is 5.0"),
+        (
+            replace(tiny, methods=("naive", "naive-l1", "oracle")),
+            "comparison with nova-fast, which this request leaves",
+        ),
+        # The last of them: what comes before it must not be computed first.
+        (replace(tiny, methods=("naive-l1", *tiny.methods), points=400), "nova-fast holds .*points was 300, is 400"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            run(other, experiment, quiet)
+    assert modified(experiment) == before
+
+
 def test_a_changed_light_captures_again_but_does_not_render_again(
     experiment: Path, tiny: Preset, quiet: Console, tmp_path: Path
 ) -> None:
     folder = copy(experiment, tmp_path, "set", "capture")
     before = modified(folder)
     brighter = replace(tiny, capture=replace(tiny.capture, electrons=80.0), methods=("naive",))
-    run(brighter, folder, quiet)
+    run(brighter, folder, quiet, overwrite=True)
     after = modified(folder)
     assert all(after[name] == when for name, when in before.items() if name.startswith("set/"))
     assert all(after[name] != when for name, when in before.items() if name.startswith("capture/images/"))
@@ -184,11 +202,11 @@ def test_a_changed_capture_is_reconstructed_and_scored_again_and_until_then_refu
 ) -> None:
     folder = copy(experiment, tmp_path, "set", "capture", "naive")
     before = (folder / "naive" / "point_cloud.ply").read_bytes(), stages.score(folder / "naive", quiet)
-    stages.capture(folder / "set", folder / "capture", replace(tiny.capture, electrons=5.0), quiet)
+    stages.capture(folder / "set", folder / "capture", replace(tiny.capture, electrons=5.0), quiet, overwrite=True)
     for use in (stages.score, write_report):
         with pytest.raises(ValueError, match=r"capture has changed since .*naive was made .* reconstruct again"):
             use(folder / "naive", quiet)
-    stages.reconstruct(folder / "capture", folder / "naive", tiny.reconstruct("naive"), quiet)
+    stages.reconstruct(folder / "capture", folder / "naive", tiny.reconstruct("naive"), quiet, overwrite=True)
     assert (folder / "naive" / "point_cloud.ply").read_bytes() != before[0]
     assert not (folder / "naive" / "metrics.json").exists()
     assert stages.score(folder / "naive", quiet)["methods"]["naive"]["mean"] != before[1]["methods"]["naive"]["mean"]
@@ -198,7 +216,7 @@ def test_a_capture_of_a_set_that_has_changed_is_refused(
     experiment: Path, tiny: Preset, quiet: Console, tmp_path: Path
 ) -> None:
     folder = copy(experiment, tmp_path, "set", "capture", "naive")
-    stages.render(folder / "set", replace(tiny.render, seed=1), quiet)
+    stages.render(folder / "set", replace(tiny.render, seed=1), quiet, overwrite=True)
     for use in (
         lambda: stages.reconstruct(folder / "capture", tmp_path / "run", tiny.reconstruct("naive"), quiet),
         lambda: stages.score(folder / "naive", quiet),
@@ -214,12 +232,12 @@ def test_an_interrupted_second_configuration_leaves_no_report_that_mixes_both(
     shutil.copytree(experiment, folder)
     other = replace(tiny, settings={**tiny.settings, "fit.iterations": 20})
     with pytest.raises(KeyboardInterrupt):
-        run(other, folder, Interrupting("reconstruct naive", 10))
+        run(other, folder, Interrupting("reconstruct naive", 10), overwrite=True)
     assert not {"experiment.json", "metrics.json", "report.html"} & {path.name for path in folder.iterdir()}
     for use in (score_all, write_report):
         with pytest.raises(ValueError, match=r"neither a run .* run the same command again"):
             use(folder, quiet)
-    run(other, folder, quiet)
+    run(other, folder, quiet, overwrite=True)
     assert (folder / "report.html").exists()
 
 
@@ -229,7 +247,7 @@ def test_scores_of_an_earlier_run_are_not_reported(
     folder = tmp_path / "copy"
     shutil.copytree(experiment, folder)
     config = replace(tiny.reconstruct("naive"), seed=1)
-    stages.reconstruct(folder / "capture", folder / "naive", config, quiet)
+    stages.reconstruct(folder / "capture", folder / "naive", config, quiet, overwrite=True)
     with pytest.raises(ValueError, match="no scores of naive as of now: run novags score"):
         write_report(folder, quiet)
     score_all(folder, quiet)

@@ -51,7 +51,10 @@ STAGES = {
     "report": Stage(["report", "run"], ("set", "capture", "run"), "run"),
 }  # fmt: skip
 STAGES["capture again"] = Stage(
-    STAGES["capture"].command, ("set",), "capture", before=[*STAGES["capture"].command, "--electrons", "5"]
+    [*STAGES["capture"].command, "--overwrite"],
+    ("set",),
+    "capture",
+    before=[*STAGES["capture"].command, "--electrons", "5"],
 )
 
 

@@ -83,7 +83,7 @@ def test_who_waits_comes_second_and_keeps_or_replaces_the_result(server, photogr
     command = ["capture", "set", "--out", f"waited {other}/capture", "--wait", "--electrons"]
     first = begins(server, photographs, [*command, "20"])
     try:
-        second = server.start(photographs, [*command, other])
+        second = server.start(photographs, [*command, other, "--overwrite"])
         until(lambda: second.said("waiting for"))
     finally:
         os.kill(first.process, signal.SIGCONT)

@@ -39,7 +39,7 @@ def test_variants_and_cameras_reach_the_experiment(monkeypatch: pytest.MonkeyPat
     from novags.testbed import experiment
 
     seen = []
-    monkeypatch.setattr(experiment, "run", lambda preset, out, console, command: seen.append(preset) or tmp_path)
+    monkeypatch.setattr(experiment, "run", lambda preset, *_, **__: seen.append(preset) or tmp_path)
     words = ["--variant", "a=nova-fast:sh_weight=0.5", "--variant", "b=a:consistency=none", "--iterations", "7"]
     words += ["--cameras", "known:rotation_deg=2", "--refine-cameras", "--device", "cpu", "--out", str(tmp_path)]
     assert call(monkeypatch, "run", *words) == 0
@@ -177,7 +177,7 @@ def test_too_little_memory_is_one_line_even_where_nothing_can_be_written(
 ) -> None:
     from novags.testbed import stages
 
-    def too_large(*_: object) -> None:
+    def too_large(*_: object, **__: object) -> None:
         raise MemoryError
 
     monkeypatch.setattr(stages, "capture", too_large)
@@ -200,7 +200,7 @@ def test_an_interruption_says_how_to_continue(
 ) -> None:
     from novags.testbed import stages
 
-    def interrupted(*_: object) -> None:
+    def interrupted(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(stages, "capture", interrupted)

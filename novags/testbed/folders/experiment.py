@@ -1,5 +1,10 @@
-"""An experiment on disk: set/, capture/, a folder for each run, experiment.json, metrics.json, report.html."""
+"""An experiment on disk: set/, capture/, a folder for each run, experiment.json, metrics.json, report.html.
 
+And collections of runs, wherever they lie.
+"""
+
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 from novags.testbed.cache import UNFINISHED, read_json
@@ -30,3 +35,50 @@ def find_runs(folder: Path) -> dict[str, Run]:
         f"{folder} is neither a run (no {RECORD}) nor an experiment (no {EXPERIMENT}; if it is "
         "an unfinished one, run the same command again)"
     )
+
+
+def experiments_in(folder: Path) -> list[Path]:
+    """The folder itself if it is a run or an experiment, else every experiment and every other run below it, sorted.
+
+    Raises:
+        ValueError: If there is none.
+    """
+    if not folder.is_dir():
+        raise ValueError(f"no such folder: {folder}")
+    if any((folder / name).exists() for name in (RECORD, UNFINISHED, EXPERIMENT)):
+        return [folder]
+    found = [record.parent for name in (EXPERIMENT, RECORD) for record in folder.rglob(name)]
+    visible = [path for path in found if not any(part.startswith(".") for part in path.relative_to(folder).parts)]
+    parts = {path for path in visible if (path / EXPERIMENT).exists()}
+    alone = [path for path in visible if not parts & {path, path.parent}]
+    if not visible:
+        find_runs(folder)  # which says what it is not
+    return sorted({*parts, *alone})
+
+
+def gather(folders: Sequence[Path]) -> dict[str, Run]:
+    """All runs of several runs, experiments, or folders of such, by names that differ.
+
+    A name is the run's own, after the folder it lies in and a slash where others have it too.
+
+    Raises:
+        ValueError: If a folder is none of these, or there is none.
+    """
+    if not folders:
+        raise ValueError("name at least one folder of a run, of an experiment, or of several of them")
+    runs = [run for folder in folders for part in experiments_in(folder) for run in find_runs(part).values()]
+    runs = list({run.path.resolve(): run for run in runs}.values())
+    count = Counter(run.name for run in runs)
+    named: dict[str, Run] = {}
+    for run in runs:
+        parents = [part for part in reversed(run.path.resolve().parent.parts) if part != run.path.anchor]
+        name = run.name
+        if count[run.name] > 1 or name in named:
+            # From below upwards until nobody else is called like it.
+            alike = [other.path.resolve().parent.parts[::-1] for other in runs if other.name == run.name]
+            depth = next((d for d in range(1, len(parents) + 1)
+                          if sum(other[:d] == tuple(parents[:d]) for other in alike) == 1), None)  # fmt: skip
+            prefix = "/".join(reversed(parents[:depth])) if depth else run.path.name
+            name = f"{prefix}/{run.name}"
+        named[name] = run
+    return named

@@ -5,7 +5,7 @@ kind of set, one file in memory at a time.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,15 @@ from simscenes.rigs import Rig, opengl_to_opencv
 from simscenes.sets.colmap import colmap_lens, colmap_views, find_colmap
 from simscenes.sets.exr import read_exr
 from simscenes.sets.multiview import MultiviewSet
-from simscenes.sets.photographs import DistortedPinhole, find_file, listed, transforms_frames, transforms_lens
+from simscenes.sets.photographs import (
+    DistortedPinhole,
+    find_file,
+    held_out,
+    listed,
+    names_for_testing,
+    transforms_frames,
+    transforms_lens,
+)
 
 SUFFIXES = (".exr", *raw_files.SUFFIXES)
 WHITE_QUANTILE = 0.99  # of an EXR image's light, whose unit is unknown, becomes white in its 8-bit picture
@@ -74,6 +82,7 @@ def load_linear_set(folder: Path) -> LinearPhotographs | None:
         kind="photographs",
         meta={"exposure_scale": _exposure_scale(files)},
         files=files,
+        held_out=held_out(files, model.tested, model.source),
         lenses=lenses if any(any(lens.distortion) for lens in lenses) else None,
     )
 
@@ -86,6 +95,7 @@ class _Model:
     entries: list[tuple[Path | None, np.ndarray, Any]]
     size: Callable[[Any], tuple[int | None, int | None]]  # that a camera states, px
     lens: Callable[[Any, int, int], DistortedPinhole]
+    tested: set[Path] = field(default_factory=set)  # files that it holds out
 
 
 def _model(folder: Path) -> _Model | None:
@@ -102,7 +112,11 @@ def _of_transforms(folder: Path, source: Path) -> _Model | None:
     if files is None:
         return None
     entries = [(f, opengl_to_opencv(frame.pose), frame.camera) for f, frame in zip(files, frames, strict=True)]
-    return _Model(source, entries, lambda c: (c.get("w"), c.get("h")), lambda c, w, h: transforms_lens(c, w, h, source))
+    named = {Path(name) for name in names_for_testing(source)}
+    tested = {f for f, frame in zip(files, frames, strict=True) if f is not None and Path(frame.file_path) in named}
+    return _Model(
+        source, entries, lambda c: (c.get("w"), c.get("h")), lambda c, w, h: transforms_lens(c, w, h, source), tested
+    )
 
 
 def _of_colmap(folder: Path, model: Path) -> _Model | None:

@@ -4,7 +4,7 @@ Radiance is float32 linear RGB [h,w,3]; lit images are float32 sRGB-encoded [h,w
 """
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,12 +18,13 @@ from novags.testbed.metrics import SSIM_WINDOW
 from sensor_model import linear_to_srgb
 from simscenes.rigs import Rig
 from simscenes.sets.multiview import MultiviewSet, load_set
+from simscenes.sets.nerf_synthetic import PARTS
 from simscenes.sets.plausible import with_tested_tracks
 from simscenes.sets.tracks import SparsePoints
 
 # What a set is read from beside its images: our own record and truth, and the cameras in every supported form.
 MODEL = tuple(f"{part}.{suffix}" for part in ("cameras", "images", "points3D") for suffix in ("bin", "txt"))
-READ_FROM = ("set.json", "capture.json", "transforms.json", "nb-info.json", "sparse", "sparse/0", "gt", *MODEL)
+READ_FROM = ("set.json", "capture.json", "transforms.json", *PARTS, "nb-info.json", "sparse", "sparse/0", "gt", *MODEL)
 
 EXPOSURES = 1e30  # more would make NaN of a black pixel in float32
 NOISE = 0.01  # of a photograph's bright light: values further below 0 are not noise
@@ -157,12 +158,28 @@ def open_source(path: Path, console: Console, max_size: int | None = None) -> So
         name, file = next(iter(views.renamed.items()))
         console.warn(f"{len(views.renamed)} of {len(views)} files and their views cannot have one name ({file!r}: view "
                      f"{name}); capture.json names the file of each")  # fmt: skip
+    if missing := left_out(views.unregistered, len(views) + len(views.unregistered)):
+        console.warn(missing)
+    if views.transparent:
+        console.warn(f"pictures of {path} have transparent pixels: what is behind them counts as white")
     rig = views.rig if max_size is None else scaled_rig(views.rig, max_size)
     if min(rig.width, rig.height) < SSIM_WINDOW:
         larger = "" if max_size is None else f": choose a max_size larger than {max_size}"
         size = f"{rig.width} x {rig.height}"
         raise ValueError(f"the images of {path} must be at least {SSIM_WINDOW} px wide and high, got {size}{larger}")
     return Source(views=views, rig=rig, console=console)
+
+
+NAMED = 20  # photographs that a line of the console names
+
+
+def left_out(names: Sequence[str], photographs: int) -> str:
+    """That photographs have no camera, in one line; "" if all have one."""
+    if not names:
+        return ""
+    more = f" and {len(names) - NAMED} more (named in set.json and in the report)" if len(names) > NAMED else ""
+    return (f"{len(names)} of {photographs} photographs have no camera and are left out: "
+            f"{', '.join(names[:NAMED])}{more}")  # fmt: skip
 
 
 def scaled_rig(rig: Rig, max_size: int) -> Rig:

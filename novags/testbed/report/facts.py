@@ -88,7 +88,9 @@ def what_was_done(material: Material) -> str:
         return _what_was_imported(material)
     record = material.capture.record
     rendered = material.lit.views.kind == "rendered"
-    views = f"{record['views']} {'views' if rendered else 'photographs'} of {scene_name(material)}"
+    lost = len(material.lit.views.unregistered)
+    of = f" of {record['views'] + lost}" if lost else ""
+    views = f"{record['views']}{of} {'views' if rendered else 'photographs'} of {scene_name(material)}"
     total = sum(row["seconds"] for row in costs(material))
     return (
         f"{views} ({record['width']} × {record['height']} px) were {'rendered, ' if rendered else ''}"
@@ -289,10 +291,9 @@ def smoothed(points: list[tuple[float, float]], count: int = 50) -> list[tuple[f
 def costs(material: Material) -> list[dict[str, Any]]:
     """Seconds and peak memory of every stage, in order, with the parts of each reconstruction."""
     stages: list[tuple[str, str, dict[str, Any], dict[str, float]]] = []
-    if (rendered := material.lit.views.meta.get("stage")) is not None:
-        stages.append(("render", "", rendered, {}))
-    made = "import" if material.capture.imported else "capture"
-    stages.append((made, "", material.capture.record["stage"], {}))
+    if (made := material.lit.views.meta.get("stage")) is not None:
+        stages.append((made.get("name", "render"), "", made, {}))
+    stages.append(("import" if material.capture.imported else "capture", "", material.capture.record["stage"], {}))
     for name, run in material.runs.items():
         key = material.rows[name].key
         stages.append((f"reconstruct: {name}", key, run.record["stage"], run.record["seconds"]))
@@ -354,10 +355,10 @@ def render_quality(meta: dict[str, Any]) -> str:
 
 def configurations(material: Material) -> dict[str, str]:
     """Every record's resolved configuration as indented JSON."""
-    made = "import" if material.capture.imported else "capture"
-    records: dict[str, Any] = {made: material.capture.record["stage"]["config"]}
-    if "stage" in material.lit.views.meta:
-        records = {"render": material.lit.views.meta["stage"]["config"], **records}
+    taken = "import" if material.capture.imported else "capture"
+    records: dict[str, Any] = {taken: material.capture.record["stage"]["config"]}
+    if (made := material.lit.views.meta.get("stage")) is not None:
+        records = {made.get("name", "render"): made["config"], **records}
     for name, run in material.runs.items():
         records[f"reconstruct: {name}"] = run.record["config"]
     return {name: json.dumps(config, indent=2) for name, config in records.items()}

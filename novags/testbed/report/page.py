@@ -1,12 +1,20 @@
-"""One self-contained HTML file on an experiment or a run: what was done, how it looks, what it scores, what it cost."""
+"""One self-contained HTML file on runs: what was done, how it looks, what it scores, what it cost.
 
+Runs of one capture get the whole report; those of several captures a table for each.
+"""
+
+import os
+import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import read_json, write_text
+from novags.testbed.again import run_again
+from novags.testbed.cache import digest, read_json, write_text
+from novags.testbed.comparison import MAIN, Group, deltas_of, groups_of
 from novags.testbed.console import Console, Update
 from novags.testbed.folders import shapes
-from novags.testbed.folders.experiment import EXPERIMENT, REPORT, find_runs
+from novags.testbed.folders.experiment import EXPERIMENT, REPORT, experiments_in, find_runs
 from novags.testbed.folders.linear_photographs import LinearPhotographs
 from novags.testbed.folders.run import METRICS
 from novags.testbed.report.facts import (
@@ -69,24 +77,105 @@ def write_report(folder: Path, console: Console) -> Path:
         return _write_report(folder, console)
 
 
+def write_reports(
+    folders: Sequence[Path], console: Console, *, out: Path | None = None, overwrite: bool = False
+) -> Path:
+    """Write one report on the runs of several folders and return its path.
+
+    Args:
+        folders: Runs, experiments, or folders that hold such.
+        console: Where progress goes.
+        out: The file. None: `folder`/report.html of a single folder, else comparison.html where all of them lie.
+        overwrite: Replace `out` even if it is there and no report on the same runs.
+
+    Raises:
+        ValueError: If a folder holds nothing scored, what it refers to is gone, or `out` is something else.
+        BlockingIOError: If another process is writing there.
+    """
+    if len(folders) == 1 and out is None and experiments_in(folders[0]) == [folders[0]]:
+        return write_report(folders[0], console)
+    path = out or report_path(folders)
+    groups = groups_of(folders, console)
+    identity = digest(sorted(str(run.path.resolve()) for group in groups for run in group.runs.values()))
+    if path.exists() and not overwrite and _identity(path) != identity:
+        raise ValueError(f"{path} is there and is no report on these runs: choose another --out, or add --overwrite")
+    with locked(path.parent):
+        if len(groups) == 1:
+            group = groups[0]
+            material = Material(path.parent, {}, group.runs, group.metrics, group.capture, group.lit)
+            with console.progress("report") as progress:
+                context = report_context(material, progress)
+            return _filled("report.html", path, {**context, "identity": identity})
+        return _filled("comparison.html", path, comparison_context(groups, path.parent, identity))
+
+
+def report_path(folders: Sequence[Path]) -> Path:
+    """Where the report on several folders goes if nobody says: beside them, under a name that no stage uses."""
+    if len(folders) == 1:
+        return folders[0] / REPORT
+    return Path(os.path.commonpath([folder.resolve().parent for folder in folders])) / "comparison.html"
+
+
+def _identity(path: Path) -> str | None:
+    """Which runs an earlier report is about; None if it does not say."""
+    found = re.search(
+        r'<meta name="novags-runs" content="([^"]*)">', path.read_text(encoding="utf-8", errors="replace")
+    )
+    return found and found[1]
+
+
 def _write_report(folder: Path, console: Console) -> Path:
+    material = read_material(folder, console)
+    with console.progress("report") as progress:
+        context = report_context(material, progress)
+    return _filled("report.html", folder / REPORT, context)
+
+
+def _filled(template: str, path: Path, context: dict[str, Any]) -> Path:
+    """Write a page and return its path."""
     import jinja2
 
-    material = read_material(folder, console)
     loader = jinja2.PackageLoader("novags.testbed.report", "")
     templates = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
                                    lstrip_blocks=True)  # fmt: skip
     templates.filters.update(number=number, duration=duration, size=size, signed=signed)
-    with console.progress("report") as progress:
-        context = report_context(material, progress)
-    path = folder / REPORT
-    write_text(path, templates.get_template("report.html").render(context))
+    write_text(path, templates.get_template(template).render(context))
     return path
+
+
+def comparison_context(groups: Sequence[Group], folder: Path, identity: str) -> dict[str, Any]:
+    """What the page on several captures shows."""
+    shown = []
+    for group in groups:
+        by = {kind: group.deltas(kind) for kind in ("enhanced", "lit")}
+        recovered = {"enhanced": group.metrics["recovered"], "lit": group.metrics["recovered_lit"]}
+        rows = []
+        for name, run in group.runs.items():
+            scores = group.metrics["methods"][name]
+            row = {kind: {"value": scores["mean"].get(kind, {}).get(MAIN[kind]), "delta": by[kind][0].get(name),
+                          "recovered": recovered[kind].get(name)} for kind in by}  # fmt: skip
+            geometry = scores.get("geometry")
+            rows.append({"name": name, **row, "depth": geometry and geometry["abs_rel"],
+                         "seconds": run.record["stage"]["seconds"], "again": run_again(run, folder)})  # fmt: skip
+        base = {kind: found[1] for kind, found in by.items()}
+        shown.append({"title": group.title, "base": base, "rows": rows, "unavailable": group.metrics["unavailable"],
+                      "unregistered": group.lit.views.unregistered})  # fmt: skip
+    count = sum(len(group.runs) for group in groups)
+    return {"title": f"{count} runs of {len(groups)} captures", "groups": shown, "count": count, "identity": identity}
+
+
+def commands(material: Material) -> dict[str, str]:
+    """What makes the results again in the folder of the report: one command of an experiment, else one of each run."""
+    if (command := material.experiment.get("command")) is not None:
+        return {"": str(command)}
+    found = {name: run_again(run, material.folder) for name, run in material.runs.items()}
+    return {name: command for name, command in found.items() if command is not None}
 
 
 def report_context(material: Material, progress: Update) -> dict[str, Any]:
     """What the template shows."""
     competes = {name: row.competes for name, row in material.rows.items()}
+    methods = {name: run.method for name, run in material.runs.items()}
     picked = pick_views(material.capture)
     views = []
     for done, i in enumerate(picked):
@@ -122,8 +211,12 @@ def report_context(material: Material, progress: Update) -> dict[str, Any]:
         "photographs": photographs_text(material) if material.capture.imported else None,
         "linear": isinstance(material.lit.views, LinearPhotographs),
         "record": material.capture.record,
+        "background": material.capture.record["set"].get("background"),
+        "unregistered": material.lit.views.unregistered,
         "unavailable": material.metrics["unavailable"],
         "configurations": configurations(material),
-        "command": material.experiment.get("command"),
+        "commands": commands(material),
+        "identity": "",
+        "deltas": {"linear": ({}, ""), **{kind: deltas_of(material.metrics, methods, kind) for kind in MAIN}},
         "environment": material.runs[material.main].record["stage"],
     }

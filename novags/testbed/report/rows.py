@@ -8,6 +8,7 @@ from typing import Any
 from novags.methods import METHODS
 from novags.settings import flattened
 from novags.testbed.cache import jsonable
+from novags.testbed.difference import flat
 from novags.testbed.folders.run import Run
 
 OTHER = "#777777"  # of a method that this version does not have
@@ -49,7 +50,7 @@ def rows_of(runs: Mapping[str, Run]) -> dict[str, Row]:
         used.append(color)
         rows[name] = Row(
             name=name, key=f"m{k}", method=run.method, title=title, family="" if method is None else method.family,
-            color=color, bound=method.bound if method is not None and name == run.method else None,
+            color=color, bound=method.bound if method is not None and run.name == run.method else None,
             competes=method is None or not method.sees_clean,
         )  # fmt: skip
     return rows
@@ -100,7 +101,7 @@ def deviations(run: Run) -> list[Deviation]:
     if method is None:
         return []
     published = jsonable(flattened(method.config()))
-    here = _flat(run.record["config"])
+    here = flat(run.record["config"])
     found = []
     source = str((run.record.get("cameras") or {}).get("source", "known"))
     if method.cameras is not None and not source.startswith(method.cameras):
@@ -111,13 +112,6 @@ def deviations(run: Run) -> list[Deviation]:
         a, b = _value(published, name), _value(here, name)
         if a != b:
             found.append(Deviation(name, a, b))
-    return found
-
-
-def _flat(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for name, value in config.items():
-        found |= _flat(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {f"{prefix}{name}": value}
     return found
 
 

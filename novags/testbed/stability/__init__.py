@@ -20,7 +20,7 @@ from novags.testbed.stability.parts import (
     splats,
     updates,
 )
-from novags.testbed.stability.table import embedded, markdown
+from novags.testbed.stability.table import embedded, has_place, markdown
 
 _FILES = (
     enhance, blind_spot, denoiser, consistency, harmonics, splats, updates, sensor, render, score, cameras, long_runs,
@@ -37,4 +37,16 @@ def measure(parts: Sequence[str], *, long: bool = False) -> Iterator[Measured]:
                     yield measured(case, setting)
 
 
-__all__ = ["PARTS", "Case", "Measured", "Part", "Setting", "embedded", "markdown", "measure", "measured", "refusal"]
+__all__ = [
+    "PARTS",
+    "Case",
+    "Measured",
+    "Part",
+    "Setting",
+    "embedded",
+    "has_place",
+    "markdown",
+    "measure",
+    "measured",
+    "refusal",
+]

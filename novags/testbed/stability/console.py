@@ -6,28 +6,31 @@ from pathlib import Path
 from novags.testbed import stability
 
 
-def show(parts: Sequence[str], *, long: bool = False, out: Path | None = None) -> bool:
+def show(parts: Sequence[str], *, long: bool = False, out: Path | None = None, overwrite: bool = False) -> bool:
     """Compute and print the hard cases.
 
     Args:
         parts: Which parts; none: all.
         long: With the slow ones.
         out: File for the table, Markdown.
+        overwrite: Whether `out` may be a file that has no place for a table.
 
     Returns:
         Whether all of them hold.
 
     Raises:
-        ValueError: If there is no such part.
+        ValueError: If there is no such part, or `out` holds something else.
     """
     if unknown := [part for part in parts if part not in stability.PARTS]:
         raise ValueError(f"no part {unknown[0]!r:.80} of the hard cases; available: {', '.join(stability.PARTS)}")
+    page = out.read_text(encoding="utf-8") if out is not None and out.is_file() else ""
+    if page and not stability.has_place(page) and not overwrite:
+        raise ValueError(f"{out} is there and has no place for a table: choose another --out, or add --overwrite")
     results = []
     for result in stability.measure(parts or tuple(stability.PARTS), long=long):
         print(f"{'ok  ' if result.holds else 'FAIL'}  {result}", flush=True)
         results.append(result)
     if out is not None:
-        page = out.read_text(encoding="utf-8") if out.is_file() else ""
         out.write_text(stability.embedded(page, stability.markdown(results)), encoding="utf-8")
     failed = sum(not result.holds for result in results)
     print(f"{len(results)} computed, {failed} beyond their bounds" if failed else f"all {len(results)} hold")

@@ -20,6 +20,11 @@ def markdown(results: Iterable[Measured]) -> str:
     return "\n\n".join(parts) + "\n"
 
 
+def has_place(page: str) -> bool:
+    """Whether a page has the lines between which tables belong."""
+    return BEGIN in page and END in page.partition(BEGIN)[2]
+
+
 def embedded(page: str, tables: str) -> str:
     """A page whose tables between the lines `BEGIN` and `END` are those of `tables`, part by part.
 

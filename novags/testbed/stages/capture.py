@@ -88,12 +88,19 @@ class CaptureConfig:
 
 
 def capture(
-    set_path: Path, out: Path, config: CaptureConfig, console: Console, *, stale: Sequence[Path] = ()
+    set_path: Path,
+    out: Path,
+    config: CaptureConfig,
+    console: Console,
+    *,
+    stale: Sequence[Path] = (),
+    overwrite: bool = False,
 ) -> dict[str, Any]:
     """Photograph the set at `set_path` in the dark; returns capture.json.
 
     Raises:
-        ValueError: If the set cannot be read or is black, or `out` holds other things.
+        ValueError: If the set cannot be read or is black, or `out` holds other things or, unless `overwrite`, a
+            finished result of another request.
         BlockingIOError: If another process is writing to `out`.
     """
     keep_apart(out, set_path)
@@ -115,6 +122,7 @@ def capture(
         work=lambda light: capture_views(source, light, out, config, console),
         console=console,
         stale=stale,
+        overwrite=overwrite,
     )
 
 
@@ -192,12 +200,13 @@ def capture_views(
                 matrix = source.color_matrix
                 write_view(folder, name, frame, sensor, exposure, config.demosaic, matrix, config.jpeg_quality)
             progress(i + 1, len(names), f"view {name}")
-    write_cameras(folder, names, source.rig, points=source.points())
+    write_cameras(folder, names, source.rig, points=source.points(), held_out=source.views.test_indices)
     return {
         "set": {
             "path": os.path.relpath(source.views.path.resolve(), folder.resolve()),
             "kind": source.views.kind,
             "max_size": config.max_size,
+            "background": "white" if source.views.transparent else None,  # behind transparent pixels
         },
         "sensor_name": config.sensor_name,
         "sensor": sensor,

@@ -70,12 +70,19 @@ class Prepared:
 
 
 def reconstruct(
-    capture_path: Path, out: Path, config: ReconstructConfig, console: Console, *, stale: Sequence[Path] = ()
+    capture_path: Path,
+    out: Path,
+    config: ReconstructConfig,
+    console: Console,
+    *,
+    stale: Sequence[Path] = (),
+    overwrite: bool = False,
 ) -> dict[str, Any]:
     """Reconstruct the capture at `capture_path` by one method; returns run.json.
 
     Raises:
-        ValueError: If the capture or its set cannot be read, or `out` holds other things.
+        ValueError: If the capture or its set cannot be read, or `out` holds other things or, unless `overwrite`, a
+            finished result of another request.
         BlockingIOError: If another process is writing to `out`.
     """
     keep_apart(out, capture_path)
@@ -93,6 +100,7 @@ def reconstruct(
         console=console,
         stale=stale,
         scrap=CHECKPOINTS,
+        overwrite=overwrite,
     )
 
 

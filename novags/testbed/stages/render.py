@@ -22,6 +22,7 @@ from simscenes.sets.camera_files import CAMERA_FILES
 from simscenes.transport.plan import EFFECTS
 
 RECORD = "set.json"
+SET_FILES = (RECORD, "gt", "images", SPENT, *CAMERA_FILES, *EXPORTS)  # of a set folder made here, of any kind
 VARIANTS = ("auto", *BACKENDS, *(f"{backend}_{color}" for backend in BACKENDS for color in COLORS))
 
 
@@ -83,11 +84,14 @@ class RenderConfig:
         return SceneRef.of(self.scene)
 
 
-def render(out: Path, config: RenderConfig, console: Console, *, stale: Sequence[Path] = ()) -> dict[str, Any]:
+def render(
+    out: Path, config: RenderConfig, console: Console, *, stale: Sequence[Path] = (), overwrite: bool = False
+) -> dict[str, Any]:
     """Render a scene into the set folder `out`; returns set.json.
 
     Raises:
-        ValueError: If the scene is unknown or cannot be rendered, or `out` holds other things.
+        ValueError: If the scene is unknown or cannot be rendered, or `out` holds other things or, unless `overwrite`, a
+            finished result of another request.
         BlockingIOError: If another process is writing to `out`.
     """
     with locked(out):
@@ -97,11 +101,12 @@ def render(out: Path, config: RenderConfig, console: Console, *, stale: Sequence
             RECORD,
             inputs={"scene": scene_digest(config)},
             config=config.resolved(),
-            owns=(RECORD, "gt", "images", SPENT, *CAMERA_FILES, *EXPORTS),
+            owns=SET_FILES,
             prepare=lambda: prepare_render(config, console),
             work=lambda prepared: render_views(out, config, *prepared, console),
             console=console,
             stale=stale,
+            overwrite=overwrite,
         )
         write_layouts(out, config.export, console)
         return record

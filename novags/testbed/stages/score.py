@@ -72,7 +72,7 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
 
     return run_stage(
         "score", run_path, METRICS, inputs=inputs, config={"lpips": missing is None, "format": 3}, owns=(METRICS,),
-        prepare=lambda: None, work=work, console=console,
+        prepare=lambda: None, work=work, console=console, overwrite=True,  # scores describe what is there now
     )  # fmt: skip
 
 
@@ -203,8 +203,8 @@ def _blur_scores(images: list[Image], references: list[Image], sigma: float) -> 
 
 def stage_seconds(run: Run, captured: Capture, lit: Source) -> dict[str, float]:
     """Seconds of every stage that led to the run, and of the parts of its reconstruction."""
-    rendered = lit.views.meta.get("stage")
-    seconds = {} if rendered is None else {"render": float(rendered["seconds"])}
+    made = lit.views.meta.get("stage")  # a render, or the poses of photographs
+    seconds = {} if made is None else {str(made.get("name", "render")): float(made["seconds"])}
     seconds["import" if captured.imported else "capture"] = float(captured.record["stage"]["seconds"])
     seconds["reconstruct"] = float(run.record["stage"]["seconds"])
     return {**seconds, **{f"reconstruct/{part}": float(s) for part, s in run.record["seconds"].items()}}
@@ -240,7 +240,7 @@ def recovered_fractions(
     """The share of what noise costs that each run wins back, and the reason if there is none.
 
     Args:
-        scores: The scores of each run, by its name.
+        scores: The scores of each run, by its name, which may follow a folder and a slash.
         methods: The method of each run, by its name.
         kind: The reference.
         number: The score.
@@ -248,10 +248,9 @@ def recovered_fractions(
     for needed, what in ((kind, f"the reference {kind}"), ("enhanced", "the noise-free exposure, the ceiling's,")):
         if all(method["mean"].get(needed, {}) is None for method in scores.values()):
             return {}, f"{what} is not known of these photographs, so there is no span to measure on"
-    bounds = {name: METHODS[name].bound for name in scores if methods[name] == name and name in METHODS}
-    ends = {bound: name for name, bound in bounds.items() if bound is not None}
+    ends = bounds_of(methods)
     if len(ends) < 2:
-        wanted = [name for name, method in METHODS.items() if method.bound and name not in scores]
+        wanted = [name for name, method in METHODS.items() if method.bound and method.bound not in ends]
         listed = " and ".join(wanted)
         return {}, f"the recovered fraction needs the method(s) {listed}: reconstruct and score them too"
     value = {
@@ -259,14 +258,50 @@ def recovered_fractions(
         for name, method in scores.items()
         if (method["mean"].get(kind) or {}).get(number) is not None
     }
-    if missing := [name for name in ends.values() if name not in value]:
-        if all(number in scores[name]["mean"].get(kind, {}) for name in missing):
+    if missing := [name for names in ends.values() for name in names if name not in value]:
+        if all(number in (scores[name]["mean"].get(kind) or {}) for name in missing):
             return {}, f"{' and '.join(missing)} have no {number} against {kind}, so there is no span to measure on"
         return {}, f"{' and '.join(missing)} were scored by an earlier version: score them again"
-    floor, span = value[ends["floor"]], value[ends["ceiling"]] - value[ends["floor"]]
+    floor, ceiling = (float(np.mean([value[name] for name in ends[end]])) for end in ("floor", "ceiling"))
+    span = ceiling - floor
     if span < 0.1:  # dB; a ratio of such small differences would be mostly scatter
         return {}, (
-            f"{ends['ceiling']} is only {span:+.2f} dB from {ends['floor']}: noise costs too little here to speak of a "
-            "fraction"
+            f"{ends['ceiling'][0]} is only {span:+.2f} dB from {ends['floor'][0]}: noise costs too little here to "
+            "speak of a fraction"
         )
-    return {name: (value[name] - floor) / span for name in value if name not in ends.values()}, None
+    bounds = {name for names in ends.values() for name in names}
+    return {name: (value[name] - floor) / span for name in value if name not in bounds}, None
+
+
+def bounds_of(methods: dict[str, str]) -> dict[str, list[str]]:
+    """The runs at each end of the scale, "floor" and "ceiling": methods as they are, not variants of them.
+
+    Args:
+        methods: The method of each run, by its name, which may follow a folder and a slash.
+    """
+    found: dict[str, list[str]] = {}
+    for name, method in methods.items():
+        row = METHODS.get(method)
+        if row is not None and row.bound is not None and name.rpartition("/")[2] == method:
+            found.setdefault(row.bound, []).append(name)
+    return found
+
+
+def deltas(scores: dict[str, Any], methods: dict[str, str], kind: str, number: str) -> tuple[dict[str, float], str]:
+    """How much more each run reaches than the floor, or without one than the first run; and the name of that.
+
+    Args:
+        scores: The scores of each run, by its name.
+        methods: The method of each run, by its name.
+        kind: The reference.
+        number: The score.
+    """
+    value = {
+        name: found for name, m in scores.items() if (found := (m["mean"].get(kind) or {}).get(number)) is not None
+    }
+    base = [name for name in bounds_of(methods).get("floor", []) if name in value] or list(value)[:1]
+    if not base:
+        return {}, ""
+    level = float(np.mean([value[name] for name in base]))
+    what = base[0] if len(base) == 1 else f"the mean of {len(base)} runs of {methods[base[0]]}"
+    return {name: found - level for name, found in value.items() if [name] != base}, what

@@ -16,7 +16,9 @@ from novags.testbed.console import Console
 QUIET = Console(quiet=True)
 
 
-def stage(folder: Path, work, *, config: dict | None = None, inputs: dict | None = None, prepare=lambda: None):
+def stage(
+    folder: Path, work, *, config: dict | None = None, inputs: dict | None = None, prepare=lambda: None, overwrite=True
+):
     return run_stage(
         "toy",
         folder,
@@ -27,6 +29,7 @@ def stage(folder: Path, work, *, config: dict | None = None, inputs: dict | None
         prepare=prepare,
         work=lambda _: work(),
         console=QUIET,
+        overwrite=overwrite,
     )
 
 
@@ -59,6 +62,43 @@ def test_a_changed_configuration_or_input_runs_the_stage_on_a_clean_folder(tmp_p
 
     stage(tmp_path, again, **change)
     assert calls == ["called", "called"]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"config": {"light": 5.0, "fit": {"steps": 9}}}, r"\(light was 20.0, is 5.0, fit.steps was absent, is 9\)"),
+        ({"inputs": {"in": "2"}, "config": {"light": 20.0}}, r"\(another in\)"),
+    ],
+)
+def test_a_finished_result_is_not_replaced_by_another_request_unless_that_is_said(
+    tmp_path: Path, change: dict, said: str
+) -> None:
+    calls: list[str] = []
+    stage(tmp_path, writes(tmp_path, calls), config={"light": 20.0})
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(ValueError, match=f"finished result of another request {said}: choose .* add --overwrite"):
+        stage(tmp_path, writes(tmp_path, calls), **change, overwrite=False)
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+    stage(tmp_path, writes(tmp_path, calls), config={"light": 20.0}, overwrite=False)
+    assert calls == ["called"]
+
+
+def test_a_result_of_another_version_is_not_replaced_unasked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    stage(tmp_path, writes(tmp_path, []))
+    monkeypatch.setattr(cache, "package_version", lambda name: "99.0")
+    with pytest.raises(ValueError, match=r"made by novags [\d.]+, this is 99.0"):
+        stage(tmp_path, writes(tmp_path, []), overwrite=False)
+
+
+def test_a_replacement_that_was_interrupted_goes_on_without_being_asked_for_again(tmp_path: Path) -> None:
+    def interrupted():
+        raise KeyboardInterrupt
+
+    stage(tmp_path, writes(tmp_path, []))
+    with pytest.raises(KeyboardInterrupt):
+        stage(tmp_path, interrupted, config={"x": 1})
+    assert stage(tmp_path, writes(tmp_path, []), config={"x": 1}, overwrite=False)["answer"] == 42
 
 
 def test_an_interrupted_stage_finds_what_it_had_written(tmp_path: Path) -> None:

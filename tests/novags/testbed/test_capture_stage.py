@@ -43,7 +43,7 @@ def test_a_camera_file_takes_the_pictures_and_its_content_decides_what_is_done_a
     file.write_text(CAMERA)
 
     def take() -> tuple[str, int]:
-        record = stages.capture(views, out, CaptureConfig(sensor=str(file)), QUIET)
+        record = stages.capture(views, out, CaptureConfig(sensor=str(file)), QUIET, overwrite=True)
         return record["stage"]["key"], (out / "images" / "0000.png").stat().st_mtime_ns
 
     first = take()
@@ -141,7 +141,7 @@ def test_a_set_that_turned_black_costs_no_finished_capture(tmp_path: Path) -> No
     for image in (views / "images").iterdir():
         cv2.imwrite(str(image), np.zeros((16, 20, 3), np.uint8))
     with pytest.raises(ValueError, match="is black in green"):
-        stages.capture(views, out, CaptureConfig(), QUIET)
+        stages.capture(views, out, CaptureConfig(), QUIET, overwrite=True)
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
 
 

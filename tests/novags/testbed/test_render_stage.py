@@ -62,7 +62,7 @@ def test_a_scene_is_its_file_and_all_files_that_it_names(scene: Path, name: str,
 
 def test_a_set_is_rendered_again_only_if_a_file_of_its_scene_changed(scene: Path, tmp_path: Path) -> None:
     def render() -> int:
-        stages.render(tmp_path / "set", RenderConfig(scene=str(scene), **TINY), QUIET)
+        stages.render(tmp_path / "set", RenderConfig(scene=str(scene), **TINY), QUIET, overwrite=True)
         return (tmp_path / "set" / "gt" / "0001.exr").stat().st_mtime_ns  # its bytes are the same each time
 
     first = render()
@@ -89,7 +89,7 @@ def test_a_further_layout_renders_nothing_again_and_never_outlives_its_set(scene
     stages.render(out, RenderConfig(scene=str(scene), export=("blender",), **TINY), QUIET)
     assert (out / "gt" / "0001.exr").stat().st_mtime_ns == before
     assert (out / "blender" / "transforms_train.json").exists()
-    stages.render(out, RenderConfig(scene=str(scene), seed=1, **TINY), QUIET)
+    stages.render(out, RenderConfig(scene=str(scene), seed=1, **TINY), QUIET, overwrite=True)
     assert not (out / "blender").exists()
 
 
@@ -104,5 +104,5 @@ def test_what_cannot_be_rendered_costs_no_finished_set(
     stages.render(out, RenderConfig(scene=str(scene), **TINY), QUIET)
     before = sorted((p, p.stat().st_mtime_ns) for p in out.rglob("*"))
     with pytest.raises(ValueError, match="camera must be|does not work"):
-        stages.render(out, RenderConfig(scene=str(scene), **{**TINY, **wrong}), QUIET)
+        stages.render(out, RenderConfig(scene=str(scene), **{**TINY, **wrong}), QUIET, overwrite=True)
     assert sorted((p, p.stat().st_mtime_ns) for p in out.rglob("*")) == before

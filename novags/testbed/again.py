@@ -1,0 +1,122 @@
+"""Commands that make a result again: relative to a folder, so that they hold wherever that folder goes."""
+
+import os
+import re
+import shlex
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from novags.methods import METHODS, VARIANTS, chosen
+from novags.methods.variant import Variant
+from novags.testbed.cache import jsonable
+from novags.testbed.folders.run import Run
+from novags.testbed.presets import EXPERIMENTS, Preset
+from novags.testbed.stages.reconstruct import ReconstructConfig
+
+PRESET = "demo"  # what `novags reconstruct` starts from
+PATHS = ("--scene", "--photos", "--sensor", "--variant")  # options whose value may name a file or folder
+DROPPED = {"--out": 1, "--wait": 0, "--overwrite": 0}  # options, and their values, that are about the first time
+SHORT = {"fit.iterations": "--iterations", "denoiser.warmup_steps": "--denoiser-steps"}
+AGAIN = "again"  # the folder that a repeated result goes to
+
+
+def relative_command(words: Sequence[str], folder: Path) -> str:
+    """A command line, without the program, that does the same into `again` when it is run in `folder`."""
+    kept, skip, option = list[str](), 0, ""
+    for word in words:
+        name, equals, value = word.partition("=") if word.startswith("--") else ("", "", word)
+        if name:
+            option, skip = name.replace("_", "-"), 0
+            if option in DROPPED:
+                skip = 0 if equals else DROPPED[option]
+            elif equals:
+                kept.append(f"{name}={_moved(value, option, folder)}")
+            else:
+                kept.append(word)
+        elif skip:
+            skip -= 1
+        else:
+            kept.append(_moved(value, option, folder))
+    return shlex.join(["novags", *kept, "--out", AGAIN])
+
+
+def _moved(value: str, option: str, folder: Path) -> str:
+    """A value with the path that it is, or holds, made relative to the folder."""
+    if option == "--cameras":
+        return re.sub(r"(checkpoint=)([^,]+)", lambda m: m[1] + _path(m[2], folder), value)
+    return _path(value, folder) if option in PATHS and Path(value).exists() else value
+
+
+def _path(value: str, folder: Path) -> str:
+    found = os.path.relpath(Path(value).expanduser().resolve(), folder.resolve())
+    # "set" could be a scene's name; "./set" is a path.
+    return found if os.sep in found else os.path.join(".", found)
+
+
+def run_again(run: Run, folder: Path) -> str | None:
+    """The command that reconstructs as `run` was, from its capture, when it is run in `folder`.
+
+    None where no command of this version leads to the same configuration.
+    """
+    asked: dict[str, Any] = run.record["stage"]["config"]
+    if run.method not in METHODS or not {"points", "seed", "cameras", "config"} <= asked.keys():
+        return None
+    capture = os.path.relpath((run.path / run.record["capture"]).resolve(), folder.resolve())
+    words = ["novags", "reconstruct", capture, *_named(run.name, run.method, asked["config"])]
+    if len(words) == 3:
+        return None
+    cameras = _moved(str(asked["cameras"]), "--cameras", folder)
+    words += ["--points", str(asked["points"]), "--seed", str(asked["seed"])]
+    words += [] if cameras == "known" else ["--cameras", cameras]
+    return shlex.join([*words, "--out", f"{run.name}-{AGAIN}"])
+
+
+def _named(name: str, method: str, wanted: Mapping[str, Any]) -> list[str]:
+    """`--method` or `--variant` with what makes `wanted` of it; [] where nothing does."""
+    known = name in METHODS or name in VARIANTS
+    if known and chosen(name).method == method:
+        short = {key: value for key, option in SHORT.items() if (value := _at(wanted, key)) is not None}
+        if _asked(chosen(name), short) == wanted:
+            options = [word for key, value in short.items() for word in (SHORT[key], str(value))]
+            return ["--method", name, *options]
+    settings = _differing(_asked(Variant(name=name, method=method), {}), wanted)
+    own = Variant(name=name, method=method, settings=settings)
+    try:
+        if settings and _asked(own, {}) == wanted:
+            other = f"{name}-{AGAIN}" if name in METHODS else name  # a variant cannot be called like a method
+            return ["--variant", f"{other}={method}:{';'.join(f'{key}={value}' for key, value in settings.items())}"]
+    except ValueError:  # a setting that this version does not have
+        pass
+    return []
+
+
+def _asked(variant: Variant, given: Mapping[str, Any]) -> Any:
+    """The configuration that `novags reconstruct` makes of a variant, as it is recorded."""
+    preset: Preset = EXPERIMENTS[PRESET]
+    config = variant.config(METHODS[variant.method].config(), {**preset.settings, **given})
+    return jsonable(ReconstructConfig(variant=variant, config=config).resolved()["config"])
+
+
+def _at(config: Any, key: str) -> Any:
+    for part in key.split("."):
+        config = config.get(part) if isinstance(config, Mapping) else None
+    return config
+
+
+def _differing(base: Any, wanted: Mapping[str, Any], prefix: str = "") -> dict[str, str]:
+    """Settings, as text, that turn one recorded configuration into another."""
+    found: dict[str, str] = {}
+    for name, value in wanted.items():
+        before = base.get(name) if isinstance(base, Mapping) else None
+        if isinstance(value, Mapping):
+            found |= _differing(before, value, f"{prefix}{name}.")
+        elif not isinstance(base, Mapping) or before != value:
+            found[f"{prefix}{name}"] = _text(value)
+    return found
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return ",".join(map(_text, value))
+    return "none" if value is None else str(value).lower() if isinstance(value, bool) else str(value)

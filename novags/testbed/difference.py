@@ -1,0 +1,39 @@
+"""What differs between a finished result and what is asked for now, in a few words."""
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+SHOWN = 4  # differences that one line can hold
+
+
+def flat(config: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Every value of nested mappings by its dotted name."""
+    found: dict[str, Any] = {}
+    for name, value in config.items():
+        found |= flat(value, f"{prefix}{name}.") if isinstance(value, Mapping) else {f"{prefix}{name}": value}
+    return found
+
+
+def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
+    """Each setting that differs between two configurations (JSON values), as "name was A, is B"."""
+    a, b = flat(before), flat(now)
+    return [
+        f"{name} was {_shown(a, name)}, is {_shown(b, name)}"
+        for name in dict.fromkeys((*a, *b))
+        if (name in a, a.get(name)) != (name in b, b.get(name))
+    ]
+
+
+def listed(found: list[str]) -> str:
+    """The first few of them, and how many more there are."""
+    more = len(found) - SHOWN
+    return ", ".join([*found[:SHOWN], *([f"{more} more"] if more > 0 else [])])
+
+
+def _shown(config: Mapping[str, Any], name: str) -> str:
+    if name not in config:
+        return "absent"
+    value = config[name]
+    text = value if isinstance(value, str) else "none" if value is None else json.dumps(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."

@@ -1,0 +1,56 @@
+"""Frames of a video file, through OpenCV."""
+
+from pathlib import Path
+
+from novags.testbed.console import Update
+from simscenes.sets.bare import VIDEOS
+from simscenes.sets.names import numbered
+from simscenes.sets.png import write_png
+
+MOST = 100_000  # frames that are counted on; a damaged header can announce any number
+
+
+def is_video(path: Path) -> bool:
+    """Whether a file is called like a video."""
+    return path.suffix.lower() in VIDEOS and path.is_file()
+
+
+def write_frames(video: Path, fps: float, folder: Path, progress: Update) -> dict[Path, str]:
+    """Write the frames that are shown at times k / `fps`; returns their files, in order, with "NAME at T s" of each.
+
+    Args:
+        video: The file; frames are turned upright as it says.
+        fps: Frames to take from each second; from a video with fewer, all.
+        folder: Where 0000.png, ... go.
+        progress: Called with (done, total, what).
+
+    Raises:
+        ValueError: If the file is not a readable video, or holds no frame.
+    """
+    import cv2
+
+    reader = cv2.VideoCapture(str(video))
+    try:
+        rate = reader.get(cv2.CAP_PROP_FPS)
+        if not reader.isOpened() or not 0 < rate < 1e5:
+            raise ValueError(f"{video} is not a video that OpenCV reads: convert it (to MP4, H.264), or give a folder "
+                             "of its frames")  # fmt: skip
+        count = int(min(MOST, max(1, reader.get(cv2.CAP_PROP_FRAME_COUNT))))
+        taken, k = list[tuple[Path, float]](), 0
+        while len(taken) < MOST and reader.grab():
+            if k / rate >= len(taken) / fps - 1e-9:  # 1e-9: 0.1 * 3 and 3 / 10 differ in the last bit
+                good, frame = reader.retrieve()
+                if good:
+                    path = folder / f"{len(taken):06d}.png"
+                    write_png(path, frame[..., ::-1])
+                    taken.append((path, k / rate))
+            k += 1
+            progress(min(k, count), count, f"frame {k}")
+    finally:
+        reader.release()
+    if not taken:
+        raise ValueError(f"{video} holds no frame that can be read: convert it, or give a folder of its frames")
+    files = [folder / f"{name}.png" for name in numbered(len(taken))]
+    for (old, _), new in zip(taken, files, strict=True):
+        old.rename(new)
+    return {file: f"{video.name} at {time:.2f} s" for file, (_, time) in zip(files, taken, strict=True)}

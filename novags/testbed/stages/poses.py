@@ -1,0 +1,202 @@
+"""Poses: photographs or a video of which nothing is known in, a multiview set of undistorted pictures out."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from novags.cameras.registration import PLACED, Observed, Registered, Shot, register
+from novags.testbed.cache import folder_digest, run_stage
+from novags.testbed.console import Console
+from novags.testbed.folders.set import left_out
+from novags.testbed.folders.video import is_video, write_frames
+from novags.testbed.stages.paths import keep_apart
+from novags.testbed.stages.render import RECORD, SET_FILES
+from sensor_model.files.scratch import scratch
+from simscenes.rigs import Rig
+from simscenes.sets.bare import SUFFIXES, Bare, picture_files, survey
+from simscenes.sets.camera_files import write_cameras
+from simscenes.sets.names import file_of, view_names
+from simscenes.sets.png import write_png
+from simscenes.sets.tracks import SparsePoints
+
+
+@dataclass(frozen=True, kw_only=True)
+class PosesConfig:
+    """How to find the cameras of photographs."""
+
+    photographs: Path  # a folder, or a video file
+    fps: float = 2.0  # frames taken from each second of a video
+    max_size: int | None = 1600  # px; photographs are scaled down to this longest side before anything else
+    max_features: int = 4096  # a picture, the largest ones
+    peak_threshold: float = 0.0067  # contrast of a feature, 0..1; COLMAP's own
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not (np.isfinite(self.fps) and self.fps > 0):
+            raise ValueError(f"fps must be > 0, got {self.fps}")
+        if self.max_size is not None and self.max_size < 64:
+            raise ValueError(f"max_size must be >= 64 px, because smaller pictures hold too few features, got "
+                             f"{self.max_size}")  # fmt: skip
+        if self.max_features < 100 or not 0 < self.peak_threshold < 1:
+            raise ValueError(f"max_features must be >= 100 and peak_threshold in (0, 1), got {self.max_features} and "
+                             f"{self.peak_threshold}")  # fmt: skip
+        if self.seed < 0:
+            raise ValueError(f"seed must be >= 0, got {self.seed}")
+
+    def resolved(self) -> dict[str, Any]:
+        """What determines the result, apart from the content of the photographs."""
+        kept = {name: value for name, value in asdict(self).items() if name != "photographs"}
+        return kept if is_video(self.photographs) else kept | {"fps": None}
+
+    @property
+    def name(self) -> str:
+        """Of the scene: that of the folder (of the one above, if it is one of many called images), or of the video."""
+        path = self.photographs.resolve()
+        return path.parent.name if path.name in ("images", "input", "photos") else path.stem
+
+
+def poses(
+    out: Path, config: PosesConfig, console: Console, *, stale: Sequence[Path] = (), overwrite: bool = False
+) -> dict[str, Any]:
+    """Find the cameras of photographs and write the set folder `out`; returns set.json.
+
+    Raises:
+        ValueError: If there are no photographs, a file cannot be read, too few find a place, or `out` holds other
+            things or, unless `overwrite`, a finished result of another request.
+        BlockingIOError: If another process is writing to `out`.
+    """
+    files = photographs_of(config.photographs)
+    if config.photographs.is_dir():
+        keep_apart(out, config.photographs)
+    record = run_stage(
+        "poses",
+        out,
+        RECORD,
+        inputs={"photographs": folder_digest(config.photographs.parent, (), beside=files)},
+        config=config.resolved(),
+        owns=SET_FILES,
+        prepare=lambda: files,
+        work=lambda found: place(found, out, config, console),
+        console=console,
+        stale=stale,
+        overwrite=overwrite,
+    )
+    console.note(f"poses: {record['registered']} of {record['photographs']} photographs have a place")
+    if missing := left_out(record["unregistered"], record["photographs"]):
+        console.warn(missing)
+    return record
+
+
+def photographs_of(source: Path) -> dict[str, Path]:
+    """The photographs of a folder by their names relative to it, or a video by its name.
+
+    Raises:
+        ValueError: If it is neither, or holds fewer than make a set.
+    """
+    if is_video(source):
+        return {source.name: source}
+    if not source.is_dir():
+        raise ValueError(f"{source} is neither a folder of photographs nor a video file")
+    files = picture_files(source)
+    if len(files) < PLACED:
+        raise ValueError(
+            f"{source} holds {len(files)} photographs ({', '.join(SUFFIXES)}), at least {PLACED} are needed; develop "
+            "camera raw and HEIC files first"
+        )
+    return {file.relative_to(source).as_posix(): file for file in files}
+
+
+def place(files: dict[str, Path], out: Path, config: PosesConfig, console: Console) -> dict[str, Any]:
+    """Find the cameras and write everything but the record.
+
+    Returns:
+        The body of set.json.
+
+    Raises:
+        ValueError: If a file cannot be read, or too few find a place.
+    """
+    with scratch("poses") as folder:
+        if video := is_video(config.photographs):
+            (folder / "frames").mkdir()
+            with console.progress("poses: frames") as update:
+                frames = write_frames(config.photographs, config.fps, folder / "frames", update)
+            files = {label: file for file, label in frames.items()}
+        bare, size = survey(list(files.values()), config.max_size)
+        shots = [Shot(f"{k:06d}.png", one.camera, one.focal) for k, one in enumerate(bare)]
+        with console.progress("poses") as update:
+            for shot, one in zip(shots, bare, strict=True):
+                write_png(folder / shot.name, one.pixels())
+            found = register(
+                folder, shots, max_features=config.max_features, peak_threshold=config.peak_threshold, in_order=video,
+                seed=config.seed, progress=update,
+            )  # fmt: skip
+        if found is None:
+            raise ValueError(
+                f"fewer than {PLACED} of the {len(bare)} photographs of {config.photographs} fit together: take them "
+                "with more overlap, from places that differ, sharp and with texture"
+            )
+        names = write_set(out, list(files.values()), bare, found, size)
+    return _facts(config.name, list(files), bare, found, size, names)
+
+
+def write_set(
+    out: Path, files: Sequence[Path], bare: Sequence[Bare], found: Registered, size: tuple[int, int]
+) -> list[str]:
+    """Write undistorted pictures, cameras and points; returns the name of each view, in the order of `found`."""
+    width, height = size
+    names = view_names([files[i] for i in found.indices])
+    Ks = np.empty((len(names), 3, 3))
+    colors, count = np.zeros((len(found.points), 3)), np.zeros(len(found.points))
+    for k, i in enumerate(found.indices):
+        pixels = bare[i].pixels()
+        h, w = pixels.shape[:2]
+        seen = found.seen[k]
+        x, y = np.clip(seen.pixels.astype(int), 0, (w - 1, h - 1)).T
+        np.add.at(colors, seen.points, pixels[y, x])
+        np.add.at(count, seen.points, 1)
+        lens = found.lenses[k]
+        pinhole = lens.pinhole(w, h)
+        left, top = (w - width) // 2, (h - height) // 2
+        picture = lens.undistort(pixels, pinhole)[top : top + height, left : left + width]
+        write_png(out / "images" / file_of(names[k]), np.ascontiguousarray(picture))
+        Ks[k] = pinhole - [[0, 0, left], [0, 0, top], [0, 0, 0]]
+    order = sorted(range(len(names)), key=lambda k: file_of(names[k]))
+    rig = Rig(viewmats=found.viewmats[order], Ks=Ks[order], width=width, height=height)
+    shown = np.round(colors / np.maximum(count, 1)[:, None])
+    points = replace(SparsePoints.untracked(found.points, shown), error=np.zeros(len(shown)))
+    write_cameras(out, [names[k] for k in order], rig, points=_tracked(points, [found.seen[k] for k in order], rig))
+    return names
+
+
+def _tracked(points: SparsePoints, seen: Sequence[Observed], rig: Rig) -> SparsePoints:
+    """The points with what each view observes, at the pixels that the pinholes of `rig` have there."""
+    view = np.concatenate([np.full(len(one.points), i) for i, one in enumerate(seen)])
+    pixels = [one.rays * np.diag(K)[:2] + K[:2, 2] for one, K in zip(seen, rig.Ks, strict=True)]
+    return points.observed(rig, view, np.concatenate([one.points for one in seen]), np.concatenate(pixels))
+
+
+def _facts(
+    scene: str, labels: list[str], bare: Sequence[Bare], found: Registered, size: tuple[int, int], names: list[str]
+) -> dict[str, Any]:
+    """The body of set.json."""
+    placed = set(found.indices)
+    return {
+        "kind": "photographs",
+        "scene": scene,
+        "photographs": len(labels),
+        "registered": len(placed),
+        "unregistered": [label for i, label in enumerate(labels) if i not in placed],
+        "turned": [label for label, one in zip(labels, bare, strict=True) if one.turned],
+        "files_of_views": {name: labels[i] for name, i in sorted(zip(names, found.indices, strict=True))},
+        "width": size[0],
+        "height": size[1],
+        "points": len(found.points),
+        "reprojection_error_px": found.error,
+        "lenses": [
+            {"K": lens.K, "distortion": lens.distortion}
+            for lens in {bare[i].camera: lens for i, lens in zip(found.indices, found.lenses, strict=True)}.values()
+        ],
+    }

@@ -1,0 +1,196 @@
+"""Claims about photographs of which nothing is known: cameras, lens and pictures come out as they were."""
+
+import io
+import json
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from novags.cameras.align import align
+from novags.cameras.registration import pairs_of
+from novags.testbed import stages
+from novags.testbed.cache import folder_digest
+from novags.testbed.console import Console
+from novags.testbed.folders.set import open_source
+from novags.testbed.folders.video import write_frames
+from novags.testbed.stages.poses import PosesConfig
+from simscenes import load_set
+from simscenes.sets.bare import picture_files, survey
+from simscenes.sets.multiview import is_rendered
+
+QUIET = Console(quiet=True)
+WIDTH, HEIGHT, FOCAL, K1 = 200, 150, 190.0, -0.12
+TURNED, MARKED, NOISE = 5, 2, "noise.png"
+
+
+def through_a_lens(see, viewmat: np.ndarray) -> np.ndarray:
+    """The picture that a lens with barrel distortion makes."""
+    wide = np.array([[FOCAL, 0, WIDTH], [0, FOCAL, HEIGHT], [0, 0, 1.0]])  # of a pinhole twice as wide and high
+    picture, _ = see(viewmat, wide, 2 * WIDTH, 2 * HEIGHT)
+    y, x = np.mgrid[0:HEIGHT, 0:WIDTH] + 0.5
+    K = np.array([[FOCAL, 0, WIDTH / 2], [0, FOCAL, HEIGHT / 2], [0, 0, 1.0]])
+    seen = np.stack([x, y], -1).reshape(-1, 1, 2)
+    ideal = cv2.undistortPoints(seen, K, np.array([K1, 0, 0, 0, 0]), P=wide).reshape(HEIGHT, WIDTH, 2) - 0.5
+    return cv2.remap(picture, *np.moveaxis(ideal.astype(np.float32), -1, 0), cv2.INTER_CUBIC)
+
+
+@pytest.fixture(scope="module")
+def taken(corner, tmp_path_factory) -> tuple[object, Path]:
+    """Photographs of the corner: one marked as lying, one stored turned, and one of something else."""
+    scene, folder = corner(9, WIDTH, HEIGHT), tmp_path_factory.mktemp("taken")
+    for i, viewmat in enumerate(scene.rig.viewmats):
+        picture = Image.fromarray(through_a_lens(scene.see, viewmat))
+        exif = Image.Exif()
+        if i == MARKED:
+            exif[0x0112] = 6  # "turn me to look at me"; the pixels are as the sensor saw them
+        if i == TURNED:
+            picture = Image.fromarray(np.ascontiguousarray(np.rot90(np.asarray(picture), -1)))
+        picture.save(folder / f"IMG {i}.jpg", quality=97, exif=exif)
+    noise = np.random.default_rng(0).integers(0, 255, (HEIGHT, WIDTH, 3), np.uint8)
+    Image.fromarray(noise).save(folder / NOISE)
+    (folder / "notes.txt").write_text("not a picture")
+    return scene, folder
+
+
+@pytest.fixture(scope="module")
+def placed(taken, tmp_path_factory) -> tuple[Path, str]:
+    out, said = tmp_path_factory.mktemp("placed") / "set", io.StringIO()
+    stages.poses(out, PosesConfig(photographs=taken[1]), Console(stream=said))
+    return out, said.getvalue()
+
+
+def test_cameras_and_lens_are_found_however_the_pictures_are_stored(taken, placed) -> None:
+    scene, (out, _) = taken[0], placed
+    record, views = json.loads((out / "set.json").read_text()), load_set(out)
+    assert record["registered"] == 9
+    assert record["turned"] == [f"IMG {TURNED}.jpg"]
+    assert not is_rendered(out)
+    where = [int(name.split()[1]) for name in views.names]
+    assert where == list(range(9))
+    found = align(torch.tensor(views.rig.viewmats), torch.tensor(scene.rig.viewmats))
+    off = np.asarray(found.rotation_deg)
+    # The turned picture was turned back, or further: its camera is the same up to a roll by half a turn.
+    rolled = min(off[TURNED], abs(180 - off[TURNED]))
+    assert max(np.delete(off, TURNED).max(), rolled) < 0.5
+    assert np.asarray(found.centre_error).max() < 0.03
+    lens = max(record["lenses"], key=lambda lens: abs(lens["distortion"][0]))
+    assert lens["K"][0][0] == pytest.approx(FOCAL, rel=0.03)
+    assert lens["distortion"][0] == pytest.approx(K1, abs=0.03)
+
+
+def test_the_pictures_of_the_set_are_those_of_its_pinholes(taken, placed) -> None:
+    scene, views = taken[0], load_set(placed[0])
+    for i in (0, MARKED, 8):
+        truth, _ = scene.see(scene.rig.viewmats[i], views.rig.Ks[i], WIDTH, HEIGHT)
+        error = views.image(i).astype(float) - truth
+        # Distorted as they were taken, they differ by 19 codes; with a principal point 1 px off, by 16.
+        assert np.sqrt(np.mean(error[4:-4, 4:-4] ** 2)) < 9
+
+
+def test_points_lie_on_the_surfaces_and_have_the_colours_of_the_pictures(taken, placed) -> None:
+    scene, views = taken[0], load_set(placed[0])
+    sparse = views.points()
+    points, colors = sparse.xyz, sparse.rgb
+    keep = [i for i in range(9) if i != TURNED]
+    found = align(torch.tensor(views.rig.viewmats)[keep], torch.tensor(scene.rig.viewmats)[keep])
+    off = scene.distance(found.similarity.apply(torch.tensor(points, dtype=torch.float32)).numpy())
+    assert len(points) > 200
+    assert np.median(off) < 0.02
+    # Tracks are the measured ones: their errors are those of features, neither zero nor wild.
+    assert sparse.lengths.min() >= 2
+    assert 0.02 < np.mean(sparse.error) < 1.0
+    pixels, _ = views.rig.project(points)
+    inside = ((pixels[0] >= 0) & (pixels[0] < (WIDTH, HEIGHT))).all(-1)
+    x, y = pixels[0][inside].astype(int).T
+    shown = views.image(0)[y, x].astype(float)
+    assert np.corrcoef(shown[:, 0], colors[inside, 0])[0, 1] > 0.7
+
+
+def test_what_did_not_register_is_counted_and_named_everywhere(placed, tmp_path: Path) -> None:
+    out, said = placed
+    line = f"1 of 10 photographs have no camera and are left out: {NOISE}"
+    assert "9 of 10 photographs have a place" in said
+    assert line in said
+    assert json.loads((out / "set.json").read_text())["unregistered"] == [NOISE]
+    assert load_set(out).unregistered == (NOISE,)
+    later = io.StringIO()
+    open_source(out, Console(stream=later))
+    assert line in later.getvalue()
+
+
+def test_the_same_photographs_give_the_same_set_and_are_placed_once(taken, placed, tmp_path: Path) -> None:
+    config = PosesConfig(photographs=taken[1])
+    stages.poses(tmp_path / "again", config, QUIET)
+    assert folder_digest(tmp_path / "again") == folder_digest(placed[0])
+    before = (placed[0] / "set.json").stat().st_mtime_ns
+    stages.poses(placed[0], config, QUIET)
+    assert (placed[0] / "set.json").stat().st_mtime_ns == before
+    with pytest.raises(ValueError, match=r"another request \(max_features was 4096, is 500\)"):
+        stages.poses(placed[0], PosesConfig(photographs=taken[1], max_features=500), QUIET)
+
+
+def test_pictures_that_do_not_belong_together_are_refused_with_advice(tmp_path: Path) -> None:
+    (tmp_path / "noise").mkdir()
+    for i in range(3):
+        noise = np.random.default_rng(i).integers(0, 255, (64, 64, 3), np.uint8)
+        Image.fromarray(noise).save(tmp_path / "noise" / f"{i}.png")
+    with pytest.raises(ValueError, match="fewer than 3 of the 3 photographs .* more overlap"):
+        stages.poses(tmp_path / "set", PosesConfig(photographs=tmp_path / "noise"), QUIET)
+    assert not (tmp_path / "set" / "set.json").exists()
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ValueError, match="holds 0 photographs .* at least 3 are needed"):
+        stages.poses(tmp_path / "set", PosesConfig(photographs=tmp_path / "empty"), QUIET)
+
+
+def test_sizes_are_brought_together_and_a_focal_length_in_the_header_is_used(tmp_path: Path) -> None:
+    def picture(name: str, width: int, height: int, **exif: object) -> None:
+        marks = Image.Exif()
+        if exif:
+            marks.get_ifd(0x8769)[0xA405] = exif["focal_35"]
+        Image.new("RGB", (width, height)).save(tmp_path / name, exif=marks)
+
+    for i in range(3):
+        picture(f"{i}.jpg", 400, 300, focal_35=28)
+    picture("larger.jpg", 800, 600)
+    picture("upright.jpg", 300, 400)
+    picture("square.jpg", 500, 500)
+    bare, size = survey(picture_files(tmp_path), 200)
+    assert size == (200, 150)
+    found = {one.file.stem: one for one in bare}
+    assert [found[n].size for n in ("0", "larger", "upright", "square")] == [(200, 150), (200, 150), (200, 150),
+                                                                           (200, 200)]  # fmt: skip
+    assert [one.turned for one in bare] == [one.file.stem == "upright" for one in bare]
+    assert len({found[n].camera for n in "012"}) == 1
+    assert len({one.camera for one in bare}) == 4
+    # Equal diagonal angle of view: 28 mm on film of 43.27 mm diagonal, here of 250 px.
+    assert found["0"].focal == pytest.approx(28 / 43.267 * 250)
+    assert found["larger"].focal is None
+
+
+def test_frames_are_taken_from_a_video_at_even_times(tmp_path: Path) -> None:
+    video = tmp_path / "walk.avi"
+    writer = cv2.VideoWriter(str(video), cv2.VideoWriter_fourcc(*"MJPG"), 10, (64, 48))
+    for i in range(20):
+        writer.write(np.full((48, 64, 3), 10 * i, np.uint8))
+    writer.release()
+    (tmp_path / "frames").mkdir()
+    frames = write_frames(video, 4.0, tmp_path / "frames", lambda *_: None)
+    assert list(frames.values()) == [f"walk.avi at {t:.2f} s" for t in (0, 0.3, 0.5, 0.8, 1.0, 1.3, 1.5, 1.8)]
+    levels = [cv2.imread(str(file)).mean() for file in frames]
+    assert levels == pytest.approx([0, 30, 50, 80, 100, 130, 150, 180], abs=3)
+    video.write_bytes(b"RIFF" + bytes(100))
+    with pytest.raises(ValueError, match="is not a video that OpenCV reads: convert it"):
+        write_frames(video, 4.0, tmp_path / "frames", lambda *_: None)
+
+
+def test_neighbours_far_frames_and_loops_of_a_long_video_are_matched_but_not_all_pairs() -> None:
+    assert sum(map(len, pairs_of(30, True))) == 30 * 29 // 2
+    pairs = pairs_of(1000, True)
+    assert pairs[0][:10] == list(range(1, 11))
+    assert {16, 512, 990} <= set(pairs[0])
+    assert sum(map(len, pairs)) < 0.05 * 1000 * 999 / 2
+    assert sum(map(len, pairs_of(200, False))) == 200 * 199 // 2

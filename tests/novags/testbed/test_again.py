@@ -1,0 +1,88 @@
+"""Claims about the commands that a report gives: run where it lies, they lead to the same configuration."""
+
+import shlex
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from novags import cli
+from novags.cameras import parse_cameras
+from novags.methods import METHODS, VARIANTS
+from novags.methods.variant import parse_variant
+from novags.testbed import stages
+from novags.testbed.again import relative_command, run_again
+from novags.testbed.cache import jsonable
+from novags.testbed.folders.run import Run
+from novags.testbed.presets import EXPERIMENTS, adapted
+from novags.testbed.stages.reconstruct import ReconstructConfig
+
+
+def made(folder: Path, config: ReconstructConfig) -> Run:
+    """The run of a configuration, as far as its record tells of it."""
+    record = {"name": config.variant.name, "method": config.variant.method, "capture": "../capture",
+              "stage": {"config": jsonable(config.resolved())}, "config": jsonable(asdict(config.config))}  # fmt: skip
+    return Run(path=folder / "experiment" / config.variant.name, record=record)
+
+
+def asked(command: str, monkeypatch: pytest.MonkeyPatch, folder: Path) -> dict[str, Any]:
+    """What `novags reconstruct` is asked for by a command that is run in `folder`."""
+    seen: list[Any] = []
+    monkeypatch.setattr(stages, "reconstruct", lambda *given, **_: seen.append(given))
+    monkeypatch.setattr("signal.signal", lambda *_: None)
+    monkeypatch.setattr("sys.argv", shlex.split(command))
+    monkeypatch.chdir(folder)
+    cli.main()
+    (capture, out, config, _), = seen  # fmt: skip
+    return {"capture": capture, "out": out, "config": jsonable(config.resolved())}
+
+
+def configurations() -> list[tuple[str, ReconstructConfig]]:
+    own = [
+        parse_variant("mine=nova-fast:consistency=none;denoiser.network.widths=8,16;fit.rates.means=0.00032"),
+        parse_variant("a.b=naive:pictures=16bit"),
+    ]
+    small = adapted(EXPERIMENTS["demo"], methods=("naive", "mine", "a.b"), variants=tuple(own), points=321, seed=4,
+                    iterations=77, denoiser_steps=9, cameras=parse_cameras("known:rotation_deg=2.5"),
+                    refine_cameras=True)  # fmt: skip
+    found = [(f"{preset}:{name}", EXPERIMENTS[preset].reconstruct(name)) for preset in EXPERIMENTS
+             for name in ({**METHODS, **VARIANTS} if preset == "paper" else ("nova-fast", "oracle"))]  # fmt: skip
+    return [*found, *((f"own:{name}", small.reconstruct(name)) for name in small.methods)]
+
+
+@pytest.mark.parametrize(("name", "config"), [pytest.param(*pair, id=pair[0]) for pair in configurations()])
+def test_the_command_of_a_run_asks_for_what_the_run_was_made_from(
+    name: str, config: ReconstructConfig, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = made(tmp_path, config)
+    command = run_again(run, tmp_path / "experiment")
+    assert command is not None
+    assert str(tmp_path) not in command
+    (tmp_path / "experiment").mkdir()
+    found = asked(command, monkeypatch, tmp_path / "experiment")
+    assert found["config"] == jsonable(config.resolved())
+    assert (found["capture"], found["out"]) == (Path("capture"), Path(f"{config.variant.name}-again"))
+
+
+def test_a_run_of_a_method_that_is_gone_has_no_command(tmp_path: Path) -> None:
+    run = made(tmp_path, EXPERIMENTS["demo"].reconstruct("naive"))
+    run.record["method"] = "withdrawn"
+    assert run_again(run, tmp_path) is None
+    run = made(tmp_path, EXPERIMENTS["demo"].reconstruct("naive"))
+    run.record["stage"]["config"]["config"]["setting of a later version"] = 3
+    assert run_again(run, tmp_path) is None
+
+
+def test_a_typed_command_is_made_relative_to_the_folder_of_its_result(tmp_path: Path, monkeypatch) -> None:
+    (tmp_path / "photos of it").mkdir()
+    (tmp_path / "mine.toml").write_text("")
+    monkeypatch.chdir(tmp_path)
+    typed = f"run --photos '{tmp_path}/photos of it' --sensor=mine.toml --out out/x --wait --methods naive oracle "
+    typed += f"--overwrite --electrons 5 --cameras vggt:checkpoint={tmp_path}/w.pt,drop_percent=20 --scene tabletop"
+    command = relative_command(shlex.split(typed), Path("out/x"))
+    assert shlex.split(command) == [
+        "novags", "run", "--photos", "../../photos of it", "--sensor=../../mine.toml", "--methods", "naive", "oracle",
+        "--electrons", "5", "--cameras", "vggt:checkpoint=../../w.pt,drop_percent=20", "--scene", "tabletop", "--out",
+        "again",
+    ]  # fmt: skip

@@ -1,0 +1,108 @@
+"""Claims about scores and reports of several runs: what is compared with what, and where the page goes."""
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a module
+
+from novags.testbed import stages  # noqa: E402
+from novags.testbed.comparison import groups_of  # noqa: E402
+from novags.testbed.console import Console  # noqa: E402
+from novags.testbed.folders.experiment import gather  # noqa: E402
+from novags.testbed.report.page import write_reports  # noqa: E402
+from novags.testbed.stages.capture import CaptureConfig  # noqa: E402
+from tests.fuzz.readers.records import make_run  # noqa: E402
+
+QUIET = Console(quiet=True)
+PSNR = {("one", "naive"): 20.0, ("one", "oracle"): 30.0, ("two", "naive"): 22.0, ("two", "oracle"): 32.0,
+        ("dim", "naive"): 10.0, ("dim", "oracle"): 12.0}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two experiments on equal captures and one on a darker one, with scores that are made up."""
+    folder = tmp_path_factory.mktemp("many")
+    for name in ("one", "two", "dim"):
+        (folder / name).mkdir()
+        make_run(folder / name)
+    stages.capture(folder / "dim" / "set", folder / "dim" / "capture", CaptureConfig(electrons=5.0), QUIET,
+                   overwrite=True)  # fmt: skip
+    from novags.testbed.folders.capture import open_capture
+
+    content = open_capture(folder / "dim" / "capture").content
+    for (experiment, method), value in PSNR.items():
+        record = folder / experiment / method / "metrics.json"
+        found = json.loads(record.read_text())
+        mean = found["methods"][method]["mean"]
+        mean["enhanced"]["aligned_psnr"], mean["lit"]["tone_aligned_psnr"] = value, value / 2
+        record.write_text(json.dumps(found))
+        if experiment == "dim":
+            run = json.loads((folder / experiment / method / "run.json").read_text())
+            run["stage"]["inputs"]["capture"] = content
+            (folder / experiment / method / "run.json").write_text(json.dumps(run))
+    third = folder / "one" / "naive-l1"
+    (folder / "one" / "naive").rename(third)  # a variant, beside the experiments and not named by any
+    for name in ("run.json", "metrics.json"):
+        text = (third / name).read_text()
+        (third / name).write_text(text.replace('"name": "naive"', '"name": "naive-l1"').replace(
+            '{"naive": {', '{"naive-l1": {').replace("20.0", "24.5"))  # fmt: skip
+    (folder / "one" / "experiment.json").write_text(
+        json.dumps({"command": None, "methods": ["naive-l1", "oracle"], "preset": {}})
+    )
+    return folder
+
+
+def test_runs_of_a_folder_of_experiments_have_names_that_differ(runs: Path) -> None:
+    assert list(gather([runs])) == ["dim/naive", "dim/oracle", "naive-l1", "one/oracle", "two/naive", "two/oracle"]
+    assert list(gather([runs / "two", runs / "two" / "naive"])) == ["naive", "oracle"]
+    with pytest.raises(ValueError, match="neither a run"):
+        gather([runs / "one" / "set" / "images"])
+
+
+def test_only_runs_of_one_capture_are_compared_and_bounds_are_found_among_them(runs: Path) -> None:
+    dim, bright = groups_of([runs], QUIET)
+    assert list(dim.runs) == ["dim/naive", "dim/oracle"]
+    assert dim.deltas("enhanced") == ({"dim/oracle": 2.0}, "dim/naive")
+    # Floor 22, ceiling (30 + 32) / 2.
+    assert bright.metrics["recovered"] == {"naive-l1": pytest.approx((24.5 - 22) / 9)}
+    over, base = bright.deltas("enhanced")
+    assert base == "two/naive"
+    assert over == {"naive-l1": 2.5, "one/oracle": 8.0, "two/oracle": 10.0}
+    lit, _ = bright.deltas("lit")
+    assert lit["two/oracle"] == pytest.approx(5.0)
+
+
+def test_without_a_floor_differences_are_to_the_first_run_and_nothing_is_recovered(runs: Path) -> None:
+    (group,) = groups_of([runs / "one"], QUIET)
+    assert group.deltas("enhanced") == ({"oracle": 5.5}, "naive-l1")
+    assert group.metrics["recovered"] == {}
+    assert "needs the method(s) naive:" in group.metrics["unavailable"]["recovered"]
+
+
+def test_a_report_on_several_captures_has_a_table_for_each_and_replaces_nothing_else(runs: Path) -> None:
+    path = write_reports([runs / "two", runs / "dim"], QUIET)
+    assert path == runs / "comparison.html"
+    page = path.read_text()
+    assert page.count("<h2 ") == 2
+    assert page.count("+10.00") == 1
+    assert page.count("+2.00") == 1
+    write_reports([runs / "dim", runs / "two"], QUIET)  # the same request
+    before = path.read_bytes()
+    with pytest.raises(ValueError, match="is no report on these runs: choose another --out, or add --overwrite"):
+        write_reports([runs / "one", runs / "dim"], QUIET)
+    assert path.read_bytes() == before
+    write_reports([runs / "one", runs / "dim"], QUIET, overwrite=True)
+    assert "+5.50" in path.read_text()
+
+
+def test_a_run_that_is_not_scored_is_named(runs: Path, tmp_path: Path) -> None:
+    import shutil
+
+    shutil.copytree(runs / "two", tmp_path / "two")
+    (tmp_path / "two" / "naive" / "metrics.json").unlink()
+    with pytest.raises(ValueError, match=r"two/naive is not scored: run novags score"):
+        write_reports([tmp_path / "two", runs / "dim"], QUIET)
