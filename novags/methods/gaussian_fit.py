@@ -34,6 +34,11 @@ class EnhancedFitConfig:
     fit: FitConfig = ORIGINAL_FIT
 
 
+def fit_parts(config: EnhancedFitConfig) -> dict[str, int]:
+    """`Method.parts`: the fit alone."""
+    return {"fit": config.fit.iterations}
+
+
 def fit_for(problem: Problem, config: FitConfig) -> FitConfig:
     """The configuration with the seed and the extent of the problem."""
     return dataclasses.replace(config, seed=problem.seed, extent=problem.start.extent)
