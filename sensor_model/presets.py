@@ -102,7 +102,14 @@ for _iso in (800, 1600, 6400):
         sigma_d=exp(0.85187 * log(_gain) + 0.67991) / _gain, tukey_lambda=0.102,
         sigma_row=exp(0.87611 * log(_gain) - 2.11455) / _gain,
     )  # fmt: skip
-    _add(f"imx686-iso{_iso}", _imx686, "PMN", gain="PMN at ISO 6400, proportional to ISO", sigma_d=_IMX686_READ, **_UNPUBLISHED)
+    _add(
+        f"imx686-iso{_iso}",
+        _imx686,
+        "PMN",
+        gain="PMN at ISO 6400, proportional to ISO",
+        sigma_d=_IMX686_READ,
+        **_UNPUBLISHED,
+    )
 
 # ELD, Nikon D850, profile 2, 14 bit; gain proportional to ISO between 0.4150 at 100 and 26.56 at 6400. ELD's list of
 # lambdas (-0.24 to -0.10) does not say which ISO each belongs to: their middle.

@@ -71,7 +71,7 @@ def fit_enhanced(
     start = start_gaussians(problem.start, dark, images, sh_degree=config.fit.sh_degree, init_scale=config.init_scale)
     result = fit(start, problem.views, lambda i: images[i], config.fit, progress=progress, checkpoint=checkpoint)
     return Reconstruction(
-        scene=GaussianScene(result.gaussians),
+        scene=GaussianScene.of(result.gaussians, config.fit),
         space="enhanced",
         config=config,
         enhancement=enhancement_record(config.enhance, config.pictures),

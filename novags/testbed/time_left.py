@@ -27,12 +27,12 @@ class TimeLeft:
         self.last = self.began
 
     def update(self, done: int, total: int) -> str:
-        """After `done` of `total` steps: "12 s left", "12 s left, then fit" if nobody knows how long that takes, or ""."""
+        """After `done` of `total` steps: "12 s left", or "12 s left, then fit" if nobody knows how long that takes."""
         now = self.clock()
         parts = self.parts if sum(self.parts.values()) == total else {"": total}
         part, begin, end = _part_of(parts, done)
         if part != self.part:
-            # what came before the first step of a later part belongs to it; of resumed work only what is done now counts
+            # What came before the first step of a later part belongs to it. Of resumed work what is done now counts.
             resumed = self.part is None
             self.began, self.first = (now, done) if resumed else (self.last, begin)
             self.part = part

@@ -335,7 +335,7 @@ def train(
         training.save_stopped(stop)
         raise
     return Reconstruction(
-        scene=GaussianScene(result.gaussians),
+        scene=GaussianScene.of(result.gaussians, config.fit),
         space="enhanced",
         config=config,
         enhancement=enhancement_record(config.enhance, config.pictures),

@@ -1,7 +1,9 @@
 """How a fit is done, and its schedules."""
 
+import math
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -28,6 +30,8 @@ class FitConfig:
         extent: Scene size that the rates of the means and of the cameras are relative to, world units; None is measured
             from the cameras.
         seed: Of the order of views, of relocation and of noise.
+        eps2d: Variance added to every splat on the image, px^2.
+        antialiased: Whether opacities fall by what that makes a splat larger; `rasterize_mode` of `rasterize`.
         backend: As in `rasterize`.
         checkpoint_every: Iterations between checkpoints.
     """
@@ -44,6 +48,8 @@ class FitConfig:
     refine_cameras: CameraRefinement | None = None
     extent: float | None = None
     seed: int = 0
+    eps2d: float = 0.3
+    antialiased: bool = False
     backend: str = "auto"
     checkpoint_every: int = 1000
 
@@ -62,8 +68,15 @@ class FitConfig:
                 "dssim_weight must lie in 0..1 and the regularisers be >= 0, got "
                 f"{self.dssim_weight}, {self.opacity_reg} and {self.scale_reg}"
             )
+        if not 0 <= self.eps2d < math.inf:
+            raise ValueError(f"eps2d must be finite and >= 0 px^2, got {self.eps2d}")
         if self.extent is not None and not self.extent > 0:
             raise ValueError(f"extent must be > 0 or None, got {self.extent}")
+
+    @property
+    def splatting(self) -> dict[str, Any]:
+        """What `rasterize` has to be told to show the Gaussians as they were trained."""
+        return {"eps2d": self.eps2d, "rasterize_mode": "antialiased" if self.antialiased else "classic"}
 
     def degree_at(self, iteration: int) -> int:
         """Degree of the harmonics that an iteration renders."""

@@ -19,21 +19,24 @@ from ..views import Views
 from .adam import Adam, LearningRates
 from .losses import compare
 
-FAR, NEAR, EPS2D = 1e10, 0.01, 0.3
+NEAR, FAR = 0.01, 1e10  # the defaults of `rasterize`
 STEPS = 10  # iterations after which the coefficients are looked at again
 
 
 class DirectFit:
     """The cameras of a fit, checked once, and what its iterations share."""
 
-    def __init__(self, views: Views, *, dssim_weight: float, opacity_reg: float, scale_reg: float) -> None:
+    def __init__(
+        self, views: Views, *, dssim_weight: float, opacity_reg: float, scale_reg: float, eps2d: float,
+        antialiased: bool,
+    ) -> None:  # fmt: skip
         """Raises ValueError for a camera that `rasterize` would refuse."""
         for viewmat, K in zip(views.viewmats, views.Ks, strict=True):
             check_camera({"viewmats": viewmat[None], "Ks": K[None]})
         self.cameras = [
             pipeline.Camera(
                 viewmat=_array(viewmat), K=_array(K), width=views.width, height=views.height, near=NEAR, far=FAR,
-                eps2d=EPS2D,
+                eps2d=eps2d, antialiased=antialiased,
             )
             for viewmat, K in zip(views.viewmats, views.Ks, strict=True)
         ]  # fmt: skip

@@ -113,7 +113,7 @@ def fit(
                 losses = backpropagate(
                     state, views, iteration, config, extent,
                     with_depth=needs_depth(iteration) if callable(needs_depth) else needs_depth,
-                    photometric=lambda step, aim=aim: compare(step, aim(step.view)), extra_losses=extra_losses,
+                    photometric=partial(_compare, compare, aim), extra_losses=extra_losses,
                 )  # fmt: skip
                 # extra losses may reach harmonics that are not rendered yet
                 degree = 3 if extra_losses else config.degree_at(iteration)
@@ -138,6 +138,10 @@ def fit(
         gaussians=state.gaussians.detach(), viewmats=current(views, state, extent).viewmats.detach(),
         losses=state.losses, seconds=time.perf_counter() - started, peak_bytes=_peak_bytes(state.gaussians),
     )  # fmt: skip
+
+
+def _compare(compare: Callable[[Step, Tensor], Tensor], aim: Callable[[int], Tensor], step: Step) -> Tensor:
+    return compare(step, aim(step.view))
 
 
 def _prepare(before_step: Callable[[int], None], iteration: int) -> None:
@@ -215,8 +219,8 @@ def _direct(state: TrainingState, views: Views, config: FitConfig) -> DirectFit 
     """How to do without autograd, where that is possible."""
     if state.cameras is not None or config.backend not in ("auto", "numba") or state.gaussians.means.is_cuda:
         return None
-    weights = {name: getattr(config, name) for name in ("dssim_weight", "opacity_reg", "scale_reg")}
-    return DirectFit(views, **weights)
+    names = ("dssim_weight", "opacity_reg", "scale_reg", "eps2d", "antialiased")
+    return DirectFit(views, **{name: getattr(config, name) for name in names})
 
 
 def _step_directly(

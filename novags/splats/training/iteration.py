@@ -57,7 +57,7 @@ def _render(
         step = render_step(
             gaussians, scales, opacities, current(views, state, extent), view=view, iteration=iteration,
             iterations=config.iterations, sh_degree=config.degree_at(iteration), with_depth=with_depth,
-            backend=config.backend,
+            splatting=config.splatting, backend=config.backend,
         )  # fmt: skip
     except ValueError:
         # The rasteriser refuses Gaussians that the last update has damaged, but knows no iterations.

@@ -114,7 +114,8 @@ class _Photometric(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx: Any, image: Tensor, target: Tensor, dssim_weight: float) -> Tensor:
-        value, v_image = compare(*(t.detach().contiguous().numpy() for t in (image, target)), dssim_weight)
+        x, y = image.detach().contiguous().numpy(), target.detach().contiguous().numpy()
+        value, v_image = compare(x, y, dssim_weight)
         ctx.v_image = torch.from_numpy(v_image)
         return image.new_tensor(value)
 

@@ -11,7 +11,7 @@ from .stages import alone, done, parts, shared, wait
 
 # Numbers of a wave: its first depth rank, its Gaussians, those of the next one, (Gaussian, tile) pairs in the waves
 # before and in this one, whether there is none because the image is there; and of the whole pass: visible Gaussians,
-# which of two buffers their order is in, a bound of the pairs, the smallest bits of a depth and the bits they differ in.
+# which of two buffers their order is in, a bound of the pairs, the smallest bits of a depth and how many bits differ.
 # A number is written once in a chain: a thread that comes late must find the same sizes as the others.
 FIRST, COUNT, LENGTH, BASE, TOTAL, FINISHED, VISIBLE, BUFFER, BOUND, LOW, BITS = range(11)
 NUMBERS = 11
@@ -160,7 +160,7 @@ def composite_wave(
     control, threads, camera, splats, order, histogram, lists, next_lists, members, within, reached, state, image,
     alpha, numbers, following,
 ):  # fmt: skip
-    """Write the lists of a wave that was counted, composite them, and count the next or, after the last, copy the image.
+    """Write the lists of a wave that was counted, composite them, and count the next or copy the image.
 
     Args:
         control: Of `stages`.
