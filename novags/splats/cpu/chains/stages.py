@@ -20,6 +20,7 @@ from ..compiler import inline
 
 SLOT, DONE = 16, 8  # int64 per stage, of which the first counts what was taken and the one at DONE what is done;
 # either has a cache line of its own
+PATIENCE, NAP = 2000, 100  # tries, about half a millisecond; microseconds
 STAGES = 32  # of the longest chain
 CHUNKS_PER_THREAD = 6  # enough that the last chunk is short, few enough that handing out costs little
 PARTS_PER_THREAD = 4  # of kernels that need the number of their parts beforehand
@@ -46,14 +47,27 @@ def _fetch_add(typingctx, array, index, value):
     return types.int64(array, types.int64, types.int64), codegen
 
 
+def _call(builder: Any, name: str, *values: Any) -> None:
+    """Call a function of the C library that takes integers and returns an int."""
+    function = builder.module.globals.get(name)
+    if function is None:
+        function = ir.Function(builder.module, ir.FunctionType(ir.IntType(32), [v.type for v in values]), name)
+    builder.call(function, values)
+
+
 @intrinsic
 def _let_others_run(typingctx):
     def codegen(context, builder, sig, args):
-        function_type = ir.FunctionType(ir.IntType(32), [])
-        function = builder.module.globals.get("sched_yield")
-        if function is None:
-            function = ir.Function(builder.module, function_type, "sched_yield")
-        builder.call(function, [])
+        _call(builder, "sched_yield")
+        return context.get_dummy_value()
+
+    return types.void(), codegen
+
+
+@intrinsic
+def _nap(typingctx):
+    def codegen(context, builder, sig, args):
+        _call(builder, "usleep", ir.Constant(ir.IntType(32), NAP))
         return context.get_dummy_value()
 
     return types.void(), codegen
@@ -61,9 +75,14 @@ def _let_others_run(typingctx):
 
 @inline
 def wait(control, stage, n):
-    """Until n items of a stage are done."""
+    """Until n items of a stage are done: soon, unless the system has taken the core from who does them."""
+    tries = 0
     while _fetch_add(control, stage * SLOT + DONE, 0) < n:
-        _let_others_run()
+        tries += 1
+        if tries < PATIENCE:
+            _let_others_run()
+        else:
+            _nap()
 
 
 @inline
