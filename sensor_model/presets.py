@@ -5,6 +5,8 @@ PMN: megvii-research/PMN (Apache-2.0), data_process/process.py: photon transfer 
 ELD: Vandermode/ELD (MIT), camera_params/release: log-linear fits against the gain; profile 2 of the D850.
 Prime 95B: getframes (MIT), fitted from 200 dark frames per exposure at -20 deg C, low-signal leg of its 16-bit mode.
 PMN and ELD give noise in DN, and for Tukey's lambda distribution its scale: sigma = scale * tukey_sd(lambda) / gain.
+Quantum efficiency: no source has a curve over the wavelength; `SOURCES[...]["eta"]` says at which wavelength it was
+measured, if it was. Colour goes through `rgb_response`.
 "assumed": no public measurement. An assumed `eta` matters only for light in physical units: light given in electrons
 divides it out. "derived": what the ADC spans at the lowest ISO; at the ISO of the preset the ADC
 saturates first.
@@ -47,7 +49,7 @@ for _name, _gain, _eta, _sigma_d, _full, _dsnu, _prnu in (
         gain=_gain, eta=_eta, mu_e_sat=_full, black_level=240.0, bits=12, sigma_d=_sigma_d, dsnu=_dsnu, prnu=_prnu,
         dark_current=1.473, dark_temperature=36.0, rgb_response=DAYLIGHT, serial=900,
     )  # fmt: skip
-    _add(f"imx900-{_name}", _imx900, "FRAMOS", dark_doubling="assumed", **_COLOUR)
+    _add(f"imx900-{_name}", _imx900, "FRAMOS", dark_doubling="assumed", eta="FRAMOS, at 536 nm", **_COLOUR)
 
 # PMN, Sony A7S II, 14 bit: gain, lambda, Tukey scale, row noise. Dual gain switches between ISO 1600 and 2000.
 A7S2 = {
@@ -85,7 +87,14 @@ for _iso, (_gain, _variance, _bias) in IMX385.items():
     )  # fmt: skip
     _add(f"imx385-iso{_iso}", _imx385, "PMN", **_UNPUBLISHED)
 
-# PMN, Sony IMX686 (telephone), 10 bit: log-linear fits of Gaussian sigma and row noise in DN against the gain.
+# PMN, Sony IMX686 (telephone), 10 bit: log-linear fits of Gaussian sigma and row noise in DN against the gain, made for
+# ISO 640 to 6400. At ISO 6400 the fit says 12.51 DN, and its own scatter (IMX686_SCATTER of ln sigma) makes that agree
+# with the 12.89 DN that PMN's table of the highest ISO measures (`get_camera_noisy_params_max`). A third table, which
+# nothing in PMN calls (`get_specific_noise_params`: 0.693 DN at ISO 100, 14.30 DN at ISO 6400), lies 4.6 scatters above
+# it, and disagrees with the second one as well: not taken.
+IMX686_SCATTER = 0.02921
+IMX686_MEASURED_6400 = 12.8901  # DN
+_IMX686_READ = "PMN, get_camera_noisy_params: the fit over ISO 640 to 6400"
 for _iso in (800, 1600, 6400):
     _gain = 8.74253 * _iso / 6400
     _imx686 = Sensor(
@@ -93,7 +102,14 @@ for _iso in (800, 1600, 6400):
         sigma_d=exp(0.85187 * log(_gain) + 0.67991) / _gain, tukey_lambda=0.102,
         sigma_row=exp(0.87611 * log(_gain) - 2.11455) / _gain,
     )  # fmt: skip
-    _add(f"imx686-iso{_iso}", _imx686, "PMN", gain="PMN at ISO 6400, proportional to ISO", **_UNPUBLISHED)
+    _add(
+        f"imx686-iso{_iso}",
+        _imx686,
+        "PMN",
+        gain="PMN at ISO 6400, proportional to ISO",
+        sigma_d=_IMX686_READ,
+        **_UNPUBLISHED,
+    )
 
 # ELD, Nikon D850, profile 2, 14 bit; gain proportional to ISO between 0.4150 at 100 and 26.56 at 6400. ELD's list of
 # lambdas (-0.24 to -0.10) does not say which ISO each belongs to: their middle.
@@ -115,6 +131,7 @@ _add(
         defects=Defects(rts_fraction=0.0145, rts_factor=2.729),
     ),
     "Prime 95B",
+    eta="Prime 95B, its largest",
     serial="arbitrary",
 )  # fmt: skip
 

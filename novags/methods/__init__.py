@@ -6,7 +6,7 @@ from difflib import get_close_matches
 from typing import Any
 
 from novags.methods import enhance_then_fit, oracle
-from novags.methods.gaussian_fit import EnhancedFitConfig
+from novags.methods.gaussian_fit import EnhancedFitConfig, fit_parts
 from novags.methods.nova import trainer as nova
 from novags.methods.nova.denoiser import FAST_DENOISER
 from novags.methods.variant import Method, Variant, spelled
@@ -21,6 +21,7 @@ METHODS: dict[str, Method] = {
         color="#0072b2",
         config=nova.NovaConfig,
         train=nova.train,
+        parts=nova.parts,
         source="NOVA-GS: Noise-Aware View-Consistent Gaussian Splatting for Low-Light Novel View Synthesis",
         cameras="vggt",
     ),
@@ -30,6 +31,7 @@ METHODS: dict[str, Method] = {
         color="#c8590a",
         config=EnhancedFitConfig,
         train=enhance_then_fit.train,
+        parts=fit_parts,
         source="section 4.2 of the NOVA-GS paper and 3DGS-MCMC (Kheradmand et al. 2024)",
         bound="floor",
     ),
@@ -39,6 +41,7 @@ METHODS: dict[str, Method] = {
         color="#008560",
         config=EnhancedFitConfig,
         train=oracle.train,
+        parts=fit_parts,
         source="3DGS-MCMC (Kheradmand et al. 2024) on simulated exposures without noise",
         sees_clean=True,
         bound="ceiling",

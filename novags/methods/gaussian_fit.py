@@ -34,6 +34,11 @@ class EnhancedFitConfig:
     fit: FitConfig = ORIGINAL_FIT
 
 
+def fit_parts(config: EnhancedFitConfig) -> dict[str, int]:
+    """`Method.parts`: the fit alone."""
+    return {"fit": config.fit.iterations}
+
+
 def fit_for(problem: Problem, config: FitConfig) -> FitConfig:
     """The configuration with the seed and the extent of the problem."""
     return dataclasses.replace(config, seed=problem.seed, extent=problem.start.extent)
@@ -66,7 +71,7 @@ def fit_enhanced(
     start = start_gaussians(problem.start, dark, images, sh_degree=config.fit.sh_degree, init_scale=config.init_scale)
     result = fit(start, problem.views, lambda i: images[i], config.fit, progress=progress, checkpoint=checkpoint)
     return Reconstruction(
-        scene=GaussianScene(result.gaussians),
+        scene=GaussianScene.of(result.gaussians, config.fit),
         space="enhanced",
         config=config,
         enhancement=enhancement_record(config.enhance, config.pictures),

@@ -10,6 +10,7 @@ from torch import Tensor
 from novags.splats.gaussians import Gaussians
 from novags.splats.ply import write_ply
 from novags.splats.rasterize import rasterize
+from novags.splats.training.config import FitConfig
 from novags.splats.views import Views
 
 Space = Literal["enhanced", "linear", "lit"]
@@ -33,9 +34,16 @@ class Scene(Protocol):
 
 @dataclass(frozen=True)
 class GaussianScene:
-    """A scene of Gaussians."""
+    """A scene of Gaussians, shown as `eps2d` and `antialiased` of its FitConfig say."""
 
     gaussians: Gaussians
+    eps2d: float = FitConfig.eps2d
+    antialiased: bool = FitConfig.antialiased
+
+    @staticmethod
+    def of(gaussians: Gaussians, config: FitConfig) -> "GaussianScene":
+        """What a fit with this configuration has trained."""
+        return GaussianScene(gaussians, config.eps2d, config.antialiased)
 
     def render(self, views: Views) -> tuple[Tensor, Tensor, Tensor]:
         """As `Scene` says."""
@@ -43,7 +51,8 @@ class GaussianScene:
         with torch.no_grad():
             images, alphas, _ = rasterize(
                 g.means, g.quats, g.scales, g.opacities, g.sh, views.viewmats, views.Ks, views.width, views.height,
-                sh_degree=g.sh_degree, render_mode="RGB+ED",
+                sh_degree=g.sh_degree, render_mode="RGB+ED", eps2d=self.eps2d,
+                rasterize_mode="antialiased" if self.antialiased else "classic",
             )  # fmt: skip
         return images[..., :3], alphas[..., 0], images[..., 3]
 
@@ -52,8 +61,8 @@ class GaussianScene:
         write_ply(folder / "point_cloud.ply", self.gaussians)
 
     def facts(self) -> dict[str, Any]:
-        """Their number."""
-        return {"gaussians": len(self.gaussians)}
+        """Their number, and how they are to be splatted: the .ply does not say."""
+        return {"gaussians": len(self.gaussians), "eps2d": self.eps2d, "antialiased": self.antialiased}
 
 
 @dataclass(kw_only=True)

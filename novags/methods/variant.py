@@ -26,6 +26,8 @@ class Method:
         config: Its configuration, a frozen dataclass whose defaults are the method as published.
         train: (problem, config, *, progress, checkpoint) -> Reconstruction.
         source: The publication or text that it follows.
+        parts: The parts of `train` whose steps its progress counts through, and how many each has, for a configuration;
+            None: their steps all take the same time.
         cameras: The camera source that the publication uses; None if it does not matter.
         sees_clean: Whether it is given the noise-free exposures; a bound, never a rival.
         bound: The end of the scale that "recovered" is measured on: what noise costs lies between the two.
@@ -37,6 +39,7 @@ class Method:
     config: type
     train: Callable[..., Reconstruction]
     source: str
+    parts: Callable[[Any], dict[str, int]] | None = None
     cameras: str | None = None
     sees_clean: bool = False
     bound: Literal["floor", "ceiling"] | None = None

@@ -43,11 +43,13 @@ def scenes() -> str:
 def sensors() -> str:
     """The cameras."""
     from sensor_model import PRESETS
+    from sensor_model.presets import SOURCES
 
     rows = []
     for name, sensor in PRESETS.items():
         colours = f"{sensor.cfa} mosaic" if sensor.cfa else "all colours in every pixel"
-        rows.append((name, f"{sensor.bits} bit, read noise {sensor.sigma_d:.3g} e-, {colours}"))
+        efficiency = f"quantum efficiency {100 * sensor.eta:.0f} % ({SOURCES[name]['eta']})"
+        rows.append((name, f"{sensor.bits} bit, read noise {sensor.sigma_d:.3g} e-, {efficiency}, {colours}"))
     return table([*rows, ("FILE.toml", "a camera of your own; novags characterise measures one")])
 
 

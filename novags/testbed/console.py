@@ -7,7 +7,9 @@ from contextlib import contextmanager
 from typing import TextIO
 
 from rich.console import Console as RichConsole
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from novags.testbed.time_left import TimeLeft
 
 Update = Callable[[int, int, str], None]
 """Steps done, total steps, and the current activity (a view, a loss)."""
@@ -24,6 +26,7 @@ class Console:
         self._rich = RichConsole(file=self.stream, highlight=False, soft_wrap=True)
         self.live = not quiet and self._rich.is_terminal
         self._warned: set[str] = set()
+        self._paces: dict[str, float] = {}
 
     def note(self, text: str) -> None:
         """Print one line."""
@@ -37,16 +40,27 @@ class Console:
             self.note(f"note: {text}")
 
     @contextmanager
-    def progress(self, stage: str) -> Iterator[Update]:
-        """Show how far `stage` is; the yielded function takes (done, total, what)."""
+    def progress(self, stage: str, parts: Mapping[str, int] | None = None) -> Iterator[Update]:
+        """Show how far `stage` is; the yielded function takes (done, total, what).
+
+        Args:
+            stage: Its name.
+            parts: Its parts in order and their steps, of which `done` counts the sum, where a step takes longer in one
+                than in another.
+        """
+        left = TimeLeft(stage, parts or {}, self._paces)
         if self.quiet:
             yield lambda done, total, what: None
         elif self.live:
             with self._bar() as bar:
-                task = bar.add_task(stage, total=None, what="")
-                yield lambda done, total, what: bar.update(task, completed=done, total=total, what=what)
+                task = bar.add_task(stage, total=None, what="", left="")
+
+                def update(done: int, total: int, what: str) -> None:
+                    bar.update(task, completed=done, total=total, what=what, left=_left(left, done, total, what))
+
+                yield update
         else:
-            yield self._lines(stage)
+            yield self._lines(stage, left)
 
     def _bar(self) -> Progress:
         return Progress(
@@ -55,29 +69,27 @@ class Console:
             MofNCompleteColumn(),
             TextColumn("{task.fields[what]}", markup=False),  # the name of a view may hold brackets
             TimeElapsedColumn(),
-            TextColumn("left"),
-            TimeRemainingColumn(),
+            TextColumn("{task.fields[left]}"),
             console=self._rich,
         )
 
-    def _lines(self, stage: str) -> Update:
-        start = last = time.monotonic()
-        first: int | None = None
+    def _lines(self, stage: str, left: TimeLeft) -> Update:
+        last = time.monotonic()
 
         def update(done: int, total: int, what: str) -> None:
-            nonlocal last, first
-            now = time.monotonic()
-            if first is None:
-                first = done  # resumed work: only what this process did shows its speed
+            nonlocal last
+            text, now = _left(left, done, total, what), time.monotonic()
             if now - last < PLAIN_INTERVAL and done < total:
                 return
             last = now
-            rate = (done - first) / (now - start) if now > start else 0.0
-            known = rate > 0 and done < total and "left" not in what  # some stages give their own estimate
-            left = f"  {(total - done) / rate:.0f} s left" if known else ""
-            self.note(f"{stage}: {done}/{total}  {what}{left}")
+            self.note(f"{stage}: {done}/{total}  {what}{text and '  '}{text}")
 
         return update
+
+
+def _left(left: TimeLeft, done: int, total: int, what: str) -> str:
+    text = left.update(done, total)
+    return "" if "left" in what else text  # some stages give their own estimate
 
 
 def losses_text(losses: Mapping[str, float]) -> str:

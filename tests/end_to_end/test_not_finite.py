@@ -20,13 +20,14 @@ FITTING = sys.modules["novags.splats.training.fit"]  # the package's `fit` is th
 @pytest.fixture
 def planted(monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
     """The photometric loss is NaN from the tenth iteration on; what it returns takes that back."""
-    loss = FITTING._default_photometric
+    loss = FITTING.default_photometric
 
     def broken(weight, step, target):
         return loss(weight, step, target) * (math.nan if step.iteration >= 10 else 1)
 
-    monkeypatch.setattr(FITTING, "_default_photometric", broken)
-    return lambda: monkeypatch.setattr(FITTING, "_default_photometric", loss)
+    monkeypatch.setattr(FITTING, "default_photometric", broken)
+    monkeypatch.setattr(FITTING.DirectFit, "takes", lambda *_: False)  # which has no such function to break
+    return lambda: monkeypatch.setattr(FITTING, "default_photometric", loss)
 
 
 def times(folder: Path) -> dict[str, int]:

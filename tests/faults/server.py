@@ -130,8 +130,9 @@ def gpu_memory_full(after: int) -> None:
     """Fail as a full GPU does in the `after`-th iteration of a fit."""
     import importlib
 
-    fit: Any = importlib.import_module("novags.splats.training.fit")  # the package has a function of that name
-    render, left = fit.render_step, [after]
+    iteration: Any = importlib.import_module("novags.splats.training.iteration")
+    direct: Any = importlib.import_module("novags.splats.training.direct")
+    render, left = iteration.render_step, [after]
 
     def step(*args: Any, **kwargs: Any) -> Any:
         left[0] -= 1
@@ -139,7 +140,8 @@ def gpu_memory_full(after: int) -> None:
             raise torch.cuda.OutOfMemoryError("CUDA out of memory. Tried to allocate 2.00 GiB. GPU 0 has ...\nmore")
         return render(*args, **kwargs)
 
-    fit.render_step = step
+    iteration.render_step = step
+    direct.DirectFit.takes = lambda *_: False  # no GPU fits so
 
 
 FAULTS: dict[str, Callable[..., None]] = {

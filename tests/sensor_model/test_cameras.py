@@ -22,7 +22,7 @@ from sensor_model import (
     write_sensor,
 )
 from sensor_model.effects import tukey_sd
-from sensor_model.presets import SOURCES
+from sensor_model.presets import IMX686_MEASURED_6400, IMX686_SCATTER, SOURCES
 
 BASE = {"gain": 0.8, "eta": 0.5, "mu_e_sat": 5000.0, "black_level": 60.0, "bits": 12}
 
@@ -334,3 +334,20 @@ def test_an_unsaturated_series_leaves_full_well_to_the_user():
     with pytest.raises(ValueError, match="mu_e_sat must be known"):
         found.sensor(bits=16)
     assert found.sensor(bits=16, mu_e_sat=50_000.0).mu_e_sat == 50_000.0
+
+
+def test_the_read_noise_of_the_imx686_is_what_pmn_measured_at_its_highest_iso():
+    """The preset is PMN's fit over ISO 640 to 6400, 12.51 DN; within its scatter lies the measured value, 12.89 DN."""
+    sensor = PRESETS["imx686-iso6400"]
+    assert sensor.sigma_d * sensor.gain == pytest.approx(12.515, abs=5e-4)
+    off = np.log(IMX686_MEASURED_6400 / (sensor.sigma_d * sensor.gain)) / IMX686_SCATTER
+    assert 0 < off < 2
+    assert np.log(14.3036 / (sensor.sigma_d * sensor.gain)) / IMX686_SCATTER > 4  # of the table that PMN does not use
+    assert "get_camera_noisy_params" in SOURCES["imx686-iso6400"]["sigma_d"]
+
+
+def test_every_quantum_efficiency_says_where_it_was_measured_or_that_it_is_assumed():
+    for name in PRESETS:
+        origin = SOURCES[name]["eta"]
+        known = {"imx900": "FRAMOS, at 536 nm", "prime-": "Prime 95B, its largest", "ideal": "by definition"}
+        assert origin == next((text for start, text in known.items() if name.startswith(start)), "assumed")

@@ -120,14 +120,14 @@ def test_a_parameter_that_is_damaged_is_named_and_the_last_good_checkpoint_leads
 ) -> None:
     start, views, images = scene
     path = tmp_path / "checkpoint.safetensors"
-    update = FITTING._update
+    move = FITTING._move
 
     def damaging(state, iteration, *rest) -> None:
-        update(state, iteration, *rest)
+        move(state, iteration, *rest)
         if iteration == 24:
             getattr(state.gaussians, name).view(-1)[0] = math.nan
 
-    monkeypatch.setattr(FITTING, "_update", damaging)
+    monkeypatch.setattr(FITTING, "_move", damaging)
 
     def run() -> None:
         fit(start, views, lambda i: images[i], config(), checkpoint=path)

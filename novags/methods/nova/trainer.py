@@ -106,6 +106,12 @@ class _PseudoClean:
                 self.cached[view] = (step, image.to(self.enhanced))
 
 
+def parts(config: NovaConfig) -> dict[str, int]:
+    """`Method.parts`: warm-up of the denoiser, then the fit with what is left of its training."""
+    warmup = 0 if config.denoiser is None else config.denoiser.warmup_steps
+    return {"denoiser": warmup, "fit": config.fit.iterations}
+
+
 def run_identity(problem: Problem, config: NovaConfig) -> Tensor:
     """Hash of everything that a run depends on, uint8."""
     start, dark = problem.start, problem.encoded(config.pictures)
@@ -311,7 +317,7 @@ def train(
     enhancing = time.perf_counter() - started
     training = _Training(problem, images, config, checkpoint)
     start = training.warm_up(problem, progress)
-    warmup = 0 if config.denoiser is None else config.denoiser.warmup_steps
+    warmup = parts(config)["denoiser"]
 
     def report(done: int, total: int, entry: dict[str, float]) -> None:
         if progress is not None:
@@ -329,7 +335,7 @@ def train(
         training.save_stopped(stop)
         raise
     return Reconstruction(
-        scene=GaussianScene(result.gaussians),
+        scene=GaussianScene.of(result.gaussians, config.fit),
         space="enhanced",
         config=config,
         enhancement=enhancement_record(config.enhance, config.pictures),

@@ -23,7 +23,7 @@ def cache_folder() -> Path:
     machine code would then run.
     """
     here = Path(__file__).parent
-    sources = [*sorted(here.glob("*.py")), here.parent / "sh.py"]
+    sources = [*sorted(here.rglob("*.py")), here.parent / "sh.py"]
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
     if config.CACHE_DIR:
         base = Path(config.CACHE_DIR)

@@ -181,17 +181,19 @@ def to_image(begin, end, trans, color, width, tiles_x, first_channel, image, alp
     """Copy image rows begin..end-1 out of the tiles: channels first_channel.. of image [H, W, D], and alpha [H, W]."""
     n = min(CHANNELS, image.shape[2] - first_channel)
     for y in range(begin, end):
-        for x in range(width):
-            tile = y // TILE * tiles_x + x // TILE
-            pixel = _pixel(x % TILE, y % TILE)
-            alpha[y, x] = ONE - abs(trans[tile * PIXELS + pixel])
-            for channel in range(n):
-                image[y, x, first_channel + channel] = color[tile * COLOR + channel * PIXELS + pixel]
+        for x in range(0, width, BLOCK):
+            tile, row = y // TILE * tiles_x + x // TILE, _block_row(x % TILE, y % TILE)
+            at, at_color = tile * PIXELS + row, tile * COLOR + row
+            for i in range(min(BLOCK, width - x)):
+                alpha[y, x + i] = ONE - abs(trans[at + i])
+                for channel in range(n):
+                    image[y, x + i, first_channel + channel] = color[at_color + channel * PIXELS + i]
 
 
 @inline
-def _pixel(x, y):
-    return (y // BLOCK * SIDE + x // BLOCK) * LANES + y % BLOCK * BLOCK + x % BLOCK
+def _block_row(x, y):
+    """Where in a tile the four pixels of a block's row begin, of which (x, y) is the first."""
+    return (y // BLOCK * SIDE + x // BLOCK) * LANES + y % BLOCK * BLOCK
 
 
 @kernel
@@ -199,23 +201,24 @@ def from_image(begin, end, trans, width, height, tiles_x, first_channel, v_image
     """Set up the backward state of tiles begin..end-1 from the gradients of image [H, W, D] and alpha [H, W].
 
     left is the transmittance behind all Gaussians; behind the gradient-weighted light from there, as if the background
-    were one more Gaussian; v_color the channels' gradients. first_channel < 0 leaves alpha's gradient out.
+    were one more Gaussian; v_color the channels' gradients. Alpha's gradient counts with channel 0 alone.
     """
     n = min(CHANNELS, v_image.shape[2] - first_channel)
     for tile in range(begin, end):
         x0, y0 = tile % tiles_x * TILE, tile // tiles_x * TILE
-        for pixel in range(COLOR):
-            v_color[tile * COLOR + pixel] = ZERO
-        for pixel in range(PIXELS):
-            left[tile * PIXELS + pixel] = abs(trans[tile * PIXELS + pixel])
-            behind[tile * PIXELS + pixel] = ZERO
+        v_color[tile * COLOR : (tile + 1) * COLOR] = ZERO
+        behind[tile * PIXELS : (tile + 1) * PIXELS] = ZERO
+        for pixel in range(tile * PIXELS, (tile + 1) * PIXELS):
+            left[pixel] = abs(trans[pixel])
         for y in range(y0, min(y0 + TILE, height)):
-            for x in range(x0, min(x0 + TILE, width)):
-                pixel = _pixel(x - x0, y - y0)
-                if first_channel == 0:
-                    behind[tile * PIXELS + pixel] = -v_alpha[y, x] * left[tile * PIXELS + pixel]
-                for channel in range(n):
-                    v_color[tile * COLOR + channel * PIXELS + pixel] = v_image[y, x, first_channel + channel]
+            for x in range(x0, min(x0 + TILE, width), BLOCK):
+                row = _block_row(x - x0, y - y0)
+                at, at_color = tile * PIXELS + row, tile * COLOR + row
+                for i in range(min(BLOCK, width - x)):
+                    if first_channel == 0:
+                        behind[at + i] = -v_alpha[y, x + i] * left[at + i]
+                    for channel in range(n):
+                        v_color[at_color + channel * PIXELS + i] = v_image[y, x + i, first_channel + channel]
 
 
 @kernel

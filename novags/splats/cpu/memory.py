@@ -4,6 +4,7 @@ import math
 import os
 import threading
 from collections import deque
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -91,6 +92,24 @@ def _size_class(n_bytes: int) -> int:
 
 _shared = Recycler()
 empty = _shared.empty
+
+
+def carve(
+    *parts: tuple[tuple[int, ...] | int, Any], empty: Callable[..., np.ndarray] = empty
+) -> tuple[np.ndarray, ...]:
+    """Arrays of (shape, dtype) in one block that is recycled when none of them is in use any more.
+
+    One block costs as much as one array: most of that is Python.
+    """
+    places, end = [], 0
+    for shape, dtype in parts:
+        places.append(end)
+        n = math.prod(shape) if isinstance(shape, tuple) else shape
+        end += -(-n * np.dtype(dtype).itemsize // LINE) * LINE
+    block = empty(end, np.uint8)
+    return tuple(np.ndarray(shape, dtype, block, at) for (shape, dtype), at in zip(parts, places, strict=True))
+
+
 # a fork while another thread holds the lock would leave the child waiting for ever
 os.register_at_fork(
     before=_shared.lock.acquire, after_in_parent=_shared.lock.release, after_in_child=_shared.lock.release

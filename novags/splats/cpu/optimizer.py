@@ -1,12 +1,17 @@
-"""The Adam step. Same formula, and order of operations, as torch.optim.Adam."""
+"""The Adam step, alone and together with the gradient of the harmonics. Formula and order as in torch.optim.Adam."""
 
 # mypy: allow-untyped-defs
 
 import numpy as np
 
+from . import harmonics
 from .compiler import inline, kernel
+from .simd import LANES
+from .transpose import add3, gather3
 
-ONE = np.float32(1.0)
+ZERO, ONE = np.float32(0.0), np.float32(1.0)
+# Of gradients, scales and coefficients: none that is smaller makes the gradient of another parameter overflow
+LARGE = np.float32(1e12)
 
 
 @inline
@@ -36,6 +41,50 @@ def adam_columns(begin, end, values, gradients, first, second, rates, beta1, bet
     """One step in place on rows begin..end-1 of [N, P] arrays, on as many columns as there are rates."""
     numbers = beta1, beta2, correction1, correction2, eps
     for row in range(begin, end):
-        v, g, m, s = values[row], gradients[row], first[row], second[row]
-        for i in range(len(rates)):
-            _step(i, v, g, m, s, rates[i], numbers)
+        _row_step(values[row], gradients[row], first[row], second[row], rates, numbers)
+
+
+@inline
+def _row_step(value, gradient, first, second, rates, numbers):
+    for i in range(len(rates)):
+        _step(i, value, gradient, first, second, rates[i], numbers)
+
+
+@kernel
+def find_large(begin, end, values, found):
+    """Sets found[0] if one of the flat values begin..end-1 is LARGE, or not a number."""
+    count = 0
+    for i in range(begin, end):
+        count += not abs(values[i]) < LARGE
+    if count:
+        found[0] = 1
+
+
+@kernel
+def adam_harmonics(
+    begin, end, block_size, degree, means, sh, first, second, center, v_colors, v_means, rates, beta1, beta2,
+    correction1, correction2, eps,
+):  # fmt: skip
+    """`harmonics.backward` and `adam_columns` for blocks begin..end-1, without the gradient's way through memory.
+
+    sh and its moments [N, 3 K] change in place, and the gradient is added to v_means [N, 3].
+    """
+    n, n_coefficients, numbers = len(means), (degree + 1) * (degree + 1), (beta1, beta2, correction1, correction2, eps)
+    points, basis = np.ones(3 * LANES, np.float32), np.empty(16 * LANES, np.float32)
+    v_basis, coefficients = np.empty(16 * LANES, np.float32), np.zeros(48 * LANES, np.float32)
+    v_color, v_points = np.zeros(3 * LANES, np.float32), np.empty(3 * LANES, np.float32)
+    gradient = np.empty((LANES, sh.shape[1]), np.float32)
+    for start in range(begin * block_size, min(n, end * block_size), LANES):
+        count = min(LANES, n - start)
+        v_color[:] = ZERO
+        gather3(v_colors, start, count, v_color, 0)
+        if harmonics._any(v_color):
+            harmonics._gather(means, center, sh, start, count, n_coefficients, points, coefficients)
+            harmonics._backward(degree, n_coefficients, points, basis, v_basis, coefficients, v_color, v_points)
+            harmonics._scatter(coefficients, 0, count, 3 * n_coefficients, gradient)
+            add3(v_points, 0, start, count, v_means)
+        else:
+            gradient[:] = ZERO
+        for lane in range(count):
+            i = start + lane
+            _row_step(sh[i], gradient[lane], first[i], second[i], rates, numbers)

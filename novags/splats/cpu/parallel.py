@@ -1,4 +1,4 @@
-"""Run a kernel over a range with threads.
+"""Run a kernel over a range, or a chain of kernels, with threads.
 
 The caller works too, and ranges are handed out as they are asked for: a helper thread that the operating system does
 not schedule in time costs nothing, where a barrier of equal shares would wait for it. Results do not depend on who did
@@ -14,22 +14,19 @@ from typing import Any
 
 import torch
 
-CHUNKS_PER_THREAD = 6  # enough that the last chunk is short, few enough that handing out costs little
+from .chains.stages import CHUNKS_PER_THREAD, give_up, new_control
+
+CHAIN_GRAIN = 512  # Gaussians or pixels per thread below which a chain costs less than to wake it
 
 
 class _Job:
-    def __init__(self, kernel: Callable[..., Any], n: int, step: int, args: tuple[Any, ...]) -> None:
-        self.kernel, self.n, self.step, self.args = kernel, n, step, args
-        self.starts = itertools.count(0, step)  # next() on it is atomic
+    """Work that the caller begins at once and helpers join; `give_up` is called when one of them has failed."""
+
+    def __init__(self, work: Callable[[], None], give_up: Callable[[], None]) -> None:
+        self.work, self.give_up = work, give_up
         self.lock, self.finished = threading.Lock(), threading.Semaphore(0)
         self.active, self.closed = 0, False
         self.error: BaseException | None = None
-
-    def work(self) -> None:
-        for begin in self.starts:
-            if begin >= self.n:
-                return
-            self.kernel(begin, min(begin + self.step, self.n), *self.args)
 
     def help(self) -> None:
         with self.lock:
@@ -40,18 +37,34 @@ class _Job:
             self.work()
         except BaseException as error:  # handed to the caller's thread
             self.error = error
+            self.give_up()
         with self.lock:
             self.active -= 1
             if self.closed and self.active == 0:
                 self.finished.release()
 
-    def close(self) -> None:
+    def share(self, helpers: int) -> None:
+        """Call help from this thread and from helpers; returns when nobody works any more."""
+        while len(_threads) < helpers:
+            _threads.append(threading.Thread(target=_serve, args=(_jobs,), daemon=True, name="splats"))
+            _threads[-1].start()
+        for _ in range(helpers):
+            _jobs.put(self)
+        try:
+            self.work()
+        except BaseException:
+            self.give_up()
+            raise
+        finally:
+            self._close()
+
+    def _close(self) -> None:
         with self.lock:
             self.closed = True
             waiting = self.active > 0
         if waiting:
             self.finished.acquire()
-        self.args = ()  # a helper that comes too late must not keep the arrays alive
+        del self.work, self.give_up  # a helper that comes too late must not keep the arrays alive
         if self.error is not None:
             raise self.error
 
@@ -90,14 +103,26 @@ def run(kernel: Callable[..., Any], n: int, grain: int, *args: Any) -> None:
         if n > 0:
             kernel(0, n, *args)
         return
-    while len(_threads) < workers - 1:
-        _threads.append(threading.Thread(target=_serve, args=(_jobs,), daemon=True, name="splats"))
-        _threads[-1].start()
-    grains = -(-n // (workers * CHUNKS_PER_THREAD * grain))
-    job = _Job(kernel, n, grains * grain, args)
-    for _ in range(workers - 1):
-        _jobs.put(job)
-    try:
-        job.work()
-    finally:
-        job.close()
+    step = -(-n // (workers * CHUNKS_PER_THREAD * grain)) * grain
+    starts = itertools.count(0, step)  # next() on it is atomic
+
+    def work() -> None:
+        for begin in starts:
+            if begin >= n:
+                return
+            kernel(begin, min(begin + step, n), *args)
+
+    _Job(work, _nothing).share(workers - 1)
+
+
+def _nothing() -> None:
+    """The ranges that are left are taken by the others."""
+
+
+def run_chain(chain: Callable[..., Any], n: int, *args: Any) -> None:
+    """Call chain(control, threads, *args) from as many threads as n items are worth; see `chains.stages`."""
+    threads, control = max(1, min(torch.get_num_threads(), n // CHAIN_GRAIN)), new_control()
+    if threads == 1:
+        chain(control, 1, *args)
+        return
+    _Job(lambda: chain(control, threads, *args), lambda: give_up(control)).share(threads - 1)

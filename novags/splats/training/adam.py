@@ -100,16 +100,22 @@ class Adam:
                 rate = means_rate if name == "means" else float(getattr(rates, name))
                 self._update(tensor.data, tensor.grad, *moments, rate)
 
+    @staticmethod
+    def numbers(count: int) -> tuple[np.float32, ...]:
+        """What the kernels want to know for the step of this number, from 1."""
+        corrections = 1 - BETA1**count, math.sqrt(1 - BETA2**count)
+        return tuple(np.float32(x) for x in (BETA1, BETA2, *corrections, EPS))
+
     def _update(self, value: Tensor, gradient: Tensor, first: Tensor, second: Tensor, rate: float | Tensor) -> None:
-        correction1, correction2 = 1 - BETA1**self.count, math.sqrt(1 - BETA2**self.count)
         if value.device.type == "cpu":
             arrays = [t.contiguous().numpy() for t in (value, gradient, first, second)]
-            numbers = [np.float32(x) for x in (BETA1, BETA2, correction1, correction2, EPS)]
+            numbers = self.numbers(self.count)
             if isinstance(rate, Tensor):
                 run(optimizer.adam_columns, len(value), 1024, *arrays, rate.numpy(), *numbers)
             else:
                 run(optimizer.adam, value.numel(), 4096, *(a.reshape(-1) for a in arrays), np.float32(rate), *numbers)
             return
+        correction1, correction2 = 1 - BETA1**self.count, math.sqrt(1 - BETA2**self.count)
         _update_torch(value, gradient, first, second, rate, correction1, correction2)
 
     def reset(self, rows: Tensor) -> None:

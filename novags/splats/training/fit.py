@@ -5,7 +5,7 @@ import math
 import resource
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -15,72 +15,17 @@ from torch import Tensor
 
 from ..gaussians import Gaussians
 from ..views import Views
-from .activate import activate
-from .adam import Adam, LearningRates
-from .camera_refinement import CameraRefinement, CameraState, move_cameras, refined
+from .adam import Adam
+from .camera_refinement import CameraState, move_cameras
 from .checkpoint import TrainingState, digest, load_checkpoint, save_checkpoint
-from .guard import NotFinite, norms, require_finite
-from .losses import photometric_loss
-from .mcmc import McmcConfig, add_noise, grow, prune_to_cap, relocate
-from .step import Step, render_step
+from .config import FitConfig
+from .direct import DirectFit
+from .guard import NotFinite, norms
+from .iteration import backpropagate, check_parameters, current, default_photometric, where
+from .mcmc import add_noise, grow, prune_to_cap, relocate
+from .step import Step
 
 LOG_EVERY = 10  # iterations between entries of FitResult.losses and calls of progress
-
-
-@dataclass(frozen=True, kw_only=True)
-class FitConfig:
-    """How to train.
-
-    Attributes:
-        iterations: Optimiser steps.
-        cap_max: Largest number of Gaussians; None is as many as there are at the start.
-        sh_degree: Highest spherical-harmonics degree, 0..3.
-        sh_every: Iterations between two steps of the degree, from 0.
-        dssim_weight: w in (1 - w) L1 + w (1 - SSIM); 0 is L1 alone.
-        opacity_reg: Weight of the mean opacity.
-        scale_reg: Weight of the mean scale.
-        rates: Learning rates.
-        mcmc: When Gaussians move; None keeps the population as it is.
-        refine_cameras: How the training cameras are refined; None takes them as they are given.
-        extent: Scene size that the rates of the means and of the cameras are relative to, world units; None is measured
-            from the cameras.
-        seed: Of the order of views, of relocation and of noise.
-        backend: As in `rasterize`.
-        checkpoint_every: Iterations between checkpoints.
-    """
-
-    iterations: int = 7000
-    cap_max: int | None = None
-    sh_degree: int = 3
-    sh_every: int = 1000
-    dssim_weight: float = 0.2
-    opacity_reg: float = 0.01
-    scale_reg: float = 0.01
-    rates: LearningRates = field(default_factory=LearningRates)
-    mcmc: McmcConfig | None = field(default_factory=McmcConfig)
-    refine_cameras: CameraRefinement | None = None
-    extent: float | None = None
-    seed: int = 0
-    backend: str = "auto"
-    checkpoint_every: int = 1000
-
-    def __post_init__(self) -> None:
-        if self.iterations < 0 or self.sh_every < 1 or self.checkpoint_every < 1:
-            raise ValueError(
-                "iterations must be >= 0, sh_every and checkpoint_every >= 1, got "
-                f"{self.iterations}, {self.sh_every} and {self.checkpoint_every}"
-            )
-        if self.cap_max is not None and self.cap_max < 1:
-            raise ValueError(f"cap_max must be >= 1 or None, got {self.cap_max}")
-        if self.sh_degree not in (0, 1, 2, 3):
-            raise ValueError(f"sh_degree must be 0, 1, 2 or 3, got {self.sh_degree}")
-        if not 0 <= self.dssim_weight <= 1 or self.opacity_reg < 0 or self.scale_reg < 0:
-            raise ValueError(
-                "dssim_weight must lie in 0..1 and the regularisers be >= 0, got "
-                f"{self.dssim_weight}, {self.opacity_reg} and {self.scale_reg}"
-            )
-        if self.extent is not None and not self.extent > 0:
-            raise ValueError(f"extent must be > 0 or None, got {self.extent}")
 
 
 @dataclass(kw_only=True)
@@ -152,39 +97,51 @@ def fit(
     else:
         state = _initial_state(gaussians, views, config)
     cap = config.cap_max if config.cap_max is not None else len(gaussians)
-    compare = photometric or partial(_default_photometric, config.dssim_weight)
+    compare = photometric or partial(default_photometric, config.dssim_weight)
+    direct = None if photometric is not None or extra_losses else _direct(state, views, config)
     save = None if checkpoint is None else partial(_save, checkpoint, settings, started)
     for iteration in range(state.iteration, config.iterations):
+        means_rate = config.rates.means_at(iteration, config.iterations, extent)
+        view = config.view_at(iteration, len(views))
         try:
             if before_step is not None:
                 _prepare(before_step, iteration)
-            with_depth = needs_depth(iteration) if callable(needs_depth) else needs_depth
-            step, regularizer = _render(state, views, iteration, config, extent, with_depth)
-            loss, part = _loss(step, regularizer, compare(step, target(step.view)), extra_losses)
-            loss.backward()
-            require_finite("gradient of", _gradients(state), _where(iteration, step.view), resumable=True)
-            # extra losses may reach harmonics that are not rendered yet
-            degree = 3 if extra_losses else _degree_at(iteration, config)
-            _update(state, iteration, config, cap, extent, degree)
+            losses, aim = None, target
+            if direct is not None:
+                losses, aim = _step_directly(direct, state, iteration, target(view), config, means_rate)
+            if losses is None:
+                losses = backpropagate(
+                    state, views, iteration, config, extent,
+                    with_depth=needs_depth(iteration) if callable(needs_depth) else needs_depth,
+                    photometric=partial(_compare, compare, aim), extra_losses=extra_losses,
+                )  # fmt: skip
+                # extra losses may reach harmonics that are not rendered yet
+                degree = 3 if extra_losses else config.degree_at(iteration)
+                state.adam.step(state.gaussians, config.rates, means_rate, degree)
+            _move(state, iteration, config, cap, means_rate)
             state.iteration = done = iteration + 1
             saving = done % config.checkpoint_every == 0 or done == config.iterations
             if done % LOG_EVERY == 0 or saving:
                 sizes = norms(state.gaussians.tensors())
                 if not math.isfinite(sum(sizes.values())):
-                    _check_parameters(state, _where(iteration, step.view))
+                    check_parameters(state, where(iteration, view))
         except NotFinite as stop:
             raise _stopped(stop, state, checkpoint, save) from None
         if done % LOG_EVERY == 0 or done == config.iterations:
-            entry = {"iteration": float(done), "loss": float(loss.detach()), "photometric": part}
+            entry = {"iteration": float(done), "loss": losses[0], "photometric": losses[1]}
             state.losses.append({**entry, "n_gaussians": float(len(state.gaussians)), **sizes})
             if progress is not None:
                 progress(done, config.iterations, state.losses[-1])
         if save is not None and saving:
             save(state)
     return FitResult(
-        gaussians=state.gaussians.detach(), viewmats=_current(views, state, extent).viewmats.detach(),
+        gaussians=state.gaussians.detach(), viewmats=current(views, state, extent).viewmats.detach(),
         losses=state.losses, seconds=time.perf_counter() - started, peak_bytes=_peak_bytes(state.gaussians),
     )  # fmt: skip
+
+
+def _compare(compare: Callable[[Step, Tensor], Tensor], aim: Callable[[int], Tensor], step: Step) -> Tensor:
+    return compare(step, aim(step.view))
 
 
 def _prepare(before_step: Callable[[int], None], iteration: int) -> None:
@@ -208,24 +165,6 @@ def _stopped(
     if stop.resumable:
         save(state)
     return NotFinite(f"{stop}; {checkpoint} leads there again", resumable=stop.resumable)
-
-
-def _where(iteration: int, view: int) -> str:
-    return f"at iteration {iteration}, view {view}"
-
-
-def _gradients(state: TrainingState) -> dict[str, Tensor]:
-    leaves = state.gaussians.tensors()
-    if state.cameras is not None:
-        leaves = {**leaves, "camera twists": state.cameras.twists}
-    return {name: tensor.grad for name, tensor in leaves.items() if tensor.grad is not None}
-
-
-def _check_parameters(state: TrainingState, where: str) -> None:
-    tensors = state.gaussians.tensors()
-    if state.cameras is not None:
-        tensors = {**tensors, "camera twists": state.cameras.twists}
-    require_finite("parameter", tensors, where, resumable=False)
 
 
 def _check_views(gaussians: Gaussians, views: Views) -> None:
@@ -276,76 +215,28 @@ def _generator(seed: int, iteration: int, what: int) -> torch.Generator:
     return torch.Generator().manual_seed(int(state) & (2**63 - 1))
 
 
-def _degree_at(iteration: int, config: FitConfig) -> int:
-    return min(config.sh_degree, iteration // config.sh_every)
+def _direct(state: TrainingState, views: Views, config: FitConfig) -> DirectFit | None:
+    """How to do without autograd, where that is possible."""
+    if state.cameras is not None or config.backend not in ("auto", "numba") or state.gaussians.means.is_cuda:
+        return None
+    names = ("dssim_weight", "opacity_reg", "scale_reg", "eps2d", "antialiased")
+    return DirectFit(views, **{name: getattr(config, name) for name in names})
 
 
-def _view_at(iteration: int, n_views: int, seed: int) -> int:
-    """Every epoch visits all views once, in a new random order."""
-    epoch, position = divmod(iteration, n_views)
-    return int(np.random.default_rng([seed, epoch]).permutation(n_views)[position])
+def _step_directly(
+    direct: DirectFit, state: TrainingState, iteration: int, image: Tensor, config: FitConfig, means_rate: float
+) -> tuple[tuple[float, float] | None, Callable[[int], Tensor]]:
+    """Losses, or None if nothing was done; and the target that was asked for, to be asked again."""
+    losses = None
+    if direct.takes(state.gaussians, image, config.rates):
+        view = config.view_at(iteration, len(direct.cameras))
+        degree = config.degree_at(iteration)
+        losses = direct.step(state.gaussians, state.adam, view, image, config.rates, means_rate, degree)
+    return losses, lambda _: image
 
 
-def _current(views: Views, state: TrainingState, extent: float) -> Views:
-    """The training views with the cameras where they are now, differentiable in their twists."""
-    if state.cameras is None:
-        return views
-    return dataclasses.replace(views, viewmats=refined(views.viewmats, state.cameras.twists, extent))
-
-
-def _render(
-    state: TrainingState, views: Views, iteration: int, config: FitConfig, extent: float, with_depth: bool
-) -> tuple[Step, Tensor]:
-    """This iteration's Step, and the regulariser."""
-    gaussians, fused = state.gaussians.requires_grad_(), config.backend != "torch"
-    scales, opacities, regularizer = activate(gaussians, config.opacity_reg, config.scale_reg, fused=fused)
-    if state.cameras is not None and config.refine_cameras is not None:
-        state.cameras.twists.requires_grad_(config.refine_cameras.factor_at(iteration, config.iterations) > 0)
-    view = _view_at(iteration, len(views), config.seed)
-    try:
-        step = render_step(
-            gaussians, scales, opacities, _current(views, state, extent), view=view, iteration=iteration,
-            iterations=config.iterations, sh_degree=_degree_at(iteration, config), with_depth=with_depth,
-            backend=config.backend,
-        )  # fmt: skip
-    except ValueError:
-        # The rasteriser refuses Gaussians that the last update has damaged, but knows no iterations.
-        _check_parameters(state, _where(iteration, view))
-        raise
-    return step, regularizer
-
-
-def _default_photometric(dssim_weight: float, step: Step, target: Tensor) -> Tensor:
-    if target.shape != step.render.shape or target.device != step.render.device:
-        raise ValueError(
-            f"target({step.view}) must be [H, W, 3] = {list(step.render.shape)} on {step.render.device} as the views, "
-            f"got {list(target.shape)} on {target.device}"
-        )
-    return photometric_loss(step.render, target, dssim_weight)
-
-
-def _loss(
-    step: Step, regularizer: Tensor, photometric: Tensor, extra_losses: Sequence[Callable[[Step], Tensor | None]]
-) -> tuple[Tensor, float]:
-    """Total loss, and its photometric part as a number."""
-    terms = {"photometric": photometric, "regulariser": regularizer}
-    loss = photometric + regularizer
-    for extra in extra_losses:
-        term = extra(step)
-        if term is not None:
-            terms[getattr(extra, "__name__", type(extra).__name__)] = term
-            loss = loss + term
-    if not torch.isfinite(loss):
-        values = ", ".join(f"{name} {float(term.detach())}" for name, term in terms.items())
-        where = _where(step.iteration, step.view)
-        raise NotFinite(f"the loss must be finite, got {float(loss.detach())} {where}: {values}")
-    return loss, float(photometric.detach())
-
-
-def _update(state: TrainingState, iteration: int, config: FitConfig, cap: int, extent: float, sh_degree: int) -> None:
-    """Everything that moves after the backward pass: Gaussians, their population, cameras."""
-    means_rate = config.rates.means_at(iteration, config.iterations, extent)
-    state.adam.step(state.gaussians, config.rates, means_rate, sh_degree)
+def _move(state: TrainingState, iteration: int, config: FitConfig, cap: int, means_rate: float) -> None:
+    """Everything that moves after the optimiser step: the population of Gaussians, and cameras."""
     state.gaussians = _mcmc_step(state.gaussians.detach(), state.adam, iteration, config, cap, means_rate)
     if state.cameras is not None and config.refine_cameras is not None:
         factor = config.refine_cameras.factor_at(iteration, config.iterations)

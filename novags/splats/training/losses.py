@@ -8,8 +8,9 @@ import torch
 from torch import Tensor
 
 from ..cpu import photometric
-from ..cpu.memory import empty
-from ..cpu.parallel import run
+from ..cpu.chains import training as chains
+from ..cpu.memory import carve, empty
+from ..cpu.parallel import run_chain
 from ..first_order import first_order
 
 WINDOW, SIGMA = 11, 1.5  # Wang et al. 2004, and every 3DGS code since
@@ -90,26 +91,32 @@ def photometric_loss(image: Tensor, target: Tensor, dssim_weight: float) -> Tens
     return (1 - dssim_weight) * l1 + dssim_weight * (1 - ssim(image, target))
 
 
+def compare(image: np.ndarray, target: np.ndarray, dssim_weight: float) -> tuple[np.float32, np.ndarray]:
+    """`photometric_loss` of float32 images [H, W, C], and its gradient for the first, by the CPU's kernels."""
+    height, width, channels = image.shape
+    x, y = (a.reshape(height, width * channels) for a in (image, target))
+    plane = photometric.plane(height, width * channels)
+    sizes = [n * plane if dssim_weight else 0 for n in (photometric.MOMENTS, photometric.SLOPES)]
+    moments, slopes = carve((sizes[0], np.float32), (sizes[1], np.float32), empty=empty)
+    score_sums, l1_sums, v_image = np.zeros(height), np.empty(height), empty(x.shape)
+    factors = np.float32((1 - dssim_weight) / x.size), np.float32(-dssim_weight / x.size)
+    run_chain(
+        chains.compare, x.size, x, y, channels, _kernel(torch.float32).numpy(), moments, slopes, *factors, score_sums,
+        l1_sums, v_image,
+    )  # fmt: skip
+    value = (1 - dssim_weight) * l1_sums.sum() / x.size + dssim_weight * (1 - score_sums.sum() / x.size)
+    with np.errstate(over="ignore"):  # an infinite loss is reported by who looks at it
+        return np.float32(value), v_image.reshape(image.shape)
+
+
 class _Photometric(torch.autograd.Function):
     """The gradient is made together with the value: it needs the same window sums."""
 
     @staticmethod
     def forward(ctx: Any, image: Tensor, target: Tensor, dssim_weight: float) -> Tensor:
-        height, width, channels = image.shape
-        x, y = (t.detach().contiguous().numpy().reshape(height, width * channels) for t in (image, target))
-        weights = _kernel(torch.float32).numpy()
-        n = x.size
-        score_sums, l1_sums, v_image = np.zeros(height), np.empty(height), empty(x.shape)
-        plane = photometric.plane(height, width * channels)
-        slopes = empty(photometric.SLOPES * plane if dssim_weight else 0)
-        if dssim_weight:
-            moments = empty(photometric.MOMENTS * plane)
-            run(photometric.horizontal, height, 8, x, y, channels, weights, moments)
-            run(photometric.score, height, 8, height, width * channels, moments, weights, slopes, score_sums)
-        factors = np.float32((1 - dssim_weight) / n), np.float32(-dssim_weight / n)
-        run(photometric.gradient, height, 8, x, y, channels, weights, slopes, *factors, l1_sums, v_image)
-        ctx.v_image = torch.from_numpy(v_image).reshape(image.shape)
-        value = (1 - dssim_weight) * l1_sums.sum() / n + dssim_weight * (1 - score_sums.sum() / n)
+        x, y = image.detach().contiguous().numpy(), target.detach().contiguous().numpy()
+        value, v_image = compare(x, y, dssim_weight)
+        ctx.v_image = torch.from_numpy(v_image)
         return image.new_tensor(value)
 
     @staticmethod

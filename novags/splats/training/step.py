@@ -1,7 +1,8 @@
 """One iteration of a fit as its losses see it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from torch import Tensor
 
@@ -66,6 +67,7 @@ def render_step(
     iterations: int,
     sh_degree: int,
     with_depth: bool,
+    splatting: Mapping[str, Any],
     backend: str,
 ) -> Step:
     """Render a training view, with expected depth if asked for.
@@ -80,6 +82,7 @@ def render_step(
         iterations: Of the whole run.
         sh_degree: Highest spherical-harmonics degree to render, 0..3.
         with_depth: Render expected depth too.
+        splatting: Further arguments of `rasterize`, as `FitConfig.splatting` says.
         backend: As in `rasterize`.
     """
 
@@ -87,6 +90,7 @@ def render_step(
         renders, alphas, info = rasterize(
             gaussians.means, gaussians.quats, scales, opacities, gaussians.sh, views.viewmats[j : j + 1],
             views.Ks[j : j + 1], views.width, views.height, sh_degree=sh_degree, render_mode=mode, backend=backend,
+            **splatting,
         )  # fmt: skip
         return renders[0], alphas[0, ..., 0], {key: value[0] for key, value in info.items()}
 

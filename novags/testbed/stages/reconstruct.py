@@ -160,14 +160,15 @@ def reconstruct_views(
         ValueError: If the method refuses its input.
     """
     variant, problem = config.variant, prepared.problem
-    with console.progress(f"reconstruct {variant.name}") as progress, EventLog(folder / EVENTS) as log:
+    method = METHODS[variant.method]
+    parts = method.parts(config.config) if method.parts else None
+    with console.progress(f"reconstruct {variant.name}", parts) as progress, EventLog(folder / EVENTS) as log:
 
         def step(done: int, total: int, losses: dict[str, float]) -> None:
             log.add({"step": done, **losses})
             progress(done, total, losses_text(losses))
 
-        train = METHODS[variant.method].train
-        result = train(problem, config.config, progress=step, checkpoint=folder / CHECKPOINTS[0])
+        result = method.train(problem, config.config, progress=step, checkpoint=folder / CHECKPOINTS[0])
     frame = Frame.of(capture, prepared.indices, prepared.estimate, result.viewmats)
     with console.progress(f"render {variant.name}") as progress:
         write_images(folder, problem.names, result)
@@ -178,7 +179,7 @@ def reconstruct_views(
     return {
         "name": variant.name,
         "method": variant.method,
-        "title": variant.title or METHODS[variant.method].title,
+        "title": variant.title or method.title,
         "variant": dict(variant.settings),
         "capture": os.path.relpath(capture.path.resolve(), folder.resolve()),
         "space": result.space,

@@ -110,7 +110,7 @@ def test_a_scene_of_gaussians_renders_colour_alpha_and_expected_depth():
         torch.testing.assert_close(found, expected)
         torch.testing.assert_close(alpha, alphas[..., 0])
     assert not image.requires_grad
-    assert GaussianScene(scene).facts() == {"gaussians": 20}
+    assert GaussianScene(scene).facts()["gaussians"] == 20
 
 
 @pytest.mark.parametrize(("space", "enhancement"), [("enhanced", None), ("lit", {"enhancer": "guided"})])

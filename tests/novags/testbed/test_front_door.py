@@ -88,3 +88,9 @@ def test_auto_takes_a_gpu_only_with_its_rasteriser_and_says_so(
     monkeypatch.setattr(devices, "has_gsplat", lambda: False)
     assert chosen_device("auto", Console()) == torch.device("cpu")
     assert "needs gsplat: scripts/setup cuda" in capsys.readouterr().err
+
+
+def test_the_list_of_sensors_says_which_quantum_efficiencies_are_assumed() -> None:
+    text = " ".join(listing("sensors").split())
+    assert "imx900-hcg 12 bit, read noise 1.95 e-, quantum efficiency 88 % (FRAMOS, at 536 nm), RGGB mosaic" in text
+    assert "imx686-iso6400 10 bit, read noise 1.43 e-, quantum efficiency 60 % (assumed), RGGB mosaic" in text

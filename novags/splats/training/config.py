@@ -1,0 +1,94 @@
+"""How a fit is done, and its schedules."""
+
+import math
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from .adam import LearningRates
+from .camera_refinement import CameraRefinement
+from .mcmc import McmcConfig
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitConfig:
+    """How to train.
+
+    Attributes:
+        iterations: Optimiser steps.
+        cap_max: Largest number of Gaussians; None is as many as there are at the start.
+        sh_degree: Highest spherical-harmonics degree, 0..3.
+        sh_every: Iterations between two steps of the degree, from 0.
+        dssim_weight: w in (1 - w) L1 + w (1 - SSIM); 0 is L1 alone.
+        opacity_reg: Weight of the mean opacity.
+        scale_reg: Weight of the mean scale.
+        rates: Learning rates.
+        mcmc: When Gaussians move; None keeps the population as it is.
+        refine_cameras: How the training cameras are refined; None takes them as they are given.
+        extent: Scene size that the rates of the means and of the cameras are relative to, world units; None is measured
+            from the cameras.
+        seed: Of the order of views, of relocation and of noise.
+        eps2d: Variance added to every splat on the image, px^2.
+        antialiased: Whether opacities fall by what that makes a splat larger; `rasterize_mode` of `rasterize`.
+        backend: As in `rasterize`.
+        checkpoint_every: Iterations between checkpoints.
+    """
+
+    iterations: int = 7000
+    cap_max: int | None = None
+    sh_degree: int = 3
+    sh_every: int = 1000
+    dssim_weight: float = 0.2
+    opacity_reg: float = 0.01
+    scale_reg: float = 0.01
+    rates: LearningRates = field(default_factory=LearningRates)
+    mcmc: McmcConfig | None = field(default_factory=McmcConfig)
+    refine_cameras: CameraRefinement | None = None
+    extent: float | None = None
+    seed: int = 0
+    eps2d: float = 0.3
+    antialiased: bool = False
+    backend: str = "auto"
+    checkpoint_every: int = 1000
+
+    def __post_init__(self) -> None:
+        if self.iterations < 0 or self.sh_every < 1 or self.checkpoint_every < 1:
+            raise ValueError(
+                "iterations must be >= 0, sh_every and checkpoint_every >= 1, got "
+                f"{self.iterations}, {self.sh_every} and {self.checkpoint_every}"
+            )
+        if self.cap_max is not None and self.cap_max < 1:
+            raise ValueError(f"cap_max must be >= 1 or None, got {self.cap_max}")
+        if self.sh_degree not in (0, 1, 2, 3):
+            raise ValueError(f"sh_degree must be 0, 1, 2 or 3, got {self.sh_degree}")
+        if not 0 <= self.dssim_weight <= 1 or self.opacity_reg < 0 or self.scale_reg < 0:
+            raise ValueError(
+                "dssim_weight must lie in 0..1 and the regularisers be >= 0, got "
+                f"{self.dssim_weight}, {self.opacity_reg} and {self.scale_reg}"
+            )
+        if not 0 <= self.eps2d < math.inf:
+            raise ValueError(f"eps2d must be finite and >= 0 px^2, got {self.eps2d}")
+        if self.extent is not None and not self.extent > 0:
+            raise ValueError(f"extent must be > 0 or None, got {self.extent}")
+
+    @property
+    def splatting(self) -> dict[str, Any]:
+        """What `rasterize` has to be told to show the Gaussians as they were trained."""
+        return {"eps2d": self.eps2d, "rasterize_mode": "antialiased" if self.antialiased else "classic"}
+
+    def degree_at(self, iteration: int) -> int:
+        """Degree of the harmonics that an iteration renders."""
+        return min(self.sh_degree, iteration // self.sh_every)
+
+    def view_at(self, iteration: int, n_views: int) -> int:
+        """Every epoch visits all views once, in a new random order."""
+        epoch, position = divmod(iteration, n_views)
+        return _order(epoch, n_views, self.seed)[position]
+
+
+@lru_cache(2)
+def _order(epoch: int, n_views: int, seed: int) -> list[int]:
+    order: list[int] = np.random.default_rng([seed, epoch]).permutation(n_views).tolist()
+    return order

@@ -1,0 +1,149 @@
+"""An iteration on the CPU without autograd: the kernels, chained, from the parameters to their Adam step.
+
+For the plain fit alone, whose loss is L1 + SSIM + regularisers; bit for bit what `iteration` does in general, at two
+thirds of its time. What is out of the ordinary (bad numbers, very large ones) changes nothing here and is left to
+`iteration`, which finds out what it is and says so.
+"""
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from ..cpu import activations, optimizer, pipeline, project_backward
+from ..cpu.chains import training as chains
+from ..cpu.memory import carve, empty
+from ..cpu.parallel import run_chain
+from ..gaussians import Gaussians
+from ..validation import check_camera
+from ..views import Views
+from .adam import Adam, LearningRates
+from .losses import compare
+
+NEAR, FAR = 0.01, 1e10  # the defaults of `rasterize`
+STEPS = 10  # iterations after which the coefficients are looked at again
+
+
+class DirectFit:
+    """The cameras of a fit, checked once, and what its iterations share."""
+
+    def __init__(
+        self, views: Views, *, dssim_weight: float, opacity_reg: float, scale_reg: float, eps2d: float,
+        antialiased: bool,
+    ) -> None:  # fmt: skip
+        """Raises ValueError for a camera that `rasterize` would refuse."""
+        for viewmat, K in zip(views.viewmats, views.Ks, strict=True):
+            check_camera({"viewmats": viewmat[None], "Ks": K[None]})
+        self.cameras = [
+            pipeline.Camera(
+                viewmat=_array(viewmat), K=_array(K), width=views.width, height=views.height, near=NEAR, far=FAR,
+                eps2d=eps2d, antialiased=antialiased,
+            )
+            for viewmat, K in zip(views.viewmats, views.Ks, strict=True)
+        ]  # fmt: skip
+        self.image_shape = (views.height, views.width, 3)
+        self.dssim_weight, self.opacity_reg, self.scale_reg = (
+            dssim_weight,
+            np.float32(opacity_reg),
+            np.float32(scale_reg),
+        )
+        self.v_alpha = np.zeros((views.height, views.width), np.float32)
+        self.calm = 0  # iterations for which the coefficients are known to be small
+
+    def takes(self, gaussians: Gaussians, target: Tensor, rates: LearningRates) -> bool:
+        """Whether an iteration is one for `step`; if not, it is one for autograd."""
+        plain = target.shape == self.image_shape and not target.requires_grad
+        plain = plain and target.dtype == torch.float32 and target.device.type == "cpu"
+        plain = plain and all(tensor.is_contiguous() for tensor in gaussians.tensors().values())
+        if plain and self.calm == 0:
+            # in ten steps Adam moves a parameter by less than a hundred rates
+            self.calm = STEPS if max(rates.sh_dc, rates.sh_rest) < 1e3 and _is_small(gaussians.sh) else 0
+        return plain and self.calm > 0
+
+    @np.errstate(over="ignore", invalid="ignore")  # what is infinite is seen below
+    def step(
+        self, gaussians: Gaussians, adam: Adam, view: int, target: Tensor, rates: LearningRates, means_rate: float,
+        sh_degree: int,
+    ) -> tuple[float, float] | None:  # fmt: skip
+        """Render a view, compare it, and update the Gaussians and their moments in place.
+
+        Args:
+            gaussians: Float32 on the CPU, contiguous, as is the target.
+            adam: Their optimiser.
+            view: Number of the camera.
+            target: What it should show [H, W, 3].
+            rates: Learning rates.
+            means_rate: Of the means, world units.
+            sh_degree: Of the harmonics that are rendered and trained.
+
+        Returns:
+            Loss and its photometric part, or None, and nothing has changed, if a number was out of the ordinary.
+        """
+        self.calm -= 1
+        n, sh = len(gaussians), _rows(gaussians.sh)
+        log_scales, logits = _array(gaussians.log_scales), _array(gaussians.logit_opacities)
+        shape, regularizer = self._activate(gaussians, log_scales, logits)
+        frame, image, _ = pipeline.forward(shape, _array(gaussians.sh), self.cameras[view], sh_degree, True, False)
+        if frame.splats.suspect:
+            return None
+        photometric, v_image = compare(image, _array(target), self.dssim_weight)
+        loss = np.float32(photometric + regularizer)
+        if not np.isfinite(loss):
+            return None
+        v_rows, slots = pipeline.composite_backward(frame, v_image, self.v_alpha)
+        v_means, v_quats, v_scales, v_opacities, v_features, v_log_scales, v_logits = carve(
+            *(((n, k), np.float32) for k in (3, 4, 3)), (n, np.float32), ((n, 3), np.float32), (3 * n, np.float32),
+            (n, np.float32), empty=empty,
+        )  # fmt: skip
+        trained = [
+            t.detach() for t in (gaussians.means, gaussians.quats, gaussians.log_scales, gaussians.logit_opacities)
+        ]
+        names, found = ("means", "quats", "log_scales", "logit_opacities"), np.zeros(1, np.int64)
+        columns = np.full(min(3 * (sh_degree + 1) ** 2, sh.shape[1]), rates.sh_rest, np.float32)
+        columns[:3] = rates.sh_dc
+        run_chain(
+            chains.step, n, shape.arrays, frame.vector, frame.center, sh_degree, v_rows.reshape(-1), slots,
+            (v_means, v_quats, v_scales, v_opacities), v_features, np.empty((0, project_backward.V_VIEW), np.float32),
+            self._shares(n), (v_log_scales, v_logits),
+            tuple(t.numpy().reshape(-1) for t in trained),
+            tuple(adam.first[name].numpy().reshape(-1) for name in names),
+            tuple(adam.second[name].numpy().reshape(-1) for name in names),
+            tuple(np.float32(r) for r in (means_rate, rates.quats, rates.log_scales, rates.logit_opacities)),
+            (sh, _rows(adam.first["sh"]), _rows(adam.second["sh"])), columns, adam.numbers(adam.count + 1), found,
+        )  # fmt: skip
+        if found[0]:
+            return None
+        adam.count += 1
+        return float(loss), float(photometric)
+
+    def _shares(self, n: int) -> tuple[np.float32, np.float32]:
+        """Gradient of each scale and of each opacity from the regularisers of their means."""
+        return np.float32(float(self.scale_reg) / (3 * n)), np.float32(float(self.opacity_reg) / n)
+
+    def _activate(
+        self, gaussians: Gaussians, log_scales: np.ndarray, logits: np.ndarray
+    ) -> tuple[pipeline.Shape, np.float32]:
+        """What is rendered, and the regulariser."""
+        n = len(logits)
+        scales, opacities = carve(((n, 3), np.float32), (n, np.float32), empty=empty)
+        sums = np.empty(-(-3 * n // activations.BLOCK)), np.empty(-(-n // activations.BLOCK))
+        flat = log_scales.reshape(-1), logits, scales.reshape(-1), opacities
+        run_chain(chains.activate, n, *flat, *sums)
+        shape = pipeline.Shape(
+            means=_array(gaussians.means), quats=_array(gaussians.quats), scales=scales, opacities=opacities
+        )
+        mean_scale, mean_opacity = np.float32(sums[0].sum() / (3 * n)), np.float32(sums[1].sum() / n)
+        return shape, self.opacity_reg * mean_opacity + self.scale_reg * mean_scale
+
+
+def _array(tensor: Tensor) -> np.ndarray:
+    return tensor.detach().contiguous().numpy()
+
+
+def _rows(tensor: Tensor) -> np.ndarray:
+    """[N, K, 3] as [N, 3 K]."""
+    return tensor.detach().numpy().reshape(len(tensor), 3 * tensor.shape[1])
+
+
+def _is_small(tensor: Tensor) -> bool:
+    """Whether no number is so large that a gradient times it might overflow."""
+    return bool(tensor.detach().abs().max() < 1e-2 * float(optimizer.LARGE))

@@ -1,0 +1,121 @@
+"""One iteration of a fit by autograd, up to the optimiser step: any device, any loss, refined cameras."""
+
+import dataclasses
+from collections.abc import Callable, Sequence
+
+import torch
+from torch import Tensor
+
+from ..views import Views
+from .activate import activate
+from .camera_refinement import refined
+from .checkpoint import TrainingState
+from .config import FitConfig
+from .guard import NotFinite, require_finite
+from .losses import photometric_loss
+from .step import Step, render_step
+
+ExtraLoss = Callable[[Step], Tensor | None]
+
+
+def backpropagate(
+    state: TrainingState,
+    views: Views,
+    iteration: int,
+    config: FitConfig,
+    extent: float,
+    *,
+    with_depth: bool,
+    photometric: Callable[[Step], Tensor],
+    extra_losses: Sequence[ExtraLoss],
+) -> tuple[float, float]:
+    """Leave gradients in the Gaussians and, where they are refined, in the cameras.
+
+    Returns:
+        Loss and its photometric part.
+
+    Raises:
+        NotFinite: For a loss, gradient or parameter that is not finite.
+    """
+    step, regularizer = _render(state, views, iteration, config, extent, with_depth)
+    loss, part = _loss(step, regularizer, photometric(step), extra_losses)
+    loss.backward()
+    require_finite("gradient of", _gradients(state), where(iteration, step.view), resumable=True)
+    return float(loss.detach()), part
+
+
+def _render(
+    state: TrainingState, views: Views, iteration: int, config: FitConfig, extent: float, with_depth: bool
+) -> tuple[Step, Tensor]:
+    """This iteration's Step, and the regulariser."""
+    gaussians, fused = state.gaussians.requires_grad_(), config.backend != "torch"
+    scales, opacities, regularizer = activate(gaussians, config.opacity_reg, config.scale_reg, fused=fused)
+    if state.cameras is not None and config.refine_cameras is not None:
+        state.cameras.twists.requires_grad_(config.refine_cameras.factor_at(iteration, config.iterations) > 0)
+    view = config.view_at(iteration, len(views))
+    try:
+        step = render_step(
+            gaussians, scales, opacities, current(views, state, extent), view=view, iteration=iteration,
+            iterations=config.iterations, sh_degree=config.degree_at(iteration), with_depth=with_depth,
+            splatting=config.splatting, backend=config.backend,
+        )  # fmt: skip
+    except ValueError:
+        # The rasteriser refuses Gaussians that the last update has damaged, but knows no iterations.
+        check_parameters(state, where(iteration, view))
+        raise
+    return step, regularizer
+
+
+def _loss(
+    step: Step, regularizer: Tensor, photometric: Tensor, extra_losses: Sequence[ExtraLoss]
+) -> tuple[Tensor, float]:
+    """Total loss, and its photometric part as a number."""
+    terms = {"photometric": photometric, "regulariser": regularizer}
+    loss = photometric + regularizer
+    for extra in extra_losses:
+        term = extra(step)
+        if term is not None:
+            terms[getattr(extra, "__name__", type(extra).__name__)] = term
+            loss = loss + term
+    if not torch.isfinite(loss):
+        values = ", ".join(f"{name} {float(term.detach())}" for name, term in terms.items())
+        place = where(step.iteration, step.view)
+        raise NotFinite(f"the loss must be finite, got {float(loss.detach())} {place}: {values}")
+    return loss, float(photometric.detach())
+
+
+def _gradients(state: TrainingState) -> dict[str, Tensor]:
+    leaves = state.gaussians.tensors()
+    if state.cameras is not None:
+        leaves = {**leaves, "camera twists": state.cameras.twists}
+    return {name: tensor.grad for name, tensor in leaves.items() if tensor.grad is not None}
+
+
+def check_parameters(state: TrainingState, where: str) -> None:
+    """Raise NotFinite for a parameter of Gaussians or cameras that is not finite."""
+    tensors = state.gaussians.tensors()
+    if state.cameras is not None:
+        tensors = {**tensors, "camera twists": state.cameras.twists}
+    require_finite("parameter", tensors, where, resumable=False)
+
+
+def where(iteration: int, view: int) -> str:
+    """For messages."""
+    return f"at iteration {iteration}, view {view}"
+
+
+def current(views: Views, state: TrainingState, extent: float) -> Views:
+    """The training views with the cameras where they are now, differentiable in their twists."""
+    if state.cameras is None:
+        return views
+    return dataclasses.replace(views, viewmats=refined(views.viewmats, state.cameras.twists, extent))
+
+
+def default_photometric(dssim_weight: float, step: Step, target: Tensor) -> Tensor:
+    """(1 - w) L1 + w (1 - SSIM) of the Step and its target."""
+    if target.shape != step.render.shape or target.device != step.render.device:
+        raise ValueError(
+            f"target({step.view}) must be [H, W, 3] = {list(step.render.shape)} on {step.render.device} as the views, "
+            f"got {list(target.shape)} on {target.device}"
+        )
+    return photometric_loss(step.render, target, dssim_weight)

@@ -1,0 +1,100 @@
+"""Time left, with a simulated clock: every part of a piece of work is extrapolated at its own pace."""
+
+import io
+
+import pytest
+
+from novags.methods import METHODS
+from novags.methods.nova.trainer import NovaConfig
+from novags.testbed import console
+from novags.testbed.time_left import TimeLeft
+
+PARTS = {"denoiser": 100, "fit": 400}
+
+
+class Clock:
+    def __init__(self) -> None:
+        self.now = 1000.0
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def run(left: TimeLeft, clock: Clock, costs: dict[str, float], first: int = 0) -> dict[int, str]:
+    """What is said after each ten steps, of which those of a part take costs[part] seconds each."""
+    said, total = {}, sum(PARTS.values())
+    for done in range(first + 1, total + 1):
+        clock.now += costs["denoiser" if done <= PARTS["denoiser"] else "fit"]
+        if done % 10 == 0:
+            said[done] = left.update(done, total)
+    return said
+
+
+def test_each_part_is_extrapolated_from_its_own_steps() -> None:
+    """Denoiser steps of 2 s and fit steps of 0.1 s: at one pace the first half of the denoiser would promise 880 s."""
+    clock = Clock()
+    said = run(TimeLeft("nova", PARTS, {}, clock), clock, {"denoiser": 2.0, "fit": 0.1})
+    assert said[50] == "100 s left, then fit"
+    assert said[90] == "20 s left, then fit"
+    assert said[200] == "30 s left"
+    assert said[490] == "1 s left"
+    assert said[500] == ""
+
+
+def test_a_later_part_counts_with_what_it_cost_before() -> None:
+    clock, paces = Clock(), {}
+    other = TimeLeft("naive", {"fit": 20}, paces, clock)
+    for done in (10, 20):
+        clock.now += 5.0
+        other.update(done, 20)
+    first = run(TimeLeft("nova", PARTS, paces, clock), clock, {"denoiser": 2.0, "fit": 1.0})
+    assert first[50] == "300 s left"  # 50 steps of 2 s, and 400 of the half second that they took in another work
+    second = run(TimeLeft("nova", PARTS, paces, clock), clock, {"denoiser": 2.0, "fit": 1.0})
+    assert second[50] == "500 s left"  # of the same work they are known better
+
+
+def test_resumed_work_counts_only_what_this_process_did() -> None:
+    clock = Clock()
+    left = TimeLeft("nova", PARTS, {}, clock)
+    said = run(left, clock, {"denoiser": 9.0, "fit": 0.5}, first=300)
+    assert said[310] == ""  # one report tells no pace
+    assert said[400] == "50 s left"
+
+
+def test_what_comes_between_two_parts_belongs_to_the_later_one() -> None:
+    clock = Clock()
+    left = TimeLeft("nova", PARTS, {}, clock)
+    left.update(50, 500)
+    clock.now += 50.0
+    assert left.update(100, 500) == "0 s left, then fit"
+    clock.now += 40.0  # the Gaussians are made, and 100 steps are done
+    assert left.update(200, 500) == "120 s left"
+
+
+def test_other_totals_than_the_parts_have_one_pace() -> None:
+    clock = Clock()
+    left = TimeLeft("render", {"a": 3}, {}, clock)
+    left.update(1, 10)
+    clock.now += 8.0
+    assert left.update(5, 10) == "10 s left"
+
+
+@pytest.mark.parametrize("name", list(METHODS))
+def test_the_parts_of_a_method_are_what_its_progress_counts(name: str) -> None:
+    method = METHODS[name]
+    assert method.parts is not None
+    config = method.config()
+    warmup = config.denoiser.warmup_steps if isinstance(config, NovaConfig) else 0
+    assert {k: v for k, v in method.parts(config).items() if v} == {
+        k: v for k, v in {"denoiser": warmup, "fit": config.fit.iterations}.items() if v
+    }
+
+
+def test_the_console_extrapolates_the_parts_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(console, "PLAIN_INTERVAL", -1.0)
+    stream = io.StringIO()
+    with console.Console(stream=stream).progress("nova", PARTS) as progress:
+        for done in (10, 20, 110, 120):
+            progress(done, 500, "")
+    assert [line.partition("left")[2] for line in stream.getvalue().splitlines()] == ["", ", then fit", "", ""]
+    assert stream.getvalue().splitlines()[3].endswith(" s left")
