@@ -21,7 +21,7 @@ from simscenes.job.identity import (
     without_nan,
 )
 from simscenes.job.views import Job, Progress, render_views
-from simscenes.loading.load import LoadedScene, build_scene, set_light_weights
+from simscenes.loading.load import LoadedScene, build_in_fewest_colors, build_scene, set_light_weights
 from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.optics import Optics
 from simscenes.render.framing import usual_rig, with_lens
@@ -93,8 +93,9 @@ def render_set(
     watch, out, source = Stopwatch(), Path(out), SceneRef.of(scene)
     with locked(out, ("gt", "images", "sparse", *EXPORTS)):
         variant = backend_of(variant)
-        with watch.stage("load"), using_variant(variant) as mi:
-            loaded = build_scene(source, mi, allow_outside=allow_outside)
+        with watch.stage("load"):
+            loaded = build_in_fewest_colors(source, variant, allow_outside=allow_outside)
+        with watch.stage("load"), using_variant(loaded.variant) as mi:
             optics = with_lens(optics, loaded, mi)
             if rig is None:
                 rig = usual_rig(source, loaded, 32, 128, 128)
@@ -127,7 +128,7 @@ def render_set(
         (out / "set.json").unlink(missing_ok=True)
         watch.earlier = seconds_spent(out, digest)
         with view_store(out, rig, optics.camera) as store:
-            job = Job(method, loaded, variant, rig, out, names, pixels, digest, store, watch, report)
+            job = Job(method, loaded, loaded.variant, rig, out, names, pixels, digest, store, watch, report)
             views, predicted = render_views(job)
             with watch.stage("write"):
                 finished = finish_set(out, names, rig, seed, store)
@@ -143,6 +144,7 @@ def _facts(job: Job, made: TransportPlan) -> dict[str, Any]:
     return {
         "kind": "rendered", "n_views": len(rig), "width": rig.width, "height": rig.height,
         "plan": without_nan(made.to_dict()), "integrator": made.integrator(), "mitsuba_variant": job.method.variant,
+        "demands": surfaces.demand,
         "error_seen": ERROR_SEEN, "shapes": list(surfaces.shapes), "materials": list(surfaces.materials),
         "seconds": job.watch.with_earlier(), "peak_bytes": peak_bytes(), "versions": versions(),
     }  # fmt: skip
@@ -189,6 +191,6 @@ def _method(
         optics = replace(optics, aperture_radius=None, focus_distance=None)
     frames = made.subframes if made.is_on(MOTION) else 1
     with using_variant(variant, made.color) as mi:
-        colored = loaded if made.color == "rgb" else build_scene(source, mi, allow_outside=allow_outside)
+        colored = loaded if made.color == loaded.color else build_scene(source, mi, allow_outside=allow_outside)
         set_light_weights(colored, made.light_weights, mi)
         return Method(mi, mi.variant(), colored, mi.load_dict(made.integrator()), optics, frames, seed)

@@ -28,8 +28,8 @@ class Job:
     """What every view of one call shares."""
 
     method: Method
-    surfaces: LoadedScene  # in RGB, for the geometry; the scene of `method` may be spectral
-    variant: str
+    surfaces: LoadedScene  # in the fewest colours, for the geometry; the scene of `method` may have more
+    variant: str  # of `surfaces`
     rig: Rig
     out: Path
     names: list[str]

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from simscenes.backend import COLORS, using_variant
 from simscenes.loading.complete import check_complete
 from simscenes.loading.contents import objects_in, parameters_in, unique_materials
 from simscenes.loading.digest import content_digest
@@ -17,6 +19,8 @@ from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.loading.trial import check_survives
 from simscenes.loading.untrusted import check_plugin, check_xml, searching_only
 from simscenes.scenes import build
+
+DEMANDS = re.compile("spectral|polarized")  # in the messages of plugins that cannot do without
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,7 @@ class LoadedScene:
         shapes: Names of the shapes and instances; the id of a pixel is 1 + the index in this list.
         materials: Names of the materials, likewise; those within instances too.
         extent: Diagonal of the bounding box, scene units.
+        demand: Why fewer colours cannot load it, in Mitsuba's words; "" for a scene that RGB can.
     """
 
     name: str
@@ -40,6 +45,12 @@ class LoadedScene:
     shapes: tuple[str, ...]
     materials: tuple[str, ...]
     extent: float
+    demand: str = ""
+
+    @property
+    def color(self) -> str:
+        """Its colour representation, one of `COLORS`."""
+        return next(color for color in COLORS if self.variant.endswith(f"_{color}"))
 
 
 def build_scene(scene: SceneLike | SceneRef, mi: Any, *, allow_outside: bool = False) -> LoadedScene:
@@ -61,6 +72,31 @@ def build_scene(scene: SceneLike | SceneRef, mi: Any, *, allow_outside: bool = F
     return load_here(source, mi, allow_outside=allow_outside)
 
 
+def build_in_fewest_colors(scene: SceneLike | SceneRef, backend: str, *, allow_outside: bool = False) -> LoadedScene:
+    """Load a scene in RGB; one that RGB cannot load in spectra, or in polarised spectra.
+
+    Args:
+        scene: As for `build_scene`.
+        backend: One of `BACKENDS`; no variant stays set.
+        allow_outside: As for `build_scene`.
+
+    Raises:
+        ValueError: As `build_scene`, with the reason of the last try that came further than asking for other colours.
+    """
+    demand, refused = "", None
+    for color in COLORS:
+        with using_variant(backend, color) as mi:
+            try:
+                return replace(build_scene(scene, mi, allow_outside=allow_outside), demand=demand)
+            except ValueError as error:
+                refused = error
+                if DEMANDS.search(str(error)) is None:
+                    break
+                demand = demand or str(error).rpartition("] ")[2].strip()
+    assert refused is not None
+    raise refused
+
+
 def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> LoadedScene:
     """As `build_scene`, at the risk of this process."""
     name = source.name
@@ -75,6 +111,9 @@ def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> Load
         # Mitsuba would only find out while rendering.
         raise ValueError(f"scene {name!r} holds a 'regular' or 'irregular' spectrum, which only spectral variants can "
                          "read; write it as type 'spectrum' with pairs of wavelength and value")  # fmt: skip
+    if any(light.class_name() == "DirectionalArea" for light in loaded.emitters()):
+        raise ValueError(f"scene {name!r} holds a 'directionalarea' emitter, whose light no path from a camera "
+                         "can find; use 'area', 'spot' or 'projector'")  # fmt: skip
     extent = scene_extent(loaded)
     params = parameters_in(loaded, mi)
     check_faces(params)

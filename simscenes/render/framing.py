@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.backend import using_variant
-from simscenes.loading.load import LoadedScene, build_scene
+from simscenes.backend import backend_of, using_variant
+from simscenes.loading.load import LoadedScene, build_in_fewest_colors
 from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.optics import Optics
 from simscenes.render.geometry import pixel_rays, shrunk
@@ -109,8 +109,11 @@ def fit_rig(
     """
     if n_views < 1:
         raise ValueError(f"n_views must be >= 1, got {n_views}")
-    with using_variant(scene.variant if isinstance(scene, LoadedScene) else "auto") as mi:
-        loaded = scene if isinstance(scene, LoadedScene) else build_scene(scene, mi, allow_outside=allow_outside)
+    if isinstance(scene, LoadedScene):
+        loaded = scene
+    else:
+        loaded = build_in_fewest_colors(scene, backend_of(), allow_outside=allow_outside)
+    with using_variant(loaded.variant) as mi:
         return _arc_around(loaded, mi, own_rig(loaded, mi, width, height), n_views, sweep_deg, swing_deg)
 
 

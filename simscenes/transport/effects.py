@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensor_model.plan import Effect
-from simscenes.loading.contents import media_in
+from simscenes.loading.contents import media_in, unique_materials
 from simscenes.optics import Optics
 from simscenes.render.motion import image_motion
 from simscenes.rigs import Rig
 from simscenes.transport import pilot, plan
 from simscenes.transport.pilot import RR_DEPTH, Pilot
+from simscenes.transport.plugins import class_of
 from simscenes.transport.roulette import most_efficient, path_lengths
 
 UNIT = "of all light"
@@ -61,7 +62,7 @@ def depth_effects(p: Pilot, media: bool, most: float, forced_depth: int | None) 
 
 def roulette_effect(p: Pilot, media: bool, depth: int, measure: bool) -> tuple[int, Effect]:
     """Where roulette starts, if at all: the least variance times work. It never changes the mean."""
-    if depth <= RR_DEPTH or not measure or p.backend == "scalar":
+    if depth <= RR_DEPTH or not measure or p.backend == "scalar" or p.base != "rgb":
         reason = f"from path length {RR_DEPTH}, not measured: changes noise and time, never the mean"
         return RR_DEPTH, decided(plan.ROULETTE, True, 0.0, 0.0, reason)
     kind, starts = "volpath" if media else "path", (*(s for s in RR_OFFERED if s <= depth), depth + 1)
@@ -82,11 +83,16 @@ def roulette_effect(p: Pilot, media: bool, depth: int, measure: bool) -> tuple[i
 def media_effects(p: Pilot) -> list[Effect]:
     """Fog and other media: present or not, what they change, and whether their extinction has a colour."""
     media = media_in(p.loaded.scene, p.mi)
-    if not media:
+    screens = [] if media else screens_before_points(p.loaded.scene, p.mi)
+    if not media and not screens:
         return [decided(plan.MEDIA, False, 0.0, p.allowed, "the scene holds no medium"),
                 decided(plan.SPECTRAL_MIS, False, 0.0, 0.0, "no medium")]  # fmt: skip
     change = pilot.changed_light(p.render("volpath", DEPTHS[0]), p.render("path", DEPTHS[0]))
-    chromatic = any(_is_chromatic(p.mi, m) for m in media)
+    if screens:
+        reason = f"point lights shine through {', '.join(screens)}: without, {change.estimate:.1%} of the light is lost"
+        return [decided(plan.MEDIA, change.upper > p.allowed, change.upper, p.allowed, reason),
+                decided(plan.SPECTRAL_MIS, False, 0.0, 0.0, "no medium")]  # fmt: skip
+    chromatic = p.base != "rgb" or any(_is_chromatic(p.mi, m) for m in media)  # spectra are taken for coloured
     reason = f"{len(media)} medium boundaries; ignoring them changes {change.estimate:.1%}"
     return [
         decided(plan.MEDIA, change.upper > p.allowed, change.upper, p.allowed, reason),
@@ -94,6 +100,17 @@ def media_effects(p: Pilot) -> list[Effect]:
                 "extinction differs between colours: spectral MIS tames its noise" if chromatic
                 else "extinction is the same for all colours; no bias either way"),
     ]  # fmt: skip
+
+
+def screens_before_points(scene: Any, mi: Any) -> list[str]:
+    """Materials that let light pass straight on, if a scene has lights without extent; in order.
+
+    Such a light is found by a shadow ray alone, and only the volumetric integrators follow that through a material.
+    """
+    if not any(light.flags() & int(mi.EmitterFlags.Delta) for light in scene.emitters()):
+        return []
+    materials = [shape.bsdf() for shape in unique_materials(scene, mi)]
+    return sorted({class_of(m) for m in materials if m.flags() & int(mi.BSDFFlags.Null)})
 
 
 def _is_chromatic(mi: Any, medium: Any) -> bool:

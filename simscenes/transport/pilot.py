@@ -37,17 +37,18 @@ class Pilot:
 
     mi: Any
     source: SceneRef
-    loaded: LoadedScene  # in RGB
+    loaded: LoadedScene  # in `base` colours
     rig: Rig
     backend: str
     allowed: float
     seed: int
     allow_outside: bool = False
+    base: str = "rgb"  # the fewest colours that the scene can be loaded in
     scenes: dict[str, LoadedScene] = field(default_factory=dict)
     images: dict[tuple[str, int, int, int], NDArray[np.float64]] = field(default_factory=dict)
 
     def render(self, kind: str, depth: int, rr_depth: int = RR_DEPTH, again: int = 0) -> NDArray[np.float64]:
-        """The pilot views in RGB, by the same paths whatever the depth; rendered once. `again`: with other paths.
+        """The pilot views, by the same paths whatever the depth; rendered once. `again`: with other paths.
 
         In scalar variants the paths differ, since their samplers continue from one to the next: differences are noisier
         there, and bounds wider.
@@ -62,15 +63,26 @@ class Pilot:
     @property
     def colors(self) -> tuple[str, ...]:
         """The colour representations that the scene can be loaded in: objects made in Python belong to one."""
-        return COLORS[:1] if _holds_objects(self.mi, self.source.description) else COLORS
+        first = COLORS.index(self.base)
+        return COLORS[first : first + 1] if _holds_objects(self.mi, self.source.description) else COLORS[first:]
+
+    def loads(self, color: str) -> bool:
+        """Whether the scene can be loaded in a colour representation; tried, since plugins may be missing there."""
+        if color not in self.colors:
+            return False
+        try:
+            with self.in_color(color):
+                return True
+        except ValueError:
+            return False
 
     @contextmanager
     def in_color(self, color: str) -> Iterator[tuple[Any, LoadedScene]]:
         """Mitsuba in the variant of a colour representation, and the scene loaded for it."""
         with using_variant(self.backend, color) as mi:
-            if color != "rgb" and color not in self.scenes:
+            if color != self.base and color not in self.scenes:
                 self.scenes[color] = build_scene(self.source, mi, allow_outside=self.allow_outside)
-            yield mi, self.loaded if color == "rgb" else self.scenes[color]
+            yield mi, self.loaded if color == self.base else self.scenes[color]
 
 
 def _holds_objects(mi: Any, node: Any) -> bool:
@@ -135,7 +147,7 @@ def beyond(cut: Share, bounces: int, most: float) -> Share:
 
 def most_reflected(mi: Any, loaded: LoadedScene) -> float:
     """The most of the light that a bounce keeps: the largest albedo of any surface, or 0.99 where that is not known."""
-    if media_in(loaded.scene, mi):
+    if media_in(loaded.scene, mi) or not mi.is_rgb:  # spectra are kept as coefficients of curves
         return MOST
     lobes, matt = int(mi.BSDFFlags.All), int(mi.BSDFFlags.DiffuseReflection)
     albedos = []

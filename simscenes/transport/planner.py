@@ -9,7 +9,7 @@ from dataclasses import replace
 from sensor_model.plan import Effect
 from simscenes.backend import backend_of, using_variant
 from simscenes.loading.contents import media_in
-from simscenes.loading.load import LoadedScene, build_scene, set_light_weights
+from simscenes.loading.load import LoadedScene, build_in_fewest_colors, set_light_weights
 from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.optics import Optics
 from simscenes.render.framing import usual_rig, with_lens
@@ -25,10 +25,12 @@ from simscenes.transport.effects import (
     media_effects,
     motion_effect,
     roulette_effect,
+    screens_before_points,
 )
 from simscenes.transport.lights import light_weights
 from simscenes.transport.pilot import RR_DEPTH, Pilot
 from simscenes.transport.plan import TransportPlan, settle
+from simscenes.transport.plugins import not_understood
 from simscenes.transport.wishes import check_wishes
 
 
@@ -72,8 +74,8 @@ def plan_transport(
             forced effect does not exist or cannot be simulated.
     """
     source = SceneRef.of(scene)
-    with using_variant(backend_of(variant)) as mi:
-        loaded = build_scene(source, mi, allow_outside=allow_outside)
+    loaded = build_in_fewest_colors(source, backend_of(variant), allow_outside=allow_outside)
+    with using_variant(loaded.variant) as mi:
         if rig is None:
             rig = usual_rig(source, loaded, 8, 64, 64)
         check_cameras(mi, loaded, rig)
@@ -97,12 +99,13 @@ def plan_loaded(
     seed: int = 0,
     allow_outside: bool = False,
 ) -> TransportPlan:
-    """`plan_transport` for a scene that is loaded already, in the RGB variant."""
+    """`plan_transport` for a scene that is loaded already, in the fewest colours it can have."""
     if not 0 < tolerance < 1:
         raise ValueError(f"tolerance is a share of all light and must lie between 0 and 1, got {tolerance}")
     force, backend = dict(force or {}), backend_of(variant)
-    with using_variant(backend) as mi:
-        p = Pilot(mi, source, loaded, pilot.pilot_rig(rig), backend, tolerance / 5, seed, allow_outside)
+    with using_variant(loaded.variant) as mi:
+        small = pilot.pilot_rig(rig)
+        p = Pilot(mi, source, loaded, small, backend, tolerance / 5, seed, allow_outside, base=loaded.color)
         made = _decide(p, rig, optics, force, max_depth, measure)
         return replace(made, seconds=_measure_seconds(p, made)) if measure else made
 
@@ -112,7 +115,7 @@ def _decide(
 ) -> TransportPlan:
     """All effects, one after the other; the result for one may decide on a later one."""
     mi, loaded = p.mi, p.loaded
-    has_media = bool(media_in(loaded.scene, mi))
+    has_media = bool(media_in(loaded.scene, mi) or screens_before_points(loaded.scene, mi))
     check_wishes(force, max_depth, optics, media=has_media, spectra="spectral" in p.colors)
     weights = light_weights(mi, loaded, p.rig, p.seed)
     set_light_weights(loaded, weights, mi)
@@ -124,6 +127,8 @@ def _decide(
     colors, made_up = color_effects(p, optics, media[0].on, geometry, transport[0].contribution, measure)
     blur, subframes = motion_effect(geometry, rig, p.rig, optics, scale)
     effects = [*transport, roulette, *media, *colors, aperture_effect(p, geometry, optics, scale), blur]
+    if strange := not_understood(loaded.scene, mi):
+        effects = in_full(effects, p, strange)
     made = TransportPlan(
         effects=settle(effects, force), bound=0.0, unit=UNIT, max_depth=depth, rr_depth=rr_depth, subframes=subframes,
         light_weights=weights,
@@ -131,11 +136,26 @@ def _decide(
     return _bounded(made, made_up)
 
 
+def in_full(effects: list[Effect], p: Pilot, strange: list[str]) -> list[Effect]:
+    """All transport that the scene supports, because it holds plugins that the planner does not understand."""
+    possible = {plan.INDIRECT: True, plan.DEEP: True, plan.ROULETTE: True, plan.MEDIA: True,
+                plan.SPECTRAL: p.loads("spectral") or p.loads("spectral_polarized"),
+                plan.POLARISATION: p.loads("spectral_polarized")}  # fmt: skip
+    who = f"the planner does not know {', '.join(strange)}"
+    return [
+        replace(e, on=on, contribution=math.inf,
+                reason=f"{who}: simulated fully" if on else f"{who}, and the scene cannot be loaded with it")
+        if (on := possible.get(e.name)) is not None
+        else e
+        for e in effects
+    ]  # fmt: skip
+
+
 def everything_on(made: TransportPlan) -> TransportPlan:
     """The same scene with all transport it supports: deep paths, spectra, polarisation, media if it holds any."""
     media = made.is_on(plan.MEDIA) or made[plan.MEDIA].contribution > 0
     wanted = dict.fromkeys((plan.INDIRECT, plan.SPECTRAL, plan.POLARISATION), True) | {plan.MEDIA: media}
-    return replace(made, effects=settle(made.effects, wanted), max_depth=DEEPEST)
+    return replace(made, effects=settle(made.effects, wanted), max_depth=max(made.max_depth, DEEPEST))
 
 
 def _measure_seconds(p: Pilot, made: TransportPlan) -> dict[str, float]:

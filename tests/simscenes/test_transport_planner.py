@@ -40,6 +40,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     monkeypatch.setattr(planner, "backend_of", lambda variant: f"{variant} backend")
     monkeypatch.setattr(planner, "geometry_channels", lambda mi, loaded, rig, i: (rig.width, i))
     step("media_in", ["fog"])
+    step("not_understood", [])
     step("check_wishes", None)
     step("light_weights", (0.25, 0.75))
     step("set_light_weights", None)
@@ -59,7 +60,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 
 def planned(**more: Any) -> TransportPlan:
-    loaded: Any = SimpleNamespace(scene="scene")
+    loaded: Any = SimpleNamespace(scene="scene", variant="wide_rgb", color="rgb")
     settings: dict[str, Any] = {"rig": RIG, "optics": OPTICS, "seed": 5, "variant": "wide"} | more
     return planner.plan_loaded(SOURCE, loaded, 0.03, **settings)
 
@@ -98,18 +99,22 @@ def test_a_plan_without_measurements_takes_no_time(asked: dict[str, Any]) -> Non
 def test_a_scene_is_loaded_and_its_cameras_checked_before_it_is_planned(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without cameras it gets eight usual ones, and without optics the lens of its own sensor."""
     done: list[Any] = []
-    monkeypatch.setattr(planner, "using_variant", lambda backend: nullcontext("mi"))
+    monkeypatch.setattr(planner, "using_variant", lambda variant: nullcontext(f"mi in {variant}"))
     monkeypatch.setattr(planner, "backend_of", lambda variant: "backend")
-    monkeypatch.setattr(planner, "build_scene", lambda source, mi, allow_outside: (source.name, mi, allow_outside))
+    loaded: Any = SimpleNamespace(variant="backend_spectral")
+    asked: list[Any] = []
+    monkeypatch.setattr(
+        planner, "build_in_fewest_colors", lambda *a, **more: asked.append((*a, *more.values())) or loaded
+    )
     monkeypatch.setattr(planner, "usual_rig", lambda *a: ("usual", *a))
     monkeypatch.setattr(planner, "check_cameras", lambda *a: done.append(a))
     monkeypatch.setattr(planner, "with_lens", lambda optics, loaded, mi: ("lens", optics))
     monkeypatch.setattr(planner, "plan_loaded", lambda *a, **settings: (a, settings))
-    loaded = ("cornell", "mi", True)
     given, settings = planner.plan_transport("cornell", 0.1, seed=3, allow_outside=True, max_depth=9)
     usual = ("usual", SOURCE, loaded, 8, 64, 64)
     assert given == (SOURCE, loaded, 0.1)
-    assert done == [("mi", loaded, usual)]
+    assert asked == [(SOURCE, "backend", True)]
+    assert done == [("mi in backend_spectral", loaded, usual)]
     assert settings == {
         "rig": usual, "optics": ("lens", None), "force": None, "max_depth": 9, "measure": True, "variant": "auto",
         "seed": 3, "allow_outside": True,
@@ -166,8 +171,8 @@ def test_long_jobs_measure_everything(
     spp: int | None, quality: float | None, rows: int, measured: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """12 views of 100 x 98 pixels at 256 samples, which stand for any error too, are 3.01e7; 97 rows fewer than 3e7."""
-    loaded = SimpleNamespace(name="custom", digest="d")
-    monkeypatch.setattr(rendering, "build_scene", lambda *a, **settings: loaded)
+    loaded = SimpleNamespace(name="custom", digest="d", variant="rgb")
+    monkeypatch.setattr(rendering, "build_in_fewest_colors", lambda *a, **settings: loaded)
     monkeypatch.setattr(rendering, "with_lens", lambda optics, loaded, mi: Optics())
     monkeypatch.setattr(rendering, "using_variant", lambda variant: nullcontext("mi"))
     monkeypatch.setattr(rendering, "usual_rig", lambda source, loaded, *size: orbit_rig(12, 100, rows, 40, radius=3.0)
@@ -187,7 +192,7 @@ def test_long_jobs_measure_everything(
 def test_a_job_says_what_it_rendered_with() -> None:
     """Facts in set.json, besides what was asked and what each view came to."""
     watch = SimpleNamespace(with_earlier=lambda: {"load": 2.0})
-    surfaces = SimpleNamespace(shapes=("floor", "ball"), materials=("paint",))
+    surfaces = SimpleNamespace(shapes=("floor", "ball"), materials=("paint",), demand="")
     job: Any = SimpleNamespace(surfaces=surfaces, rig=RIG, watch=watch, method=SimpleNamespace(variant="llvm_ad_rgb"))
     made = planner.default_plan(Optics())
     found = rendering._facts(job, made)
