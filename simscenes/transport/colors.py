@@ -64,6 +64,7 @@ def polarisation_effect(p: Pilot, media: bool, geometry: list[Any], measure: boo
         if guess <= p.allowed or not possible:
             return decided(plan.POLARISATION, False, guess, p.allowed, reason)
     change = _paired(p, ("spectral", "spectral_polarized"), media)
+    p.rms[plan.POLARISATION] = change.rms
     behind = f" behind {', '.join(filters)}" if filters else ""
     return decided(plan.POLARISATION, change.upper > p.allowed, change.upper, p.allowed,
                    f"paired pilots with and without differ by {change.estimate:.2%}{behind}")  # fmt: skip
@@ -108,6 +109,7 @@ def spectral_effect(
             return decided(plan.SPECTRAL, True, math.inf, p.allowed, reason), None
         if where := _measured_elsewhere(p):
             change = _paired(p, ("rgb", "spectral"), media)
+            p.rms[plan.SPECTRAL] = change.rms
             differ = f"paired pilots in RGB and in spectra differ by {change.estimate:.2%}"
             reason = f"measured spectra as {', '.join(where)}: {differ}"
             return decided(plan.SPECTRAL, change.upper > p.allowed, change.upper, p.allowed, reason), None

@@ -131,7 +131,7 @@ def _decide(
         effects = in_full(effects, p, strange)
     made = TransportPlan(
         effects=settle(effects, force), bound=0.0, unit=UNIT, max_depth=depth, rr_depth=rr_depth, subframes=subframes,
-        light_weights=weights,
+        light_weights=weights, tolerance=5 * p.allowed, rms=dict(p.rms),
     )  # fmt: skip
     return _bounded(made, made_up)
 
