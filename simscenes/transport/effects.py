@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sensor_model.plan import Effect
 from simscenes.loading.contents import media_in, unique_materials

@@ -127,7 +127,7 @@ class Share:
 
     estimate: float
     upper: float
-    rms: tuple[float, ...] = ()
+    rms: tuple[float, ...] = field(default=(), compare=False)
 
 
 def missing_light(full: NDArray[np.float64], part: NDArray[np.float64]) -> Share:

@@ -83,7 +83,7 @@ class TransportPlan(Plan):
         """The error of pixels by all that is left out, at most, as the five numbers of `rms`; nan where not known."""
         if math.isnan(self.bound):
             return (math.nan,) * 5
-        left = [self.rms.get(e.name, (e.contribution,) * 5) for e in self.effects if not e.on and e.unit == UNIT]
+        left = [self.rms.get(e.name) or (e.contribution,) * 5 for e in self.effects if not e.on and e.unit == UNIT]
         return tuple(float(sum(column)) for column in zip(*left, strict=True)) if left else (0.0,) * 5
 
     @classmethod
