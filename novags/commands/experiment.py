@@ -3,13 +3,14 @@
 from pathlib import Path
 
 from novags.commands.shared import announce, cameras_of, command_line, variants_of, writing
-from novags.options import Device, PresetName, Repeated
+from novags.options import Define, Device, PresetName, Repeated
 
 
 def run(
     *,
     preset: PresetName = "demo",
     scene: str | None = None,
+    define: Define = (),
     sensor: str | None = None,
     electrons: float | None = None,
     out: Path | None = None,
@@ -35,6 +36,7 @@ def run(
     Args:
         preset: Source of every setting that is not given here.
         scene: A scene of the catalogue ("tabletop", or "tabletop:3" for its variation 3), or a Mitsuba .xml file.
+        define: What a parameter of a Mitsuba file stands for, NAME=VALUE; may be given several times.
         sensor: A camera of sensor_model.PRESETS, or a TOML file of your own.
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
         out: Folder of the experiment; out/PRESET if not given.
@@ -63,6 +65,7 @@ def run(
         width=width, height=height, spp=spp, points=points, iterations=iterations,
         denoiser_steps=denoiser_steps, seed=seed,
         variants=variants_of(variant), cameras=cameras_of(cameras), refine_cameras=refine_cameras, device=device,
+        parameters=define or None,
     )  # fmt: skip
     folder = out if out is not None else Path("out") / preset
     with writing(folder, wait) as console:

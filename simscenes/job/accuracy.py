@@ -67,7 +67,7 @@ def warnings_about(made: TransportPlan, target: float | None) -> list[str]:
 
 def summary(views: dict[str, dict[str, Any]]) -> str:
     """One line on the views of a set: the largest error, its noise, and the darkest quarter's."""
-    errors = [v["error"] for v in views.values()]
+    errors = [math.nan if v["error"] is None else v["error"] for v in views.values()]  # JSON has no nan
     worst = max(views.values(), key=lambda v: v["relative_error"])
     dark = max(v["error_by_brightness"][0] for v in views.values())
     if any(map(math.isnan, errors)):

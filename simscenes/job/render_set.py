@@ -47,7 +47,7 @@ ERROR_SEEN = (
 
 
 def render_set(
-    scene: SceneLike,
+    scene: SceneLike | SceneRef,
     rig: Rig | None,
     out: str | Path,
     *,
@@ -177,7 +177,7 @@ def _make_plan(
     if plan == "auto":
         return plan_loaded(source, loaded, rig=rig, optics=optics, **wishes)
     if plan == "rgb":
-        return default_plan(optics)
+        return default_plan(optics, loaded.integrator)
     if isinstance(plan, TransportPlan):
         return plan
     raise ValueError(f"plan must be 'auto', 'rgb' or a plan from plan_transport, got {plan!r}")

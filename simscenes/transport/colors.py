@@ -74,7 +74,8 @@ def _paired(p: Pilot, colors: tuple[str, str], media: bool) -> pilot.Share:
     """What a second colour representation changes in the pilot views, against a first one."""
     images = []
     for color in colors:
-        settings = {"type": "volpath" if media else "path", "max_depth": DEPTHS[0], "rr_depth": 4}
+        kind = "volpath" if media else "path"
+        settings = {"type": kind, "max_depth": DEPTHS[0], "rr_depth": 4, **p.hiding}
         with p.in_color(color) as (other, loaded):
             images.append(pilot.render_pilot(other, loaded, p.rig, settings, p.seed))
     return pilot.changed_light(images[0], images[1])

@@ -43,6 +43,7 @@ class Pilot:
     allowed: float
     seed: int
     allow_outside: bool = False
+    hide_emitters: bool = False
     base: str = "rgb"  # the fewest colours that the scene can be loaded in
     scenes: dict[str, LoadedScene] = field(default_factory=dict)
     images: dict[tuple[str, int, int, int], NDArray[np.float64]] = field(default_factory=dict)
@@ -56,10 +57,15 @@ class Pilot:
         """
         key = (kind, depth, rr_depth, again)
         if key not in self.images:
-            integrator = {"type": kind, "max_depth": depth, "rr_depth": rr_depth}
+            integrator = {"type": kind, "max_depth": depth, "rr_depth": rr_depth, **self.hiding}
             seed = self.seed + AGAIN * again
             self.images[key] = render_pilot(self.mi, self.loaded, self.rig, integrator, seed)
         return self.images[key]
+
+    @property
+    def hiding(self) -> dict[str, bool]:
+        """What an integrator is told, besides its depths, in this scene: lamps seen directly may be black."""
+        return {"hide_emitters": True} if self.hide_emitters else {}
 
     @property
     def colors(self) -> tuple[str, ...]:

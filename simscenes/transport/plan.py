@@ -64,6 +64,7 @@ class TransportPlan(Plan):
         subframes: Poses that are averaged if motion blur is on.
         seconds: Processor time (on a GPU: time) of a million samples, "planned" and with "everything on"; {} if not
             measured.
+        hide_emitters: Whether lamps and skies are black when seen directly, as a scene's own integrator may want it.
         tolerance: The share of all light that may be left out; nan if it was not asked.
         rms: What leaving an effect out costs as an error of pixels, effect -> five numbers: the root mean square over
             the picture relative to the mean radiance, then within each quarter of it by brightness, darkest first.
@@ -75,6 +76,7 @@ class TransportPlan(Plan):
     subframes: int = 1
     light_weights: tuple[float, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)
+    hide_emitters: bool = False
     tolerance: float = math.nan
     rms: dict[str, tuple[float, ...]] = field(default_factory=dict)
 
@@ -132,7 +134,9 @@ class TransportPlan(Plan):
         kind = "path"
         if self.is_on(MEDIA):
             kind = "volpathmis" if self.is_on(SPECTRAL_MIS) else "volpath"
+        hiding = {"hide_emitters": True} if self.hide_emitters else {}
         depth = self.max_depth if self.is_on(INDIRECT) else DIRECT_DEPTH
         if self.is_on(DEEP) and self.is_on(INDIRECT):
-            return {"type": kind, "max_depth": -1, "rr_depth": self.rr_depth}  # to Mitsuba: without end
-        return {"type": kind, "max_depth": depth, "rr_depth": self.rr_depth if self.is_on(ROULETTE) else depth + 1}
+            return {"type": kind, "max_depth": -1, "rr_depth": self.rr_depth, **hiding}  # to Mitsuba: without end
+        start = self.rr_depth if self.is_on(ROULETTE) else depth + 1
+        return {"type": kind, "max_depth": depth, "rr_depth": start, **hiding}

@@ -11,6 +11,7 @@ import pytest
 from sensor_model.plan import Effect
 from simscenes import Optics, Rig, orbit_rig
 from simscenes.job import render_set as rendering
+from simscenes.loading.integrator import OwnIntegrator
 from simscenes.loading.reference import SceneRef
 from simscenes.transport import pilot, planner
 from simscenes.transport.plan import EFFECTS, MADE_UP, TransportPlan
@@ -18,6 +19,7 @@ from simscenes.transport.plan import EFFECTS, MADE_UP, TransportPlan
 RIG = orbit_rig(9, 128, 96, 40, radius=3.0)
 SOURCE = SceneRef.of("cornell")
 OPTICS = Optics(aperture_radius=0.1, focus_distance=2.0, motion=0.5)
+LOADED: Any = SimpleNamespace(scene="scene", variant="wide_rgb", color="rgb", integrator=None)
 
 
 def decision(name: str, on: bool = False, contribution: float = 0.0) -> Effect:
@@ -61,7 +63,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 
 def planned(**more: Any) -> TransportPlan:
-    loaded: Any = SimpleNamespace(scene="scene", variant="wide_rgb", color="rgb")
+    loaded = more.pop("loaded", LOADED)
     settings: dict[str, Any] = {"rig": RIG, "optics": OPTICS, "seed": 5, "variant": "wide"} | more
     return planner.plan_loaded(SOURCE, loaded, 0.03, **settings)
 
@@ -150,9 +152,9 @@ def test_a_job_plans_as_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rendering, "plan_loaded", lambda *a, **settings: (a, settings))
 
     def plan(wanted: Any) -> Any:
-        return rendering._make_plan(SOURCE, "loaded", RIG, OPTICS, wanted, {"seed": 3})  # type: ignore[arg-type]
+        return rendering._make_plan(SOURCE, LOADED, RIG, OPTICS, wanted, {"seed": 3})  # type: ignore[arg-type]
 
-    assert plan("auto") == ((SOURCE, "loaded"), {"rig": RIG, "optics": OPTICS, "seed": 3})
+    assert plan("auto") == ((SOURCE, LOADED), {"rig": RIG, "optics": OPTICS, "seed": 3})
     assert plan("rgb").integrator() == made.integrator()
     assert plan("rgb").is_on("motion blur")
     assert plan(made) is made
@@ -211,3 +213,20 @@ def test_layouts_are_written_into_folders_of_their_names(tmp_path: Path, monkeyp
     views: Any = SimpleNamespace(path=tmp_path)
     assert rendering._exported(views, ("c", "a")) is views
     assert written == [("c", tmp_path / "c"), ("a", tmp_path / "a")]
+
+
+def test_the_scenes_own_integrator_is_kept_unless_overridden(asked: dict[str, Any]) -> None:
+    own = OwnIntegrator("path", max_depth=12, rr_depth=7, hide_emitters=True)
+    loaded = SimpleNamespace(scene="scene", variant="wide_rgb", color="rgb", integrator=own)
+    made = planned(loaded=loaded)
+    assert asked["depth_effects"][3] == 12
+    assert (made.rr_depth, made.hide_emitters) == (7, True)
+    assert asked["depth_effects"][0].hiding == {"hide_emitters": True}
+    assert made["Russian roulette"].forced
+    planned(loaded=loaded, max_depth=9)
+    assert asked["depth_effects"][3] == 9
+    other = SimpleNamespace(scene="scene", variant="wide_rgb", color="rgb", integrator=OwnIntegrator("x", lost=("y",)))
+    with pytest.warns(UserWarning, match="own integrator these are not kept: y; the plan chooses instead"):
+        planned(loaded=other)
+    plain = planner.default_plan(Optics(), own)
+    assert plain.integrator() == {"type": "volpath", "max_depth": 12, "rr_depth": 7, "hide_emitters": True}
