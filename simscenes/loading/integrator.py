@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -11,6 +12,7 @@ AROUND = ("aov", "moment", "stokes")  # each holds another integrator and adds c
 OTHERS = ("depth", "ptracer", "prb", "prb_basic", "prbvolpath", "prb_projective", "direct_projective",
           "volprim_rf_basic")  # fmt: skip
 COUNTS = ("emitter_samples", "bsdf_samples", "shading_samples")  # of `direct`
+ENDLESS = 1000  # a longest path beyond this is meant as none
 KEPT = ("max_depth", "rr_depth", "hide_emitters")
 
 
@@ -55,7 +57,7 @@ def own_integrator(found: Iterable[tuple[str, Mapping[str, Any]]]) -> OwnIntegra
         lost.append(f"max_depth {depth} (2, lamps and what they light, is the least)")
         depth = 2
     lost += [f"{name} {chosen[name]}" for name in COUNTS if name in chosen]
-    end = None if depth is None or depth < 0 else depth
+    end = None if depth is None or not 0 <= depth <= ENDLESS else depth
     return OwnIntegrator(kind, end, start, bool(chosen.get("hide_emitters", False)), tuple(lost))
 
 
@@ -76,4 +78,6 @@ def in_file(nodes: Iterable[Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
 
 
 def _whole(value: Any) -> int | None:
-    return int(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        return None
+    return int(value)

@@ -40,7 +40,8 @@ def depth_effects(p: Pilot, media: bool, most: float, forced_depth: int | None) 
     indirect = pilot.missing_light(full, p.render(kind, plan.DIRECT_DEPTH))
     p.rms[plan.INDIRECT] = indirect.rms
     if forced_depth is not None:
-        chosen, left = forced_depth, _tail(p, kind, forced_depth, max(DEEPEST, forced_depth), most)
+        seen = min(forced_depth, DEEPER[-1])  # beyond, less is left than there
+        chosen, left = forced_depth, _tail(p, kind, seen, max(DEEPEST, seen), most)
     else:
         chosen, left = _deep_enough(p, kind, most)
     p.rms[plan.DEEP] = left.rms

@@ -1,5 +1,6 @@
 """What a Mitsuba file brings along is used or refused with the reason: integrator, parameters, sensors, colours."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,7 @@ def file_of(folder: Path, *parts: str) -> Path:
     [
         ([("path", {"max_depth": 9, "rr_depth": 4, "hide_emitters": True})], OwnIntegrator("path", 9, 4, True)),
         ([("volpath", {"max_depth": -1})], OwnIntegrator("volpath")),
+        ([("path", {"max_depth": 100000, "rr_depth": math.inf})], OwnIntegrator("path")),
         ([("aov", {}), ("path", {"max_depth": 5})], OwnIntegrator("path", 5, lost=("type 'aov'",))),
         ([("direct", {"bsdf_samples": 3})], OwnIntegrator("direct", 2, lost=("bsdf_samples 3",))),
         ([("ptracer", {"max_depth": 6})], OwnIntegrator("ptracer", 6, lost=("type 'ptracer'",))),
