@@ -13,6 +13,7 @@ Folder = Annotated[Path, tyro.conf.Positional]
 Folders = Annotated[tuple[Path, ...], tyro.conf.Positional]
 Name = Annotated[str, tyro.conf.Positional]
 Repeated = Annotated[tuple[str, ...], tyro.conf.UseAppendAction]
+Define = Annotated[tuple[str, ...], tyro.conf.arg(aliases=("-D",)), tyro.conf.UseAppendAction]
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,12 @@ class LightOptions:
     response: str | None = None
     """Measured colour sensitivities of a camera, by colour-science's name ("Nikon 5100 (NPL)"): the set then holds what
     its filters see instead of linear sRGB, from spectra where the scene needs them."""
+    define: Define = ()
+    """What a parameter of a Mitsuba file stands for, NAME=VALUE; may be given several times."""
+    sensor_index: int = 0
+    """Which of the sensors of a Mitsuba file the cameras are placed around, from 0."""
+    own_cameras: bool = False
+    """Take all sensors of a Mitsuba file as the views, instead of cameras around one of them."""
     allow_outside: bool = False
     """Trust a Mitsuba file: let it read files outside its folder."""
 
@@ -46,7 +53,8 @@ class LightOptions:
         lens = {"aperture_radius": self.aperture_radius, "focus_distance": self.focus_distance}
         return {
             "variant": self.variant, "on": self.on, "off": self.off, "max_depth": self.max_depth,
-            "allow_outside": self.allow_outside, "optics": Optics(**lens, motion=self.motion, camera=self.response),
+            "allow_outside": self.allow_outside, "parameters": self.define, "sensor_index": self.sensor_index,
+            "own_cameras": self.own_cameras, "optics": Optics(**lens, motion=self.motion, camera=self.response),
         }  # fmt: skip
 
 

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from novags.commands.shared import announce, cameras_of, command_line, variants_of, writing
-from novags.options import Device, PresetName, Repeated
+from novags.options import Define, Device, PresetName, Repeated
 
 
 def run(
@@ -12,6 +12,7 @@ def run(
     scene: str | None = None,
     photos: Path | None = None,
     fps: float | None = None,
+    define: Define = (),
     sensor: str | None = None,
     electrons: float | None = None,
     out: Path | None = None,
@@ -42,6 +43,7 @@ def run(
             folder: one of novags, nerfstudio, instant-ngp or COLMAP.
         photos: Instead of a scene: a folder of photographs without poses, or a video file; the poses are found first.
         fps: Frames to take from each second of the video; 2 if not given.
+        define: What a parameter of a Mitsuba file stands for, NAME=VALUE; may be given several times.
         sensor: A camera of sensor_model.PRESETS, or a TOML file of your own.
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
         out: Folder of the experiment; if not given, out/PRESET, with the scene and the electrons where they are given.
@@ -74,6 +76,7 @@ def run(
         width=width, height=height, spp=spp, max_size=max_size, points=points, iterations=iterations,
         denoiser_steps=denoiser_steps, seed=seed,
         variants=variants_of(variant), cameras=cameras_of(cameras), refine_cameras=refine_cameras, device=device,
+        parameters=define or None,
     )  # fmt: skip
     folder = (
         out

@@ -70,6 +70,7 @@ def render(
     """
     from novags.testbed import stages
     from novags.testbed.stages.render import RenderConfig
+    from simscenes.job.accuracy import summary
 
     samples = 256 if spp is None and target_error is None else spp
     config = RenderConfig(
@@ -77,7 +78,8 @@ def render(
         export=export, seed=seed, **light.settings(),
     )  # fmt: skip
     with writing(out, wait) as console:
-        stages.render(out, config, console, overwrite=overwrite)
+        record = stages.render(out, config, console, overwrite=overwrite)
+        console.note(f"largest of all views: {summary(record['views'])}")
     print(out)
     next_(f"novags capture {out} --electrons 20 --out CAPTURE")
 

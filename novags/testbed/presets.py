@@ -119,6 +119,7 @@ def adapted(
     refine_cameras: bool = False,
     seed: int | None = None,
     device: str | None = None,
+    parameters: tuple[str, ...] | None = None,
 ) -> Preset:
     """The preset with some settings changed; None keeps its own.
 
@@ -146,7 +147,16 @@ def adapted(
         methods = (*preset.methods, *(v.name for v in variants if v.name not in preset.methods))
     return _changed(
         preset,
-        render=_changed(preset.render, scene=scene, n_views=n_views, width=width, height=height, spp=spp, seed=seed),
+        render=_changed(
+            preset.render,
+            scene=scene,
+            n_views=n_views,
+            width=width,
+            height=height,
+            spp=spp,
+            seed=seed,
+            parameters=parameters,
+        ),
         folder=folder,
         photos=bare,
         capture=_changed(preset.capture, sensor=sensor, electrons=electrons, max_size=max_size, seed=seed),

@@ -15,14 +15,18 @@ from simscenes.rigs import Rig
 from simscenes.sets.exr import read_exr
 
 VIEW_KEY = "novagsKey"
+CLAIMS = ("seconds", "tolerance", "rms")  # of a plan, which say no more than how good and how dear it is
 SPENT = "seconds.json"  # cost of an unfinished job so far; not in the EXRs, whose bytes must not depend on the clock
 
 
 def plan_identity(plan: str | Plan) -> Any:
-    """The part of a plan that the pixels may depend on: not how long its pilots took."""
+    """The part of a plan that the pixels may depend on: not how long its pilots took, nor how wrong it may be."""
     if not isinstance(plan, Plan):
         return plan
-    return without_nan({key: value for key, value in plan.to_dict().items() if key != "seconds"})
+    told = {key: value for key, value in plan.to_dict().items() if key not in CLAIMS}
+    if not told.get("hide_emitters"):
+        told.pop("hide_emitters", None)  # as in plans made before it could be said
+    return without_nan(told)
 
 
 def without_nan(value: Any) -> Any:

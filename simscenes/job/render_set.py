@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Any
 from sensor_model.files.lock import locked
 from sensor_model.plan import Plan
 from simscenes.backend import backend_of, using_variant
+from simscenes.job.accuracy import noise_target, warnings_about
 from simscenes.job.cost import Stopwatch, peak_bytes, versions
 from simscenes.job.finish import finish_set, view_store
 from simscenes.job.identity import (
@@ -21,7 +23,7 @@ from simscenes.job.identity import (
     without_nan,
 )
 from simscenes.job.views import Job, Progress, render_views
-from simscenes.loading.load import LoadedScene, build_scene, set_light_weights
+from simscenes.loading.load import LoadedScene, build_in_fewest_colors, build_scene, set_light_weights
 from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.optics import Optics
 from simscenes.render.framing import usual_rig, with_lens
@@ -38,13 +40,14 @@ DEFAULT_SPP = 256
 FORMAT = 3  # of the folder; sets of another format are rendered again
 MEASURE_FROM = 3 * 10**7  # samples in a job: some 30 s, beside which the planner's slower measurements cost little
 ERROR_SEEN = (
-    "relative_error is the spread between independent passes: noise only. It cannot see what every pass lacks, such as "
-    "paths beyond max_depth or a caustic that no pass has found, nor the error of three colour channels; see plan."
+    "relative_error is the spread between independent passes: noise only. error adds what the plan leaves out, at most "
+    "(left_out: the whole picture, then its quarters by brightness, darkest first). Neither sees a caustic that no "
+    "pass has found, nor spectra that RGB stands for; see plan."
 )
 
 
 def render_set(
-    scene: SceneLike,
+    scene: SceneLike | SceneRef,
     rig: Rig | None,
     out: str | Path,
     *,
@@ -69,8 +72,8 @@ def render_set(
         rig: Cameras; None for 32 views: of the scene's default rig at 128 x 128, or around a foreign scene's sensor.
         out: Folder to write.
         spp: Samples per pixel, rounded up to whole passes; 256 if neither this nor `target_error`.
-        target_error: Relative RMSE (root mean variance over mean radiance) at which each view stops; its samples then
-            go where a short pilot saw noise, instead of evenly over all pixels.
+        target_error: Relative RMSE (noise and what the plan leaves out, over mean radiance) at which each view stops;
+            its samples then go where a short pilot saw noise, instead of evenly over all pixels.
         plan: A plan from `plan_transport`; "auto" to make one, measuring everything if the job is long; or "rgb" for
             plain path tracing to depth 64 without a plan.
         optics: Aperture, motion and colour filters; None for the lens of the scene's own sensor, at rest and seeing
@@ -93,8 +96,9 @@ def render_set(
     watch, out, source = Stopwatch(), Path(out), SceneRef.of(scene)
     with locked(out, ("gt", "images", "sparse", *EXPORTS)):
         variant = backend_of(variant)
-        with watch.stage("load"), using_variant(variant) as mi:
-            loaded = build_scene(source, mi, allow_outside=allow_outside)
+        with watch.stage("load"):
+            loaded = build_in_fewest_colors(source, variant, allow_outside=allow_outside)
+        with watch.stage("load"), using_variant(loaded.variant) as mi:
             optics = with_lens(optics, loaded, mi)
             if rig is None:
                 rig = usual_rig(source, loaded, 32, 128, 128)
@@ -119,20 +123,23 @@ def render_set(
                 "allow_outside": allow_outside,
             }
             made = _make_plan(source, loaded, rig, optics, plan, wishes)
+            for line in warnings_about(made, target_error):
+                warnings.warn(line, stacklevel=2)
             method = _method(source, loaded, variant, made, optics, seed, allow_outside)
         pixels = {
             **config, "integrator": made.integrator(), "color": made.color, "lights": made.light_weights,
             "lens": method.optics.aperture_radius, "subframes": method.subframes,
+            "noise_target": None if target_error is None else noise_target(target_error, made),
         }  # fmt: skip
         (out / "set.json").unlink(missing_ok=True)
         watch.earlier = seconds_spent(out, digest)
         with view_store(out, rig, optics.camera) as store:
-            job = Job(method, loaded, variant, rig, out, names, pixels, digest, store, watch, report)
+            job = Job(method, made, loaded, loaded.variant, rig, out, names, pixels, digest, store, watch, report)
             views, predicted = render_views(job)
             with watch.stage("write"):
                 finished = finish_set(out, names, rig, seed, store)
         found = {**finished, "views": views, "predicted_seconds": predicted}
-        write_json(out / "set.json", {**config, "digest": digest, **_facts(job, made), **found})
+        write_json(out / "set.json", without_nan({**config, "digest": digest, **_facts(job, made), **found}))
         (out / SPENT).unlink(missing_ok=True)
         return _exported(load_set(out), export)
 
@@ -142,7 +149,8 @@ def _facts(job: Job, made: TransportPlan) -> dict[str, Any]:
     surfaces, rig = job.surfaces, job.rig
     return {
         "kind": "rendered", "n_views": len(rig), "width": rig.width, "height": rig.height,
-        "plan": without_nan(made.to_dict()), "integrator": made.integrator(), "mitsuba_variant": job.method.variant,
+        "plan": made.to_dict(), "left_out": made.bias, "integrator": made.integrator(),
+        "mitsuba_variant": job.method.variant, "demands": surfaces.demand,
         "error_seen": ERROR_SEEN, "shapes": list(surfaces.shapes), "materials": list(surfaces.materials),
         "seconds": job.watch.with_earlier(), "peak_bytes": peak_bytes(), "versions": versions(),
     }  # fmt: skip
@@ -169,7 +177,7 @@ def _make_plan(
     if plan == "auto":
         return plan_loaded(source, loaded, rig=rig, optics=optics, **wishes)
     if plan == "rgb":
-        return default_plan(optics)
+        return default_plan(optics, loaded.integrator)
     if isinstance(plan, TransportPlan):
         return plan
     raise ValueError(f"plan must be 'auto', 'rgb' or a plan from plan_transport, got {plan!r}")
@@ -189,6 +197,6 @@ def _method(
         optics = replace(optics, aperture_radius=None, focus_distance=None)
     frames = made.subframes if made.is_on(MOTION) else 1
     with using_variant(variant, made.color) as mi:
-        colored = loaded if made.color == "rgb" else build_scene(source, mi, allow_outside=allow_outside)
+        colored = loaded if made.color == loaded.color else build_scene(source, mi, allow_outside=allow_outside)
         set_light_weights(colored, made.light_weights, mi)
         return Method(mi, mi.variant(), colored, mi.load_dict(made.integrator()), optics, frames, seed)

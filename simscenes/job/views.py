@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from simscenes.backend import using_variant
+from simscenes.job.accuracy import claimed, noise_by_brightness, summary
 from simscenes.job.cost import Stopwatch, predict_seconds
 from simscenes.job.finish import ViewStore
 from simscenes.job.identity import SPENT, VIEW_KEY, finished_view, view_key
@@ -19,7 +20,9 @@ from simscenes.render.radiance import Method, Tick, View
 from simscenes.rigs import Rig
 from simscenes.sets.camera_files import write_json
 from simscenes.sets.exr import write_exr
+from simscenes.transport.plan import TransportPlan
 
+QUARTERS = "noise by brightness"  # beside what a header holds; not in the file, since it follows from the pixels
 Progress = Callable[[int, int, str], None]
 
 
@@ -28,8 +31,9 @@ class Job:
     """What every view of one call shares."""
 
     method: Method
-    surfaces: LoadedScene  # in RGB, for the geometry; the scene of `method` may be spectral
-    variant: str
+    plan: TransportPlan
+    surfaces: LoadedScene  # in the fewest colours, for the geometry; the scene of `method` may have more
+    variant: str  # of `surfaces`
     rig: Rig
     out: Path
     names: list[str]
@@ -56,7 +60,7 @@ def render_views(job: Job) -> tuple[dict[str, Any], float]:
             with using_variant(job.variant) as mi:
                 check_cameras(mi, job.surfaces, job.rig)
             with using_variant(job.method.variant):
-                predicted = predict_seconds(job.method, job.rig, views, job.config["spp"], job.config["target_error"])
+                predicted = predict_seconds(job.method, job.rig, views, job.config["spp"], job.config["noise_target"])
     left = predicted / max(len(missing), 1)  # seconds per view
     for done, i in enumerate(missing):
 
@@ -71,12 +75,14 @@ def render_views(job: Job) -> tuple[dict[str, Any], float]:
         # From here on, past views predict better than the pilot did; only radiance and geometry repeat for each view.
         left = (job.watch.seconds["radiance"] + job.watch.seconds["geometry"]) / (done + 1)
     found = {
-        name: {"spp": int(h["spp"]), "relative_error": float(h["relativeError"]), "fireflies": int(h["fireflies"])}
+        name: {"spp": int(h["spp"]), "fireflies": int(h["fireflies"]),
+               **claimed(float(h["relativeError"]), h[QUARTERS], job.plan)}
         for name, h in zip(job.names, headers, strict=True)
         if h is not None
-    }
+    }  # fmt: skip
     fireflies = sum(view["fireflies"] for view in found.values())
-    job.progress(len(paths), len(paths), f"images; {fireflies} fireflies, see set.json" if fireflies else "images")
+    rare = f"; {fireflies} fireflies, see set.json" if fireflies else ""
+    job.progress(len(paths), len(paths), f"images; {summary(found)}{rare}")
     return found, predicted
 
 
@@ -87,14 +93,14 @@ def _rendered_before(job: Job, i: int, path: Path, key: str) -> dict[str, Any] |
             return None
         channels, header = found
         job.store.put(i, channels)
-        return header
+        return header | {QUARTERS: noise_by_brightness(channels)}
 
 
 def _render_view(job: Job, view: View, path: Path, key: str, tick: Tick) -> dict[str, Any]:
     with job.watch.stage("geometry"), using_variant(job.variant) as mi:
         channels = geometry_channels(mi, job.surfaces, job.rig, view.i)
     with job.watch.stage("radiance"), using_variant(job.method.variant):
-        radiance = view.render(job.config["spp"], job.config["target_error"], tick)
+        radiance = view.render(job.config["spp"], job.config["noise_target"], tick)
     for k, c in enumerate("RGB"):
         channels[c] = np.maximum(radiance.mean[..., k], 0)  # clips spectral light that lies outside the sRGB triangle
         channels[f"var.{c}"] = radiance.variance[..., k]
@@ -106,4 +112,4 @@ def _render_view(job: Job, view: View, path: Path, key: str, tick: Tick) -> dict
     with job.watch.stage("write"):
         write_exr(path, channels, header)
         job.store.put(view.i, channels)
-    return header
+    return header | {QUARTERS: noise_by_brightness(channels)}

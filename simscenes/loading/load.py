@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
+import re
 from contextlib import nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from simscenes.backend import COLORS, using_variant
 from simscenes.loading.complete import check_complete
 from simscenes.loading.contents import objects_in, parameters_in, unique_materials
 from simscenes.loading.digest import content_digest
+from simscenes.loading.integrator import OwnIntegrator, in_dict, in_file, own_integrator
 from simscenes.loading.meshes import check_faces
 from simscenes.loading.obj_files import completed
 from simscenes.loading.physical import check_parameters, scene_extent
@@ -17,6 +21,8 @@ from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.loading.trial import check_survives
 from simscenes.loading.untrusted import check_plugin, check_xml, searching_only
 from simscenes.scenes import build
+
+DEMANDS = re.compile("spectral|polarized")  # in the messages of plugins that cannot do without
 
 
 @dataclass(frozen=True)
@@ -31,6 +37,9 @@ class LoadedScene:
         shapes: Names of the shapes and instances; the id of a pixel is 1 + the index in this list.
         materials: Names of the materials, likewise; those within instances too.
         extent: Diagonal of the bounding box, scene units.
+        integrator: What the scene's own integrator asks for; None if it has none.
+        sensor: Which of the scene's own sensors counts, from 0.
+        demand: Why fewer colours cannot load it, in Mitsuba's words; "" for a scene that RGB can.
     """
 
     name: str
@@ -40,6 +49,20 @@ class LoadedScene:
     shapes: tuple[str, ...]
     materials: tuple[str, ...]
     extent: float
+    demand: str = ""
+    integrator: OwnIntegrator | None = None
+    sensor: int = 0
+
+    @property
+    def own_sensor(self) -> Any:
+        """That of the scene's own sensors that counts; None if it has none."""
+        sensors = self.scene.sensors()
+        return sensors[self.sensor] if self.sensor < len(sensors) else None
+
+    @property
+    def color(self) -> str:
+        """Its colour representation, one of `COLORS`."""
+        return next(color for color in COLORS if self.variant.endswith(f"_{color}"))
 
 
 def build_scene(scene: SceneLike | SceneRef, mi: Any, *, allow_outside: bool = False) -> LoadedScene:
@@ -57,8 +80,34 @@ def build_scene(scene: SceneLike | SceneRef, mi: Any, *, allow_outside: bool = F
     """
     source = SceneRef.of(scene)
     if source.path is not None and not allow_outside:
-        check_survives(source.path, check_xml(source.path), mi.variant())
+        files = check_xml(source.path, parameters=source.parameters)
+        check_survives(source.path, files, mi.variant(), source.parameters)
     return load_here(source, mi, allow_outside=allow_outside)
+
+
+def build_in_fewest_colors(scene: SceneLike | SceneRef, backend: str, *, allow_outside: bool = False) -> LoadedScene:
+    """Load a scene in RGB; one that RGB cannot load in spectra, or in polarised spectra.
+
+    Args:
+        scene: As for `build_scene`.
+        backend: One of `BACKENDS`; no variant stays set.
+        allow_outside: As for `build_scene`.
+
+    Raises:
+        ValueError: As `build_scene`, with the reason of the last try that came further than asking for other colours.
+    """
+    demand, refused = "", None
+    for color in COLORS:
+        with using_variant(backend, color) as mi:
+            try:
+                return replace(build_scene(scene, mi, allow_outside=allow_outside), demand=demand)
+            except ValueError as error:
+                refused = error
+                if DEMANDS.search(str(error)) is None:
+                    break
+                demand = demand or str(error).rpartition("] ")[2].strip()
+    assert refused is not None
+    raise refused
 
 
 def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> LoadedScene:
@@ -75,19 +124,37 @@ def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> Load
         # Mitsuba would only find out while rendering.
         raise ValueError(f"scene {name!r} holds a 'regular' or 'irregular' spectrum, which only spectral variants can "
                          "read; write it as type 'spectrum' with pairs of wavelength and value")  # fmt: skip
+    if any(light.class_name() == "DirectionalArea" for light in loaded.emitters()):
+        raise ValueError(f"scene {name!r} holds a 'directionalarea' emitter, whose light no path from a camera "
+                         "can find; use 'area', 'spot' or 'projector'")  # fmt: skip
     extent = scene_extent(loaded)
     params = parameters_in(loaded, mi)
     check_faces(params)
     check_parameters(loaded, params, mi)
     shapes = tuple(s.id() for s in loaded.shapes())
     materials = tuple(_material_name(s) for s in unique_materials(loaded, mi))
-    return LoadedScene(name, mi.variant(), loaded, content_digest(description, params), shapes, materials, extent)
+    if 0 < len(loaded.sensors()) <= source.sensor:
+        raise ValueError(f"scene {name!r} has {len(loaded.sensors())} sensors, numbered from 0; got {source.sensor}")
+    digest, own = content_digest(description, params), _own_integrator(source, mi, allow_outside)
+    if source.parameters:
+        digest = hashlib.sha256(f"{digest}{source.parameters}".encode()).hexdigest()
+    return LoadedScene(
+        name, mi.variant(), loaded, digest, shapes, materials, extent, integrator=own, sensor=source.sensor
+    )
+
+
+def _own_integrator(source: SceneRef, mi: Any, allow_outside: bool) -> OwnIntegrator | None:
+    if source.path is None:
+        return None if source.description is None else own_integrator(in_dict(source.description))
+    path, config = source.path.resolve(), mi.parser.ParserConfig(mi.variant())
+    with nullcontext() if allow_outside else searching_only(path.parent, mi):
+        return own_integrator(in_file(mi.parser.parse_file(config, str(path), **dict(source.parameters)).nodes))
 
 
 def _load(source: SceneRef, mi: Any, allow_outside: bool) -> tuple[Any, Any]:
     """The Mitsuba scene, and what it was made of: files or a dict."""
     if source.path is not None:
-        return _load_xml(source.path, mi, allow_outside)
+        return _load_xml(source.path, dict(source.parameters), mi, allow_outside)
     return _load_dict(build(source.name) if source.description is None else source.description, mi)
 
 
@@ -110,12 +177,12 @@ def _check_plugins(node: dict[str, Any]) -> None:
             _check_plugins(child)
 
 
-def _load_xml(path: Path, mi: Any, allow_outside: bool) -> tuple[Any, Any]:
-    files = check_xml(path, allow_outside=allow_outside)
+def _load_xml(path: Path, parameters: dict[str, str], mi: Any, allow_outside: bool) -> tuple[Any, Any]:
+    files = check_xml(path, allow_outside=allow_outside, parameters=parameters.items())
     root = files[0].parent
     with nullcontext() if allow_outside else searching_only(root, mi), completed(files) as file:
         try:
-            return mi.load_file(str(file), optimize=False), files
+            return mi.load_file(str(file), optimize=False, **parameters), files
         except RuntimeError as error:
             raise RuntimeError(str(error).replace(str(file.parent), str(root))) from error
 

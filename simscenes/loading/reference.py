@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from simscenes.scenes import split_name
 
+NAME = re.compile("[A-Za-z_][A-Za-z0-9_]{0,99}")  # of a parameter
 SceneLike = str | dict[str, Any] | Path
 
 
@@ -20,12 +23,16 @@ class SceneRef:
         name: Catalogue name with its seed ("tabletop:3"), stem of the file, or "custom".
         path: The Mitsuba XML file, or None.
         description: The Mitsuba dict, or None.
+        parameters: What a file's $names stand for, (name, value), instead of its <default>s.
+        sensor: Which of the scene's own sensors counts, from 0.
     """
 
     kind: Literal["catalogue", "file", "dict"]
     name: str
     path: Path | None = None
     description: dict[str, Any] | None = None
+    parameters: tuple[tuple[str, str], ...] = ()
+    sensor: int = 0
 
     @classmethod
     def of(cls, scene: SceneLike | SceneRef) -> SceneRef:
@@ -47,6 +54,25 @@ class SceneRef:
         raise ValueError(
             f"scene must be a name from SCENES, a .xml file or a Mitsuba dict of type 'scene', got {scene!r:.80}"
         )
+
+    def given(self, parameters: Sequence[str] = (), sensor: int = 0) -> SceneRef:
+        """The same scene with "name=value" for its parameters, and another of its sensors.
+
+        Raises:
+            ValueError: If one is no "name=value", a name is given twice, or the scene is no file.
+        """
+        pairs = [text.partition("=") for text in parameters]
+        for text, (name, equals, _) in zip(parameters, pairs, strict=True):
+            if not (equals and NAME.fullmatch(name)):
+                raise ValueError(f"a parameter of a scene must be NAME=VALUE, got {text!r:.80}")
+        names = [name for name, _, _ in pairs]
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            raise ValueError(f"parameters of a scene must be given once, got {', '.join(twice)} several times")
+        if (pairs or sensor) and self.in_catalogue:
+            raise ValueError(f"scene {self.name!r} is of the catalogue: parameters and sensors belong to Mitsuba files")
+        if sensor < 0:
+            raise ValueError(f"the number of a sensor must be >= 0, got {sensor}")
+        return replace(self, parameters=tuple((name, value) for name, _, value in pairs), sensor=sensor)
 
     @property
     def in_catalogue(self) -> bool:

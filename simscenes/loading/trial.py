@@ -19,6 +19,7 @@ import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from simscenes.backend import cache_folder
 
@@ -27,23 +28,26 @@ SECONDS = 600.0  # that loading may take; a scene of a gigabyte takes one minute
 _START = "import sys; sys.path[:] = {path!r}; from simscenes.loading.trial_process import serve; serve()"
 
 
-def check_survives(scene: Path, files: Sequence[Path], variant: str) -> None:
+def check_survives(
+    scene: Path, files: Sequence[Path], variant: str, parameters: Sequence[tuple[str, str]] = ()
+) -> None:
     """Load a scene file in another process.
 
     Args:
         scene: The file.
         files: All files that make up the scene, from `check_xml`.
         variant: Of Mitsuba.
+        parameters: As in `SceneRef`.
 
     Raises:
         ValueError: If that process crashes, hangs or refuses the scene; the reason is in the message.
     """
-    identity = _identity(files, variant)
+    identity = _identity(files, variant) + (repr(list(parameters)).encode() if parameters else b"")
     marker = cache_folder("scenes") / hashlib.sha256(identity).hexdigest()[:32]
     if marker.is_file():
         return
     with _ONE_AT_A_TIME:
-        problem = _PROCESSES.setdefault(variant, _Process(variant)).load(scene)
+        problem = _PROCESSES.setdefault(variant, _Process(variant)).load(scene, parameters)
     if problem:
         raise ValueError(problem)
     try:
@@ -69,23 +73,24 @@ class _Process:
     variant: str
     running: subprocess.Popen[bytes] | None = None
 
-    def load(self, scene: Path) -> str:
+    def load(self, scene: Path, parameters: Sequence[tuple[str, str]] = ()) -> str:
         """Why the scene must not be loaded here; "" if nothing speaks against it."""
         try:
             # It may leave in the moment in which it is asked: then a fresh one is asked.
-            answer = self._ask(scene) or self._ask(scene) or "!the process that tries it ends before it answers"
+            asked = {"scene": str(scene), "parameters": list(parameters)}
+            answer = self._ask(asked) or self._ask(asked) or "!the process that tries it ends before it answers"
         except BaseException:  # Ctrl-C: what is still to come must not be taken for the answer to the next question
             self.stop()
             raise
         failed = f"scene {scene.stem!r} cannot be loaded:"
         return f"{failed} {answer[1:]}" if answer.startswith("!") else answer.removeprefix("=")
 
-    def _ask(self, scene: Path) -> str:
+    def _ask(self, asked: dict[str, Any]) -> str:
         """The answer after a "=", what happened to the process after a "!", or "" if it had left before."""
         process = self._alive()
         assert process.stdin is not None
         assert process.stdout is not None
-        request = {"scene": str(scene), "variant": self.variant, "cwd": str(Path.cwd())}
+        request = asked | {"variant": self.variant, "cwd": str(Path.cwd())}
         try:
             process.stdin.write(json.dumps(request).encode() + b"\n")
             process.stdin.flush()

@@ -10,6 +10,7 @@ import resource
 import select
 import signal
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,8 @@ DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux
 def serve() -> None:
     """Answer until standard input ends or nothing is asked for a while.
 
-    A request is a line of JSON: {"scene": path, "variant": name, "cwd": folder}. So is an answer: the reason why the
-    scene is refused, or "".
+    A request is a line of JSON: {"scene": path, "parameters": pairs, "variant": name, "cwd": folder}. So is an answer:
+    the reason why the scene is refused, or "".
     """
     _die_with_parent()
     # Mitsuba prints to the standard output too: answers get a copy, and everything else goes nowhere.
@@ -34,7 +35,7 @@ def serve() -> None:
         try:
             os.chdir(request["cwd"])
             _limit_memory()
-            answer = _tried(Path(request["scene"]), request["variant"])
+            answer = _tried(Path(request["scene"]), request["variant"], request["parameters"])
         except MemoryError:
             answer = f"scene {Path(request['scene']).stem!r} needs more memory than is free"
         answers.write(json.dumps(answer) + "\n")
@@ -42,14 +43,14 @@ def serve() -> None:
     os._exit(0)  # without the clean-up of threads that may hang
 
 
-def _tried(scene: Path, variant: str) -> str:
+def _tried(scene: Path, variant: str, parameters: list[list[str]]) -> str:
     from simscenes.backend import activate
     from simscenes.loading.load import load_here
     from simscenes.loading.reference import SceneRef
 
     mi = activate(variant)
     try:
-        loaded = load_here(SceneRef.of(scene), mi)
+        loaded = load_here(replace(SceneRef.of(scene), parameters=tuple((n, v) for n, v in parameters)), mi)
     except ValueError as error:
         return str(error)
     _look_at(loaded.scene, mi)

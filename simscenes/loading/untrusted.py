@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
@@ -28,7 +28,9 @@ PLUGIN = re.compile("[A-Za-z0-9_]+")
 DECLARED = re.compile(rb"""\s*<\?xml[^>]*\sencoding\s*=\s*["']([^"']*)""")
 
 
-def check_xml(path: Path, *, allow_outside: bool = False) -> tuple[Path, ...]:
+def check_xml(
+    path: Path, *, allow_outside: bool = False, parameters: Iterable[tuple[str, str]] = ()
+) -> tuple[Path, ...]:
     """Read a scene file as plain XML and refuse it if it reaches for files outside its own folder.
 
     Mitsuba reads included files and spectra while it parses, so this happens before it sees the file. A name that is
@@ -37,6 +39,7 @@ def check_xml(path: Path, *, allow_outside: bool = False) -> tuple[Path, ...]:
     Args:
         path: The scene file; a link is replaced by its target, in the target's folder.
         allow_outside: The file is trusted: it may name files and plugins anywhere, in any encoding.
+        parameters: What its $names stand for, (name, value), instead of its <default>s.
 
     Returns:
         The scene file, then all files that it and the files it includes name and that exist, links resolved.
@@ -47,8 +50,12 @@ def check_xml(path: Path, *, allow_outside: bool = False) -> tuple[Path, ...]:
             or picture file that is cut short, or is too large or too deep.
     """
     path = path.resolve()
-    reader = _Reader(path.parent, allow_outside)
+    given = dict(parameters)
+    reader = _Reader(path.parent, allow_outside, parameters=dict(given))
     reader.read(path, 0, 0, "")
+    if unused := sorted(set(given) - reader.used):
+        known = ", ".join(sorted(reader.parameters.keys() - set(unused))) or "none"
+        raise ValueError(f"scene file {path} has no parameter {', '.join(unused):.200}; it has {known:.500}")
     reader.check_references()
     for file in reader.files:
         check_mesh_file(file)
@@ -99,6 +106,7 @@ class _Reader:
     files: dict[Path, None] = field(default_factory=dict)  # in order
     parameters: dict[str, str] = field(default_factory=dict)
     holds: dict[str, list[str]] = field(default_factory=dict)  # ids within each id, as definition or as reference
+    used: set[str] = field(default_factory=set)  # of the parameters
     text_left: int = MAX_TEXT
     includes_left: int = MAX_INCLUDES
 
@@ -195,6 +203,8 @@ class _Reader:
         self._spend(len(self.parameters), path)
         for name in sorted(self.parameters, key=len, reverse=True):  # $ab before $a, as Mitsuba does
             self._spend(value.count(f"${name}") * len(self.parameters[name]), path)  # before it is in memory
+            if f"${name}" in value:
+                self.used.add(name)
             value = value.replace(f"${name}", self.parameters[name])
         return value
 

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.backend import using_variant
-from simscenes.loading.load import LoadedScene, build_scene
+from simscenes.backend import backend_of, using_variant
+from simscenes.loading.load import LoadedScene, build_in_fewest_colors
 from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.optics import Optics
 from simscenes.render.geometry import pixel_rays, shrunk
@@ -17,12 +17,19 @@ from simscenes.rigs import Rig, invert_rigid, look_at, mitsuba_to_intrinsics, mi
 from simscenes.scenes import default_rig
 
 Float = NDArray[np.float64]
+WHY_NOT = {  # of the sensors that have no pinhole camera's rays
+    "OrthographicCamera": " (its rays are parallel, those of our cameras meet in a point)",
+    "DistantSensorImpl": " (it measures light that leaves the scene, and takes no picture)",
+    "IrradianceMeter": " (it measures light on a surface, and takes no picture)",
+    "RadianceMeter": " (it measures a single ray, and takes no picture)",
+    "BatchSensor": " (name the sensors within it one by one)",
+}
 MAX_PIXELS = 1 << 26  # an untrusted file must not ask for all memory
 CLEARANCE = 0.05  # of the distance to the target: nearer things would fill a new camera's image
 
 
 def own_rig(loaded: LoadedScene, mi: Any, width: int | None = None, height: int | None = None) -> Rig:
-    """The scene's own (first) sensor as a rig of one view.
+    """The scene's own sensor as a rig of one view.
 
     Args:
         loaded: The scene.
@@ -33,37 +40,67 @@ def own_rig(loaded: LoadedScene, mi: Any, width: int | None = None, height: int 
     Raises:
         ValueError: If the scene has no sensor, or not a perspective one.
     """
-    sensors = loaded.scene.sensors()
-    if not sensors or sensors[0].class_name() not in ("PerspectiveCamera", "ThinLensCamera"):
-        found = sensors[0].class_name() if sensors else "none"
+    sensor, seen = loaded.own_sensor, "none" if loaded.own_sensor is None else loaded.own_sensor.class_name()
+    if seen not in ("PerspectiveCamera", "ThinLensCamera"):
+        why = WHY_NOT.get(seen, "")
         raise ValueError(f"scene {loaded.name!r} needs a perspective or thinlens sensor to find cameras by, it has "
-                         f"{found}; add one, or give the rig")  # fmt: skip
-    film = sensors[0].film()
+                         f"{seen}{why}; add one, or give the rig")  # fmt: skip
+    film = sensor.film()
     crop_width, crop_height = (int(n) for n in film.crop_size())
     w, h = width or crop_width, height or crop_height
     if w * h > MAX_PIXELS:
         raise ValueError(f"scene {loaded.name!r} asks for a film of {w} x {h} pixels, more than {MAX_PIXELS >> 20} Mi; "
                          "give width and height")  # fmt: skip
-    K = _film_intrinsics(mi.traverse(sensors[0]), film)
+    K = _film_intrinsics(mi.traverse(sensor), film)
     K[0] *= w / crop_width  # the field of view is kept across, pixels stay square, the centre keeps its relative place
     K[1, 1], K[1, 2] = K[0, 0], K[1, 2] * h / crop_height
-    to_world = np.array(sensors[0].world_transform().matrix, dtype=np.float64).reshape(4, 4, -1)[..., 0]
+    to_world = np.array(sensor.world_transform().matrix, dtype=np.float64).reshape(4, 4, -1)[..., 0]
     to_world[:3, :3] /= np.linalg.norm(to_world[:3, :3], axis=0)  # some exporters leave a scale in the pose
     return Rig(viewmats=mitsuba_to_opencv(to_world)[None], Ks=K[None], width=w, height=h)
 
 
+def own_cameras(
+    scene: SceneLike | SceneRef | LoadedScene,
+    width: int | None = None,
+    height: int | None = None,
+    *,
+    allow_outside: bool = False,
+) -> Rig:
+    """All of a scene's own sensors as a rig, in the order of the scene.
+
+    Args:
+        scene: As for `fit_rig`.
+        width: As for `own_rig`.
+        height: As for `own_rig`.
+        allow_outside: As for `render_set`.
+
+    Raises:
+        ValueError: As `own_rig`, or if the films differ in size where it is not given.
+    """
+    loaded = _loaded(scene, allow_outside)
+    with using_variant(loaded.variant) as mi:
+        count = len(loaded.scene.sensors())
+        rigs = [own_rig(replace(loaded, sensor=k), mi, width, height) for k in range(max(count, 1))]
+    sizes = sorted({(rig.width, rig.height) for rig in rigs})
+    if len(sizes) > 1:
+        raise ValueError(f"scene {loaded.name!r} has sensors of {len(sizes)} sizes, {sizes[0]} to {sizes[-1]}: one set "
+                         "has pictures of one size; give width and height")  # fmt: skip
+    viewmats, Ks = (np.concatenate([getattr(rig, name) for rig in rigs]) for name in ("viewmats", "Ks"))
+    return Rig(viewmats=viewmats, Ks=Ks, width=rigs[0].width, height=rigs[0].height)
+
+
 def with_lens(asked: Optics | None, loaded: LoadedScene, mi: Any) -> Optics:
-    """The requested optics, with the lens of the scene's own (first) sensor where none is given; a pinhole has none.
+    """The requested optics, with the lens of the scene's own sensor where none is given; a pinhole has none.
 
     A thin lens keeps its focus distance for all cameras of a rig: those of `fit_rig` stay as far from what they see.
     """
     asked = asked or Optics()
-    sensors = loaded.scene.sensors()
+    sensor = loaded.own_sensor
     if asked.aperture_radius == 0:
         return replace(asked, aperture_radius=None)
-    if asked.aperture_radius is not None or not sensors or sensors[0].class_name() != "ThinLensCamera":
+    if asked.aperture_radius is not None or sensor is None or sensor.class_name() != "ThinLensCamera":
         return asked
-    lens = mi.traverse(sensors[0])
+    lens = mi.traverse(sensor)
     radius, focus = (float(np.array(lens[key]).item()) for key in ("aperture_radius", "focus_distance"))
     return replace(asked, aperture_radius=radius, focus_distance=focus)
 
@@ -81,7 +118,7 @@ def _film_intrinsics(params: Any, film: Any) -> Float:
 
 
 def fit_rig(
-    scene: SceneLike | LoadedScene,
+    scene: SceneLike | SceneRef | LoadedScene,
     n_views: int,
     width: int | None = None,
     height: int | None = None,
@@ -109,9 +146,15 @@ def fit_rig(
     """
     if n_views < 1:
         raise ValueError(f"n_views must be >= 1, got {n_views}")
-    with using_variant(scene.variant if isinstance(scene, LoadedScene) else "auto") as mi:
-        loaded = scene if isinstance(scene, LoadedScene) else build_scene(scene, mi, allow_outside=allow_outside)
+    loaded = _loaded(scene, allow_outside)
+    with using_variant(loaded.variant) as mi:
         return _arc_around(loaded, mi, own_rig(loaded, mi, width, height), n_views, sweep_deg, swing_deg)
+
+
+def _loaded(scene: SceneLike | SceneRef | LoadedScene, allow_outside: bool) -> LoadedScene:
+    if isinstance(scene, LoadedScene):
+        return scene
+    return build_in_fewest_colors(scene, backend_of(), allow_outside=allow_outside)
 
 
 def _arc_around(loaded: LoadedScene, mi: Any, own: Rig, n_views: int, sweep_deg: float, swing_deg: float) -> Rig:

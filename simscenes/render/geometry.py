@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simscenes.camera import WAVELENGTHS, daylight, srgb_curves
 from simscenes.loading.contents import unique_materials
 from simscenes.loading.load import LoadedScene
 from simscenes.rigs import Rig, invert_rigid
@@ -110,12 +111,40 @@ def _intersect_wide(mi: Any, scene: Any, origin: NDArray[Any], directions: NDArr
     import drjit as dr
 
     ray, si = first_surfaces(mi, scene, origin, directions)
-    albedo = si.bsdf(ray).eval_diffuse_reflectance(si, si.is_valid())
-    columns = [np.array(v, dtype=np.float64).T for v in (si.p, si.sh_frame.n, si.n, mi.Color3f(albedo))]
+    columns = [np.array(v, dtype=np.float64).T for v in (si.p, si.sh_frame.n, si.n)]
+    columns.append(_albedo(mi, ray, si))
     seen = dr.select(si.instance != mi.ShapePtr(None), si.instance, si.shape)
     shapes = _numbers(dr, mi.UInt32, [mi.ShapePtr(s) for s in scene.shapes()], seen)
     materials = _numbers(dr, mi.UInt32, [mi.BSDFPtr(s.bsdf()) for s in unique_materials(scene, mi)], si.bsdf(ray))
     return np.array(si.is_valid()), *columns, shapes, materials
+
+
+def _albedo(mi: Any, ray: Any, si: Any) -> NDArray[np.float64]:
+    """Diffuse reflectance of surfaces in linear sRGB, [n,3]; in a JIT variant.
+
+    Spectra are seen in daylight, as Mitsuba's RGB variants take them: many wavelengths at once, four to a lane.
+    """
+    import drjit as dr
+
+    if mi.is_rgb:
+        found = si.bsdf(ray).eval_diffuse_reflectance(si, si.is_valid())
+        return np.array(mi.Color3f(found), dtype=np.float64).reshape(3, -1).T
+    groups, weights = _daylight_groups()
+    pixels = dr.width(si.t)
+    place = np.tile(np.arange(pixels, dtype=np.uint32), len(groups))
+    many, rays = (dr.gather(type(v), v, mi.UInt32(place)) for v in (si, ray))
+    many.wavelengths = type(many.wavelengths)(*(mi.Float(np.repeat(w, pixels)) for w in groups.T.astype(np.float32)))
+    spectrum = many.bsdf(rays).eval_diffuse_reflectance(many, many.is_valid())
+    found = mi.unpolarized_spectrum(spectrum) if mi.is_polarized else spectrum
+    values = np.array(found, dtype=np.float64).reshape(4, len(groups), pixels)
+    return np.clip(np.einsum("kgp,gkc->pc", values, weights), 0, 1)
+
+
+def _daylight_groups() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Wavelengths in groups of four, [g,4], and what the reflectance at each adds to linear sRGB, [g,4,3]."""
+    chosen = slice(0, 80, 2)
+    seen = daylight()[chosen, None] * srgb_curves()[chosen]
+    return WAVELENGTHS[chosen].reshape(-1, 4), (seen / seen.sum(0)).reshape(-1, 4, 3)
 
 
 def _numbers(dr: Any, uint32: Any, known: list[Any], pointers: Any) -> NDArray[np.uint32]:
@@ -143,6 +172,19 @@ def _intersect_scalar(mi: Any, scene: Any, origin: NDArray[Any], directions: NDA
         if not si.is_valid():
             continue
         hit[p], bsdf = True, si.bsdf(ray)
-        vectors[:, p] = si.p, si.sh_frame.n, si.n, bsdf.eval_diffuse_reflectance(si)
+        vectors[:, p] = si.p, si.sh_frame.n, si.n, _albedo_scalar(mi, bsdf, si)
         numbers[:, p] = shapes.get(si.instance or si.shape, 0), materials.get(bsdf, 0)
     return hit, *vectors, *numbers
+
+
+def _albedo_scalar(mi: Any, bsdf: Any, si: Any) -> NDArray[np.float64]:
+    """As `_albedo` of one surface, in a scalar variant."""
+    if mi.is_rgb:
+        return np.array(bsdf.eval_diffuse_reflectance(si), dtype=np.float64)
+    total = np.zeros(3)
+    for wavelengths, weights in zip(*_daylight_groups(), strict=True):
+        si.wavelengths = wavelengths.tolist()
+        spectrum = bsdf.eval_diffuse_reflectance(si)
+        found = mi.unpolarized_spectrum(spectrum) if mi.is_polarized else spectrum
+        total += np.array(found, dtype=np.float64).ravel()[:4] @ weights
+    return np.clip(total, 0, 1)

@@ -63,9 +63,9 @@ def medium_at(mi: Any, loaded: LoadedScene, position: NDArray[np.float64]) -> An
     if not media_in(loaded.scene, mi):
         return None
     found, medium = _first_border(mi, loaded.scene, position, np.array([0.0, 0.0, 1.0]), np.inf)
-    if found or not loaded.scene.sensors():
+    if found or loaded.own_sensor is None:
         return medium
-    sensor = loaded.scene.sensors()[0]
+    sensor = loaded.own_sensor
     way = np.array(sensor.world_transform().matrix, dtype=np.float64).reshape(4, 4, -1)[:3, 3, 0] - position
     distance = float(np.linalg.norm(way))
     if distance > 0:

@@ -16,6 +16,7 @@ from simscenes.scenes import MEASURED_LIGHTS, split_name
 from simscenes.transport import pilot, plan, spectra
 from simscenes.transport.effects import DEPTHS, decided
 from simscenes.transport.pilot import RR_DEPTH, Pilot
+from simscenes.transport.plugins import filters_in
 from simscenes.transport.specular import SPECULAR, chained_light
 
 # Of light that two specular surfaces have passed on, polarisation changes a few per cent: measured 1 % on `tabletop`,
@@ -31,9 +32,10 @@ def color_effects(
     Mitsuba polarises spectra only: in a scene given in RGB, polarisation is worth following if it changes more than the
     spectra that have to be made up for it.
     """
-    spectral, made_up = spectral_effect(p, optics, indirect, measure)
+    spectral, made_up = spectral_effect(p, optics, indirect, measure, media)
     polarisation = polarisation_effect(p, media, geometry, measure)
-    if polarisation.on and not spectral.on and p.backend != "scalar" and not _has_measured_spectra(p):
+    weighed = p.backend != "scalar" and not filters_in(p.loaded.scene, p.mi)  # filters are there to be seen
+    if polarisation.on and not spectral.on and weighed and not _has_measured_spectra(p):
         made_up = _color_cost(p, optics, indirect)[0] if made_up is None else made_up
         if made_up >= polarisation.contribution:
             reason = f"{polarisation.reason}; it takes made-up spectra, which change {made_up:.1%}"
@@ -42,26 +44,45 @@ def color_effects(
 
 
 def polarisation_effect(p: Pilot, media: bool, geometry: list[Any], measure: bool) -> Effect:
-    """Polarisation shows where two specular surfaces follow each other; diffuse surfaces undo it."""
+    """Polarisation shows where two specular surfaces follow each other, and behind filters; diffuse surfaces undo it.
+
+    What filters change is always measured: without polarisation each of them passes half of the light, whatever came
+    before.
+    """
+    if p.base == "spectral_polarized":
+        return decided(plan.POLARISATION, True, math.inf, p.allowed, f"nothing less can load it: {p.loaded.demand}")
+    filters = filters_in(p.loaded.scene, p.mi)
+    possible = "spectral_polarized" in p.colors
+    if filters and (p.backend == "scalar" or not possible):
+        why = "not quantified in scalar" if possible else f"but holds objects made for {p.base}, and cannot have others"
+        return decided(plan.POLARISATION, possible, math.inf, p.allowed, f"the scene holds {', '.join(filters)}, {why}")
     specular = [bool(s.bsdf().flags() & SPECULAR) for s in unique_materials(p.loaded.scene, p.mi)]
-    if not any(specular):
+    if not filters and not any(specular):
         return decided(plan.POLARISATION, False, 0.0, p.allowed, "all surfaces are diffuse, light stays unpolarised")
-    if not measure or p.colors == ("rgb",):
+    if not filters and (not possible or (not measure and p.base == "rgb")):
         guess, reason = _bounded_polarisation(p, geometry, specular)
-        if guess <= p.allowed or p.colors == ("rgb",):
+        if guess <= p.allowed or not possible:
             return decided(plan.POLARISATION, False, guess, p.allowed, reason)
+    change = _paired(p, ("spectral", "spectral_polarized"), media)
+    p.rms[plan.POLARISATION] = change.rms
+    behind = f" behind {', '.join(filters)}" if filters else ""
+    return decided(plan.POLARISATION, change.upper > p.allowed, change.upper, p.allowed,
+                   f"paired pilots with and without differ by {change.estimate:.2%}{behind}")  # fmt: skip
+
+
+def _paired(p: Pilot, colors: tuple[str, str], media: bool) -> pilot.Share:
+    """What a second colour representation changes in the pilot views, against a first one."""
     images = []
-    for color in ("spectral", "spectral_polarized"):
-        settings = {"type": "volpath" if media else "path", "max_depth": DEPTHS[0], "rr_depth": 4}
+    for color in colors:
+        kind = "volpath" if media else "path"
+        settings = {"type": kind, "max_depth": DEPTHS[0], "rr_depth": 4, **p.hiding}
         with p.in_color(color) as (other, loaded):
             images.append(pilot.render_pilot(other, loaded, p.rig, settings, p.seed))
-    change = pilot.changed_light(images[0], images[1])
-    return decided(plan.POLARISATION, change.upper > p.allowed, change.upper, p.allowed,
-                   f"paired pilots with and without differ by {change.estimate:.2%}")  # fmt: skip
+    return pilot.changed_light(images[0], images[1])
 
 
 def _bounded_polarisation(p: Pilot, geometry: list[Any], specular: list[bool]) -> tuple[float, str]:
-    if p.backend == "scalar":
+    if p.backend == "scalar" or p.base != "rgb":
         share = float(np.array([False, *specular])[np.stack([g["material"] for g in geometry])].mean())
         return share * POLARISED_CHANGE, f"bounded: {share:.1%} of pixels show specular"
     total = float(p.render("path", DEPTHS[0]).mean())
@@ -70,11 +91,15 @@ def _bounded_polarisation(p: Pilot, geometry: list[Any], specular: list[bool]) -
     return share * POLARISED_CHANGE, f"bounded: {share:.1%} of the light comes by two specular surfaces in a row"
 
 
-def spectral_effect(p: Pilot, optics: Optics, indirect: float, measure: bool) -> tuple[Effect, float | None]:
+def spectral_effect(
+    p: Pilot, optics: Optics, indirect: float, measure: bool, media: bool = False
+) -> tuple[Effect, float | None]:
     """Three channels or wavelengths, from light x surface x camera; `indirect` is the share of light that meets two.
 
     Besides the effect, what made-up spectra change in a scene given in RGB, if that was measured.
     """
+    if p.base != "rgb":
+        return decided(plan.SPECTRAL, True, math.inf, p.allowed, f"RGB cannot load it: {p.loaded.demand}"), None
     if p.colors == ("rgb",):
         return decided(
             plan.SPECTRAL, False, 0.0, p.allowed, "it holds objects made for RGB, and cannot have others"
@@ -83,6 +108,12 @@ def spectral_effect(p: Pilot, optics: Optics, indirect: float, measure: bool) ->
         if p.backend == "scalar":
             reason = "the scene has measured spectra (not quantified in scalar)"
             return decided(plan.SPECTRAL, True, math.inf, p.allowed, reason), None
+        if where := _measured_elsewhere(p):
+            change = _paired(p, ("rgb", "spectral"), media)
+            p.rms[plan.SPECTRAL] = change.rms
+            differ = f"paired pilots in RGB and in spectra differ by {change.estimate:.2%}"
+            reason = f"measured spectra as {', '.join(where)}: {differ}"
+            return decided(plan.SPECTRAL, change.upper > p.allowed, change.upper, p.allowed, reason), None
         cost, once, twice = _color_cost(p, optics, indirect)
         reason = f"RGB errs by {once:.1%} after one bounce, {twice:.1%} after two"
         return decided(plan.SPECTRAL, cost > p.allowed, cost, p.allowed, reason), None
@@ -100,6 +131,13 @@ def _color_cost(p: Pilot, optics: Optics, indirect: float) -> tuple[float, float
         light, surface = spectra.light_and_surface(mi, loaded, p.rig, p.seed)
     once, twice = (spectra.color_error(light, surface, optics.camera, bounces) for bounces in (1, 2))
     return once + min(indirect, 1.0) * max(twice - once, 0.0), once, twice
+
+
+def _measured_elsewhere(p: Pilot) -> list[str]:
+    if p.source.in_catalogue:
+        return []
+    with p.in_color("spectral") as (mi, loaded):
+        return spectra.measured_elsewhere(mi, loaded)
 
 
 def _has_measured_spectra(p: Pilot) -> bool:

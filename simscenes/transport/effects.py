@@ -6,20 +6,21 @@ import math
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sensor_model.plan import Effect
-from simscenes.loading.contents import media_in
+from simscenes.loading.contents import media_in, unique_materials
 from simscenes.optics import Optics
 from simscenes.render.motion import image_motion
 from simscenes.rigs import Rig
 from simscenes.transport import pilot, plan
 from simscenes.transport.pilot import RR_DEPTH, Pilot
+from simscenes.transport.plugins import class_of
 from simscenes.transport.roulette import most_efficient, path_lengths
 
-UNIT = "of all light"
+UNIT = plan.UNIT
 DEPTHS = (8, 16, 32)  # candidates for max_depth
-DEEPEST = 64  # pilot paths end here
+DEEPEST = 64  # pilot paths end here, where that is deep enough
+DEEPER = (256, 1024)  # else here
 RR_OFFERED = (RR_DEPTH, 5)  # 5 is Mitsuba's own
 
 
@@ -35,21 +36,15 @@ def depth_effects(p: Pilot, media: bool, most: float, forced_depth: int | None) 
     errors more than that and what would come after them if every later bounce kept `most` of the light.
     """
     kind = "volpath" if media else "path"
-
-    def render(depth: int) -> NDArray[np.float64]:
-        return p.render(kind, depth)
-
-    full = render(DEEPEST)
-    indirect = pilot.missing_light(full, render(plan.DIRECT_DEPTH))
-
-    def tail(depth: int) -> pilot.Share:
-        if depth < DEEPEST:
-            return pilot.beyond(pilot.missing_light(full, render(depth)), DEEPEST - depth, most)
-        last = pilot.beyond(pilot.missing_light(full, render(DEEPEST // 2)), DEEPEST // 2, most)
-        return pilot.Share(0.0, last.upper - pilot.missing_light(full, render(DEEPEST // 2)).upper)
-
-    chosen = forced_depth or next((d for d in DEPTHS if tail(d).upper <= p.allowed), DEEPEST)
-    left = tail(chosen)
+    full = p.render(kind, DEEPEST)
+    indirect = pilot.missing_light(full, p.render(kind, plan.DIRECT_DEPTH))
+    p.rms[plan.INDIRECT] = indirect.rms
+    if forced_depth is not None:
+        seen = min(forced_depth, DEEPER[-1])  # beyond, less is left than there
+        chosen, left = forced_depth, _tail(p, kind, seen, max(DEEPEST, seen), most)
+    else:
+        chosen, left = _deep_enough(p, kind, most)
+    p.rms[plan.DEEP] = left.rms
     reason = f"max_depth {chosen}: beyond it {left.estimate:.2g}..{left.upper:.2g}"
     return chosen, [
         decided(plan.INDIRECT, indirect.upper > p.allowed, indirect.upper, p.allowed,
@@ -59,9 +54,46 @@ def depth_effects(p: Pilot, media: bool, most: float, forced_depth: int | None) 
     ]  # fmt: skip
 
 
+def _deep_enough(p: Pilot, kind: str, most: float) -> tuple[int, pilot.Share]:
+    """The least depth beyond which no more is left than allowed, else the deepest; and what is left."""
+    for deepest, candidates in ((DEEPEST, (*DEPTHS, DEEPEST)), *((d, (d // 2, d)) for d in DEEPER)):
+        for depth in candidates:
+            left = _tail(p, kind, depth, deepest, most)
+            if left.upper <= p.allowed:
+                return depth, left
+        if p.backend == "scalar":
+            break  # deeper pilots would take minutes
+    return depth, left
+
+
+def _tail(p: Pilot, kind: str, depth: int, deepest: int, most: float) -> pilot.Share:
+    """What a cut at `depth` omits, from pilots that end at `deepest`.
+
+    The deeper ones do without roulette: it ends one path in twenty at every bounce, however bright, so that few of
+    hundreds of bounces would be found.
+    """
+    start = RR_DEPTH if deepest <= DEEPEST else deepest + 1
+    full = p.render(kind, deepest, start)
+    if depth < deepest:
+        return pilot.beyond(pilot.missing_light(full, p.render(kind, depth, start)), deepest - depth, most)
+    half = deepest // 2
+    found = pilot.missing_light(full, p.render(kind, half, start))
+    if deepest > DEEPEST:  # light that fades more slowly than `most` is seen to do so
+        later = pilot.missing_light(full, p.render(kind, deepest - half // 2, start))
+        earlier = found.estimate - later.estimate
+        if 0 < later.estimate < earlier:
+            most = max(most, (later.estimate / earlier) ** (2 / half))
+    last = pilot.beyond(found, half, most)
+    rest = last.upper - found.upper
+    return pilot.Share(0.0, rest, pilot.scaled(found.rms, rest, found.upper))
+
+
 def roulette_effect(p: Pilot, media: bool, depth: int, measure: bool) -> tuple[int, Effect]:
     """Where roulette starts, if at all: the least variance times work. It never changes the mean."""
-    if depth <= RR_DEPTH or not measure or p.backend == "scalar":
+    if depth > DEEPEST:
+        reason = f"light persists to depth {depth}: roulette would make it rare and bright; never changes the mean"
+        return RR_DEPTH, decided(plan.ROULETTE, False, 0.0, 0.0, reason)
+    if depth <= RR_DEPTH or not measure or p.backend == "scalar" or p.base != "rgb":
         reason = f"from path length {RR_DEPTH}, not measured: changes noise and time, never the mean"
         return RR_DEPTH, decided(plan.ROULETTE, True, 0.0, 0.0, reason)
     kind, starts = "volpath" if media else "path", (*(s for s in RR_OFFERED if s <= depth), depth + 1)
@@ -82,11 +114,17 @@ def roulette_effect(p: Pilot, media: bool, depth: int, measure: bool) -> tuple[i
 def media_effects(p: Pilot) -> list[Effect]:
     """Fog and other media: present or not, what they change, and whether their extinction has a colour."""
     media = media_in(p.loaded.scene, p.mi)
-    if not media:
+    screens = [] if media else screens_before_points(p.loaded.scene, p.mi)
+    if not media and not screens:
         return [decided(plan.MEDIA, False, 0.0, p.allowed, "the scene holds no medium"),
                 decided(plan.SPECTRAL_MIS, False, 0.0, 0.0, "no medium")]  # fmt: skip
     change = pilot.changed_light(p.render("volpath", DEPTHS[0]), p.render("path", DEPTHS[0]))
-    chromatic = any(_is_chromatic(p.mi, m) for m in media)
+    p.rms[plan.MEDIA] = change.rms
+    if screens:
+        reason = f"point lights shine through {', '.join(screens)}: without, {change.estimate:.1%} of the light is lost"
+        return [decided(plan.MEDIA, change.upper > p.allowed, change.upper, p.allowed, reason),
+                decided(plan.SPECTRAL_MIS, False, 0.0, 0.0, "no medium")]  # fmt: skip
+    chromatic = p.base != "rgb" or any(_is_chromatic(p.mi, m) for m in media)  # spectra are taken for coloured
     reason = f"{len(media)} medium boundaries; ignoring them changes {change.estimate:.1%}"
     return [
         decided(plan.MEDIA, change.upper > p.allowed, change.upper, p.allowed, reason),
@@ -94,6 +132,17 @@ def media_effects(p: Pilot) -> list[Effect]:
                 "extinction differs between colours: spectral MIS tames its noise" if chromatic
                 else "extinction is the same for all colours; no bias either way"),
     ]  # fmt: skip
+
+
+def screens_before_points(scene: Any, mi: Any) -> list[str]:
+    """Materials that let light pass straight on, if a scene has lights without extent; in order.
+
+    Such a light is found by a shadow ray alone, and only the volumetric integrators follow that through a material.
+    """
+    if not any(light.flags() & int(mi.EmitterFlags.Delta) for light in scene.emitters()):
+        return []
+    materials = [shape.bsdf() for shape in unique_materials(scene, mi)]
+    return sorted({class_of(m) for m in materials if m.flags() & int(mi.BSDFFlags.Null)})
 
 
 def _is_chromatic(mi: Any, medium: Any) -> bool:

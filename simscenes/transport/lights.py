@@ -22,14 +22,14 @@ MAX_LIGHTS = 64  # with more, measuring each costs more than it saves
 
 
 def light_weights(mi: Any, loaded: LoadedScene, rig: Rig, seed: int) -> tuple[float, ...]:
-    """How often to pick each light, relative; () where there is nothing to choose, or fog prevents measuring.
+    """How often to pick each light, relative; () where there is nothing to choose, or fog or spectra prevent measuring.
 
     A light's weight is the root mean square, over the surface points of the pilot views, of its share in the direct
     light there: the choice that minimises relative variance when one light is picked per point.
     """
     lights = loaded.scene.emitters()
     foggy = bool(media_in(loaded.scene, mi))
-    if foggy or not 1 < len(lights) <= MAX_LIGHTS or mi.variant().startswith("scalar"):
+    if foggy or not 1 < len(lights) <= MAX_LIGHTS or not mi.variant().endswith("ad_rgb"):
         return ()
     light = np.concatenate([_direct_light(mi, loaded, rig, i, len(lights), seed) for i in range(len(rig))], axis=1)
     lit = light.sum(0) > 0

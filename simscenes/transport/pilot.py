@@ -37,40 +37,59 @@ class Pilot:
 
     mi: Any
     source: SceneRef
-    loaded: LoadedScene  # in RGB
+    loaded: LoadedScene  # in `base` colours
     rig: Rig
     backend: str
     allowed: float
     seed: int
     allow_outside: bool = False
+    hide_emitters: bool = False
+    base: str = "rgb"  # the fewest colours that the scene can be loaded in
     scenes: dict[str, LoadedScene] = field(default_factory=dict)
     images: dict[tuple[str, int, int, int], NDArray[np.float64]] = field(default_factory=dict)
+    rms: dict[str, tuple[float, ...]] = field(default_factory=dict)  # effect -> `Share.rms` of leaving it out
 
     def render(self, kind: str, depth: int, rr_depth: int = RR_DEPTH, again: int = 0) -> NDArray[np.float64]:
-        """The pilot views in RGB, by the same paths whatever the depth; rendered once. `again`: with other paths.
+        """The pilot views, by the same paths whatever the depth; rendered once. `again`: with other paths.
 
         In scalar variants the paths differ, since their samplers continue from one to the next: differences are noisier
         there, and bounds wider.
         """
         key = (kind, depth, rr_depth, again)
         if key not in self.images:
-            integrator = {"type": kind, "max_depth": depth, "rr_depth": rr_depth}
+            integrator = {"type": kind, "max_depth": depth, "rr_depth": rr_depth, **self.hiding}
             seed = self.seed + AGAIN * again
             self.images[key] = render_pilot(self.mi, self.loaded, self.rig, integrator, seed)
         return self.images[key]
 
     @property
+    def hiding(self) -> dict[str, bool]:
+        """What an integrator is told, besides its depths, in this scene: lamps seen directly may be black."""
+        return {"hide_emitters": True} if self.hide_emitters else {}
+
+    @property
     def colors(self) -> tuple[str, ...]:
         """The colour representations that the scene can be loaded in: objects made in Python belong to one."""
-        return COLORS[:1] if _holds_objects(self.mi, self.source.description) else COLORS
+        first = COLORS.index(self.base)
+        return COLORS[first : first + 1] if _holds_objects(self.mi, self.source.description) else COLORS[first:]
+
+    def loads(self, color: str) -> bool:
+        """Whether the scene can be loaded in a colour representation; tried, since plugins may be missing there."""
+        if color not in self.colors:
+            return False
+        try:
+            with self.in_color(color):
+                return True
+        except ValueError:
+            return False
 
     @contextmanager
     def in_color(self, color: str) -> Iterator[tuple[Any, LoadedScene]]:
         """Mitsuba in the variant of a colour representation, and the scene loaded for it."""
         with using_variant(self.backend, color) as mi:
-            if color != "rgb" and color not in self.scenes:
+            if color != self.base and color not in self.scenes:
                 self.scenes[color] = build_scene(self.source, mi, allow_outside=self.allow_outside)
-            yield mi, self.loaded if color == "rgb" else self.scenes[color]
+            yield mi, self.loaded if color == self.base else self.scenes[color]
 
 
 def _holds_objects(mi: Any, node: Any) -> bool:
@@ -106,10 +125,15 @@ def render_pilot(mi: Any, loaded: LoadedScene, rig: Rig, integrator: dict[str, A
 
 @dataclass(frozen=True)
 class Share:
-    """A part of the light, relative to all of it: its estimate, and an upper limit at three standard errors."""
+    """A part of the light, relative to all of it: its estimate, and an upper limit at three standard errors.
+
+    `rms` is where it lies: the root mean square over the picture at that limit, relative to the mean radiance; then the
+    same within each quarter of the picture by brightness, darkest first, relative to that quarter's own mean.
+    """
 
     estimate: float
     upper: float
+    rms: tuple[float, ...] = field(default=(), compare=False)
 
 
 def missing_light(full: NDArray[np.float64], part: NDArray[np.float64]) -> Share:
@@ -118,9 +142,46 @@ def missing_light(full: NDArray[np.float64], part: NDArray[np.float64]) -> Share
     if total <= 0:
         return Share(0.0, 0.0)
     lacking = (full - part).mean(-1).ravel()
+    spread = root_mean_squares(full - part, full)
     error = float(lacking.std(ddof=1) / np.sqrt(lacking.size)) if lacking.size > 1 else 0.0
     estimate = max(float(lacking.mean()), 0.0)
-    return Share(estimate / total, (estimate + 3 * error) / total)
+    upper = (estimate + 3 * error) / total
+    return Share(estimate / total, upper, scaled(spread, upper, estimate / total))
+
+
+def root_mean_squares(change: NDArray[np.float64], full: NDArray[np.float64], block: int = 4) -> tuple[float, ...]:
+    """Root mean square of a change [c,h,w,3] of the views `full`, and by brightness: the figures of `Share.rms`.
+
+    Over blocks of pixels. What the pixels of a block differ by is taken for noise, whose part in the square is
+    subtracted; what is left is at least the square of the mean.
+    """
+    moved, noise = _blocks(change, block)
+    light, _ = _blocks(full, block)
+    order = np.argsort(light, kind="stable")
+    quarters = np.array_split(order, 4) if len(order) >= 4 else [order] * 4
+    least = 1e-12 * max(light.max(), 1e-300)  # a quarter without light would divide by zero
+    found = []
+    for chosen in (order, *quarters):
+        square = max((moved[chosen] ** 2 - noise[chosen]).mean(), moved[chosen].mean() ** 2)
+        found.append(float(np.sqrt(square) / max(light[chosen].mean(), least)))
+    return tuple(found)
+
+
+def scaled(rms: tuple[float, ...], upper: float, estimate: float) -> tuple[float, ...]:
+    """The figures of `Share.rms` of a change of size `estimate`, if it were `upper` everywhere in proportion."""
+    return tuple(upper / estimate * value for value in rms) if estimate > 0 else (upper,) * 5
+
+
+def _blocks(image: NDArray[np.float64], block: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean over channels and over blocks of pixels of views [c,h,w,3], flat; and its variance, from the pixels."""
+    c, h, w, _ = image.shape
+    y, x = np.arange(h) // block, np.arange(w) // block
+    label = (np.arange(c)[:, None, None] * (h * w) + (y[:, None] * w + x[None])).ravel()
+    _, label = np.unique(label, return_inverse=True)
+    values, counts = image.mean(-1).ravel(), np.bincount(label)
+    mean = np.bincount(label, values) / counts
+    scatter = np.bincount(label, (values - mean[label]) ** 2)
+    return mean, scatter / (counts * np.maximum(counts - 1, 1))
 
 
 def beyond(cut: Share, bounces: int, most: float) -> Share:
@@ -130,12 +191,12 @@ def beyond(cut: Share, bounces: int, most: float) -> Share:
     geometric series. The ratio of the last two bounces instead is known to come out a tenth to a fifth too low.
     """
     kept = most**bounces
-    return Share(cut.estimate, cut.upper / (1 - kept))
+    return Share(cut.estimate, cut.upper / (1 - kept), tuple(value / (1 - kept) for value in cut.rms))
 
 
 def most_reflected(mi: Any, loaded: LoadedScene) -> float:
     """The most of the light that a bounce keeps: the largest albedo of any surface, or 0.99 where that is not known."""
-    if media_in(loaded.scene, mi):
+    if media_in(loaded.scene, mi) or not mi.is_rgb:  # spectra are kept as coefficients of curves
         return MOST
     lobes, matt = int(mi.BSDFFlags.All), int(mi.BSDFFlags.DiffuseReflection)
     albedos = []
@@ -182,4 +243,5 @@ def changed_light(full: NDArray[np.float64], other: NDArray[np.float64], block: 
     blocks = np.abs(np.bincount(label, change) / counts)
     spread = float(np.abs(blocks).std() / np.sqrt(len(blocks)))
     estimate = float(np.average(blocks, weights=counts))
-    return Share(estimate / total, (estimate + 3 * spread) / total)
+    upper = (estimate + 3 * spread) / total
+    return Share(estimate / total, upper, scaled(root_mean_squares(other - full, full, block), upper, estimate / total))

@@ -18,6 +18,7 @@ SPECTRAL = "spectral transport"
 POLARISATION = "polarisation"
 APERTURE = "depth of field"
 MOTION = "motion blur"
+UNIT = "of all light"
 MADE_UP = "of all light, if RGB stood for smooth spectra"  # a unit of its own: the true spectra are unknown
 EFFECTS = (
     INDIRECT, DEEP, ROULETTE, MEDIA, SPECTRAL_MIS, POLARISATION, SPECTRAL, APERTURE, MOTION,
@@ -63,6 +64,10 @@ class TransportPlan(Plan):
         subframes: Poses that are averaged if motion blur is on.
         seconds: Processor time (on a GPU: time) of a million samples, "planned" and with "everything on"; {} if not
             measured.
+        hide_emitters: Whether lamps and skies are black when seen directly, as a scene's own integrator may want it.
+        tolerance: The share of all light that may be left out; nan if it was not asked.
+        rms: What leaving an effect out costs as an error of pixels, effect -> five numbers: the root mean square over
+            the picture relative to the mean radiance, then within each quarter of it by brightness, darkest first.
         light_weights: How often each light of the scene is picked, relative; () for equally often.
     """
 
@@ -71,6 +76,17 @@ class TransportPlan(Plan):
     subframes: int = 1
     light_weights: tuple[float, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)
+    hide_emitters: bool = False
+    tolerance: float = math.nan
+    rms: dict[str, tuple[float, ...]] = field(default_factory=dict)
+
+    @property
+    def bias(self) -> tuple[float, ...]:
+        """The error of pixels by all that is left out, at most, as the five numbers of `rms`; nan where not known."""
+        if math.isnan(self.bound):
+            return (math.nan,) * 5
+        left = [self.rms.get(e.name) or (e.contribution,) * 5 for e in self.effects if not e.on and e.unit == UNIT]
+        return tuple(float(sum(column)) for column in zip(*left, strict=True)) if left else (0.0,) * 5
 
     @classmethod
     def from_dict(cls, data: dict[str, Any]) -> TransportPlan:
@@ -80,7 +96,10 @@ class TransportPlan(Plan):
         ]
         bound = math.nan if data["bound"] is None else data["bound"]  # null stands for what was not measured
         lights = tuple(data.get("light_weights", ()))
-        made = super().from_dict(data | {"effects": effects, "bound": bound, "light_weights": lights})
+        tolerance = math.nan if data.get("tolerance") is None else data["tolerance"]
+        rms = {name: tuple(math.inf if v is None else v for v in part) for name, part in data.get("rms", {}).items()}
+        numbers = {"bound": bound, "tolerance": tolerance, "rms": rms, "light_weights": lights}
+        made = super().from_dict(data | {"effects": effects} | numbers)
         assert isinstance(made, cls)
         return made
 
@@ -115,7 +134,9 @@ class TransportPlan(Plan):
         kind = "path"
         if self.is_on(MEDIA):
             kind = "volpathmis" if self.is_on(SPECTRAL_MIS) else "volpath"
+        hiding = {"hide_emitters": True} if self.hide_emitters else {}
         depth = self.max_depth if self.is_on(INDIRECT) else DIRECT_DEPTH
         if self.is_on(DEEP) and self.is_on(INDIRECT):
-            return {"type": kind, "max_depth": -1, "rr_depth": self.rr_depth}  # to Mitsuba: without end
-        return {"type": kind, "max_depth": depth, "rr_depth": self.rr_depth if self.is_on(ROULETTE) else depth + 1}
+            return {"type": kind, "max_depth": -1, "rr_depth": self.rr_depth, **hiding}  # to Mitsuba: without end
+        start = self.rr_depth if self.is_on(ROULETTE) else depth + 1
+        return {"type": kind, "max_depth": depth, "rr_depth": start, **hiding}

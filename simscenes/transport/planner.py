@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 
 from sensor_model.plan import Effect
 from simscenes.backend import backend_of, using_variant
 from simscenes.loading.contents import media_in
-from simscenes.loading.load import LoadedScene, build_scene, set_light_weights
+from simscenes.loading.integrator import OwnIntegrator
+from simscenes.loading.load import LoadedScene, build_in_fewest_colors, set_light_weights
 from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.optics import Optics
 from simscenes.render.framing import usual_rig, with_lens
@@ -25,15 +27,17 @@ from simscenes.transport.effects import (
     media_effects,
     motion_effect,
     roulette_effect,
+    screens_before_points,
 )
 from simscenes.transport.lights import light_weights
 from simscenes.transport.pilot import RR_DEPTH, Pilot
 from simscenes.transport.plan import TransportPlan, settle
+from simscenes.transport.plugins import not_understood
 from simscenes.transport.wishes import check_wishes
 
 
 def plan_transport(
-    scene: SceneLike,
+    scene: SceneLike | SceneRef,
     tolerance: float = 0.02,
     *,
     rig: Rig | None = None,
@@ -55,7 +59,7 @@ def plan_transport(
         optics: Camera properties; None for the lens of the scene's own sensor, else a pinhole, at rest and seeing
             linear sRGB.
         force: Effect name -> True or False, decided by the user.
-        max_depth: Longest path, decided by the user.
+        max_depth: Longest path, decided by the user; else that of the scene's own integrator, if it sets one.
         measure: Measure polarisation, where Russian roulette pays, what made-up spectra would change, and the time the
             plan saves, with pilots of their own (some seconds); else polarisation is bounded from the surfaces, where
             that suffices, roulette starts at path length 2, and the rest is not known.
@@ -72,8 +76,8 @@ def plan_transport(
             forced effect does not exist or cannot be simulated.
     """
     source = SceneRef.of(scene)
-    with using_variant(backend_of(variant)) as mi:
-        loaded = build_scene(source, mi, allow_outside=allow_outside)
+    loaded = build_in_fewest_colors(source, backend_of(variant), allow_outside=allow_outside)
+    with using_variant(loaded.variant) as mi:
         if rig is None:
             rig = usual_rig(source, loaded, 8, 64, 64)
         check_cameras(mi, loaded, rig)
@@ -97,12 +101,18 @@ def plan_loaded(
     seed: int = 0,
     allow_outside: bool = False,
 ) -> TransportPlan:
-    """`plan_transport` for a scene that is loaded already, in the RGB variant."""
+    """`plan_transport` for a scene that is loaded already, in the fewest colours it can have."""
     if not 0 < tolerance < 1:
         raise ValueError(f"tolerance is a share of all light and must lie between 0 and 1, got {tolerance}")
-    force, backend = dict(force or {}), backend_of(variant)
-    with using_variant(backend) as mi:
-        p = Pilot(mi, source, loaded, pilot.pilot_rig(rig), backend, tolerance / 5, seed, allow_outside)
+    force, backend, own = dict(force or {}), backend_of(variant), loaded.integrator
+    if own is not None and own.note:
+        warnings.warn(own.note, stacklevel=2)
+    with using_variant(loaded.variant) as mi:
+        small = pilot.pilot_rig(rig)
+        p = Pilot(mi, source, loaded, small, backend, tolerance / 5, seed, allow_outside, base=loaded.color)
+        if own is not None:
+            p = replace(p, hide_emitters=own.hide_emitters)
+            max_depth = own.max_depth if max_depth is None else max_depth
         made = _decide(p, rig, optics, force, max_depth, measure)
         return replace(made, seconds=_measure_seconds(p, made)) if measure else made
 
@@ -112,7 +122,7 @@ def _decide(
 ) -> TransportPlan:
     """All effects, one after the other; the result for one may decide on a later one."""
     mi, loaded = p.mi, p.loaded
-    has_media = bool(media_in(loaded.scene, mi))
+    has_media = bool(media_in(loaded.scene, mi) or screens_before_points(loaded.scene, mi))
     check_wishes(force, max_depth, optics, media=has_media, spectra="spectral" in p.colors)
     weights = light_weights(mi, loaded, p.rig, p.seed)
     set_light_weights(loaded, weights, mi)
@@ -121,21 +131,42 @@ def _decide(
     media = media_effects(p)
     depth, transport = depth_effects(p, media[0].on, pilot.most_reflected(mi, loaded), max_depth)
     rr_depth, roulette = roulette_effect(p, media[0].on, depth, measure)
+    if loaded.integrator is not None and loaded.integrator.rr_depth is not None:
+        rr_depth, reason = loaded.integrator.rr_depth, "by the scene's own integrator; never changes the mean"
+        roulette = replace(roulette, on=True, forced=True, reason=f"from path length {rr_depth}, {reason}")
     colors, made_up = color_effects(p, optics, media[0].on, geometry, transport[0].contribution, measure)
     blur, subframes = motion_effect(geometry, rig, p.rig, optics, scale)
     effects = [*transport, roulette, *media, *colors, aperture_effect(p, geometry, optics, scale), blur]
+    if strange := not_understood(loaded.scene, mi):
+        effects = in_full(effects, p, strange)
     made = TransportPlan(
         effects=settle(effects, force), bound=0.0, unit=UNIT, max_depth=depth, rr_depth=rr_depth, subframes=subframes,
-        light_weights=weights,
+        light_weights=weights, tolerance=5 * p.allowed, rms=dict(p.rms),
+        hide_emitters=p.hide_emitters,
     )  # fmt: skip
     return _bounded(made, made_up)
+
+
+def in_full(effects: list[Effect], p: Pilot, strange: list[str]) -> list[Effect]:
+    """All transport that the scene supports, because it holds plugins that the planner does not understand."""
+    possible = {plan.INDIRECT: True, plan.DEEP: True, plan.ROULETTE: True, plan.MEDIA: True,
+                plan.SPECTRAL: p.loads("spectral") or p.loads("spectral_polarized"),
+                plan.POLARISATION: p.loads("spectral_polarized")}  # fmt: skip
+    who = f"the planner does not know {', '.join(strange)}"
+    return [
+        replace(e, on=on, contribution=math.inf,
+                reason=f"{who}: simulated fully" if on else f"{who}, and the scene cannot be loaded with it")
+        if (on := possible.get(e.name)) is not None
+        else e
+        for e in effects
+    ]  # fmt: skip
 
 
 def everything_on(made: TransportPlan) -> TransportPlan:
     """The same scene with all transport it supports: deep paths, spectra, polarisation, media if it holds any."""
     media = made.is_on(plan.MEDIA) or made[plan.MEDIA].contribution > 0
     wanted = dict.fromkeys((plan.INDIRECT, plan.SPECTRAL, plan.POLARISATION), True) | {plan.MEDIA: media}
-    return replace(made, effects=settle(made.effects, wanted), max_depth=DEEPEST)
+    return replace(made, effects=settle(made.effects, wanted), max_depth=max(made.max_depth, DEEPEST))
 
 
 def _measure_seconds(p: Pilot, made: TransportPlan) -> dict[str, float]:
@@ -149,8 +180,14 @@ def _measure_seconds(p: Pilot, made: TransportPlan) -> dict[str, float]:
     return seconds
 
 
-def default_plan(optics: Optics) -> TransportPlan:
-    """Path tracing in RGB to a depth where nothing is left, media included; nothing is measured, nothing is bounded."""
+def default_plan(optics: Optics, own: OwnIntegrator | None = None) -> TransportPlan:
+    """Path tracing in RGB to a depth where nothing is left, media included; nothing is measured, nothing is bounded.
+
+    Args:
+        optics: Of the cameras; a lens and a motion are simulated.
+        own: What the scene's own integrator asks for.
+    """
+    own = own or OwnIntegrator("path")
     blurred = {plan.APERTURE: optics.aperture_radius is not None, plan.MOTION: optics.motion is not None}
     wanted = {plan.INDIRECT: True, plan.DEEP: False, plan.ROULETTE: True, plan.MEDIA: True, plan.SPECTRAL_MIS: False,
               plan.SPECTRAL: False, plan.POLARISATION: False, **blurred}  # fmt: skip
@@ -160,8 +197,9 @@ def default_plan(optics: Optics) -> TransportPlan:
     )
     frames = 16 if blurred[plan.MOTION] else 1
     return TransportPlan(
-        effects=effects, bound=math.nan, unit=UNIT, max_depth=DEEPEST, rr_depth=RR_DEPTH, subframes=frames
-    )
+        effects=effects, bound=math.nan, unit=UNIT, max_depth=own.max_depth or DEEPEST,
+        rr_depth=own.rr_depth or RR_DEPTH, subframes=frames, hide_emitters=own.hide_emitters,
+    )  # fmt: skip
 
 
 def _bounded(made: TransportPlan, made_up: float | None) -> TransportPlan:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simscenes import camera
-from simscenes.loading.contents import unique_materials
+from simscenes.loading.contents import media_in, unique_materials
 from simscenes.loading.load import LoadedScene
 from simscenes.render.geometry import first_surfaces, pixel_rays
 from simscenes.rigs import Rig
@@ -21,17 +21,37 @@ from simscenes.rigs import Rig
 WAVELENGTHS = camera.WAVELENGTHS[::2]  # nm
 LIGHT_SAMPLES = 16
 MEASURED = re.compile(r"((Irr|R)egularSpectrum|BlackBodySpectrum|SunskyEmitter)\[")  # as Mitsuba prints them
+NAMED = re.compile(rf"(\w+)\s*[=:]\s*{MEASURED.pattern}")  # with the parameter that they are the value of
+MATT = ("reflectance", "diffuse_reflectance")  # what `light_and_surface` multiplies
+METAL = ("eta", "k")
 
 
 def has_measured(mi: Any, loaded: LoadedScene) -> bool:
-    """Whether a scene, loaded in spectra, has a light or a matt surface that was given as a spectrum.
+    """Whether a scene, loaded in spectra, has a light, a surface or a medium that was given as a spectrum.
 
     What was given as RGB has only the smooth spectrum that Mitsuba makes up. Metals do not count: their measured
     indices become RGB once, whatever the light.
     """
     lights = "".join(str(light) for light in loaded.scene.emitters())
+    matt = any(name in MATT for name in _measured_parameters(mi, loaded))
+    return bool(MEASURED.search(lights)) or matt or bool(measured_elsewhere(mi, loaded))
+
+
+def measured_elsewhere(mi: Any, loaded: LoadedScene) -> list[str]:
+    """Where a scene, loaded in spectra, has measured ones besides lights, matt surfaces and metals; in order.
+
+    There no product of light and reflectance says what RGB would cost.
+    """
+    found = {name for name in _measured_parameters(mi, loaded) if name not in (*MATT, *METAL)}
+    if any(MEASURED.search(str(medium)) for medium in media_in(loaded.scene, mi)):
+        found.add("medium")
+    return sorted(found)
+
+
+def _measured_parameters(mi: Any, loaded: LoadedScene) -> set[str]:
+    """Names of the parameters of surfaces whose values are measured spectra."""
     surfaces = "".join(str(shape.bsdf()) for shape in unique_materials(loaded.scene, mi))
-    return bool(MEASURED.search(lights) or re.search(f"reflectance = {MEASURED.pattern}", surfaces))
+    return {match[1] for match in NAMED.finditer(surfaces)}
 
 
 def light_and_surface(mi: Any, loaded: LoadedScene, rig: Rig, seed: int) -> tuple[NDArray[Any], NDArray[Any]]:

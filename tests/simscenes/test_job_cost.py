@@ -13,7 +13,7 @@ import pytest
 from simscenes import Rig, orbit_rig
 from simscenes.job import cost, views
 from simscenes.job.cost import Stopwatch, peak_bytes, predict_seconds, versions
-from simscenes.job.views import Job, render_views
+from simscenes.job.views import QUARTERS, Job, render_views
 
 RIG = orbit_rig(12, 6, 4, 40, radius=3.0)
 
@@ -126,7 +126,7 @@ def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Job]:
         monkeypatch.setattr(views, name, lambda *a: nullcontext())
     monkeypatch.setattr(views, "View", lambda method, rig, i: SimpleNamespace(i=i))
     monkeypatch.setattr(views, "predict_seconds", lambda *a: 300.0)
-    done = {"spp": 8, "relativeError": 0.25, "fireflies": 2}
+    done = {"spp": 8, "relativeError": 0.25, "fireflies": 2, QUARTERS: [0.5] * 4}
     monkeypatch.setattr(views, "_rendered_before", lambda job, i, path, key: done if i == 1 else None)
     radiance, names = iter([40.0, 100.0, 70.0]), ["0000", "0001", "0002", "0003"]
 
@@ -135,15 +135,16 @@ def job(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Job]:
         tick(0.5)
         for stage, seconds in (("radiance", next(radiance)), ("geometry", 10.0), ("write", 1e6)):
             job.watch.seconds[stage] = job.watch.seconds.get(stage, 0.0) + seconds
-        return {"spp": 16 + view.i, "relativeError": 0.5 / (1 + view.i), "fireflies": view.i}
+        return {"spp": 16 + view.i, "relativeError": 0.5 / (1 + view.i), "fireflies": view.i, QUARTERS: [0.5] * 4}
 
     monkeypatch.setattr(views, "_render_view", rendered)
     method = SimpleNamespace(variant="scalar_rgb")
-    config = {"spp": 16, "target_error": None, "optics": {"motion": None}}
+    config = {"spp": 16, "noise_target": None, "optics": {"motion": None}}
+    plan = SimpleNamespace(bias=(0.3, 1.2, 0.0, 0.0, 0.0))
 
     def make(progress: Callable[[int, int, str], None]) -> Job:
         rig = orbit_rig(4, 6, 4, 40, radius=3.0)
-        return Job(method, None, "scalar", rig, tmp_path, names, config, "d", None, Stopwatch(), progress)  # type: ignore[arg-type]
+        return Job(method, plan, None, "scalar", rig, tmp_path, names, config, "d", None, Stopwatch(), progress)  # type: ignore[arg-type]
 
     return make
 
@@ -161,27 +162,29 @@ def test_the_time_left_follows_the_views_that_are_done(job: Callable[..., Job]) 
         (2, 4, "view 0002, 50%, about 75 s left"),
         (3, 4, "view 0003, 0%, about 80 s left"),
         (3, 4, "view 0003, 50%, about 40 s left"),
-        (4, 4, "images; 7 fireflies, see set.json"),
+        (4, 4, "images; error 58.31% (noise 50.00%), 130.00% in the darkest quarter; 7 fireflies, see set.json"),
     ]
-    assert found == {
-        "0000": {"spp": 16, "relative_error": 0.5, "fireflies": 0},
-        "0001": {"spp": 8, "relative_error": 0.25, "fireflies": 2},
-        "0002": {"spp": 18, "relative_error": 0.5 / 3, "fireflies": 2},
-        "0003": {"spp": 19, "relative_error": 0.125, "fireflies": 3},
-    }
+    told = {name: (view["spp"], view["relative_error"], view["fireflies"]) for name, view in found.items()}
+    assert told == {"0000": (16, 0.5, 0), "0001": (8, 0.25, 2), "0002": (18, 0.5 / 3, 2), "0003": (19, 0.125, 3)}
+    assert found["0003"]["error"] == pytest.approx(np.hypot(0.125, 0.3))
+    assert found["0003"]["noise_by_brightness"] == [0.5] * 4
+    assert found["0003"]["error_by_brightness"] == pytest.approx([1.3, 0.5, 0.5, 0.5])
 
 
 def test_nothing_is_predicted_where_nothing_is_missing(
     job: Callable[..., Job], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """And of the files in the folder only views of a larger set are removed."""
-    monkeypatch.setattr(views, "_rendered_before", lambda *a: {"spp": 8, "relativeError": 0.25, "fireflies": 0})
+    monkeypatch.setattr(
+        views, "_rendered_before", lambda *a: {"spp": 8, "relativeError": 0.25, "fireflies": 0, QUARTERS: [0.5] * 4}
+    )
     (tmp_path / "gt").mkdir()
     for name in ("0003.exr", "0004.exr", "notes.exr", "0004.txt"):
         (tmp_path / "gt" / name).write_bytes(b"")
     said: list[tuple[int, int, str]] = []
     assert render_views(job(lambda *what: said.append(what)))[1] == 0
-    assert said == [(4, 4, "images")]
+    assert [what[:2] for what in said] == [(4, 4)]
+    assert said[0][2].startswith("images; error ")
     assert sorted(path.name for path in (tmp_path / "gt").iterdir()) == ["0003.exr", "0004.txt", "notes.exr"]
 
 
@@ -200,6 +203,10 @@ def test_a_view_is_written_with_its_variance_and_without_negative_light(
     one = job(lambda *what: None)
     object.__setattr__(one, "store", SimpleNamespace(put=lambda i, channels: kept.update({i: channels})))
     header = views._render_view(one, view, tmp_path / "v.exr", "the key", lambda part: None)  # type: ignore[arg-type]
+    quarters = header.pop(QUARTERS)  # of the pixels as they are written, none below zero
+    light, noise = np.maximum(mean, 0).mean(-1).ravel(), variance.mean(-1).ravel()
+    for quarter, chosen in zip(quarters, np.array_split(np.argsort(light, kind="stable"), 4), strict=True):
+        assert quarter == pytest.approx(np.sqrt(noise[chosen].mean()) / light[chosen].mean())
     assert written == {"path": tmp_path / "v.exr", **header}
     assert np.array_equal(header.pop("worldToCamera"), one.rig.viewmats[2].astype(np.float32))
     assert header == {"spp": 16, "relativeError": 0.5, "fireflies": 3, "novagsKey": "the key"}

@@ -1,6 +1,7 @@
 """Three channels, wavelengths or polarisation: what each decision makes of the numbers it is given."""
 
 from contextlib import nullcontext
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -41,6 +42,7 @@ def made_for_rgb(**more: Any) -> Pilot:
 @pytest.fixture(autouse=True)
 def no_renderer(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pilot, "using_variant", lambda backend, color: nullcontext(f"{backend}_{color}"))
+    monkeypatch.setattr(colors, "filters_in", lambda scene, mi: [])
 
 
 @pytest.fixture
@@ -211,7 +213,7 @@ def test_polarisation_is_followed_if_it_changes_more_than_the_spectra_made_up_fo
 ) -> None:  # fmt: skip
     """It changes 0.1."""
     cost(0.1, 0.3)
-    monkeypatch.setattr(colors, "spectral_effect", lambda p, o, i, m: (decision("s", spectral), made_up))
+    monkeypatch.setattr(colors, "spectral_effect", lambda *a: (decision("s", spectral), made_up))
     monkeypatch.setattr(colors, "polarisation_effect", lambda *a: decision("p", True, 0.1))
     (polarisation, other), found = color_effects(
         pilots("market" if measured else "cornell", backend=backend), Optics(), False, [], 0.25, True
@@ -219,3 +221,54 @@ def test_polarisation_is_followed_if_it_changes_more_than_the_spectra_made_up_fo
     assert (polarisation.name, polarisation.on, other.name) == ("p", then, "s")
     assert found == (None if told is None else pytest.approx(told))
     assert polarisation.reason == ("found" if then else f"found; it takes made-up spectra, which change {told:.1%}")
+
+
+@pytest.mark.parametrize("measured", [True, False])
+def test_what_filters_change_is_measured_and_kept_whatever_spectra_change(
+    measured: bool, surfaces: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Their materials have no lobe that polarises, only one that passes light straight on."""
+    surfaces(DIFFUSE, 0x1)
+    monkeypatch.setattr(colors, "filters_in", lambda scene, mi: ["LinearPolarizer"])
+    monkeypatch.setattr(colors, "spectral_effect", lambda *a: (decision("s", False), 0.9))
+    light = {"in spectra": 1.0, "polarised": 1.1}
+    monkeypatch.setattr(pilot, "render_pilot", lambda mi, loaded, *a: np.full((2, 3, 4, 3), light[loaded]))
+    (found, _), _ = color_effects(pilots(), Optics(), False, [], 0.25, measured)
+    assert found.on
+    assert found.contribution == pytest.approx(0.1)
+    (lost, _), _ = color_effects(made_for_rgb(), Optics(), False, [], 0.25, measured)
+    assert (lost.on, lost.contribution) == (False, np.inf)
+    assert lost.reason == "the scene holds LinearPolarizer, but holds objects made for rgb, and cannot have others"
+
+
+def test_what_rgb_cannot_load_is_followed_in_spectra(surfaces: Any) -> None:
+    surfaces(MIRROR)
+    p = pilots()
+    loaded: Any = SimpleNamespace(scene="scene", demand="it needs spectra")
+    for base, polarised in (("spectral", False), ("spectral_polarized", True)):
+        other = replace(p, base=base, loaded=loaded)
+        effect, made_up = spectral_effect(other, Optics(), 0.25, True)
+        assert (effect.on, effect.contribution, made_up) == (True, np.inf, None)
+        assert effect.reason == "RGB cannot load it: it needs spectra"
+        if polarised:
+            assert polarisation_effect(other, False, [], True).reason == "nothing less can load it: it needs spectra"
+
+
+def test_measured_spectra_of_anything_but_matt_surfaces_are_compared_in_pilots(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    p = pilots()
+    monkeypatch.setattr(spectra, "has_measured", lambda mi, loaded: True)
+    monkeypatch.setattr(spectra, "measured_elsewhere", lambda mi, loaded: ["medium", "transmittance"])
+    light = {"in spectra": 1.2}
+    monkeypatch.setattr(
+        pilot,
+        "render_pilot",
+        lambda mi, loaded, *a: np.full((2, 3, 4, 3), light.get(loaded, 1.0) if isinstance(loaded, str) else 1.0),
+    )
+    effect, _ = spectral_effect(p, Optics(), 0.25, False)
+    assert effect.on
+    assert effect.contribution == pytest.approx(0.2)
+    assert effect.reason == (
+        "measured spectra as medium, transmittance: paired pilots in RGB and in spectra differ by 20.00%"
+    )

@@ -144,6 +144,7 @@ def test_media_count_by_what_they_change(
 
 def test_without_media_there_is_nothing_to_follow(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(effects, "media_in", lambda scene, mi: [])
+    monkeypatch.setattr(effects, "screens_before_points", lambda scene, mi: [])
     found = [(e.on, e.contribution, e.bound) for e in media_effects(pilots())]
     assert found == [(False, 0, 0.004), (False, 0, 0)]
 

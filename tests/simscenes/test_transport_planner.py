@@ -5,11 +5,13 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from sensor_model.plan import Effect
 from simscenes import Optics, Rig, orbit_rig
 from simscenes.job import render_set as rendering
+from simscenes.loading.integrator import OwnIntegrator
 from simscenes.loading.reference import SceneRef
 from simscenes.transport import pilot, planner
 from simscenes.transport.plan import EFFECTS, MADE_UP, TransportPlan
@@ -17,6 +19,7 @@ from simscenes.transport.plan import EFFECTS, MADE_UP, TransportPlan
 RIG = orbit_rig(9, 128, 96, 40, radius=3.0)
 SOURCE = SceneRef.of("cornell")
 OPTICS = Optics(aperture_radius=0.1, focus_distance=2.0, motion=0.5)
+LOADED: Any = SimpleNamespace(scene="scene", variant="wide_rgb", color="rgb", integrator=None)
 
 
 def decision(name: str, on: bool = False, contribution: float = 0.0) -> Effect:
@@ -40,6 +43,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     monkeypatch.setattr(planner, "backend_of", lambda variant: f"{variant} backend")
     monkeypatch.setattr(planner, "geometry_channels", lambda mi, loaded, rig, i: (rig.width, i))
     step("media_in", ["fog"])
+    step("not_understood", [])
     step("check_wishes", None)
     step("light_weights", (0.25, 0.75))
     step("set_light_weights", None)
@@ -59,7 +63,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
 
 
 def planned(**more: Any) -> TransportPlan:
-    loaded: Any = SimpleNamespace(scene="scene")
+    loaded = more.pop("loaded", LOADED)
     settings: dict[str, Any] = {"rig": RIG, "optics": OPTICS, "seed": 5, "variant": "wide"} | more
     return planner.plan_loaded(SOURCE, loaded, 0.03, **settings)
 
@@ -98,18 +102,22 @@ def test_a_plan_without_measurements_takes_no_time(asked: dict[str, Any]) -> Non
 def test_a_scene_is_loaded_and_its_cameras_checked_before_it_is_planned(monkeypatch: pytest.MonkeyPatch) -> None:
     """Without cameras it gets eight usual ones, and without optics the lens of its own sensor."""
     done: list[Any] = []
-    monkeypatch.setattr(planner, "using_variant", lambda backend: nullcontext("mi"))
+    monkeypatch.setattr(planner, "using_variant", lambda variant: nullcontext(f"mi in {variant}"))
     monkeypatch.setattr(planner, "backend_of", lambda variant: "backend")
-    monkeypatch.setattr(planner, "build_scene", lambda source, mi, allow_outside: (source.name, mi, allow_outside))
+    loaded: Any = SimpleNamespace(variant="backend_spectral")
+    asked: list[Any] = []
+    monkeypatch.setattr(
+        planner, "build_in_fewest_colors", lambda *a, **more: asked.append((*a, *more.values())) or loaded
+    )
     monkeypatch.setattr(planner, "usual_rig", lambda *a: ("usual", *a))
     monkeypatch.setattr(planner, "check_cameras", lambda *a: done.append(a))
     monkeypatch.setattr(planner, "with_lens", lambda optics, loaded, mi: ("lens", optics))
     monkeypatch.setattr(planner, "plan_loaded", lambda *a, **settings: (a, settings))
-    loaded = ("cornell", "mi", True)
     given, settings = planner.plan_transport("cornell", 0.1, seed=3, allow_outside=True, max_depth=9)
     usual = ("usual", SOURCE, loaded, 8, 64, 64)
     assert given == (SOURCE, loaded, 0.1)
-    assert done == [("mi", loaded, usual)]
+    assert asked == [(SOURCE, "backend", True)]
+    assert done == [("mi in backend_spectral", loaded, usual)]
     assert settings == {
         "rig": usual, "optics": ("lens", None), "force": None, "max_depth": 9, "measure": True, "variant": "auto",
         "seed": 3, "allow_outside": True,
@@ -144,9 +152,9 @@ def test_a_job_plans_as_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rendering, "plan_loaded", lambda *a, **settings: (a, settings))
 
     def plan(wanted: Any) -> Any:
-        return rendering._make_plan(SOURCE, "loaded", RIG, OPTICS, wanted, {"seed": 3})  # type: ignore[arg-type]
+        return rendering._make_plan(SOURCE, LOADED, RIG, OPTICS, wanted, {"seed": 3})  # type: ignore[arg-type]
 
-    assert plan("auto") == ((SOURCE, "loaded"), {"rig": RIG, "optics": OPTICS, "seed": 3})
+    assert plan("auto") == ((SOURCE, LOADED), {"rig": RIG, "optics": OPTICS, "seed": 3})
     assert plan("rgb").integrator() == made.integrator()
     assert plan("rgb").is_on("motion blur")
     assert plan(made) is made
@@ -166,8 +174,8 @@ def test_long_jobs_measure_everything(
     spp: int | None, quality: float | None, rows: int, measured: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """12 views of 100 x 98 pixels at 256 samples, which stand for any error too, are 3.01e7; 97 rows fewer than 3e7."""
-    loaded = SimpleNamespace(name="custom", digest="d")
-    monkeypatch.setattr(rendering, "build_scene", lambda *a, **settings: loaded)
+    loaded = SimpleNamespace(name="custom", digest="d", variant="rgb")
+    monkeypatch.setattr(rendering, "build_in_fewest_colors", lambda *a, **settings: loaded)
     monkeypatch.setattr(rendering, "with_lens", lambda optics, loaded, mi: Optics())
     monkeypatch.setattr(rendering, "using_variant", lambda variant: nullcontext("mi"))
     monkeypatch.setattr(rendering, "usual_rig", lambda source, loaded, *size: orbit_rig(12, 100, rows, 40, radius=3.0)
@@ -187,14 +195,14 @@ def test_long_jobs_measure_everything(
 def test_a_job_says_what_it_rendered_with() -> None:
     """Facts in set.json, besides what was asked and what each view came to."""
     watch = SimpleNamespace(with_earlier=lambda: {"load": 2.0})
-    surfaces = SimpleNamespace(shapes=("floor", "ball"), materials=("paint",))
+    surfaces = SimpleNamespace(shapes=("floor", "ball"), materials=("paint",), demand="")
     job: Any = SimpleNamespace(surfaces=surfaces, rig=RIG, watch=watch, method=SimpleNamespace(variant="llvm_ad_rgb"))
     made = planner.default_plan(Optics())
     found = rendering._facts(job, made)
     assert (found["n_views"], found["width"], found["height"], found["kind"]) == (9, 128, 96, "rendered")
     assert (found["shapes"], found["materials"], found["seconds"]) == (["floor", "ball"], ["paint"], {"load": 2.0})
     assert found["integrator"] == made.integrator()
-    assert found["plan"]["bound"] is None
+    assert np.isnan([found["plan"]["bound"], *found["left_out"]]).all()  # null in the file
     assert found["mitsuba_variant"] == "llvm_ad_rgb"
 
 
@@ -205,3 +213,20 @@ def test_layouts_are_written_into_folders_of_their_names(tmp_path: Path, monkeyp
     views: Any = SimpleNamespace(path=tmp_path)
     assert rendering._exported(views, ("c", "a")) is views
     assert written == [("c", tmp_path / "c"), ("a", tmp_path / "a")]
+
+
+def test_the_scenes_own_integrator_is_kept_unless_overridden(asked: dict[str, Any]) -> None:
+    own = OwnIntegrator("path", max_depth=12, rr_depth=7, hide_emitters=True)
+    loaded = SimpleNamespace(scene="scene", variant="wide_rgb", color="rgb", integrator=own)
+    made = planned(loaded=loaded)
+    assert asked["depth_effects"][3] == 12
+    assert (made.rr_depth, made.hide_emitters) == (7, True)
+    assert asked["depth_effects"][0].hiding == {"hide_emitters": True}
+    assert made["Russian roulette"].forced
+    planned(loaded=loaded, max_depth=9)
+    assert asked["depth_effects"][3] == 9
+    other = SimpleNamespace(scene="scene", variant="wide_rgb", color="rgb", integrator=OwnIntegrator("x", lost=("y",)))
+    with pytest.warns(UserWarning, match="own integrator these are not kept: y; the plan chooses instead"):
+        planned(loaded=other)
+    plain = planner.default_plan(Optics(), own)
+    assert plain.integrator() == {"type": "volpath", "max_depth": 12, "rr_depth": 7, "hide_emitters": True}

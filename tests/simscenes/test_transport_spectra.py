@@ -1,5 +1,7 @@
 """Spectra of light and surfaces, and light by two mirrors in a row, against sums and rays written out."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -8,6 +10,7 @@ from simscenes.backend import activate, using_variant
 from simscenes.camera import camera_color, daylight, srgb_curves
 from simscenes.loading.load import build_scene
 from simscenes.rigs import intrinsics, look_at
+from simscenes.transport import spectra
 from simscenes.transport.spectra import WAVELENGTHS, color_error, light_and_surface
 from simscenes.transport.specular import chained_light
 
@@ -138,3 +141,25 @@ def test_every_seed_and_every_view_follows_mirrored_paths_of_its_own() -> None:
     found = [light(1, 0), light(1, 1), light(2, 0)]
     assert min(abs(a - b) for a, b in zip(found, found[1:] + found[:1], strict=True)) > 1e-6
     assert found == pytest.approx([found[0]] * 3, rel=0.2)
+
+
+def test_measured_spectra_are_found_wherever_they_are() -> None:
+    """What is behind a mask is found too; a metal's indices do not count."""
+    pairs = {"type": "spectrum", "value": [(400, 0.1), (550, 0.2), (600, 0.9), (700, 0.9)]}
+    cloud = {"type": "homogeneous", "sigma_t": pairs, "albedo": 0.5}
+    cases: list[tuple[dict[str, Any], list[str], bool]] = [
+        ({"bsdf": {"type": "diffuse", "reflectance": pairs}}, [], True),
+        ({"bsdf": {"type": "plastic", "diffuse_reflectance": pairs}}, [], True),
+        ({"bsdf": {"type": "conductor", "material": "Au"}}, [], False),
+        ({"bsdf": {"type": "mask", "b": {"type": "dielectric", "specular_transmittance": pairs}}},
+         ["specular_transmittance"], True),
+        ({"bsdf": {"type": "principled", "base_color": pairs}}, ["base_color"], True),
+        ({"bsdf": {"type": "null"}, "interior": cloud}, ["medium"], True),
+        ({"bsdf": {"type": "plastic"}}, [], False),
+    ]  # fmt: skip
+    with using_variant("scalar", "spectral") as mi:
+        for parts, elsewhere, measured in cases:
+            scene = {"type": "scene", "ball": {"type": "sphere", **parts}, "sky": {"type": "constant"}}
+            loaded = build_scene(scene, mi)
+            assert spectra.measured_elsewhere(mi, loaded) == elsewhere
+            assert spectra.has_measured(mi, loaded) == measured

@@ -42,6 +42,9 @@ class RenderConfig:
     max_depth: int | None = None  # longest path of light, as Mitsuba counts; None: as long as the plan finds worthwhile
     optics: Optics = field(default_factory=Optics)  # lens (None: a file's own, else a pinhole), motion, colour filters
     allow_outside: bool = False  # let a Mitsuba file read files outside its folder
+    parameters: tuple[str, ...] = ()  # "name=value": what the $names of a Mitsuba file stand for
+    sensor_index: int = 0  # which of a Mitsuba file's sensors the cameras are placed around, from 0
+    own_cameras: bool = False  # all of a Mitsuba file's sensors are the views; their number is not n_views then
     export: tuple[str, ...] = ()  # further layouts of the set: "blender", "llff"
     seed: int = 0
 
@@ -72,6 +75,9 @@ class RenderConfig:
     def resolved(self) -> dict[str, Any]:
         """What determines the pixels, apart from the content of the scene: neither its path nor further layouts."""
         kept = {name: value for name, value in asdict(self).items() if name != "export"}
+        for name in ("parameters", "sensor_index", "own_cameras"):
+            if not kept[name]:
+                del kept[name]  # what was rendered before these could be said stays valid
         return kept | {"scene": self.source.name}
 
     @property
@@ -79,9 +85,9 @@ class RenderConfig:
         """The scene of the catalogue, or the Mitsuba file.
 
         Raises:
-            ValueError: If no scene of the catalogue has that name.
+            ValueError: If no scene of the catalogue has that name, or it cannot have the parameters or the sensor.
         """
-        return SceneRef.of(self.scene)
+        return SceneRef.of(self.scene).given(self.parameters, self.sensor_index)
 
 
 def render(
@@ -121,7 +127,7 @@ def scene_digest(config: RenderConfig) -> str:
     source = config.source
     if source.path is None:
         return source.name
-    files = check_xml(source.path, allow_outside=config.allow_outside)
+    files = check_xml(source.path, allow_outside=config.allow_outside, parameters=source.parameters)
     return digest([hashlib.blake2b(named.read_bytes()).hexdigest() for named in files if named.is_file()])
 
 
@@ -149,7 +155,7 @@ def render_views(out: Path, config: RenderConfig, rig: Rig, plan: Plan | str, co
 
     with console.progress("render") as progress, warnings_as_notes(console):
         render_set(
-            config.scene, rig, out, spp=config.spp, target_error=config.target_error, plan=plan,
+            config.source, rig, out, spp=config.spp, target_error=config.target_error, plan=plan,
             optics=config.optics, variant=config.variant, seed=config.seed, allow_outside=config.allow_outside,
             progress=progress,
         )  # fmt: skip
@@ -180,7 +186,7 @@ def plan_of(config: RenderConfig, tolerance: float = 0.02) -> Plan:
     from simscenes import plan_transport
 
     return plan_transport(
-        config.scene, tolerance, rig=rig_of(config), optics=config.optics, variant=config.variant,
+        config.source, tolerance, rig=rig_of(config), optics=config.optics, variant=config.variant,
         max_depth=config.max_depth, seed=config.seed,
         force=dict.fromkeys(config.on, True) | dict.fromkeys(config.off, False), allow_outside=config.allow_outside,
     )  # fmt: skip
@@ -192,9 +198,17 @@ def rig_of(config: RenderConfig) -> Rig:
     Raises:
         ValueError: If the scene is unknown, cannot be loaded, or has no camera to start from.
     """
-    from simscenes import default_rig, fit_rig
+    from simscenes import default_rig, fit_rig, own_cameras
 
-    size = (config.n_views, config.width, config.height)
-    if config.source.in_catalogue:
-        return default_rig(config.scene, *size)
-    return fit_rig(config.scene, *size, allow_outside=config.allow_outside)
+    source, size = config.source, (config.width, config.height)
+    if source.in_catalogue:
+        if config.own_cameras:
+            raise ValueError(f"scene {config.scene!r} is of the catalogue: it has no cameras of its own to use")
+        return default_rig(config.scene, config.n_views, *size)
+    if not config.own_cameras:
+        return fit_rig(source, config.n_views, *size, allow_outside=config.allow_outside)
+    rig = own_cameras(source, *size, allow_outside=config.allow_outside)
+    if len(rig) < 3:
+        raise ValueError(f"scene {config.scene} has {len(rig)} sensors: its own cameras must be 3 or more (one is held "
+                         "out, two are trained on); leave own_cameras out for cameras around one of them")  # fmt: skip
+    return rig

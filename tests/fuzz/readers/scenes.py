@@ -13,7 +13,9 @@ from tests.fuzz.case import Reader
 
 SCENE = """<scene version="3.0.0">
   <default name="size" value="12"/>
-  <integrator type="path"><integer name="max_depth" value="4"/></integrator>
+  <integrator type="aov"><string name="aovs" value="d:depth"/><integrator type="path">
+    <integer name="max_depth" value="4"/><integer name="rr_depth" value="3"/>
+    <boolean name="hide_emitters" value="true"/></integrator></integrator>
   <sensor type="perspective"><float name="fov" value="45"/>
     <transform name="to_world"><lookat origin="0,-4,1.5" target="0,0,0.5" up="0,0,1"/></transform>
     <film type="hdrfilm"><integer name="width" value="$size"/><integer name="height" value="9"/>
@@ -80,6 +82,24 @@ def read(folder: Path, file: Path) -> None:
     own_rig(loaded, mi, 4, 3)
 
 
+def make_given(folder: Path) -> None:
+    """The scene, and what is given for its parameters: a line each."""
+    make(folder)
+    (folder / "given.txt").write_text("size=14\n")
+
+
+def read_given(folder: Path, file: Path) -> None:
+    """Load with the parameters of the file, as from the command line."""
+    from simscenes.backend import activate
+    from simscenes.loading.load import build_scene
+    from simscenes.loading.reference import SceneRef
+    from simscenes.render.framing import own_rig
+
+    given = file.read_text("utf-8", "replace").splitlines()
+    mi = activate()
+    own_rig(build_scene(SceneRef.of(folder / "scene.xml").given(given), mi), mi, 4, 3)
+
+
 BALL = '<shape type="sphere" id="b">{}</shape>'
 SENSOR = '<sensor type="perspective">{}</sensor>'
 
@@ -140,4 +160,7 @@ def _mitsuba() -> None:
 
 
 FILES = ("scene.xml", "m.ply", "m.obj", "m.serialized", "t.png", "e.exr")
-READERS = [Reader("Mitsuba scene", make, read, FILES, also=bare, share=1.5, prepare=_mitsuba)]
+READERS = [
+    Reader("Mitsuba scene", make, read, FILES, also=bare, share=1.5, prepare=_mitsuba),
+    Reader("Mitsuba parameters", make_given, read_given, ("given.txt",), prepare=_mitsuba),
+]

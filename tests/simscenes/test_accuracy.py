@@ -1,0 +1,87 @@
+"""The error that a render claims covers noise and what the plan leaves out, and says so before it starts."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sensor_model.plan import Effect
+from simscenes import Optics
+from simscenes.job.accuracy import claimed, noise_by_brightness, noise_target, summary, warnings_about
+from simscenes.transport import pilot
+from simscenes.transport.plan import EFFECTS, TransportPlan
+from simscenes.transport.planner import default_plan
+
+
+def plan(bound: float = 0.0, rms: tuple[float, ...] = (0.0,) * 5) -> TransportPlan:
+    """Paths beyond the depth are left out; everything else is on."""
+    effects = tuple(
+        Effect(name=name, on=name != "paths beyond max_depth", forced=False, contribution=bound, bound=0.004,
+               unit="of all light", reason="max_depth 64") for name in EFFECTS
+    )  # fmt: skip
+    return TransportPlan(
+        effects=effects, bound=bound, unit="of all light", max_depth=64, rr_depth=2, tolerance=0.02,
+        rms={"paths beyond max_depth": rms, "indirect light": (9.0,) * 5},
+    )  # fmt: skip
+
+
+def test_noise_is_told_for_each_quarter_by_its_own_light() -> None:
+    """16 pixels of 1 to 16, mixed, each with a variance of 4: of the darkest four the mean is 2.5."""
+    light = np.random.default_rng(0).permutation(np.arange(1.0, 17)).reshape(4, 4)
+    channels = {c: light for c in "RGB"} | {f"var.{c}": np.full((4, 4), 4.0) for c in "RGB"}
+    assert noise_by_brightness(channels) == pytest.approx([2 / 2.5, 2 / 6.5, 2 / 10.5, 2 / 14.5])
+    black = {c: np.zeros((4, 4)) for c in channels}
+    assert noise_by_brightness(black) == [0.0] * 4
+
+
+def test_bias_and_noise_add_as_squares() -> None:
+    made = plan(0.01, (0.04, 0.4, 0.0, 0.03, 0.12))
+    found = claimed(0.03, [0.3, 0.1, 0.04, 0.05], made)
+    assert found["relative_error"] == 0.03
+    assert found["error"] == pytest.approx(0.05)
+    assert found["noise_by_brightness"] == [0.3, 0.1, 0.04, 0.05]
+    assert found["error_by_brightness"] == pytest.approx([0.5, 0.1, 0.05, 0.13])
+    unknown = claimed(0.03, [0.3] * 4, default_plan(Optics()))
+    assert math.isnan(unknown["error"])
+    assert summary({"0000": found}) == "error 5.00% (noise 3.00%), 50.00% in the darkest quarter"
+    assert summary({"0000": unknown}) == "noise 3.00% (what is left out was not asked), 30.00% in the darkest quarter"
+
+
+def test_only_what_is_left_out_counts() -> None:
+    made = plan(0.01, (0.04,) * 5)
+    assert made.bias == (0.04,) * 5
+    assert replace(made, rms={}).bias == (0.01,) * 5  # nothing better is known than the share of all light
+    assert made.force(off=["indirect light"]).bias[0] != made.bias[0]
+    assert TransportPlan.from_dict(made.to_dict()) == made
+
+
+@pytest.mark.parametrize(("bias", "noise"), [(0.0, 0.05), (0.03, 0.04), (0.05, 0.05), (math.inf, 0.05)])
+def test_samples_make_up_for_what_the_plan_leaves_out_while_they_can(bias: float, noise: float) -> None:
+    assert noise_target(0.05, plan(0.01, (bias,) * 5)) == pytest.approx(noise)
+
+
+def test_too_much_that_is_left_out_is_said_at_once() -> None:
+    assert warnings_about(plan(0.019, (0.01,) * 5), 0.05) == []
+    assert warnings_about(plan(0.019, (0.04,) * 5), None) == []
+    (reaches,) = warnings_about(plan(0.019, (0.04,) * 5), 0.05)
+    assert reaches.startswith("what the plan leaves out may be an error of 4.00% by itself: samples reach the target")
+    (much,) = warnings_about(plan(0.09), 0.05)
+    assert much == (
+        "the plan leaves out up to 9.00% of the light, more than the 2.00% allowed, most of it by 'paths beyond "
+        "max_depth' (max_depth 64); set.json counts it into the error"
+    )
+    assert warnings_about(plan(math.inf), None)[0].startswith("the plan leaves out an unknown share of the light")
+    assert warnings_about(default_plan(Optics()), 0.01) == []
+
+
+def test_where_light_is_missing_is_told_from_noise() -> None:
+    """A quarter of the picture, the brightest, lacks a tenth; noise of the same size adds little."""
+    full = np.repeat(np.array([1.0, 2.0, 3.0, 4.0]), 16)[None, None, :, None] * np.ones((2, 32, 64, 3))
+    lacking = np.where(full == 4.0, 0.4, 0.0)
+    exact = pilot.root_mean_squares(lacking, full)
+    assert exact == pytest.approx((0.2 / 2.5, 0.0, 0.0, 0.0, 0.1))
+    noise = np.random.default_rng(0).standard_normal((2, 32, 64, 1)) * 0.4
+    assert pilot.root_mean_squares(lacking + noise, full) == pytest.approx(exact, abs=0.04)
+    assert pilot.scaled((0.1, 0.2, 0.0, 0.0, 0.0), 0.03, 0.01) == pytest.approx((0.3, 0.6, 0, 0, 0))
+    assert pilot.scaled((0.1,) * 5, 0.03, 0.0) == (0.03,) * 5
