@@ -83,7 +83,7 @@ def estimate_cameras(
         dark: [C, h, w, 3] their dark images, 0..1; points take their colours from these.
         pictures: [C, h, w, 3] uint8, what `sfm` and `vggt` look at: those that `config.pictures` names. None: `dark`
             as 8-bit codes, which is what "raw" means.
-        n_points: Maximum number of points.
+        n_points: How many points; `vggt` has at most one for each pixel.
         seed: Of every random choice.
         device: Where a network runs.
         progress: Called with (done, total, what), by `sfm`.

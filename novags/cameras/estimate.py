@@ -1,6 +1,6 @@
 """What every camera source returns: cameras for the views it could place, and points to start from, in one frame."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import torch
@@ -23,6 +23,7 @@ class CameraEstimate:
         points: [P, 3] float32, units of the source's frame.
         colors: [P, 3] float32, 0..1, as the dark images show them.
         extent: 1.1 times the largest distance of a camera from the mean camera, units of the source's frame.
+        made_of: Where the points come from, in words that complete "8000 points", and how many of each.
 
     Raises:
         ValueError: If shapes disagree, positions do not increase, or a value is not finite.
@@ -34,6 +35,7 @@ class CameraEstimate:
     points: Tensor
     colors: Tensor
     extent: float
+    made_of: dict[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         count, shapes = len(self.registered), [list(v.shape) for v in (self.viewmats, self.Ks, self.points)]
@@ -50,7 +52,14 @@ class CameraEstimate:
 
 
 def as_estimate(
-    registered: tuple[int, ...], viewmats: Array, Ks: Array, points: Array, colors: Array, extent: float | None = None
+    registered: tuple[int, ...],
+    viewmats: Array,
+    Ks: Array,
+    points: Array,
+    colors: Array,
+    extent: float | None = None,
+    *,
+    made_of: dict[str, int],
 ) -> CameraEstimate:
     """The estimate as tensors of its types; `extent` None: that of the cameras themselves."""
     return CameraEstimate(
@@ -60,6 +69,7 @@ def as_estimate(
         points=torch.tensor(points, dtype=torch.float32),
         colors=torch.tensor(colors, dtype=torch.float32),
         extent=extent_of(viewmats) if extent is None else extent,
+        made_of={what: count for what, count in made_of.items() if count},
     )
 
 

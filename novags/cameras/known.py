@@ -11,7 +11,8 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from novags.cameras.estimate import Array, CameraEstimate, as_estimate, centers_of, extent_of
-from novags.cameras.points import averaged, seen_colors, subset, unproject
+from novags.cameras.first import from_depths, from_model, from_pictures
+from novags.cameras.points import averaged
 from simscenes.sets.multiview import MultiviewSet
 
 
@@ -38,13 +39,13 @@ def known(
     config: KnownConfig | None = None,
     seed: int = 0,
 ) -> CameraEstimate:
-    """Cameras of the given views, and points from depth, else from the sparse model, else at random.
+    """Cameras of the given views, and points from depth, else from the sparse model, else from the pictures alone.
 
     Args:
         multiview: The set.
         indices: Views to use, the training views.
         colors_from: [C, h, w, 3] dark images of those views, 0..1. Never the lit ones.
-        n_points: Maximum number of points.
+        n_points: Number of points.
         config: The errors; None: exact.
         seed: Of the errors and of the choice of points.
 
@@ -70,15 +71,16 @@ def known(
     depths = _depths(multiview, indices)
     if depths is not None:
         factors = np.exp(config.depth_error * rng.standard_normal(len(indices)))
-        points, colors = _lift(depths * factors[:, None, None], images, moved, Ks, n_points, rng)
+        first = from_depths(depths * factors[:, None, None], images, moved, Ks, n_points, rng)
+    elif (sparse := multiview.points()) is not None:
+        first = from_model(sparse.xyz, images, moved, Ks, n_points, rng)
     else:
-        sparse = multiview.points()
-        points = _random_points(moved, n_points, rng) if sparse is None else subset(sparse.xyz, n_points, rng)
-        colors = seen_colors(points, images, moved, Ks)
+        first = from_pictures(images, moved, Ks, n_points, rng)
     # Moving by zero would round the last bit: without errors the cameras are exactly the set's own, and the points stay
     # those that a seed has always given.
     viewmats = moved if config.rotation_deg or config.translation else exact
-    return as_estimate(tuple(range(len(indices))), viewmats, Ks, points, averaged(points, colors), extent)
+    colors = averaged(first.xyz, first.colors)
+    return as_estimate(tuple(range(len(indices))), viewmats, Ks, first.xyz, colors, extent, made_of=first.made_of)
 
 
 def perturb(viewmats: Array, rotation_deg: float, translation: float, rng: np.random.Generator) -> Array:
@@ -99,24 +101,3 @@ def _depths(multiview: MultiviewSet, indices: list[int]) -> Array | None:
     if len(depths) < len(indices) or not any(np.isfinite(z).any() for z in depths):
         return None
     return np.stack(depths)
-
-
-def _lift(
-    depths: Array, images: np.ndarray, viewmats: Array, Ks: Array, count: int, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """World points and colours of randomly chosen pixels that show a surface."""
-    view, y, x = subset(np.argwhere(np.isfinite(depths) & (depths > 0)), count, rng).T
-    pixels = np.stack([x, y], -1) + 0.5
-    return unproject(pixels, depths[view, y, x], viewmats[view], Ks[view]), images[view, y, x]
-
-
-def _random_points(viewmats: Array, count: int, rng: np.random.Generator) -> Array:
-    """Uniform points in a cube around where the cameras look, half as wide as they stand away from it."""
-    centers, axes = centers_of(viewmats), viewmats[:, 2, :3]
-    # The point nearest to all optical axes; the ridge makes it unique for parallel axes, which never meet.
-    planes = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    ridge = 1e-3 * len(axes) * np.eye(3)
-    focus = np.linalg.solve(planes.sum(0) + ridge, np.einsum("cij,cj->i", planes, centers) + ridge @ centers.mean(0))
-    reach = np.median(np.linalg.norm(centers - focus, axis=1))
-    # A single camera does not define such a point: its own surroundings, of unit size, serve instead.
-    return focus + (reach if reach > 1e-6 else 1.0) / 2 * rng.uniform(-1, 1, (count, 3))

@@ -9,6 +9,7 @@ from scipy.spatial import cKDTree
 from novags.cameras.estimate import Array
 
 COLOR_NEIGHBOURS = 8  # points whose colours are averaged: a single dark pixel is mostly noise
+DEPTH_NEIGHBOURS = 4  # observed points whose inverse depths a filled-up pixel averages
 
 
 def subset(values: NDArray[Any], count: int, rng: np.random.Generator) -> NDArray[Any]:
@@ -68,3 +69,42 @@ def averaged(points: Array, colors: Array) -> Array:
     count = min(COLOR_NEIGHBOURS, len(points))
     _, nearest = cKDTree(points).query(points, k=count)
     return colors[nearest.reshape(len(points), count)].mean(1)
+
+
+def fill(
+    observed: list[Array], dark: NDArray[np.float32], viewmats: Array, Ks: Array, count: int, rng: np.random.Generator
+) -> tuple[Array, Array]:
+    """Points at random pixels, as deep as the points observed next to them in the picture, and their colours.
+
+    Inverse depth is interpolated, because it is linear across the picture of a plane.
+
+    Args:
+        observed: For each view the world points [P_i, 3] that it observes; those behind it do not count.
+        dark: [R, h, w, 3].
+        viewmats: [R, 4, 4].
+        Ks: [R, 3, 3].
+        count: How many points.
+        rng: Chooses the pixels, the same number in every view that observes points.
+
+    Returns:
+        Points and colours, [count, 3] each; none if no view observes anything.
+    """
+    height, width = dark.shape[1:3]
+    seen = [project(points, viewmats[i], Ks[i]) for i, points in enumerate(observed)]
+    seen = [(at[z > 0], z[z > 0]) for at, z in seen]
+    views = [i for i, (_, z) in enumerate(seen) if len(z)]
+    points, colors = [np.empty((0, 3))], [np.empty((0, 3))]
+    for n, i in enumerate(views):
+        wanted = count * (n + 1) // len(views) - count * n // len(views)
+        pixels = rng.uniform(0, [width, height], (wanted, 2))
+        at, z = seen[i]
+        distance, near = cKDTree(at).query(pixels, k=min(DEPTH_NEIGHBOURS, len(at)))
+        distance, near = distance.reshape(wanted, -1), near.reshape(wanted, -1)
+        # A pixel at an observed point takes that point's depth instead of 0 / 0.
+        weights = 1 / np.maximum(distance, 1e-6)
+        depths = weights.sum(1) / (weights / z[near]).sum(1)
+        every = np.repeat(viewmats[i : i + 1], wanted, 0), np.repeat(Ks[i : i + 1], wanted, 0)
+        points.append(unproject(pixels, depths, *every))
+        x, y = pixels.astype(int).T
+        colors.append(dark[i, y, x])
+    return np.concatenate(points), np.concatenate(colors)

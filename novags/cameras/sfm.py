@@ -9,18 +9,15 @@ from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from torch import Tensor
 
 from novags.cameras.colmap import Progress, extraction, largest, quiet, verification
 from novags.cameras.estimate import Array, CameraEstimate, as_estimate
-from novags.cameras.points import averaged, project, seen_colors, unproject
+from novags.cameras.points import averaged, fill, seen_colors
 from sensor_model.files.scratch import scratch
 
 Pictures = Literal["raw", "enhanced", "denoised"]
 Mapper = Literal["incremental", "global"]
-
-DEPTH_NEIGHBOURS = 4  # observed points whose inverse depths a filled-up pixel averages
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,7 +106,9 @@ def structure_from_motion(
     observed = [[p.point3D_id for p in image.points2D if p.has_point3D()] for image in images]
     rng = np.random.default_rng(seed)
     points, colors = _points(model, observed, dark, viewmats, placed_Ks, n_points, rng)
-    return as_estimate(registered, viewmats, placed_Ks, points, averaged(points, colors))
+    matched = min(len(points), model.num_points3D())
+    made_of = {"of the sparse model": matched, "between its points": len(points) - matched}
+    return as_estimate(registered, viewmats, placed_Ks, points, averaged(points, colors), made_of=made_of)
 
 
 def _check(pictures: np.ndarray, Ks: np.ndarray, colors_from: Tensor, n_points: int) -> None:
@@ -210,40 +209,3 @@ def _points(
     of_view = [xyz[[row[i] for i in seen]].reshape(-1, 3) for seen in observed]
     more, colors = fill(of_view, dark, viewmats, Ks, count - len(xyz), rng)
     return np.concatenate([xyz, more]), np.concatenate([seen_colors(xyz, dark, viewmats, Ks), colors])
-
-
-def fill(
-    observed: list[Array], dark: NDArray[np.float32], viewmats: Array, Ks: Array, count: int, rng: np.random.Generator
-) -> tuple[Array, Array]:
-    """Points at random pixels, as deep as the points observed next to them in the picture, and their colours.
-
-    Inverse depth is interpolated, because it is linear across the picture of a plane.
-
-    Args:
-        observed: For each view the world points [P_i, 3] that it observes.
-        dark: [R, h, w, 3].
-        viewmats: [R, 4, 4].
-        Ks: [R, 3, 3].
-        count: How many points.
-        rng: Chooses the pixels, the same number in every view that observes points.
-
-    Returns:
-        Points and colours, [count, 3] each.
-    """
-    height, width = dark.shape[1:3]
-    views = [i for i, points in enumerate(observed) if len(points)]
-    points, colors = [np.empty((0, 3))], [np.empty((0, 3))]
-    for n, i in enumerate(views):
-        wanted = count * (n + 1) // len(views) - count * n // len(views)
-        pixels = rng.uniform(0, [width, height], (wanted, 2))
-        at, z = project(observed[i], viewmats[i], Ks[i])
-        distance, near = cKDTree(at).query(pixels, k=min(DEPTH_NEIGHBOURS, len(at)))
-        distance, near = distance.reshape(wanted, -1), near.reshape(wanted, -1)
-        # A pixel at an observed point takes that point's depth instead of 0 / 0.
-        weights = 1 / np.maximum(distance, 1e-6)
-        depths = weights.sum(1) / (weights / z[near]).sum(1)
-        every = np.repeat(viewmats[i : i + 1], wanted, 0), np.repeat(Ks[i : i + 1], wanted, 0)
-        points.append(unproject(pixels, depths, *every))
-        x, y = pixels.astype(int).T
-        colors.append(dark[i, y, x])
-    return np.concatenate(points), np.concatenate(colors)

@@ -100,7 +100,10 @@ def vggt_cameras(
     column, row = np.minimum(((pixels + [0, offset]) / scale).astype(int), np.array(pictures.shape[2:0:-1]) - 1).T
     colors = colors_from.detach().cpu().double().numpy()[view, row, column]
     original = unprepared(Ks, scale, offset)
-    return as_estimate(tuple(range(len(pictures))), viewmats, original, points, averaged(points, colors))
+    made_of = {"of the network's depths": len(points)}
+    return as_estimate(
+        tuple(range(len(pictures))), viewmats, original, points, averaged(points, colors), made_of=made_of
+    )
 
 
 def prepare(pictures: NDArray[np.uint8]) -> tuple[Tensor, Array, int]:

@@ -40,8 +40,14 @@ def fit_parts(config: EnhancedFitConfig) -> dict[str, int]:
 
 
 def fit_for(problem: Problem, config: FitConfig) -> FitConfig:
-    """The configuration with the seed and the extent of the problem."""
-    return dataclasses.replace(config, seed=problem.seed, extent=problem.start.extent)
+    """The configuration with the seed and the extent of the problem, and room for the Gaussians that it asks for.
+
+    Where fewer points came than that, and the configuration names no cap, the population grows to the number.
+    """
+    cap, wanted = config.cap_max, problem.n_gaussians
+    if cap is None and wanted is not None and wanted > len(problem.start.points):
+        cap = wanted
+    return dataclasses.replace(config, seed=problem.seed, extent=problem.start.extent, cap_max=cap)
 
 
 def fit_enhanced(

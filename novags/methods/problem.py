@@ -73,6 +73,7 @@ class Problem:
         channels_share: Why the noise of a pixel's three channels is not independent ("demosaicing", "JPEG", "colour
             matrix"); empty where it is.
         clean: The exposures without noise, developed like `srgb8`, [C, H, W, 3]. Only methods with `sees_clean` get it.
+        n_gaussians: How many Gaussians were asked for; None: as many as there are points at the start.
         names: One name per view; the keys of shared results.
         shared: Results that several methods have in common.
     """
@@ -86,6 +87,7 @@ class Problem:
     noise: Noise | None = None
     channels_share: tuple[str, ...] = ()
     clean: Tensor | None = None
+    n_gaussians: int | None = None
     names: tuple[str, ...] = ()
     shared: Memo = field(default_factory=Memo, repr=False, compare=False)
 

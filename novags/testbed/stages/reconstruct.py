@@ -125,6 +125,8 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
     if len(indices) < len(wanted):
         lost = [capture.names[i] for i in wanted if i not in indices]
         console.note(f"{len(lost)} of {len(wanted)} training views have no camera and are left out: {', '.join(lost)}")
+    made_of = ", ".join(f"{count} {what}" for what, count in estimate.made_of.items())
+    console.note(f"{len(estimate.points)} first points of {config.points} asked for: {made_of}")
     rig = capture.cameras.rig
     problem = Problem(
         views=views_of(estimate.viewmats, estimate.Ks, rig.width, rig.height),
@@ -136,6 +138,7 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
         noise=capture.noise,
         channels_share=capture.channels_share,
         clean=stack([capture.clean(i) for i in indices]) if sees_clean else None,
+        n_gaussians=config.points,
         names=tuple(capture.names[i] for i in indices),
         shared=capture.memo,
     )  # fmt: skip
@@ -187,6 +190,7 @@ def reconstruct_views(
         "config": asdict(result.config),
         "seed": config.seed,
         "points": config.points,
+        "start": {"points": len(problem.start.points), "made_of": prepared.estimate.made_of},
         "device": str(prepared.device),
         "cameras": {"source": config.resolved()["cameras"], **frame.facts()},
         **result.scene.facts(),

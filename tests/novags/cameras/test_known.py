@@ -76,10 +76,16 @@ def test_the_seed_chooses_the_points():
     assert not torch.equal(a, c)
 
 
-def test_fewer_pixels_than_points_give_every_pixel_once():
+def test_fewer_pixels_than_points_give_every_pixel_and_places_between_them():
     multiview = FakeSet(cameras())
-    start = known(multiview, [0], shaded(1), n_points=10_000)
-    assert len(start.points) == np.isfinite(multiview.geometry(0)["z"]).sum() <= SIZE * SIZE
+    start = known(multiview, [0], shaded(1), n_points=1000)
+    shown = int(np.isfinite(multiview.geometry(0)["z"]).sum())
+    assert shown <= SIZE * SIZE < len(start.points) == 1000
+    centre = start.points.double() @ start.viewmats[0, :3, :3].T + start.viewmats[0, :3, 3]
+    pixels = (centre @ start.Ks[0].T)[:, :2] / centre[:, 2:]
+    in_the_middle = ((pixels % 1 - 0.5).abs() < 1e-3).all(1)
+    assert in_the_middle[:shown].all()
+    assert not in_the_middle[shown:].all()
 
 
 def test_colours_are_averaged_over_neighbours():
@@ -156,8 +162,10 @@ def test_without_depth_sparse_points_are_taken_but_never_their_lit_colours():
     torch.testing.assert_close(start.colors, torch.full((100, 3), 0.07))
 
 
-def test_without_anything_points_are_random_where_the_cameras_look():
+def test_pictures_that_share_no_neighbours_start_at_random_where_the_cameras_look():
+    """Four cameras a quarter of a circle apart: no two of them look the same way."""
     start = known(FakeSet(cameras(), depth=False), [0, 1, 2, 3], shaded(), n_points=500)
+    assert start.made_of == {"at random": 500}
     # Half the distance of the cameras from what they look at; the ridge moves the centre by a thousandth.
     assert start.points.abs().max() <= 1.5 + 5e-3
     assert start.points.std(0).min() > 0.7

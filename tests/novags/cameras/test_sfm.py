@@ -3,8 +3,8 @@ import pytest
 import torch
 
 from novags.cameras.align import align
-from novags.cameras.points import project
-from novags.cameras.sfm import SfmConfig, fill, structure_from_motion
+from novags.cameras.points import fill, project
+from novags.cameras.sfm import SfmConfig, structure_from_motion
 
 
 def as_dark(pictures: np.ndarray) -> torch.Tensor:

@@ -44,7 +44,9 @@ def build(folder: Path, place: np.ndarray) -> Path:
     return folder
 
 
-def test_a_set_in_a_national_grid_scores_as_it_does_at_the_origin(tmp_path: Path) -> None:
+def test_a_set_in_a_national_grid_scores_as_it_does_at_the_origin(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """Expectation: training differs by the rounding of shifted coordinates, which 40 iterations keep below 0.02 dB.
 
     Unshifted, float32 rounds positions to half a unit, a sixth of the scene: most of a decibel is lost.
@@ -52,8 +54,14 @@ def test_a_set_in_a_national_grid_scores_as_it_does_at_the_origin(tmp_path: Path
     found = {}
     for name, place in (("near", np.zeros(3)), ("far", UTM)):
         stages.capture(build(tmp_path / name, place), tmp_path / f"{name}.cap", CaptureConfig(electrons=200.0), QUIET)
-        config = adapted(EXPERIMENTS["demo"], points=200, iterations=40).reconstruct("naive")
-        record = stages.reconstruct(tmp_path / f"{name}.cap", tmp_path / f"{name}.run", config, QUIET)
+        config = adapted(EXPERIMENTS["demo"], points=350, iterations=40).reconstruct("naive")
+        record = stages.reconstruct(tmp_path / f"{name}.cap", tmp_path / f"{name}.run", config, Console())
+        start = {"of the sparse model": 300, "between its points": 50}
+        assert record["start"] == {"points": 350, "made_of": start}
+        assert record["gaussians"] == 350
+        assert "350 first points of 350 asked for: 300 of the sparse model, 50 between its points" in "".join(
+            capsys.readouterr()
+        )
         mean = stages.score(tmp_path / f"{name}.run", QUIET)["methods"]["naive"]["mean"]
         found[name] = (
             mean["enhanced"]["aligned_psnr"],
