@@ -6,8 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .cpu import pipeline
+from .cpu import pipeline, record
 from .first_order import first_order
+from .info import Projected, Watch
 from .validation import check_gaussians, refuse_overflow, used_colors
 
 
@@ -30,10 +31,13 @@ def render(
     radius_clip: float,
     with_color: bool,
     with_depth: bool,
-) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-    """One camera's image [H, W, D], alpha [H, W, 1] and info; arguments as in `novags.splats.rasterize`.
+    watch: Watch,
+    camera: int,
+) -> tuple[Tensor, Tensor, Projected]:
+    """One camera's image [H, W, D], alpha [H, W, 1] and its Gaussians; arguments as in `novags.splats.rasterize`.
 
-    D is the number of colour channels (if `with_color`) plus one for accumulated depth (if `with_depth`).
+    The gradient of its means2d goes to `watch`, under its number `camera`. D is the number of colour channels (if
+    `with_color`) plus one for accumulated depth (if `with_depth`).
 
     Raises:
         ValueError: If the tensors are not float32 on the CPU, or hold bad numbers.
@@ -43,13 +47,22 @@ def render(
             f"backend='numba' needs float32 tensors on the CPU, got {means.dtype} on {means.device}; "
             "convert with .float().cpu(), or use backend='torch' (any float dtype) or 'gsplat' (CUDA)"
         )
-    camera = pipeline.Camera(
+    pinhole = pipeline.Camera(
         viewmat=_array(viewmat), K=_array(K), width=width, height=height, near=near_plane, far=far_plane, eps2d=eps2d,
         antialiased=antialiased, radius_clip=radius_clip,
     )  # fmt: skip
-    settings = camera, sh_degree, with_color, with_depth
-    image, alpha, means2d, radii, depths = _Render.apply(means, quats, scales, opacities, colors, viewmat, K, settings)
-    return image, alpha, {"means2d": means2d, "radii": radii, "depths": depths}
+    settings = pinhole, sh_degree, with_color, with_depth, watch, camera
+    image, alpha, means2d, radius, depths, rows = _Render.apply(
+        means, quats, scales, opacities, colors, viewmat, K, settings
+    )
+
+    def footprint() -> tuple[Tensor, Tensor, Tensor]:
+        radii = torch.where(radius[:, None] > 0, rows[:, (record.REACH_X, record.REACH_Y)].ceil().clamp(1, 2**30), 0.0)
+        a, k, q = rows[:, record.A] / record.HALF_LOG2E, rows[:, record.K], rows[:, record.Q] / record.HALF_LOG2E
+        conics = torch.stack([a, a * k, a * k * k + q], -1)
+        return radii.to(torch.int32), conics, torch.where(radius > 0, torch.exp2(rows[:, record.TOP]), 0.0)
+
+    return image, alpha, Projected(means2d=means2d, radius=radius, depths=depths, footprint=footprint)
 
 
 def _array(tensor: Tensor) -> np.ndarray:
@@ -63,7 +76,8 @@ def _shape(means: Tensor, quats: Tensor, scales: Tensor, opacities: Tensor) -> p
 class _Render(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, means, quats, scales, opacities, colors, viewmat, K, settings):  # type: ignore
-        camera, sh_degree, with_color, with_depth = settings
+        ctx.set_materialize_grads(False)
+        camera, sh_degree, with_color, with_depth, ctx.watch, ctx.number = settings
         shape = _shape(means, quats, scales, opacities)
         frame, image, alpha = pipeline.forward(shape, _array(colors), camera, sh_degree, with_color, with_depth)
         if frame.splats.suspect:
@@ -72,19 +86,33 @@ class _Render(torch.autograd.Function):
             check_gaussians(tensors)
             refuse_overflow({**tensors, "viewmats": viewmat[None], "Ks": K[None]})
         splats = frame.splats
-        info = torch.from_numpy(splats.rows[:, :2]), torch.from_numpy(splats.radii), torch.from_numpy(splats.depths)
-        ctx.mark_non_differentiable(*info)
+        rows = torch.from_numpy(splats.rows)
+        info = rows[:, :2], torch.from_numpy(splats.radii), torch.from_numpy(splats.depths), rows.view(rows.shape)
+        ctx.mark_non_differentiable(*info[1:])
         # All that `backward` reads and others can write to, K and the record's positions too: changes are then noticed.
         ctx.save_for_backward(means, quats, scales, opacities, colors, viewmat, K, info[0])
-        ctx.frame = frame
+        ctx.frame, ctx.channels = frame, image.shape[-1]
         return torch.from_numpy(image), torch.from_numpy(alpha)[..., None], *info
 
     @staticmethod
     @first_order
-    def backward(ctx: Any, v_image, v_alpha, *_):  # type: ignore[no-untyped-def]
+    def backward(ctx: Any, v_image, v_alpha, v_means2d, *_):  # type: ignore[no-untyped-def]
+        if v_means2d is not None:
+            raise RuntimeError(
+                "info['means2d'] of the CPU kernels has a gradient, but none can be passed on through it: use "
+                "rasterize(..., backend='torch') where a loss depends on it"
+            )
         means, quats, scales, opacities, colors, *_ = ctx.saved_tensors
-        shape, v_pixels = _shape(means, quats, scales, opacities), (_array(v_image), _array(v_alpha)[..., 0])
-        gradients = pipeline.backward(ctx.frame, shape, _array(colors), *v_pixels, ctx.needs_input_grad[5])
+        frame = ctx.frame
+        size, channels = (frame.camera.height, frame.camera.width), ctx.channels
+        v_image = np.zeros((*size, channels), np.float32) if v_image is None else _array(v_image)
+        v_alpha = np.zeros(size, np.float32) if v_alpha is None else _array(v_alpha)[..., 0]
+        shape, v_pixels = _shape(means, quats, scales, opacities), (v_image, v_alpha)
+        if ctx.watch.wanted:
+            from .cpu.screen_gradient import screen_gradient  # compiled for those alone who look at it
+
+            ctx.watch.add(ctx.number, *(torch.from_numpy(v) for v in screen_gradient(frame, *v_pixels)))
+        gradients = pipeline.backward(frame, shape, _array(colors), *v_pixels, ctx.needs_input_grad[5])
         s = gradients.shape
         arrays = s.means, s.quats, s.scales, s.opacities, gradients.colors, gradients.viewmat
         return *(torch.from_numpy(array) for array in arrays), None, None

@@ -3,9 +3,12 @@
 Every pixel looks at every visible Gaussian in depth order, so cost is pixels x Gaussians. Use it for checking only.
 """
 
+from collections.abc import Callable
+
 import torch
 from torch import Tensor
 
+from .info import Projected, Watch
 from .sh import sh_colors
 
 ALPHA_MIN = 1.0 / 255.0  # a contribution below one 8-bit step is skipped
@@ -88,16 +91,22 @@ def compensation(M: Tensor, eps2d: float) -> Tensor:
 
 
 def _radii(means2d: Tensor, covs2d: Tensor, opacities: Tensor, width: int, height: int) -> Tensor:
-    """Pixels [N] a Gaussian reaches from its centre before its alpha falls below ALPHA_MIN; 0 if not in the image."""
+    """Pixels [N, 2] a Gaussian reaches along x and y before its alpha falls below ALPHA_MIN; 0 if not in the image."""
     reach = torch.sqrt(2 * torch.log(opacities / ALPHA_MIN))
     extent = reach[:, None] * torch.sqrt(torch.diagonal(covs2d, dim1=-2, dim2=-1))
     low, high = means2d - extent, means2d + extent
     inside = (high[:, 0] > 0) & (low[:, 0] < width) & (high[:, 1] > 0) & (low[:, 1] < height)
-    return torch.where(inside, torch.ceil(extent.amax(-1)).clamp(1, 2**30), 0.0).to(torch.int32)
+    return torch.where(inside[:, None], torch.ceil(extent).clamp(1, 2**30), 0.0).to(torch.int32)
 
 
 def composite(
-    means2d: Tensor, covs2d: Tensor, opacities: Tensor, features: Tensor, width: int, height: int
+    means2d: Tensor,
+    covs2d: Tensor,
+    opacities: Tensor,
+    features: Tensor,
+    width: int,
+    height: int,
+    on_gradient: Callable[[Tensor], None] | None = None,
 ) -> tuple[Tensor, Tensor]:
     """Front-to-back alpha compositing of Gaussians that are already in depth order.
 
@@ -108,6 +117,7 @@ def composite(
         features: [N, D].
         width: Image width.
         height: Image height.
+        on_gradient: Called in the backward pass with the gradients [P, N, 2] of the centres, of P pixels at a time.
 
     Returns:
         Image [H, W, D] and alpha [H, W, 1] = 1 - transmittance.
@@ -119,6 +129,8 @@ def composite(
     images, alphas = [], []
     for chunk in pixels.split(PIXELS_PER_CHUNK):
         delta = chunk[:, None] - means2d  # [P, N, 2]
+        if on_gradient and delta.requires_grad:
+            delta.register_hook(lambda v_delta: on_gradient(-v_delta))
         power = 0.5 * torch.einsum("pni,nij,pnj->pn", delta, conics, delta)
         alpha = torch.clamp_max(opacities * torch.exp(-power), ALPHA_MAX)
         alpha = torch.where(alpha >= ALPHA_MIN, alpha, 0.0)
@@ -152,10 +164,13 @@ def render(
     radius_clip: float,
     with_color: bool,
     with_depth: bool,
-) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-    """One camera's image [H, W, D], alpha [H, W, 1] and info; arguments as in `novags.splats.rasterize`.
+    watch: Watch,
+    camera: int,
+) -> tuple[Tensor, Tensor, Projected]:
+    """One camera's image [H, W, D], alpha [H, W, 1] and its Gaussians; arguments as in `novags.splats.rasterize`.
 
-    D is the number of colour channels (if `with_color`) plus one for accumulated depth (if `with_depth`).
+    The gradient of its means2d goes to `watch`, under its number `camera`. D is the number of colour channels (if
+    `with_color`) plus one for accumulated depth (if `with_depth`).
     """
     z = means @ viewmat[2, :3] + viewmat[2, 3]
     # Chosen before projecting: the gradient of a Gaussian in the camera plane would be 0 * inf = nan.
@@ -164,21 +179,29 @@ def render(
         with torch.no_grad():
             _, M, _ = image_axes(means[chosen], quats[chosen], scales[chosen], viewmat, K, width, height)
             chosen = chosen[opacities[chosen] * compensation(M, eps2d) >= ALPHA_MIN]
-    camera = viewmat, K, width, height
-    means2d, M, depths = image_axes(means[chosen], quats[chosen], scales[chosen], *camera)
+    means2d, M, depths = image_axes(means[chosen], quats[chosen], scales[chosen], viewmat, K, width, height)
     covs2d = dilated(M, eps2d)
     peaks = opacities[chosen] * compensation(M, eps2d) if antialiased else opacities[chosen]
     with torch.no_grad():
         radii = _radii(means2d, covs2d, peaks, width, height)
-        radii = torch.where(radii > radius_clip, radii, 0)
-        seen = torch.nonzero(radii)[:, 0]
-        info = {
-            "means2d": means.new_zeros(len(means), 2).index_copy(0, chosen[seen], means2d[seen]),
-            "radii": radii.new_zeros(len(means)).index_copy(0, chosen, radii),
-            "depths": z,
-        }
+        radii = torch.where(radii.amax(-1, keepdim=True) > radius_clip, radii, 0)
+        seen = torch.nonzero(radii[:, 0])[:, 0]
         seen = seen[torch.argsort(depths[seen], stable=True)]
     index = chosen[seen]
+
+    def everywhere(values: Tensor) -> Tensor:
+        return values.new_zeros(len(means), *values.shape[1:]).index_copy(0, index, values[seen])
+
+    def footprint() -> tuple[Tensor, Tensor, Tensor]:
+        conics = torch.linalg.inv(covs2d).reshape(-1, 4)[:, (0, 1, 3)]
+        return everywhere(radii), everywhere(conics), everywhere(peaks)
+
+    def on_gradient(v_means2d: Tensor) -> None:
+        if watch.wanted:
+            zeros = v_means2d.new_zeros(len(means), 2)
+            sums = v_means2d.sum(0), v_means2d.abs().sum(0)
+            watch.add(camera, *(zeros.index_copy(0, index, total) for total in sums))
+
     features = []
     if with_color:
         if sh_degree is None:
@@ -188,5 +211,13 @@ def render(
             features.append(sh_colors(sh_degree, means[index] - center, colors[index]))
     if with_depth:
         features.append(depths[seen, None])
-    image, alpha = composite(means2d[seen], covs2d[seen], peaks[seen], torch.cat(features, 1), width, height)
-    return image, alpha, {name: value.detach() for name, value in info.items()}
+    image, alpha = composite(
+        means2d[seen], covs2d[seen], peaks[seen], torch.cat(features, 1), width, height, on_gradient
+    )
+    return (
+        image,
+        alpha,
+        Projected(
+            means2d=everywhere(means2d), radius=everywhere(radii.amax(-1)), depths=z.detach(), footprint=footprint
+        ),
+    )

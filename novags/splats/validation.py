@@ -8,6 +8,8 @@ from torch import Tensor
 
 from .sh import n_coefficients
 
+OF_CAMERAS = ("viewmats", "Ks", "backgrounds")
+
 
 def check_shapes(tensors: dict[str, Tensor], sh_degree: int | None) -> None:
     """Raise ValueError unless shapes, dtypes and devices agree; `tensors` by argument name of `rasterize`."""
@@ -16,13 +18,20 @@ def check_shapes(tensors: dict[str, Tensor], sh_degree: int | None) -> None:
             raise ValueError(f"{name} must have shape {sizes}, got []")
     n, c = len(tensors["means"]), len(tensors["viewmats"])
     want: dict[str, tuple[int, ...]] = {"means": (n, 3), "quats": (n, 4), "scales": (n, 3), "opacities": (n,)}
-    want |= {"viewmats": (c, 4, 4), "Ks": (c, 3, 3)}
-    for name, shape in want.items():
+    want |= {"covars": (n, 3, 3), "viewmats": (c, 4, 4), "Ks": (c, 3, 3)}
+    for name in ("quats", "scales"):
+        if name not in tensors and "covars" not in tensors:
+            raise ValueError(f"{name} must be given, or covars in place of quats and scales, got None")
+    for name, shape in ((name, shape) for name, shape in want.items() if name in tensors):
         if tensors[name].shape != shape:
             raise ValueError(f"{name} must have shape {list(shape)}, got {list(tensors[name].shape)}")
     if c == 0:
         raise ValueError("viewmats must hold at least one camera, got [0, 4, 4]")
     colors = tensors["colors"]
+    if colors.ndim == (3 if sh_degree is None else 4):
+        if len(colors) != c:
+            raise ValueError(f"colors must be one for all or [C={c}, N, ...], got {list(colors.shape)}")
+        colors = colors[0]
     if sh_degree is None:
         if colors.ndim != 2 or len(colors) != n or colors.shape[1] == 0:
             raise ValueError(f"colors must be [N={n}, D] when sh_degree is None, got {list(colors.shape)}")
@@ -58,6 +67,18 @@ def check_numbers(width: Any, height: Any, near_plane: float, far_plane: float, 
         raise ValueError(f"radius_clip must be finite and >= 0 pixels, got {clip}")
 
 
+def check_input(tensors: dict[str, Tensor | None], sh_degree: int | None, render_mode: str, backend: str) -> None:
+    """Raise ValueError for tensors, by argument name of `rasterize`, that are wrong; None: not given.
+
+    The CPU kernels notice bad numbers of Gaussians in passing, and ask for `check_gaussians` only then.
+    """
+    given = {name: tensor for name, tensor in tensors.items() if tensor is not None}
+    check_shapes(given, sh_degree)
+    check_camera(given)
+    if backend != "numba":
+        check_gaussians({**given, "colors": used_colors(given["colors"], sh_degree, render_mode.startswith("RGB"))})
+
+
 def check_finite(tensors: dict[str, Tensor]) -> None:
     """Raise ValueError if any number is not finite."""
     for name, value in tensors.items():
@@ -84,20 +105,52 @@ def check_camera(tensors: dict[str, Tensor]) -> None:
 def used_colors(colors: Tensor, sh_degree: int | None, with_color: bool) -> Tensor:
     """What of the colours [N, D] or [N, K, 3] is rendered. The rest may hold anything, and is not checked."""
     if not with_color:
-        return colors[:, :0]
-    return colors if sh_degree is None else colors[:, : n_coefficients(sh_degree)]
+        return colors[..., :0]
+    return colors if sh_degree is None else colors[..., : n_coefficients(sh_degree), :]
+
+
+def ellipsoids(covars: Tensor) -> tuple[Tensor, Tensor]:
+    """Rotations wxyz [N, 4] and standard deviations [N, 3] of covariances [N, 3, 3].
+
+    Raises:
+        ValueError: If one is not finite, symmetric and positive semi-definite, or a gradient is wanted.
+    """
+    if covars.requires_grad and torch.is_grad_enabled():
+        raise ValueError(
+            "covars must not require a gradient on the CPU, whose kernels know rotations and scales, of which equal "
+            "ones have no gradient for the covariance: pass quats and scales, or use backend='gsplat'"
+        )
+    if covars.ndim != 3 or covars.shape[1:] != (3, 3):
+        raise ValueError(f"covars must have shape [N, 3, 3], got {list(covars.shape)}")
+    check_finite({"covars": covars})
+    from scipy.spatial.transform import Rotation
+
+    matrices = covars.detach().double()
+    size = matrices.abs().amax((1, 2), keepdim=True)
+    variances, axes = torch.linalg.eigh(matrices)
+    # 1e-5: what float32 leaves of a product; less symmetric ones are not covariances
+    wrong = ((matrices - matrices.mT).abs() > 1e-5 * size).any(-1).any(-1) | (variances < -1e-5 * size[:, 0]).any(-1)
+    if wrong.any():
+        first = int(torch.nonzero(wrong)[0, 0])
+        raise ValueError(
+            f"covars must be symmetric and positive semi-definite, got {covars[first].tolist()} at Gaussian {first}"
+        )
+    axes[:, :, 0] *= torch.linalg.det(axes)[:, None]
+    xyzw = Rotation.from_matrix(axes.numpy()).as_quat() if len(axes) else axes.new_zeros(0, 4).numpy()
+    quats = torch.from_numpy(xyzw)[:, (3, 0, 1, 2)]
+    return quats.to(covars), variances.clamp_min(0).sqrt().to(covars)
 
 
 def check_gaussians(tensors: dict[str, Tensor]) -> None:
     """Raise ValueError if any number is not finite, or a quaternion, scale or opacity is out of range."""
-    check_finite(tensors)
+    check_finite({name: tensor for name, tensor in tensors.items() if name not in OF_CAMERAS})
     rules = {
-        "quats": ("must not be zero", (tensors["quats"] == 0).all(-1)),
-        "scales": ("must be >= 0", (tensors["scales"] < 0).any(-1)),
-        "opacities": ("must lie in 0..1", (tensors["opacities"] < 0) | (tensors["opacities"] > 1)),
+        "quats": ("must not be zero", lambda quats: (quats == 0).all(-1)),
+        "scales": ("must be >= 0", lambda scales: (scales < 0).any(-1)),
+        "opacities": ("must lie in 0..1", lambda opacities: (opacities < 0) | (opacities > 1)),
     }
-    for name, (rule, wrong) in rules.items():
-        if wrong.any():
+    for name, (rule, breaks) in rules.items():
+        if name in tensors and (wrong := breaks(tensors[name])).any():
             first = int(torch.nonzero(wrong)[0, 0])
             value, count = tensors[name][first].tolist(), int(wrong.sum())
             raise ValueError(f"{name} {rule}, got {value} at Gaussian {first} ({count} of {len(wrong)})")

@@ -227,7 +227,8 @@ class _Training:
         if known is None or known[0] is not clean:
             known = self.noise[step.view] = (clean, noise_map(self.enhanced[step.view], clean))
         noise = known[1]
-        return self.config.sh_weight * sh_penalty(step.gaussians.sh, step.info["means2d"], step.info["radii"], noise)
+        means2d, radii = step.info["means2d"][0].detach(), step.info["radii"][0].amax(-1)
+        return self.config.sh_weight * sh_penalty(step.gaussians.sh, means2d, radii, noise)
 
     def save(self) -> None:
         """Write everything that the next iteration depends on, the fit's checkpoint included."""

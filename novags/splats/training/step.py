@@ -10,7 +10,7 @@ from ..gaussians import Gaussians
 from ..rasterize import rasterize
 from ..views import Views
 
-Info = dict[str, Tensor]
+Info = Mapping[str, Any]
 
 
 @dataclass(kw_only=True)
@@ -24,7 +24,7 @@ class Step:
         gaussians: The trained leaves.
         render: [H, W, 3].
         alpha: [H, W].
-        info: "means2d" [N, 2], "radii" [N], "depths" [N] of this view.
+        info: Of `rasterize`, not packed, for this one view: "means2d" [1, N, 2], "radii" [1, N, 2], "depths" [1, N].
         views: All training views as they are now; where cameras are refined, `views.viewmats` is differentiable too.
         rasterize_view: Renders view j now: (render [H, W, 3], depth [H, W], alpha [H, W], info).
         expected_depth: [H, W], or None where `needs_depth` did not ask for it.
@@ -90,9 +90,9 @@ def render_step(
         renders, alphas, info = rasterize(
             gaussians.means, gaussians.quats, scales, opacities, gaussians.sh, views.viewmats[j : j + 1],
             views.Ks[j : j + 1], views.width, views.height, sh_degree=sh_degree, render_mode=mode, backend=backend,
-            **splatting,
+            packed=False, **splatting,
         )  # fmt: skip
-        return renders[0], alphas[0, ..., 0], {key: value[0] for key, value in info.items()}
+        return renders[0], alphas[0, ..., 0], info
 
     def rasterize_view(j: int) -> tuple[Tensor, Tensor, Tensor, Info]:
         image, alpha, info = render(j, "RGB+ED")

@@ -146,7 +146,7 @@ def test_extra_losses_see_the_step_and_their_gradients_count():
         render, depth, alpha, info = step.rasterize_view((step.view + 1) % N_VIEWS)
         assert render.shape == (SIZE, SIZE, 3)
         assert depth.shape == alpha.shape == step.depth.shape == step.alpha.shape == (SIZE, SIZE)
-        assert info["radii"].shape == (len(step.gaussians),)
+        assert info["radii"].shape == (1, len(step.gaussians), 2)
         assert depth.requires_grad
         return 100 * (step.gaussians.means**2).mean() + 0 * depth.sum()
 

@@ -283,8 +283,8 @@ def test_many_channels_over_several_waves_match_the_reference(make_scene, monkey
 
 def test_info_tells_where_and_how_large(make_scene):
     scene = make_scene(6, 80, 24, 24, cameras=2)
-    _, _, expected = rasterize(**scene, backend="torch")
-    _, _, info = rasterize(**as_float32(scene), backend="numba")
+    _, _, expected = rasterize(**scene, packed=False, backend="torch")
+    _, _, info = rasterize(**as_float32(scene), packed=False, backend="numba")
     assert info["radii"].dtype == torch.int32
     assert info["means2d"].shape == (2, 80, 2)
     torch.testing.assert_close(info["radii"], expected["radii"], atol=1, rtol=0)
@@ -328,7 +328,7 @@ def test_a_graph_can_be_walked_twice_and_two_graphs_at_once(make_scene):
 def test_what_changes_between_forward_and_backward_is_noticed(make_scene, name):
     scene = as_float32(make_scene(8, 50, 20, 20))
     scene["means"].requires_grad_()
-    image, _, info = rasterize(**scene, backend="numba")
+    image, _, info = rasterize(**scene, packed=False, backend="numba")
     with torch.no_grad():
         (info if name == "means2d" else scene)[name].mul_(1.5)
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):

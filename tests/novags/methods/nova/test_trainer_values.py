@@ -138,7 +138,7 @@ def test_the_noise_penalty_weighs_each_view_by_its_own_residual(stage):
     g = torch.Generator().manual_seed(3)
     sh = torch.rand(20, 4, 3, generator=g)
     means2d = torch.rand(20, 2, generator=g) * torch.tensor([float(WIDTH), float(HEIGHT)])
-    info = {"means2d": means2d, "radii": torch.ones(20)}
+    info = {"means2d": means2d[None], "radii": torch.ones(1, 20, 2)}
 
     def ask() -> None:
         penalty = stage.seen["extra_losses"][1]
@@ -149,14 +149,14 @@ def test_the_noise_penalty_weighs_each_view_by_its_own_residual(stage):
     train(inputs, CONFIG)
     images = bright(inputs)
     noise = (images - clean(images, WARM_UP + 3)).abs().mean(-1)
-    expected = [0.7 * float(sh_penalty(sh, means2d, info["radii"], noise[view])) for view in (0, 1, 2, 1)]
+    expected = [0.7 * float(sh_penalty(sh, means2d, torch.ones(20), noise[view])) for view in (0, 1, 2, 1)]
     assert len(set(expected)) == 3
     assert found == pytest.approx(expected, rel=1e-5)
 
 
 def test_the_noise_map_follows_the_denoiser(stage):
     inputs, weights = problem(), []
-    sh, info = torch.ones(1, 4, 3), {"means2d": torch.tensor([[0.5, 0.5]]), "radii": torch.ones(1)}
+    sh, info = torch.ones(1, 4, 3), {"means2d": torch.tensor([[[0.5, 0.5]]]), "radii": torch.ones(1, 1, 2)}
 
     def ask() -> None:
         for _ in range(2):

@@ -1,0 +1,33 @@
+"""Gradients of the visible Gaussians alone, as sparse tensors, which torch.optim.SparseAdam takes."""
+
+from collections.abc import Callable
+from typing import Any
+
+import torch
+from torch import Tensor
+
+
+def sparse_gradients(gaussians: tuple[Any, ...]) -> tuple[tuple[Any, ...], Callable[[list[Tensor]], None]]:
+    """The same means, quats, scales [N, ...], whose gradients become sparse, and opacities, whose do not, as in gsplat.
+
+    Beside them, what is to be told the radii [N] of each camera after rendering.
+    """
+    *shape, opacities = gaussians
+    rows: list[Tensor] = []
+
+    def see(radii: list[Tensor]) -> None:
+        rows.append(torch.nonzero(torch.stack(radii).amax(0))[:, 0])
+
+    return (*(_Sparse.apply(tensor, rows) for tensor in shape), opacities), see
+
+
+class _Sparse(torch.autograd.Function):
+    @staticmethod
+    def forward(ctx: Any, tensor: Tensor, rows: list[Tensor]) -> Tensor:
+        ctx.rows = rows
+        return tensor.view_as(tensor)
+
+    @staticmethod
+    def backward(ctx: Any, gradient: Tensor) -> tuple[Tensor, None]:
+        (rows,) = ctx.rows
+        return torch.sparse_coo_tensor(rows[None], gradient[rows], gradient.shape, check_invariants=False), None
