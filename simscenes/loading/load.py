@@ -11,6 +11,7 @@ from simscenes.loading.complete import check_complete
 from simscenes.loading.contents import objects_in, parameters_in, unique_materials
 from simscenes.loading.digest import content_digest
 from simscenes.loading.meshes import check_faces
+from simscenes.loading.naming import shape_names
 from simscenes.loading.obj_files import completed
 from simscenes.loading.physical import check_parameters, scene_extent
 from simscenes.loading.reference import SceneLike, SceneRef
@@ -28,7 +29,7 @@ class LoadedScene:
         variant: The Mitsuba variant it was loaded in, and the only one it can be used in.
         scene: The Mitsuba scene.
         digest: Hash of everything the picture depends on, except the camera and the random numbers.
-        shapes: Names of the shapes and instances; the id of a pixel is 1 + the index in this list.
+        shapes: Names of the shapes and instances (see `shape_names`); the id of a pixel is 1 + the index in this list.
         materials: Names of the materials, likewise; those within instances too.
         extent: Diagonal of the bounding box, scene units.
     """
@@ -79,8 +80,9 @@ def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> Load
     params = parameters_in(loaded, mi)
     check_faces(params)
     check_parameters(loaded, params, mi)
-    shapes = tuple(s.id() for s in loaded.shapes())
-    materials = tuple(_material_name(s) for s in unique_materials(loaded, mi))
+    shapes = shape_names(loaded.shapes())
+    called = dict(zip(loaded.shapes(), shapes, strict=True))
+    materials = tuple(_material_name(s, called.get(s, s.id())) for s in unique_materials(loaded, mi))
     return LoadedScene(name, mi.variant(), loaded, content_digest(description, params), shapes, materials, extent)
 
 
@@ -137,6 +139,6 @@ def set_light_weights(loaded: LoadedScene, weights: tuple[float, ...], mi: Any) 
     loaded.scene.parameters_changed([])
 
 
-def _material_name(shape: Any) -> str:
+def _material_name(shape: Any, name: str) -> str:
     own = shape.bsdf().id()
-    return own if own and not own.startswith("__") else f"{shape.id()}.{shape.bsdf().class_name()}"
+    return own if own and not own.startswith("__") else f"{name}.{shape.bsdf().class_name()}"

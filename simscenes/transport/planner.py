@@ -12,7 +12,8 @@ from simscenes.loading.contents import media_in
 from simscenes.loading.load import LoadedScene, build_scene, set_light_weights
 from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.optics import Optics
-from simscenes.render.framing import usual_rig, with_lens
+from simscenes.render.fitting import usual_rig
+from simscenes.render.framing import with_lens
 from simscenes.render.geometry import check_cameras, geometry_channels
 from simscenes.rigs import Rig
 from simscenes.transport import pilot, plan
