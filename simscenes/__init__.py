@@ -7,7 +7,7 @@ from simscenes.backend import variant_report as variant_report
 from simscenes.job.curves import render_curves as render_curves
 from simscenes.job.render_set import render_set as render_set
 from simscenes.optics import Optics as Optics
-from simscenes.render.framing import fit_rig as fit_rig
+from simscenes.render.fitting import fit_rig as fit_rig
 from simscenes.render.framing import own_cameras as own_cameras
 from simscenes.rigs import Rig as Rig
 from simscenes.rigs import forward_rig as forward_rig

@@ -9,12 +9,10 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-import numpy as np
-
-from simscenes.render.passes import Passes, pass_spp
 from simscenes.render.radiance import Method, View
-from simscenes.render.sensors import PILOT_SPP
 from simscenes.rigs import Rig
+
+PART = 1 / 64  # of the samples of a job, twice, to predict the time of the others
 
 
 class Stopwatch:
@@ -42,32 +40,20 @@ class Stopwatch:
 def predict_seconds(
     method: Method, rig: Rig, views: dict[int, View], spp: int | None, target_error: float | None
 ) -> float:
-    """Predict the seconds that rendering these views will take, at a cost of about 6 % of them.
+    """Predict the seconds that rendering these views will take.
 
-    A pass is timed on its second run, when its kernel is already compiled. With `target_error` the pass spreads samples
-    unevenly, and the samples needed are predicted from pilots of up to three of `views`, which keep them for
-    their render.
+    With `target_error` from pilots of up to three of `views`, which keep them as their first samples: that costs
+    nothing. Else from some pixels of the first view, at about 3 % of the job: they are timed on their second run, when
+    their kernel, which is that of the job, is compiled.
     """
     numbers = sorted(views)
+    if target_error is not None:
+        chosen = sorted({numbers[0], numbers[len(views) // 2], numbers[-1]})
+        each = [views[i].pilot.seconds * views[i].predict_spp(target_error) for i in chosen]
+        return sum(each) / len(each) * len(views)
     first = View(method, rig, numbers[0])  # a view of its own: those in `views` must not depend on the prediction
-    if target_error is None:
-        size = pass_spp(min((spp or 256) * len(views) / 32, 64))
-        return _seconds_per_sample(first, size, even=True) * (spp or 2) * len(views)
-    chosen = sorted({numbers[0], numbers[len(views) // 2], numbers[-1]})
-    needed = [views[i].predict_spp(target_error) + 2 * PILOT_SPP for i in chosen]
-    return _seconds_per_sample(first, PILOT_SPP, even=first.even) * sum(needed) / len(needed) * len(views)
-
-
-def _seconds_per_sample(view: View, size: int, *, even: bool) -> float:
-    """Seconds that one sample in every pixel takes, in a pass of `size`."""
-    image = (view.rig.height, view.rig.width)
-    for _ in range(2):
-        passes, start = Passes(image), time.perf_counter()
-        if even:
-            view.run(passes, 1, size)
-        else:
-            view.run_uneven(passes, 1, np.ones(image, np.int64), size)
-    return (time.perf_counter() - start) / size
+    count, size = first.passes(spp or 2)
+    return first.seconds(size, PART * count * len(views)) * count * len(views)
 
 
 def peak_bytes() -> int:

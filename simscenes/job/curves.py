@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from simscenes.backend import backend_of, backend_status, using_variant
 from simscenes.loading.load import LoadedScene, build_scene, set_light_weights
+from simscenes.render.blocks import Blocks
 from simscenes.render.passes import Passes
 from simscenes.render.radiance import Method, View
 from simscenes.render.sensors import PILOT_SPP, sensor_dict
@@ -102,14 +103,18 @@ class Bench:
         with self.ready(s) as (mi, loaded):
             for _ in range(2):  # the first time compiles the kernels
                 view = self.view(mi, loaded, s, i, seed)
-                passes, start = Passes((self.rig.height, self.rig.width)), time.perf_counter()
-                if s.samples == "uneven":  # its pilot decides where the samples go, and costs samples itself
-                    blocks = np.maximum(np.rint(view.pilot[1] * s.spp / PILOT_SPP), 1).astype(np.int64)
-                    view.run_uneven(passes, 1, blocks, PILOT_SPP)
+                start = time.perf_counter()
+                if s.samples == "uneven":  # as towards a target: a pilot, and blocks where it saw noise
+                    pilot = view.pilot
+                    blocks = Blocks(pilot.passes, 0, PILOT_SPP)
+                    view.run_blocks(blocks, blocks.lacking(s.spp, pilot.shares))
+                    image = blocks.mean()
                 else:
+                    passes = Passes((self.rig.height, self.rig.width))
                     view.run(passes, 1, s.spp)
+                    image = passes.mean
                 seconds = time.perf_counter() - start
-        return passes.mean, seconds
+        return image, seconds
 
     def noise(self, s: Setting, truth_in: str = "rgb") -> dict[str, Any]:
         """Seconds of a view, and its relative RMSE against the reference in RGB or in full spectra."""

@@ -26,7 +26,8 @@ from simscenes.job.views import Job, Progress, render_views
 from simscenes.loading.load import LoadedScene, build_in_fewest_colors, build_scene, set_light_weights
 from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.optics import Optics
-from simscenes.render.framing import usual_rig, with_lens
+from simscenes.render.fitting import usual_rig
+from simscenes.render.framing import with_lens
 from simscenes.render.radiance import Method
 from simscenes.rigs import Rig
 from simscenes.sets.camera_files import write_json
@@ -37,12 +38,13 @@ from simscenes.transport.plan import APERTURE, MOTION, TransportPlan
 from simscenes.transport.planner import default_plan, plan_loaded
 
 DEFAULT_SPP = 256
-FORMAT = 3  # of the folder; sets of another format are rendered again
+FORMAT = 4  # of the folder; sets of another format are rendered again
 MEASURE_FROM = 3 * 10**7  # samples in a job: some 30 s, beside which the planner's slower measurements cost little
 ERROR_SEEN = (
-    "relative_error is the spread between independent passes: noise only. error adds what the plan leaves out, at most "
-    "(left_out: the whole picture, then its quarters by brightness, darkest first). Neither sees a caustic that no "
-    "pass has found, nor spectra that RGB stands for; see plan."
+    "relative_error is the spread between two or more independent passes: noise only; var.R/G/B is their variance over "
+    "3 x 3 pixels, 9 degrees of freedom from two passes. error adds what the plan leaves out, at most (left_out: the "
+    "whole picture, then its quarters by brightness, darkest first). Neither sees a caustic that no pass has found, "
+    "nor spectra that RGB stands for; see plan."
 )
 
 

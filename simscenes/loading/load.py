@@ -15,6 +15,7 @@ from simscenes.loading.contents import objects_in, parameters_in, unique_materia
 from simscenes.loading.digest import content_digest
 from simscenes.loading.integrator import OwnIntegrator, in_dict, in_file, own_integrator
 from simscenes.loading.meshes import check_faces
+from simscenes.loading.naming import shape_names
 from simscenes.loading.obj_files import completed
 from simscenes.loading.physical import check_parameters, scene_extent
 from simscenes.loading.reference import SceneLike, SceneRef
@@ -34,7 +35,7 @@ class LoadedScene:
         variant: The Mitsuba variant it was loaded in, and the only one it can be used in.
         scene: The Mitsuba scene.
         digest: Hash of everything the picture depends on, except the camera and the random numbers.
-        shapes: Names of the shapes and instances; the id of a pixel is 1 + the index in this list.
+        shapes: Names of the shapes and instances (see `shape_names`); the id of a pixel is 1 + the index in this list.
         materials: Names of the materials, likewise; those within instances too.
         extent: Diagonal of the bounding box, scene units.
         integrator: What the scene's own integrator asks for; None if it has none.
@@ -131,8 +132,9 @@ def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> Load
     params = parameters_in(loaded, mi)
     check_faces(params)
     check_parameters(loaded, params, mi)
-    shapes = tuple(s.id() for s in loaded.shapes())
-    materials = tuple(_material_name(s) for s in unique_materials(loaded, mi))
+    shapes = shape_names(loaded.shapes())
+    called = dict(zip(loaded.shapes(), shapes, strict=True))
+    materials = tuple(_material_name(s, called.get(s, s.id())) for s in unique_materials(loaded, mi))
     if 0 < len(loaded.sensors()) <= source.sensor:
         raise ValueError(f"scene {name!r} has {len(loaded.sensors())} sensors, numbered from 0; got {source.sensor}")
     digest, own = content_digest(description, params), _own_integrator(source, mi, allow_outside)
@@ -204,6 +206,6 @@ def set_light_weights(loaded: LoadedScene, weights: tuple[float, ...], mi: Any) 
     loaded.scene.parameters_changed([])
 
 
-def _material_name(shape: Any) -> str:
+def _material_name(shape: Any, name: str) -> str:
     own = shape.bsdf().id()
-    return own if own and not own.startswith("__") else f"{shape.id()}.{shape.bsdf().class_name()}"
+    return own if own and not own.startswith("__") else f"{name}.{shape.bsdf().class_name()}"

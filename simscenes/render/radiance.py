@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import math
+import time
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -16,17 +17,19 @@ from numpy.typing import NDArray
 from simscenes.camera import camera_color
 from simscenes.loading.load import LoadedScene
 from simscenes.optics import Optics
+from simscenes.render.blocks import Blocks, sample_shares
 from simscenes.render.motion import subframe_rig
-from simscenes.render.passes import Passes, Radiance, pass_spp, sample_shares, split_passes
+from simscenes.render.passes import Passes, Radiance, grid_spp, pass_spp, relative_error, split_passes, summary
 from simscenes.render.sensors import PILOT_SPP, PINHOLE, sensor_dict
 from simscenes.render.wavefront import sample_blocks
 from simscenes.rigs import Rig
 
 Tick = Callable[[float], None]
 MAX_SPP = 65536  # where target_error gives up
-PLANNED_PASSES = 6  # towards a target error, each with an equal part of the predicted samples
-MAX_BLOCKS = 1 << 20  # of several passes held at once; a single pass of a large image may exceed it
-FEWEST_PASSES = 4  # with fewer, their spread cannot show whether the target is reached
+MAX_BLOCK_SPP = 1024
+FEWEST_BLOCKS = 4  # in a pixel on average: with larger blocks the shares of the pixels become coarse
+WORTH = 4  # times its own samples, from where a pilot is thrown away for samples where the noise is
+FIRST = 0.9  # of the samples that a pilot predicts: larger blocks than its own are stratified better
 
 
 @dataclass(frozen=True)
@@ -47,6 +50,25 @@ def view_seed(rig: Rig, i: int, seed: int, number: int) -> int:
     camera = rig.viewmats[i].tobytes() + rig.Ks[i].tobytes()
     digest = hashlib.sha256(camera + f"{rig.width}x{rig.height}:{seed}:{number}".encode()).digest()
     return int.from_bytes(digest[:4], "little")
+
+
+@dataclass(frozen=True)
+class Pilot:
+    """A few samples in every pixel of a view.
+
+    Attributes:
+        passes: Equal passes.
+        spp: Samples per pixel in all of them.
+        shares: Share of the samples that each pixel should get, mean 1, [h,w].
+        error: Relative error that one sample per pixel, spread by `shares`, would have.
+        seconds: That one sample in every pixel took, the kernel being compiled.
+    """
+
+    passes: Passes
+    spp: int
+    shares: NDArray[np.float64]
+    error: float
+    seconds: float
 
 
 class View:
@@ -70,53 +92,67 @@ class View:
 
     def run(self, passes: Passes, count: int, size: int) -> None:
         """Add `count` passes of `size` samples per pixel, spread over the sub-frames (at least one in each)."""
-        mi, each = self.method.mi, pass_spp(size / len(self._poses))
         for _ in range(count):
-            image = np.zeros((self.rig.height, self.rig.width, 3))
-            for sensor in self.sensors:
-                film = mi.render(
-                    self.method.loaded.scene, sensor=sensor, integrator=self.method.integrator, spp=each,
-                    seed=self._next_seed(),
-                )  # fmt: skip
-                image += np.array(film, dtype=np.float64)[..., :3] / len(self._poses)
-            passes.add(self._in_camera_rgb(image))
+            passes.add(self._checked(self._pixels(None, size).reshape(self.rig.height, self.rig.width, 3)))
 
-    def run_uneven(self, passes: Passes, count: int, blocks: NDArray[np.int64], size: int) -> None:
-        """Add `count` passes with `blocks` [h,w] times `size` samples in each pixel, small ones traced together."""
-        owner = np.repeat(np.arange(blocks.size), blocks.ravel())
-        together = max(1, MAX_BLOCKS // len(owner))
-        for first in range(0, count, together):
-            number = min(together, count - first)
-            slots = (np.arange(number)[:, None] * blocks.size + owner).ravel()
-            sums = np.zeros((number * blocks.size, 3))
-            for part, means in self._blocks(slots % blocks.size, size):
-                sums += np.stack([np.bincount(slots[part], m, len(sums)) for m in means.T], axis=-1)
-            for image in sums.reshape(number, *blocks.shape, 3):
-                passes.add(self._in_camera_rgb(image / blocks[..., None]))
+    def run_blocks(self, blocks: Blocks, more: NDArray[np.int64]) -> None:
+        """Add `more` [h,w] blocks to the pixels."""
+        if self.even:
+            for _ in range(int(more.max())):
+                blocks.add(np.arange(more.size), self._pixels(None, blocks.size))
+        else:
+            pixels = np.repeat(np.arange(more.size), more.ravel())
+            blocks.add(pixels, self._pixels(pixels, blocks.size))
+        self._checked(blocks.mean())
 
-    def _blocks(self, pixels: NDArray[np.intp], size: int) -> Iterator[tuple[slice, NDArray[np.float64]]]:
-        m = self.method
-        return sample_blocks(m.mi, m.loaded.scene, self.sensors[0], m.integrator, pixels, size, self._next_seed())
+    def _pixels(self, pixels: NDArray[np.intp] | None, size: int) -> NDArray[np.float64]:
+        """Mean of `size` samples in each of these pixels, which may repeat, or in all: camera RGB [n,3]."""
+        each = grid_spp(size / len(self._poses))
+        total = sum(self._samples(sensor, pixels, each) for sensor in self.sensors)
+        return self._in_camera_rgb(np.asarray(total) / len(self._poses))
 
-    def _in_camera_rgb(self, image: NDArray[np.float64]) -> NDArray[np.float64]:
-        spectral = "spectral" in self.method.variant
+    def seconds(self, size: int, part: float) -> float:
+        """Seconds of a pass of `size`, from `part` of its pixels (or a few more), timed when the kernel is compiled."""
+        count = self.rig.height * self.rig.width
+        chosen = None if self.method.variant.startswith("scalar") else np.arange(0, count, max(int(1 / part), 1))
+        for _ in range(2):
+            start = time.perf_counter()
+            self._pixels(chosen, size)
+        return (time.perf_counter() - start) * (1 if chosen is None else count / len(chosen))
+
+    def _samples(self, sensor: Any, pixels: NDArray[np.intp] | None, spp: int) -> NDArray[np.float64]:
+        m, seed = self.method, self._next_seed()
+        if m.variant.startswith("scalar"):
+            assert pixels is None, "scalar variants render whole images"
+            film = m.mi.render(m.loaded.scene, sensor=sensor, integrator=m.integrator, spp=spp, seed=seed)
+            return np.array(film, dtype=np.float64)[..., :3].reshape(-1, 3)
+        chosen = np.arange(self.rig.height * self.rig.width) if pixels is None else pixels
+        parts = [means for _, means in sample_blocks(m.mi, m.loaded.scene, sensor, m.integrator, chosen, spp, seed)]
+        return np.concatenate([np.empty((0, 3)), *parts])
+
+    def _in_camera_rgb(self, light: NDArray[np.float64]) -> NDArray[np.float64]:
         if self.method.optics.camera is None:
-            # Spectral light may lie outside the triangle of sRGB, where a channel is negative.
-            return check_radiance(image, self.i, signed=spectral)
+            return light
         camera = camera_color(self.method.optics.camera)
-        check_radiance(image, self.i)
-        if spectral:
-            return image / camera.green_integral
-        return np.clip(image @ camera.matrix.T, 0, None)  # the matrix can give negative values, filters cannot
+        if "spectral" in self.method.variant:
+            return light / camera.green_integral
+        # The matrix can give negative values where filters cannot. They stay until all samples are in: to clip noise
+        # on its way would brighten it.
+        return np.asarray(light @ camera.matrix.T)
+
+    def _checked(self, image: NDArray[np.float64]) -> NDArray[np.float64]:
+        # Spectral light may lie outside the triangle of sRGB, where a channel is negative; so may a camera's matrix.
+        signed = "spectral" in self.method.variant or self.method.optics.camera is not None
+        return check_radiance(image, self.i, signed=signed)
 
     def render(self, spp: int | None, target_error: float | None, tick: Tick = lambda part: None) -> Radiance:
         """Render with `spp` samples in every pixel, or until the relative RMSE of the view is `target_error`.
 
-        The error seen is the spread between independent passes: noise only. It cannot see what every pass lacks, such
-        as light beyond the maximal path depth, or a caustic that no pass has found yet.
+        The error seen is the spread between independent passes or blocks: noise only. It cannot see what all of them
+        lack, such as light beyond the maximal path depth, or a caustic that none has found yet.
 
-        Towards a target, samples go where a short pilot saw noise. The pilot itself is thrown away: an average that
-        kept it would be biased, since it decided how much each pixel's other samples count.
+        Towards a target, samples go where a short pilot saw noise, which is then thrown away (see
+        `simscenes.render.blocks`); where few are needed, its samples count, and all pixels get as many.
 
         `tick` is called after every pass with the fraction of the work that is done.
 
@@ -125,41 +161,43 @@ class View:
         """
         if target_error is not None:
             return self._render_to(target_error, tick)
-        count, size = split_passes(spp or 2)
-        size = max(size, len(self._poses))  # both powers of four: each sub-frame gets its whole share
+        count, size = self.passes(spp or 2)
         passes = Passes((self.rig.height, self.rig.width))
         for done in range(count):
             self.run(passes, 1, size)
             tick((done + 1) / count)
         return passes.result(size)
 
+    def passes(self, spp: int) -> tuple[int, int]:
+        """Number of passes and samples per pixel of each; every sub-frame gets equally many, and one at least."""
+        count, size = split_passes(spp)
+        return count, self._whole(size)
+
+    def _whole(self, size: int) -> int:
+        return len(self._poses) * grid_spp(size / len(self._poses))
+
     def _render_to(self, target_error: float, tick: Tick) -> Radiance:
-        each = self.predict_spp(target_error) / PLANNED_PASSES
-        passes = Passes((self.rig.height, self.rig.width))
-        if self.even:
-            size = spp = max(pass_spp(each), len(self._poses))
-        else:
-            size = (
-                64 if each >= 256 else PILOT_SPP
-            )  # larger blocks are stratified better, smaller ones are spread finer
-            blocks = np.maximum(np.rint(self.pilot[1] * each / size), 1).astype(np.int64)
-            spp = size * blocks.mean()
-        count = FEWEST_PASSES
-        while passes.count == 0 or (passes.error() > target_error and passes.count * spp < MAX_SPP):
-            if self.even:
-                self.run(passes, count, size)
-            else:
-                self.run_uneven(passes, count, blocks, size)
-            # The error falls with the square root of the samples; one estimate alone may at most double them.
-            lacking = passes.count * ((passes.error() / target_error) ** 2 - 1)
-            count = min(max(math.ceil(lacking), 1), passes.count)
-            tick(passes.count / max(passes.count + lacking, passes.count))
-        if (reached := passes.error()) > target_error:
+        pilot, wanted = self.pilot, FIRST * self.predict_spp(target_error)
+        even = self.even or wanted < WORTH * pilot.spp
+        size = self._whole(min(max(pass_spp(wanted / FEWEST_BLOCKS), PILOT_SPP), MAX_BLOCK_SPP))
+        shares = np.ones_like(pilot.shares) if even else pilot.shares
+        blocks = Blocks(pilot.passes, pilot.spp if even else 0, size)
+        error = pilot.passes.error()
+        while error > target_error and wanted < MAX_SPP:
+            self.run_blocks(blocks, blocks.lacking(wanted, shares))
+            error = relative_error(blocks.mean(), blocks.variance())
+            tick(min((target_error / error) ** 2, 1.0) if error > 0 else 1.0)
+            # One estimate alone may at most double the samples; less than a twentieth more is not worth a round.
+            wanted *= min(max((error / target_error) ** 2, 1.05), 2)
+        self._gave_up(error, target_error)
+        return summary(blocks.mean(), blocks.variance(), blocks.spp or pilot.spp)
+
+    def _gave_up(self, reached: float, target_error: float) -> None:
+        if reached > target_error:
             warnings.warn(
                 f"view {self.i} stopped at a relative error of {reached:.3g} after {MAX_SPP} samples per pixel, before "
-                f"the target of {target_error:g}", stacklevel=2,
+                f"the target of {target_error:g}", stacklevel=4,
             )  # fmt: skip
-        return passes.result(spp)
 
     @property
     def even(self) -> bool:
@@ -167,23 +205,22 @@ class View:
         return self.method.variant.startswith("scalar") or len(self._poses) > 1
 
     @cached_property
-    def pilot(self) -> tuple[float, NDArray[np.float64]]:
-        """Relative error with one sample per pixel, and the share of the samples each pixel should get, mean 1."""
-        pilot = Passes((self.rig.height, self.rig.width))
-        size = max(PILOT_SPP, len(self._poses))
-        if self.even:
-            self.run(pilot, 2, size)
-        else:
-            self.run_uneven(pilot, 2, np.ones((self.rig.height, self.rig.width), np.int64), size)
-        seen = pilot.result(size)
-        variance = seen.variance.astype(np.float64).mean(-1) * seen.spp
+    def pilot(self) -> Pilot:
+        """The first samples of a view towards a target, and what they say about the others."""
+        passes, (count, size) = Passes((self.rig.height, self.rig.width)), self.passes(2 * PILOT_SPP)
+        for _ in range(count):
+            start = time.perf_counter()
+            self.run(passes, 1, size)
+        seconds, spp = (time.perf_counter() - start) / size, count * size
+        variance = passes.variance().mean(-1) * spp
         shares = np.ones_like(variance) if self.even else sample_shares(variance)
-        level = float(seen.mean.mean())
-        return (math.sqrt((variance / shares).mean()) / level if level > 0 else 0.0), shares
+        level = float(passes.mean.mean())
+        error = math.sqrt((variance / shares).mean()) / level if level > 0 else 0.0
+        return Pilot(passes, spp, shares, error, seconds)
 
     def predict_spp(self, target_error: float) -> int:
         """Samples per pixel that bring a pilot's error down to the target, if it falls as 1/sqrt(spp)."""
-        wanted = (self.pilot[0] / target_error) ** 2
+        wanted = (self.pilot.error / target_error) ** 2
         return min(max(2 * PILOT_SPP, math.ceil(wanted)), MAX_SPP)
 
 

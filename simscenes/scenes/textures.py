@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from sensor_model import srgb_to_linear
+from simscenes.scenes.remembered import remembered
 
 Rng = np.random.Generator
 Texels = NDArray[np.float32]
@@ -64,6 +65,7 @@ def _grid(shape: tuple[int, int]) -> tuple[Field, Field]:
     return (y + 0.5) / shape[0], (x + 0.5) / shape[1]
 
 
+@remembered
 def wood(shape: tuple[int, int], rng: Rng, *, planks: int = 4, colors: Sequence[str] = ()) -> Texels:
     """Planks along x with stretched grain, each of its own shade."""
     y, x = _grid(shape)
@@ -77,6 +79,7 @@ def wood(shape: tuple[int, int], rng: Rng, *, planks: int = 4, colors: Sequence[
     return finish(np.where(gap[..., None], 0.25 * rgb, rgb), rng, grain=0.08)
 
 
+@remembered
 def bricks(shape: tuple[int, int], rng: Rng, *, rows: int = 12, columns: int = 6, colors: Sequence[str] = ()) -> Texels:
     """Running-bond brickwork with mortar, each brick of its own shade."""
     y, x = _grid(shape)
@@ -89,6 +92,7 @@ def bricks(shape: tuple[int, int], rng: Rng, *, rows: int = 12, columns: int = 6
     return finish(np.where(mortar[..., None], color("b8ad9c") * (1 + 0.1 * shade[..., None]), rgb), rng)
 
 
+@remembered
 def cells(shape: tuple[int, int], rng: Rng, *, count: int = 60, colors: Sequence[str], joint: float = 0.1) -> Texels:
     """Voronoi cells (cobbles, terrazzo, leather), tileable, rounded towards their dark joints."""
     y, x = _grid(shape)
@@ -100,6 +104,7 @@ def cells(shape: tuple[int, int], rng: Rng, *, count: int = 60, colors: Sequence
     return finish(rgb * (0.25 + 0.75 * edge[..., None]), rng)
 
 
+@remembered
 def marble(shape: tuple[int, int], rng: Rng, *, colors: Sequence[str] = ("e8e4dc", "c9c2b8", "7d7a78")) -> Texels:
     """Veined stone: ridges of warped noise."""
     ridge = np.exp(-4 * np.abs(fractal(shape, rng, beta=1.7))) + 0.6 * np.exp(
@@ -108,6 +113,7 @@ def marble(shape: tuple[int, int], rng: Rng, *, colors: Sequence[str] = ("e8e4dc
     return finish(ramp(np.clip(0.8 * ridge + 0.1 * fractal(shape, rng), 0, 1), colors), rng, grain=0.06)
 
 
+@remembered
 def motif(
     shape: tuple[int, int], rng: Rng, *, repeats: tuple[int, int], colors: Sequence[str], edge: float = 4.0
 ) -> Texels:
@@ -135,6 +141,7 @@ def bordered(texels: Texels, hex_code: str, width: float = 0.08) -> Texels:
     return np.where(edge[..., None], np.clip(color(hex_code) * shade, 0.02, 0.85), texels).astype(np.float32)
 
 
+@remembered
 def painting(shape: tuple[int, int], rng: Rng, *, colors: Sequence[str], strokes: int = 40) -> Texels:
     """Abstract picture: a coloured ground with random discs, bars and rings."""
     y, x = _grid(shape)
@@ -155,6 +162,7 @@ def painting(shape: tuple[int, int], rng: Rng, *, colors: Sequence[str], strokes
     return finish(rgb, rng, grain=0.1, hue=0.08)
 
 
+@remembered
 def lettering(shape: tuple[int, int], rng: Rng, text: str, *, ink: str, paper: str, frame: bool = True) -> Texels:
     """Text as large as fits, printed on worn paper or paint."""
     import cv2
@@ -171,6 +179,7 @@ def lettering(shape: tuple[int, int], rng: Rng, text: str, *, ink: str, paper: s
     return finish(color(paper) * (1 - mask) + color(ink) * mask, rng, grain=0.15, hue=0.08)
 
 
+@remembered
 def spines(shape: tuple[int, int], rng: Rng, *, colors: Sequence[str], count: int = 18) -> Texels:
     """A shelf of book spines of differing width, height and title bands."""
     rgb = np.full((*shape, 3), 0.03)

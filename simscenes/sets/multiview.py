@@ -110,7 +110,10 @@ class MultiviewSet:
         return srgb_to_linear(self.image(i) / np.float32(255))
 
     def variance(self, i: int) -> Float32 | None:
-        """Estimated variance of `radiance(i)`, float32 [h,w,3]; None for photographs."""
+        """Estimated variance of `radiance(i)`, float32 [h,w,3]; None for photographs.
+
+        Each value is the mean over 3 x 3 pixels, of which two passes give one degree of freedom each.
+        """
         names = ("var.R", "var.G", "var.B")
         return _stack(self._truth(i, *names), *names) if self.kind == "rendered" else None
 

@@ -14,7 +14,8 @@ from simscenes.loading.integrator import OwnIntegrator
 from simscenes.loading.load import LoadedScene, build_in_fewest_colors, set_light_weights
 from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.optics import Optics
-from simscenes.render.framing import usual_rig, with_lens
+from simscenes.render.fitting import usual_rig
+from simscenes.render.framing import with_lens
 from simscenes.render.geometry import check_cameras, geometry_channels
 from simscenes.rigs import Rig
 from simscenes.transport import pilot, plan

@@ -11,6 +11,7 @@ import pytest
 from simscenes import default_rig
 from simscenes.job import curves
 from simscenes.job.curves import DEFAULT, KNOBS, Bench, Setting, render_curves
+from simscenes.render.passes import Passes
 
 TRUTHS = [np.arange(1.0, 13.0).reshape(2, 2, 3) * level for level in (1.0, 2.0, 5.0)]
 
@@ -114,16 +115,20 @@ def test_a_view_is_timed_when_its_kernels_are_compiled(
         @property
         def pilot(self) -> Any:
             clock.now += 2
-            return 9.0, shares
+            passes = Passes((2, 4))
+            for _ in range(2):
+                passes.add(np.full((2, 4, 3), 7.0))
+            return SimpleNamespace(passes=passes, spp=32, shares=shares)
 
         def run(self, passes: Any, count: int, spp: int) -> None:
             clock.now += 50 if not runs else 4
             runs.append((count, spp))
             passes.add(np.full((2, 4, 3), 7.0))
 
-        def run_uneven(self, passes: Any, count: int, blocks: Any, size: int) -> None:
-            self.run(passes, count, size)
-            assert blocks.tolist() == [[1, 4, 12, 1], [6, 3, 3, 4]]  # of 16 samples, of which 64 give 4
+        def run_blocks(self, blocks: Any, more: Any) -> None:
+            clock.now += 50 if not runs else 4
+            runs.append((1, blocks.size))
+            assert more.tolist() == [[2, 4, 12, 2], [6, 3, 3, 4]]  # of 16 samples, of which 64 give 4
 
     asked: list[Any] = []
     monkeypatch.setattr(bench, "ready", ready)

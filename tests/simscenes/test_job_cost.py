@@ -14,6 +14,7 @@ from simscenes import Rig, orbit_rig
 from simscenes.job import cost, views
 from simscenes.job.cost import Stopwatch, peak_bytes, predict_seconds, versions
 from simscenes.job.views import QUARTERS, Job, render_views
+from simscenes.render import radiance
 
 RIG = orbit_rig(12, 6, 4, 40, radius=3.0)
 
@@ -49,64 +50,61 @@ def test_seconds_add_up_by_stage_also_over_failures_and_earlier_calls(clock: Clo
     assert watch.with_earlier() == {"render": 13, "plan": 1, "load": 7}
 
 
-@pytest.fixture
-def made(clock: Clock, monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """Views made for the prediction: the first pass compiles for 60 s, then a sample in every pixel takes 1/8 s."""
-    found: list[Any] = []
+@pytest.mark.parametrize(("spp", "numbers"), [(64, [3, 5, 6, 8, 11]), (3000, list(range(12))), (2, [7])])
+def test_even_samples_are_predicted_from_a_part_of_a_pass(
+    spp: int, numbers: list[int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of the first view that is missing, in a pass of the job itself, from a 64th of the job's samples."""
+    found = []
 
     class Fresh:
-        even = False
-
         def __init__(self, method: Any, rig: Rig, i: int) -> None:
-            self.method, self.rig, self.i, self.passes = method, rig, i, []
-            self.even = method == "scalar"
-            found.append(self)
+            assert (method, rig, i) == ("any", RIG, numbers[0])
 
-        def _pass(self, kind: str, count: int, size: int, each: float) -> None:
-            clock.now += (0 if self.passes else 60) + count * size * each
-            self.passes.append((kind, count * size))
+        def passes(self, spp: int) -> tuple[int, int]:
+            return 3, spp // 2
 
-        def run(self, passes: Any, count: int, size: int) -> None:
-            self._pass("even", count, size, 1 / 8)
-
-        def run_uneven(self, passes: Any, count: int, blocks: Any, size: int) -> None:
-            assert blocks.shape == (self.rig.height, self.rig.width)
-            self._pass("uneven", count, size * int(blocks.mean()), 1 / 4)
+        def seconds(self, size: int, part: float) -> float:
+            found.append((size, part))
+            return size / 8
 
     monkeypatch.setattr(cost, "View", Fresh)
-    return found
+    predicted = predict_seconds("any", RIG, dict.fromkeys(numbers), spp, None)  # type: ignore[arg-type]
+    assert predicted == pytest.approx(3 * len(numbers) * (spp // 2) / 8)
+    assert found == [(spp // 2, pytest.approx(3 * len(numbers) / 64))]
 
 
-def waiting(numbers: list[int], needed: dict[int, int] | None = None) -> dict[int, Any]:
-    """The views of the job, which know how many samples they need and must not be run."""
-    return {i: SimpleNamespace(predict_spp=lambda error, i=i: round((needed or {})[i] / error)) for i in numbers}
+def test_towards_a_target_error_three_pilots_say_how_many() -> None:
+    """Of views 2, 3, 5, 8, 11 the first, the middle and the last; what they need per pixel, in seconds of their own."""
+
+    def waiting(needed: dict[int, tuple[int, float]]) -> dict[int, Any]:
+        return {
+            i: SimpleNamespace(pilot=SimpleNamespace(seconds=each), predict_spp=lambda e, n=n: round(n / e))
+            for i, (n, each) in needed.items()
+        }
+
+    views = waiting({2: (3, 0.5), 3: (999, 9), 5: (5, 0.25), 8: (999, 9), 11: (13, 2.0)})
+    predicted = predict_seconds("any", RIG, views, None, 0.1)  # type: ignore[arg-type]
+    assert predicted == pytest.approx((30 * 0.5 + 50 * 0.25 + 130 * 2.0) / 3 * 5)
+    assert predict_seconds("any", RIG, waiting({4: (7, 0.5)}), None, 0.1) == pytest.approx(35)  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize(
-    ("spp", "numbers", "size"),
-    [
-        (64, [3, 5, 6, 8, 11], 4),  # a 32nd of 320 samples, down to a power of four
-        (256, [3, 5, 6, 8], 16),
-        (1024, list(range(12)), 64),  # never more than 64
-        (2, [7], 1),
-    ],
-)
-def test_even_samples_are_predicted_from_a_second_pass(spp: int, numbers: list[int], size: int, made: list) -> None:
-    predicted = predict_seconds("any", RIG, waiting(numbers), spp, None)  # type: ignore[arg-type]
-    assert predicted == pytest.approx(spp * len(numbers) / 8)
-    assert [(view.i, view.rig, view.passes) for view in made] == [(numbers[0], RIG, [("even", size)] * 2)]
+def test_a_part_of_a_pass_is_timed_when_its_kernel_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """60 s of compilation, then 1/8 s a pixel: 24 pixels take 3 s, whichever part of them is traced."""
+    clock, traced = Clock(), []
+    monkeypatch.setattr(radiance, "time", SimpleNamespace(perf_counter=clock))
 
+    def trace(self: Any, pixels: Any, size: int) -> None:
+        count = 24 if pixels is None else len(pixels)
+        clock.now += (0 if traced else 60) + count / 8
+        traced.append((count, size))
 
-@pytest.mark.parametrize(("method", "kind", "each"), [("wide", "uneven", 1 / 4), ("scalar", "even", 1 / 8)])
-def test_towards_a_target_error_three_pilots_say_how_many(method: str, kind: str, each: float, made: list) -> None:
-    """Of views 2, 3, 5, 8, 11 the first, the middle and the last; every pilot itself takes 2 x 16 samples."""
-    pilots = {2: 3, 5: 5, 11: 13}
-    predicted = predict_seconds(method, RIG, waiting([2, 3, 5, 8, 11], pilots), None, 0.1)  # type: ignore[arg-type]
-    mean = ((30 + 32) + (50 + 32) + (130 + 32)) / 3
-    assert predicted == pytest.approx(each * mean * 5)
-    assert [(view.i, view.passes) for view in made] == [(2, [(kind, 16)] * 2)]
-    alone = predict_seconds(method, RIG, waiting([4], {4: 7}), None, 0.1)  # type: ignore[arg-type]
-    assert alone == pytest.approx(each * (70 + 32))
+    monkeypatch.setattr(radiance.View, "_pixels", trace)
+    for variant, part, count in (("llvm", 0.1, 3), ("llvm", 0.9, 24), ("llvm", 8.0, 24), ("scalar", 0.1, 24)):
+        traced.clear()
+        view = radiance.View(SimpleNamespace(variant=variant, subframes=1), RIG, 0)  # type: ignore[arg-type]
+        assert view.seconds(35, part) == pytest.approx(3)
+        assert traced == [(count, 35)] * 2
 
 
 def test_versions_and_memory_are_those_of_this_process() -> None:

@@ -10,7 +10,7 @@ from simscenes import default_rig, fit_rig
 from simscenes.backend import activate
 from simscenes.loading.load import build_scene
 from simscenes.loading.reference import SceneRef
-from simscenes.render.framing import usual_rig
+from simscenes.render.fitting import usual_rig
 
 BALL = {"type": "scene", "ball": {"type": "sphere"}}
 
