@@ -202,7 +202,7 @@ def run_stage(
         MemoryError: If there is not enough memory, of the GPU too.
     """
     with locked(folder, owns), memory_shortage_said(name):
-        stage = _Stage(name, folder, record_name, tuple(owns), tuple(scrap), overwrite, console)
+        stage = _Stage(name, folder, record_name, tuple(owns), tuple(scrap), console, overwrite)
         return stage.run(dict(inputs), jsonable(config), prepare, work, stale)
 
 
@@ -258,8 +258,8 @@ class _Stage:
     record_name: str
     owns: tuple[str, ...]
     scrap: tuple[str, ...]
-    overwrite: bool
     console: Console
+    overwrite: bool = False
 
     def run(
         self,

@@ -155,7 +155,7 @@ def read_unfinished(folder: Path, file: Path) -> None:
     def prepare() -> None:
         raise Started
 
-    stage = _Stage("score", folder, "metrics.json", ("metrics.json",), (), Console(quiet=True))
+    stage = _Stage("score", folder, "metrics.json", ("metrics.json",), (), Console(quiet=True), True)
     with contextlib.suppress(Started):
         stage.run({}, {}, prepare, lambda _: {}, ())
 
