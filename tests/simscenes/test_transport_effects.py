@@ -215,3 +215,38 @@ def test_a_step_between_poses_is_half_a_pixel_at_most(
     monkeypatch.setattr(effects, "image_motion", lambda *a: asked.append(a) or pixels / 8)
     assert motion_effect(["views"], SMALL, SMALL, Optics(motion=0.3), 8.0)[1] == frames
     assert asked == [(["views"], SMALL, SMALL, 0.3)]
+
+
+def persistent(albedo: float) -> dict[Any, Any]:
+    """The room with pilots of any depth, the deeper ones without roulette."""
+    depths = {3: (8, 16, 32, 64, 2), 257: (128, 192, 256), 1025: (512, 768, 1024)}
+    starts = {3: 2, 257: 257, 1025: 1025}
+    return {
+        ("path", d, starts[key], 0): np.full((2, 3, 4, 3), 1 - albedo**d) for key, some in depths.items() for d in some
+    }
+
+
+@pytest.mark.parametrize(("albedo", "depth"), [(0.9, 64), (0.96, 256), (0.99, 512), (0.9995, 1024)])
+def test_paths_go_as_deep_as_light_persists(albedo: float, depth: int) -> None:
+    """Where 1024 is not deep enough, the plan says how much is left."""
+    p = pilots(0.004, images=persistent(albedo))
+    found, (_, deep) = depth_effects(p, False, albedo, None)
+    assert found == depth
+    left = albedo**depth / (1 - albedo ** {64: 64, 256: 256, 512: 1024, 1024: 1024}[depth])
+    assert deep.contribution == pytest.approx(left, rel=1e-6)
+    assert (deep.contribution <= 0.004) == (albedo < 0.9995)
+    assert p.rms["paths beyond max_depth"] == pytest.approx((left,) * 5, rel=1e-6)
+
+
+def test_light_that_fades_more_slowly_than_surfaces_allow_is_seen_to_do_so() -> None:
+    """At most 0.99 a bounce is assumed, 0.998 is found: what comes after the deepest path is not underestimated."""
+    p = pilots(0.001, images=persistent(0.998))
+    found, (_, deep) = depth_effects(p, False, 0.99, None)
+    assert found == 1024
+    assert deep.contribution == pytest.approx(0.998**1024 / (1 - 0.998**1024), rel=1e-3)
+
+
+def test_deep_paths_do_without_roulette() -> None:
+    start, effect = roulette_effect(pilots(), True, 128, True)
+    assert (start, effect.on) == (2, False)
+    assert effect.reason.startswith("light persists to depth 128: roulette would make it rare and bright")

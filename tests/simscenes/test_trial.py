@@ -52,8 +52,10 @@ def test_mesh_indices_out_of_range_are_one_line_whether_mitsuba_crashes_or_reads
 ) -> None:
     mi = activate()
     assert build_scene(scene_of(tmp_path, name, make(0, 1, 2)), mi).shapes == ("m",)
-    with pytest.raises(ValueError, match=r"mesh 'm' has 3 vertices, but a face names vertex 900"):
-        build_scene(scene_of(tmp_path, name, make(0, 1, 900)), mi)
+    with pytest.raises(
+        ValueError, match=r"mesh 'm' has 3 vertices, but a face names vertex 900|Mitsuba crashes on it \(SIG"
+    ):
+        build_scene(scene_of(tmp_path, name, make(0, 1, 900)), mi)  # as the memory beyond happens to be
     with pytest.raises(ValueError, match=r"'scene' cannot be loaded: Mitsuba crashes on it \(SIG"):
         build_scene(scene_of(tmp_path, name, make(0, 1, 2**30)), mi)
 
@@ -129,7 +131,7 @@ def test_parameters_that_are_not_set_are_no_fault(tmp_path: Path) -> None:
 
 def test_a_file_is_tried_once_for_each_content(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked = []
-    monkeypatch.setattr(trial._Process, "load", lambda self, scene: asked.append(scene) or "")
+    monkeypatch.setattr(trial._Process, "load", lambda self, scene, parameters: asked.append(scene) or "")
     path = scene_of(tmp_path, "m.ply", ply(0, 1, 2))
     for _ in range(2):
         build_scene(path, activate())
@@ -142,7 +144,7 @@ def test_a_file_is_tried_once_for_each_content(tmp_path: Path, monkeypatch: pyte
 
 def test_a_file_that_failed_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     answers = ["it crashes", ""]
-    monkeypatch.setattr(trial._Process, "load", lambda self, scene: answers.pop(0))
+    monkeypatch.setattr(trial._Process, "load", lambda self, scene, parameters: answers.pop(0))
     path = scene_of(tmp_path, "m.ply", ply(0, 1, 2))
     with pytest.raises(ValueError, match="it crashes"):
         build_scene(path, activate())
