@@ -15,11 +15,12 @@ from torch import Tensor
 
 from novags.splats import FitConfig, Gaussians, Views, fit, rasterize
 
-# parts of an iteration, by file in novags/splats
+# parts of an iteration: the chains and kernels of novags/splats/cpu that Python calls
 PARTS = {
-    "project.py": "projection", "project_backward.py": "projection backward", "harmonics.py": "spherical harmonics",
-    "bins.py": "tile lists", "sort.py": "depth sort", "composite.py": "compositing", "photometric.py": "L1 + SSIM",
-    "optimizer.py": "Adam", "noise.py": "Langevin noise", "mcmc.py": "relocation", "activations.py": "exp, sigmoid",
+    "activate": "exp, sigmoid", "project_and_list": "projection, colours, depth order, first tile lists",
+    "composite_wave": "compositing, further tile lists", "compare": "L1 + SSIM",
+    "composite_backward": "compositing backward", "step": "projection and colours backward, Adam",
+    "add": "Langevin noise",
 }  # fmt: skip
 
 
@@ -84,13 +85,8 @@ def profile(start: Gaussians, views: Views, images: Tensor, iterations: int) -> 
     profiler.disable()
     parts = dict.fromkeys([*PARTS.values(), "rest (torch, Python)"], 0.0)
     for (file, _, function), (_, _, seconds, _, _) in pstats.Stats(profiler).stats.items():  # type: ignore[attr-defined]
-        part = PARTS.get(Path(file).name, list(parts)[-1]) if "splats" in file else list(parts)[-1]
-        if part == "compositing":
-            parts.setdefault(f"compositing: {function}", 0.0)
-            parts[f"compositing: {function}"] += 1e3 * seconds / iterations
-        else:
-            parts[part] += 1e3 * seconds / iterations
-    del parts["compositing"]
+        compiled = Path(file).parent.name in ("chains", "cpu") and function in PARTS
+        parts[PARTS[function] if compiled else list(parts)[-1]] += 1e3 * seconds / iterations
     return dict(sorted(parts.items(), key=lambda item: -item[1]))
 
 
