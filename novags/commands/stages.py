@@ -117,8 +117,8 @@ def poses(
 def capture(
     set: Folder, *, out: Path, sensor: str = "a7s2-iso6400-3chip", electrons: float = 20.0, time: float = 1 / 30,
     max_size: int | None = None, demosaic: Literal["menon", "malvar", "bilinear"] = "menon",
-    jpeg_quality: int | None = None, tolerance: float | None = 0.05, seed: int = 0, overwrite: bool = False,
-    wait: bool = False,
+    jpeg_quality: int | None = None, tolerance: float | None = 0.05,
+    export: tuple[Literal["blender", "llff"], ...] = (), seed: int = 0, overwrite: bool = False, wait: bool = False,
 ) -> None:  # fmt: skip
     """Photograph a multiview set in the dark: a rendered one, or real posed photographs.
 
@@ -133,6 +133,7 @@ def capture(
         demosaic: Interpolation of the colour filter array.
         jpeg_quality: 1 to 100: put the 8-bit pictures through JPEG.
         tolerance: Leave out effects that change the noise by less than this share; None simulates all.
+        export: Further layouts of the capture to write, each into a folder of its own in it.
         seed: Of the noise.
         overwrite: Replace a finished result of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
@@ -142,7 +143,7 @@ def capture(
 
     config = CaptureConfig(
         sensor=sensor, electrons=electrons, time=time, max_size=max_size, demosaic=demosaic,
-        jpeg_quality=jpeg_quality, tolerance=tolerance, seed=seed,
+        jpeg_quality=jpeg_quality, tolerance=tolerance, export=export, seed=seed,
     )  # fmt: skip
     with writing(out, wait) as console:
         stages.capture(set, out, config, console, overwrite=overwrite)

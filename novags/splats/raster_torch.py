@@ -130,7 +130,7 @@ def composite(
     for chunk in pixels.split(PIXELS_PER_CHUNK):
         delta = chunk[:, None] - means2d  # [P, N, 2]
         if on_gradient and delta.requires_grad:
-            delta.register_hook(lambda v_delta: on_gradient(-v_delta))
+            delta.register_hook(lambda v_delta: None if v_delta is None else on_gradient(-v_delta))
         power = 0.5 * torch.einsum("pni,nij,pnj->pn", delta, conics, delta)
         alpha = torch.clamp_max(opacities * torch.exp(-power), ALPHA_MAX)
         alpha = torch.where(alpha >= ALPHA_MIN, alpha, 0.0)

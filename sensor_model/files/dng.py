@@ -1,8 +1,8 @@
 """Raw frames as DNG files: a colour filter mosaic, or one or three full channels (LinearRaw), for any raw converter.
 
-LibRaw (rawpy) reads all of them bit for bit, if both sides have `SMALLEST` pixels or more. Its own rendering of a
-LinearRaw file comes out darker by black/white, because it subtracts a black level given per channel from the data but
-not from the white level.
+LibRaw (rawpy) reads all of them bit for bit, if both sides have `SMALLEST` pixels or more. Black and white level are
+one number for all channels, in three-channel files too: LibRaw takes three of them for those of three of its four
+channels, leaves the fourth at 0, and renders the picture darker by black/white.
 """
 
 from __future__ import annotations
@@ -77,8 +77,8 @@ def _tags(shape: tuple[int, ...], sensor: Sensor, exposure: Exposure, filters: N
         (Tag.Orientation, Orientation.Horizontal),
         (Tag.SamplesPerPixel, channels),
         (Tag.BitsPerSample, [16] * channels),
-        (BLACK_LEVEL, _rationals(np.full(channels, sensor.black_level))),
-        (Tag.WhiteLevel, [white] * channels),
+        (BLACK_LEVEL, _rationals(np.array([sensor.black_level]))),
+        (Tag.WhiteLevel, [white]),
         (Tag.ExposureTime, _rationals(np.array([exposure.time]))),
         (Tag.Make, "novags"),
         (Tag.Model, "sensor_model"),

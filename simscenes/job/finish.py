@@ -21,6 +21,7 @@ from simscenes.job.exposure import BELOW_WHITE, RunningQuantile, exposure_scale
 from simscenes.job.sparse import surface_points
 from simscenes.rigs import Rig
 from simscenes.sets.camera_files import write_cameras
+from simscenes.sets.neighbours import DEPTHS, write_depth
 from simscenes.sets.png import write_png
 from simscenes.sets.tracks import SparsePoints
 
@@ -75,17 +76,20 @@ def view_store(out: Path, rig: Rig, camera: str | None) -> Iterator[ViewStore]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def finish_set(out: Path, names: list[str], rig: Rig, seed: int, views: ViewStore) -> dict[str, Any]:
-    """Write what depends on all views together; what set.json says about it."""
+def finish_set(out: Path, names: list[str], rig: Rig, seed: int, views: ViewStore, scene: str) -> dict[str, Any]:
+    """Write what depends on all views together, and their depth; what set.json says about it."""
     scale = views.exposure_scale()
 
     def image(i: int) -> NDArray[np.uint8]:
         return to_srgb8(views.light(i) * np.float32(scale))
 
+    shutil.rmtree(out / DEPTHS, ignore_errors=True)  # of a larger set
     for i, name in enumerate(names):
+        write_depth(out / DEPTHS / f"{name}.png", views.depth(i))
         write_png(out / "images" / f"{name}.png", image(i))
     xyz, rgb, visible = surface_points(rig, views.depth, image, seed=seed)
-    write_cameras(out, names, rig, points=SparsePoints.seen(rig, xyz, rgb, visible, exact=True))
+    points = SparsePoints.seen(rig, xyz, rgb, visible, exact=True)
+    write_cameras(out, names, rig, points=points, depth_dir=DEPTHS, scene=scene)
     if views.color is None:
         return {"exposure_scale": scale}
     matrix = {"camera_matrix": views.color.matrix.tolist(), "camera_matrix_error": views.color.matrix_error}

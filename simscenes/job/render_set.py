@@ -34,6 +34,7 @@ from simscenes.sets.camera_files import write_json
 from simscenes.sets.export import EXPORTS
 from simscenes.sets.multiview import MultiviewSet, load_set
 from simscenes.sets.names import numbered
+from simscenes.sets.neighbours import DEPTHS
 from simscenes.transport.plan import APERTURE, MOTION, TransportPlan
 from simscenes.transport.planner import default_plan, plan_loaded
 
@@ -96,7 +97,7 @@ def render_set(
         raise ValueError(f"render_set: export must name layouts of {sorted(EXPORTS)}, got {sorted(unknown)}")
     report = progress or (lambda done, total, what: None)
     watch, out, source = Stopwatch(), Path(out), SceneRef.of(scene)
-    with locked(out, ("gt", "images", "sparse", *EXPORTS)):
+    with locked(out, ("gt", "images", "sparse", DEPTHS, *EXPORTS)):
         variant = backend_of(variant)
         with watch.stage("load"):
             loaded = build_in_fewest_colors(source, variant, allow_outside=allow_outside)
@@ -139,7 +140,7 @@ def render_set(
             job = Job(method, made, loaded, loaded.variant, rig, out, names, pixels, digest, store, watch, report)
             views, predicted = render_views(job)
             with watch.stage("write"):
-                finished = finish_set(out, names, rig, seed, store)
+                finished = finish_set(out, names, rig, seed, store, loaded.name)
         found = {**finished, "views": views, "predicted_seconds": predicted}
         write_json(out / "set.json", without_nan({**config, "digest": digest, **_facts(job, made), **found}))
         (out / SPENT).unlink(missing_ok=True)

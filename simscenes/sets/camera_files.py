@@ -15,9 +15,10 @@ import numpy as np
 from sensor_model.files.atomic import atomic
 from simscenes.rigs import TEST_EVERY, Rig, opencv_to_opengl
 from simscenes.sets.names import check_names, file_of
+from simscenes.sets.neighbours import POINTS, instant_ngp_box, write_points
 from simscenes.sets.tracks import SparsePoints
 
-CAMERA_FILES = ("transforms.json", "sparse", "train_list.txt", "test_list.txt", "nb-info.json")  # by `write_cameras`
+CAMERA_FILES = ("transforms.json", "sparse", "train_list.txt", "test_list.txt", "nb-info.json", POINTS)
 
 
 def is_test_view(index: int) -> bool:
@@ -44,8 +45,10 @@ def write_cameras(
     points: SparsePoints | None = None,
     held_out: Sequence[int] | None = None,
     image_dir: str = "images",
+    depth_dir: str | None = None,
+    scene: str | None = None,
 ) -> None:
-    """Write transforms.json, sparse/0/*.bin, train_list.txt, test_list.txt and nb-info.json into `folder`.
+    """Write transforms.json, sparse/0/*.bin, points3D.ply, train_list.txt, test_list.txt and nb-info.json.
 
     Args:
         folder: Created if it is missing.
@@ -54,6 +57,8 @@ def write_cameras(
         points: Sparse points with their tracks and errors, which are written as they are.
         held_out: Places of the views for testing; None: every 8th, from 0.
         image_dir: Folder of the images, relative to `folder`.
+        depth_dir: Folder of the depth images of all views, likewise; None: there are none.
+        scene: What the scene is called.
 
     Raises:
         ValueError: If names are not safe, different and sorted, or do not match the rig.
@@ -66,14 +71,29 @@ def write_cameras(
     test = [f for i, f in enumerate(files) if i in tested]
     train = [f for i, f in enumerate(files) if i not in tested]
     _write_colmap(folder / "sparse" / "0", files, rig, points)
-    write_json(folder / "transforms.json", _transforms(rig, files, train, test, image_dir))
+    transforms = _transforms(rig, files, train, test, image_dir, depth_dir)
+    xyz = np.zeros((0, 3)) if points is None else points.xyz
+    transforms |= instant_ngp_box(rig.positions, xyz)
+    if points is not None and len(points):
+        write_points(folder / POINTS, points.xyz, points.rgb)
+        transforms["ply_file_path"] = POINTS
+    else:
+        (folder / POINTS).unlink(missing_ok=True)
+    write_json(folder / "transforms.json", transforms)
     write_text(folder / "train_list.txt", "".join(f"{f}\n" for f in train))
     write_text(folder / "test_list.txt", "".join(f"{f}\n" for f in test))
-    loader_args = {"images_path": image_dir, "colmap_path": "sparse/0"}
-    write_json(folder / "nb-info.json", {"loader": "colmap", "loader_kwargs": loader_args, "id": "novags"})
+    write_json(folder / "nb-info.json", nerfbaselines_info(scene, image_dir))
 
 
-def _transforms(rig: Rig, files: list[str], train: list[str], test: list[str], image_dir: str) -> dict[str, Any]:
+def nerfbaselines_info(scene: str | None, image_dir: str = "images") -> dict[str, Any]:
+    """What nerfbaselines is told of a folder with a COLMAP model: its loader, and what the scene is called."""
+    loader = {"loader": "colmap", "loader_kwargs": {"images_path": image_dir, "colmap_path": "sparse/0"}}
+    return {**loader, "id": "novags", **({} if scene is None else {"scene": scene})}
+
+
+def _transforms(
+    rig: Rig, files: list[str], train: list[str], test: list[str], image_dir: str, depth_dir: str | None
+) -> dict[str, Any]:
     """Camera file of nerfstudio; all distortion keys are there because nerfbaselines fails on a partial set."""
     frames: list[dict[str, Any]] = [
         {"file_path": f"{image_dir}/{f}", "transform_matrix": pose.tolist()}
@@ -81,6 +101,8 @@ def _transforms(rig: Rig, files: list[str], train: list[str], test: list[str], i
     ]
     shared: dict[str, Any] = {}
     for i, frame in enumerate(frames):
+        if depth_dir is not None:
+            frame["depth_file_path"] = f"{depth_dir}/{files[i]}"
         K = rig.Ks[i]
         camera = {"fl_x": K[0, 0], "fl_y": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
         (shared if (rig.Ks == rig.Ks[0]).all() else frame).update({k: float(v) for k, v in camera.items()})

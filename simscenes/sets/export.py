@@ -1,30 +1,42 @@
-"""Copies of a set in the two other layouts the field reads: Blender (NeRF synthetic) and LLFF."""
+"""Copies of a set or a capture in the two other layouts the field reads: Blender (NeRF synthetic) and LLFF."""
 
 from __future__ import annotations
 
 import shutil
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simscenes.rigs import opencv_to_opengl
-from simscenes.sets.camera_files import write_json
+from simscenes.sets.camera_files import nerfbaselines_info, write_cameras, write_json
+from simscenes.sets.depth_range import Depths
 from simscenes.sets.multiview import MultiviewSet
 from simscenes.sets.names import file_of
 from simscenes.sets.png import write_png
 
+NEAR, FAR = 2.0, 6.0  # between which the readers of the Blender layout look, whatever the file says
 
-def export_blender(views: MultiviewSet, folder: str | Path) -> Path:
-    """Write transforms_train.json, transforms_val.json and transforms_test.json, with the images beside them.
+
+def export_blender(views: MultiviewSet, folder: str | Path, *, truth: MultiviewSet | None = None) -> Path:
+    """Write transforms_train.json, transforms_val.json and transforms_test.json, with RGBA images beside them.
+
+    The world is moved and scaled, x' = scene_scale (x - scene_center), so that the scene is about the origin and what
+    the pixels see lies between `NEAR` and `FAR`; both numbers are in every file. Alpha is 0 where a pixel's centre sees
+    no surface, which takes a rendered set; photographs are opaque.
 
     Args:
-        views: The set.
+        views: The set, or a capture.
         folder: Created if missing. The held-out views serve as both val and test.
+        truth: The rendered set that a capture was made of.
 
     Raises:
-        ValueError: If the cameras are not all one centred pinhole, which is all this layout can describe.
+        ValueError: If the cameras are not all one centred pinhole, which is all this layout can describe. Where no
+            scale can bring all of the scene between `NEAR` and `FAR`, a warning says how much stays outside; the world
+            stays as it is, with a warning, where nobody knows how far the scene is.
     """
     folder, rig = Path(folder), views.rig
     K = rig.Ks[0]
@@ -32,41 +44,70 @@ def export_blender(views: MultiviewSet, folder: str | Path) -> Path:
     if not centred or not np.allclose(rig.Ks, K):
         raise ValueError("the Blender layout holds one field of view for all: cameras must share intrinsics with "
                          "square pixels and a centred principal point; use the set's own transforms.json")  # fmt: skip
+    scale, center = _frame(views, truth)
     poses = opencv_to_opengl(rig.viewmats)
+    poses[:, :3, 3] = scale * (poses[:, :3, 3] - center)
+    shared = {"camera_angle_x": float(2 * np.arctan(rig.width / 2 / K[0, 0])), "w": rig.width, "h": rig.height,
+              "scene_scale": scale, "scene_center": center.tolist()}  # fmt: skip
     for split, indices in (("train", views.train_indices), ("val", views.test_indices), ("test", views.test_indices)):
         (folder / split).mkdir(parents=True, exist_ok=True)
         frames: list[dict[str, Any]] = []
         for i in indices:
-            _write_image(views, i, folder / split)
+            seen = _surface(truth or views, i, (rig.height, rig.width))
+            write_png(folder / split / file_of(views.names[i]), np.dstack([views.image(i), seen]))
             frames.append({"file_path": f"./{split}/{views.names[i]}", "transform_matrix": poses[i].tolist()})
-        angle = float(2 * np.arctan(rig.width / 2 / K[0, 0]))
-        size = {"w": rig.width, "h": rig.height}  # without them nerfbaselines takes 800
-        write_json(folder / f"transforms_{split}.json", {"camera_angle_x": angle, **size, "frames": frames})
+        write_json(folder / f"transforms_{split}.json", {**shared, "frames": frames})
+    info = {"loader": "blender", "id": "novags", "evaluation_protocol": "nerf", "type": "object-centric"}
+    write_json(folder / "nb-info.json", {**nerfbaselines_info(views.scene), "loader_kwargs": {}, **info})
     return folder
 
 
-def export_llff(views: MultiviewSet, folder: str | Path) -> Path:
+def _frame(views: MultiviewSet, truth: MultiviewSet | None) -> tuple[float, NDArray[np.float64]]:
+    """Scale and centre of the world that `export_blender` writes."""
+    try:
+        scale, center, outside = Depths.of(views, truth).fit(NEAR, FAR)
+    except ValueError as error:
+        warnings.warn(f"{error}; the Blender layout keeps the world as it is, though its readers look between "
+                      f"near {NEAR:g} and far {FAR:g} alone", stacklevel=3)  # fmt: skip
+        return 1.0, np.zeros(3)
+    if outside:
+        warnings.warn(f"no scale brings the whole scene between near {NEAR:g} and far {FAR:g}, where readers of the "
+                      f"Blender layout look: {100 * outside:.2g} % of it stays outside", stacklevel=3)  # fmt: skip
+    return scale, center
+
+
+def _surface(truth: MultiviewSet, i: int, size: tuple[int, int]) -> NDArray[np.uint8]:
+    """Alpha [h,w] of view `i`: 255 where a surface is, or nobody knows."""
+    geometry = truth.geometry(i)
+    if geometry is None:
+        return np.full(size, 255, np.uint8)
+    import cv2
+
+    seen = np.where(np.isfinite(geometry["z"]), np.uint8(255), np.uint8(0))
+    return np.asarray(cv2.resize(seen, size[::-1], interpolation=cv2.INTER_NEAREST), np.uint8)
+
+
+def export_llff(views: MultiviewSet, folder: str | Path, *, truth: MultiviewSet | None = None) -> Path:
     """Write images/ and poses_bounds.npy [n,17]: pose columns (down, right, back, centre, [h, w, f]), near and far.
 
+    A COLMAP model and nb-info.json lie beside them.
+
     Raises:
-        ValueError: If the set has no depth to take near and far from, or the focal lengths of a camera differ.
+        ValueError: If nobody knows near and far of a view, or the focal lengths of a camera differ.
     """
     folder, rig = Path(folder), views.rig
     if not np.allclose(rig.Ks[:, 0, 0], rig.Ks[:, 1, 1]):
         raise ValueError("the LLFF layout holds one focal length per view: pixels must be square")
+    depths = Depths.of(views, truth)
     (folder / "images").mkdir(parents=True, exist_ok=True)
     rows = []
     for i, c2w in enumerate(opencv_to_opengl(rig.viewmats)):
-        geometry = views.geometry(i)
-        if geometry is None:
-            raise ValueError(f"the LLFF layout needs near and far of every view, and {views.path} has no depth")
-        z = geometry["z"][np.isfinite(geometry["z"])]
-        near, far = np.quantile(z, [0.001, 0.999]) if z.size else (1.0, 10.0)
         right, up, back, centre = c2w[:3].T
         pose = np.stack([-up, right, back, centre, [rig.height, rig.width, rig.Ks[i, 0, 0]]], -1)
-        rows.append(np.concatenate([pose.ravel(), [near, far]]))
+        rows.append(np.concatenate([pose.ravel(), depths.bounds(i)]))
         _write_image(views, i, folder / "images")
     np.save(folder / "poses_bounds.npy", np.array(rows))
+    write_cameras(folder, views.names, rig, points=views.points(), held_out=views.test_indices, scene=views.scene)
     return folder
 
 
@@ -79,4 +120,4 @@ def _write_image(views: MultiviewSet, i: int, folder: Path) -> None:
         write_png(target, views.image(i))
 
 
-EXPORTS: dict[str, Callable[[MultiviewSet, str | Path], Path]] = {"blender": export_blender, "llff": export_llff}
+EXPORTS: dict[str, Callable[..., Path]] = {"blender": export_blender, "llff": export_llff}

@@ -76,6 +76,11 @@ class MultiviewSet:
         return {name: os.path.relpath(file, self.path) for name, file in pairs if file.stem != name}
 
     @property
+    def scene(self) -> str:
+        """What the scene is called: as it was rendered, else as the folder is."""
+        return str(self.meta.get("scene") or self.path.resolve().name)
+
+    @property
     def test_indices(self) -> list[int]:
         """Held-out views: the folder's own, else every 8th in the order of their names, from 0."""
         return [i for i in range(len(self)) if is_test_view(i)] if self.held_out is None else list(self.held_out)

@@ -35,9 +35,10 @@ def read_codes(path: Path) -> np.ndarray:
 
 
 def write_png(path: Path, image: np.ndarray) -> None:
-    """Write [h,w,3]: uint8 and uint16 codes as they are, floats in 0..1 as 8-bit codes (clipped, rounded)."""
+    """Write [h,w,3] or, with alpha, [h,w,4]: integer codes as they are, floats in 0..1 as 8-bit ones, clipped."""
     if image.dtype.kind == "f":
         image = np.round(np.clip(image, 0.0, 1.0) * 255).astype(np.uint8)
     with atomic(path) as temporary:
-        if not cv2.imwrite(str(temporary), np.ascontiguousarray(image[..., ::-1])):
+        order = [2, 1, 0, *range(3, image.shape[2])]  # OpenCV's: blue, green, red, alpha
+        if not cv2.imwrite(str(temporary), np.ascontiguousarray(image[..., order])):
             raise OSError(f"cannot write {path}")

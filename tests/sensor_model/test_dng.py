@@ -42,8 +42,29 @@ def test_three_chips_come_back_bit_for_bit_as_linear_raw(tmp_path):
     write_dng(tmp_path / "a.dng", dn, sensor, EXPOSURE)
     with rawpy.imread(str(tmp_path / "a.dng")) as raw:
         np.testing.assert_array_equal(raw.raw_image_visible[..., :3], dn)
-        assert raw.black_level_per_channel[:3] == [240] * 3
+        assert raw.black_level_per_channel == [240] * 4
         assert raw.white_level == int(sensor.white_dn)
+
+
+@pytest.mark.parametrize("name", ["imx900-hcg-3chip", "a7s2-iso6400-3chip"])
+@pytest.mark.parametrize("brightest", [1.0, 0.6])
+def test_white_and_grey_of_three_chips_have_the_codes_they_should_in_another_converter(name, brightest, tmp_path):
+    """LibRaw's own rendering, linear: whether the frame saturates or not, black is 0, white 65535, grey its share."""
+    sensor = PRESETS[name]
+    response = np.array(sensor.rgb_response) / max(sensor.rgb_response)
+    span = int(sensor.white_dn) - sensor.black_level
+    shares = np.repeat([[brightest, brightest, brightest], 0.25 * response, [0, 0, 0]], 20, axis=0)
+    dn = np.broadcast_to(np.round(sensor.black_level + span * shares), (30, 60, 3)).astype(np.uint16)
+    write_dng(tmp_path / "a.dng", dn.copy(), sensor, EXPOSURE)
+    with rawpy.imread(str(tmp_path / "a.dng")) as raw:
+        picture = raw.postprocess(
+            use_camera_wb=True, no_auto_bright=True, adjust_maximum_thr=0.0, gamma=(1, 1), output_bps=16,
+            output_color=rawpy.ColorSpace.raw,
+        )  # fmt: skip
+    assert picture[15, 50].tolist() == [0, 0, 0]
+    np.testing.assert_allclose(picture[15, 30] / 65535, 0.25, rtol=2e-3)
+    expected = np.minimum(brightest / response, 1)  # balanced, and clipped
+    np.testing.assert_allclose(picture[15, 10] / 65535, expected, rtol=2e-3)
 
 
 def test_a_monochrome_frame_comes_back_bit_for_bit(tmp_path):

@@ -14,6 +14,7 @@ from novags.testbed.console import Console, Update
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders.capture import has_view, write_view
 from novags.testbed.folders.set import Source, open_source
+from novags.testbed.stages.layouts import LAYOUTS, check_layouts, write_layouts
 from novags.testbed.stages.paths import keep_apart
 from sensor_model import (
     PRESETS,
@@ -27,6 +28,7 @@ from sensor_model import (
     read_sensor,
 )
 from sensor_model.files.dng import SMALLEST, TIMES
+from sensor_model.files.lock import locked
 from sensor_model.files.reading import brief
 from sensor_model.isp import DEMOSAIC, Demosaic
 from sensor_model.planner import Limits
@@ -50,6 +52,7 @@ class CaptureConfig:
     demosaic: Demosaic = "menon"  # for sensors with a colour filter array
     jpeg_quality: int | None = None  # 1..100: the 8-bit pictures show what JPEG leaves of them
     tolerance: float | None = 0.05  # leave out effects that change the noise by less; None simulates all
+    export: tuple[str, ...] = ()  # further layouts of the capture: "blender", "llff"
     camera: Sensor = field(init=False)  # what `sensor` stands for: a file is read once, and its content is hashed
 
     def __post_init__(self) -> None:
@@ -62,6 +65,7 @@ class CaptureConfig:
             raise ValueError(f"jpeg_quality must be None or in 1..100, got {self.jpeg_quality}")
         if self.seed < 0:
             raise ValueError(f"seed must be >= 0, got {self.seed}")
+        check_layouts(self.export)
         if self.time and not TIMES[0] <= self.time <= TIMES[1]:  # refuses negative times too
             raise ValueError(f"time must be 0 or in {TIMES} s, the range of its raw files, got {self.time}")
         self.exposure, self.limits(1)  # they check the rest
@@ -72,8 +76,9 @@ class CaptureConfig:
         return self.sensor if self.sensor in PRESETS else Path(self.sensor).stem
 
     def resolved(self) -> dict[str, Any]:
-        """What determines the pictures: the camera itself, not the path of its file."""
-        return {**asdict(self), "sensor": self.sensor_name}
+        """What determines the pictures: the camera itself, neither the path of its file nor further layouts."""
+        kept = {name: value for name, value in asdict(self).items() if name != "export"}
+        return kept | {"sensor": self.sensor_name}
 
     @property
     def exposure(self) -> Exposure:
@@ -111,19 +116,22 @@ def capture(
             f"{SMALLEST} px of either side or more. novags reconstruct needs larger images, all other files of this "
             "capture are as usual"
         )
-    return run_stage(
-        "capture",
-        out,
-        capture_folder.RECORD,
-        inputs={"set": source.digest()},
-        config=config.resolved(),
-        owns=capture_folder.OWNS,
-        prepare=lambda: meter(source, config, console),
-        work=lambda light: capture_views(source, light, out, config, console),
-        console=console,
-        stale=stale,
-        overwrite=overwrite,
-    )
+    with locked(out):
+        record = run_stage(
+            "capture",
+            out,
+            capture_folder.RECORD,
+            inputs={"set": source.digest()},
+            config=config.resolved(),
+            owns=(*capture_folder.OWNS, *LAYOUTS),
+            prepare=lambda: meter(source, config, console),
+            work=lambda light: capture_views(source, light, out, config, console),
+            console=console,
+            stale=stale,
+            overwrite=overwrite,
+        )
+        write_layouts(out, config.export, console, truth=source.views if source.views.kind == "rendered" else None)
+    return record
 
 
 def camera_named(name: str) -> Sensor:
@@ -200,7 +208,9 @@ def capture_views(
                 matrix = source.color_matrix
                 write_view(folder, name, frame, sensor, exposure, config.demosaic, matrix, config.jpeg_quality)
             progress(i + 1, len(names), f"view {name}")
-    write_cameras(folder, names, source.rig, points=source.points(), held_out=source.views.test_indices)
+    write_cameras(
+        folder, names, source.rig, points=source.points(), held_out=source.views.test_indices, scene=source.views.scene
+    )
     return {
         "set": {
             "path": os.path.relpath(source.views.path.resolve(), folder.resolve()),
@@ -208,6 +218,7 @@ def capture_views(
             "max_size": config.max_size,
             "background": "white" if source.views.transparent else None,  # behind transparent pixels
         },
+        "scene": source.views.scene,
         "sensor_name": config.sensor_name,
         "sensor": sensor,
         "exposure": exposure,

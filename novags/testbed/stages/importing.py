@@ -179,7 +179,7 @@ def import_views(
             if not has_view(folder, name):
                 import_view(material, prepared, i, name, folder, exposure_of(config, darkroom))
             progress(i + 1, len(views), f"view {name}")
-    write_cameras(folder, views.names, rig, points=dark.source.points())
+    write_cameras(folder, views.names, rig, points=dark.source.points(), scene=views.scene)
     return record_of(material, prepared, config)
 
 

@@ -9,20 +9,22 @@ from typing import Any
 from novags.testbed.cache import digest, read_json, run_stage
 from novags.testbed.console import Console
 from novags.testbed.folders.set import warnings_as_notes
+from novags.testbed.stages.layouts import LAYOUTS, check_layouts, write_layouts
 from sensor_model import Plan
 from sensor_model.files.lock import locked
 from sensor_model.files.reading import brief
-from simscenes import EXPORTS, Optics, Rig, load_set
+from simscenes import Optics, Rig
 from simscenes.backend import BACKENDS, COLORS, choose_variant
 from simscenes.camera import camera_color
 from simscenes.job.identity import SPENT
 from simscenes.loading.reference import SceneRef
 from simscenes.loading.untrusted import check_xml
 from simscenes.sets.camera_files import CAMERA_FILES
+from simscenes.sets.neighbours import DEPTHS
 from simscenes.transport.plan import EFFECTS
 
 RECORD = "set.json"
-SET_FILES = (RECORD, "gt", "images", SPENT, *CAMERA_FILES, *EXPORTS)  # of a set folder made here, of any kind
+SET_FILES = (RECORD, "gt", "images", DEPTHS, SPENT, *CAMERA_FILES, *LAYOUTS)  # of a set folder made here, of any kind
 VARIANTS = ("auto", *BACKENDS, *(f"{backend}_{color}" for backend in BACKENDS for color in COLORS))
 
 
@@ -65,10 +67,10 @@ class RenderConfig:
         for what, given, known in (
             ("variant", (self.variant,), VARIANTS),
             ("on and off", (*self.on, *self.off), EFFECTS),
-            ("export", self.export, EXPORTS),
         ):
             if unknown := [name for name in given if name not in known]:
                 raise ValueError(f"{what} must be among {', '.join(known)}; got {brief(', '.join(unknown))}")
+        check_layouts(self.export)
         if both := set(self.on) & set(self.off):
             raise ValueError(f"{brief(', '.join(sorted(both)))}: forced on and off at once; name each effect once")
 
@@ -160,17 +162,6 @@ def render_views(out: Path, config: RenderConfig, rig: Rig, plan: Plan | str, co
             progress=progress,
         )  # fmt: skip
     return read_json(out / RECORD)
-
-
-def write_layouts(folder: Path, layouts: Sequence[str], console: Console) -> None:
-    """Write further layouts of a finished set, each into the folder of its name.
-
-    Raises:
-        ValueError: If a layout cannot hold these cameras.
-    """
-    for layout in layouts:
-        with warnings_as_notes(console):
-            EXPORTS[layout](load_set(folder), folder / layout)
 
 
 def plan_of(config: RenderConfig, tolerance: float = 0.02) -> Plan:

@@ -40,7 +40,7 @@ def train(rasterization, scene, target, *, steps=9, packed=False, sparse_grad=Fa
             viewmats=torch.linalg.inv(camtoworlds[pick : pick + 1]), Ks=scene["Ks"][pick : pick + 1],
             width=scene["width"], height=scene["height"], packed=packed, absgrad=absgrad, sparse_grad=sparse_grad,
             rasterize_mode="antialiased", distributed=False, camera_model="pinhole", with_ut=False, with_eval3d=False,
-            sh_degree=min(step // 3, 2), near_plane=0.01, far_plane=1e10, render_mode="RGB+ED", **options,
+            sh_degree=2, near_plane=0.01, far_plane=1e10, render_mode="RGB+ED", **options,
         )  # fmt: skip
         colors, depths = renders[..., 0:3], renders[..., 3:4]
         colors = colors + torch.tensor([[0.1, 0.2, 0.3]]) * (1.0 - alphas)

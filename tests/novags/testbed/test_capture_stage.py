@@ -243,3 +243,24 @@ def test_a_capture_has_the_tracks_and_errors_of_its_set(tmp_path: Path, max_size
     model.update_point_3d_errors()
     assert mean == pytest.approx(model.compute_mean_reprojection_error(), rel=1e-9)
     assert mean == pytest.approx(noisy.error.mean() * (1.0 if max_size is None else 0.5), rel=1e-9)
+
+
+def test_further_layouts_of_a_capture_show_the_dark_pictures_with_the_sets_own_depth(tmp_path: Path) -> None:
+    views, out = photographs(tmp_path / "set", 3, (24, 24)), tmp_path / "cap"
+    rng = np.random.default_rng(1)
+    rig = load_set(views).rig
+    xyz = rng.normal(0, 0.3, (40, 3))
+    points = SparsePoints.seen(rig, xyz, rng.integers(0, 256, (40, 3), np.uint8), np.ones((3, 40), bool), exact=True)
+    write_cameras(views, ["0000", "0001", "0002"], rig, points=points)
+    plain = stages.capture(views, out, CaptureConfig(), QUIET)
+    again = stages.capture(views, out, CaptureConfig(export=("blender", "llff")), QUIET)
+    assert again == plain  # nothing is photographed again for them
+    dark = load_set(out)
+    assert dark.scene == "set"
+    for layout, file in (("blender", "train/0001.png"), ("llff", "images/0001.png")):
+        picture = cv2.imread(str(out / layout / file), cv2.IMREAD_COLOR)[..., ::-1]
+        assert np.array_equal(picture, dark.image(1))
+        assert json.loads((out / layout / "nb-info.json").read_text())["scene"] == "set"
+    assert json.loads((out / "nb-info.json").read_text())["scene"] == "set"
+    with pytest.raises(ValueError, match="export must be among blender, llff; got colmap"):
+        CaptureConfig(export=("colmap",))

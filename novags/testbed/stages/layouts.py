@@ -1,0 +1,34 @@
+"""Further layouts of a set or a capture, each in a folder of its name inside it."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from novags.testbed.console import Console
+from novags.testbed.folders.set import warnings_as_notes
+from sensor_model.files.reading import brief
+from simscenes import EXPORTS, MultiviewSet, load_set
+
+LAYOUTS = tuple(EXPORTS)
+
+
+def check_layouts(layouts: Sequence[str]) -> None:
+    """Raise ValueError for a layout that does not exist."""
+    if unknown := [name for name in layouts if name not in EXPORTS]:
+        raise ValueError(f"export must be among {', '.join(EXPORTS)}; got {brief(', '.join(unknown))}")
+
+
+def write_layouts(folder: Path, layouts: Sequence[str], console: Console, *, truth: MultiviewSet | None = None) -> None:
+    """Write further layouts of a finished set or capture.
+
+    Args:
+        folder: Of the set or capture.
+        layouts: Which.
+        console: Where notes go.
+        truth: The rendered set that a capture was made of: it knows depth.
+
+    Raises:
+        ValueError: If a layout cannot hold these cameras.
+    """
+    for layout in layouts:
+        with warnings_as_notes(console):
+            EXPORTS[layout](load_set(folder), folder / layout, truth=truth)

@@ -1,0 +1,65 @@
+"""What nerfstudio and instant-ngp want beside the cameras: points as PLY, depth as PNG, where the scene lies.
+
+nerfstudio: `ply_file_path` of a transforms.json (points in the world of its poses) and `depth_file_path` of every frame
+(z-depth, 16-bit PNG, times `depth_unit_scale_factor` = 0.001 unless told otherwise; 0 is unknown).
+instant-ngp: positions times `scale` plus `offset` are marched through the cube of side `aabb_scale` about (0.5, 0.5,
+0.5), a power of two up to 128, of which the unit cube is modelled best.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sensor_model.files.atomic import atomic
+
+POINTS, DEPTHS = "points3D.ply", "depths"
+DEPTH_UNIT = 1e-3  # world units a code of a depth PNG: nerfstudio's millimetres
+CORE = (0.05, 0.95)  # quantiles of the points: a few strays must not shrink what the unit cube holds
+FILL = 0.9  # of the unit cube, by cameras and the core
+AABBS = tuple(2**i for i in range(8))
+BACKGROUND_AABB = 16  # where nobody knows how far the scene goes: that of instant-ngp's own photographs
+
+
+def write_points(path: Path, xyz: NDArray[np.floating], rgb: NDArray[np.uint8]) -> None:
+    """Write points [P,3] and their colours [P,3] as a binary PLY: x y z double, red green blue uchar."""
+    record = np.dtype([*((axis, "<f8") for axis in "xyz"), *((color, "u1") for color in ("red", "green", "blue"))])
+    table = np.empty(len(xyz), record)
+    for i, axis in enumerate("xyz"):
+        table[axis] = xyz[:, i]
+    for i, color in enumerate(("red", "green", "blue")):
+        table[color] = rgb[:, i]
+    kinds = [f"property double {axis}" for axis in "xyz"] + [f"property uchar {c}" for c in ("red", "green", "blue")]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(xyz)}", *kinds, "end_header"]
+    with atomic(path) as temporary:
+        temporary.write_bytes(("\n".join(header) + "\n").encode("ascii") + table.tobytes())
+
+
+def write_depth(path: Path, z: NDArray[np.float32]) -> None:
+    """Write z-depth [h,w] (inf: no surface) in units of `DEPTH_UNIT`; 0 is no surface, or one beyond 65.535 units."""
+    import cv2
+
+    codes = np.round(np.where(np.isfinite(z), z, 0) / DEPTH_UNIT)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic(path) as temporary:
+        if not cv2.imwrite(str(temporary), np.where(codes < 2**16, codes, 0).astype(np.uint16)):
+            raise OSError(f"cannot write {path}")
+
+
+def instant_ngp_box(centers: NDArray[np.floating], xyz: NDArray[np.floating]) -> dict[str, Any]:
+    """`scale`, `offset` and `aabb_scale` such that all cameras [C,3] and points [P,3] lie inside the box.
+
+    The unit cube holds the cameras and the core of the points. Without points the box reaches far beyond the cameras.
+    """
+    core = [centers] if len(xyz) == 0 else [centers, np.quantile(xyz, CORE, axis=0)]
+    low, high = (bound(np.concatenate(core), axis=0) for bound in (np.min, np.max))
+    middle, side = (low + high) / 2, float((high - low).max())
+    if side == 0:  # one camera and nothing else
+        side = 1.0
+    reach = 2 * float(np.abs(np.concatenate([centers, xyz]) - middle).max()) / side * FILL
+    aabb = BACKGROUND_AABB if len(xyz) == 0 else next((a for a in AABBS if a >= reach), AABBS[-1])
+    scale = FILL / side * AABBS[-1] / max(reach, AABBS[-1])
+    return {"aabb_scale": aabb, "scale": scale, "offset": (0.5 - scale * middle).tolist()}
