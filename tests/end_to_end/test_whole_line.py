@@ -4,7 +4,7 @@ import json
 import math
 import re
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -46,7 +46,7 @@ class Interrupting(Console):
         self.stage, self.after = stage, after
 
     @contextmanager
-    def progress(self, stage: str) -> Iterator[Update]:
+    def progress(self, stage: str, parts: Mapping[str, int] | None = None) -> Iterator[Update]:
         def update(done: int, total: int, what: str) -> None:
             if stage == self.stage and done >= self.after:
                 raise KeyboardInterrupt

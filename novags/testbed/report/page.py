@@ -211,7 +211,7 @@ def report_context(material: Material, progress: Update) -> dict[str, Any]:
         "photographs": photographs_text(material) if material.capture.imported else None,
         "linear": isinstance(material.lit.views, LinearPhotographs),
         "record": material.capture.record,
-        "background": material.capture.record["set"].get("background"),
+        "background": material.capture.record.get("set", {}).get("background"),
         "unregistered": material.lit.views.unregistered,
         "unavailable": material.metrics["unavailable"],
         "configurations": configurations(material),
