@@ -85,7 +85,7 @@ def test_a_signal_of_a_millionth_electron_is_not_scored_and_said(
     assert "in 2 of 2 views" in metrics["unavailable"]["aligned scores against enhanced"]
     assert naive["training_2d"]["enhanced"]["aligned_psnr"] is None
     assert "best_blur" not in naive["training_2d"]
-    cli.score(darkness)
+    cli.score((darkness,))
     assert "noise-free exposure not scored, because the reference shows nothing" in capsys.readouterr().out
 
 
