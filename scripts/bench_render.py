@@ -6,11 +6,13 @@
 
 Writes JSON lines {"knob", "setting", "seconds", "error", "error_unit", "error_sd", "default"}, a curve a knob. The last
 lines, knob "method", compare whole jobs: `render_set` to a target error, everything included (reading the scene,
-planning, predicting, geometry, writing), and what `mi.render` needs with an independent sampler, depth 8 and roulette
-from 5 for the same error in every view, reading the scene included. Plain noise falls exactly as one over the
-root of the samples, so its time is scaled up from what --plain-spp samples take and their error, measured from
-independent seeds. Kernels are compiled beforehand for both. With --predict: what `render_set` foretold of its time,
-and what it took, once with a number of samples and once towards the target error.
+planning, predicting, geometry, writing), and what `mi.render` needs with an independent and with a multijittered
+sampler, depth 8 and roulette from 5, for the same error in every view, reading the scene included. All errors are
+measured: of ours against a render of --reference-spp samples by another seed, whose own variance is subtracted, of the
+others from the spread between seeds. Their time is scaled up from what --plain-spp samples take: exactly, since their
+noise falls as one over the root of the samples; that of multijittered ones falls faster, so their --plain-spp should
+be near what is needed (see "needed_spp"). Kernels are compiled beforehand for all. With --predict: what `render_set`
+foretold of its time, and what it took, once with a number of samples and once towards the target error.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simscenes import activate, default_rig, render_set
 from simscenes.job.curves import KNOBS, NOISE, render_curves
@@ -32,8 +35,10 @@ from simscenes.loading.load import build_scene
 from simscenes.render.passes import Passes
 from simscenes.render.sensors import sensor_dict
 from simscenes.rigs import Rig
+from simscenes.transport.plan import TransportPlan
 
 PLAIN = {"type": "path", "max_depth": 8}
+PEERS = ("independent", "multijitter")
 SEEDS = 4
 
 
@@ -43,30 +48,41 @@ class Clock:
     def __init__(self) -> None:
         self.start = np.array([time.perf_counter(), time.process_time()])
 
-    def read(self) -> np.ndarray:
+    def read(self) -> NDArray[np.float64]:
         """[wall, processor] since the start."""
         return np.array([time.perf_counter(), time.process_time()]) - self.start
 
 
-def ours(scene: str, rig: Rig, target: float) -> tuple[list[float], np.ndarray]:
-    """Relative errors of the views of a set, and the seconds of the whole job."""
+def ours(scene: str, rig: Rig, target: float, reference_spp: int) -> tuple[list[float], NDArray[np.float64]]:
+    """Relative errors of the views of a set against long renders, and the seconds of the whole job."""
     with tempfile.TemporaryDirectory() as folder:
-        render_set(scene, rig, Path(folder) / "warm", spp=4)
+        render_set(scene, rig, Path(folder) / "warm", target_error=0.5)
         clock = Clock()
         done = render_set(scene, rig, Path(folder) / "set", target_error=target)
         spent = clock.read()
         print(json.dumps({"stages": done.meta["seconds"], "views": done.meta["views"]}), flush=True)
-        return [view["relative_error"] for view in done.meta["views"].values()], spent
+        plan = TransportPlan.from_dict(done.meta["plan"])
+        exact = render_set(scene, rig, Path(folder) / "exact", spp=reference_spp, plan=plan, seed=1)
+        errors = []
+        for i in range(len(rig)):
+            truth, variance = exact.radiance(i).astype(np.float64), exact.variance(i)
+            assert variance is not None, "a rendered set has variances"
+            square = ((done.radiance(i) - truth) ** 2).mean() - variance.mean()
+            errors.append(float(np.sqrt(max(square, 0.0)) / truth.mean()))
+        return errors, spent
 
 
-def plain(scene: str, rig: Rig, errors: list[float], spp: int) -> tuple[np.ndarray, float]:
-    """Seconds that plain rendering needs for these errors, and its relative error at `spp`."""
+def plain(
+    scene: str, rig: Rig, errors: list[float], spp: int, sampler: str
+) -> tuple[NDArray[np.float64], float, float]:
+    """Seconds that plain rendering needs for these errors, its relative error at `spp`, and the samples it needs."""
     mi = activate()
     clock = Clock()
     loaded = build_scene(scene, mi)
-    needed, integrator, found = clock.read(), mi.load_dict(PLAIN), []
+    needed, integrator, found, samples = clock.read(), mi.load_dict(PLAIN), [], []
     for i, wanted in enumerate(errors):
-        sensor = mi.load_dict(sensor_dict(mi, rig, i, loaded) | {"sampler": {"type": "independent"}})
+        settings = sensor_dict(mi, rig, i, loaded) | {"sampler": {"type": sampler, "sample_count": spp}}
+        sensor = mi.load_dict(settings)
         np.array(mi.render(loaded.scene, sensor=sensor, integrator=integrator, spp=spp, seed=99))
         passes, clock = Passes((rig.height, rig.width)), Clock()
         for seed in range(SEEDS):
@@ -74,24 +90,29 @@ def plain(scene: str, rig: Rig, errors: list[float], spp: int) -> tuple[np.ndarr
             passes.add(np.array(image, dtype=np.float64)[..., :3])
         seconds = clock.read() / SEEDS
         found.append(passes.error() * SEEDS**0.5)
-        needed += seconds * (found[-1] / wanted) ** 2
-    return needed, float(np.sqrt(np.mean(np.square(found))))
+        samples.append(spp * (found[-1] / wanted) ** 2)
+        needed += seconds * samples[-1] / spp
+    return needed, float(np.sqrt(np.mean(np.square(found)))), float(np.mean(samples))
 
 
-def equal_error(scene: str, size: int, views: int, target: float, spp: int) -> Iterator[dict[str, Any]]:
-    """Both ways to render the same views to the same errors."""
+def equal_error(
+    scene: str, size: int, views: int, target: float, spp: int, reference_spp: int
+) -> Iterator[dict[str, Any]]:
+    """All ways to render the same views to the same errors."""
     rig = default_rig(scene, views, size, size)
-    errors, seconds = ours(scene, rig, target)
-    needed, plain_error = plain(scene, rig, errors, spp)
+    errors, seconds = ours(scene, rig, target, reference_spp)
     reached = float(np.sqrt(np.mean(np.square(errors))))
-    spread = float(np.std(errors))
-    shared = {"knob": "method", "error_unit": NOISE, "error_sd": spread}
+    shared = {"knob": "method", "error_unit": NOISE, "error_sd": float(np.std(errors))}
     yield {**shared, "setting": "render_set", "seconds": seconds[0], "error": reached, "default": True}
-    yield {**shared, "setting": "plain mi.render", "seconds": needed[0], "error": reached, "default": False}
-    yield {
-        "scene": scene, "size": size, "views": views, "plain_spp": spp, "plain_error": plain_error,
-        "equal_error_speedup": needed[0] / seconds[0], "equal_error_speedup_cpu": needed[1] / seconds[1],
-    }  # fmt: skip
+    for sampler in PEERS:
+        needed, error, samples = plain(scene, rig, errors, spp, sampler)
+        setting = f"plain mi.render, {sampler}"
+        yield {**shared, "setting": setting, "seconds": needed[0], "error": reached, "default": False}
+        yield {
+            "scene": scene, "size": size, "views": views, "sampler": sampler, "plain_spp": spp, "plain_error": error,
+            "needed_spp": samples, "processor_seconds": [seconds[1], needed[1]],
+            "equal_error_speedup": needed[0] / seconds[0], "equal_error_speedup_cpu": needed[1] / seconds[1],
+        }  # fmt: skip
 
 
 def predictions(scenes: Sequence[str], size: int, target: float) -> Iterator[dict[str, Any]]:
@@ -125,9 +146,11 @@ def main() -> None:
     parser.add_argument("--target-error", type=float, default=0.03)
     parser.add_argument("--predict", nargs="*", default=[], help="scenes whose predicted times are checked")
     parser.add_argument("--plain-spp", type=int, default=256)
+    parser.add_argument("--reference-spp", type=int, default=4096)
     a = parser.parse_args()
     curves = render_curves(a.scene, size=a.size, repeats=a.repeats, knobs=[k for k in a.knobs if k != "none"])
-    compared = equal_error(a.scene, a.equal_size, a.equal_views, a.target_error, a.plain_spp) if a.equal_views else ()
+    size, views = a.equal_size, a.equal_views
+    compared = equal_error(a.scene, size, views, a.target_error, a.plain_spp, a.reference_spp) if views else ()
     foretold = predictions(a.predict, a.equal_size, a.target_error)
     lines = []
     for line in itertools.chain(curves, compared, foretold):

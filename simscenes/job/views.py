@@ -15,7 +15,7 @@ from simscenes.job.cost import Stopwatch, predict_seconds
 from simscenes.job.finish import ViewStore
 from simscenes.job.identity import SPENT, VIEW_KEY, finished_view, view_key
 from simscenes.loading.load import LoadedScene
-from simscenes.render.geometry import check_cameras, geometry_channels
+from simscenes.render.geometry import geometry_channels
 from simscenes.render.radiance import Method, Tick, View
 from simscenes.rigs import Rig
 from simscenes.sets.camera_files import write_json
@@ -57,8 +57,6 @@ def render_views(job: Job) -> tuple[dict[str, Any], float]:
     if missing:
         job.progress(len(paths) - len(missing), len(paths), "predicting the time")
         with job.watch.stage("predict"):
-            with using_variant(job.variant) as mi:
-                check_cameras(mi, job.surfaces, job.rig)
             with using_variant(job.method.variant):
                 predicted = predict_seconds(job.method, job.rig, views, job.config["spp"], job.config["noise_target"])
     left = predicted / max(len(missing), 1)  # seconds per view

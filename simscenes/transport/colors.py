@@ -47,7 +47,7 @@ def polarisation_effect(p: Pilot, media: bool, geometry: list[Any], measure: boo
     """Polarisation shows where two specular surfaces follow each other, and behind filters; diffuse surfaces undo it.
 
     What filters change is always measured: without polarisation each of them passes half of the light, whatever came
-    before.
+    before. Without measurements a scene given in RGB stays in RGB, with the bound from its surfaces.
     """
     if p.base == "spectral_polarized":
         return decided(plan.POLARISATION, True, math.inf, p.allowed, f"nothing less can load it: {p.loaded.demand}")
@@ -62,6 +62,9 @@ def polarisation_effect(p: Pilot, media: bool, geometry: list[Any], measure: boo
     if not filters and (not possible or (not measure and p.base == "rgb")):
         guess, reason = _bounded_polarisation(p, geometry, specular)
         if guess <= p.allowed or not possible:
+            return decided(plan.POLARISATION, False, guess, p.allowed, reason)
+        if not _has_measured_spectra(p):
+            reason += "; it takes made-up spectra, and what these change is not measured"
             return decided(plan.POLARISATION, False, guess, p.allowed, reason)
     change = _paired(p, ("spectral", "spectral_polarized"), media)
     p.rms[plan.POLARISATION] = change.rms

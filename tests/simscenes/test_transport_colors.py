@@ -96,12 +96,20 @@ def test_a_scalar_variant_bounds_polarisation_by_the_pixels_that_show_mirrors(su
 
 @pytest.mark.parametrize(("media", "kind"), [(False, "path"), (True, "volpath")])
 @pytest.mark.parametrize(("change", "on"), [(0.1, True), (0.003, False)])
-@pytest.mark.parametrize("measure", [True, False])
+@pytest.mark.parametrize(("measure", "measured_spectra"), [(True, False), (False, True)])
 def test_polarisation_is_measured_by_paired_pilots(
-    media: bool, kind: str, change: float, on: bool, measure: bool, surfaces: Any, monkeypatch: pytest.MonkeyPatch
+    media: bool,
+    kind: str,
+    change: float,
+    on: bool,
+    measure: bool,
+    measured_spectra: bool,
+    surfaces: Any,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """On request, and where the bound does not suffice."""
+    """On request, and where the bound does not suffice in a scene with spectra of its own."""
     surfaces(MIRROR)
+    monkeypatch.setattr(colors, "_has_measured_spectra", lambda p: measured_spectra)
     monkeypatch.setattr(colors, "chained_light", lambda *a: 1.5)
     asked: list[Any] = []
 
@@ -118,6 +126,20 @@ def test_polarisation_is_measured_by_paired_pilots(
     assert asked == [
         ("llvm_ad_spectral", "in spectra", settings, 5), ("llvm_ad_spectral_polarized", "polarised", settings, 5)
     ]  # fmt: skip
+
+
+def test_a_short_job_in_rgb_is_not_loaded_in_spectra_for_a_bound(
+    surfaces: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Three quarters of the light by two mirrors, a tenth of that at most by polarisation: more than allowed."""
+    surfaces(MIRROR)
+    monkeypatch.setattr(colors, "chained_light", lambda *a: 1.125)
+    monkeypatch.setattr(colors, "_has_measured_spectra", lambda p: False)
+    monkeypatch.setattr(pilot, "render_pilot", lambda *a: pytest.fail("a pilot in spectra"))
+    found = polarisation_effect(pilots(), False, [], False)
+    assert not found.on
+    assert found.contribution == pytest.approx(0.075)
+    assert found.reason.endswith("; it takes made-up spectra, and what these change is not measured")
 
 
 @pytest.fixture

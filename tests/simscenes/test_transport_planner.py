@@ -166,17 +166,38 @@ class Stop(Exception):
     """Ends a job where its plan is made."""
 
 
+def test_a_job_whose_cameras_see_nothing_is_refused_before_it_is_planned(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    loaded, asked = SimpleNamespace(name="custom", digest="d", variant="rgb"), []
+    monkeypatch.setattr(rendering, "build_in_fewest_colors", lambda *a, **settings: loaded)
+    monkeypatch.setattr(rendering, "with_lens", lambda optics, loaded, mi: Optics())
+    monkeypatch.setattr(rendering, "using_variant", lambda variant: nullcontext("mi"))
+    monkeypatch.setattr(rendering, "_make_plan", lambda *a: pytest.fail("planned"))
+
+    def check(*args: Any) -> None:
+        asked.append(args)
+        raise ValueError("inside of 'ball'")
+
+    monkeypatch.setattr(rendering, "check_cameras", check)
+    rig = orbit_rig(2, 8, 8, 40, radius=3.0)
+    with pytest.raises(ValueError, match="inside of 'ball'"):
+        rendering.render_set({"type": "scene"}, rig, tmp_path / "set")
+    assert asked == [("mi", loaded, rig)]
+
+
 @pytest.mark.parametrize(
     ("spp", "quality", "rows", "measured"),
-    [(None, None, 98, True), (None, None, 97, False), (255, None, 98, False), (None, 0.01, 98, True)],
+    [(None, None, 977, True), (None, None, 976, False), (255, None, 977, False), (None, 0.01, 977, True)],
 )
 def test_long_jobs_measure_everything(
     spp: int | None, quality: float | None, rows: int, measured: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """12 views of 100 x 98 pixels at 256 samples, which stand for any error too, are 3.01e7; 97 rows fewer than 3e7."""
+    """12 views of 100 x 977 pixels at 256 samples, which stand for any error: 3.001e8; with 976 rows too few."""
     loaded = SimpleNamespace(name="custom", digest="d", variant="rgb")
     monkeypatch.setattr(rendering, "build_in_fewest_colors", lambda *a, **settings: loaded)
     monkeypatch.setattr(rendering, "with_lens", lambda optics, loaded, mi: Optics())
+    monkeypatch.setattr(rendering, "check_cameras", lambda *a: None)
     monkeypatch.setattr(rendering, "using_variant", lambda variant: nullcontext("mi"))
     monkeypatch.setattr(rendering, "usual_rig", lambda source, loaded, *size: orbit_rig(12, 100, rows, 40, radius=3.0)
                         if size == (32, 128, 128) else None)  # fmt: skip
