@@ -31,8 +31,8 @@ def milk(density: float) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def one() -> Rig:
-    return Rig(viewmats=look_at((0, -4, 0.5), (0, 0, 0))[None], Ks=intrinsics(SIZE, SIZE, 40)[None],
-               width=SIZE, height=SIZE)  # fmt: skip
+    poses = np.stack([look_at((x, -4, 0.5), (0, 0, 0)) for x in (0, 0.1)])  # one alone would be held out
+    return Rig(viewmats=poses, Ks=np.repeat(intrinsics(SIZE, SIZE, 40)[None], 2, 0), width=SIZE, height=SIZE)
 
 
 def reference(scene: dict[str, Any], rig: Rig) -> np.ndarray[Any, Any]:

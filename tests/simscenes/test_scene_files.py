@@ -63,7 +63,9 @@ def test_a_dict_and_a_file_say_the_same(tmp_path: Path) -> None:
 def test_hidden_lights_are_black_and_still_shine(tmp_path: Path) -> None:
     hide = '<integrator type="path"><boolean name="hide_emitters" value="true"/></integrator>'
     path = file_of(tmp_path, hide, BALL, FRONT)
-    done = render_set(path, fit_rig(path, 1, 9, 9), tmp_path / "out", spp=4, plan="rgb", variant="scalar")
+    done = render_set(
+        path, fit_rig(path, 2, 9, 9, sweep_deg=2.0), tmp_path / "out", spp=4, plan="rgb", variant="scalar"
+    )
     light = done.radiance(0)
     assert light[0, 0].max() == 0
     assert light[4, 4].min() > 0.3
@@ -138,7 +140,7 @@ def test_a_file_that_demands_spectra_gets_them(tmp_path: Path) -> None:
     path = file_of(tmp_path, ball, FRONT)
     loaded = build_in_fewest_colors(path, "scalar")
     assert loaded.color == "spectral"
-    rig = fit_rig(loaded, 1, 9, 9)
+    rig = fit_rig(loaded, 2, 9, 9, sweep_deg=2.0)
     done = render_set(path, rig, tmp_path / "out", spp=4, variant="scalar")
     assert done.meta["mitsuba_variant"] == "scalar_spectral"
     assert "only spectral variants can read" in done.meta["demands"]
