@@ -102,9 +102,8 @@ def from_pictures(images: Float, viewmats: Array, Ks: Array, count: int, rng: np
     if found is None:
         xyz = _around_focus(viewmats, count, rng)
         return FirstPoints(xyz, seen_colors(xyz, images, viewmats, Ks), {"at random": count})
-    good = np.argwhere(found.agreeing >= 1)
-    # Where no map agrees with another, any depth of a map is still better than none.
-    good = good if len(good) else np.argwhere(np.isfinite(found.depth))
+    # Every pixel, also where no other map agrees: leaving those out leaves holes that a fit fills slowly.
+    good = np.argwhere(np.isfinite(found.depth))
     place, y, x = good[rng.integers(0, len(good), count)].T
     pixels = np.stack([x, y], -1) + rng.random((count, 2))
     view = found.views[place]

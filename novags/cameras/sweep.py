@@ -22,7 +22,6 @@ SMOOTH, JUMP = (
     0.6,
 )  # costs of a depth that changes by one plane, or by more, from pixel to pixel; a match costs 0..1
 REFERENCES = 48  # views with a depth map, at most
-AGREEMENT = 0.07  # relative; depth maps of two views that differ by more do not show the same surface
 FARTHEST = 30.0  # of a plane, in extents of the cameras
 
 Float = NDArray[np.float32]
@@ -36,13 +35,11 @@ class Sweep:
         views: Index of the view of each map [M].
         Ks: Intrinsics at this size [M, 3, 3].
         depth: z-depths [M, h, w]; nan where fewer than two views see anything.
-        agreeing: In how many other maps the same surface is found [M, h, w].
     """
 
     views: NDArray[np.intp]
     Ks: Array
     depth: Array
-    agreeing: NDArray[np.intp]
 
 
 def sweep(images: Float, viewmats: Array, Ks: Array) -> Sweep | None:
@@ -70,9 +67,7 @@ def sweep(images: Float, viewmats: Array, Ks: Array) -> Sweep | None:
         maps.append(np.where(seen, 1 / np.interp(steps, np.arange(len(inverse)), inverse), np.nan))
     if not maps:
         return None
-    depth = np.stack(maps)
-    where = np.array(views)
-    return Sweep(where, small_Ks[where], depth, agreements(depth, viewmats[where], small_Ks[where]))
+    return Sweep(np.array(views), small_Ks[views], np.stack(maps))
 
 
 def reduced(images: Float, Ks: Array) -> tuple[Float, Array]:
@@ -198,22 +193,3 @@ def between(cost: Float, best: NDArray[np.intp]) -> Array:
     # 1e-6: three equal costs are no parabola. At the ends of the range the lowest point may lie outside it.
     shift = np.where(bend > 1e-6, (below - above) / np.maximum(2 * bend, 1e-6), 0.0)
     return np.where(inner == best, inner + np.clip(shift, -0.5, 0.5), best)
-
-
-def agreements(depth: Array, viewmats: Array, Ks: Array) -> NDArray[np.intp]:
-    """In how many other maps [M, h, w] the surface of each pixel is found at the depth that they state."""
-    count, height, width = depth.shape
-    y, x = np.mgrid[0:height, 0:width] + 0.5
-    found = np.zeros(depth.shape, np.intp)
-    for i in range(count):
-        local = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(Ks[i]).T * depth[i][..., None]
-        world = (local - viewmats[i, :3, 3]) @ viewmats[i, :3, :3]
-        for j in range(count):
-            at = world @ viewmats[j, :3, :3].T + viewmats[j, :3, 3]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                pixels = (at @ Ks[j].T)[..., :2] / at[..., 2:]
-                good = (at[..., 2] > 0) & ((pixels >= 0) & (pixels < [width, height])).all(-1)
-            if i != j and good.any():
-                column, row = pixels[good].astype(int).T
-                found[i][good] += np.abs(depth[j, row, column] / at[..., 2][good] - 1) < AGREEMENT
-    return found
