@@ -10,7 +10,8 @@ from novags.options import Folder
 def import_(
     folder: Folder, *, out: Path, lit: Path | None = None, clean: Path | None = None, sensor: str | None = None,
     time: float | None = None, black: float = 0.0, white: float = 65535.0, curve: Literal["linear", "srgb"] = "linear",
-    demosaic: Literal["menon", "malvar", "bilinear"] = "menon", max_size: int | None = None, wait: bool = False,
+    demosaic: Literal["menon", "malvar", "bilinear"] = "menon", max_size: int | None = None,
+    overwrite: bool = False, wait: bool = False,
 ) -> None:  # fmt: skip
     """Make a capture of photographs that were taken in the dark, with what truth there is about them.
 
@@ -27,6 +28,7 @@ def import_(
         curve: Of the codes of 16-bit pictures.
         demosaic: Interpolation of the colour filter array of raw files.
         max_size: Scale larger images down to this longest side, in pixels.
+        overwrite: Replace a finished result of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
     from novags.testbed import stages
@@ -37,6 +39,6 @@ def import_(
         max_size=max_size,
     )  # fmt: skip
     with writing(out, wait) as console:
-        stages.import_photographs(folder, out, config, console)
+        stages.import_photographs(folder, out, config, console, overwrite=overwrite)
     print(out)
     next_(f"novags reconstruct {out} --method nova-fast --out RUN")

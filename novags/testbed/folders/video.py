@@ -4,6 +4,7 @@ from pathlib import Path
 
 from novags.testbed.console import Update
 from simscenes.sets.bare import VIDEOS
+from simscenes.sets.image_file import MAX_PIXELS
 from simscenes.sets.names import numbered
 from simscenes.sets.png import write_png
 
@@ -35,6 +36,10 @@ def write_frames(video: Path, fps: float, folder: Path, progress: Update) -> dic
         if not reader.isOpened() or not 0 < rate < 1e5:
             raise ValueError(f"{video} is not a video that OpenCV reads: convert it (to MP4, H.264), or give a folder "
                              "of its frames")  # fmt: skip
+        width, height = (reader.get(side) for side in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
+        if not 0 < width * height <= MAX_PIXELS:
+            raise ValueError(f"{video} declares frames of {width:g} x {height:g} px, at most {MAX_PIXELS} pixels can "
+                             "be read: scale it down")  # fmt: skip
         count = int(min(MOST, max(1, reader.get(cv2.CAP_PROP_FRAME_COUNT))))
         taken, k = list[tuple[Path, float]](), 0
         while len(taken) < MOST and reader.grab():

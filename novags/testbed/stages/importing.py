@@ -86,12 +86,14 @@ class Prepared:
     match: Match | None
 
 
-def import_photographs(folder: Path, out: Path, config: ImportConfig, console: Console) -> dict[str, Any]:
+def import_photographs(
+    folder: Path, out: Path, config: ImportConfig, console: Console, *, overwrite: bool = False
+) -> dict[str, Any]:
     """Make a capture folder of the dark photographs in `folder`; returns its capture.json.
 
     Raises:
         ValueError: If there are no pictures or cameras, a file cannot be read, twins do not fit, or `out` holds other
-            things.
+            things or, unless `overwrite`, a finished result of another request.
         BlockingIOError: If another process is writing to `out`.
     """
     for given in (folder, config.lit, config.clean):
@@ -114,6 +116,7 @@ def import_photographs(folder: Path, out: Path, config: ImportConfig, console: C
         prepare=lambda: prepare(material, config, console),
         work=lambda prepared: import_views(material, prepared, out, config, console),
         console=console,
+        overwrite=overwrite,
     )
 
 
@@ -179,7 +182,7 @@ def import_views(
             if not has_view(folder, name):
                 import_view(material, prepared, i, name, folder, exposure_of(config, darkroom))
             progress(i + 1, len(views), f"view {name}")
-    write_cameras(folder, views.names, rig, points=dark.source.points(), scene=views.scene)
+    write_cameras(folder, views.names, rig, points=dark.source.points(), held_out=views.test_indices, scene=views.scene)
     return record_of(material, prepared, config)
 
 

@@ -26,7 +26,10 @@ LINES = [
     "reconstruct cap --out run --method nova --preset demo --pictures 16bit --cameras sfm:pictures=enhanced "
     "--points 50 --iterations 9 --seed 4 --device auto",
     "reconstruct cap --out run --variant b=naive:init_scale=0.5 --cameras vggt:checkpoint=w.pt,drop_percent=20",
+    "run --photos set --fps 3 --max-size 96 --overwrite --methods naive oracle --out out",
+    "poses set --out poses --fps 1.5 --max-size 800 --max-features 2000 --peak-threshold 0.004 --seed 2 --wait",
     "score run",
+    "report run cap --out r.html --overwrite",
     "report run",
     "characterise frames --out c.toml --window 64",
     "doctor --stability --part enhance --out t.md",
@@ -100,7 +103,8 @@ def _leave_out_the_work() -> None:
     from novags.testbed import stability, stages
 
     for module, names in (
-        (stages, ("render", "capture", "reconstruct", "score")), (experiment, ("score_all",)), (doctor, ("examine",)),
+        (stages, ("render", "poses", "import_photographs", "capture", "reconstruct", "score")),
+        (experiment, ("score_all",)), (doctor, ("examine",)),
         (stability, ("measure",)), (stability, ("markdown",)),
     ):  # fmt: skip
         for name in names:
