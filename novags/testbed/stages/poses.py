@@ -138,12 +138,12 @@ def place(files: dict[str, Path], out: Path, config: PosesConfig, console: Conso
                 f"fewer than {PLACED} of the {len(bare)} photographs of {config.photographs} fit together: take them "
                 "with more overlap, from places that differ, sharp and with texture"
             )
-        names = write_set(out, list(files.values()), bare, found, size)
+        names = write_set(out, list(files.values()), bare, found, size, config.name)
     return _facts(config.name, list(files), bare, found, size, names)
 
 
 def write_set(
-    out: Path, files: Sequence[Path], bare: Sequence[Bare], found: Registered, size: tuple[int, int]
+    out: Path, files: Sequence[Path], bare: Sequence[Bare], found: Registered, size: tuple[int, int], scene: str
 ) -> list[str]:
     """Write undistorted pictures, cameras and points; returns the name of each view, in the order of `found`."""
     width, height = size
@@ -167,7 +167,8 @@ def write_set(
     rig = Rig(viewmats=found.viewmats[order], Ks=Ks[order], width=width, height=height)
     shown = np.round(colors / np.maximum(count, 1)[:, None])
     points = replace(SparsePoints.untracked(found.points, shown), error=np.zeros(len(shown)))
-    write_cameras(out, [names[k] for k in order], rig, points=_tracked(points, [found.seen[k] for k in order], rig))
+    tracked = _tracked(points, [found.seen[k] for k in order], rig)
+    write_cameras(out, [names[k] for k in order], rig, points=tracked, scene=scene)
     return names
 
 
