@@ -152,7 +152,7 @@ def comparison_context(groups: Sequence[Group], folder: Path, identity: str) -> 
         rows = []
         for name, run in group.runs.items():
             scores = group.metrics["methods"][name]
-            row = {kind: {"value": scores["mean"].get(kind, {}).get(MAIN[kind]), "delta": by[kind][0].get(name),
+            row = {kind: {"value": (scores["mean"].get(kind) or {}).get(MAIN[kind]), "delta": by[kind][0].get(name),
                           "recovered": recovered[kind].get(name)} for kind in by}  # fmt: skip
             geometry = scores.get("geometry")
             rows.append({"name": name, **row, "depth": geometry and geometry["abs_rel"],

@@ -56,7 +56,8 @@ def foreign(folder: Path, line: Path, *parts: str) -> Path:
 
 
 def brought(folder: Path, out: Path, console: Console = QUIET, **config: Any) -> Capture:
-    stages.import_photographs(folder, out, ImportConfig(**{"demosaic": "bilinear", **config}), console)
+    settings = ImportConfig(**{"demosaic": "bilinear", **config})
+    stages.import_photographs(folder, out, settings, console, overwrite=True)
     return open_capture(out)
 
 
