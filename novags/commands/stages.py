@@ -155,7 +155,8 @@ def reconstruct(
     capture: Folder, *, out: Path, method: str = "nova-fast", variant: str | None = None, preset: PresetName = "demo",
     pictures: Literal["8bit", "16bit"] | None = None, cameras: str | None = None, refine_cameras: bool = False,
     points: int | None = None, iterations: int | None = None, denoiser_steps: int | None = None, seed: int = 0,
-    device: Device = "auto", overwrite: bool = False, wait: bool = False,
+    device: Device = "auto", export: tuple[Literal["3dgs", "splat", "spz"], ...] = (), overwrite: bool = False,
+    wait: bool = False,
 ) -> None:  # fmt: skip
     """Reconstruct a capture with one method: a 3D model, and pictures rendered from it.
 
@@ -174,11 +175,13 @@ def reconstruct(
         denoiser_steps: Of the denoiser before the fit starts.
         seed: Of training.
         device: Where training runs; auto takes a GPU if there is one that can be used.
+        export: Formats of viewers to write into RUN/viewers: a .ply of degree 3 with cameras.json, .splat, .spz.
         overwrite: Replace a finished result of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
     from novags.testbed import stages
     from novags.testbed.presets import EXPERIMENTS, adapted
+    from novags.testbed.stages.viewers import write_viewers
 
     own = variants_of(() if variant is None else (variant,))
     name = own[0].name if own else method
@@ -189,5 +192,6 @@ def reconstruct(
     config = replace(chosen.reconstruct(name), seed=seed)
     with writing(out, wait) as console:
         stages.reconstruct(capture, out, config, console, overwrite=overwrite)
+        write_viewers(out, export)
     print(out)
     next_(f"novags score {out} && novags report {out}")

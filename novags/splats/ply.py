@@ -31,16 +31,23 @@ def _names(k: int) -> list[str]:
     return [*names, "opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
 
 
-def write_ply(path: str | Path, gaussians: Gaussians) -> None:
+def write_ply(path: str | Path, gaussians: Gaussians, *, sh_degree: int | None = None) -> None:
     """Write Gaussians as a 3DGS PLY that common viewers open; atomic (temporary name, then rename).
 
     Args:
         path: File to write; its folder is created.
         gaussians: Any size; quaternions are written normalised.
+        sh_degree: Pad the harmonics to this degree with zeros: some readers take nothing but 3. None: as they are.
+
+    Raises:
+        ValueError: If the Gaussians have a higher degree than that.
     """
     g = gaussians.detach()
-    n, k = g.sh.shape[:2]
-    rest = g.sh[:, 1:].mT.reshape(n, 3 * (k - 1))
+    n, k = len(g), n_coefficients(g.sh_degree if sh_degree is None else sh_degree)
+    if k < g.sh.shape[1]:
+        raise ValueError(f"sh_degree must be at least {g.sh_degree}, that of the Gaussians, got {sh_degree}")
+    sh = torch.cat([g.sh, g.sh.new_zeros(n, k - g.sh.shape[1], 3)], 1)
+    rest = sh[:, 1:].mT.reshape(n, 3 * (k - 1))
     quats = torch.nn.functional.normalize(g.quats, dim=-1)
     columns = [g.means, torch.zeros(n, 3), g.sh[:, 0], rest, g.logit_opacities[:, None], g.log_scales, quats]
     table = torch.cat([column.cpu().float() for column in columns], dim=1).numpy().astype("<f4")

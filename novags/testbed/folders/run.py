@@ -2,6 +2,8 @@
 
 run.json              method, resolved configuration, capture, cameras, seconds; written last
 point_cloud.ply       the scene (of a method that fits Gaussians: the standard 3DGS layout)
+cameras.json          the training cameras in its frame, as viewers of 3DGS read them
+viewers/              the scene in further formats, on request
 events.jsonl          losses, one line per step
 enhanced/NNNN.png     training pictures after the enhancement     denoised/NNNN.png   and what was fitted, if different
 renders/NNNN.png      held-out views                              renders_train/NNNN.png    training views
@@ -30,7 +32,21 @@ METRICS = "metrics.json"
 EVENTS = "events.jsonl"
 CHECKPOINTS = ("checkpoint.safetensors", "checkpoint.denoiser.safetensors")  # present while a run is under way
 SCENE = "point_cloud.ply"
-RESULT = (RECORD, SCENE, "scene", EVENTS, "enhanced", "denoised", "renders", "renders_train", "exr", "depth")
+CAMERAS, VIEWERS = "cameras.json", "viewers"
+RESULT = (
+    RECORD,
+    SCENE,
+    CAMERAS,
+    VIEWERS,
+    "scene",
+    EVENTS,
+    "enhanced",
+    "denoised",
+    "renders",
+    "renders_train",
+    "exr",
+    "depth",
+)
 OWNS = (*RESULT, *CHECKPOINTS, METRICS, "report.html")
 
 

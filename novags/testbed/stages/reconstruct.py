@@ -23,10 +23,12 @@ from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.events import EventLog
 from novags.testbed.folders.imported import MISSING
-from novags.testbed.folders.run import CHECKPOINTS, EVENTS
+from novags.testbed.folders.run import CAMERAS, CHECKPOINTS, EVENTS
 from novags.testbed.folders.set import Source
 from novags.testbed.stages.camera_source import Frame, cameras_of
 from novags.testbed.stages.paths import keep_apart
+from novags.testbed.stages.viewers import viewer_cameras
+from simscenes.sets.camera_files import write_json
 from simscenes.sets.exr import write_exr
 from simscenes.sets.png import write_png
 
@@ -176,6 +178,8 @@ def reconstruct_views(
     with console.progress(f"render {variant.name}") as progress:
         write_images(folder, problem.names, result)
         result.save(folder)
+        mine = [frame.view(i, torch.device("cpu")) for i in prepared.indices]
+        write_json(folder / CAMERAS, viewer_cameras(problem.names, mine))
         for i, name in enumerate(capture.names):
             write_rendering(folder, i in capture.cameras.test_indices, name, result, frame.view(i, prepared.device))
             progress(i + 1, len(capture.names), f"view {name}")

@@ -1,0 +1,59 @@
+"""A run's Gaussians and cameras as the viewers of others open them, in a folder of the run."""
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from novags.splats import Views, read_ply, write_ply
+from novags.splats.compact import write_splat, write_spz
+from novags.testbed.cache import read_json
+from novags.testbed.folders.run import CAMERAS, RECORD, SCENE, VIEWERS
+from sensor_model.files.atomic import atomic
+from sensor_model.files.reading import brief
+
+FORMATS = ("3dgs", "splat", "spz")
+
+
+def check_formats(formats: Sequence[str]) -> None:
+    """Raise ValueError for a format that does not exist."""
+    if unknown := [name for name in formats if name not in FORMATS]:
+        raise ValueError(f"export must be among {', '.join(FORMATS)}; got {brief(', '.join(unknown))}")
+
+
+def write_viewers(folder: Path, formats: Sequence[str]) -> None:
+    """Write the Gaussians of a finished run: "3dgs" (.ply of degree 3, with cameras.json), "splat", "spz".
+
+    Raises:
+        ValueError: If the method has not made Gaussians, or a format cannot hold them.
+    """
+    check_formats(formats)
+    if not formats:
+        return
+    if not (folder / SCENE).is_file():
+        raise ValueError(f"{folder} has no {SCENE}: only Gaussians can be exported as {', '.join(formats)}")
+    gaussians, out = read_ply(folder / SCENE), folder / VIEWERS
+    if "3dgs" in formats:
+        write_ply(out / SCENE, gaussians, sh_degree=3)
+        if (folder / CAMERAS).is_file():  # runs made before there was one have none
+            with atomic(out / CAMERAS) as temporary:
+                shutil.copyfile(folder / CAMERAS, temporary)
+    if "splat" in formats:
+        write_splat(out / "scene.splat", gaussians)
+    if "spz" in formats:
+        write_spz(out / "scene.spz", gaussians, antialiased=bool(read_json(folder / RECORD).get("antialiased")))
+
+
+def viewer_cameras(names: Sequence[str], views: Sequence[Views]) -> list[dict[str, Any]]:
+    """cameras.json of 3DGS: position and rotation from camera to world, OpenCV axes, focal lengths in pixels."""
+    listed = []
+    for i, (name, view) in enumerate(zip(names, views, strict=True)):
+        turn = view.viewmats[0, :3, :3].double().cpu().numpy().T
+        place = -turn @ view.viewmats[0, :3, 3].double().cpu().numpy()
+        fx, fy = (float(view.Ks[0, k, k]) for k in (0, 1))
+        size = {"width": view.width, "height": view.height}
+        pose = {"position": place.tolist(), "rotation": np.asarray(turn).tolist()}
+        listed.append({"id": i, "img_name": name, **size, **pose, "fy": fy, "fx": fx})
+    return listed
