@@ -10,12 +10,14 @@ from novags.commands.inquiries import doctor, help_, list_
 from novags.commands.photographs import import_
 from novags.commands.results import characterise, report, score
 from novags.commands.stages import capture, plan, poses, reconstruct, render
+from novags.commands.study import study
 from novags.failure import errors_in_one_line
 
 COMMANDS: dict[str, Callable[..., None]] = {
     function.__name__.rstrip("_"): function
     for function in (
         run,
+        study,
         list_,
         plan,
         render,

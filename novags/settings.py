@@ -8,6 +8,7 @@ import dataclasses
 import types
 from collections.abc import Mapping
 from difflib import get_close_matches
+from functools import cache
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -56,7 +57,7 @@ def changed(config: Config, settings: Mapping[str, Any], *, what: str = "setting
             nested.setdefault(head, {})[rest] = value
         else:
             own[head] = value
-    hints = get_type_hints(type(config))
+    hints = _hints(type(config))
     known = [f.name for f in dataclasses.fields(config)]  # type: ignore[arg-type]  # a dataclass, as said above
     for head in (*own, *nested):
         if head not in known:
@@ -72,6 +73,11 @@ def changed(config: Config, settings: Mapping[str, Any], *, what: str = "setting
             raise ValueError(f"{what}: {head} is a single value and has no setting {next(iter(inner))!r}")
         values[head] = changed(part, inner, what=what)
     return dataclasses.replace(config, **values)  # type: ignore[type-var]  # a dataclass, as said above
+
+
+@cache
+def _hints(kind: type) -> dict[str, Any]:
+    return get_type_hints(kind)  # which takes a millisecond
 
 
 def converted(value: Any, hint: Any, what: str) -> Any:

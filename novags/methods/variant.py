@@ -102,16 +102,16 @@ def read_variants(path: Path) -> list[Variant]:
         if not isinstance(table, dict) or not isinstance(table.get("method"), str):
             raise ValueError(f'{path}: [variant.{name}] needs method = "NAME" of the method that it varies')
         with reading(path, "correct it"):
-            settings = {key: value for key, value in _dotted(table).items() if key != "method"}
+            settings = {key: value for key, value in dotted(table).items() if key != "method"}
             found.append(Variant(name=name, method=table["method"], settings=settings))
     return found
 
 
-def _dotted(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """TOML reads an unquoted a.b = 1 as a table in a table."""
+def dotted(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """A table of a TOML file with dotted names for what stands in tables in it: an unquoted a.b = 1 is one."""
     found: dict[str, Any] = {}
     for key, value in table.items():
-        found |= _dotted(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
+        found |= dotted(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
     return found
 
 

@@ -1,9 +1,11 @@
-"""Too little memory, said in one line."""
+"""Too little memory, said in one line; how much there is."""
 
+import os
 import re
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 # How those that have no class for it put it. The system's own words, whatever error they are passed on in; and those of
 # torch, OpenCV and Dr.Jit, which are taken for that only in an error that a library raises.
@@ -45,3 +47,41 @@ def is_memory_shortage(error: BaseException) -> bool:
 def _of_gpu(error: BaseException) -> bool:
     torch = sys.modules.get("torch")  # if it is not loaded, the error is not its
     return torch is not None and isinstance(error, torch.cuda.OutOfMemoryError)
+
+
+def available_bytes() -> int:
+    """Main memory that a further process can take: what the system has free, less where a group of processes has less.
+
+    Linux says both; elsewhere it is the whole memory, which is an upper bound.
+    """
+    try:
+        lines = Path("/proc/meminfo").read_text(encoding="ascii").splitlines()
+        free = next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable"))
+    except (OSError, StopIteration):
+        return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    return min([free, *_left_to_group()])
+
+
+def _left_to_group() -> list[int]:
+    """What the limit of this process's control group leaves, if it has one (version 2, then 1)."""
+    for part, limit, used, cached in (
+        ("", "memory.max", "memory.current", "inactive_file"),
+        ("memory", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
+    ):
+        try:
+            group = Path("/sys/fs/cgroup", part)
+            most, now = (int((group / name).read_text(encoding="ascii")) for name in (limit, used))
+            lines = (group / "memory.stat").read_text(encoding="ascii").splitlines()
+            spare = next((int(line.split()[1]) for line in lines if line.split()[0] == cached), 0)  # given up on demand
+            return [max(0, most - now + spare)]
+        except (OSError, ValueError, IndexError):  # no such file, or "max": no limit
+            continue
+    return []
+
+
+def resident_bytes(process: int) -> int:
+    """Main memory that a process holds; 0 where that is not known."""
+    try:
+        return int(Path(f"/proc/{process}/statm").read_text(encoding="ascii").split()[1]) * os.sysconf("SC_PAGE_SIZE")
+    except (OSError, IndexError, ValueError):
+        return 0

@@ -1,0 +1,143 @@
+"""What a key of a study file changes in a preset: scene, rig, camera, method, or any setting of a stage or a method."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from difflib import get_close_matches
+from functools import cache
+from pathlib import Path
+from typing import Any, get_type_hints
+
+from novags.cameras import parse_cameras
+from novags.methods import METHODS
+from novags.methods.variant import Variant
+from novags.settings import changed, converted, flattened, has_setting
+from novags.testbed.presets import Preset, adapted
+from sensor_model import PRESETS as SENSORS
+
+RENAMED = {"views": "n_views"}  # as the command line calls them -> as `adapted` does
+NOT_AXES = ("preset", "return", "methods", "variants", "n_views")
+STAGES = ("render", "capture")  # their settings by dotted name: render.max_depth, capture.jpeg_quality
+OF_RENDER = ("views", "width", "height", "spp")  # of no use to a set that is there already
+
+
+@dataclass(frozen=True)
+class Changes:
+    """What some keys change, sorted by where they do.
+
+    Attributes:
+        adapted: Keywords of `presets.adapted`.
+        render: Settings of the render by dotted name.
+        capture: Settings of the capture by dotted name.
+        settings: Settings of methods by dotted name.
+    """
+
+    adapted: dict[str, Any] = field(default_factory=dict)
+    render: dict[str, Any] = field(default_factory=dict)
+    capture: dict[str, Any] = field(default_factory=dict)
+    settings: dict[str, Any] = field(default_factory=dict)
+
+    def and_(self, other: "Changes") -> "Changes":
+        """Both; the other's where both change the same."""
+        mine, more = vars(self), vars(other)
+        return Changes(**{name: {**mine[name], **more[name]} for name in mine})
+
+    def of_render(self) -> list[str]:
+        """Which of them only a render can obey."""
+        return [key for key in OF_RENDER if _keyword(key) in self.adapted] + [f"render.{key}" for key in self.render]
+
+    def without_render(self) -> "Changes":
+        """What is left of them for a set that is there already."""
+        kept = {name: value for name, value in self.adapted.items() if name not in map(_keyword, OF_RENDER)}
+        return replace(self, adapted=kept, render={})
+
+
+@cache
+def _hints() -> dict[str, Any]:
+    return get_type_hints(adapted)
+
+
+@cache
+def known_keys() -> tuple[str, ...]:
+    """Every key but the dotted ones."""
+    names = [name for name in _hints() if name not in NOT_AXES]
+    return ("rig", "method", *RENAMED, *names)
+
+
+def changes_of(key: str, value: Any, folder: Path) -> Changes:
+    """What one key with one value changes.
+
+    Args:
+        key: Of [grid] (but "rig", which stands for several keys), [override] or [rig.NAME].
+        value: As TOML holds it.
+        folder: Where relative paths start: that of the study file.
+
+    Raises:
+        ValueError: If there is no such key, or the value has the wrong type.
+    """
+    stage, dot, name = key.partition(".")
+    if key == "capture.seed":
+        raise ValueError("the seed of the noise is that of the run: write seed")
+    if dot and stage in STAGES:
+        return Changes(**{stage: {name: value}})
+    if key in known_keys():
+        return Changes(adapted=_keywords(key, value, folder))
+    if any(has_setting(method.config(), key) for method in METHODS.values()):
+        return Changes(settings={key: value})
+    known = (*known_keys(), *(name for method in METHODS.values() for name in flattened(method.config())))
+    near = get_close_matches(key, known, 1)
+    hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known_keys())}, settings of methods, "
+    hint += "" if near else "and those of stages as render.NAME and capture.NAME"
+    raise ValueError(f"there is no such key; {hint}")
+
+
+def _keywords(key: str, value: Any, folder: Path) -> dict[str, Any]:
+    if key == "method":
+        return {"methods": (_text(value),)}
+    if key == "cameras":
+        return {"cameras": parse_cameras(_text(value))}
+    if key == "scene":
+        return {"scene": _scene(_text(value), folder)}
+    if key == "sensor" and value not in SENSORS and str(value).endswith(".toml"):
+        return {"sensor": str(folder / value)}
+    hint = _hints()[_keyword(key)]
+    return {_keyword(key): converted(value, hint, "it")}
+
+
+def _keyword(key: str) -> str:
+    return RENAMED.get(key, key)
+
+
+def _scene(value: str, folder: Path) -> str:
+    """A scene of the catalogue by name; a file or a folder by its whole path."""
+    path = folder / Path(value).expanduser()
+    if value.endswith(".xml") and not path.is_file():
+        raise ValueError(f"there is no scene file {path}")
+    return str(path) if value.endswith(".xml") or path.is_dir() else value
+
+
+def _text(value: Any) -> str:
+    if not isinstance(value, str):
+        raise ValueError(f"it must be text, got {value!r}")
+    return value
+
+
+def applied(base: Preset, changes: Changes, variants: tuple[Variant, ...] = ()) -> Preset:
+    """The preset with all changes.
+
+    A seed is that of the noise and of training. The render keeps its own, so that one set serves all seeds.
+
+    Raises:
+        ValueError: If a value is out of range or does not go with another.
+    """
+    keywords = dict(changes.adapted)
+    seed = keywords.pop("seed", None)
+    preset = adapted(base, **keywords, variants=variants or None)
+    capture = changed(preset.capture, _with_seed(changes.capture, seed), what="capture")
+    render = changed(preset.render, changes.render, what="render")
+    if preset.folder is None:
+        _ = render.source  # refuses a scene that there is not
+    return replace(preset, render=render, capture=capture, settings={**preset.settings, **changes.settings})
+
+
+def _with_seed(settings: Mapping[str, Any], seed: int | None) -> dict[str, Any]:
+    return dict(settings) if seed is None else {"seed": seed, **settings}

@@ -1,0 +1,194 @@
+"""A study from its file to its tables: plan, do what is missing, keep what is known of failures, write the rows."""
+
+import os
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from novags.testbed.cache import read_json, write_json
+from novags.testbed.console import Console
+from novags.testbed.study.costs import Costs, longest_after, time_left
+from novags.testbed.study.engines.local import Limits, Pool
+from novags.testbed.study.engines.processes import threads_environment
+from novags.testbed.study.engines.progress import At, StudyProgress
+from novags.testbed.study.engines.worker import Outcome
+from novags.testbed.study.entry import Order, Task
+from novags.testbed.study.plan import Plan
+from novags.testbed.study.results import State, Table
+from novags.testbed.study.store import SEAL, costs
+from sensor_model.files.atomic import atomic
+
+STUDY, FAILURES = "study.json", "failures.json"
+PLACE = "novags.testbed.study.entry:make"
+KEPT = 0.05  # s; to compare a finished entry with its checksums
+TABLES_EVERY = 10.0  # s; between two writings of the tables while runs end
+
+
+def workers_for(runs: int, wanted: int | None) -> tuple[int, int]:
+    """Workers, and threads of each: all cores in all. What is done already does not change them, so bits stay the same.
+
+    Raises:
+        ValueError: If fewer than one worker is wanted.
+    """
+    if wanted is not None and wanted < 1:
+        raise ValueError(f"workers must be >= 1, got {wanted}")
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    workers = wanted or max(1, min(cores, runs))
+    return workers, max(1, cores // workers)
+
+
+def there(plan: Plan, store: Path) -> set[str]:
+    """The entries that a store has, by their seals; whether their files are as they were is seen when they are used."""
+    return {key for key, task in plan.tasks.items() if (task.folder(store) / SEAL).exists()}
+
+
+def conduct(
+    plan: Plan, out: Path, store: Path, console: Console, *, workers: int | None = None, retry_failed: bool = False
+) -> list[dict[str, Any]]:
+    """Do what is missing of a study and write its tables; returns their rows.
+
+    Args:
+        plan: The study.
+        out: Its folder, locked by the caller.
+        store: The store.
+        console: Where progress goes.
+        workers: Processes; None: as many as there are cores, or runs if these are fewer.
+        retry_failed: Try again what failed before.
+
+    Raises:
+        OSError: If the disk is full or may not be written to.
+        KeyboardInterrupt: If it is interrupted; what is finished is kept.
+    """
+    count, threads = workers_for(len(plan.runs), workers)
+    store.mkdir(parents=True, exist_ok=True)
+    table = Table(plan, out, store)
+    predicted = Costs.of(costs(store), threads)
+    watch = _Watch(plan, table, predicted, count, StudyProgress(console, len(plan.runs)), known=there(plan, store))
+    watch.failures = {} if retry_failed else read_failures(out, set(plan.tasks) - watch.known)
+    write_json(out / FAILURES, watch.failures)
+    longest = longest_after(plan, watch.seconds_left())
+    limits = Limits(
+        workers=count, order=longest.__getitem__,
+        memory=lambda key: predicted.predicted(plan.tasks[key]).memory,
+        seconds=lambda key: predicted.predicted(plan.tasks[key]).seconds,
+    )  # fmt: skip
+    pool = Pool(PLACE, _Orders(plan, out, store, threads).request, limits, watch, threads_environment(threads))
+    failed = {key: Outcome("failed", f["reason"], f["stage"]) for key, f in watch.failures.items()}
+    try:
+        pool.run(plan.tasks.values(), failed)
+    except BaseException:
+        with suppress(OSError):  # a full disk: said by the first error
+            table.write(watch.states)
+        raise
+    finally:
+        watch.shown.close()
+    return table.write(watch.states)
+
+
+def read_failures(out: Path, keys: set[str]) -> dict[str, dict[str, str]]:
+    """Which of these failed in earlier starts, and why."""
+    path = out / FAILURES
+    if not path.exists():
+        return {}
+    found = read_json(path, {"*": {"reason": str, "stage": str, "log": str}})
+    return {key: failure for key, failure in found.items() if key in keys}
+
+
+def log_of(task: Task) -> str:
+    """The log of a task, relative to the study."""
+    return f"logs/{task.kind}-{task.name}.log"
+
+
+@dataclass(frozen=True)
+class _Orders:
+    """Turns the keys of a plan into what workers are sent."""
+
+    plan: Plan
+    out: Path
+    store: Path
+    threads: int
+
+    def request(self, key: str, results: Mapping[str, Any]) -> dict[str, Any]:
+        task = self.plan.tasks[key]
+        source = self.plan.tasks[task.needs[0]].folder(self.store) if task.needs else task.source
+        made_of = {need: result["content"] for need, result in results.items()}
+        order = Order(task, task.folder(self.store), source, made_of, self.threads)
+        return {"task": order, "log": str((self.out / log_of(task)).absolute())}
+
+
+@dataclass
+class _Watch:
+    """Keeps the tables, the failures and the progress of a study up to date."""
+
+    plan: Plan
+    table: Table
+    costs: Costs
+    workers: int
+    shown: StudyProgress
+    known: set[str]  # entries that are there already, as far as one knows
+    states: dict[str, State] = field(default_factory=dict)  # of runs
+    failures: dict[str, dict[str, str]] = field(default_factory=dict)
+    over: set[str] = field(default_factory=set)
+    under_way: dict[str, tuple[float, At]] = field(default_factory=dict)
+    _written: float = 0.0
+    _left: tuple[float, float] = (0.0, 0.0)  # seconds left, and when to count again
+
+    def started(self, key: str) -> None:
+        self.under_way[key] = (time.monotonic(), ("starting", 0, 0, ""))
+
+    def progress(self, key: str, stage: str, done: int, total: int, what: str) -> None:
+        since, _ = self.under_way[key]
+        self.under_way[key] = (since, (stage, done, total, what))
+
+    def ended(self, key: str, outcome: Outcome) -> None:
+        task = self.plan.tasks[key]
+        _, (stage, *_) = self.under_way.pop(key, (0.0, ("", 0, 0, "")))
+        self.over.add(key)
+        if outcome.state == "done" and outcome.said["made"]:
+            self.costs.add(task.kind, outcome.said["cost"])
+        if outcome.state == "failed" and key not in self.failures:
+            self._failed(key, outcome.said, outcome.stage or stage)
+        if task.kind == "run":
+            failure = self.failures.get(outcome.cause or key, {})
+            self.states[key] = State(outcome.state, failure.get("reason"), failure.get("stage"), failure.get("log"))
+            if time.monotonic() - self._written >= TABLES_EVERY:
+                self.table.write(self.states)
+                self._written = time.monotonic()
+
+    def _failed(self, key: str, reason: str, stage: str) -> None:
+        """Keep a failure, unless it is the disk's."""
+        with atomic(self.table.store / ".probe") as temporary:
+            temporary.write_bytes(bytes(1 << 16))
+        (self.table.store / ".probe").unlink()
+        task = self.plan.tasks[key]
+        self.failures[key] = {"reason": reason, "stage": stage, "log": log_of(task)}
+        write_json(self.table.out / FAILURES, self.failures)
+        self.note(f"failed: {stage or 'start'} of {task.name}: {reason} (log: {log_of(task)}); the rest goes on")
+
+    def note(self, text: str) -> None:
+        self.shown.note(text)
+
+    def tick(self) -> None:
+        done = list(self.states.values())
+        failed = sum(state.name != "done" for state in done)
+        names = {key: self.plan.tasks[key].name.rpartition("-")[0] for key in self.under_way}
+        under_way = {key: (names[key], at) for key, (_, at) in self.under_way.items()}
+        start = time.monotonic()
+        if start >= self._left[1]:
+            left = time_left(self.plan, self.seconds_left(), self.workers)
+            now = time.monotonic()
+            self._left = left, now + max(2.0, 100 * (now - start))  # at most 1 % of the time goes into this
+        self.shown.show(len(done), failed, under_way, self._left[0])
+
+    def seconds_left(self) -> dict[str, float]:
+        """Predicted seconds of every task that is not over."""
+        found = {}
+        for key, task in self.plan.tasks.items():
+            if key not in self.over:
+                seconds = KEPT if key in self.known else self.costs.predicted(task).seconds
+                since = self.under_way.get(key, (None, None))[0]
+                found[key] = seconds if since is None else max(0.0, seconds - (time.monotonic() - since))
+        return found

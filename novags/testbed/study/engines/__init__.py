@@ -1,0 +1,1 @@
+"""Where tasks are done. `local`: worker processes on this machine."""

@@ -1,0 +1,84 @@
+"""A worker process as its parent sees it."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from signal import Signals
+from typing import Any
+
+from novags.testbed.memory import resident_bytes
+
+PROGRAM = "from novags.testbed.study.engines.worker import main; main()"
+
+
+def threads_environment(threads: int) -> dict[str, str]:
+    """What limits the threads of a process from its start; `simscenes.backend` obeys the first for Dr.Jit."""
+    names = ("OMP", "OPENBLAS", "MKL", "NUMBA", "VECLIB_MAXIMUM", "NUMEXPR")
+    return {f"{name}_NUM_THREADS": str(threads) for name in names}
+
+
+@dataclass
+class Worker:
+    """A process, and the job that it is at."""
+
+    process: "subprocess.Popen[bytes]"
+    connection: Connection
+    key: str | None = None
+    since: float = 0.0  # of the monotonic clock
+    late: bool = False  # that was said
+    ready: bool = False  # it has begun to listen
+
+    @staticmethod
+    def start(place: str, environment: Mapping[str, str]) -> "Worker":
+        """Start one that does jobs by the function MODULE:FUNCTION."""
+        ours, theirs = Pipe()
+        # A session of its own: Ctrl-C on a terminal reaches the parent alone, which then stops its workers.
+        process = subprocess.Popen(
+            [sys.executable, "-c", PROGRAM, str(theirs.fileno()), place], pass_fds=[theirs.fileno()],
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True,
+            env={**os.environ, **environment, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+        )  # fmt: skip
+        theirs.close()
+        return Worker(process, ours)
+
+    def give(self, key: str, request: Mapping[str, Any], now: float) -> None:
+        """Give it a job."""
+        self.key, self.since, self.late = key, now, False
+        with suppress(OSError):  # it died while it waited, which the next look at its pipe shows
+            self.connection.send(request)
+
+    @property
+    def resident(self) -> int:
+        """Bytes that it holds now."""
+        return resident_bytes(self.process.pid)
+
+    def death(self) -> str:
+        """How the process ended."""
+        code = self.process.wait()
+        if code >= 0:
+            return f"its process ended with exit code {code}"
+        name = Signals(-code).name if -code in set(Signals) else f"signal {-code}"
+        hint = ", as the system does when memory runs out" if name == "SIGKILL" else ""
+        return f"its process was ended by {name}{hint}"
+
+    def ask_to_stop(self) -> None:
+        """Let it mark how far it is and end."""
+        with suppress(OSError):
+            if self.key is None:
+                self.connection.send(None)
+            else:
+                self.process.terminate()
+
+    def stop(self, seconds: float) -> None:
+        """Wait for it so long, then end it."""
+        try:
+            self.process.wait(seconds)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        self.connection.close()

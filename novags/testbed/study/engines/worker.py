@@ -1,0 +1,153 @@
+"""A worker process: it takes one task after another from the process that started it, and ends with it.
+
+Its arguments are the descriptor of a pipe and MODULE:FUNCTION. The function does a task; it gets a `Console` that
+reports its progress, and may raise anything. What it prints goes to the log of the task.
+"""
+
+import ctypes
+import errno
+import faulthandler
+import importlib
+import os
+import queue
+import signal
+import sys
+import threading
+import time
+import traceback
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+from pathlib import Path
+from typing import Any, NoReturn
+
+from novags.testbed.console import Console, Update
+from sensor_model.files.reading import brief
+
+BETWEEN = 0.5  # s between two reports of progress
+PR_SET_PDEATHSIG = 1
+# Nothing is wrong with a task that meets these: the machine has to be put right first.
+OF_MACHINE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a task ended.
+
+    Attributes:
+        state: "ready" before the first task; "done"; "failed" for a fault of the task; "machine" for one of the
+            machine, such as a full disk; "busy" if another process is at work on it; "skipped" if it was not tried
+            because one that it needs has failed.
+        said: The result, or the reason in a line.
+        stage: Where it failed.
+        cause: Of what was "skipped": the job that failed.
+    """
+
+    state: str
+    said: Any = None
+    stage: str = ""
+    cause: str = ""
+
+
+class Reporting(Console):
+    """A console that tells the parent process what it shows; notes go to the log."""
+
+    def __init__(self, tell: Callable[[tuple[str, int, int, str]], None]) -> None:
+        super().__init__(stream=sys.stderr)
+        self.tell, self.last = tell, 0.0
+
+    @contextmanager
+    def progress(self, stage: str) -> Iterator[Update]:
+        """Report how far `stage` is, not too often."""
+
+        def update(done: int, total: int, what: str) -> None:
+            now = time.monotonic()
+            if now - self.last >= BETWEEN:
+                self.last = now
+                self.tell((stage, done, total, what))
+
+        self.tell((stage, 0, 0, ""))
+        yield update
+
+
+def main() -> None:
+    """Do tasks until the parent ends or says so."""
+    connection, place = Connection(int(sys.argv[1])), sys.argv[2]
+    parent = os.getppid()
+    _end_with_parent()
+    if os.getppid() != parent:
+        return  # it ended before that
+    tasks: queue.SimpleQueue[Mapping[str, Any] | None] = queue.SimpleQueue()
+    threading.Thread(target=_listen, args=(connection, tasks), daemon=True).start()
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
+    signal.signal(signal.SIGTERM, _stop)
+    try:
+        connection.send(Outcome("ready"))
+        while (request := tasks.get()) is not None:
+            connection.send(_outcome(place, request, connection))
+    except (KeyboardInterrupt, BrokenPipeError):
+        pass
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(0)  # without the seconds that the libraries take to clear up
+
+
+def _listen(connection: Connection, tasks: "queue.SimpleQueue[Mapping[str, Any] | None]") -> None:
+    """Pass on tasks. When the parent is gone, so is this process, whatever it is at."""
+    while True:
+        try:
+            tasks.put(connection.recv())
+        except (EOFError, OSError):  # the parent is gone
+            os.kill(os.getpid(), signal.SIGKILL)
+
+
+def _end_with_parent() -> None:
+    """Let the kernel kill this process with its parent; a thread that listens does elsewhere, if it gets to run."""
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL, 0, 0, 0)
+
+
+def _stop(*_: object) -> NoReturn:
+    raise KeyboardInterrupt
+
+
+def _outcome(place: str, request: Mapping[str, Any], connection: Connection) -> Outcome:
+    """Do a task."""
+    try:
+        _log_to(Path(request["log"]))
+        console = Reporting(connection.send)
+    except OSError as error:
+        return Outcome("machine", f"cannot write the log {request['log']}: {error.strerror or error}")
+    try:
+        module, _, function = place.partition(":")
+        work = getattr(importlib.import_module(module), function)
+        signal.signal(signal.SIGTERM, _stop)  # a library may have taken it over
+        return Outcome("done", work(request["task"], console))
+    except BlockingIOError as error:
+        return Outcome("busy", brief(error))
+    except (KeyboardInterrupt, BrokenPipeError):
+        raise
+    except BaseException as error:  # the panics of libraries written in Rust are no Exceptions
+        traceback.print_exc()
+        return _failure(error, getattr(error, "stage", ""))
+
+
+def _failure(error: BaseException, stage: str) -> Outcome:
+    if isinstance(error, OSError) and error.errno in OF_MACHINE:
+        return Outcome("machine", brief(error), stage)
+    said = brief(error) or "no message"
+    expected = isinstance(error, ValueError | OSError | MemoryError)
+    return Outcome("failed", said if expected else f"unexpected {type(error).__name__}: {said}", stage)
+
+
+def _log_to(path: Path) -> None:
+    """From here on everything printed, by libraries written in C too, goes to the end of a file."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    log = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+    os.dup2(log, 1)
+    os.dup2(log, 2)
+    os.close(log)
+    faulthandler.enable(sys.__stderr__)  # type: ignore[arg-type]

@@ -1,0 +1,164 @@
+"""One entry of the store: kept if it is as it was sealed, else made by its stages, which resume what is unfinished.
+
+This loads nothing heavy: a worker that finds everything there does not need it.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from novags.testbed.cache import read_json
+from novags.testbed.console import Console
+from novags.testbed.study.store import SEAL, Seal, clear, damaged, read_seal, write_seal
+from sensor_model.files.lock import locked
+
+
+@dataclass(frozen=True)
+class Task:
+    """One entry of the store that has to be there.
+
+    Attributes:
+        kind: "set", "capture" or "run", which is scored too.
+        key: Of the entry.
+        name: Of its folder.
+        config: Of its stage: `RenderConfig`, `CaptureConfig`, `ReconstructConfig`.
+        needs: Keys of the tasks it is made from.
+        source: Where the set is that a capture photographs, if no task makes it.
+        group: What its cost is compared with: the scene, the camera, the method.
+        work: What its cost grows with, in `costs.UNITS`.
+        pixels: Of all its views.
+    """
+
+    kind: str
+    key: str
+    name: str
+    config: Any
+    needs: tuple[str, ...] = ()
+    source: Path | None = None
+    group: str = ""
+    work: float = 0.0
+    pixels: float = 0.0
+
+    def folder(self, store: Path) -> Path:
+        """Where it is, or will be."""
+        return store / self.kind / self.name
+
+
+@dataclass(frozen=True)
+class Order:
+    """What a worker needs to know of a task.
+
+    Attributes:
+        task: The task.
+        folder: Of its entry.
+        source: Folder that it is made from: of a set for a capture, of a capture for a run.
+        made_of: Content of each entry that it is made from, by key.
+        threads: That this worker may use.
+    """
+
+    task: Task
+    folder: Path
+    source: Path | None
+    made_of: dict[str, str]
+    threads: int
+
+
+@dataclass(frozen=True)
+class Step:
+    """A stage of an entry.
+
+    Attributes:
+        do: Does it, or nothing if it is done already.
+        record: The file that it writes last; the scores of a run can be removed without what they are of.
+        repeatable: Whether it can be done again alone.
+    """
+
+    do: Callable[[], Any]
+    record: str
+    repeatable: bool = False
+
+
+Steps = dict[str, Step]  # by name, in order
+
+
+def make(order: Order, console: Console) -> dict[str, Any]:
+    """Make sure that an entry is there and complete, by the stages of the test bed; see `ensure`."""
+    from novags.testbed.study.steps import depends, limit_threads, steps
+
+    limit_threads(order.threads)
+    return ensure(order, steps(order.task, order.folder, order.source, console), console, depends(order.task))
+
+
+def ensure(order: Order, steps: Steps, console: Console, depends: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Make sure that an entry is there and complete.
+
+    Args:
+        order: The entry.
+        steps: What makes it.
+        console: Where notes go.
+        depends: What else the content depends on that is no part of the key, because little of the work does.
+
+    Returns:
+        `content`, `cost` and `made` (False: it was there) of the entry.
+
+    Raises:
+        ValueError: If a stage refuses its input.
+        BlockingIOError: If another process is at work there.
+    """
+    made_of = {**order.made_of, **(depends or {})}
+    with locked(order.folder):
+        seal = _believed(order, steps, console)
+        made = seal is None or seal.made_of != made_of
+        if made:
+            (order.folder / SEAL).unlink(missing_ok=True)
+            for name, step in steps.items():
+                with _stage(name):
+                    step.do()
+            seal = write_seal(order.folder, order.task.key, made_of, _cost(order, steps))
+    assert seal is not None
+    return {"content": seal.content, "cost": seal.cost, "made": made}
+
+
+def _believed(order: Order, steps: Steps, console: Console) -> Seal | None:
+    """The seal of a complete entry whose files are as they were; else what cannot be believed is removed."""
+    try:
+        seal = read_seal(order.folder)
+    except ValueError as error:
+        console.note(f"{error}: making the entry again")
+        clear(order.folder)
+        return None
+    if seal is None:
+        return None
+    wrong = damaged(order.folder, seal) if seal.key == order.task.key else [SEAL]
+    if not wrong:
+        return seal
+    console.note(f"{order.folder}: {', '.join(wrong[:3])} not as written (checksum): making the entry again")
+    if all(any(step.repeatable and step.record == name for step in steps.values()) for name in wrong):
+        (order.folder / SEAL).unlink()
+        for name in wrong:
+            (order.folder / name).unlink(missing_ok=True)
+    else:
+        clear(order.folder)
+    return None
+
+
+def _cost(order: Order, steps: Steps) -> dict[str, Any]:
+    task = order.task
+    records = {name: read_json(order.folder / step.record)["stage"] for name, step in steps.items()}
+    return {
+        "seconds": {name: float(record["seconds"]) for name, record in records.items()},
+        "peak_bytes": max(int(record["peak_bytes"]) for record in records.values()),
+        "group": task.group, "work": task.work, "pixels": task.pixels, "threads": order.threads,
+    }  # fmt: skip
+
+
+@contextmanager
+def _stage(name: str) -> Iterator[None]:
+    """Say in an exception which stage raised it."""
+    try:
+        yield
+    except BaseException as error:
+        error.stage = name  # type: ignore[attr-defined]
+        raise

@@ -1,0 +1,108 @@
+"""What a study will take, before any work: runs, stages that are there, time, memory, disk. Writes nothing."""
+
+import heapq
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+
+from novags.testbed.memory import available_bytes
+from novags.testbed.study.conduct import KEPT, there, workers_for
+from novags.testbed.study.costs import Costs, longest_after
+from novags.testbed.study.engines.progress import duration
+from novags.testbed.study.plan import Plan
+from novags.testbed.study.store import KINDS, costs, other_entries
+
+SHOWN = 40  # runs listed by name
+
+
+def forecast(plan: Plan, store: Path, workers: int | None = None) -> str:
+    """A page for a terminal.
+
+    Args:
+        plan: The study.
+        store: The store.
+        workers: As for `conduct`.
+    """
+    count, threads = workers_for(len(plan.runs), workers)
+    found, known = Costs.of(costs(store), threads), there(plan, store)
+    predicted = {key: found.predicted(task) for key, task in plan.tasks.items()}
+    seconds = {key: KEPT if key in known else cost.seconds for key, cost in predicted.items()}
+    lines = [_head(plan), "", f"  {'stage':<10}{'needed':>8}{'there':>8}{'to do':>8}{'each':>10}{'memory':>10}"
+             f"{'disk':>10}"]  # fmt: skip
+    for kind in KINDS:
+        keys = [key for key, task in plan.tasks.items() if task.kind == kind]
+        new = [predicted[key] for key in keys if key not in known]
+        if keys:
+            each = duration(sum(c.seconds for c in new) / len(new)) if new else "-"
+            memory = size(max(c.memory for c in new)) if new else "-"
+            lines.append(f"  {kind:<10}{len(keys):>8}{len(keys) - len(new):>8}{len(new):>8}{each:>10}{memory:>10}"
+                         f"{size(sum(c.disk for c in new)):>10}")  # fmt: skip
+    todo = {key: cost for key, cost in predicted.items() if key not in known}
+    peak = sum(sorted((cost.memory for cost in todo.values()), reverse=True)[:count])
+    disk, free = sum(cost.disk for cost in todo.values()), shutil.disk_usage(_existing(store)).free
+    lines += [
+        "",
+        f"  time    {duration(makespan(plan, seconds, count))} with {count} workers of {threads} "
+        f"thread{'s' * (threads > 1)}; {duration(sum(seconds.values()))} of work"
+        + ("" if all(found.known(plan.tasks[key]) for key in todo) else " (nothing like it in the store: rough)"),
+        f"  memory  at most {size(peak)} of {size(available_bytes())} free; fewer tasks at a time where it is short",
+        f"  disk    {size(disk)} of {size(free)} free in {store}",
+    ]
+    if disk > free:
+        lines.append("  note: the disk is too small: free some, or choose another --store")
+    if stray := other_entries(store, set(plan.tasks)):
+        lines.append(f"  the store holds {stray} entries of other studies, settings or versions of novags")
+    return "\n".join(lines)
+
+
+def _head(plan: Plan) -> str:
+    study = plan.study
+    product = " x ".join(f"{len(values)} {name}" for name, values in study.axes.items())
+    without = f", {study.excluded} excluded" if study.excluded else ""
+    lines = [f"{study.path}: {len(plan.runs)} runs = {product}{without}"]
+    lines += [f"  {number:>4}  {cell.label}" for number, (cell, _) in enumerate(plan.runs[:SHOWN], 1)]
+    more = len(plan.runs) - SHOWN
+    return "\n".join([*lines, *([f"        and {more} more"] if more > 0 else [])])
+
+
+def makespan(plan: Plan, seconds: Mapping[str, float], workers: int) -> float:
+    """Seconds until all tasks are done, the longest chains first.
+
+    Args:
+        plan: The plan.
+        seconds: Of each task.
+        workers: Tasks at a time.
+    """
+    longest = longest_after(plan, seconds)
+    waiting = {key: len(task.needs) for key, task in plan.tasks.items()}
+    users: dict[str, list[str]] = {}
+    for key, task in plan.tasks.items():
+        for need in task.needs:
+            users.setdefault(need, []).append(key)
+    ready = [(-longest[key], key) for key, needs in waiting.items() if not needs]
+    heapq.heapify(ready)
+    running: list[tuple[float, str]] = []
+    now = 0.0
+    while ready or running:
+        while ready and len(running) < workers:
+            _, key = heapq.heappop(ready)
+            heapq.heappush(running, (now + seconds[key], key))
+        now, key = heapq.heappop(running)
+        for user in users.get(key, []):
+            waiting[user] -= 1
+            if not waiting[user]:
+                heapq.heappush(ready, (-longest[user], user))
+    return now
+
+
+def size(count: float) -> str:
+    """Bytes in the unit that suits them."""
+    for unit, factor in (("GB", 1e9), ("MB", 1e6)):
+        if count >= factor:
+            return f"{count / factor:.1f} {unit}"
+    return f"{count / 1e3:.0f} kB"
+
+
+def _existing(path: Path) -> Path:
+    """The folder that is there, of a path and those above it."""
+    return next(parent for parent in (path.absolute(), *path.absolute().parents) if parent.exists())

@@ -1,0 +1,240 @@
+"""A study file: every combination of its axes, checked whole before anything runs.
+
+preset = "demo"                    where all that is not said comes from
+[grid]                             axes, in this order: a value or a list of values each
+[override]                         for all runs
+[rig.NAME]                         what the value NAME of the axis "rig" stands for: views, width, height, ...
+[variant.NAME]                     a method with settings of its own
+[[exclude]]                        combinations that are left out: values, or lists of values, of some axes
+"""  # noqa: D214
+
+import itertools
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from novags.methods import with_variants
+from novags.methods.variant import Variant, dotted, read_variants
+from novags.testbed.presets import EXPERIMENTS, Preset
+from novags.testbed.study.axes import Changes, applied, changes_of
+from sensor_model.files.reading import brief
+from sensor_model.files.toml_file import read_toml
+
+TABLES = ("preset", "grid", "override", "rig", "variant", "exclude")
+MOST = 100_000  # runs of one study; beyond it the file is taken for a mistake
+Value = Any  # text, number or truth, as TOML has them
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One run of a study: a value of each axis, and the preset with its one method that they make."""
+
+    values: dict[str, Value]
+    preset: Preset
+
+    @property
+    def label(self) -> str:
+        """What tells it from the others."""
+        return spelled(self.values)
+
+
+@dataclass(frozen=True)
+class Study:
+    """A study file, checked.
+
+    Attributes:
+        path: The file.
+        axes: The values of each axis, in the order of the file.
+        cells: Every combination that is not excluded.
+        excluded: How many are.
+        table: The content of the file.
+    """
+
+    path: Path
+    axes: dict[str, tuple[Value, ...]]
+    cells: tuple[Cell, ...]
+    excluded: int
+    table: dict[str, Any]
+
+
+def spelled(values: Mapping[str, Value]) -> str:
+    """Values of axes in a few words."""
+    return ", ".join(f"{name} {value:g}" if isinstance(value, float) else f"{name} {value}"
+                     for name, value in values.items())  # fmt: skip
+
+
+def read_study(path: Path) -> Study:
+    """Read and check a study file.
+
+    Raises:
+        ValueError: If the file cannot be read, a name is unknown, a value is refused, values do not go together, or
+            nothing is left to run; one line that names the file and the key.
+    """
+    table = read_toml(path)
+    with _at(path, ""):
+        _known(table, TABLES, "table or key")
+        base = _preset(table.get("preset", "demo"))
+        for name in ("grid", "override", "rig", "variant"):
+            if not isinstance(table.get(name, {}), dict):
+                raise ValueError(f"[{name}] must be a table")
+    variants = tuple(read_variants(path)) if table.get("variant") else ()
+    with _at(path, "[variant]"):
+        with_variants(variants)
+    reader = _Reader(path, base, variants, table.get("rig", {}))
+    shared = reader.table(table.get("override", {}), "[override]")
+    axes = reader.axes(table.get("grid", {}), base, shared)
+    combinations = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
+    kept = _without_excluded(path, table.get("exclude", []), axes, combinations)
+    cells = tuple(Cell(values, reader.preset(values, shared)) for values in kept)
+    return Study(path, axes, cells, len(combinations) - len(cells), table)
+
+
+def _preset(name: Any) -> Preset:
+    if name not in EXPERIMENTS:
+        raise ValueError(f"preset: must be one of {', '.join(EXPERIMENTS)}, got {brief(repr(name), 100)}")
+    return EXPERIMENTS[name]
+
+
+@contextmanager
+def _at(path: Path, place: str) -> Iterator[None]:
+    """Name the file and the place in it in what goes wrong."""
+    try:
+        yield
+    except ValueError as error:
+        where = f"{path}: {place}: " if place else f"{path}: "
+        raise ValueError(f"{where}{brief(error)}") from error
+
+
+def _known(table: Mapping[str, Any], known: tuple[str, ...], what: str) -> None:
+    for key in table:
+        if key not in known:
+            near = get_close_matches(key, known, 1)
+            hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
+            raise ValueError(f"unknown {what} {brief(repr(key), 100)}; {hint}")
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Keys of a file become changes of its preset."""
+
+    path: Path
+    base: Preset
+    variants: tuple[Variant, ...]
+    rigs: dict[str, Any]
+
+    def table(self, table: Any, place: str) -> Changes:
+        """All keys of [override] or [rig.NAME], each checked by itself."""
+        found = Changes()
+        with _at(self.path, place):
+            if not isinstance(table, dict):
+                raise ValueError("it must be a table")
+        for key, value in dotted(table).items():
+            with _at(self.path, f"{place} {key}"):
+                found = found.and_(self._checked(key, value))
+        return found
+
+    def axes(self, grid: dict[str, Any], base: Preset, shared: Changes) -> dict[str, tuple[Value, ...]]:
+        """The values of every axis; method and seed are always there."""
+        found = {}
+        count = math.prod(len(listed) if isinstance(listed, list) else 1 for listed in dotted(grid).values())
+        if count > MOST:
+            raise ValueError(f"{self.path}: [grid]: {count} combinations, more than {MOST}: split the study")
+        for key, listed in dotted(grid).items():
+            with _at(self.path, f"[grid] {key}"):
+                values: list[Value] = listed if isinstance(listed, list) else [listed]
+                if not values:
+                    raise ValueError("it has no values: give one, or leave the axis out")
+                for value in values:
+                    self._axis_value(key, value)
+                if twice := [value for value in values if values.count(value) > 1]:
+                    raise ValueError(f"{twice[0]!r} is listed twice")
+                found[key] = tuple(values)
+        self._one_place_each(found, shared)
+        found.setdefault("method", shared.adapted.get("methods", base.methods))
+        found.setdefault("seed", (shared.adapted.get("seed", base.capture.seed),))
+        if unused := [name for name in self.rigs if name not in found.get("rig", ())]:
+            raise ValueError(f"{self.path}: [rig.{unused[0]}]: no value of [grid] rig names it: use it or remove it")
+        return found
+
+    def _axis_value(self, key: str, value: Value) -> None:
+        if isinstance(value, list | dict):
+            raise ValueError(f"each value must be text, a number, or true or false, got {brief(repr(value), 100)}")
+        if key == "rig":
+            self._rig(value)
+        else:
+            self._checked(key, value)
+
+    def _rig(self, name: Value) -> Changes:
+        if name not in self.rigs:
+            listed = ", ".join(self.rigs) or "none"
+            raise ValueError(f"there is no table [rig.{brief(name, 60)}] (there are: {listed})")
+        return self.table(self.rigs[name], f"[rig.{name}]")
+
+    def _checked(self, key: str, value: Value) -> Changes:
+        found = changes_of(key, value, self.path.parent)
+        applied(self.base, found, self.variants)
+        return found
+
+    def _one_place_each(self, axes: Mapping[str, tuple[Value, ...]], shared: Changes) -> None:
+        """Refuse a key that two places set: an axis that [override] or a rig overrules would lie about its runs."""
+        keys: dict[str, str] = {}
+        for place, names in self._places(axes):
+            for name in names:
+                if name in keys:
+                    raise ValueError(f"{self.path}: {place}: {name} is set by {keys[name]} too: remove one of them")
+            keys |= dict.fromkeys(names, place)
+        for name in _names(shared):
+            if name in keys:
+                raise ValueError(f"{self.path}: [override]: {name} is set by {keys[name]} too: remove one of them")
+
+    def _places(self, axes: Mapping[str, tuple[Value, ...]]) -> Iterator[tuple[str, set[str]]]:
+        for key, values in axes.items():
+            if key == "rig":
+                yield "[grid] rig", set().union(*(_names(self._rig(name)) for name in values))
+            else:
+                yield f"[grid] {key}", _names(changes_of(key, values[0], self.path.parent))
+
+    def preset(self, values: Mapping[str, Value], shared: Changes) -> Preset:
+        """The preset of one combination."""
+        own = Changes()
+        for key, value in values.items():
+            own = own.and_(self._rig(value) if key == "rig" else changes_of(key, value, self.path.parent))
+        scene = {**shared.adapted, **own.adapted}.get("scene")
+        if scene is not None and Path(scene).is_dir():
+            shared = shared.without_render()  # it is for the scenes that are rendered
+            if named := own.of_render():
+                raise ValueError(f"{self.path}: [grid]: {', '.join(named)} belong to a render, and the set {scene} is "
+                                 "photographed as it is: put it into a study of its own")  # fmt: skip
+        with _at(self.path, spelled(values)):
+            return applied(self.base, shared.and_(own), self.variants)
+
+
+def _names(changes: Changes) -> set[str]:
+    """What they set, by one name each."""
+    return {f"{place}.{name}" if place in ("render", "capture") else name
+            for place, settings in vars(changes).items() for name in settings}  # fmt: skip
+
+
+def _without_excluded(
+    path: Path, rules: Any, axes: Mapping[str, tuple[Value, ...]], combinations: list[dict[str, Value]]
+) -> list[dict[str, Value]]:
+    with _at(path, "[[exclude]]"):
+        if not isinstance(rules, list) or not all(isinstance(rule, dict) and rule for rule in rules):
+            raise ValueError("each must be a table [[exclude]] with values of some axes")
+    kept = combinations
+    for number, rule in enumerate(rules, 1):
+        with _at(path, f"[[exclude]] {number}"):
+            wanted = {key: value if isinstance(value, list) else [value] for key, value in dotted(rule).items()}
+            _known(wanted, tuple(axes), "axis")
+            for key, listed in wanted.items():
+                if missing := [value for value in listed if value not in axes[key]]:
+                    known = ", ".join(map(str, axes[key]))
+                    raise ValueError(f"{key}: {missing[0]!r} is none of its values in [grid] ({known})")
+        kept = [c for c in kept if not all(c[key] in values for key, values in wanted.items())]
+    if not kept:
+        raise ValueError(f"{path}: [[exclude]]: nothing is left to run")
+    return kept

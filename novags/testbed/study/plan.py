@@ -1,0 +1,153 @@
+"""The stages that a study needs, those that runs share once: folders of the store, and what each is made from."""
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from novags.cameras import check_cameras
+from novags.settings import flattened
+from novags.testbed.console import Console
+from novags.testbed.devices import chosen_device
+from novags.testbed.folders.set import open_source
+from novags.testbed.presets import Preset
+from novags.testbed.stages.render import RenderConfig, scene_digest
+from novags.testbed.study.entry import Task
+from novags.testbed.study.grid import Cell, Study
+from novags.testbed.study.store import key_of, named
+from sensor_model.files.dng import SMALLEST
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Every task by key, each after those that it needs, and the runs of the study with the keys of theirs."""
+
+    study: Study
+    tasks: dict[str, Task]
+    runs: tuple[tuple[Cell, str], ...]
+
+    def above(self, key: str) -> Iterator[Task]:
+        """A task and all that it is made from, the first made first."""
+        for need in self.tasks[key].needs:
+            yield from self.above(need)
+        yield self.tasks[key]
+
+
+def plan_of(study: Study, store: Path, console: Console) -> Plan:
+    """What has to be made for a study; nothing is computed and nothing written.
+
+    Args:
+        study: The study.
+        store: The store, from which paths to sets elsewhere are counted.
+        console: Where notes on sets that are there go.
+
+    Raises:
+        ValueError: If a scene or a set cannot be read, settings do not go together, a camera source or a device is not
+            on this machine, or two combinations mean the same run.
+    """
+    planner, runs, labels = _Planner(store, console), [], dict[str, str]()
+    for cell in study.cells:
+        try:
+            check(cell.preset, console)
+            key = planner.run(cell.preset)
+        except ValueError as error:
+            if str(study.path) in str(error):
+                raise
+            raise ValueError(f"{study.path}: {cell.label}: {error}") from error
+        if key in labels:
+            raise ValueError(
+                f"{study.path}: [grid]: ({labels[key]}) and ({cell.label}) are the same run, because what differs has "
+                "no effect there: leave one out with [[exclude]]"
+            )
+        labels[key] = cell.label
+        runs.append((cell, key))
+    return Plan(study, planner.tasks, tuple(runs))
+
+
+def check(preset: Preset, console: Console) -> None:
+    """Refuse what is known to fail before anything is computed.
+
+    Raises:
+        ValueError: If it would.
+    """
+    check_cameras(preset.cameras)
+    chosen_device(preset.device, console)
+    if preset.folder is None and min(preset.render.width, preset.render.height) < SMALLEST:
+        size = f"{preset.render.width} x {preset.render.height}"
+        raise ValueError(
+            f"width and height must be >= {SMALLEST} px for runs, whose raw files LibRaw reads; got {size}"
+        )
+
+
+@dataclass
+class _Planner:
+    store: Path
+    console: Console
+    tasks: dict[str, Task] = field(default_factory=dict)
+    contents: dict[Any, Any] = field(default_factory=dict)  # of scenes and of sets that are there, read once
+
+    def run(self, preset: Preset) -> str:
+        """The key of a run, which is planned with all that it needs."""
+        captured = self._capture(preset)
+        (name,) = preset.methods
+        config = preset.reconstruct(name)
+        key = key_of("run", {"name": name, "config": config.resolved(), "capture": captured})
+        pixels = self.tasks[captured].pixels
+        iterations = sum(v for k, v in flattened(config.config).items() if k.rpartition(".")[2] == "iterations")
+        views = max(1, self._views(captured))
+        return self._task(Task(
+            kind="run", key=key, name=named(f"{name}-{self.tasks[captured].name.rpartition('-')[0]}", key),
+            config=config, needs=(captured,), group=name,
+            work=max(1, iterations) * (pixels / views + config.points), pixels=pixels,
+        ))  # fmt: skip
+
+    def _views(self, captured: str) -> int:
+        return int(self.contents[captured])
+
+    def _capture(self, preset: Preset) -> str:
+        config = preset.capture
+        if preset.folder is None:
+            made_of, source = self._set(preset.render), None
+            pixels, views = self.tasks[made_of].pixels, preset.render.n_views
+            name, content = self.tasks[made_of].name.rpartition("-")[0], {"set": made_of}
+        else:
+            source = preset.folder.resolve()
+            content, views, pixels = self._folder(source, config.max_size)
+            name = source.name
+        key = key_of("capture", {"config": config.resolved(), **content})
+        self.contents[key] = views
+        parts = [name, config.sensor_name, f"{config.electrons:g}e", f"s{config.seed}"]
+        return self._task(Task(
+            kind="capture", key=key, name=named("-".join(parts), key), config=config, source=source,
+            needs=() if source is not None else (made_of,), group=config.sensor_name, work=pixels, pixels=pixels,
+        ))  # fmt: skip
+
+    def _folder(self, path: Path, max_size: int | None) -> tuple[dict[str, Any], int, float]:
+        """What identifies a set that is there, its number of views and of pixels.
+
+        Captures refer to it by its place, so that it is part of what they are made from.
+        """
+        if (path, max_size) not in self.contents:
+            source = open_source(path, self.console, max_size)
+            content = {"content": source.digest(), "place": os.path.relpath(path, self.store.resolve())}
+            views = len(source.views)
+            self.contents[path, max_size] = (content, views, float(views * source.rig.width * source.rig.height))
+        content, views, pixels = self.contents[path, max_size]
+        return content, views, pixels
+
+    def _set(self, config: RenderConfig) -> str:
+        scene = (config.scene, config.allow_outside)
+        if scene not in self.contents:
+            self.contents[scene] = scene_digest(config)
+        key = key_of("set", {"config": config.resolved(), "scene": self.contents[scene]})
+        pixels = float(config.n_views * config.width * config.height)
+        name = f"{config.source.name.replace(':', '')}-{config.n_views}x{config.width}x{config.height}"
+        return self._task(Task(
+            kind="set", key=key, name=named(name, key), config=config, group=config.source.name,
+            work=pixels * (config.spp or 256), pixels=pixels,
+        ))  # fmt: skip
+
+    def _task(self, task: Task) -> str:
+        self.tasks.setdefault(task.key, task)
+        return task.key

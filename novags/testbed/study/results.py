@@ -1,0 +1,140 @@
+"""The tables of a study: one row a run, in results.csv and results.json."""
+
+import csv
+import io
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from novags.testbed.cache import read_json, write_json, write_text
+from novags.testbed.folders import shapes
+from novags.testbed.folders.run import METRICS
+from novags.testbed.stages.score import recovered_fractions
+from novags.testbed.study.plan import Plan
+
+JSON, CSV = "results.json", "results.csv"
+COSTS = ("seconds.", "peak_bytes")  # beginnings of the columns that differ from one time to the next
+
+
+@dataclass(frozen=True)
+class State:
+    """Where a run is: "done", "failed", "skipped" (what it needs has failed) or "waiting"."""
+
+    name: str = "waiting"
+    reason: str | None = None
+    stage: str | None = None
+    log: str | None = None  # relative to the study
+
+
+@dataclass
+class Table:
+    """The rows of a study.
+
+    Attributes:
+        plan: What runs there are.
+        out: Folder of the study.
+        store: The store.
+    """
+
+    plan: Plan
+    out: Path
+    store: Path
+    _scores: dict[str, dict[str, Any]] = field(default_factory=dict)  # of finished runs, by key: read once
+
+    def rows(self, states: Mapping[str, State]) -> list[dict[str, Any]]:
+        """One row a run, in the order of the file.
+
+        Args:
+            states: Of the runs, by key; those that are missing wait.
+        """
+        found = []
+        shares = self._recovered(states)
+        for number, (cell, key) in enumerate(self.plan.runs, 1):
+            state = states.get(key, State())
+            row = {
+                "run": number, **cell.values, "state": state.name, "reason": state.reason, "stage": state.stage,
+                "log": state.log, "folder": self._relative(key),
+            }  # fmt: skip
+            scores = self._scores_of(key) if state.name == "done" else {}
+            found.append({**row, **shares.get(key, {}), **scores})
+        return found
+
+    def write(self, states: Mapping[str, State]) -> list[dict[str, Any]]:
+        """Write both tables; returns the rows."""
+        rows = self.rows(states)
+        columns = list(dict.fromkeys(name for row in rows for name in row))
+        columns.sort(key=lambda name: name.startswith(COSTS))  # stable: costs go last
+        text = io.StringIO()
+        writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(rows)
+        write_text(self.out / CSV, text.getvalue())
+        write_json(self.out / JSON, {"axes": self.plan.study.axes, "columns": columns, "rows": rows})
+        return rows
+
+    def _relative(self, key: str) -> str:
+        return Path(os.path.relpath(self.plan.tasks[key].folder(self.store), self.out)).as_posix()
+
+    def _scores_of(self, key: str) -> dict[str, Any]:
+        if key not in self._scores:
+            self._scores[key] = flat_scores(self._method(key))
+        return self._scores[key]
+
+    def _method(self, key: str) -> dict[str, Any]:
+        metrics = read_json(self.plan.tasks[key].folder(self.store) / METRICS, shapes.METRICS)
+        (method,) = metrics["methods"].values()
+        return dict(method)
+
+    def _recovered(self, states: Mapping[str, State]) -> dict[str, dict[str, float]]:
+        """The recovered shares of every run whose floor and ceiling are in the study too, at the same values."""
+        groups: dict[tuple[Any, ...], dict[str, str]] = {}
+        for cell, key in self.plan.runs:
+            if states.get(key, State()).name == "done":
+                place = tuple(value for name, value in cell.values.items() if name != "method")
+                groups.setdefault(place, {})[cell.preset.methods[0]] = key
+        found: dict[str, dict[str, float]] = {}
+        for keys in groups.values():
+            if len(keys) < 2:
+                continue
+            scores = {name: {"mean": self._means(key)} for name, key in keys.items()}
+            methods = {name: self.plan.tasks[key].config.variant.method for name, key in keys.items()}
+            for column, kind, number in (("recovered", "enhanced", "aligned_psnr"),
+                                         ("recovered_lit", "lit", "tone_aligned_psnr")):  # fmt: skip
+                for name, share in recovered_fractions(scores, methods, kind, number)[0].items():
+                    found.setdefault(keys[name], {})[column] = share
+        return found
+
+    def _means(self, key: str) -> dict[str, dict[str, Any]]:
+        """The mean scores by reference, from the flat ones."""
+        found: dict[str, dict[str, Any]] = {}
+        for name, value in self._scores_of(key).items():
+            kind, dot, number = name.partition(".")
+            if dot:
+                found.setdefault(kind, {})[number] = value
+        return found
+
+
+def flat_scores(method: Mapping[str, Any]) -> dict[str, Any]:
+    """The scores and costs of a run as columns: `lit.psnr`, `geometry.abs_rel`, `seconds.render`, ..."""
+    cameras = method.get("cameras") or {}
+    chosen = {
+        **method["mean"], "geometry": method.get("geometry") or {},
+        "cameras": {name: cameras.get(name) for name in ("registered_share", "mean_rotation_deg",
+                                                         "mean_centre_error") if name in cameras},
+        "seconds": method["seconds"],
+    }  # fmt: skip
+    return {**dict(_flat(chosen, "")), "peak_bytes": method["peak_bytes"]}
+
+
+def _flat(value: Any, prefix: str) -> list[tuple[str, Any]]:
+    if not isinstance(value, Mapping):
+        return [(prefix, value)]
+    return [pair for name, part in value.items() for pair in _flat(part, f"{prefix}.{name}" if prefix else name)]
+
+
+def counted(rows: list[dict[str, Any]]) -> dict[str, int]:
+    """How many runs are in each state."""
+    states = [row["state"] for row in rows]
+    return {state: states.count(state) for state in ("done", "failed", "skipped", "waiting") if state in states}

@@ -1,0 +1,87 @@
+"""The folder of a study: whose it is, and what a changed file may do to it.
+
+study.json       the file, its combinations and where their runs are in the store
+results.csv      results.json      one row a run
+failures.json    what failed, by key; tried again on request
+logs/            what each task printed
+"""
+
+import os
+from pathlib import Path
+from typing import Any
+
+from novags.testbed.cache import jsonable, read_json, write_json
+from novags.testbed.folders.experiment import EXPERIMENT
+from novags.testbed.folders.run import RECORD
+from novags.testbed.study.conduct import STUDY
+from novags.testbed.study.grid import Study
+from novags.testbed.study.plan import Plan
+from novags.testbed.study.results import CSV, JSON
+
+SHAPE: Any = {"file": str, "table": dict, "runs": [{"values": dict, "key": str, "folder": str}]}
+ROWS: Any = {"rows": [{"state": str}]}
+
+
+def describe(plan: Plan, out: Path, store: Path, command: str | None) -> None:
+    """Write study.json."""
+    runs = [
+        {"values": cell.values, "key": key, "folder": _relative(plan.tasks[key].folder(store), out)}
+        for cell, key in plan.runs
+    ]
+    study = plan.study
+    write_json(
+        out / STUDY,
+        {"file": study.path.name, "command": command, "table": jsonable_table(study), "store": _relative(store, out),
+         "axes": study.axes, "excluded": study.excluded, "runs": runs},
+    )  # fmt: skip
+
+
+def jsonable_table(study: Study) -> dict[str, Any]:
+    """The content of the file; dates and times of TOML as text."""
+    found: dict[str, Any] = jsonable(_as_text(study.table))
+    return found
+
+
+def refuse_other(plan: Plan, out: Path) -> None:
+    """Refuse to write over results that the study would not have.
+
+    A file that has more runs than before may go on in the same folder.
+
+    Raises:
+        ValueError: If `out` holds finished results of another study, or something else.
+    """
+    if not (out / STUDY).exists():
+        if taken := [
+            name for name in (JSON, CSV, EXPERIMENT, RECORD, "set.json", "capture.json") if (out / name).exists()
+        ]:
+            raise ValueError(f"{out} already holds {', '.join(taken)}, and no study wrote that: choose another --out")
+        return
+    before = read_json(out / STUDY, SHAPE)
+    done = read_json(out / JSON, ROWS)["rows"] if (out / JSON).exists() else []
+    finished = [run["values"] for run, row in zip(before["runs"], done, strict=False) if row["state"] == "done"]
+    if not finished:
+        return
+    now = jsonable_table(plan.study)
+    parts = [part for part in ("preset", "override", "rig", "variant") if before["table"].get(part) != now.get(part)]
+    remedy = "choose another --out, or add --overwrite"
+    if parts:
+        raise ValueError(f"{out} holds {len(finished)} finished runs of another study (it differs in "
+                         f"{', '.join(parts)}): {remedy}")  # fmt: skip
+    kept = [jsonable(cell.values) for cell, _ in plan.runs]
+    if lost := [values for values in finished if values not in kept]:
+        first = ", ".join(f"{name} {value}" for name, value in lost[0].items())
+        raise ValueError(f"{out} holds {len(lost)} finished runs ({first}{', ...' * (len(lost) > 1)}) that "
+                         f"{plan.study.path} does not have: {remedy}")  # fmt: skip
+
+
+def _relative(path: Path, start: Path) -> str:
+    return Path(os.path.relpath(path, start)).as_posix()
+
+
+def _as_text(value: Any) -> Any:
+    """Dates and times, which only TOML has, as text."""
+    if isinstance(value, dict):
+        return {key: _as_text(part) for key, part in value.items()}
+    if isinstance(value, list):
+        return [_as_text(part) for part in value]
+    return value if isinstance(value, str | int | float | bool) else str(value)

@@ -1,0 +1,155 @@
+"""The store: what stages made, one folder an entry, found again by what it was made from.
+
+store/set/tabletop-20x160x160-1f3a…/   store/capture/…   store/run/…
+
+The end of a name is the key: a hash of the stage's code and whole configuration and of all that it was made from. It
+is known before anything is computed, and nothing else ever writes to that folder. When an entry is complete its seal is
+written, a hidden file that lists every file with its checksum and says what it cost. Who needs the entry later compares
+the files with the seal first. Studies beside each other share one store; a lock on the folder keeps them apart.
+"""
+
+import hashlib
+import re
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from novags.testbed.cache import digest, read_json, write_json
+
+KINDS = ("set", "capture", "run")  # in the order in which they are made
+SEAL = ".sealed.json"  # hidden, so that it is part of no digest
+SHAPE: Any = {
+    "key": str, "files": {"*": str},
+    "cost": {"seconds": {"*": float}, "peak_bytes": int, "bytes": int, "work": float, "pixels": float, "group": str,
+             "threads": int},
+}  # fmt: skip
+# The code whose change makes entries of a kind other entries. Tables and reports are no part of what they show.
+_SETS = ("simscenes/sets", "simscenes/rigs.py", "sensor_model", "novags/settings.py")
+CODE = {
+    "set": ("simscenes", "sensor_model", "novags/testbed/stages/render.py"),
+    "capture": (*_SETS, "novags/testbed/stages/capture.py", "novags/testbed/folders"),
+    "run": (*_SETS, "novags/splats", "novags/cameras", "novags/methods", "novags/testbed/stages",
+            "novags/testbed/folders", "novags/testbed/metrics", "novags/testbed/references.py"),
+}  # fmt: skip
+ROOT = Path(__file__).resolve().parents[3]  # of the packages
+
+
+@cache
+def code_of(kind: str) -> str:
+    """Hash of the code that makes entries of a kind: two versions of the software share a store without mixing."""
+    found = hashlib.blake2b(digest_size=16)
+    for place in CODE[kind]:
+        path = ROOT / place
+        files = sorted(path.rglob("*.py")) if path.is_dir() else [path]
+        for file in files:
+            found.update(f"{file.relative_to(ROOT).as_posix()}\0".encode())
+            found.update(hashlib.blake2b(file.read_bytes()).digest())
+    return found.hexdigest()
+
+
+def key_of(kind: str, recipe: dict[str, Any]) -> str:
+    """The key of an entry.
+
+    Args:
+        kind: One of `KINDS`.
+        recipe: Configuration and the keys or contents of what it is made from (JSON-able).
+    """
+    return digest({"kind": kind, "code": code_of(kind), **recipe})
+
+
+def named(name: str, key: str) -> str:
+    """The folder of an entry: a name for people, then the beginning of its key."""
+    return f"{re.sub(r'[^A-Za-z0-9._+-]+', '-', name)[:80].strip('-')}-{key[:16]}"
+
+
+@dataclass(frozen=True)
+class Seal:
+    """What an entry held when it was complete."""
+
+    key: str
+    files: dict[str, str]  # relative name -> checksum
+    made_of: dict[str, Any]  # the contents of the entries it was made from, and what else its making depended on
+    cost: dict[str, Any]
+
+    @property
+    def content(self) -> str:
+        """Hash of all files."""
+        return digest(self.files)
+
+
+def checksums(folder: Path) -> dict[str, str]:
+    """Checksum of every file in a folder, by its relative name; hidden ones are left out."""
+    files = [path for path in sorted(folder.rglob("*")) if path.is_file()]
+    names = {path: path.relative_to(folder).as_posix() for path in files}
+    return {name: _checksum(path) for path, name in names.items() if not any(p[0] == "." for p in name.split("/"))}
+
+
+def _checksum(path: Path) -> str:
+    with path.open("rb") as file:
+        found = hashlib.blake2b(digest_size=16)
+        while chunk := file.read(1 << 20):
+            found.update(chunk)
+    return found.hexdigest()
+
+
+def write_seal(folder: Path, key: str, made_of: dict[str, Any], cost: dict[str, Any]) -> Seal:
+    """Seal a complete entry; `cost` as in `SHAPE`, but for the bytes."""
+    files = checksums(folder)
+    size = sum((folder / name).stat().st_size for name in files)
+    seal = Seal(key, files, made_of, {**cost, "bytes": size})
+    write_json(folder / SEAL, {"key": key, "made_of": made_of, "cost": seal.cost, "files": files})
+    return seal
+
+
+def read_seal(folder: Path) -> Seal | None:
+    """The seal of an entry; None if it is not complete.
+
+    Raises:
+        ValueError: If the seal itself is damaged.
+    """
+    path = folder / SEAL
+    if not path.exists():
+        return None
+    found = read_json(path, {**SHAPE, "made_of": dict})
+    return Seal(found["key"], found["files"], found["made_of"], found["cost"])
+
+
+def damaged(folder: Path, seal: Seal) -> list[str]:
+    """The files that are not as they were when the entry was sealed. Files that came later do not count."""
+    return [name for name, known in seal.files.items() if not _is(folder / name, known)]
+
+
+def _is(path: Path, known: str) -> bool:
+    try:
+        return _checksum(path) == known
+    except OSError:
+        return False
+
+
+def clear(folder: Path) -> None:
+    """Remove all that an entry holds but its lock; the seal first, so that an interruption leaves nothing believed."""
+    (folder / SEAL).unlink(missing_ok=True)
+    for path in folder.iterdir():
+        if path.is_dir() and not path.is_symlink():
+            shutil.rmtree(path)
+        elif not path.name.startswith("."):
+            path.unlink()
+
+
+def costs(root: Path) -> Iterator[dict[str, Any]]:
+    """What every entry of a store cost, with its kind; damaged seals are left out."""
+    for kind in KINDS:
+        for path in sorted(root.glob(f"{kind}/*/{SEAL}")):
+            try:
+                yield {"kind": kind, **read_json(path, SHAPE)["cost"]}
+            except ValueError:
+                continue  # said when the entry itself is asked for
+
+
+def other_entries(root: Path, keys: set[str]) -> int:
+    """How many entries of a store have none of these keys."""
+    ends = {key[:16] for key in keys}
+    return sum(path.parent.name.rpartition("-")[2] not in ends for path in root.glob(f"*/*/{SEAL}"))

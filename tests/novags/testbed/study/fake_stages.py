@@ -1,0 +1,96 @@
+"""Stages that compute nothing, for tests of what runs them. Loaded by name in worker processes; nothing heavy."""
+
+import os
+import signal
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from novags.testbed import cache
+from novags.testbed.console import Console
+from novags.testbed.study.entry import Order, Step, Task, ensure
+
+cache.environment = dict  # type: ignore[assignment]  # the real one loads torch to look for a GPU
+PIECES = 4
+
+
+@dataclass(frozen=True)
+class Made:
+    """What a stage is told to do."""
+
+    text: str
+    fails: str = ""  # how
+    seconds: float = 0.0
+
+
+def make(order: Order, console: Console) -> dict[str, Any]:
+    return ensure(order, {"write": Step(lambda: write(order, console), "made.json")}, console)
+
+
+def write(order: Order, console: Console) -> None:
+    config: Made = order.task.config
+    source = "" if order.source is None else "".join(piece(order.source, k).read_text() for k in range(PIECES))
+    cache.run_stage(
+        "write", order.folder, "made.json", inputs={"source": cache.digest(source)}, config={"text": config.text},
+        owns=("made.json", *(f"{k}.txt" for k in range(PIECES))), prepare=lambda: None, console=console,
+        work=lambda _: write_pieces(order, source, console),
+    )  # fmt: skip
+
+
+def write_pieces(order: Order, source: str, console: Console) -> dict[str, Any]:
+    config: Made = order.task.config
+    print(f"making {config.text}")
+    with (order.folder.parent / f".{config.text}.count").open("a") as count:
+        count.write("x")
+    with console.progress("write") as progress:
+        for k in range(PIECES):
+            time.sleep(config.seconds / PIECES)
+            cache.write_text(piece(order.folder, k), f"{config.text}{k}({source})")
+            progress(k + 1, PIECES, "")
+    if config.fails:
+        FAILURES[config.fails](order)
+    return {"threads": os.environ["OMP_NUM_THREADS"]}
+
+
+def piece(folder: Path, k: int) -> Path:
+    return folder / f"{k}.txt"
+
+
+def refused(order: Order) -> None:
+    raise ValueError("it does not\nsuit me")
+
+
+def full(order: Order) -> None:
+    raise OSError(28, "No space left on device", str(order.folder / "x"))
+
+
+def crashed(order: Order) -> None:
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def unforeseen(order: Order) -> None:
+    raise KeyError("what")
+
+
+def left(order: Order) -> None:
+    sys.stderr.flush()
+    os._exit(3)
+
+
+def first_time(order: Order) -> None:
+    """Fail unless a file says that all is well now."""
+    if not (order.folder.parent / "mended").exists():
+        raise RuntimeError("not yet")
+
+
+def too_large(order: Order) -> None:
+    raise MemoryError("reconstruct: memory is not enough")
+
+
+FAILURES = {f.__name__: f for f in (refused, full, crashed, unforeseen, left, first_time, too_large)}
+
+
+def task(text: str, *needs: str, **config: Any) -> Task:
+    return Task(kind="run", key=text, name=text, config=Made(text, **config), needs=needs)

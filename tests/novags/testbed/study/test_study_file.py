@@ -1,0 +1,175 @@
+"""Claims about study files: what they mean, and that every mistake in one is a line that names the file and the key."""
+
+from pathlib import Path
+
+import pytest
+
+from novags.testbed.presets import EXPERIMENTS
+from novags.testbed.study.grid import Study, read_study
+
+GRID = """
+preset = "demo"
+[grid]
+scene = ["tabletop:1", "cornell"]
+electrons = [5, 20]
+method = ["naive", "nova-no-sh-here"]
+seed = [0, 1]
+[override]
+views = 12
+fit.sh_degree = 2
+[variant.nova-no-sh-here]
+method = "nova-fast"
+sh_weight = "none"
+[[exclude]]
+scene = "cornell"
+electrons = 5
+"""
+
+
+def read(tmp_path: Path, text: str) -> Study:
+    (tmp_path / "study.toml").write_text(text)
+    return read_study(tmp_path / "study.toml")
+
+
+def test_every_combination_that_is_not_excluded_is_a_run_in_the_order_of_the_file(tmp_path: Path) -> None:
+    study = read(tmp_path, GRID)
+    assert (len(study.cells), study.excluded) == (12, 4)
+    expected = [
+        (scene, electrons, method, seed)
+        for scene in ("tabletop:1", "cornell")
+        for electrons in (5, 20)
+        for method in ("naive", "nova-no-sh-here")
+        for seed in (0, 1)
+        if (scene, electrons) != ("cornell", 5)
+    ]
+    assert [tuple(cell.values.values()) for cell in study.cells] == expected
+
+
+def test_a_run_has_the_values_of_its_axes_and_what_is_said_for_all(tmp_path: Path) -> None:
+    cell = next(
+        c for c in read(tmp_path, GRID).cells if tuple(c.values.values()) == ("cornell", 20, "nova-no-sh-here", 1)
+    )
+    preset = cell.preset
+    assert (preset.render.scene, preset.render.n_views, preset.render.width) == ("cornell", 12, 160)
+    assert (preset.capture.electrons, preset.capture.seed) == (20.0, 1)
+    assert preset.methods == ("nova-no-sh-here",)
+    found = preset.reconstruct("nova-no-sh-here")
+    assert (found.config.sh_weight, found.config.fit.sh_degree, found.seed) == (None, 2, 1)
+    assert found.variant.method == "nova"
+
+
+def test_the_seed_is_that_of_noise_and_training_so_that_one_set_serves_all(tmp_path: Path) -> None:
+    cells = read(tmp_path, "[grid]\nseed = [3, 4]\nmethod = 'naive'").cells
+    assert [(c.preset.render.seed, c.preset.capture.seed, c.preset.reconstruct("naive").seed) for c in cells] == [
+        (0, 3, 3), (0, 4, 4)
+    ]  # fmt: skip
+
+
+def test_an_empty_study_is_its_preset(tmp_path: Path) -> None:
+    study = read(tmp_path, "")
+    demo = EXPERIMENTS["demo"]
+    assert study.axes == {"method": demo.methods, "seed": (demo.capture.seed,)}
+    assert [cell.preset.render for cell in study.cells] == [demo.render] * 3
+
+
+def test_rigs_stages_and_methods_can_be_axes(tmp_path: Path) -> None:
+    text = """
+    [grid]
+    rig = ["near", "far"]
+    pictures = ["8bit", "16bit"]
+    "capture.jpeg_quality" = ["none", 90]
+    "fit.sh_degree" = 1
+    cameras = ["known:rotation_deg=1"]
+    method = "naive"
+    [rig.near]
+    views = 9
+    [rig.far]
+    views = 20
+    width = 64
+    """
+    cells = read(tmp_path, text).cells
+    assert len(cells) == 8
+    assert [(c.preset.render.n_views, c.preset.render.width) for c in cells[::4]] == [(9, 160), (20, 64)]
+    assert [c.preset.capture.jpeg_quality for c in cells[:2]] == [None, 90]
+    found = [c.preset.reconstruct("naive") for c in cells]
+    assert [f.config.pictures for f in found[::2]] == ["8bit", "16bit"] * 2
+    assert {f.config.fit.sh_degree for f in found} == {1}
+    assert {f.cameras.rotation_deg for f in found} == {1.0}  # type: ignore[union-attr]
+
+
+def test_paths_start_at_the_folder_of_the_file(tmp_path: Path) -> None:
+    (tmp_path / "rooms").mkdir()
+    (tmp_path / "rooms" / "a.xml").write_text("<scene version='3.0.0'/>")
+    (tmp_path / "photos").mkdir()
+    cells = read(tmp_path, "[grid]\nscene = ['rooms/a.xml']\nmethod = 'naive'").cells
+    assert cells[0].preset.render.scene == str(tmp_path / "rooms" / "a.xml")
+    assert cells[0].values["scene"] == "rooms/a.xml"
+    cells = read(tmp_path, "[grid]\nscene = ['photos', 'cornell']\nmethod = 'naive'\n[override]\nviews = 7").cells
+    assert [cell.preset.folder for cell in cells] == [tmp_path / "photos", None]
+    assert cells[1].preset.render.n_views == 7
+
+
+WRONG: dict[str, tuple[str, str]] = {
+    "no toml": ("[grid", "is not a readable TOML file"),
+    "table": ("[gird]\nseed = 0", "unknown table or key 'gird'; did you mean 'grid'"),
+    "preset": ("preset = 'dmeo'", "preset: must be one of demo, small, paper, got 'dmeo'"),
+    "axis": ("[grid]\nelektrons = [1]", "[grid] elektrons: there is no such key; did you mean 'electrons'"),
+    "scene": ("[grid]\nscene = ['tabeltop']", "[grid] scene: "),
+    "scene file": ("[grid]\nscene = ['none.xml']", "[grid] scene: there is no scene file"),
+    "sensor": ("[grid]\nsensor = ['kodak']", "[grid] sensor: unknown sensor 'kodak'"),
+    "method": ("[grid]\nmethod = ['navie']", "[grid] method: unknown method 'navie'; did you mean 'naive'"),
+    "cameras": ("[grid]\ncameras = ['sffm']", "[grid] cameras: unknown cameras 'sffm' (did you mean sfm?)"),
+    "type": ("[grid]\nelectrons = ['many']", "[grid] electrons: it must be a number or none, got 'many'"),
+    "whole": ("[grid]\nseed = [0.5]", "[grid] seed: it must be a whole number or none, got 0.5"),
+    "range": ("[grid]\nelectrons = [5, -1]", "[grid] electrons: electrons must be > 0 and finite, got -1"),
+    "seed": ("[grid]\nseed = [-1]", "[grid] seed: seed must be >= 0, got -1"),
+    "empty": ("[grid]\nseed = []", "[grid] seed: it has no values"),
+    "twice": ("[grid]\nelectrons = [5, 5.0]", "[grid] electrons: 5 is listed twice"),
+    "nested": ("[grid]\nelectrons = [[5, 6]]", "[grid] electrons: each value must be text, a number, or true or false"),
+    "setting of a stage": ("[grid]\n'capture.jpeg_qualty' = 9", "CaptureConfig has no setting 'jpeg_qualty'; did"),
+    "seed of the capture": ("[grid]\n'capture.seed' = [1]", "capture.seed: the seed of the noise is that of the run"),
+    "override": ("[override]\nspp = 1", "[override] spp: spp must be >= 2"),
+    "override key": ("[override]\nspps = 8", "[override] spps: there is no such key; did you mean 'spp'"),
+    "method's setting": ("[override]\nfit.rates.schedule='x'", "schedule must be 'original' or 'gsplat'"),
+    "two places": ("[grid]\nspp = [8, 16]\n[override]\nspp = 9", "[override]: spp is set by [grid] spp too"),
+    "rig and axis": (
+        "[grid]\nrig='a'\nwidth=[64]\n[rig.a]\nwidth=32", "[grid] width: width is set by [grid] rig too"
+    ),
+    "rig": ("[grid]\nrig = ['b']\n[rig.a]\nviews=9", "[grid] rig: there is no table [rig.b] (there are: a)"),
+    "rig's key": ("[grid]\nrig = 'a'\n[rig.a]\nviewz=9", "[rig.a] viewz: there is no such key; did you mean 'views'"),
+    "unused rig": ("[rig.a]\nviews=9", "[rig.a]: no value of [grid] rig names it"),
+    "variant": ("[variant.a]\nmethod='navie'", "[variant]: unknown method 'navie'"),
+    "variant's setting": ("[grid]\nmethod='a'\n[variant.a]\nmethod='naive'\nfit.x=1", "[grid] method: a"),
+    "exclude axis": ("[[exclude]]\nscnee='cornell'", "[[exclude]] 1: unknown axis 'scnee'"),
+    "exclude value": (
+        "[grid]\nelectrons=[5]\n[[exclude]]\nelectrons=6", "1: electrons: 6 is none of its values in [grid] (5)"
+    ),
+    "exclude shape": ("exclude = 3", "[[exclude]]: each must be a table"),
+    "nothing left": ("[grid]\nelectrons=[5]\n[[exclude]]\nelectrons=5", "[[exclude]]: nothing is left to run"),
+    "too many": (f"[grid]\nseed={list(range(400))}\nelectrons={list(range(1, 400))}", "[grid]: 159600 combinations"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_a_mistake_is_one_line_with_the_file_and_the_key(tmp_path: Path, what: str) -> None:
+    text, said = WRONG[what]
+    with pytest.raises(ValueError) as error:
+        read(tmp_path, text)
+    line = str(error.value)
+    assert said in line
+    assert line.startswith(str(tmp_path / "study.toml"))
+    assert len(line.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("[grid]\nscene='set'\nwidth=[64]\nmethod='naive'", "belong to a render"),
+        ("[grid]\nscene='set'\nrig='a'\nmethod='naive'\n[rig.a]\nviews=9", "belong to a render"),
+    ],
+)
+def test_what_belongs_to_a_render_does_not_go_with_a_set_that_is_there(tmp_path: Path, text: str, said: str) -> None:
+    (tmp_path / "set").mkdir()
+    with pytest.raises(ValueError, match=said) as error:
+        read(tmp_path, text)
+    assert str(tmp_path / "study.toml") in str(error.value)

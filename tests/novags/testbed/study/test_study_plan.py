@@ -1,0 +1,161 @@
+"""Claims about the plan of a study: what is shared, what a key depends on, what is refused, what it will take."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from novags.testbed.console import Console
+from novags.testbed.study import store
+from novags.testbed.study.costs import Costs, default, longest_after, time_left
+from novags.testbed.study.forecast import forecast, makespan
+from novags.testbed.study.grid import read_study
+from novags.testbed.study.plan import Plan, plan_of
+from simscenes import orbit_rig
+from simscenes.sets.multiview import write_cameras
+from simscenes.sets.png import write_png
+
+QUIET = Console(quiet=True)
+GRID = """
+[grid]
+scene = ["cornell", "tabletop"]
+electrons = [5, 20]
+method = ["naive", "oracle"]
+seed = [0, 1]
+"""
+
+
+def plan(tmp_path: Path, text: str = GRID) -> Plan:
+    (tmp_path / "study.toml").write_text(text)
+    return plan_of(read_study(tmp_path / "study.toml"), tmp_path / "store", QUIET)
+
+
+def photographs(folder: Path, seed: int = 0) -> Path:
+    names, rng = [f"{i:04d}" for i in range(9)], np.random.default_rng(seed)
+    write_cameras(folder, names, orbit_rig(9, 24, 24, 50.0, radius=3.0))
+    for name in names:
+        write_png(folder / "images" / f"{name}.png", rng.integers(20, 250, (24, 24, 3)).astype(np.uint8))
+    return folder
+
+
+def test_stages_that_runs_share_are_planned_once(tmp_path: Path) -> None:
+    found = plan(tmp_path)
+    kinds = [task.kind for task in found.tasks.values()]
+    assert {kind: kinds.count(kind) for kind in kinds} == {"set": 2, "capture": 8, "run": 16}
+    for cell, key in found.runs:
+        render, capture, run = found.above(key)
+        assert render.config == cell.preset.render
+        assert capture.config == cell.preset.capture
+        assert run.config.variant.name == cell.values["method"]
+    seen: set[str] = set()
+    for key, task in found.tasks.items():  # what a task needs comes before it
+        assert seen >= set(task.needs)
+        seen.add(key)
+
+
+def test_a_key_stays_the_same_and_changes_with_settings_above_it_and_with_its_code(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = plan(tmp_path)
+    assert list(plan(tmp_path).tasks) == list(first.tasks)
+    finer = plan(tmp_path, f"{GRID}[override]\nspp = 8")
+    assert not finer.tasks.keys() & first.tasks.keys()
+    longer = plan(tmp_path, f"{GRID}[override]\niterations = 7")
+    assert [task.kind for key, task in longer.tasks.items() if key in first.tasks] == ["set", *["capture"] * 4] * 2
+    real = store.code_of
+    monkeypatch.setattr(store, "code_of", lambda kind: "another version" if kind == "capture" else real(kind))
+    other = plan(tmp_path)
+    assert {first.tasks[key].kind for key in other.tasks.keys() & first.tasks.keys()} == {"set"}
+
+
+def test_the_code_of_an_entry_is_there_and_covers_what_makes_it() -> None:
+    for kind, places in store.CODE.items():
+        assert all((store.ROOT / place).exists() for place in places), kind
+    assert len({store.code_of(kind) for kind in store.KINDS}) == 3
+
+
+def test_a_set_that_is_there_is_photographed_and_its_content_counts(tmp_path: Path) -> None:
+    photographs(tmp_path / "photos")
+    text = "[grid]\nscene = 'photos'\nelectrons = [5, 20]\nmethod = 'naive'"
+    first = plan(tmp_path, text)
+    assert [task.kind for task in first.tasks.values()] == ["capture", "run"] * 2
+    assert {task.source for task in first.tasks.values() if task.kind == "capture"} == {tmp_path / "photos"}
+    assert list(plan(tmp_path, text).tasks) == list(first.tasks)
+    photographs(tmp_path / "photos", seed=1)
+    assert not plan(tmp_path, text).tasks.keys() & first.tasks.keys()
+
+
+WRONG = {
+    "the same run": (
+        '[grid]\nmethod = "naive"\ndevice = ["auto", "cpu"]',
+        r"\[grid\]: \(method naive, device auto, seed 0\) and \(method naive, device cpu, seed 0\) are the same run",
+    ),
+    "too small": (
+        "[grid]\nmethod='naive'\n[override]\nwidth = 20",
+        "method naive, seed 0: width and height must be >= 22",
+    ),
+    "vggt": ("[grid]\nmethod='naive'\ncameras=['vggt:checkpoint=none.safetensors']", "cameras vggt:checkpoint=none"),
+    "no set": ("[grid]\nscene='empty'\nmethod='naive'", "scene empty, method naive, seed 0: "),
+    "gpu": ("[grid]\nmethod='naive'\ndevice='gpu'", "device must be one of auto, cpu, cuda, got 'gpu'"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_what_cannot_work_is_refused_before_anything_runs(tmp_path: Path, what: str) -> None:
+    (tmp_path / "empty").mkdir()
+    text, said = WRONG[what]
+    with pytest.raises(ValueError, match=said) as error:
+        plan(tmp_path, text)
+    assert str(error.value).startswith(str(tmp_path / "study.toml"))
+    assert len(str(error.value).splitlines()) == 1
+
+
+def test_the_forecast_counts_what_is_there_and_writes_nothing(tmp_path: Path) -> None:
+    found = plan(tmp_path)
+    (first,) = [task for task in found.tasks.values() if task.kind == "set" and "cornell" in task.name]
+    folder = first.folder(tmp_path / "store")
+    folder.mkdir(parents=True)
+    store.write_seal(folder, first.key, {}, {"seconds": {"render": 50.0}, "peak_bytes": 10**9, "group": first.group,
+                                             "work": first.work, "pixels": first.pixels, "threads": 1})  # fmt: skip
+    before = sorted(tmp_path.rglob("*"))
+    text = forecast(found, tmp_path / "store", workers=2)
+    assert sorted(tmp_path.rglob("*")) == before
+    rows = {line.split()[0]: line.split()[1:4] for line in text.splitlines() if line.startswith(("  set", "  capture"))}
+    assert rows == {"set": ["2", "1", "1"], "capture": ["8", "0", "8"]}
+    assert "16 runs = 2 scene x 2 electrons x 2 method x 2 seed" in text
+    assert "50 s" in next(line for line in text.splitlines() if line.startswith("  set"))  # as the other one took
+    assert "other studies" not in text
+    assert "holds 1 entries of other studies" in forecast(
+        plan(tmp_path, f"{GRID}[override]\nspp=8"), tmp_path / "store"
+    )
+
+
+def test_measured_costs_correct_predictions_by_the_most_alike(tmp_path: Path) -> None:
+    found = plan(tmp_path)
+    runs = [task for task in found.tasks.values() if task.kind == "run"]
+    naive, oracle = (next(task for task in runs if task.group == group) for group in ("naive", "oracle"))
+    costs = Costs()
+    expected = default("run", naive.work, naive.pixels)
+    assert costs.predicted(naive) == expected
+    for factor in (3.0, 2.0, 50.0):  # the median counts
+        costs.add("run", {"seconds": {"a": factor * expected.seconds / 2, "b": factor * expected.seconds / 2},
+                          "peak_bytes": 4 * expected.memory, "bytes": 5 * expected.disk, "group": "naive",
+                          "work": naive.work, "pixels": naive.pixels, "threads": 1})  # fmt: skip
+    assert costs.predicted(naive).seconds == pytest.approx(3 * expected.seconds)
+    assert costs.predicted(oracle).seconds == pytest.approx(3 * expected.seconds)  # nothing is more alike
+    costs.add("run", {"seconds": {"a": 7 * expected.seconds}, "peak_bytes": 1, "bytes": 1, "group": "oracle",
+                      "work": naive.work, "pixels": naive.pixels, "threads": 1})  # fmt: skip
+    assert costs.predicted(oracle).seconds == pytest.approx(7 * expected.seconds)
+    assert costs.predicted(naive).memory == pytest.approx(4 * expected.memory)
+
+
+def test_time_is_shared_by_workers_but_no_shorter_than_the_longest_chain(tmp_path: Path) -> None:
+    found = plan(tmp_path)
+    seconds = {key: {"set": 100.0, "capture": 10.0, "run": 20.0}[task.kind] for key, task in found.tasks.items()}
+    total = 2 * 100 + 8 * 10 + 16 * 20
+    assert time_left(found, seconds, 2) == total / 2
+    assert time_left(found, seconds, 100) == 130
+    assert makespan(found, seconds, 1) == total
+    assert makespan(found, seconds, 2) == total / 2
+    assert makespan(found, seconds, 100) == 130
+    assert {round(v) for v in longest_after(found, seconds).values()} == {130, 30, 20}
