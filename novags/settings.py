@@ -57,7 +57,7 @@ def changed(config: Config, settings: Mapping[str, Any], *, what: str = "setting
             nested.setdefault(head, {})[rest] = value
         else:
             own[head] = value
-    hints = _hints(type(config))
+    hints = _hints(type(config))  # type: ignore[arg-type]  # classes are hashable
     known = [f.name for f in dataclasses.fields(config)]  # type: ignore[arg-type]  # a dataclass, as said above
     for head in (*own, *nested):
         if head not in known:

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Literal
 
 from novags.commands import shared
-from novags.commands.shared import command_line, next_, writing
+from novags.commands.shared import next_, writing
 from novags.options import Folder
 
 
@@ -45,7 +45,7 @@ def study(
     with writing(out, wait) as console:
         if not overwrite:
             refuse_other(plan, out)
-        describe(plan, out, folder, command_line())
+        describe(plan, out, folder)
         rows = conduct(plan, out, folder, console, workers=workers, retry_failed=retry_failed)
     states = counted(rows)
     print(f"{len(rows)} runs: {', '.join(f'{count} {state}' for state, count in states.items())}")

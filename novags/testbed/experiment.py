@@ -16,6 +16,7 @@ from novags.testbed.presets import Preset
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.render import RECORD as SET
 from novags.testbed.stages.score import merge
+from novags.testbed.study.steps import make_set
 from sensor_model.files.lock import locked
 
 
@@ -54,10 +55,7 @@ def _source(preset: Preset, out: Path, console: Console, stale: Sequence[Path], 
     """The set to photograph: the given one, or one made in the experiment's folder."""
     if preset.folder is not None:
         return preset.folder
-    if preset.photos is not None:
-        stages.poses(out / "set", preset.photos, console, stale=stale, overwrite=overwrite)
-        return out / "set"
-    stages.render(out / "set", preset.render, console, stale=stale, overwrite=overwrite)
+    make_set(out / "set", preset.photos or preset.render, console, stale=stale, overwrite=overwrite)
     return out / "set"
 
 

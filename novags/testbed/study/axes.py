@@ -97,6 +97,10 @@ def _keywords(key: str, value: Any, folder: Path) -> dict[str, Any]:
         return {"cameras": parse_cameras(_text(value))}
     if key == "scene":
         return {"scene": _scene(_text(value), folder)}
+    if key == "photos":
+        if not (path := folder / Path(_text(value)).expanduser()).exists():
+            raise ValueError(f"there are no photographs {path}")
+        return {"photos": path}
     if key == "sensor" and value not in SENSORS and str(value).endswith(".toml"):
         return {"sensor": str(folder / value)}
     hint = _hints()[_keyword(key)]

@@ -22,7 +22,7 @@ from novags.testbed.study.store import SEAL, costs
 from sensor_model.files.atomic import atomic
 
 STUDY, FAILURES = "study.json", "failures.json"
-PLACE = "novags.testbed.study.entry:make"
+PLACE = "novags.testbed.study.steps:make"
 KEPT = 0.05  # s; to compare a finished entry with its checksums
 TABLES_EVERY = 10.0  # s; between two writings of the tables while runs end
 

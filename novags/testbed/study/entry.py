@@ -1,7 +1,4 @@
-"""One entry of the store: kept if it is as it was sealed, else made by its stages, which resume what is unfinished.
-
-This loads nothing heavy: a worker that finds everything there does not need it.
-"""
+"""One entry of the store: kept if it is as it was sealed, else made by its stages, which resume what is unfinished."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -81,14 +78,6 @@ class Step:
 
 
 Steps = dict[str, Step]  # by name, in order
-
-
-def make(order: Order, console: Console) -> dict[str, Any]:
-    """Make sure that an entry is there and complete, by the stages of the test bed; see `ensure`."""
-    from novags.testbed.study.steps import depends, limit_threads, steps
-
-    limit_threads(order.threads)
-    return ensure(order, steps(order.task, order.folder, order.source, console), console, depends(order.task))
 
 
 def ensure(order: Order, steps: Steps, console: Console, depends: dict[str, Any] | None = None) -> dict[str, Any]:

@@ -203,11 +203,12 @@ class _Reader:
         own = Changes()
         for key, value in values.items():
             own = own.and_(self._rig(value) if key == "rig" else changes_of(key, value, self.path.parent))
-        scene = {**shared.adapted, **own.adapted}.get("scene")
-        if scene is not None and Path(scene).is_dir():
+        given = {**shared.adapted, **own.adapted}
+        scene = given.get("photos") or given.get("scene")
+        if scene is not None and ("photos" in given or Path(scene).is_dir()):
             shared = shared.without_render()  # it is for the scenes that are rendered
             if named := own.of_render():
-                raise ValueError(f"{self.path}: [grid]: {', '.join(named)} belong to a render, and the set {scene} is "
+                raise ValueError(f"{self.path}: [grid]: {', '.join(named)} belong to a render, and {scene} is "
                                  "photographed as it is: put it into a study of its own")  # fmt: skip
         with _at(self.path, spelled(values)):
             return applied(self.base, shared.and_(own), self.variants)

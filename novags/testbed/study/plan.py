@@ -8,10 +8,12 @@ from typing import Any
 
 from novags.cameras import check_cameras
 from novags.settings import flattened
+from novags.testbed.cache import folder_digest
 from novags.testbed.console import Console
 from novags.testbed.devices import chosen_device
 from novags.testbed.folders.set import open_source
 from novags.testbed.presets import Preset
+from novags.testbed.stages.poses import PosesConfig, photographs_of
 from novags.testbed.stages.render import RenderConfig, scene_digest
 from novags.testbed.study.entry import Task
 from novags.testbed.study.grid import Cell, Study
@@ -73,7 +75,7 @@ def check(preset: Preset, console: Console) -> None:
     """
     check_cameras(preset.cameras)
     chosen_device(preset.device, console)
-    if preset.folder is None and min(preset.render.width, preset.render.height) < SMALLEST:
+    if preset.folder is None and preset.photos is None and min(preset.render.width, preset.render.height) < SMALLEST:
         size = f"{preset.render.width} x {preset.render.height}"
         raise ValueError(
             f"width and height must be >= {SMALLEST} px for runs, whose raw files LibRaw reads; got {size}"
@@ -108,8 +110,8 @@ class _Planner:
     def _capture(self, preset: Preset) -> str:
         config = preset.capture
         if preset.folder is None:
-            made_of, source = self._set(preset.render), None
-            pixels, views = self.tasks[made_of].pixels, preset.render.n_views
+            made_of, source = self._posed(preset.photos) if preset.photos else self._set(preset.render), None
+            pixels, views = self.tasks[made_of].pixels, self.contents[made_of]
             name, content = self.tasks[made_of].name.rpartition("-")[0], {"set": made_of}
         else:
             source = preset.folder.resolve()
@@ -143,9 +145,23 @@ class _Planner:
         key = key_of("set", {"config": config.resolved(), "scene": self.contents[scene]})
         pixels = float(config.n_views * config.width * config.height)
         name = f"{config.source.name.replace(':', '')}-{config.n_views}x{config.width}x{config.height}"
+        self.contents[key] = config.n_views
         return self._task(Task(
             kind="set", key=key, name=named(name, key), config=config, group=config.source.name,
             work=pixels * (config.spp or 256), pixels=pixels,
+        ))  # fmt: skip
+
+    def _posed(self, config: PosesConfig) -> str:
+        if config not in self.contents:
+            files = photographs_of(config.photographs)
+            content = folder_digest(config.photographs.parent, (), beside=files)
+            self.contents[config] = (content, len(files))
+        content, count = self.contents[config]
+        key = key_of("set", {"config": config.resolved(), "photographs": content}, code="poses")
+        self.contents[key] = count
+        pixels = float(count * (config.max_size or 4000) ** 2)
+        return self._task(Task(
+            kind="set", key=key, name=named(config.name, key), config=config, group="poses", work=pixels, pixels=pixels,
         ))  # fmt: skip
 
     def _task(self, task: Task) -> str:

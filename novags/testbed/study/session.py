@@ -22,7 +22,7 @@ SHAPE: Any = {"file": str, "table": dict, "runs": [{"values": dict, "key": str, 
 ROWS: Any = {"rows": [{"state": str}]}
 
 
-def describe(plan: Plan, out: Path, store: Path, command: str | None) -> None:
+def describe(plan: Plan, out: Path, store: Path) -> None:
     """Write study.json."""
     runs = [
         {"values": cell.values, "key": key, "folder": _relative(plan.tasks[key].folder(store), out)}
@@ -31,7 +31,7 @@ def describe(plan: Plan, out: Path, store: Path, command: str | None) -> None:
     study = plan.study
     write_json(
         out / STUDY,
-        {"file": study.path.name, "command": command, "table": jsonable_table(study), "store": _relative(store, out),
+        {"file": study.path.name, "table": jsonable_table(study), "store": _relative(store, out),
          "axes": study.axes, "excluded": study.excluded, "runs": runs},
     )  # fmt: skip
 

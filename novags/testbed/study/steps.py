@@ -1,5 +1,6 @@
 """The stages that make each kind of entry of a store: where a study calls the test bed."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,8 +9,16 @@ from novags.testbed.console import Console
 from novags.testbed.folders import capture as captures
 from novags.testbed.folders import run as runs
 from novags.testbed.metrics import PerceptualDistance
+from novags.testbed.stages.poses import PosesConfig
 from novags.testbed.stages.render import RECORD as SET
-from novags.testbed.study.entry import Step, Steps, Task
+from novags.testbed.stages.render import RenderConfig
+from novags.testbed.study.entry import Order, Step, Steps, Task, ensure
+
+
+def make(order: Order, console: Console) -> dict[str, Any]:
+    """Make sure that an entry is there and complete; what workers do, see `entry.ensure`."""
+    limit_threads(order.threads)
+    return ensure(order, steps(order.task, order.folder, order.source, console), console, depends(order.task))
 
 
 def steps(task: Task, folder: Path, source: Path | None, console: Console) -> Steps:
@@ -21,15 +30,30 @@ def steps(task: Task, folder: Path, source: Path | None, console: Console) -> St
         source: The set that a capture photographs, or the capture of a run.
         console: Where progress goes.
     """
+    config, again = task.config, True  # an entry is its task's alone: what does not fit any more is replaced
     if task.kind == "set":
-        return {"render": Step(lambda: stages.render(folder, task.config, console), SET)}
+        name = "poses" if isinstance(config, PosesConfig) else "render"
+        return {name: Step(lambda: make_set(folder, config, console, overwrite=again), SET)}
     assert source is not None
     if task.kind == "capture":
-        return {"capture": Step(lambda: stages.capture(source, folder, task.config, console), captures.RECORD)}
+        return {
+            "capture": Step(lambda: stages.capture(source, folder, config, console, overwrite=again), captures.RECORD)
+        }
     return {
-        "reconstruct": Step(lambda: stages.reconstruct(source, folder, task.config, console), runs.RECORD),
+        "reconstruct": Step(lambda: stages.reconstruct(source, folder, config, console, overwrite=again), runs.RECORD),
         "score": Step(lambda: stages.score(folder, console), runs.METRICS, repeatable=True),
     }
+
+
+def make_set(
+    folder: Path, config: RenderConfig | PosesConfig, console: Console, *, stale: Sequence[Path] = (),
+    overwrite: bool = False,
+) -> None:  # fmt: skip
+    """Make a multiview set, rendered or of photographs; arguments and errors as those of the two stages."""
+    if isinstance(config, PosesConfig):
+        stages.poses(folder, config, console, stale=stale, overwrite=overwrite)
+    else:
+        stages.render(folder, config, console, stale=stale, overwrite=overwrite)
 
 
 def depends(task: Task) -> dict[str, Any]:

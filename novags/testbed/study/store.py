@@ -30,6 +30,7 @@ SHAPE: Any = {
 _SETS = ("simscenes/sets", "simscenes/rigs.py", "sensor_model", "novags/settings.py")
 CODE = {
     "set": ("simscenes", "sensor_model", "novags/testbed/stages/render.py"),
+    "poses": (*_SETS, "novags/cameras", "novags/testbed/stages/poses.py", "novags/testbed/folders"),
     "capture": (*_SETS, "novags/testbed/stages/capture.py", "novags/testbed/folders"),
     "run": (*_SETS, "novags/splats", "novags/cameras", "novags/methods", "novags/testbed/stages",
             "novags/testbed/folders", "novags/testbed/metrics", "novags/testbed/references.py"),
@@ -50,14 +51,15 @@ def code_of(kind: str) -> str:
     return found.hexdigest()
 
 
-def key_of(kind: str, recipe: dict[str, Any]) -> str:
+def key_of(kind: str, recipe: dict[str, Any], code: str | None = None) -> str:
     """The key of an entry.
 
     Args:
         kind: One of `KINDS`.
         recipe: Configuration and the keys or contents of what it is made from (JSON-able).
+        code: Which of `CODE` makes it; None: that of its kind.
     """
-    return digest({"kind": kind, "code": code_of(kind), **recipe})
+    return digest({"kind": kind, "code": code_of(code or kind), **recipe})
 
 
 def named(name: str, key: str) -> str:

@@ -13,7 +13,11 @@ from typing import Any
 
 from novags.testbed.memory import resident_bytes
 
-PROGRAM = "from novags.testbed.study.engines.worker import main; main()"
+# Ctrl-C on a terminal reaches all its processes: the parent decides what becomes of its workers.
+PROGRAM = """import signal
+signal.signal(signal.SIGINT, signal.SIG_IGN)
+from novags.testbed.study.engines.worker import main
+main()"""
 
 
 def threads_environment(threads: int) -> dict[str, str]:
@@ -37,10 +41,9 @@ class Worker:
     def start(place: str, environment: Mapping[str, str]) -> "Worker":
         """Start one that does jobs by the function MODULE:FUNCTION."""
         ours, theirs = Pipe()
-        # A session of its own: Ctrl-C on a terminal reaches the parent alone, which then stops its workers.
         process = subprocess.Popen(
             [sys.executable, "-c", PROGRAM, str(theirs.fileno()), place], pass_fds=[theirs.fileno()],
-            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, start_new_session=True,
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
             env={**os.environ, **environment, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
         )  # fmt: skip
         theirs.close()

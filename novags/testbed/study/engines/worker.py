@@ -58,7 +58,7 @@ class Reporting(Console):
         self.tell, self.last = tell, 0.0
 
     @contextmanager
-    def progress(self, stage: str) -> Iterator[Update]:
+    def progress(self, stage: str, parts: Mapping[str, int] | None = None) -> Iterator[Update]:
         """Report how far `stage` is, not too often."""
 
         def update(done: int, total: int, what: str) -> None:
@@ -80,7 +80,6 @@ def main() -> None:
         return  # it ended before that
     tasks: queue.SimpleQueue[Mapping[str, Any] | None] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(connection, tasks), daemon=True).start()
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent decides
     signal.signal(signal.SIGTERM, _stop)
     try:
         connection.send(Outcome("ready"))

@@ -116,6 +116,7 @@ WRONG: dict[str, tuple[str, str]] = {
     "axis": ("[grid]\nelektrons = [1]", "[grid] elektrons: there is no such key; did you mean 'electrons'"),
     "scene": ("[grid]\nscene = ['tabeltop']", "[grid] scene: "),
     "scene file": ("[grid]\nscene = ['none.xml']", "[grid] scene: there is no scene file"),
+    "photos": ("[grid]\nphotos = ['none']", "[grid] photos: there are no photographs"),
     "sensor": ("[grid]\nsensor = ['kodak']", "[grid] sensor: unknown sensor 'kodak'"),
     "method": ("[grid]\nmethod = ['navie']", "[grid] method: unknown method 'navie'; did you mean 'naive'"),
     "cameras": ("[grid]\ncameras = ['sffm']", "[grid] cameras: unknown cameras 'sffm' (did you mean sfm?)"),

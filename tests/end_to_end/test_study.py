@@ -1,0 +1,95 @@
+"""A tiny study by its command: what it leaves is what the bare stages make, and a start later does nothing twice."""
+
+import csv
+import json
+import sys
+from pathlib import Path
+
+import pytest
+
+from novags import cli
+from novags.testbed import stages
+from novags.testbed.console import Console
+from novags.testbed.folders.run import METRICS
+from novags.testbed.study.grid import read_study
+
+STUDY = """
+[grid]
+scene = "ball.xml"
+electrons = [5, 20]
+method = "naive"
+[override]
+views = 4
+width = 24
+height = 24
+spp = 4
+points = 60
+iterations = 20
+render.variant = "scalar"
+"""
+BALL = """<scene version="3.0.0">
+  <sensor type="perspective">
+    <transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
+  </sensor>
+  <emitter type="constant"/>
+  <shape type="sphere"/>
+</scene>
+"""
+
+
+def command(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
+    monkeypatch.setattr(sys, "argv", ["novags", *words])
+    monkeypatch.setattr("signal.signal", lambda *_: None)  # pytest keeps its own handlers
+    try:
+        cli.main()
+    except SystemExit as stop:
+        return int(stop.code or 0)
+    return 0
+
+
+def modified(folder: Path) -> dict[Path, int]:
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*") if path.is_file()}
+
+
+def test_a_study_makes_what_the_stages_make_and_repeats_or_believes_nothing_wrong(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "study.toml").write_text(STUDY)
+    (tmp_path / "ball.xml").write_text(BALL)
+    out, store = tmp_path / "out" / "light", tmp_path / "out" / "store"
+    words = ("study", str(tmp_path / "study.toml"), "--out", str(out), "--workers", "1")
+
+    assert command(monkeypatch, *words, "--dry-run") == 0
+    assert "2 runs" in capsys.readouterr().out
+    assert not (tmp_path / "out").exists()
+
+    assert command(monkeypatch, *words) == 0
+    assert "2 runs: 2 done" in capsys.readouterr().out
+    rows = json.loads((out / "results.json").read_text())["rows"]
+    with (out / "results.csv").open(newline="") as file:
+        lines = list(csv.DictReader(file))
+    assert [row["electrons"] for row in rows] == [5, 20]
+    assert [float(line["lit.psnr"]) for line in lines] == [row["lit.psnr"] for row in rows]
+    assert len(list((store / "set").iterdir())) == 1
+
+    preset = read_study(tmp_path / "study.toml").cells[0].preset
+    bare, quiet = tmp_path / "bare", Console(quiet=True)
+    stages.render(bare / "set", preset.render, quiet)
+    stages.capture(bare / "set", bare / "capture", preset.capture, quiet)
+    stages.reconstruct(bare / "capture", bare / "run", preset.reconstruct("naive"), quiet)
+    (method,) = stages.score(bare / "run", quiet)["methods"].values()
+    assert rows[0]["lit.psnr"] == method["mean"]["lit"]["psnr"]
+    run = (out / rows[0]["folder"]).resolve()
+    assert (run / "point_cloud.ply").read_bytes() == (bare / "run" / "point_cloud.ply").read_bytes()
+
+    before = modified(store)
+    assert command(monkeypatch, *words) == 0
+    assert modified(store) == before
+
+    true = (run / METRICS).read_bytes()
+    (run / METRICS).write_bytes(true.replace(b'"psnr": ', b'"psnr": 9'))  # a table of wonders
+    assert command(monkeypatch, *words) == 0
+    assert json.loads((out / "results.json").read_text())["rows"][0]["lit.psnr"] == rows[0]["lit.psnr"]
+    assert modified(store)[run / "point_cloud.ply"] == before[run / "point_cloud.ply"]  # scores alone were redone
+    log = next((out / "logs").glob("run-*5e*.log")).read_text()
+    assert "metrics.json not as written (checksum)" in log
