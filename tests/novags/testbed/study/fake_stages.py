@@ -51,7 +51,7 @@ def write_pieces(order: Order, source: str, console: Console) -> dict[str, Any]:
             progress(k + 1, PIECES, "")
     if config.fails:
         FAILURES[config.fails](order)
-    return {"threads": os.environ["OMP_NUM_THREADS"]}
+    return {"threads": os.environ.get("OMP_NUM_THREADS")}
 
 
 def piece(folder: Path, k: int) -> Path:
