@@ -32,6 +32,7 @@ LINES = [
     "report run cap --out r.html --overwrite",
     "report run",
     "characterise frames --out c.toml --window 64",
+    "import dark --out cap --lit lit --clean clean --sensor ideal --time 0.1 --black 64 --white 1023 --curve linear",
     "doctor --stability --part enhance --out t.md",
     "list scenes",
     "help electrons",
@@ -95,8 +96,10 @@ def _imports() -> None:
 def _leave_out_the_work() -> None:
     """In the child, since other readers need the stages."""
     import novags.testbed.calibration_frames as frames
+    import novags.testbed.comparison as comparison
     import novags.testbed.doctor as doctor
     import novags.testbed.experiment as experiment
+    import novags.testbed.folders.experiment as folders
     import novags.testbed.forecast as forecast
     import novags.testbed.report.page as page
     from novags.commands import shared
@@ -110,8 +113,12 @@ def _leave_out_the_work() -> None:
         for name in names:
             setattr(module, name, _nothing)
     stability.markdown = lambda results: ""
+    view = {"error": 0.1, "relative_error": 0.1, "error_by_brightness": [0.1], "noise_by_brightness": [0.1]}
+    stages.render = lambda *a, **k: {"views": {"0000": view}}  # type: ignore[assignment]
     experiment.run = lambda *a, **k: Path("report.html")
-    page.write_report = lambda *a, **k: Path("report.html")
+    page.write_reports = lambda *a, **k: Path("report.html")
+    folders.experiments_in = lambda folder: [folder]
+    comparison.groups_of = lambda *a: []
     forecast.light_plan = lambda *a, **k: None
     forecast.sensor_plan = lambda *a, **k: ("", {})
     frames.characterise_folder = _refused
