@@ -22,6 +22,7 @@ WAVELENGTHS = camera.WAVELENGTHS[::2]  # nm
 LIGHT_SAMPLES = 16
 MEASURED = re.compile(r"((Irr|R)egularSpectrum|BlackBodySpectrum|SunskyEmitter)\[")  # as Mitsuba prints them
 NAMED = re.compile(rf"(\w+)\s*[=:]\s*{MEASURED.pattern}")  # with the parameter that they are the value of
+SKY = "SunskyEmitter["
 MATT = ("reflectance", "diffuse_reflectance")  # what `light_and_surface` multiplies
 METAL = ("eta", "k")
 
@@ -43,6 +44,8 @@ def measured_elsewhere(mi: Any, loaded: LoadedScene) -> list[str]:
     There no product of light and reflectance says what RGB would cost.
     """
     found = {name for name in _measured_parameters(mi, loaded) if name not in (*MATT, *METAL)}
+    if any(SKY in str(light) for light in loaded.scene.emitters()):
+        found.add("sunlight and sky")  # in RGB, Mitsuba has other tables for them than in spectra
     if any(MEASURED.search(str(medium)) for medium in media_in(loaded.scene, mi)):
         found.add("medium")
     return sorted(found)

@@ -163,3 +163,5 @@ def test_measured_spectra_are_found_wherever_they_are() -> None:
             loaded = build_scene(scene, mi)
             assert spectra.measured_elsewhere(mi, loaded) == elsewhere
             assert spectra.has_measured(mi, loaded) == measured
+        loaded = build_scene({"type": "scene", "ball": {"type": "sphere"}, "sky": {"type": "sunsky"}}, mi)
+        assert spectra.measured_elsewhere(mi, loaded) == ["sunlight and sky"]
