@@ -55,9 +55,10 @@ class Preset:
 
 
 # A size that a CPU handles in minutes. Short runs want large first Gaussians, which close the surface at once, and
-# rates that fall to their end within the run.
+# rates that fall to their end within the run. Small pictures want splats that are dilated less (docs/splat-engine.md).
 _SHORT: dict[str, Any] = {
     "init_scale": 0.7,
+    "fit.eps2d": 0.1,
     "fit.rates.schedule": "gsplat",
     "fit.mcmc.refine_stop": None,
     "fit.checkpoint_every": 250,
