@@ -132,10 +132,10 @@ def reprojection_errors(rig: Rig, points: SparsePoints) -> Float:
     for i in range(len(rig)):
         mine = slice(*np.searchsorted(points.view, [i, i + 1]))
         point = points.point[mine]
-        camera = points.xyz[point] @ rig.viewmats[i, :3, :3].T + rig.viewmats[i, :3, 3]
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(all="ignore"):  # points of 1e300 and points in a camera's plane, see below
+            camera = points.xyz[point] @ rig.viewmats[i, :3, :3].T + rig.viewmats[i, :3, 3]
             projected = (camera @ rig.Ks[i].T)[:, :2] / camera[:, 2:]
-        np.add.at(total, point, np.linalg.norm(projected - points.pixel[mine], axis=1))
+            np.add.at(total, point, np.linalg.norm(projected - points.pixel[mine], axis=1))
     lengths = points.lengths
     # A point in the plane of a camera that is said to see it projects nowhere: nobody knows its error.
     return np.where((lengths > 0) & np.isfinite(total), total / np.maximum(lengths, 1), UNKNOWN)

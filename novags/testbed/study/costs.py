@@ -1,8 +1,8 @@
 """What tasks will cost: seconds, memory, disk, predicted from what finished ones in the store have cost.
 
-Seconds grow with the work, memory and disk with the pixels of all views, each from a constant: `DEFAULTS`, measured on
-one machine. What the store holds corrects them: a prediction is multiplied by the median ratio of measured to predicted
-over the entries most like the task.
+Seconds grow with the work, memory and disk with the pixels of all views, each from a constant. `DEFAULTS` are rough
+guesses, for a store that is still empty. What the store holds corrects them: a prediction is multiplied by the median
+ratio of measured to predicted over the entries most like the task.
 """
 
 import math
@@ -42,7 +42,7 @@ class Line:
         return self.constant + self.slope * x
 
 
-# Seconds over work, memory and disk over pixels; on two cores of 2.x GHz, one thread each.
+# Seconds over work, memory and disk over pixels: guesses of the right order, of a thread of a laptop.
 DEFAULTS: dict[str, tuple[Line, Line, Line]] = {
     "set": (Line(3.0, 2.5e-7), Line(6e8, 60.0), Line(3e4, 45.0)),
     "capture": (Line(0.5, 4e-6), Line(6e8, 150.0), Line(3e4, 45.0)),
@@ -51,7 +51,7 @@ DEFAULTS: dict[str, tuple[Line, Line, Line]] = {
 
 
 def default(kind: str, work: float, pixels: float) -> Cost:
-    """The cost of a task on the machine that `DEFAULTS` were measured on."""
+    """The cost of a task as `DEFAULTS` has it."""
     seconds, memory, disk = DEFAULTS[kind]
     return Cost(seconds.at(work), memory.at(pixels), disk.at(pixels))
 

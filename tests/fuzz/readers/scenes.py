@@ -162,5 +162,5 @@ def _mitsuba() -> None:
 FILES = ("scene.xml", "m.ply", "m.obj", "m.serialized", "t.png", "e.exr")
 READERS = [
     Reader("Mitsuba scene", make, read, FILES, also=bare, share=1.5, prepare=_mitsuba),
-    Reader("Mitsuba parameters", make_given, read_given, ("given.txt",), prepare=_mitsuba),
+    Reader("Mitsuba parameters", make_given, read_given, ("given.txt",), share=1.5, prepare=_mitsuba),
 ]
