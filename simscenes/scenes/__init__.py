@@ -11,6 +11,7 @@ from simscenes.scenes.close import glassware, thicket
 from simscenes.scenes.cornell import cornell
 from simscenes.scenes.courtyard import courtyard
 from simscenes.scenes.daylight import gallery, hall, studio
+from simscenes.scenes.indoors import bookshop, busts
 from simscenes.scenes.night import lantern, market, street
 from simscenes.scenes.tabletop import tabletop
 
@@ -41,6 +42,8 @@ _CATALOGUE: dict[str, tuple[Callable[..., dict[str, Any]], RigMaker]] = {
     "market": (market, _orbit(56.0, target=(0.0, 0.2, 0.75), radius=1.7, elevation_deg=20.0, **_ROOM)),
     "lantern": (lantern, _orbit(62.0, target=(0.05, 0.4, 0.95), radius=1.8, elevation_deg=12.0, **_ROOM)),
     "glassware": (glassware, _orbit(48.0, target=(0.05, 0.05, 0.2), radius=1.5, elevation_deg=22.0, **_ROOM)),
+    "bookshop": (bookshop, _orbit(58.0, target=(0.05, 1.3, 1.2), radius=1.9, elevation_deg=9.0, **_ROOM)),
+    "busts": (busts, _orbit(50.0, target=(0.1, 0.3, 0.85), radius=1.75, elevation_deg=12.0, **_ROOM)),
     "thicket": (thicket, _orbit(52.0, target=(0.0, 0.0, 0.45), radius=1.7, elevation_deg=18.0, **_ROOM)),
 }  # fmt: skip
 

@@ -9,6 +9,7 @@ import numpy as np
 from simscenes.scenes import shapes as s
 from simscenes.scenes import textures as t
 
+_CANVAS = (("b9bfb8", "a9b1ab", "949e99"), ("c9bda9", "bbae98", "a89a84"))
 _PAINTS = ("1d3557", "c0392b", "f1e4c8", "457b9d", "e2a73b", "3f7d58")
 
 
@@ -23,7 +24,7 @@ def stage(rng: t.Rng, floor: t.Texels, walls: list[t.Texels], half: float = 2.0,
 
 
 def studio(seed: int = 0) -> dict[str, Any]:
-    """Matt things on a patterned carpet between printed screens, under two large softboxes.
+    """Matt things on a carpet before plain screens and one painted one, under two large softboxes.
 
     Hard for: nothing in particular, every surface is diffuse: the scene on which a method must work before its failures
     elsewhere mean anything. World z is up, the floor is z = 0, metres.
@@ -35,8 +36,11 @@ def studio(seed: int = 0) -> dict[str, Any]:
         Mitsuba scene dict without sensor. A variant must be active.
     """
     rng = np.random.default_rng([seed, 4])
-    carpet = t.motif((384, 384), rng, repeats=(5, 5), colors=("4a2230", "a8483e", "d9a95f", "2b3f55"))
-    screens = [t.painting((256, 320), rng, colors=_PAINTS, strokes=30) for _ in range(3)]
+    carpet = t.bordered(
+        t.motif((384, 384), rng, repeats=(5, 5), colors=("8a7a68", "978672", "a4937d"), edge=1.0), "5c4433"
+    )
+    canvas = [t.marble((256, 320), rng, colors=(c, d, e)) for c, d, e in _CANVAS]
+    screens = [t.bordered(t.painting((256, 320), rng, colors=_PAINTS, strokes=12), "d8d0c0", 0.12), *canvas]
     urn = [(0, 0), (0.12, 0), (0.14, 0.04), (0.1, 0.1), (0.22, 0.3), (0.25, 0.42), (0.16, 0.56), (0.2, 0.62), (0, 0.6)]
     cone = [(0.2, 0), (0.2, 0.02), (0.02, 0.6), (0, 0.62)]
     parts = {
@@ -46,7 +50,7 @@ def studio(seed: int = 0) -> dict[str, Any]:
         "plinth": s.box((-0.45, 0.25, 0.2), (0.55, 0.55, 0.4), s.diffuse(t.marble((192, 192), rng)), yaw=20),
         "urn": s.lathe(
             urn,
-            s.diffuse(t.motif((192, 384), rng, repeats=(3, 6), colors=("c7895b", "8a3f22", "2b1a12"))),
+            s.diffuse(t.motif((192, 384), rng, repeats=(2, 5), colors=("c7895b", "8a3f22", "2b1a12"))),
             (-0.45, 0.25, 0.4),
         ),
         "cone": s.lathe(cone, s.diffuse(t.wood((128, 128), rng, planks=6)), (0.55, 0.45, 0), smooth=False),
@@ -128,7 +132,7 @@ def gallery(seed: int = 0) -> dict[str, Any]:
 
 
 def hall(seed: int = 0) -> dict[str, Any]:
-    """A room whose main wall is bare plaster of one shade, with a few boxes and one poster.
+    """A removal day: a bare wall of one shade, boxes, a rolled rug, a chair, a lamp on its stand and a tall plant.
 
     Hard for: matching and depth on a large wall without texture; only shading tells it apart, so low light leaves
     nothing but noise there. World z is up, the floor is z = 0, metres.
@@ -147,8 +151,42 @@ def hall(seed: int = 0) -> dict[str, Any]:
         **stage(rng, floor, [bare, bare, t.bricks((320, 320), rng)]),
         "poster": s.box((-1.0, 1.98, 1.3), (0.7, 0.02, 0.9), s.diffuse(t.painting((224, 160), rng, colors=_PAINTS))),
         "skirting": s.box((0, 1.98, 0.06), (4.0, 0.03, 0.12), s.diffuse(t.wood((32, 256), rng, planks=1))),
+        **_left_behind(rng),
     }
     for k, (x, y, size) in enumerate([(-0.4, 0.5, 0.5), (0.35, 0.75, 0.4), (0.75, 0.1, 0.3), (-0.1, -0.2, 0.25)]):
         card = t.lettering((96, 128), rng, f"BOX {k}", ink="4a2f1b", paper="c9a06b")
         parts[f"box_{k}"] = s.box((x, y, size / 2), (size, size, size), s.diffuse(card), yaw=float(rng.uniform(0, 90)))
     return parts_of(parts)
+
+
+def _left_behind(rng: t.Rng) -> dict[str, Any]:
+    """What is still to be carried out of the hall."""
+    wood = s.diffuse(t.wood((96, 96), rng, planks=2, colors=("3a2413", "6b4526", "94663c")))
+    rug = s.diffuse(t.motif((256, 256), rng, repeats=(2, 6), colors=("6d1f2c", "a3473f", "e0c79a")))
+    leaves = s.twosided(s.diffuse(t.finish(np.broadcast_to(t.color("3f6b35"), (64, 64, 3)).copy(), rng, grain=0.4)))
+    brass = s.diffuse(t.finish(np.broadcast_to(t.color("8a6a2c"), (32, 32, 3)).copy(), rng, grain=0.3))
+    shade = s.diffuse(t.finish(np.broadcast_to(t.color("e6d8b8"), (96, 192, 3)).copy(), rng, grain=0.2))
+    clay = s.diffuse(t.cells((96, 192), rng, count=50, colors=("7a3b26", "9a5236", "b56a48"), joint=0.3))
+    roll = [(0, -0.65), (0.11, -0.65), (0.11, 0.65), (0, 0.65)]
+    parts: dict[str, Any] = {
+        "rug": s.lathe(roll, rug, (-1.25, 0.7, 0.11), yaw=80, tilt=90, smooth=False),
+        "stand": s.lathe(
+            [(0.16, 0), (0.16, 0.02), (0.015, 0.04), (0.015, 1.35), (0, 1.36)], brass, (1.45, 1.35, 0), smooth=False
+        ),
+        "shade": s.lathe([(0.24, 1.25), (0.15, 1.6), (0, 1.6)], shade, (1.45, 1.35, 0), smooth=False),
+        "pot": s.lathe([(0, 0), (0.14, 0), (0.19, 0.3), (0.17, 0.32), (0.15, 0.28), (0, 0.28)], clay, (-1.6, 1.55, 0)),
+        "seat": s.box((1.15, 0.75, 0.44), (0.42, 0.42, 0.04), wood, yaw=-30),
+    }
+    a = np.radians(-30)
+    right, back = np.array([np.cos(a), np.sin(a), 0]), np.array([-np.sin(a), np.cos(a), 0])
+    for k, (u, v, top) in enumerate([(-1, -1, 0.44), (1, -1, 0.44), (-1, 1, 0.95), (1, 1, 0.95)]):
+        foot = np.array([1.15, 0.75, top / 2]) + 0.18 * u * right + 0.18 * v * back
+        parts[f"leg_{k}"] = s.box(foot, (0.04, 0.04, top), wood, yaw=-30)
+    for k, z in enumerate((0.66, 0.88)):
+        parts[f"rail_{k}"] = s.box(np.array([1.15, 0.75, z]) + 0.18 * back, (0.38, 0.025, 0.09), wood, yaw=-30)
+    count = 46
+    turn, rise = rng.uniform(0, 2 * np.pi, count), rng.uniform(0.25, 0.95, count)
+    foot_of = np.column_stack([np.full(count, -1.6), np.full(count, 1.55), rng.uniform(0.28, 0.7, count)])
+    tips = foot_of + np.column_stack([0.28 * np.cos(turn), 0.28 * np.sin(turn), 0.6 * rise])
+    parts["plant"] = s.ribbons(foot_of, tips, 0.035, leaves)
+    return parts

@@ -86,11 +86,11 @@ def market(seed: int = 0) -> dict[str, Any]:
         Mitsuba scene dict without sensor. A variant must be active.
     """
     rng = np.random.default_rng([seed, 8])
-    cloth = t.motif((320, 320), rng, repeats=(4, 4), colors=("c0392b", "f1e4c8", "2a5a8c", "e2a73b"))
+    cloth = t.bordered(t.motif((320, 320), rng, repeats=(6, 6), colors=("d8ccb2", "c9b48f"), edge=1.0), "8c2f39", 0.1)
     walls = [
-        t.painting((256, 320), rng, colors=("2f7d3b", "c0392b", "f1e4c8", "6a4c93", "1982c4", "ffca3a")),
+        t.wood((256, 320), rng, planks=6, colors=("4b4a45", "6b6861", "8b877d")),
         t.bricks((256, 256), rng),
-        t.motif((256, 256), rng, repeats=(3, 3), colors=("123d1c", "6fae57", "e6dfcc")),
+        t.marble((256, 256), rng, colors=("c9c0ae", "b8ae9a", "a1977f")),
     ]
     parts: dict[str, Any] = {
         "sodium": s.area_light((-0.9, -0.4, 2.4), (0.3, 0, 0), (0, -0.3, 0), s.lamp_spectrum("HP1", 16.0)),
