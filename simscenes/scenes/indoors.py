@@ -41,6 +41,7 @@ def bookshop(seed: int = 0) -> dict[str, Any]:
         "ceiling_lamp": s.area_light((0.3, -0.2, 2.55), (0.5, 0, 0), (0, -0.4, 0), (7.0, 6.2, 5.0)),
         "desk_lamp": s.area_light((-1.5, 0.6, 2.0), (0.15, 0, 0), (0, -0.13, 0.07), (9.0, 6.5, 3.6)),
         **stage(rng, t.wood((384, 384), rng, planks=10), plaster, half=2.4),
+        "ceiling": s.box((0, 0, 2.62), (4.8, 4.8, 0.04), s.diffuse(plaster[0])),
         "board": s.box((0.05, 2.38, 1.5), (1.7, 0.04, 1.15), s.diffuse(_cork(rng))),
     }
     for k, (text, x, z, width, height) in enumerate(NOTICES):
