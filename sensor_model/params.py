@@ -167,8 +167,8 @@ class Sensor:
         require(0 <= self.coupling <= 0.2, "coupling", "in [0, 0.2]", self.coupling, "0.2 blurs evenly over five")
         require(self.cfa is None or self.cfa in CFAS, "cfa", f"None or one of {CFAS}", self.cfa)
         response, bias = self.rgb_response, self.rgb_bias
-        ok = len(response) == 3 and all(isfinite(r) and r > 0 for r in response) and response[1] == 1
-        require(ok, "rgb_response", "three positive numbers with green = 1", response)
+        ok = len(response) == 3 and all(1 / LARGEST <= r <= LARGEST for r in response) and response[1] == 1
+        require(ok, "rgb_response", f"three numbers in {1 / LARGEST:g}..{LARGEST:g} with green = 1", response)
         require(len(bias) == 3 and all(map(isfinite, bias)), "rgb_bias", "three finite numbers, DN", bias)
         require(0 <= self.serial < 2**64, "serial", "in [0, 2**64)", self.serial)
 
