@@ -30,7 +30,8 @@ def test_what_is_no_toml_is_refused_by_name(content: str, message: str, tmp_path
     [
         ("gain", "1" + "0" * 400), ("gain", "1e300"), ("gain", "1e-300"), ("gain", "nan"), ("sigma_d", "1e308"),
         ("sigma_d", "-inf"), ("sigma_d", "1979-05-27"), ("black_level", "1" + "0" * 400), ("bits", "true"),
-        ("rgb_response", "[1" + "0" * 400 + ", 1, 1]"), ("rgb_response", "[1e-320, 1, 1]"), ("rgb_bias", "[nan, 0, 0]"), ("banding", "[1]"),
+        ("rgb_response", "[1" + "0" * 400 + ", 1, 1]"), ("rgb_response", "[1e-320, 1, 1]"),
+        ("rgb_bias", "[nan, 0, 0]"), ("banding", "[1]"),
         ("serial", "18446744073709551616"), ("defects", "{hot_fraction = 'x'}"),
     ],
 )  # fmt: skip
