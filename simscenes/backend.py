@@ -214,10 +214,6 @@ def activate(variant: str = "auto", color: str = "rgb") -> Any:
         mi.set_variant(name)
         # Below errors Mitsuba prints to stdout, past Python's warnings; what matters is checked on our side.
         mi.set_log_level(mi.LogLevel.Error)
-        if (limit := os.environ.get("OMP_NUM_THREADS", "")).isdigit() and name.startswith("llvm"):
-            import drjit
-
-            drjit.set_thread_count(max(1, int(limit)))  # which Dr.Jit does not read, as others do
     return mi
 
 

@@ -21,7 +21,7 @@ main()"""
 
 
 def threads_environment(threads: int) -> dict[str, str]:
-    """What limits the threads of a process from its start; `simscenes.backend` obeys the first for Dr.Jit."""
+    """What limits the threads of a process from its start. Dr.Jit reads none of these: renders share all cores."""
     names = ("OMP", "OPENBLAS", "MKL", "NUMBA", "VECLIB_MAXIMUM", "NUMEXPR")
     return {f"{name}_NUM_THREADS": str(threads) for name in names}
 
