@@ -145,7 +145,7 @@ def depth_scale(
         similarity: From its frame to the true one.
         viewmats_true: [R, 4, 4], the true cameras of the registered views.
         Ks: [R, 3, 3], the true intrinsics of these views.
-        depths: [R, h, w], true z-depths, inf where there is no surface.
+        depths: [R, h, w], true z-depths, inf in front of empty space.
 
     Returns:
         NaN if no point falls on a surface.

@@ -32,7 +32,7 @@ def from_depths(
     """Points behind randomly chosen pixels; where there are too few, further ones elsewhere in these pixels.
 
     Args:
-        depths: z-depths [C, h, w], inf where there is no surface.
+        depths: z-depths [C, h, w], inf in front of empty space.
         images: [C, h, w, 3], 0..1.
         viewmats: [C, 4, 4].
         Ks: [C, 3, 3].

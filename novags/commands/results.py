@@ -49,7 +49,7 @@ def _in_words(mean: Mapping[str, Any], group: "Group", name: str) -> str:
         recovered = group.metrics[share].get(name)
         found += "" if recovered is None else f", {recovered:.0%} recovered"
         words.append(what.format(_decibels(mean[kind][number]), found))
-    return "; ".join(words) or "there is no truth to compare with (see unavailable in metrics.json)"
+    return "; ".join(words) or "not scored: no truth is known (see unavailable in metrics.json)"
 
 
 def _decibels(score: float | None) -> str:
@@ -62,7 +62,7 @@ def report(runs: Folders, *, out: Path | None = None, overwrite: bool = False, w
     Args:
         runs: Folders of runs, of experiments, or folders that hold such.
         out: The file; if not given, report.html in a single folder, comparison.html beside several.
-        overwrite: Replace a file that is no report on the same runs.
+        overwrite: Replace a file even if it is not a report on the same runs.
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
     from novags.testbed.report.page import report_path, write_reports

@@ -15,7 +15,7 @@ LISTS = ("tiles_per_gauss", "isect_ids", "flatten_ids", "isect_offsets")
 class Watch:
     """Puts the gradient of an image with respect to `info["means2d"]` where gsplat's strategies look for it.
 
-    That tensor is no part of the graph of the CPU kernels, which go from the Gaussians to the image in one step. If
+    The graph of the CPU kernels does not contain that tensor: they go from the Gaussians to the image in one step. If
     it was asked to retain its gradient, or for absolute gradients, the backward pass of a camera adds them here.
     """
 

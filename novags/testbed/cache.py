@@ -237,7 +237,7 @@ def refuse_other(
 
 
 def _finished(folder: Path, record_name: str) -> dict[str, Any] | None:
-    """The `stage` entry of a finished result; None where there is none, or it is just being replaced."""
+    """The `stage` entry of a finished result; None of an unfinished one, or while it is being replaced."""
     path, unfinished = folder / record_name, folder / UNFINISHED
     if not path.exists():
         return None

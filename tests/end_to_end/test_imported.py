@@ -102,7 +102,7 @@ def test_without_any_truth_nothing_is_scored_and_the_report_shows_the_renders(
     assert " dB" not in page.split("<main")[0]
     monkeypatch.setattr(sys, "argv", ["novags", "score", str(tmp_path / "run")])
     cli.main()
-    assert "naive: there is no truth to compare with" in capsys.readouterr().out
+    assert "naive: not scored: no truth is known" in capsys.readouterr().out
 
 
 def test_a_long_exposure_lets_the_ceiling_run_and_scores_against_itself(

@@ -122,7 +122,7 @@ class Capture:
         """The 16-bit picture, linear float32 [h,w,3], 0 = black, 1 = white; noise around black stays below 0.
 
         Raises:
-            LacksInput: If there are none.
+            LacksInput: If the capture has no 16-bit pictures.
         """
         self._need("images16")
         return self.memo.once(
@@ -133,7 +133,7 @@ class Capture:
         """Digital numbers of the sensor, uint16 [h,w], or [h,w,3] of three chips.
 
         Raises:
-            LacksInput: If there are none.
+            LacksInput: If the capture has no raw frames.
         """
         self._need("raw")
         return self._read(read_digital_numbers, "raw", i, ".dng")

@@ -10,7 +10,7 @@ from ..record import TILE
 from .stages import alone, done, parts, shared, wait
 
 # Numbers of a wave: its first depth rank, its Gaussians, those of the next one, (Gaussian, tile) pairs in the waves
-# before and in this one, whether there is none because the image is there; and of the whole pass: visible Gaussians,
+# before and in this one, whether the image is finished and the wave empty; and of the whole pass: visible Gaussians,
 # which of two buffers their order is in, a bound of the pairs, the smallest bits of a depth and how many bits differ.
 # A number is written once in a chain: a thread that comes late must find the same sizes as the others.
 FIRST, COUNT, LENGTH, BASE, TOTAL, FINISHED, VISIBLE, BUFFER, BOUND, LOW, BITS = range(11)

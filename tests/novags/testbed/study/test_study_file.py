@@ -1,5 +1,6 @@
 """Claims about study files: what they mean, and that every mistake in one is a line that names the file and the key."""
 
+import re
 from pathlib import Path
 
 import pytest
@@ -154,12 +155,9 @@ WRONG: dict[str, tuple[str, str]] = {
 @pytest.mark.parametrize("what", WRONG)
 def test_a_mistake_is_one_line_with_the_file_and_the_key(tmp_path: Path, what: str) -> None:
     text, said = WRONG[what]
-    with pytest.raises(ValueError) as error:
+    file = re.escape(str(tmp_path / "study.toml"))
+    with pytest.raises(ValueError, match=rf"^{file}[^\n]*{re.escape(said)}[^\n]*$"):
         read(tmp_path, text)
-    line = str(error.value)
-    assert said in line
-    assert line.startswith(str(tmp_path / "study.toml"))
-    assert len(line.splitlines()) == 1
 
 
 @pytest.mark.parametrize(
