@@ -19,7 +19,7 @@ def doctor(*, stability: bool = False, part: tuple[str, ...] = (), long: bool = 
         out: File for the table of hard cases, Markdown; in a page like docs/stability.md it replaces the old table.
         overwrite: Replace a file that holds anything else.
     """
-    from novags.testbed.doctor import examine
+    from novags.testbed.machine.doctor import examine
 
     if stability or part or long or out is not None:
         from novags.testbed.stability.console import show
@@ -43,7 +43,7 @@ def list_(what: Annotated[Listed, tyro.conf.Positional] = "all") -> None:
     Args:
         what: One of these lists, or all.
     """
-    from novags.testbed.catalogue import listing
+    from novags.testbed.help.catalogue import listing
 
     print(listing(what))
 
@@ -54,6 +54,6 @@ def help_(topic: Annotated[str | None, tyro.conf.Positional] = None) -> None:
     Args:
         topic: The term.
     """
-    from novags.testbed.topics import page, topics
+    from novags.testbed.help.topics import page, topics
 
     print(page(topic) if topic else f"novags help TOPIC, with one of: {', '.join(topics())}")

@@ -9,7 +9,7 @@ from novags.commands.shared import announce, next_, writing
 from novags.options import Folder, Folders
 
 if TYPE_CHECKING:
-    from novags.testbed.comparison import Group
+    from novags.testbed.results.comparison import Group
 
 
 def score(runs: Folders, *, wait: bool = False) -> None:
@@ -19,9 +19,9 @@ def score(runs: Folders, *, wait: bool = False) -> None:
         runs: Folders of runs, of experiments, or folders that hold such.
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
-    from novags.testbed.comparison import groups_of
     from novags.testbed.experiment import score_all
     from novags.testbed.folders.experiment import experiments_in
+    from novags.testbed.results.comparison import groups_of
 
     for folder in [part for given in runs for part in experiments_in(given)]:
         with writing(folder, wait, make=False) as console:

@@ -22,9 +22,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from novags.testbed.console import Console
-from novags.testbed.difference import differences, listed
-from novags.testbed.memory import memory_shortage_said
-from novags.testbed.provenance import PeakMemory, environment, package_version
+from novags.testbed.machine.memory import memory_shortage_said
+from novags.testbed.machine.provenance import PeakMemory, environment, package_version
+from novags.testbed.results.difference import differences, listed
 from sensor_model.files.atomic import atomic
 from sensor_model.files.lock import locked
 from sensor_model.files.records import read_record

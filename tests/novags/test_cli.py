@@ -209,7 +209,7 @@ def test_an_interruption_says_how_to_continue(
 
 
 def test_doctor_does_not_promise_a_gpu_to_what_runs_on_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
-    from novags.testbed import doctor
+    from novags.testbed.machine import doctor
 
     machine = doctor.hardware() | {"gpu": "some card"}
     monkeypatch.setattr(doctor, "hardware", lambda: machine)

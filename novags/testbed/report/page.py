@@ -9,9 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.again import run_again
 from novags.testbed.cache import digest, read_json, write_text
-from novags.testbed.comparison import MAIN, Group, deltas_of, groups_of
 from novags.testbed.console import Console, Update
 from novags.testbed.folders import shapes
 from novags.testbed.folders.experiment import EXPERIMENT, REPORT, experiments_in, find_runs
@@ -41,6 +39,8 @@ from novags.testbed.report.facts import (
     what_was_done,
 )
 from novags.testbed.report.pictures import ERROR_CEILING, pick_views, view_tiles
+from novags.testbed.results.again import run_again
+from novags.testbed.results.comparison import MAIN, Group, deltas_of, groups_of
 from sensor_model.files.lock import locked
 
 

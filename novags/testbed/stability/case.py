@@ -106,7 +106,7 @@ class Part:
 def available(backend: str) -> bool:
     """Whether this machine has a backend."""
     if backend == "gsplat":
-        from novags.testbed.provenance import package_version
+        from novags.testbed.machine.provenance import package_version
 
         return torch.cuda.is_available() and package_version("gsplat") is not None
     if "_" in backend:  # a Mitsuba variant

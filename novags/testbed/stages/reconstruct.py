@@ -18,13 +18,13 @@ from novags.methods.variant import Variant
 from novags.splats import Views
 from novags.testbed.cache import run_stage
 from novags.testbed.console import Console, losses_text
-from novags.testbed.devices import chosen_device
 from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.events import EventLog
 from novags.testbed.folders.imported import MISSING
 from novags.testbed.folders.run import CAMERAS, CHECKPOINTS, EVENTS
 from novags.testbed.folders.set import Source
+from novags.testbed.machine.devices import chosen_device
 from novags.testbed.stages.camera_source import Frame, cameras_of
 from novags.testbed.stages.paths import keep_apart
 from novags.testbed.stages.viewers import viewer_cameras

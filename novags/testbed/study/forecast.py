@@ -5,7 +5,7 @@ import shutil
 from collections.abc import Mapping
 from pathlib import Path
 
-from novags.testbed.memory import available_bytes
+from novags.testbed.machine.memory import available_bytes
 from novags.testbed.study.conduct import KEPT, there, workers_for
 from novags.testbed.study.costs import Costs, longest_after
 from novags.testbed.study.engines.progress import duration

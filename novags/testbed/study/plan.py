@@ -10,8 +10,8 @@ from novags.cameras import check_cameras
 from novags.settings import flattened
 from novags.testbed.cache import folder_digest
 from novags.testbed.console import Console
-from novags.testbed.devices import chosen_device
 from novags.testbed.folders.set import open_source
+from novags.testbed.machine.devices import chosen_device
 from novags.testbed.presets import Preset
 from novags.testbed.stages.poses import PosesConfig, photographs_of
 from novags.testbed.stages.render import RenderConfig, scene_digest

@@ -96,12 +96,12 @@ def _imports() -> None:
 def _leave_out_the_work() -> None:
     """In the child, since other readers need the stages."""
     import novags.testbed.calibration_frames as frames
-    import novags.testbed.comparison as comparison
-    import novags.testbed.doctor as doctor
     import novags.testbed.experiment as experiment
     import novags.testbed.folders.experiment as folders
     import novags.testbed.forecast as forecast
+    import novags.testbed.machine.doctor as doctor
     import novags.testbed.report.page as page
+    import novags.testbed.results.comparison as comparison
     from novags.commands import shared
     from novags.testbed import stability, stages
 

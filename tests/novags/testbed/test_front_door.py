@@ -7,12 +7,12 @@ import torch
 
 from novags.cameras import SOURCES
 from novags.methods import METHODS, VARIANTS
-from novags.testbed import devices
-from novags.testbed.catalogue import LISTS, first_sentence, listing
 from novags.testbed.console import Console
-from novags.testbed.devices import chosen_device
+from novags.testbed.help.catalogue import LISTS, first_sentence, listing
+from novags.testbed.help.topics import page, topics
+from novags.testbed.machine import devices
+from novags.testbed.machine.devices import chosen_device
 from novags.testbed.presets import EXPERIMENTS
-from novags.testbed.topics import page, topics
 from sensor_model import PRESETS as SENSORS
 from simscenes import SCENES
 

@@ -115,7 +115,7 @@ def test_peak_memory_sees_a_large_array_and_forgets_it() -> None:
     """In a process of its own: what other tests have freed goes back to the system when it likes."""
     size = 200_000_000
     code = (
-        "from novags.testbed.provenance import PeakMemory as P\n"
+        "from novags.testbed.machine.provenance import PeakMemory as P\n"
         f"print(P().peak_bytes()); p = P(); b = bytearray(b'1') * {size}\n"
         "print(p.peak_bytes()); del b; print(P().peak_bytes())"
     )

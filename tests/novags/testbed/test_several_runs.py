@@ -10,10 +10,10 @@ ROOT = Path(__file__).resolve().parents[3]
 sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a module
 
 from novags.testbed import stages  # noqa: E402
-from novags.testbed.comparison import groups_of  # noqa: E402
 from novags.testbed.console import Console  # noqa: E402
 from novags.testbed.folders.experiment import gather  # noqa: E402
 from novags.testbed.report.page import write_reports  # noqa: E402
+from novags.testbed.results.comparison import groups_of  # noqa: E402
 from novags.testbed.stages.capture import CaptureConfig  # noqa: E402
 from tests.fuzz.readers.records import make_run  # noqa: E402
 

@@ -11,7 +11,7 @@ from multiprocessing.connection import Connection
 from signal import Signals
 from typing import Any
 
-from novags.testbed.memory import resident_bytes
+from novags.testbed.machine.memory import resident_bytes
 
 # Ctrl-C on a terminal reaches all its processes: the parent decides what becomes of its workers.
 PROGRAM = """import signal

@@ -1,4 +1,4 @@
-"""Help pages about terms, as text files in `help`."""
+"""Help pages about terms, as text files beside this one."""
 
 from difflib import get_close_matches
 from importlib.resources import files
@@ -23,4 +23,4 @@ def page(topic: str) -> str:
 
 
 def _folder():  # type: ignore[no-untyped-def]  # importlib's Traversable moved between Python versions
-    return files("novags.testbed") / "help"
+    return files("novags.testbed.help")

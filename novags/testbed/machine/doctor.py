@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from novags.testbed.machine.provenance import hardware, package_version
 from novags.testbed.metrics import PerceptualDistance
-from novags.testbed.provenance import hardware, package_version
 
 GSPLAT_USE = "only for novags.splats.rasterize with CUDA tensors of your own"
 
@@ -78,7 +78,7 @@ def _mitsuba() -> Iterator[Finding]:
 
 def _kernels() -> Finding:
     """Numba keeps compiled kernels beside the sources; without a writable place it compiles in every process."""
-    folder = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(__file__).resolve().parents[1] / "splats")
+    folder = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(__file__).resolve().parents[2] / "splats")
     version = package_version("numba")
     if os.access(folder, os.W_OK):
         return Finding("numba", "ok", f"{version}; keeps compiled kernels in {folder}")

@@ -36,7 +36,7 @@ def scenes() -> str:
     rows = [(name, first_sentence(build.__doc__)) for name, build in SCENES.items()]
     rows.append(("NAME:SEED", "a variation of a scene, such as tabletop:3"))
     rows.append(("FILE.xml", "any Mitsuba 3 scene"))
-    pictures = Path(__file__).resolve().parents[2] / "docs" / "scenes.png"
+    pictures = Path(__file__).resolve().parents[3] / "docs" / "scenes.png"
     return table(rows) + (f"\n  what they look like: {pictures}" if pictures.exists() else "")
 
 
