@@ -19,7 +19,7 @@ from scipy.ndimage import rank_filter
 
 from sensor_model.isp import to_srgb8
 from simscenes import SCENES, Rig, default_rig, render_set
-from simscenes.sets.png import write_png
+from simscenes.sets.pictures.png import write_png
 
 ASPECT = 3 / 4  # height over width
 VIEWS = 9  # of each scene's own rig, of which the middle one is shown

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from novags.cameras.estimate import Array, centers_of
 from novags.cameras.points import fill, inside, project, seen_colors, subset, unproject
 from novags.cameras.sweep import sweep
-from simscenes.sets.plausible import not_hidden
+from simscenes.sets.geometry.plausible import not_hidden
 
 Float = NDArray[np.float32]
 

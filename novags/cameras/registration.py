@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from novags.cameras.colmap import Progress, extraction, largest, quiet, verification
 from novags.cameras.estimate import Array
-from simscenes.sets.colmap import colmap_lens
-from simscenes.sets.photographs import DistortedPinhole
+from simscenes.sets.readers.colmap import colmap_lens
+from simscenes.sets.readers.photographs import DistortedPinhole
 
 ALL_PAIRS = 100  # frames of a video; of more, not every pair is matched
 NEAR = 10  # frames of a video that are matched with each other; farther ones at distances of 2^k
@@ -141,7 +141,7 @@ def _detect(
 
 def _start(file: Path, model: str, focal: float) -> str:
     """Parameters of a lens without distortion; COLMAP refines a stated focal length less eagerly than a guess."""
-    from simscenes.sets.image_file import image_size
+    from simscenes.sets.pictures.image_file import image_size
 
     width, height = image_size(file)
     middle = [width / 2, height / 2]

@@ -31,7 +31,7 @@ from sensor_model.files.reading import reading
 from sensor_model.files.records import check_shape
 from sensor_model.files.toml_file import read_toml
 from sensor_model.mosaic import channel_index
-from simscenes.sets.image_file import header, read_image
+from simscenes.sets.pictures.image_file import header, read_image
 
 IMAGES = (".png", ".tif", ".tiff")
 EXIF, EXPOSURE_TIME = 0x8769, 33434

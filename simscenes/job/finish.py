@@ -20,10 +20,10 @@ from simscenes.camera import camera_color
 from simscenes.job.exposure import BELOW_WHITE, RunningQuantile, exposure_scale
 from simscenes.job.sparse import surface_points
 from simscenes.rigs import Rig
-from simscenes.sets.camera_files import write_cameras
-from simscenes.sets.neighbours import DEPTHS, write_depth
-from simscenes.sets.png import write_png
-from simscenes.sets.tracks import SparsePoints
+from simscenes.sets.geometry.tracks import SparsePoints
+from simscenes.sets.pictures.png import write_png
+from simscenes.sets.writers.camera_files import write_cameras
+from simscenes.sets.writers.neighbours import DEPTHS, write_depth
 
 SCRATCH = ".views"
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sensor_model.plan import Plan
 from simscenes.rigs import Rig
-from simscenes.sets.exr import read_exr
+from simscenes.sets.pictures.exr import read_exr
 
 VIEW_KEY = "novagsKey"
 CLAIMS = ("seconds", "tolerance", "rms")  # of a plan, which say no more than how good and how dear it is

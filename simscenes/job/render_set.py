@@ -31,11 +31,11 @@ from simscenes.render.framing import with_lens
 from simscenes.render.geometry import check_cameras
 from simscenes.render.radiance import Method
 from simscenes.rigs import Rig
-from simscenes.sets.camera_files import write_json
-from simscenes.sets.export import EXPORTS
 from simscenes.sets.multiview import MultiviewSet, load_set
 from simscenes.sets.names import numbered
-from simscenes.sets.neighbours import DEPTHS
+from simscenes.sets.writers.camera_files import write_json
+from simscenes.sets.writers.export import EXPORTS
+from simscenes.sets.writers.neighbours import DEPTHS
 from simscenes.transport.plan import APERTURE, MOTION, TransportPlan
 from simscenes.transport.planner import default_plan, plan_loaded
 

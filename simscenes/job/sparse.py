@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simscenes.rigs import Rig, unproject
-from simscenes.sets.correspondence import seen_in
+from simscenes.sets.geometry.correspondence import seen_in
 
 N_POINTS = 4000
 

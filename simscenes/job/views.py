@@ -18,8 +18,8 @@ from simscenes.loading.load import LoadedScene
 from simscenes.render.geometry import geometry_channels
 from simscenes.render.radiance import Method, Tick, View
 from simscenes.rigs import Rig
-from simscenes.sets.camera_files import write_json
-from simscenes.sets.exr import write_exr
+from simscenes.sets.pictures.exr import write_exr
+from simscenes.sets.writers.camera_files import write_json
 from simscenes.transport.plan import TransportPlan
 
 QUARTERS = "noise by brightness"  # beside what a header holds; not in the file, since it follows from the pixels

@@ -14,7 +14,7 @@ from xml.etree import ElementTree
 
 from simscenes.loading.complete import check_complete
 from simscenes.loading.meshes import check_mesh_file
-from simscenes.sets.whole import check_whole
+from simscenes.sets.pictures.whole import check_whole
 
 MAX_TEXT = 64 << 20  # characters of all files together, parameters written out
 MAX_INCLUDES = 1000

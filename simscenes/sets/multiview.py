@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from sensor_model import srgb_to_linear
 from sensor_model.files.records import Numbers, read_record
 from simscenes.rigs import Rig
-from simscenes.sets.bare import picture_files
-from simscenes.sets.camera_files import is_test_view, write_cameras
-from simscenes.sets.colmap import find_colmap, read_colmap, read_points
-from simscenes.sets.exr import read_exr
-from simscenes.sets.image_file import WITH_ALPHA, has_alpha, read_rgb
-from simscenes.sets.nerf_synthetic import is_nerf_synthetic, read_nerf_synthetic
-from simscenes.sets.photographs import DistortedPinhole, Photographs, read_transforms
-from simscenes.sets.tracks import SparsePoints
+from simscenes.sets.geometry.tracks import SparsePoints
+from simscenes.sets.pictures.exr import read_exr
+from simscenes.sets.pictures.image_file import WITH_ALPHA, has_alpha, read_rgb
+from simscenes.sets.readers.bare import picture_files
+from simscenes.sets.readers.colmap import find_colmap, read_colmap, read_points
+from simscenes.sets.readers.nerf_synthetic import is_nerf_synthetic, read_nerf_synthetic
+from simscenes.sets.readers.photographs import DistortedPinhole, Photographs, read_transforms
+from simscenes.sets.writers.camera_files import is_test_view, write_cameras
 
 __all__ = ["MultiviewSet", "load_set", "write_cameras"]
 

@@ -24,8 +24,8 @@ from novags.testbed.stages.capture import CaptureConfig
 from novags.testbed.stages.importing import ImportConfig
 from sensor_model import srgb_to_linear
 from simscenes import orbit_rig
-from simscenes.sets.camera_files import write_cameras
-from simscenes.sets.png import write_png
+from simscenes.sets.pictures.png import write_png
+from simscenes.sets.writers.camera_files import write_cameras
 
 VIEWS, SIDE = 9, 24
 NAMES = [f"{i:04d}" for i in range(VIEWS)]

@@ -15,8 +15,8 @@ from novags.testbed.report.page import write_report
 from novags.testbed.stages.capture import CaptureConfig
 from simscenes import orbit_rig
 from simscenes.rigs import opencv_to_opengl
-from simscenes.sets.exr import write_exr
 from simscenes.sets.multiview import write_cameras
+from simscenes.sets.pictures.exr import write_exr
 
 
 @pytest.fixture(scope="module")

@@ -13,7 +13,7 @@ from novags.splats import Gaussians, write_ply
 from novags.splats.training.checkpoint import write_tensors
 from novags.testbed.cache import write_text
 from simscenes import write_exr
-from simscenes.sets.png import write_png
+from simscenes.sets.pictures.png import write_png
 
 
 @contextmanager

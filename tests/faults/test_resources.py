@@ -10,7 +10,7 @@ import pytest
 
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
-from simscenes.sets.png import write_png
+from simscenes.sets.pictures.png import write_png
 
 STAGES = ("render", "capture", "reconstruct", "score", "report")
 MB = 1 << 20

@@ -12,9 +12,9 @@ import pytest
 
 from novags.testbed.cache import read_json
 from simscenes import orbit_rig
-from simscenes.sets.exr import read_exr
 from simscenes.sets.multiview import write_cameras
-from simscenes.sets.png import write_png
+from simscenes.sets.pictures.exr import read_exr
+from simscenes.sets.pictures.png import write_png
 
 VIEWS = 24  # enough that two captures overlap
 

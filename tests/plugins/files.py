@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.sets.exr import write_exr
+from simscenes.sets.pictures.exr import write_exr
 
 CODES = {"uint8": 1, "uint16": 3, "float32": 10}  # of number types in Mitsuba's tensor files
 NANOMETRES = np.array([400.0, 500.0, 550.0, 600.0, 700.0], np.float32)

@@ -45,7 +45,7 @@ from simscenes.rigs import (
     opencv_to_opengl,
     opengl_to_opencv,
 )
-from simscenes.sets.png import read_codes, write_png
+from simscenes.sets.pictures.png import read_codes, write_png
 
 seeds = st.integers(0, 2**32 - 1)
 

@@ -9,8 +9,8 @@ import pycolmap
 import pytest
 
 from simscenes import SparsePoints, orbit_rig, write_cameras
-from simscenes.sets import colmap
-from simscenes.sets.colmap_check import check_model
+from simscenes.sets.readers import colmap
+from simscenes.sets.readers.colmap_check import check_model
 
 FILES = ("cameras", "frames", "images", "points3D", "rigs")
 

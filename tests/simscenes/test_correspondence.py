@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from simscenes import MultiviewSet, Rig, export_blender, export_llff, flow, load_set, orbit_rig, write_cameras
-from simscenes.sets.camera_files import write_json
-from simscenes.sets.correspondence import flow_from_depth
-from simscenes.sets.exr import write_exr
-from simscenes.sets.png import write_png
+from simscenes.sets.geometry.correspondence import flow_from_depth
+from simscenes.sets.pictures.exr import write_exr
+from simscenes.sets.pictures.png import write_png
+from simscenes.sets.writers.camera_files import write_json
 
 
 def plane_depth(rig: Rig, i: int) -> np.ndarray:

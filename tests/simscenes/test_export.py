@@ -13,10 +13,10 @@ import pytest
 
 from simscenes import MultiviewSet, export_blender, export_llff, load_set, orbit_rig, write_cameras, write_exr
 from simscenes.rigs import opencv_to_opengl
-from simscenes.sets.camera_files import write_json
-from simscenes.sets.neighbours import instant_ngp_box, write_depth
-from simscenes.sets.png import write_png
-from simscenes.sets.tracks import SparsePoints
+from simscenes.sets.geometry.tracks import SparsePoints
+from simscenes.sets.pictures.png import write_png
+from simscenes.sets.writers.camera_files import write_json
+from simscenes.sets.writers.neighbours import instant_ngp_box, write_depth
 
 SIZE = (24, 20)  # width, height
 

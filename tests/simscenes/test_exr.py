@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from simscenes.sets.exr import read_exr, write_exr
+from simscenes.sets.pictures.exr import read_exr, write_exr
 
 
 def test_channels_and_header_come_back_exactly(tmp_path: Path) -> None:

@@ -17,7 +17,7 @@ from simscenes.camera import camera_color
 from simscenes.job import finish, identity, views
 from simscenes.job.exposure import RunningQuantile
 from simscenes.rigs import unproject
-from simscenes.sets.correspondence import seen_in
+from simscenes.sets.geometry.correspondence import seen_in
 
 SEED = 5
 RIG = orbit_rig(3, 23, 17, 60, target=(0, 0, 0.5), radius=3.0)

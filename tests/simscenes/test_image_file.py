@@ -9,7 +9,7 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from simscenes.sets.image_file import MAX_PIXELS, image_size, read_image
+from simscenes.sets.pictures.image_file import MAX_PIXELS, image_size, read_image
 
 
 def declared(path: Path, width: int, height: int) -> Path:

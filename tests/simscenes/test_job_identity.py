@@ -20,7 +20,7 @@ from simscenes.job.identity import (
     view_key,
     without_nan,
 )
-from simscenes.sets.exr import write_exr
+from simscenes.sets.pictures.exr import write_exr
 from simscenes.transport.planner import default_plan
 
 RIG = orbit_rig(4, 8, 6, 40, radius=3.0)

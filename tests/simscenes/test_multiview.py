@@ -10,7 +10,7 @@ import pytest
 
 from simscenes import load_set, orbit_rig, write_cameras
 from simscenes.rigs import Rig, intrinsics, opencv_to_opengl
-from simscenes.sets.tracks import SparsePoints
+from simscenes.sets.geometry.tracks import SparsePoints
 
 
 def make_images(folder: Path, names: list[str], width: int, height: int) -> None:

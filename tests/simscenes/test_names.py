@@ -10,8 +10,8 @@ import pytest
 
 from simscenes import load_set, orbit_rig, write_cameras
 from simscenes.rigs import opencv_to_opengl
-from simscenes.sets.export import export_blender
 from simscenes.sets.names import NAME_BYTES, check_names, file_of, numbered, safe_name, view_names
+from simscenes.sets.writers.export import export_blender
 
 ODD = [
     "a.png", "a-b.png", "photo.png", "photo (1).png", "A.png", "b.png", "b.jpg", "new\nline.png", "\x1b[31mred.png",

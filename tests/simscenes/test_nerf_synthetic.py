@@ -9,9 +9,9 @@ from PIL import Image
 
 from simscenes import load_set, orbit_rig
 from simscenes.rigs import opencv_to_opengl
-from simscenes.sets.camera_files import write_cameras
-from simscenes.sets.export import export_blender
-from simscenes.sets.png import write_png
+from simscenes.sets.pictures.png import write_png
+from simscenes.sets.writers.camera_files import write_cameras
+from simscenes.sets.writers.export import export_blender
 
 SIZE, ANGLE = 24, 0.6911112070083618  # of the original's cameras
 

@@ -8,8 +8,8 @@ import pycolmap
 import pytest
 
 from simscenes import Rig, SparsePoints, load_set, orbit_rig, write_cameras
-from simscenes.sets.plausible import with_tested_tracks
-from simscenes.sets.tracks import UNKNOWN
+from simscenes.sets.geometry.plausible import with_tested_tracks
+from simscenes.sets.geometry.tracks import UNKNOWN
 
 VIEWS, WIDTH, HEIGHT, NOISE = 6, 64, 48, 0.4
 LENS = [50.0, 52.0, 32.5, 23.0, 0.05, -0.02, 0.001, -0.002]  # OPENCV: fx fy cx cy k1 k2 p1 p2

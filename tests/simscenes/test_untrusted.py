@@ -11,7 +11,7 @@ import pytest
 from simscenes.backend import activate
 from simscenes.loading.load import build_scene
 from simscenes.loading.untrusted import check_xml
-from simscenes.sets.exr import write_exr
+from simscenes.sets.pictures.exr import write_exr
 
 BALL = '<shape type="sphere" id="ball">{}</shape>'
 TRIANGLE = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"

@@ -12,8 +12,8 @@ import OpenEXR
 import pytest
 from PIL import Image
 
-from simscenes.sets.png import read_codes
-from simscenes.sets.whole import check_whole
+from simscenes.sets.pictures.png import read_codes
+from simscenes.sets.pictures.whole import check_whole
 
 PICTURE = Image.fromarray(np.random.default_rng(0).integers(0, 255, (19, 33, 3), np.uint8))
 

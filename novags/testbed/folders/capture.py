@@ -37,10 +37,10 @@ from sensor_model import (
 )
 from sensor_model.files.reading import reading
 from sensor_model.isp import DEMOSAIC, Demosaic
-from simscenes.sets.camera_files import CAMERA_FILES
-from simscenes.sets.exr import read_exr, write_exr
 from simscenes.sets.multiview import MultiviewSet, load_set
-from simscenes.sets.png import read_codes, read_png, write_png
+from simscenes.sets.pictures.exr import read_exr, write_exr
+from simscenes.sets.pictures.png import read_codes, read_png, write_png
+from simscenes.sets.writers.camera_files import CAMERA_FILES
 
 RECORD = "capture.json"
 LARGEST = 1e6  # in a colour matrix, whose entries are of order 1: far larger ones overflow the float32 of pictures

@@ -13,7 +13,7 @@ import numpy as np
 
 from novags.testbed.cache import read_json
 from novags.testbed.folders import shapes
-from simscenes.sets.exr import read_exr, write_exr
+from simscenes.sets.pictures.exr import read_exr, write_exr
 
 KIND = "imported"
 PARTS = ("images16", "raw", "truth", "lit")  # folders that a capture of this kind may lack

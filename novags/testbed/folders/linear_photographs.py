@@ -15,10 +15,10 @@ from novags.testbed.folders import raw_files
 from sensor_model import to_srgb8
 from sensor_model.files.reading import reading
 from simscenes.rigs import Rig, opengl_to_opencv
-from simscenes.sets.colmap import colmap_lens, colmap_views, find_colmap
-from simscenes.sets.exr import read_exr
 from simscenes.sets.multiview import MultiviewSet
-from simscenes.sets.photographs import (
+from simscenes.sets.pictures.exr import read_exr
+from simscenes.sets.readers.colmap import colmap_lens, colmap_views, find_colmap
+from simscenes.sets.readers.photographs import (
     DistortedPinhole,
     find_file,
     held_out,

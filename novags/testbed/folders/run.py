@@ -24,8 +24,8 @@ from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.set import Source
 from sensor_model.files.reading import brief
 from sensor_model.files.records import check_shape
-from simscenes.sets.exr import read_exr
-from simscenes.sets.png import read_png
+from simscenes.sets.pictures.exr import read_exr
+from simscenes.sets.pictures.png import read_png
 
 RECORD = "run.json"
 METRICS = "metrics.json"

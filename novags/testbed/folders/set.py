@@ -17,10 +17,10 @@ from novags.testbed.folders.linear_photographs import load_linear_set
 from novags.testbed.metrics import SSIM_WINDOW
 from sensor_model import linear_to_srgb
 from simscenes.rigs import Rig
+from simscenes.sets.geometry.plausible import with_tested_tracks
+from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.multiview import MultiviewSet, load_set
-from simscenes.sets.nerf_synthetic import PARTS
-from simscenes.sets.plausible import with_tested_tracks
-from simscenes.sets.tracks import SparsePoints
+from simscenes.sets.readers.nerf_synthetic import PARTS
 
 # What a set is read from beside its images: our own record and truth, and the cameras in every supported form.
 MODEL = tuple(f"{part}.{suffix}" for part in ("cameras", "images", "points3D") for suffix in ("bin", "txt"))

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 from novags.testbed.console import Update
-from simscenes.sets.bare import VIDEOS
-from simscenes.sets.image_file import MAX_PIXELS
 from simscenes.sets.names import numbered
-from simscenes.sets.png import write_png
+from simscenes.sets.pictures.image_file import MAX_PIXELS
+from simscenes.sets.pictures.png import write_png
+from simscenes.sets.readers.bare import VIDEOS
 
 MOST = 100_000  # frames that are counted on; a damaged header can announce any number
 

@@ -10,7 +10,7 @@ from novags.testbed.folders import raw_files
 from novags.testbed.folders.linear_photographs import find_linear
 from novags.testbed.folders.set import READ_FROM, Source, open_source
 from novags.testbed.importing.stored import PICTURES, Depth, depth_of
-from simscenes.sets.colmap import find_colmap
+from simscenes.sets.readers.colmap import find_colmap
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import numpy as np
 from novags.testbed.folders.raw_files import SUFFIXES as RAW
 from novags.testbed.folders.raw_files import is_raw
 from sensor_model import srgb_to_linear
-from simscenes.sets.image_file import read_image
+from simscenes.sets.pictures.image_file import read_image
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *RAW)
 AS_STORED = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION  # poses refer to stored pixels

@@ -9,9 +9,9 @@ from novags.testbed.console import Console
 from novags.testbed.folders.linear_photographs import load_linear_set
 from novags.testbed.folders.set import warnings_as_notes
 from novags.testbed.importing.stored import PICTURES
-from simscenes.sets.colmap import find_colmap
 from simscenes.sets.multiview import MultiviewSet, load_set
 from simscenes.sets.names import file_of, view_names
+from simscenes.sets.readers.colmap import find_colmap
 
 SHOWN = 4  # names in a message
 

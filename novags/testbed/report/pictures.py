@@ -15,7 +15,7 @@ from novags.testbed.folders.run import Run
 from novags.testbed.folders.set import Source
 from novags.testbed.metrics import affine_aligned
 from novags.testbed.references import enhanced_dark, references, true_depth
-from simscenes.sets.png import read_png
+from simscenes.sets.pictures.png import read_png
 
 VIEWS_OF_EACH_KIND = 4  # held-out and training views shown: enough to judge, small enough to mail
 MAX_SIDE = 640  # px; larger pictures are shrunk for the report only

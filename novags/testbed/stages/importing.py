@@ -23,7 +23,7 @@ from sensor_model import PRESETS, Exposure, Sensor, write_dng
 from sensor_model.files.dng import SMALLEST, TIMES
 from sensor_model.isp import Demosaic, to_linear16
 from simscenes.sets.multiview import write_cameras
-from simscenes.sets.png import write_png
+from simscenes.sets.pictures.png import write_png
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -16,11 +16,11 @@ from novags.testbed.stages.paths import keep_apart
 from novags.testbed.stages.render import RECORD, SET_FILES
 from sensor_model.files.scratch import scratch
 from simscenes.rigs import Rig
-from simscenes.sets.bare import SUFFIXES, Bare, picture_files, survey
-from simscenes.sets.camera_files import write_cameras
+from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.names import file_of, view_names
-from simscenes.sets.png import write_png
-from simscenes.sets.tracks import SparsePoints
+from simscenes.sets.pictures.png import write_png
+from simscenes.sets.readers.bare import SUFFIXES, Bare, picture_files, survey
+from simscenes.sets.writers.camera_files import write_cameras
 
 
 @dataclass(frozen=True, kw_only=True)

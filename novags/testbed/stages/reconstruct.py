@@ -28,9 +28,9 @@ from novags.testbed.machine.devices import chosen_device
 from novags.testbed.stages.camera_source import Frame, cameras_of
 from novags.testbed.stages.paths import keep_apart
 from novags.testbed.stages.viewers import viewer_cameras
-from simscenes.sets.camera_files import write_json
-from simscenes.sets.exr import write_exr
-from simscenes.sets.png import write_png
+from simscenes.sets.pictures.exr import write_exr
+from simscenes.sets.pictures.png import write_png
+from simscenes.sets.writers.camera_files import write_json
 
 
 @dataclass(frozen=True, kw_only=True)

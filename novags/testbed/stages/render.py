@@ -19,8 +19,8 @@ from simscenes.camera import camera_color
 from simscenes.job.identity import SPENT
 from simscenes.loading.reference import SceneRef
 from simscenes.loading.untrusted import check_xml
-from simscenes.sets.camera_files import CAMERA_FILES
-from simscenes.sets.neighbours import DEPTHS
+from simscenes.sets.writers.camera_files import CAMERA_FILES
+from simscenes.sets.writers.neighbours import DEPTHS
 from simscenes.transport.plan import EFFECTS
 
 RECORD = "set.json"

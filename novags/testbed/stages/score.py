@@ -28,8 +28,8 @@ from novags.testbed.metrics import (
 )
 from novags.testbed.references import missing_references, references, true_depth
 from sensor_model.files.lock import locked
-from simscenes.sets.correspondence import flow
-from simscenes.sets.png import read_png
+from simscenes.sets.geometry.correspondence import flow
+from simscenes.sets.pictures.png import read_png
 
 BLUR_SIGMA = 1.2  # px; the fixed bar a denoiser has to clear
 BLUR_GRID = tuple(float(s) for s in np.geomspace(0.4, 8.0, 20))  # px; the harder bar: the best of these for the images

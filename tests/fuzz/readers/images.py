@@ -11,7 +11,7 @@ from tests.fuzz.case import Reader
 
 
 def make_exr(folder: Path) -> None:
-    from simscenes.sets.exr import write_exr
+    from simscenes.sets.pictures.exr import write_exr
 
     rng = np.random.default_rng(0)
     planes = {c: rng.random((9, 11), np.float32) for c in ("R", "G", "B", "Z")}
@@ -29,7 +29,7 @@ def make_exr(folder: Path) -> None:
 
 def read_exr(folder: Path, file: Path) -> None:
     from novags.testbed.folders.linear_photographs import _size
-    from simscenes.sets.exr import read_exr
+    from simscenes.sets.pictures.exr import read_exr
 
     _size(file)
     read_exr(file)
@@ -96,8 +96,8 @@ def read_picture(folder: Path, file: Path) -> None:
     from novags.testbed.calibration_frames import _read
     from simscenes.rigs import Rig, intrinsics
     from simscenes.sets.multiview import MultiviewSet
-    from simscenes.sets.photographs import image_size
-    from simscenes.sets.png import read_codes
+    from simscenes.sets.pictures.png import read_codes
+    from simscenes.sets.readers.photographs import image_size
 
     rig = Rig(viewmats=np.eye(4)[None], Ks=intrinsics(17, 13, 60)[None], width=17, height=13)
     one = MultiviewSet(path=folder, names=("a",), rig=rig, kind="photographs", meta={}, files=(file,))

@@ -19,7 +19,7 @@ def make_photographs(folder: Path) -> None:
     import cv2
 
     from sensor_model import PRESETS, Exposure, write_dng
-    from simscenes.sets.camera_files import write_cameras
+    from simscenes.sets.writers.camera_files import write_cameras
 
     rng, rig = np.random.default_rng(0), some_rig(2, SIZE[1], SIZE[0])
     for part in ("dark", "sixteen"):

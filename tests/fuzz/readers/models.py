@@ -13,8 +13,8 @@ from tests.fuzz.readers.text import pictures, read_transforms, some_rig
 
 
 def make_colmap(folder: Path) -> None:
-    from simscenes.sets.camera_files import write_cameras
-    from simscenes.sets.tracks import SparsePoints
+    from simscenes.sets.geometry.tracks import SparsePoints
+    from simscenes.sets.writers.camera_files import write_cameras
 
     names = ["a", "b", "c"]
     pictures(folder / "images", names)

@@ -43,7 +43,7 @@ def make_bare(folder: Path) -> None:
 
 
 def read_bare(folder: Path, file: Path) -> None:
-    from simscenes.sets.bare import picture_files, survey
+    from simscenes.sets.readers.bare import picture_files, survey
 
     bare, _ = survey(picture_files(folder), 20)
     for one in bare:
@@ -79,7 +79,7 @@ def _pictures() -> None:
     import cv2
 
     import novags.testbed.folders.video  # noqa: F401
-    import simscenes.sets.bare  # noqa: F401
+    import simscenes.sets.readers.bare  # noqa: F401
 
     cv2.setNumThreads(0)
 

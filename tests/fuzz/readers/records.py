@@ -28,9 +28,9 @@ CAMERAS = {"source": "known", "unregistered": [], "registered_share": 1.0, "mean
 
 def make_set(folder: Path) -> None:
     """A rendered set, without rendering."""
-    from simscenes.sets.camera_files import write_cameras
-    from simscenes.sets.exr import write_exr
-    from simscenes.sets.png import write_png
+    from simscenes.sets.pictures.exr import write_exr
+    from simscenes.sets.pictures.png import write_png
+    from simscenes.sets.writers.camera_files import write_cameras
 
     rng = np.random.default_rng(0)
     names = ["0000", "0001", "0002"]
@@ -88,8 +88,8 @@ def read_capture(folder: Path, file: Path) -> None:
 def make_run(folder: Path) -> None:
     """An experiment of two runs whose training nobody did."""
     from novags.testbed.folders.capture import open_capture
-    from simscenes.sets.exr import write_exr
-    from simscenes.sets.png import write_png
+    from simscenes.sets.pictures.exr import write_exr
+    from simscenes.sets.pictures.png import write_png
 
     make_capture(folder)
     capture = open_capture(folder / "capture")

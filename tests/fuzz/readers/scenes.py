@@ -46,7 +46,7 @@ FACES = np.array([[0, 1, 2], [1, 3, 2]], np.uint32)
 def make(folder: Path) -> None:
     import cv2
 
-    from simscenes.sets.exr import write_exr
+    from simscenes.sets.pictures.exr import write_exr
 
     (folder / "scene.xml").write_text(SCENE)
     write_exr(folder / "e.exr", {c: np.ones((4, 8), np.float32) for c in "RGB"})

@@ -17,7 +17,7 @@ def some_rig(views: int = 4, width: int = 24, height: int = 18):  # noqa: ANN201
 
 def pictures(folder: Path, names: list[str], width: int = 24, height: int = 18) -> None:
     """Small PNG photographs."""
-    from simscenes.sets.png import write_png
+    from simscenes.sets.pictures.png import write_png
 
     rng = np.random.default_rng(0)
     for name in names:
@@ -91,7 +91,7 @@ def read_frames(folder: Path, file: Path) -> None:
 def make_transforms(folder: Path) -> None:
     import json
 
-    from simscenes.sets.camera_files import write_cameras
+    from simscenes.sets.writers.camera_files import write_cameras
 
     pictures(folder / "images", ["a", "b", "c", "d"])
     write_cameras(folder, ["a", "b", "c", "d"], some_rig())
@@ -114,8 +114,8 @@ def read_transforms(folder: Path, file: Path) -> None:
 
 
 def make_linear(folder: Path) -> None:
-    from simscenes.sets.camera_files import write_cameras
-    from simscenes.sets.exr import write_exr
+    from simscenes.sets.pictures.exr import write_exr
+    from simscenes.sets.writers.camera_files import write_cameras
 
     rng = np.random.default_rng(0)
     for name in ("a", "b"):

@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from novags.cameras.align import align
 from novags.cameras.known import KnownConfig, known, perturb
 from simscenes.rigs import Rig, orbit_rig
+from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.multiview import load_set
-from simscenes.sets.tracks import SparsePoints
 
 SIZE = 20
 

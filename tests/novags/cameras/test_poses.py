@@ -19,8 +19,8 @@ from novags.testbed.folders.set import open_source
 from novags.testbed.folders.video import write_frames
 from novags.testbed.stages.poses import PosesConfig
 from simscenes import load_set
-from simscenes.sets.bare import picture_files, survey
 from simscenes.sets.multiview import is_rendered
+from simscenes.sets.readers.bare import picture_files, survey
 
 QUIET = Console(quiet=True)
 WIDTH, HEIGHT, FOCAL, K1 = 200, 150, 190.0, -0.12

@@ -17,8 +17,8 @@ from novags.testbed.folders.set import open_source
 from novags.testbed.stages.capture import QUANTILES, CaptureConfig, measure_light
 from sensor_model import PRESETS, Exposure, expose, mosaic, photons_for_electrons, srgb_to_linear, write_dng
 from simscenes import orbit_rig
-from simscenes.sets.exr import write_exr
 from simscenes.sets.multiview import write_cameras
+from simscenes.sets.pictures.exr import write_exr
 
 QUIET = Console(quiet=True)
 CAMERA = PRESETS["imx900-hcg"]

@@ -181,7 +181,7 @@ def test_a_picture_of_another_size_in_a_capture_is_refused_by_name(part: str, li
 
 
 def test_truth_that_lacks_a_channel_or_has_another_size_is_refused_by_name(line: Path, tmp_path: Path) -> None:
-    from simscenes.sets.exr import write_exr
+    from simscenes.sets.pictures.exr import write_exr
 
     folder = Path(shutil.copytree(line / "set", tmp_path / "set"))
     (folder / "set.json").write_text("{}")

@@ -18,8 +18,8 @@ from novags.testbed.forecast import PILOT, sensor_plan
 from novags.testbed.stages.capture import CaptureConfig
 from sensor_model import PRESETS, read_sensor, srgb_to_linear, write_sensor
 from simscenes import SparsePoints, load_set, orbit_rig
-from simscenes.sets.exr import read_exr, write_exr
 from simscenes.sets.multiview import write_cameras
+from simscenes.sets.pictures.exr import read_exr, write_exr
 
 QUIET = Console(quiet=True)
 CAMERA = "gain = 1.5\neta = 0.6\nmu_e_sat = 5000\nblack_level = 64.5\nbits = 12\nsigma_d = 2.0\n"

@@ -5,7 +5,7 @@ import pytest
 
 from novags.testbed.metrics import color_change, consistency_scores
 from simscenes import orbit_rig
-from simscenes.sets.correspondence import flow_from_depth
+from simscenes.sets.geometry.correspondence import flow_from_depth
 
 H, W = 9, 14
 

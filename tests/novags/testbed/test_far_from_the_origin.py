@@ -15,8 +15,8 @@ from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.stages.camera_source import true_cameras
 from novags.testbed.stages.capture import CaptureConfig
 from simscenes import Rig, orbit_rig
+from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.multiview import load_set, write_cameras
-from simscenes.sets.tracks import SparsePoints
 
 UTM = np.array([500_000.3, 5_300_000.7, 120.4])
 QUIET = Console(quiet=True)

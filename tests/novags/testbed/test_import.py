@@ -18,7 +18,7 @@ from novags.testbed.stages.importing import ImportConfig
 from sensor_model import linear_to_srgb, srgb_to_linear
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
-from simscenes.sets.png import read_codes, read_png, write_png
+from simscenes.sets.pictures.png import read_codes, read_png, write_png
 
 QUIET = Console(quiet=True)
 SIZE, VIEWS = (40, 30), 9

@@ -13,7 +13,7 @@ from novags.testbed.study.grid import read_study
 from novags.testbed.study.plan import Plan, plan_of
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
-from simscenes.sets.png import write_png
+from simscenes.sets.pictures.png import write_png
 
 QUIET = Console(quiet=True)
 GRID = """

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from sensor_model.files.atomic import atomic
-from simscenes.sets.image_file import read_image
+from simscenes.sets.pictures.image_file import read_image
 
 
 def read_png(path: Path) -> np.ndarray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from simscenes.rigs import opengl_to_opencv
-from simscenes.sets.photographs import Photographs, collect, find_file, transforms_frames, transforms_lens
+from simscenes.sets.readers.photographs import Photographs, collect, find_file, transforms_frames, transforms_lens
 
 PARTS = ("transforms_train.json", "transforms_test.json", "transforms_val.json")
 

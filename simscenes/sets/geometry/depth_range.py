@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simscenes.rigs import Rig
+from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.multiview import MultiviewSet
-from simscenes.sets.tracks import SparsePoints
 
 PIXELS = 4096  # of a view are kept to count what lies outside a range
 STRAYS = (0.001, 0.999)  # quantiles that bound a view for LLFF

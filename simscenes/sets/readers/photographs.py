@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from sensor_model.files.reading import reading
 from sensor_model.files.records import Numbers, read_record
 from simscenes.rigs import MAX_ROTATION_ERROR, Rig, intrinsics, opengl_to_opencv, rotation_error
-from simscenes.sets.image_file import image_size
 from simscenes.sets.names import file_of, view_names
+from simscenes.sets.pictures.image_file import image_size
 
 _SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG")
 

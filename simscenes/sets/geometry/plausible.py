@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import ConvexHull, QhullError
 
-from simscenes.sets.correspondence import seen_in
+from simscenes.sets.geometry.correspondence import seen_in
+from simscenes.sets.geometry.tracks import SparsePoints, in_frame
 from simscenes.sets.multiview import MultiviewSet
-from simscenes.sets.tracks import SparsePoints, in_frame
 
 # Measured against the depth of tabletop and cornell, 4000 points, 16 views: of the observations inside the picture 82 %
 # and 91 % are true, of those that pass 98 % and 100 %, which are 86 % and 90 % of all true ones.

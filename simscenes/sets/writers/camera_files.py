@@ -14,9 +14,9 @@ import numpy as np
 
 from sensor_model.files.atomic import atomic
 from simscenes.rigs import TEST_EVERY, Rig, opencv_to_opengl
+from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.names import check_names, file_of
-from simscenes.sets.neighbours import POINTS, instant_ngp_box, write_points
-from simscenes.sets.tracks import SparsePoints
+from simscenes.sets.writers.neighbours import POINTS, instant_ngp_box, write_points
 
 CAMERA_FILES = ("transforms.json", "sparse", "train_list.txt", "test_list.txt", "nb-info.json", POINTS)
 

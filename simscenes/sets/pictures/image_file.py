@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.sets.whole import check_whole
+from simscenes.sets.pictures.whole import check_whole
 
 # 23,170 x 23,170: above any camera's (phones have 200 million), and 1.6 GB as 8-bit RGB. What a file declares beyond it
 # is refused before a byte is decoded, since a few kilobytes can declare a picture that fills any memory.

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simscenes.rigs import Rig
-from simscenes.sets.colmap_check import check_model
-from simscenes.sets.photographs import DistortedPinhole, Photographs, check_pose, collect, find_file, rescaled
-from simscenes.sets.tracks import SparsePoints
+from simscenes.sets.geometry.tracks import SparsePoints
+from simscenes.sets.readers.colmap_check import check_model
+from simscenes.sets.readers.photographs import DistortedPinhole, Photographs, check_pose, collect, find_file, rescaled
 
 
 def find_colmap(folder: Path) -> Path | None:

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simscenes.rigs import opencv_to_opengl
-from simscenes.sets.camera_files import nerfbaselines_info, write_cameras, write_json
-from simscenes.sets.depth_range import Depths
+from simscenes.sets.geometry.depth_range import Depths
 from simscenes.sets.multiview import MultiviewSet
 from simscenes.sets.names import file_of
-from simscenes.sets.png import write_png
+from simscenes.sets.pictures.png import write_png
+from simscenes.sets.writers.camera_files import nerfbaselines_info, write_cameras, write_json
 
 NEAR, FAR = 2.0, 6.0  # between which the readers of the Blender layout look, whatever the file says
 

@@ -1,0 +1,1 @@
+"""Image files: EXR, PNG and whatever else photographs come in; read with limits, written atomically."""

@@ -1,0 +1,1 @@
+"""Sets from elsewhere: COLMAP models, nerfstudio and instant-ngp, NeRF-synthetic, and pictures without poses."""
