@@ -10,17 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from simscenes.backend import COLORS, using_variant
-from simscenes.loading.complete import check_complete
+from simscenes.loading.checks.complete import check_complete
+from simscenes.loading.checks.meshes import check_faces
+from simscenes.loading.checks.physical import check_parameters, scene_extent
+from simscenes.loading.checks.trial import check_survives
+from simscenes.loading.checks.untrusted import check_plugin, check_xml, searching_only
 from simscenes.loading.contents import objects_in, parameters_in, unique_materials
 from simscenes.loading.digest import content_digest
 from simscenes.loading.integrator import OwnIntegrator, in_dict, in_file, own_integrator
-from simscenes.loading.meshes import check_faces
 from simscenes.loading.naming import shape_names
 from simscenes.loading.obj_files import completed
-from simscenes.loading.physical import check_parameters, scene_extent
 from simscenes.loading.reference import SceneLike, SceneRef
-from simscenes.loading.trial import check_survives
-from simscenes.loading.untrusted import check_plugin, check_xml, searching_only
 from simscenes.scenes import build
 
 DEMANDS = re.compile("spectral|polarized")  # in the messages of plugins that cannot do without

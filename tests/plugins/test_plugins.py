@@ -10,8 +10,8 @@ import pytest
 
 from simscenes import plan_transport
 from simscenes.backend import activate, using_variant
+from simscenes.loading.checks.untrusted import mitsuba_folder
 from simscenes.loading.load import build_in_fewest_colors, build_scene
-from simscenes.loading.untrusted import mitsuba_folder
 from simscenes.transport import effects, plan, planner
 from simscenes.transport.plugins import UNDERSTOOD, filters_in, not_understood
 from tests.plugins.__main__ import line

@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from simscenes.backend import activate
-from simscenes.loading import trial
+from simscenes.loading.checks import trial
+from simscenes.loading.checks.meshes import check_mesh_file
 from simscenes.loading.load import build_scene
-from simscenes.loading.meshes import check_mesh_file
 
 CORNERS = b"".join(struct.pack("<3f", *p) for p in [(0, 0, 0), (1, 0, 0), (0, 1, 0)])
 
@@ -190,7 +190,7 @@ def test_an_interrupted_trial_leaves_no_answer_for_the_next_file(monkeypatch: py
 
 
 def test_the_process_ends_when_nothing_is_asked() -> None:
-    code = "from simscenes.loading import trial_process as p; p.IDLE = 0.1; p.serve()"
+    code = "from simscenes.loading.checks import trial_process as p; p.IDLE = 0.1; p.serve()"
     assert os.waitstatus_to_exitcode(os.waitpid(os.spawnv(os.P_NOWAIT, *_python(code)), 0)[1]) == 0
 
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from simscenes.backend import activate
+from simscenes.loading.checks.untrusted import check_xml
 from simscenes.loading.load import build_scene
-from simscenes.loading.untrusted import check_xml
 from simscenes.sets.pictures.exr import write_exr
 
 BALL = '<shape type="sphere" id="ball">{}</shape>'

@@ -17,8 +17,8 @@ from simscenes import Optics, Rig
 from simscenes.backend import BACKENDS, COLORS, choose_variant
 from simscenes.camera import camera_color
 from simscenes.job.identity import SPENT
+from simscenes.loading.checks.untrusted import check_xml
 from simscenes.loading.reference import SceneRef
-from simscenes.loading.untrusted import check_xml
 from simscenes.sets.writers.camera_files import CAMERA_FILES
 from simscenes.sets.writers.neighbours import DEPTHS
 from simscenes.transport.plan import EFFECTS

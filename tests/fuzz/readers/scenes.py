@@ -138,7 +138,7 @@ def places(plugin: str) -> list[tuple[str, str]]:
 
 def plugins() -> list[str]:
     """Every plugin of this Mitsuba."""
-    from simscenes.loading.untrusted import mitsuba_folder
+    from simscenes.loading.checks.untrusted import mitsuba_folder
 
     return sorted(path.name.partition(".")[0] for path in (mitsuba_folder() / "plugins").iterdir())
 

@@ -25,7 +25,7 @@ from simscenes.backend import cache_folder
 
 FORMAT = "1"  # of what is tried; scenes that passed an earlier one are tried again
 SECONDS = 600.0  # that loading may take; a scene of a gigabyte takes one minute
-_START = "import sys; sys.path[:] = {path!r}; from simscenes.loading.trial_process import serve; serve()"
+_START = "import sys; sys.path[:] = {path!r}; from simscenes.loading.checks.trial_process import serve; serve()"
 
 
 def check_survives(

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from simscenes.loading.complete import check_complete
-from simscenes.loading.meshes import check_mesh_file
+from simscenes.loading.checks.complete import check_complete
+from simscenes.loading.checks.meshes import check_mesh_file
 from simscenes.sets.pictures.whole import check_whole
 
 MAX_TEXT = 64 << 20  # characters of all files together, parameters written out
