@@ -39,7 +39,6 @@ from simscenes.transport.plan import TransportPlan
 
 PLAIN = {"type": "path", "max_depth": 8}
 PEERS = ("independent", "multijitter")
-SEEDS = 4
 
 
 class Clock:
@@ -73,7 +72,7 @@ def ours(scene: str, rig: Rig, target: float, reference_spp: int) -> tuple[list[
 
 
 def plain(
-    scene: str, rig: Rig, errors: list[float], spp: int, sampler: str
+    scene: str, rig: Rig, errors: list[float], spp: int, sampler: str, seeds: int
 ) -> tuple[NDArray[np.float64], float, float]:
     """Seconds that plain rendering needs for these errors, its relative error at `spp`, and the samples it needs."""
     mi = activate()
@@ -85,18 +84,18 @@ def plain(
         sensor = mi.load_dict(settings)
         np.array(mi.render(loaded.scene, sensor=sensor, integrator=integrator, spp=spp, seed=99))
         passes, clock = Passes((rig.height, rig.width)), Clock()
-        for seed in range(SEEDS):
+        for seed in range(seeds):
             image = mi.render(loaded.scene, sensor=sensor, integrator=integrator, spp=spp, seed=1000 * i + seed)
             passes.add(np.array(image, dtype=np.float64)[..., :3])
-        seconds = clock.read() / SEEDS
-        found.append(passes.error() * SEEDS**0.5)
+        seconds = clock.read() / seeds
+        found.append(passes.error() * seeds**0.5)
         samples.append(spp * (found[-1] / wanted) ** 2)
         needed += seconds * samples[-1] / spp
     return needed, float(np.sqrt(np.mean(np.square(found)))), float(np.mean(samples))
 
 
 def equal_error(
-    scene: str, size: int, views: int, target: float, spp: int, reference_spp: int
+    scene: str, size: int, views: int, target: float, spp: int, seeds: int, reference_spp: int, peers: Sequence[str]
 ) -> Iterator[dict[str, Any]]:
     """All ways to render the same views to the same errors."""
     rig = default_rig(scene, views, size, size)
@@ -104,8 +103,8 @@ def equal_error(
     reached = float(np.sqrt(np.mean(np.square(errors))))
     shared = {"knob": "method", "error_unit": NOISE, "error_sd": float(np.std(errors))}
     yield {**shared, "setting": "render_set", "seconds": seconds[0], "error": reached, "default": True}
-    for sampler in PEERS:
-        needed, error, samples = plain(scene, rig, errors, spp, sampler)
+    for sampler in peers:
+        needed, error, samples = plain(scene, rig, errors, spp, sampler, seeds)
         setting = f"plain mi.render, {sampler}"
         yield {**shared, "setting": setting, "seconds": needed[0], "error": reached, "default": False}
         yield {
@@ -146,11 +145,14 @@ def main() -> None:
     parser.add_argument("--target-error", type=float, default=0.03)
     parser.add_argument("--predict", nargs="*", default=[], help="scenes whose predicted times are checked")
     parser.add_argument("--plain-spp", type=int, default=256)
+    parser.add_argument("--plain-seeds", type=int, default=4, help="renders whose spread is the error of plain ones")
+    parser.add_argument("--peers", nargs="+", default=list(PEERS), choices=PEERS)
     parser.add_argument("--reference-spp", type=int, default=4096)
     a = parser.parse_args()
     curves = render_curves(a.scene, size=a.size, repeats=a.repeats, knobs=[k for k in a.knobs if k != "none"])
     size, views = a.equal_size, a.equal_views
-    compared = equal_error(a.scene, size, views, a.target_error, a.plain_spp, a.reference_spp) if views else ()
+    sampling = (a.plain_spp, a.plain_seeds, a.reference_spp, a.peers)
+    compared = equal_error(a.scene, size, views, a.target_error, *sampling) if views else ()
     foretold = predictions(a.predict, a.equal_size, a.target_error)
     lines = []
     for line in itertools.chain(curves, compared, foretold):

@@ -106,7 +106,7 @@ class Bench:
                 start = time.perf_counter()
                 if s.samples == "uneven":  # as towards a target: a pilot, and blocks where it saw noise
                     pilot = view.pilot
-                    blocks = Blocks(pilot.passes, 0, PILOT_SPP)
+                    blocks = Blocks(pilot.passes, 0, np.full_like(pilot.shares, PILOT_SPP, dtype=np.int64))
                     view.run_blocks(blocks, blocks.lacking(s.spp, pilot.shares))
                     image = blocks.mean()
                 else:

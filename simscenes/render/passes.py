@@ -38,9 +38,9 @@ class Radiance:
     fireflies: int
 
 
-def pass_spp(spp: float) -> int:
-    """The largest power of four that is at most `spp` (and at least 1): few sizes, since each is compiled by itself."""
-    return int(4 ** max(0, math.floor(math.log2(max(spp, 1)) / 2)))
+def pass_spp(spp: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The largest powers of four that are at most `spp` (and at least 1): few sizes, since each is a kernel."""
+    return np.asarray(4 ** np.floor(np.log2(np.maximum(spp, 1)) / 2).astype(np.int64))
 
 
 def grid_spp(spp: float) -> int:

@@ -27,8 +27,9 @@ from simscenes.rigs import Rig
 Tick = Callable[[float], None]
 MAX_SPP = 65536  # where target_error gives up
 MAX_BLOCK_SPP = 1024
-FEWEST_BLOCKS = 4  # in a pixel on average: with larger blocks the shares of the pixels become coarse
+FEWEST_BLOCKS = 4  # of one size in a pixel on average: with larger blocks the shares of the pixels become coarse
 WORTH = 4  # times its own samples, from where a pilot is thrown away for samples where the noise is
+SEVERAL_SIZES = 1 << 23  # samples in a view, from where blocks of several sizes pay for their kernels (a second each)
 FIRST = 0.9  # of the samples that a pilot predicts: larger blocks than its own are stratified better
 
 
@@ -99,10 +100,11 @@ class View:
         """Add `more` [h,w] blocks to the pixels."""
         if self.even:
             for _ in range(int(more.max())):
-                blocks.add(np.arange(more.size), self._pixels(None, blocks.size))
+                blocks.add(np.arange(more.size), self._pixels(None, int(blocks.size.flat[0])))
         else:
-            pixels = np.repeat(np.arange(more.size), more.ravel())
-            blocks.add(pixels, self._pixels(pixels, blocks.size))
+            for size in np.unique(blocks.size):
+                pixels = np.repeat(np.arange(more.size), np.where(blocks.size == size, more, 0).ravel())
+                blocks.add(pixels, self._pixels(pixels, int(size)))
         self._checked(blocks.mean())
 
     def _pixels(self, pixels: NDArray[np.intp] | None, size: int) -> NDArray[np.float64]:
@@ -179,9 +181,8 @@ class View:
     def _render_to(self, target_error: float, tick: Tick) -> Radiance:
         pilot, wanted = self.pilot, FIRST * self.predict_spp(target_error)
         even = self.even or wanted < WORTH * pilot.spp
-        size = self._whole(min(max(pass_spp(wanted / FEWEST_BLOCKS), PILOT_SPP), MAX_BLOCK_SPP))
         shares = np.ones_like(pilot.shares) if even else pilot.shares
-        blocks = Blocks(pilot.passes, pilot.spp if even else 0, size)
+        blocks = Blocks(pilot.passes, pilot.spp if even else 0, self._block_sizes(wanted, shares, even))
         error = pilot.passes.error()
         while error > target_error and wanted < MAX_SPP:
             self.run_blocks(blocks, blocks.lacking(wanted, shares))
@@ -191,6 +192,13 @@ class View:
             wanted *= min(max((error / target_error) ** 2, 1.05), 2)
         self._gave_up(error, target_error)
         return summary(blocks.mean(), blocks.variance(), blocks.spp or pilot.spp)
+
+    def _block_sizes(self, wanted: float, shares: NDArray[np.float64], even: bool) -> NDArray[np.int64]:
+        """Samples in a block of each pixel: large ones are stratified better, but two must be there for a variance."""
+        one = even or wanted * shares.size < SEVERAL_SIZES
+        asked = np.full(shares.shape, wanted / FEWEST_BLOCKS) if one else wanted * shares / 2
+        sizes = np.clip(pass_spp(asked), PILOT_SPP, MAX_BLOCK_SPP)
+        return np.full_like(sizes, self._whole(int(sizes.flat[0]))) if even else sizes
 
     def _gave_up(self, reached: float, target_error: float) -> None:
         if reached > target_error:

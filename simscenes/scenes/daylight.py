@@ -149,7 +149,7 @@ def hall(seed: int = 0) -> dict[str, Any]:
     parts: dict[str, Any] = {
         "lamp": s.area_light((0.6, -0.8, 2.55), (0.5, 0, 0), (0, -0.5, 0), (9.5, 8.6, 7.2)),
         **stage(rng, floor, [bare, bare, t.bricks((320, 320), rng)]),
-        "poster": s.box((-1.0, 1.98, 1.3), (0.7, 0.02, 0.9), s.diffuse(t.painting((224, 160), rng, colors=_PAINTS))),
+        "poster": s.box((-1.45, 1.98, 1.5), (0.5, 0.02, 0.65), s.diffuse(t.painting((224, 160), rng, colors=_PAINTS))),
         "skirting": s.box((0, 1.98, 0.06), (4.0, 0.03, 0.12), s.diffuse(t.wood((32, 256), rng, planks=1))),
         **_left_behind(rng),
     }
@@ -171,10 +171,10 @@ def _left_behind(rng: t.Rng) -> dict[str, Any]:
     parts: dict[str, Any] = {
         "rug": s.lathe(roll, rug, (-1.25, 0.7, 0.11), yaw=80, tilt=90, smooth=False),
         "stand": s.lathe(
-            [(0.16, 0), (0.16, 0.02), (0.015, 0.04), (0.015, 1.35), (0, 1.36)], brass, (1.45, 1.35, 0), smooth=False
+            [(0.16, 0), (0.16, 0.02), (0.015, 0.04), (0.015, 1.35), (0, 1.36)], brass, (1.7, 1.65, 0), smooth=False
         ),
-        "shade": s.lathe([(0.24, 1.25), (0.15, 1.6), (0, 1.6)], shade, (1.45, 1.35, 0), smooth=False),
-        "pot": s.lathe([(0, 0), (0.14, 0), (0.19, 0.3), (0.17, 0.32), (0.15, 0.28), (0, 0.28)], clay, (-1.6, 1.55, 0)),
+        "shade": s.lathe([(0.24, 1.25), (0.15, 1.6), (0, 1.6)], shade, (1.7, 1.65, 0), smooth=False),
+        "pot": s.lathe([(0, 0), (0.14, 0), (0.19, 0.3), (0.17, 0.32), (0.15, 0.28), (0, 0.28)], clay, (-1.7, 1.6, 0)),
         "seat": s.box((1.15, 0.75, 0.44), (0.42, 0.42, 0.04), wood, yaw=-30),
     }
     a = np.radians(-30)
@@ -186,7 +186,7 @@ def _left_behind(rng: t.Rng) -> dict[str, Any]:
         parts[f"rail_{k}"] = s.box(np.array([1.15, 0.75, z]) + 0.18 * back, (0.38, 0.025, 0.09), wood, yaw=-30)
     count = 46
     turn, rise = rng.uniform(0, 2 * np.pi, count), rng.uniform(0.25, 0.95, count)
-    foot_of = np.column_stack([np.full(count, -1.6), np.full(count, 1.55), rng.uniform(0.28, 0.7, count)])
+    foot_of = np.column_stack([np.full(count, -1.7), np.full(count, 1.6), rng.uniform(0.28, 0.7, count)])
     tips = foot_of + np.column_stack([0.28 * np.cos(turn), 0.28 * np.sin(turn), 0.6 * rise])
     parts["plant"] = s.ribbons(foot_of, tips, 0.035, leaves)
     return parts

@@ -63,7 +63,7 @@ def test_scene_is_framed_textured_and_repeatable(built: tuple[str, Any, LoadedSc
     whole = np.stack([v["id"] for v in views]).reshape(8, 6, 8, 6, 8).swapaxes(2, 3).reshape(-1, 64).min(1) > 0
     flat = green.std(1) < 0.01 * green.mean(1).clip(1e-3)
     if name == "hall":
-        assert flat[whole].mean() > 0.15  # its bare wall is what it is for
+        assert flat[whole].mean() > 0.2  # its bare wall is what it is for
     else:
         assert flat[whole].mean() < 0.05
     assert (SCENES[name].__doc__ or "").count("Hard for:") == 1

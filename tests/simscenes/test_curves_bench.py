@@ -127,7 +127,7 @@ def test_a_view_is_timed_when_its_kernels_are_compiled(
 
         def run_blocks(self, blocks: Any, more: Any) -> None:
             clock.now += 50 if not runs else 4
-            runs.append((1, blocks.size))
+            runs.append((1, int(np.unique(blocks.size).item())))
             assert more.tolist() == [[2, 4, 12, 2], [6, 3, 3, 4]]  # of 16 samples, of which 64 give 4
 
     asked: list[Any] = []

@@ -73,8 +73,11 @@ def test_parts_of_a_wavefront_add_up_to_the_same_light(monkeypatch: pytest.Monke
     assert len(np.unique(parts[:, 0])) > 0.9 * len(np.unique(whole[:, 0]))  # no part repeats another's numbers
 
 
-def test_a_render_to_a_target_is_unbiased_and_its_variance_true() -> None:
+@pytest.mark.parametrize("sizes", ["one", "several"])
+def test_a_render_to_a_target_is_unbiased_and_its_variance_true(sizes: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Mean over n seeds against an even render of many samples; the spread over seeds against the variances stated."""
+    if sizes == "several":
+        monkeypatch.setattr(radiance, "SEVERAL_SIZES", 0)
     mi = activate()
     loaded, n = shiny_corner(mi), 16
     runs = [view(mi, loaded, seed).render(None, 0.03) for seed in range(n)]
@@ -100,23 +103,23 @@ def test_blocks_add_up_like_numpy(kept: int) -> None:
     pilot, images = Passes((1, 2)), rng.normal(5, 1, (2, 1, 2, 3))
     for image in images:
         pilot.add(image)
-    blocks, values = Blocks(pilot, kept, 16), rng.normal(5, 0.5, (5, 3))
+    blocks, values = Blocks(pilot, kept, np.array([[16, 64]])), rng.normal(5, 0.5, (5, 3))
     assert np.array_equal(blocks.mean(), pilot.mean)
     assert np.array_equal(blocks.variance(), pilot.variance())
     pixels = np.array([1, 0, 1, 0, 1])
     for part in (slice(0, 2), slice(2, 5)):  # in two rounds
         blocks.add(pixels[part], values[part])
     assert blocks.count.tolist() == [[2, 3]]
-    assert blocks.spp == pytest.approx(kept + 16 * 5 / 2)
-    for p, n in enumerate((2, 3)):
-        mine, w = values[pixels == p], 16 * n / (16 * n + kept)
+    assert blocks.spp == pytest.approx(kept + (2 * 16 + 3 * 64) / 2)
+    for p, (n, size) in enumerate(((2, 16), (3, 64))):
+        mine, w = values[pixels == p], size * n / (size * n + kept)
         assert blocks.mean()[0, p] == pytest.approx((1 - w) * images[:, 0, p].mean(0) + w * mine.mean(0))
         alone = images[:, 0, p].var(0, ddof=1) / 2
         assert blocks.variance()[0, p] == pytest.approx((1 - w) ** 2 * alone + w**2 * mine.var(0, ddof=1) / n)
 
 
 def test_a_pixel_gets_at_least_two_blocks_and_keeps_what_it_has() -> None:
-    blocks, shares = Blocks(Passes((1, 4)), 32, 16), np.array([[0.4, 0.9, 1.1, 1.7]])
+    blocks, shares = Blocks(Passes((1, 4)), 32, np.full((1, 4), 16)), np.array([[0.4, 0.9, 1.1, 1.7]])
     assert blocks.lacking(70, shares).tolist() == [[2, 2, 3, 5]]  # 28, 63, 77, 119 samples, 32 of them there
     blocks.add(np.repeat(np.arange(4), [0, 2, 5, 1]), np.zeros((8, 3)))
     assert blocks.lacking(70, shares).tolist() == [[2, 0, 0, 4]]
@@ -128,6 +131,17 @@ def test_samples_go_where_the_noise_is_and_save_work() -> None:
     uneven = view(mi, loaded).render(None, 0.02)
     even = view(mi, loaded).render(uneven.spp, None)
     assert uneven.error < 0.8 * even.error * np.sqrt(even.spp / uneven.spp)
+
+
+def test_large_views_have_blocks_as_large_as_two_in_a_pixel_allow(monkeypatch: pytest.MonkeyPatch) -> None:
+    mi = activate()
+    one = view(mi, shiny_corner(mi))
+    shares = np.array([[0.1, 0.5, 1.0, 4.0]])
+    assert one._block_sizes(600, shares, even=False).tolist() == [[64] * 4]  # some four and more on average
+    monkeypatch.setattr(radiance, "SEVERAL_SIZES", 4 * 600)
+    assert one._block_sizes(599, shares, even=False).tolist() == [[64] * 4]
+    assert one._block_sizes(600, shares, even=False).tolist() == [[16, 64, 256, 1024]]
+    assert one._block_sizes(600, np.ones((1, 4)), even=True).tolist() == [[64] * 4]
 
 
 def test_the_same_seed_gives_the_same_bits() -> None:
