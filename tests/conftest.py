@@ -1,12 +1,16 @@
 """What some tests need and not every machine has: said once, with the reason why its absence is not a failure."""
 
 import os
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
 
 from simscenes.backend import backend_status
+
+pytest_plugins = ["novags.testing", "pytester"]
 
 PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "ci")
 MORE = 100  # times as many examples in the long profile
@@ -27,6 +31,20 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             if own is not None and own.max_examples != settings.default.max_examples:
                 more = settings(own, max_examples=MORE * own.max_examples, derandomize=False)
                 test._hypothesis_internal_use_settings = more
+
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+
+
+@pytest.fixture(scope="session")
+def blocks() -> Callable[[str, str], list[str]]:
+    """A function (page, language) -> the blocks of code in a page of docs/, in order."""
+
+    def of(page: str, language: str = "python") -> list[str]:
+        text = (DOCS / page).read_text(encoding="utf-8")
+        return re.findall(rf"^```{language}\n(.*?)^```", text, re.M | re.S)
+
+    return of
 
 
 FOX = Path(__file__).resolve().parents[2] / "shared" / "data" / "fox"

@@ -32,6 +32,7 @@ LAYERS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("cameras",),
         ("methods",),
         ("testbed",),
+        ("testing",),
         ("options", "failure"),
         ("commands",),
         ("cli", "__main__"),

@@ -9,6 +9,7 @@ from novags.cameras import CameraConfig, KnownConfig
 from novags.methods import METHODS, chosen, with_variants
 from novags.methods.variant import Variant
 from novags.settings import has_setting
+from novags.testbed.foreign.command import CommandConfig
 from novags.testbed.stages.capture import CaptureConfig
 from novags.testbed.stages.poses import PosesConfig
 from novags.testbed.stages.reconstruct import ReconstructConfig
@@ -31,6 +32,7 @@ class Preset:
     capture: CaptureConfig
     methods: tuple[str, ...]  # names of methods or variants
     variants: tuple[Variant, ...] = ()  # of this experiment alone
+    commands: tuple[CommandConfig, ...] = ()  # methods that are programs, of a study
     points: int  # Gaussians at the start
     settings: Mapping[str, Any] = field(default_factory=dict)  # for every method that has them, by dotted name
     cameras: CameraConfig = field(default_factory=KnownConfig)
@@ -39,10 +41,16 @@ class Preset:
     def __post_init__(self) -> None:
         if not self.methods or len(set(self.methods)) < len(self.methods):
             raise ValueError(f"methods must be named once each, got {', '.join(self.methods) or 'none'}")
-        configs = [self.reconstruct(name).config for name in self.methods]  # which checks the rest
+        own = [name for name in self.methods if self.command(name) is None]
+        configs = [self.reconstruct(name).config for name in own]  # which checks the rest
         for key in self.settings:
             if not any(has_setting(config, key) for config in (*configs, *(m.config() for m in METHODS.values()))):
                 raise ValueError(f"no method has a setting {key!r}")
+
+    def command(self, name: str) -> CommandConfig | None:
+        """The program that is the method of this name; None if it is one of the test bed."""
+        found = next((command for command in self.commands if command.name == name), None)
+        return None if found is None else replace(found, seed=self.capture.seed)
 
     def reconstruct(self, name: str) -> ReconstructConfig:
         """How the experiment reconstructs by one of its methods or variants."""

@@ -1,7 +1,6 @@
 """The whole line at a tiny size: what the folders hold, what is not done twice, what an interruption costs."""
 
 import json
-import math
 import re
 import shutil
 from collections.abc import Iterator, Mapping
@@ -21,6 +20,7 @@ from novags.testbed.folders.capture import open_capture
 from novags.testbed.presets import Preset
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.reconstruct import ReconstructConfig
+from novags.testing import DarkCapture, assert_noise, assert_scores
 from simscenes import load_set, read_exr
 
 SCORES = {
@@ -104,22 +104,19 @@ def test_the_capture_collects_the_electrons_it_was_asked_for(experiment: Path, t
     assert np.mean(green) == pytest.approx(tiny.capture.electrons, rel=1e-3)
 
 
-def test_noise_in_the_capture_has_the_variance_the_truth_states(experiment: Path) -> None:
-    import rawpy
-
+def test_noise_in_the_capture_has_the_variance_the_truth_states(experiment: Path, quiet: Console) -> None:
     capture = open_capture(experiment / "capture")
-    scores = []
-    for name in capture.names:
-        truth, _ = read_exr(experiment / "capture" / "truth" / f"{name}.exr")
-        with rawpy.imread(str(experiment / "capture" / "raw" / f"{name}.dng")) as raw:
-            dn = raw.raw_image_visible[..., :3].astype(np.float64)
-        mean, variance = (np.stack([truth[f"{k}.{c}"] for c in "RGB"], -1) for k in ("mean", "variance"))
-        scores.append(((dn - mean) / np.sqrt(variance)).ravel())
-    z = np.concatenate(scores)
-    # Read noise with heavy tails and rows in common: the excess kurtosis is below 6, rows correlate by 1 %.
-    tolerance = 5 * math.sqrt(8 / z.size)
-    assert np.mean(z) == pytest.approx(0, abs=5 / math.sqrt(z.size) * 2)
-    assert np.var(z) == pytest.approx(1, abs=tolerance)
+    known = DarkCapture.of(capture, capture.source(quiet))
+    for views in (known.train, known.test):
+        assert_noise(views, views.raw)
+
+
+def test_renders_of_a_run_score_from_their_folder_as_the_run_does(experiment: Path, quiet: Console) -> None:
+    capture = open_capture(experiment / "capture")
+    known = DarkCapture.of(capture, capture.source(quiet)).test
+    of_run = read_json(experiment / "metrics.json")["methods"]["oracle"]["mean"]["lit"]["psnr"]
+    found = assert_scores(known, experiment / "oracle" / "renders", psnr=of_run - 0.1)["psnr"]
+    assert found == pytest.approx(of_run, abs=0.1)  # the run keeps floats beside its 8-bit pictures
 
 
 def test_metrics_have_the_documented_shape(experiment: Path, tiny: Preset) -> None:

@@ -165,9 +165,23 @@ class Capture:
         if self.imported:
             return self._read(imported.read_clean, "truth", i, ".exr")
         assert self.sensor is not None
-        dn = self._read(_clean_dn, "truth", i, ".exr")
+        dn = self.truth(i, "clean")
         matrix = self.record["color_matrix"]
         return develop_linear(dn, self.sensor, demosaic=self.record["demosaic"], color_matrix=matrix)
+
+    def truth(self, i: int, kind: str) -> np.ndarray:
+        """What is known of each pixel of a simulated exposure, float32 [h,w], or [h,w,3] of three chips.
+
+        Args:
+            i: The view.
+            kind: "mean" over all exposures like it, DN; their temporal "variance", DN²; "clean": without noise, DN.
+
+        Raises:
+            LacksInput: If the capture was imported.
+        """
+        if self.imported:
+            raise LacksInput(f"{self.path}: the {kind} of its raw frames is known of simulated exposures only")
+        return self._read(lambda path: _truth_dn(path, kind), "truth", i, ".exr")
 
     def _read(self, read: Callable[[Path], np.ndarray], kind: str, i: int, suffix: str) -> np.ndarray:
         """A file of view `i`, as large as its camera says."""
@@ -242,13 +256,13 @@ class Capture:
         return Source(views=views, rig=self.cameras.rig, console=console, lit_known=lit)
 
 
-def _clean_dn(path: Path) -> np.ndarray:
+def _truth_dn(path: Path, kind: str) -> np.ndarray:
     channels, _ = read_exr(path)
-    if "clean" in channels:
-        return channels["clean"]
-    if missing := [name for colour in "RGB" if (name := f"clean.{colour}") not in channels]:
+    if kind in channels:
+        return channels[kind]
+    if missing := [name for colour in "RGB" if (name := f"{kind}.{colour}") not in channels]:
         raise ValueError(f"{path} lacks the channels {', '.join(missing)}: capture again")
-    return np.stack([channels[f"clean.{colour}"] for colour in "RGB"], axis=-1)
+    return np.stack([channels[f"{kind}.{colour}"] for colour in "RGB"], axis=-1)
 
 
 def exposure_of(record: dict[str, Any]) -> Exposure:

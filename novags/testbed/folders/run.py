@@ -83,6 +83,16 @@ class Run:
         """World units per unit of the frame of the method's cameras."""
         return float((self.record.get("cameras") or {}).get("depth_scale", 1.0))
 
+    @property
+    def has_depth(self) -> bool:
+        """Whether it gives a depth for every held-out view; programs need not."""
+        return bool(self.record.get("depth", True))
+
+    @property
+    def shows_training_views(self) -> bool:
+        """Whether the training views are rendered too; programs need not."""
+        return (self.path / "renders_train").is_dir()
+
     def rendering(self, name: str) -> np.ndarray:
         """The view `name` as rendered, float32 [h,w,3]; of runs made before floats were kept, the 8-bit picture."""
         if (path := self.path / "exr" / f"{name}.exr").exists():
@@ -93,9 +103,15 @@ class Run:
         return read_png(found[0] if found else self.path / kinds[0] / f"{name}.png")
 
     def depth(self, name: str) -> tuple[np.ndarray, np.ndarray]:
-        """Expected z-depth in the frame of the method's cameras, and alpha, of the view `name`, float32 [h,w]."""
+        """Expected z-depth in the frame of the method's cameras, and alpha, of the view `name`, float32 [h,w].
+
+        Both are 0 where the run has none.
+        """
         folder = "exr" if (self.path / "exr").is_dir() else "depth"
         channels, _ = read_exr(self.path / folder / f"{name}.exr")
+        if not self.has_depth:
+            nothing = np.zeros_like(next(iter(channels.values())))
+            return nothing, nothing
         return channels["Z"], channels["alpha"]
 
     def inputs(self, console: Console) -> tuple[Capture, Source]:

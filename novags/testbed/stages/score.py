@@ -13,6 +13,7 @@ from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import METRICS, Run, open_run
 from novags.testbed.folders.set import Source
 from novags.testbed.metrics import (
+    ConsistencyScores,
     Image,
     PerceptualDistance,
     aligned_psnr,
@@ -61,11 +62,15 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
             "training_2d": score_training_images(run, captured, lit),
             "cameras": run.record.get("cameras"),
             "seconds": stage_seconds(run, captured, lit),
-            "peak_bytes": run.record["stage"]["peak_bytes"],
+            "peak_bytes": run.record.get("peak_bytes", run.record["stage"]["peak_bytes"]),  # of a program: its own
         }
         unavailable = {} if missing is None else {"lpips": missing}
         if scores["geometry"] is None:
-            unavailable["geometry"] = "the true depth is not known: photographs, or a set scaled down for the capture"
+            unavailable["geometry"] = (
+                "the true depth is not known: photographs, or a set scaled down for the capture"
+                if run.has_depth
+                else "the program gives no depth: the pictures of some test views have no channel Z"
+            )
         unavailable |= missing_references(run, captured, lit)
         unavailable |= shows_nothing(scores["views"])
         return {"methods": {run.name: method}, "recovered": {}, "unavailable": unavailable}
@@ -100,7 +105,7 @@ def score_test_views(
             else image_scores(_shown(rendered, run, gain), reference, lpips)
             for kind, reference in references(run, capture, lit, i).items()
         }
-        if (truth := true_depth(lit, i)) is not None:
+        if run.has_depth and (truth := true_depth(lit, i)) is not None:
             depth, alpha = run.depth(name)
             depths.append(geometry_scores(depth * run.depth_scale, alpha, truth))
         progress(done + 1, len(indices), f"view {name}")
@@ -151,7 +156,12 @@ def _shown(rendered: Image, run: Run, gain: float | None) -> Image:
 
 
 def view_consistency(run: Run, capture: Capture, lit: Source) -> dict[str, float | None]:
-    """Mean colour change along true correspondences from each held-out view to the view after it."""
+    """Mean colour change along true correspondences from each held-out view to the view after it.
+
+    None of a run whose training views were not rendered: the view after is one of them.
+    """
+    if not run.shows_training_views:
+        return dict.fromkeys(ConsistencyScores.__annotations__)
     found: list[Any] = []
     for i in capture.cameras.test_indices:
         j = i + 1 if i + 1 < len(capture.names) else i - 1

@@ -20,7 +20,7 @@ class Task:
         kind: "set", "capture" or "run", which is scored too.
         key: Of the entry.
         name: Of its folder.
-        config: Of its stage: `RenderConfig`, `CaptureConfig`, `ReconstructConfig`.
+        config: Of its stage: `RenderConfig`, `CaptureConfig`, `ReconstructConfig`, `CommandConfig`.
         needs: Keys of the tasks it is made from.
         source: Where the set is that a capture photographs, if no task makes it.
         group: What its cost is compared with: the scene, the camera, the method.
@@ -135,10 +135,12 @@ def _believed(order: Order, steps: Steps, console: Console) -> Seal | None:
 
 def _cost(order: Order, steps: Steps) -> dict[str, Any]:
     task = order.task
-    records = {name: read_json(order.folder / step.record)["stage"] for name, step in steps.items()}
+    records = {name: read_json(order.folder / step.record) for name, step in steps.items()}
+    # A record's own peak is that of a program which ran beside this process.
+    peaks = [int(record["stage"]["peak_bytes"]) + int(record.get("peak_bytes", 0)) for record in records.values()]
     return {
-        "seconds": {name: float(record["seconds"]) for name, record in records.items()},
-        "peak_bytes": max(int(record["peak_bytes"]) for record in records.values()),
+        "seconds": {name: float(record["stage"]["seconds"]) for name, record in records.items()},
+        "peak_bytes": max(peaks),
         "group": task.group, "work": task.work, "pixels": task.pixels, "threads": order.threads,
     }  # fmt: skip
 

@@ -5,6 +5,7 @@ preset = "demo"                    where all that is not said comes from
 [override]                         for all runs
 [rig.NAME]                         what the value NAME of the axis "rig" stands for: views, width, height, ...
 [variant.NAME]                     a method with settings of its own
+[method.NAME]                      a method that is a program: command, timeout, ...
 [[exclude]]                        combinations that are left out: values, or lists of values, of some axes
 """  # noqa: D214
 
@@ -12,19 +13,20 @@ import itertools
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
 from novags.methods import with_variants
 from novags.methods.variant import Variant, dotted, read_variants
+from novags.testbed.foreign.command import read_commands
 from novags.testbed.presets import EXPERIMENTS, Preset
 from novags.testbed.study.axes import Changes, applied, changes_of
 from sensor_model.files.reading import brief
 from sensor_model.files.toml_file import read_toml
 
-TABLES = ("preset", "grid", "override", "rig", "variant", "exclude")
+TABLES = ("preset", "grid", "override", "rig", "variant", "method", "exclude")
 MOST = 100_000  # runs of one study; beyond it the file is taken for a mistake
 Value = Any  # text, number or truth, as TOML has them
 
@@ -78,12 +80,16 @@ def read_study(path: Path) -> Study:
     with _at(path, ""):
         _known(table, TABLES, "table or key")
         base = _preset(table.get("preset", "demo"))
-        for name in ("grid", "override", "rig", "variant"):
+        for name in ("grid", "override", "rig", "variant", "method"):
             if not isinstance(table.get(name, {}), dict):
                 raise ValueError(f"[{name}] must be a table")
     variants = tuple(read_variants(path)) if table.get("variant") else ()
     with _at(path, "[variant]"):
         with_variants(variants)
+    with _at(path, ""):
+        base = replace(base, commands=read_commands(table.get("method", {}), path.parent))
+        if both := {command.name for command in base.commands} & {variant.name for variant in variants}:
+            raise ValueError(f"[method.{min(both)}]: a variant is called {min(both)} too: rename one of them")
     reader = _Reader(path, base, variants, table.get("rig", {}))
     shared = reader.table(table.get("override", {}), "[override]")
     axes = reader.axes(table.get("grid", {}), base, shared)

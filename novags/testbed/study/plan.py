@@ -6,11 +6,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from novags.cameras import check_cameras
+from novags.cameras import KnownConfig, check_cameras
 from novags.settings import flattened
 from novags.testbed.cache import folder_digest
 from novags.testbed.console import Console
 from novags.testbed.folders.set import open_source
+from novags.testbed.foreign.command import CommandConfig
 from novags.testbed.machine.devices import chosen_device
 from novags.testbed.presets import Preset
 from novags.testbed.stages.poses import PosesConfig, photographs_of
@@ -48,7 +49,7 @@ def plan_of(study: Study, store: Path, console: Console) -> Plan:
         ValueError: If a scene or a set cannot be read, settings do not go together, a camera source or a device is not
             on this machine, or two combinations mean the same run.
     """
-    planner, runs, labels = _Planner(store, console), [], dict[str, str]()
+    planner, runs, labels = Planner(store, console), [], dict[str, str]()
     for cell in study.cells:
         try:
             check(cell.preset, console)
@@ -74,6 +75,9 @@ def check(preset: Preset, console: Console) -> None:
         ValueError: If it would.
     """
     check_cameras(preset.cameras)
+    if preset.command(preset.methods[0]) is not None and preset.cameras != KnownConfig():
+        raise ValueError(f"cameras: {preset.methods[0]} is a program, which reads the true cameras (known) with its "
+                         "pictures: leave the others out with [[exclude]]")  # fmt: skip
     chosen_device(preset.device, console)
     if preset.folder is None and preset.photos is None and min(preset.render.width, preset.render.height) < SMALLEST:
         size = f"{preset.render.width} x {preset.render.height}"
@@ -83,16 +87,27 @@ def check(preset: Preset, console: Console) -> None:
 
 
 @dataclass
-class _Planner:
+class Planner:
+    """Plans entries of a store, each with all that it is made from.
+
+    Attributes:
+        store: The store.
+        console: Where notes on sets that are there go.
+        tasks: What was planned, by key, each after those that it needs.
+        contents: Of scenes and of sets that are there, read once.
+    """
+
     store: Path
     console: Console
     tasks: dict[str, Task] = field(default_factory=dict)
-    contents: dict[Any, Any] = field(default_factory=dict)  # of scenes and of sets that are there, read once
+    contents: dict[Any, Any] = field(default_factory=dict)
 
     def run(self, preset: Preset) -> str:
         """The key of a run, which is planned with all that it needs."""
-        captured = self._capture(preset)
+        captured = self.capture(preset)
         (name,) = preset.methods
+        if (command := preset.command(name)) is not None:
+            return self._command(command, captured)
         config = preset.reconstruct(name)
         key = key_of("run", {"name": name, "config": config.resolved(), "capture": captured})
         pixels = self.tasks[captured].pixels
@@ -104,10 +119,19 @@ class _Planner:
             work=max(1, iterations) * (pixels / views + config.points), pixels=pixels,
         ))  # fmt: skip
 
+    def _command(self, config: CommandConfig, captured: str) -> str:
+        name, pixels = config.name, self.tasks[captured].pixels
+        key = key_of("run", {"name": name, "config": config.resolved(), "capture": captured})
+        return self._task(Task(
+            kind="run", key=key, name=named(f"{name}-{self.tasks[captured].name.rpartition('-')[0]}", key),
+            config=config, needs=(captured,), group=name, work=pixels, pixels=pixels,
+        ))  # fmt: skip
+
     def _views(self, captured: str) -> int:
         return int(self.contents[captured])
 
-    def _capture(self, preset: Preset) -> str:
+    def capture(self, preset: Preset) -> str:
+        """The key of a capture, which is planned with the set that it photographs."""
         config = preset.capture
         if preset.folder is None:
             made_of, source = self._posed(preset.photos) if preset.photos else self._set(preset.render), None

@@ -8,6 +8,7 @@ from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.folders import capture as captures
 from novags.testbed.folders import run as runs
+from novags.testbed.foreign.command import CommandConfig, run_command
 from novags.testbed.metrics import PerceptualDistance
 from novags.testbed.stages.poses import PosesConfig
 from novags.testbed.stages.render import RECORD as SET
@@ -39,10 +40,12 @@ def steps(task: Task, folder: Path, source: Path | None, console: Console) -> St
         return {
             "capture": Step(lambda: stages.capture(source, folder, config, console, overwrite=again), captures.RECORD)
         }
-    return {
-        "reconstruct": Step(lambda: stages.reconstruct(source, folder, config, console, overwrite=again), runs.RECORD),
-        "score": Step(lambda: stages.score(folder, console), runs.METRICS, repeatable=True),
-    }
+    score = Step(lambda: stages.score(folder, console), runs.METRICS, repeatable=True)
+    if isinstance(config, CommandConfig):
+        run = Step(lambda: run_command(source, folder, config, console, overwrite=again), runs.RECORD)
+        return {"command": run, "score": score}
+    run = Step(lambda: stages.reconstruct(source, folder, config, console, overwrite=again), runs.RECORD)
+    return {"reconstruct": run, "score": score}
 
 
 def make_set(

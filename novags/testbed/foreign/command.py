@@ -1,0 +1,246 @@
+"""A method that is a program: a capture in, pictures of the held-out views out, and a run folder made of these."""
+
+import os
+import re
+import shlex
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from novags.methods import METHODS, VARIANTS
+from novags.methods.variant import Variant
+from novags.settings import converted
+from novags.testbed.cache import folder_digest, run_stage, write_text
+from novags.testbed.console import Console
+from novags.testbed.folders import run as run_folder
+from novags.testbed.folders.capture import RECORD, Capture, open_capture
+from novags.testbed.foreign.pictures import Picture, find_renders, read_picture
+from novags.testbed.foreign.process import Spent, run_program
+from novags.testbed.stages.paths import keep_apart
+from sensor_model.files.reading import brief
+from simscenes.sets.camera_files import CAMERA_FILES
+from simscenes.sets.exr import write_exr
+from simscenes.sets.png import write_png
+
+PLACE = re.compile(r"\{([A-Za-z_]+)\}")
+PLACES = ("capture", "out", "seed")
+SHOWN = (RECORD, "images", "images16", "raw", *CAMERA_FILES)  # of a capture: all but the truth and lit twins
+WORK = ".work"  # of a run under way: hidden, so that it is part of no digest
+Space = Literal["lit", "linear"]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CommandConfig:
+    """A method that is a program.
+
+    Attributes:
+        name: Of the method.
+        command: The program and its arguments, split into words as a POSIX shell does; no shell runs. {capture} stands
+            for the folder of the capture, {out} for an empty folder for pictures NAME.png or NAME.exr of the test
+            views, {seed} for the seed of the run.
+        folder: Where it runs; relative paths in it start here.
+        timeout: Seconds after which it is ended and has failed; None: never.
+        space: What its pictures are: "lit" (as in good light, sRGB-encoded) or "linear" (the light of the scene).
+        files: Files and folders beside those that the command names, relative to `folder`, that make it another
+            program when they change.
+        title: What it does, in a sentence.
+        seed: Of the run.
+    """
+
+    name: str
+    command: str
+    folder: Path
+    timeout: float | None = None
+    space: Space = "lit"
+    files: tuple[str, ...] = ()
+    title: str = ""
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        _ = self.variant  # checks the name
+        if self.name in (*METHODS, *VARIANTS):
+            raise ValueError(f"the name {self.name} is taken by a method of the test bed: choose another one")
+        if self.space not in get_args(Space):
+            raise ValueError(f"space must be one of {', '.join(get_args(Space))}, got {self.space!r}")
+        if self.timeout is not None and not (np.isfinite(self.timeout) and self.timeout > 0):
+            raise ValueError(f"timeout must be > 0 s, got {self.timeout:g}")
+        words = self._split()
+        used = {name for word in words for name in PLACE.findall(word)}
+        if unknown := sorted(used - set(PLACES)):
+            raise ValueError(f"command: {{{unknown[0]}}} stands for nothing; there are {', '.join(PLACES)}")
+        if missing := [name for name in ("capture", "out") if name not in used]:
+            raise ValueError(f"command must say where {{{missing[0]}}} goes, got {brief(repr(self.command), 100)}")
+        if self._program(words[0]) is None:
+            raise ValueError(f"command: there is no program {brief(words[0], 100)} to run")
+        if lost := [name for name in self.files if not (self.folder / name).exists()]:
+            raise ValueError(f"files: there is no {self.folder / lost[0]}")
+
+    def _split(self) -> list[str]:
+        try:
+            words = shlex.split(self.command)
+        except ValueError as error:
+            raise ValueError(f"command: {error}, in {brief(repr(self.command), 100)}") from error
+        if not words:
+            raise ValueError("command must name a program, got nothing")
+        return words
+
+    def _program(self, word: str) -> str | None:
+        return shutil.which(str(self.folder / word)) if "/" in word else shutil.which(word)
+
+    @property
+    def variant(self) -> Variant:
+        """Its name, as that of a method of the test bed."""
+        return Variant(name=self.name, method=self.name, title=self.title)
+
+    def words(self, **places: str) -> list[str]:
+        """The program and its arguments, with what `places` stand for; each stays one word, whatever it holds."""
+        filled = [PLACE.sub(lambda found: places[found.group(1)], word) for word in self._split()]
+        return [str(self._program(filled[0])), *filled[1:]]
+
+    def resolved(self) -> dict[str, Any]:
+        """What determines the pictures: the command and the content of the files that it names, not where they lie."""
+        return {"method": self.name, "command": self.command, "space": self.space, "seed": self.seed,
+                "program": self._digest()}  # fmt: skip
+
+    def _digest(self) -> str:
+        named = [*self.files, *(word for word in self._split() if (self.folder / word).is_file())]
+        found: dict[str, Path] = {}
+        for name in named:
+            path = self.folder / name
+            parts = sorted(part for part in path.rglob("*") if part.is_file()) if path.is_dir() else [path]
+            found |= {f"{name}/{part.relative_to(path).as_posix()}": part for part in parts
+                      if "__pycache__" not in part.parts}  # fmt: skip
+        return folder_digest(self.folder, (), beside=found)
+
+
+def read_commands(tables: Any, folder: Path) -> tuple[CommandConfig, ...]:
+    """The tables [method.NAME] of a study file.
+
+    Args:
+        tables: What stands under `method`.
+        folder: That of the file, where commands run.
+
+    Raises:
+        ValueError: If a table is not a method; names it.
+    """
+    found = []
+    for name, table in tables.items():
+        try:
+            found.append(_command(name, table, folder))
+        except ValueError as error:
+            raise ValueError(f"[method.{brief(name, 60)}]: {error}") from error
+    return tuple(found)
+
+
+def _command(name: str, table: Any, folder: Path) -> CommandConfig:
+    hints = {"command": str, "timeout": float | None, "space": str, "files": tuple[str, ...], "title": str}
+    assert hints.keys() <= {field.name for field in fields(CommandConfig)}
+    if not isinstance(table, Mapping) or "command" not in table:
+        raise ValueError('it needs command = "PROGRAM {capture} {out}"')
+    if unknown := [key for key in table if key not in hints]:
+        raise ValueError(f"it has no setting {brief(repr(unknown[0]), 60)}; there are {', '.join(hints)}")
+    values = {key: converted(value, hints[key], key) for key, value in table.items()}
+    return CommandConfig(name=name, folder=folder.resolve(), **values)
+
+
+def run_command(
+    capture_path: Path, out: Path, config: CommandConfig, console: Console, *, overwrite: bool = False
+) -> dict[str, Any]:
+    """Let a program reconstruct the capture at `capture_path`; returns run.json.
+
+    Raises:
+        ValueError: If the capture cannot be read, the program fails or takes too long, its pictures are missing or not
+            those of the test views, or `out` holds other things.
+        BlockingIOError: If another process is writing to `out`.
+    """
+    keep_apart(out, capture_path)
+    capture = open_capture(capture_path)
+    source = capture.source(console)
+    return run_stage(
+        f"command {config.name}",
+        out,
+        run_folder.RECORD,
+        inputs={"capture": capture.content, "set": source.digest()},
+        config=config.resolved(),
+        owns=(*run_folder.OWNS, WORK),
+        prepare=lambda: None,
+        work=lambda _: _reconstruct(capture, out, config, console),
+        console=console,
+        overwrite=overwrite,
+    )
+
+
+def _reconstruct(capture: Capture, out: Path, config: CommandConfig, console: Console) -> dict[str, Any]:
+    """Run the program and write its pictures; returns the body of run.json."""
+    work = out / WORK
+    shutil.rmtree(work, ignore_errors=True)  # what a killed attempt has left
+    try:
+        shown, made = work / "capture", work / "out"
+        show(capture, shown)
+        made.mkdir()
+        words = config.words(capture=str(shown.resolve()), out=str(made.resolve()), seed=str(config.seed))
+        console.note(f"{config.name}: {shlex.join(words)}")
+        with console.progress(f"command {config.name}") as progress:
+            spent = run_program(words, config.folder, timeout=config.timeout,
+                                tick=lambda seconds: progress(0, 0, f"{seconds:.0f} s"))  # fmt: skip
+        with_depth = _keep_pictures(capture, made, out)
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+    return _body(capture, out, config, spent, with_depth)
+
+
+def _keep_pictures(capture: Capture, made: Path, out: Path) -> bool:
+    """Write the program's pictures as those of a run; returns whether they have depth."""
+    rig, cameras = capture.cameras.rig, capture.cameras
+    names = [cameras.names[i] for i in cameras.test_indices]
+    renders = find_renders(made, names)
+    pictures = {name: read_picture(renders.files[name], rig.width, rig.height) for name in names}
+    for name, picture in pictures.items():
+        write_png(out / "renders" / f"{name}.png", picture.values)
+        write_exr(out / "exr" / f"{name}.exr", _channels(picture))
+    return all(picture.depth is not None for picture in pictures.values())
+
+
+def _channels(picture: Picture) -> dict[str, np.ndarray]:
+    found = {c: np.ascontiguousarray(picture.values[..., k]) for k, c in enumerate("RGB")}
+    if picture.depth is None or picture.alpha is None:
+        return found
+    return {**found, "Z": np.maximum(picture.depth, 0), "alpha": picture.alpha}
+
+
+def _body(capture: Capture, out: Path, config: CommandConfig, spent: Spent, with_depth: bool) -> dict[str, Any]:
+    write_text(out / run_folder.EVENTS, "")
+    return {
+        "name": config.name,
+        "method": config.name,
+        "title": config.title or f"the program {config.command}",
+        "variant": {},
+        "capture": os.path.relpath(capture.path.resolve(), out.resolve()),
+        "space": config.space,
+        "enhancement": None,
+        "config": {"command": config.command, "timeout": config.timeout, "space": config.space},
+        "seed": config.seed,
+        "depth": with_depth,
+        "seconds": {"command": spent.seconds},
+        "peak_bytes": spent.peak_bytes,
+    }
+
+
+def show(capture: Capture, folder: Path) -> None:
+    """Lay out what a method may see of a capture: links to its files, so that a program cannot add to them.
+
+    The truth is not among it. Dark pictures of the test views are, as every data set of the field has them, and
+    test_list.txt names them.
+    """
+    folder.mkdir(parents=True)
+    for name in SHOWN:
+        path = capture.path / name
+        files = [path] if path.is_file() else sorted(part for part in path.rglob("*") if part.is_file())
+        for file in files:
+            link = folder / file.relative_to(capture.path)
+            link.parent.mkdir(parents=True, exist_ok=True)
+            link.symlink_to(file.resolve())

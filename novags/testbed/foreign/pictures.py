@@ -1,0 +1,137 @@
+"""Pictures of views that any program made: a folder of files that are called like the views."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from novags.testbed.metrics import Image
+from sensor_model import srgb_to_linear
+from simscenes.sets.exr import read_exr
+from simscenes.sets.image_file import has_alpha, read_image, read_rgb
+
+SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".exr")
+NAMED = 10  # views that an error names
+Kind = Literal["8-bit", "16-bit", "EXR"]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """What a file shows.
+
+    Attributes:
+        values: As stored, float32 [h,w,3]: codes over the largest code, or the numbers of an EXR file.
+        kind: Of the file.
+        depth: Expected z-depth [h,w], world units, of an EXR file with a channel Z; else None.
+        alpha: Opacity [h,w], 0..1: its channel alpha or A, else 1 everywhere. None without depth.
+    """
+
+    values: Image
+    kind: Kind
+    depth: np.ndarray | None = None
+    alpha: np.ndarray | None = None
+
+    @property
+    def linear(self) -> Image:
+        """As linear light: 16-bit and EXR files hold it, 8-bit ones are sRGB-encoded."""
+        return np.asarray(srgb_to_linear(self.values), np.float32) if self.kind == "8-bit" else self.values
+
+
+@dataclass(frozen=True)
+class Renders:
+    """The pictures of some views in a folder.
+
+    Attributes:
+        folder: The folder.
+        files: The file of each view, by the name of the view.
+        ignored: Pictures in the folder that are of none of these views.
+    """
+
+    folder: Path
+    files: dict[str, Path]
+    ignored: tuple[str, ...]
+
+
+def find_renders(folder: Path, names: Sequence[str]) -> Renders:
+    """The pictures of these views: NAME with any suffix of `SUFFIXES`.
+
+    Args:
+        folder: Where they lie; folders in it are not looked into.
+        names: Of the views.
+
+    Raises:
+        ValueError: If there is no such folder, a view has no picture (all such are named), or more than one.
+    """
+    if not folder.is_dir():
+        raise ValueError(f"there is no folder of pictures {folder}")
+    found: dict[str, list[Path]] = {}
+    for path in sorted(folder.iterdir()):
+        if path.suffix.lower() in SUFFIXES and path.is_file() and not path.name.startswith("."):
+            found.setdefault(path.stem, []).append(path)
+    if missing := [name for name in names if name not in found]:
+        there = f"it holds {_listed(found)}" if found else "it holds no pictures"
+        raise ValueError(
+            f"{folder} lacks {len(missing)} of the {len(names)} test views: {_listed(missing)}; {there}: name each "
+            f"picture like its view ({missing[0]}.png)"
+        )
+    if twice := [name for name in names if len(found[name]) > 1]:
+        both = " and ".join(path.name for path in found[twice[0]])
+        raise ValueError(f"{folder} has more than one picture of view {twice[0]} ({both}): remove one of them")
+    ignored = tuple(path.name for name, paths in found.items() if name not in names for path in paths)
+    return Renders(folder, {name: found[name][0] for name in names}, ignored)
+
+
+def read_picture(file: Path, width: int, height: int) -> Picture:
+    """Read one picture of a view of `width` x `height` px.
+
+    Transparent pixels stand before white, as the test bed's own sets have them, and count as 8-bit.
+
+    Raises:
+        ValueError: If it cannot be read, has another size, holds other than 8- or 16-bit codes, is an EXR file without
+            R, G and B, or a value is not finite.
+    """
+    picture = _read_exr(file) if file.suffix.lower() == ".exr" else _read_codes(file)
+    found = picture.values.shape[:2]
+    if found != (height, width):
+        raise ValueError(f"{file} is {found[1]} x {found[0]} px, and its view {width} x {height}: render it in the "
+                         "size of the set")  # fmt: skip
+    for what, values in (("a value", picture.values), ("its alpha", picture.alpha)):
+        if values is not None and not np.isfinite(values).all():
+            raise ValueError(f"{file}: {what} is not finite ({int((~np.isfinite(values)).sum())} numbers): write them "
+                             "again")  # fmt: skip
+    return picture
+
+
+def _read_codes(file: Path) -> Picture:
+    if has_alpha(file):
+        return Picture(read_rgb(file).astype(np.float32) / np.float32(255), "8-bit")
+    bgr = read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
+    if bgr.dtype not in (np.uint8, np.uint16):
+        raise ValueError(f"{file} must hold 8- or 16-bit codes, got {bgr.dtype}: write PNG or EXR")
+    largest = np.float32(np.iinfo(bgr.dtype).max)
+    return Picture(
+        np.ascontiguousarray(bgr[..., ::-1]).astype(np.float32) / largest,
+        "8-bit" if bgr.dtype == np.uint8 else "16-bit",
+    )
+
+
+def _read_exr(file: Path) -> Picture:
+    channels, _ = read_exr(file)
+    if missing := [name for name in "RGB" if name not in channels]:
+        raise ValueError(f"{file} lacks the channels {', '.join(missing)}, it has {_listed(sorted(channels))}: write "
+                         "R, G and B")  # fmt: skip
+    values = np.stack([channels[name] for name in "RGB"], axis=-1).astype(np.float32)
+    if "Z" not in channels:
+        return Picture(values, "EXR")
+    depth = channels["Z"].astype(np.float32)
+    alpha = channels.get("alpha", channels.get("A", np.ones_like(depth))).astype(np.float32)
+    return Picture(values, "EXR", depth, np.clip(alpha, 0.0, 1.0))
+
+
+def _listed(names: Iterable[str]) -> str:
+    every = list(names)
+    more = len(every) - NAMED
+    return ", ".join(every[:NAMED]) + (f" and {more} more" if more > 0 else "")

@@ -1,0 +1,110 @@
+"""Claims about the fixture: what it makes, that it makes it once, that it costs nobody anything who does not ask."""
+
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from novags.testbed.study.store import read_seal
+from novags.testing import DarkCapture
+from novags.testing.making import make_capture
+from simscenes import orbit_rig
+from simscenes.sets.multiview import write_cameras
+from simscenes.sets.png import write_png
+
+Make = Callable[..., DarkCapture]
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture
+def photographs(tmp_path: Path) -> Path:
+    names, rng = [f"{i:04d}" for i in range(9)], np.random.default_rng(0)
+    write_cameras(tmp_path / "photos", names, orbit_rig(9, 24, 24, 50.0, radius=3.0))
+    for name in names:
+        write_png(tmp_path / "photos" / "images" / f"{name}.png", rng.integers(20, 250, (24, 24, 3)).astype(np.uint8))
+    return tmp_path / "photos"
+
+
+def test_a_capture_is_small_dark_and_has_the_light_that_was_asked_for(dark_capture: Make) -> None:
+    dark = dark_capture("cornell", 20)
+    assert (len(dark.train), len(dark.test)) == (7, 2)
+    assert dark.test.names == ("0000", "0008")
+    assert dark.train.pictures.shape == dark.train.lit.shape == (7, 48, 48, 3)
+    assert dark.train.raw.dtype == np.uint16
+    assert dark.electrons == 20
+    assert dark.train.pictures.mean() < 0.3 * dark.train.lit.mean()
+    assert dark.train.linear.min() < 0  # noise around black is kept
+    z = dark.points @ dark.train.viewmats[0, :3, :3].T + dark.train.viewmats[0, :3, 3]
+    assert (z[:, 2] > 0).mean() > 0.9  # they lie before the cameras
+
+
+def test_equal_arguments_are_one_capture_and_others_share_its_set(dark_capture: Make) -> None:
+    dark = dark_capture("cornell", 20)
+    assert dark_capture("cornell", electrons=20.0, views=9) is dark
+    other = dark_capture("cornell", 5)
+    assert other is not dark
+    assert np.array_equal(other.train.lit, dark.train.lit)
+    assert other.train.clean_linear.mean() == pytest.approx(dark.train.clean_linear.mean() / 4, rel=0.01)
+
+
+def test_two_stores_hold_the_same_bytes_and_neither_is_filled_twice(photographs: Path, tmp_path: Path) -> None:
+    made = [make_capture(tmp_path / store, str(photographs), 10.0, {"seed": 3}) for store in ("a", "b")]
+    seals = [read_seal(dark.folder) for dark in made]
+    assert seals[0] is not None
+    assert seals[1] is not None
+    different = {name for name in seals[0].files if seals[0].files[name] != seals[1].files[name]}
+    assert different <= {"capture.json"}  # which says what it cost
+    before = {path: path.stat().st_mtime_ns for path in made[0].folder.rglob("*") if path.is_file()}
+    assert make_capture(tmp_path / "a", str(photographs), 10.0, {"seed": 3}) is made[0]
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+
+
+def test_a_damaged_file_is_made_again(photographs: Path, tmp_path: Path) -> None:
+    first = make_capture(tmp_path / "store", str(photographs), 10.0, {})
+    known = first.train.raw
+    (first.folder / "raw" / "0001.dng").write_bytes(b"damaged")
+    again = make_capture(tmp_path / "store", str(photographs), 10.0, {})
+    assert np.array_equal(again.train.raw, known)
+    assert b"damaged" not in (first.folder / "raw" / "0001.dng").read_bytes()
+
+
+def test_photographs_have_no_depth_and_say_so(photographs: Path, tmp_path: Path) -> None:
+    dark = make_capture(tmp_path / "store", str(photographs), 10.0, {})
+    with pytest.raises(ValueError, match="depth of .* is not known: only rendered scenes have it"):
+        _ = dark.test.depth
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        ({"iterations": 10}, "dark_capture: iterations belongs to a reconstruction"),
+        ({"fit.sh_degree": 1}, "dark_capture: fit.sh_degree is a setting of methods"),
+        ({"veiws": 10}, "dark_capture: veiws: there is no such key; did you mean 'views'"),
+    ],
+)
+def test_what_a_capture_has_not_is_refused(tmp_path: Path, settings: dict, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        make_capture(tmp_path, "cornell", 10.0, settings)
+
+
+def test_loading_the_plugin_loads_nothing_heavy() -> None:
+    code = "import sys, novags.testing; print([m for m in ('torch', 'mitsuba', 'cv2', 'scipy') if m in sys.modules])"
+    found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
+    assert found.stdout.strip() == "[]"
+
+
+def test_the_ten_lines_of_the_page_are_ten_and_pass(
+    blocks: Callable[..., list[str]], pytester: pytest.Pytester, novags_store: Path
+) -> None:
+    test, reconstructor = blocks("testing-your-reconstructor.md")
+    assert len([line for line in test.splitlines() if line.strip()]) == 10
+    pytester.makepyfile(test_mine=test, my_reconstructor=reconstructor)
+    pytester.makeconftest(
+        "import pytest, pathlib\n@pytest.fixture(scope='session')\n"
+        f"def novags_store():\n    return pathlib.Path({str(novags_store)!r})\n"
+    )
+    found = pytester.runpytest_inprocess("-q", "-W", "error")
+    found.assert_outcomes(passed=2)
