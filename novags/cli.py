@@ -8,13 +8,13 @@ import tyro
 from novags.commands.experiment import run
 from novags.commands.inquiries import doctor, help_, list_
 from novags.commands.photographs import import_
-from novags.commands.results import characterise, report, score
+from novags.commands.results import characterise, export_results, report, score
 from novags.commands.stages import capture, plan, poses, reconstruct, render
 from novags.commands.study import study
 from novags.failure import errors_in_one_line
 
 COMMANDS: dict[str, Callable[..., None]] = {
-    function.__name__.rstrip("_"): function
+    function.__name__.rstrip("_").replace("_", "-"): function
     for function in (
         run,
         study,
@@ -27,6 +27,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
         reconstruct,
         score,
         report,
+        export_results,
         characterise,
         doctor,
         help_,

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from novags.commands import shared
 from novags.commands.shared import announce, next_, writing
@@ -12,13 +12,33 @@ if TYPE_CHECKING:
     from novags.testbed.results.comparison import Group
 
 
-def score(runs: Folders, *, wait: bool = False) -> None:
-    """Score runs against the truth, write metrics.json, and compare them.
+def score(
+    runs: Folders = (), *, renders: Path | None = None, set: Path | None = None,
+    reference: Literal["lit", "linear", "clean"] = "lit", out: Path | None = None, overwrite: bool = False,
+    wait: bool = False,
+) -> None:  # fmt: skip
+    """Score runs against the truth, write metrics.json, and compare them. Or pictures from anywhere: --renders, --set.
 
     Args:
         runs: Folders of runs, of experiments, or folders that hold such.
+        renders: Instead: a folder of pictures of the test views, called like these: 8-bit, 16-bit or EXR.
+        set: The set or the capture whose test views they show.
+        reference: What they are compared with: lit (the views in good light, sRGB), linear (the light of the scene,
+            after one gain for all views; 16-bit and EXR files hold linear light then), clean (of a capture: the dark
+            exposures without noise, sRGB).
+        out: File for all scores of pictures, JSON; the means are printed anyway.
+        overwrite: Replace it.
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
+    if renders is not None or set is not None:
+        if renders is None or set is None or runs:
+            raise ValueError("score takes either folders of runs, or both --renders and --set")
+        _score_pictures(renders, set, reference, out, overwrite)
+        return
+    if not runs:
+        raise ValueError("name at least one folder of a run, or pictures with --renders and --set")
+    if out is not None:
+        raise ValueError(f"--out {out} belongs to --renders: scores of runs go into their folders")
     from novags.testbed.experiment import score_all
     from novags.testbed.folders.experiment import experiments_in
     from novags.testbed.results.comparison import groups_of
@@ -33,6 +53,50 @@ def score(runs: Folders, *, wait: bool = False) -> None:
         for name, scores in group.metrics["methods"].items():
             print(f"{name}: {_in_words(scores['mean'], group, name)}")
     next_(f"novags report {' '.join(str(run) for run in runs)}")
+
+
+def _score_pictures(
+    renders: Path, set: Path, reference: Literal["lit", "linear", "clean"], out: Path | None, overwrite: bool
+) -> None:  # fmt: skip
+    from novags.testbed.cache import write_json
+    from novags.testbed.foreign.score import Truth, score_renders
+    from novags.testbed.stages.paths import keep_apart
+
+    if out is not None:
+        for source in (renders, set):
+            keep_apart(out, source)
+        if out.exists() and not overwrite:
+            raise ValueError(f"{out} is there already: choose another --out, or add --overwrite")
+    console = shared.console()
+    found = score_renders(renders, Truth.of(set, console), reference, console)
+    about = found["about"]
+    kinds = " and ".join(about["pictures"])
+    print(f"{len(found['views'])} test views, {kinds} pictures, against {reference}: {about['meaning']}")
+    for name, value in [*found["mean"][reference].items(), *(found["geometry"] or {}).items()]:
+        print(f"  {name:<18} {'not measured' if value is None else f'{value:.4f}'}")
+    if out is not None:
+        write_json(out, {**found, "renders": str(renders), "set": str(set)})
+        print(out)
+
+
+def export_results(
+    runs: Folders, *, out: Path, reference: Literal["lit", "enhanced"] = "lit", dataset: str = "novags",
+    overwrite: bool = False, wait: bool = False,
+) -> None:  # fmt: skip
+    """Export scores of runs in the JSON layout of nerfbaselines, with the pictures that they compare.
+
+    Args:
+        runs: Folders of runs, of experiments, of studies, or folders that hold runs and experiments.
+        out: Folder for results.json and METHOD/SCENE/.
+        reference: What pictures are compared with: the views in good light, or the enhanced noise-free exposures.
+        dataset: Name of the data set in these files.
+        overwrite: Replace results that are there.
+        wait: If another process is writing there, wait until it is done instead of refusing.
+    """
+    from novags.testbed.foreign.nerfbaselines import export_results as export
+
+    with writing(out, wait) as console:
+        print(export(runs, out, console, reference=reference, dataset=dataset, overwrite=overwrite))
 
 
 def _in_words(mean: Mapping[str, Any], group: "Group", name: str) -> str:

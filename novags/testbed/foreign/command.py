@@ -22,9 +22,9 @@ from novags.testbed.foreign.pictures import Picture, find_renders, read_picture
 from novags.testbed.foreign.process import Spent, run_program
 from novags.testbed.stages.paths import keep_apart
 from sensor_model.files.reading import brief
-from simscenes.sets.camera_files import CAMERA_FILES
-from simscenes.sets.exr import write_exr
-from simscenes.sets.png import write_png
+from simscenes.sets.pictures.exr import write_exr
+from simscenes.sets.pictures.png import write_png
+from simscenes.sets.writers.camera_files import CAMERA_FILES
 
 PLACE = re.compile(r"\{([A-Za-z_]+)\}")
 PLACES = ("capture", "out", "seed")
@@ -107,12 +107,14 @@ class CommandConfig:
                 "program": self._digest()}  # fmt: skip
 
     def _digest(self) -> str:
-        named = [*self.files, *(word for word in self._split() if (self.folder / word).is_file())]
+        words = self._split()
+        # An interpreter by its whole path is part of the machine, as one that is found by its name.
+        words = words[1:] if Path(words[0]).is_absolute() else words
         found: dict[str, Path] = {}
-        for name in named:
+        for place, name in enumerate([*self.files, *(word for word in words if (self.folder / word).is_file())]):
             path = self.folder / name
             parts = sorted(part for part in path.rglob("*") if part.is_file()) if path.is_dir() else [path]
-            found |= {f"{name}/{part.relative_to(path).as_posix()}": part for part in parts
+            found |= {f"{place}/{part.relative_to(path.parent).as_posix()}": part for part in parts
                       if "__pycache__" not in part.parts}  # fmt: skip
         return folder_digest(self.folder, (), beside=found)
 

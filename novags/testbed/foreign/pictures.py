@@ -10,8 +10,8 @@ import numpy as np
 
 from novags.testbed.metrics import Image
 from sensor_model import srgb_to_linear
-from simscenes.sets.exr import read_exr
-from simscenes.sets.image_file import has_alpha, read_image, read_rgb
+from simscenes.sets.pictures.exr import read_exr
+from simscenes.sets.pictures.image_file import has_alpha, read_image, read_rgb
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".exr")
 NAMED = 10  # views that an error names

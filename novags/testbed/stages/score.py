@@ -102,7 +102,7 @@ def score_test_views(
                 "linear_psnr": None if is_black(reference) or gain is None else linear_psnr(rendered, reference, gain)
             }
             if kind == "linear"
-            else image_scores(_shown(rendered, run, gain), reference, lpips)
+            else image_scores(shown(rendered, run, gain), reference, lpips)
             for kind, reference in references(run, capture, lit, i).items()
         }
         if run.has_depth and (truth := true_depth(lit, i)) is not None:
@@ -150,7 +150,7 @@ def exposure(run: Run, capture: Capture, lit: Source, indices: list[int]) -> flo
     return exposure_gain((run.rendering(capture.names[i]), exposed(i)) for i in indices)
 
 
-def _shown(rendered: Image, run: Run, gain: float | None) -> Image:
+def shown(rendered: Image, run: Run, gain: float | None) -> Image:
     """A render as a picture in sRGB code; for a method in linear light, at the exposure of the capture if known."""
     return encode((1.0 if gain is None else gain) * rendered) if run.space == "linear" else rendered
 

@@ -9,7 +9,7 @@ import torch
 
 from novags.testing import DarkCapture, assert_depth, assert_noise, assert_poses, assert_scores
 from sensor_model import Exposure, expose
-from simscenes.sets.png import write_png
+from simscenes.sets.pictures.png import write_png
 
 Make = Callable[..., DarkCapture]
 BAYER = "imx900-hcg"

@@ -13,7 +13,7 @@ from novags.testing import DarkCapture
 from novags.testing.making import make_capture
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
-from simscenes.sets.png import write_png
+from simscenes.sets.pictures.png import write_png
 
 Make = Callable[..., DarkCapture]
 ROOT = Path(__file__).resolve().parents[3]

@@ -1,0 +1,161 @@
+"""Claims about methods that are programs: what they see, what they cost, and what every failure of one looks like."""
+
+import base64
+import hashlib
+import json
+import os
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from novags.testbed import stages
+from novags.testbed.console import Console
+from novags.testbed.foreign.command import CommandConfig, read_commands, run_command
+from novags.testbed.foreign.nerfbaselines import checksum, encoded, export_results
+from novags.testbed.foreign.process import run_program
+from simscenes.sets.pictures.png import read_png
+
+QUIET = Console(quiet=True)
+BRIGHTEN = """
+import json, pathlib, sys
+import numpy as np, cv2
+capture, out = map(pathlib.Path, sys.argv[1:3])
+seen = sorted(path.name for path in capture.iterdir())
+pathlib.Path("seen.json").write_text(json.dumps([seen, sys.argv, str(pathlib.Path.cwd())]))
+held = bytearray(90_000_000)
+for name in (capture / "test_list.txt").read_text().split():
+    dark = cv2.imread(str(capture / "images" / pathlib.Path(name).name)).astype(float)
+    cv2.imwrite(str(out / (pathlib.Path(name).stem + ".png")), np.clip(4 * dark, 0, 255).astype(np.uint8))
+import time; time.sleep(0.5)
+"""
+
+
+def method(folder: Path, code: str, more: str = "", **settings: object) -> CommandConfig:
+    (folder / "mine.py").write_text(code)
+    words = f"{sys.executable} mine.py {{capture}} {{out}} {more}"
+    (found,) = read_commands({"mine": {"command": words, **settings}}, folder)
+    return found
+
+
+def test_a_program_makes_a_run_that_is_scored_and_exported_like_any_other(capture: Path, tmp_path: Path) -> None:
+    awkward = "'two words; $HOME `date` {seed}' \"*\""
+    run = tmp_path / "run"
+    record = run_command(capture, run, method(tmp_path, BRIGHTEN, awkward), QUIET)
+    seen, words, where = json.loads((tmp_path / "seen.json").read_text())
+    assert {"capture.json", "images", "images16", "raw", "transforms.json", "sparse", "test_list.txt"} <= set(seen)
+    assert not {"truth", "lit"} & set(seen)
+    assert words[3:] == ["two words; $HOME `date` 0", "*"]  # as they stand: no shell has looked at them
+    assert Path(where) == tmp_path.resolve()
+    assert not (run / ".work").exists()
+    assert record["seconds"]["command"] > 0.5
+    assert 90_000_000 < record["peak_bytes"] < 600_000_000  # the program's alone: this process holds more
+    scores = stages.score(run, QUIET)["methods"]["mine"]
+    assert scores["peak_bytes"] == record["peak_bytes"]
+    assert scores["geometry"] is None
+    dark = [read_png(capture / "images" / f"{name}.png") for name in ("0000", "0008")]
+    lit = [read_png(capture.parent / "photos" / "images" / f"{name}.png") for name in ("0000", "0008")]
+    expected = np.mean([-10 * np.log10(np.mean((np.floor(np.clip(4 * 255 * a, 0, 255)) / 255 - b) ** 2))
+                        for a, b in zip(dark, lit, strict=True)])  # fmt: skip
+    assert scores["mean"]["lit"]["psnr"] == pytest.approx(expected, abs=0.02)
+    table = json.loads(export_results([run], tmp_path / "nb", QUIET).read_text())
+    (row,) = table["methods"]
+    assert row["psnr"] == pytest.approx(scores["mean"]["lit"]["psnr"], abs=0.02)
+    (name,) = row["scenes"]
+    one = json.loads((tmp_path / "nb" / "mine" / name / "results.json").read_text())
+    assert one["metrics"]["psnr"] == row["psnr"] == row["scenes"][name]["psnr"]
+    assert one["nb_info"]["method"] == "mine"
+    assert one["render_dataset_metadata"]["scene"] == name
+    raw = np.frombuffer(base64.b64decode(one["metrics_raw"]["psnr"]), "<f4")
+    assert raw.mean() == pytest.approx(row["psnr"], abs=1e-4)
+    with pytest.raises(ValueError, match=r"results.json already: choose another --out"):
+        export_results([run], tmp_path / "nb", QUIET)
+
+
+def test_scores_are_encoded_and_summed_as_the_other_side_reads_them() -> None:
+    assert encoded([1.0, -2.5]) == "AACAPwAAIMA="  # 0000803f 000020c0
+    one, other = {"psnr": [2.0, 1.0], "mae": [3.0]}, {"mae": [3.0], "psnr": [1.0, 2.0]}
+    assert checksum(one) == checksum(other) == hashlib.sha256(
+        b"mae" + encoded([3.0]).encode() + b"\npsnr" + encoded([1.0, 2.0]).encode() + b"\n"
+    ).hexdigest()  # fmt: skip
+
+
+FAILURES = {
+    "exit code": ("import sys; print('no GPU', file=sys.stderr); sys.exit(3)", "ended with exit code 3: no GPU"),
+    "silent": ("raise SystemExit(1)", "ended with exit code 1: it printed nothing"),
+    "killed": ("import os; os.kill(os.getpid(), 9)", "was ended by SIGKILL, as the system does when memory runs out"),
+    "no pictures": ("", "lacks 2 of the 2 test views: 0000, 0008; it holds no pictures"),
+    "no picture": (BRIGHTEN.replace(".png", ".txt").replace("cv2.imwrite(", "print("), "lacks 2 of the 2 test views"),
+}
+
+
+@pytest.mark.parametrize("what", FAILURES)
+def test_a_failure_is_one_line_with_the_last_words_and_leaves_no_run(
+    capture: Path, tmp_path: Path, what: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    code, said = FAILURES[what]
+    with pytest.raises(ValueError, match=said) as error:
+        run_command(capture, tmp_path / "run", method(tmp_path, code), QUIET)
+    assert len(str(error.value).splitlines()) == 1
+    assert not (tmp_path / "run" / "run.json").exists()
+    assert not (tmp_path / "run" / ".work").exists()
+    if what == "exit code":
+        assert "no GPU" in capfd.readouterr().err  # in a study: its log
+
+
+def test_a_timeout_ends_the_program_and_what_it_started(tmp_path: Path) -> None:
+    code = (
+        "import subprocess, sys, time; c = subprocess.Popen([sys.executable, '-c', 'import time; time.sleep(60)']);"
+        "print(c.pid, flush=True); time.sleep(60)"
+    )
+    started = time.monotonic()
+    with pytest.raises(ValueError, match=r"was ended after its timeout of 2 s: (\d+)") as error:
+        run_program([sys.executable, "-c", code], tmp_path, timeout=2.0, tick=lambda seconds: None)
+    assert time.monotonic() - started < 50
+    child = int(str(error.value).rpartition(" ")[2])
+    for _ in range(100):
+        if not os.path.exists(f"/proc/{child}") or "Z" in Path(f"/proc/{child}/stat").read_text().split()[2]:
+            break
+        time.sleep(0.1)
+    else:
+        pytest.fail("the program's child lives on")
+
+
+def test_another_program_of_the_same_name_is_other_work(tmp_path: Path) -> None:
+    first = method(tmp_path, "a = 1").resolved()
+    assert method(tmp_path, "a = 1").resolved() == first
+    assert method(tmp_path, "a = 2").resolved() != first
+    (tmp_path / "lib").mkdir()
+    (tmp_path / "lib" / "part.py").write_text("b = 1")
+    with_lib = method(tmp_path, "a = 1", files=["lib"]).resolved()
+    (tmp_path / "lib" / "part.py").write_text("b = 2")
+    assert method(tmp_path, "a = 1", files=["lib"]).resolved() != with_lib
+    assert method(tmp_path, "a = 1", timeout=5).resolved() == first
+
+
+WRONG = {
+    "no command": ({"mine": {"timeout": 3}}, r'\[method.mine\]: it needs command = "PROGRAM {capture} {out}"'),
+    "no table": ({"mine": "python"}, r"\[method.mine\]: it needs command"),
+    "no out": ({"mine": {"command": "true {capture}"}}, "command must say where {out} goes"),
+    "place": ({"mine": {"command": "true {capture} {out} {gpu}"}}, "{gpu} stands for nothing; there are capture, out"),
+    "quote": ({"mine": {"command": "true '{capture} {out}"}}, "command: No closing quotation"),
+    "program": ({"mine": {"command": "./none {capture} {out}"}}, "there is no program ./none to run"),
+    "setting": (
+        {"mine": {"command": "true {capture} {out}", "time": 3}},
+        "it has no setting 'time'; there are comm",
+    ),
+    "timeout": ({"mine": {"command": "true {capture} {out}", "timeout": 0}}, "timeout must be > 0 s, got 0"),
+    "space": ({"mine": {"command": "true {capture} {out}", "space": "dark"}}, "space must be one of lit, linear"),
+    "taken": ({"naive": {"command": "true {capture} {out}"}}, "the name naive is taken by a method of the test bed"),
+    "name": ({"a b": {"command": "true {capture} {out}"}}, "a variant's name must be letters"),
+    "files": ({"mine": {"command": "true {capture} {out}", "files": ["lib"]}}, "files: there is no .*lib"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_a_mistake_in_the_table_is_refused_before_anything_runs(tmp_path: Path, what: str) -> None:
+    tables, said = WRONG[what]
+    with pytest.raises(ValueError, match=said):
+        read_commands(tables, tmp_path)
