@@ -3,8 +3,8 @@ import torch
 
 from novags.methods.nova import blindspot
 from novags.testbed.stability import Case, Setting, measured
-from novags.testbed.stability.parts import blind_spot
-from novags.testbed.stability.parts.blind_spot import PART
+from novags.testbed.stability.parts.methods import blind_spot
+from novags.testbed.stability.parts.methods.blind_spot import PART
 
 CASES = {case.name: case for case in PART.cases}
 HERE = Setting("torch", 1)

@@ -3,8 +3,8 @@ import torch
 
 from novags.splats.views import Views
 from novags.testbed.stability import Case, Setting, measured
-from novags.testbed.stability.parts import consistency
-from novags.testbed.stability.parts.consistency import PART
+from novags.testbed.stability.parts.methods import consistency
+from novags.testbed.stability.parts.methods.consistency import PART
 
 CASES = {case.name: case for case in PART.cases}
 HERE = Setting("torch", 1)

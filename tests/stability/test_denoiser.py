@@ -4,7 +4,7 @@ from torch import nn
 
 from novags.methods.nova.resunet import InstanceNorm
 from novags.testbed.stability import Case, Setting, measured
-from novags.testbed.stability.parts.denoiser import PART
+from novags.testbed.stability.parts.methods.denoiser import PART
 
 CASES = {case.name: case for case in PART.cases}
 HERE = Setting("torch", 1)

@@ -3,7 +3,7 @@ import torch
 
 from novags.methods.enhancers import guided
 from novags.testbed.stability import Case, Setting, measured
-from novags.testbed.stability.parts.enhance import PART
+from novags.testbed.stability.parts.methods.enhance import PART
 
 CASES = {case.name: case for case in PART.cases}
 HERE = Setting("torch", 1)

@@ -3,8 +3,8 @@ import pytest
 import torch
 
 from novags.testbed.stability import Case, Setting, measured
-from novags.testbed.stability.parts import harmonics
-from novags.testbed.stability.parts.harmonics import PART
+from novags.testbed.stability.parts.splats import harmonics
+from novags.testbed.stability.parts.splats.harmonics import PART
 
 CASES = {case.name: case for case in PART.cases}
 HERE = Setting("torch", 1)

@@ -3,8 +3,8 @@ import math
 import pytest
 
 from novags.testbed.stability import Case, Setting, measured
-from novags.testbed.stability.parts import long_runs
-from novags.testbed.stability.parts.long_runs import PART
+from novags.testbed.stability.parts.methods import long_runs
+from novags.testbed.stability.parts.methods.long_runs import PART
 
 CASES = {case.name: case for case in PART.cases}
 HERE = Setting("numba", 1)

@@ -4,8 +4,8 @@ import torch
 
 from novags.splats import raster_numba, raster_torch
 from novags.testbed.stability import Case, Setting, measured
-from novags.testbed.stability.parts.dense import render
-from novags.testbed.stability.parts.splats import PART, SMALL, _single
+from novags.testbed.stability.parts.splats.dense import render
+from novags.testbed.stability.parts.splats.rasterizer import PART, SMALL, _single
 
 CASES = {case.name: case for case in PART.cases}
 

@@ -5,8 +5,8 @@ import torch
 from novags.splats.cpu import noise
 from novags.splats.training import adam, mcmc
 from novags.testbed.stability import Case, Setting, measured
-from novags.testbed.stability.parts import updates
-from novags.testbed.stability.parts.updates import PART
+from novags.testbed.stability.parts.splats import updates
+from novags.testbed.stability.parts.splats.updates import PART
 
 CASES = {case.name: case for case in PART.cases}
 

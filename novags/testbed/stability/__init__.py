@@ -6,24 +6,14 @@
 from collections.abc import Iterator, Sequence
 
 from novags.testbed.stability.case import Case, Measured, Part, Setting, measured, refusal
-from novags.testbed.stability.parts import (
-    blind_spot,
-    cameras,
-    consistency,
-    denoiser,
-    enhance,
-    harmonics,
-    long_runs,
-    render,
-    score,
-    sensor,
-    splats,
-    updates,
-)
+from novags.testbed.stability.parts import cameras, render, score, sensor
+from novags.testbed.stability.parts.methods import blind_spot, consistency, denoiser, enhance, long_runs
+from novags.testbed.stability.parts.splats import harmonics, rasterizer, updates
 from novags.testbed.stability.table import embedded, has_place, markdown
 
 _FILES = (
-    enhance, blind_spot, denoiser, consistency, harmonics, splats, updates, sensor, render, score, cameras, long_runs,
+    enhance, blind_spot, denoiser, consistency, harmonics, rasterizer, updates, sensor, render, score, cameras,
+    long_runs,
 )  # fmt: skip
 PARTS: dict[str, Part] = {file.PART.name: file.PART for file in _FILES}
 

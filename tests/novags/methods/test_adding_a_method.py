@@ -121,10 +121,8 @@ def test_a_method_without_gaussians_goes_through_the_whole_experiment(
 def test_no_code_outside_methods_names_one() -> None:
     """METHODS is the one place: code that branches on a name would break for the next method."""
     root, names = Path(__file__).resolve().parents[3] / "novags", (*METHODS, *VARIANTS)
-    # presets and long runs choose, the command line has a default
-    allowed = {
-        "methods/__init__.py", "testbed/presets.py", "testbed/stability/long_runs.py", "commands/stages.py",
-    }  # fmt: skip
+    # presets choose, the command line has a default
+    allowed = {"methods/__init__.py", "testbed/presets.py", "commands/stages.py"}
     found = []
     for path in root.rglob("*.py"):
         if path.relative_to(root).as_posix() in allowed:

@@ -14,7 +14,7 @@ from torch import Tensor
 from novags.splats import rasterize
 from novags.testbed.stability.case import Part, Setting, refusal
 from novags.testbed.stability.errors import worst_error
-from novags.testbed.stability.parts.dense import NAMES, Camera, render
+from novags.testbed.stability.parts.splats.dense import NAMES, Camera, render
 
 PART = Part("splats")
 

@@ -1,0 +1,1 @@
+"""Hard cases of what methods are made of, and whole fits."""
