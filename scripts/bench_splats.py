@@ -76,8 +76,8 @@ def measure_common(n: int, size: int, repeat: int, backend: str = "numba", strip
     import numpy as np
 
     from novags.splats import rasterize
-    from novags.splats.cpu import optimizer
     from novags.splats.cpu.parallel import run
+    from novags.splats.cpu.training import optimizer
 
     scene = common_scene(n, size)
     trained = {name: scene[name].requires_grad_() for name in ("means", "quats", "scales", "opacities", "colors")}

@@ -34,7 +34,8 @@ def strips(scene: dict[str, Tensor], size: int, eps2d: float) -> Iterator[Tensor
 
 def reference_image(n: int, size: int, *, exact: bool, supersample: int = 1, eps2d: float = 0.3) -> Tensor:
     """The knob scene in float64; `exact` drops both thresholds."""
-    from novags.splats import raster_torch, rasterize
+    from novags.splats import rasterize
+    from novags.splats.raster import raster_torch
 
     if exact:
         raster_torch.ALPHA_MIN, raster_torch.TRANSMITTANCE_MIN = 1e-7, 0.0
@@ -59,7 +60,7 @@ def measure_knob(knob: str, setting: float, n: int, size: int, repeat: int, refe
     cache = tempfile.TemporaryDirectory(prefix="novags-knob-")
     os.environ["NUMBA_CACHE_DIR"] = cache.name  # before numba is imported
     from novags.splats import rasterize
-    from novags.splats.cpu import vector_math
+    from novags.splats.cpu.vectors import vector_math
 
     if knob == "alpha_min":
         bake(ALPHA_MIN=np.float32(setting), LOG2_ALPHA_MIN=np.float32(np.log2(setting)))

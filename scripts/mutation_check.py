@@ -41,7 +41,8 @@ GROUPS = (
     (("novags/methods/nova/trainer.py", "novags/methods/enhancers/__init__.py", "novags/methods/*.py"),
      ("tests/novags/methods/test_*.py", "tests/novags/methods/enhancers/test_r*.py",
       "tests/novags/methods/nova/test_trainer*.py")),
-    (tuple(f"novags/splats/training/{what}.py" for what in ("losses", "mcmc", "fit", "iteration", "config", "direct")),
+    (tuple(f"novags/splats/training/{what}.py"
+           for what in ("losses", "updates/mcmc", "fit", "iteration", "config", "direct")),
      ("tests/novags/splats/test_splats_losses*.py", "tests/novags/splats/test_splats_mcmc*.py",
       "tests/novags/splats/test_splats_fit*.py", "tests/novags/splats/test_splats_direct.py")),
     (("sensor_model/effects.py", "sensor_model/moments.py", "sensor_model/radiometry.py", "sensor_model/isp.py"),

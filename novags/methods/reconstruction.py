@@ -7,9 +7,9 @@ from typing import Any, Literal, Protocol
 import torch
 from torch import Tensor
 
+from novags.splats.files.ply import write_ply
 from novags.splats.gaussians import Gaussians
-from novags.splats.ply import write_ply
-from novags.splats.rasterize import rasterize
+from novags.splats.raster.rasterize import rasterize
 from novags.splats.training.config import FitConfig
 from novags.splats.views import Views
 

@@ -8,11 +8,11 @@ import time
 import torch
 
 from .gaussians import Gaussians
-from .rasterize import rasterize
+from .raster.rasterize import rasterize
 from .training.config import FitConfig
 from .training.fit import fit
 from .training.losses import photometric_loss
-from .training.mcmc import McmcConfig
+from .training.updates.mcmc import McmcConfig
 from .views import Views
 
 

@@ -2,7 +2,7 @@ import mpmath
 import pytest
 import torch
 
-from novags.splats import raster_numba, raster_torch
+from novags.splats.raster import raster_numba, raster_torch
 from novags.testbed.stability import Case, Setting, measured
 from novags.testbed.stability.parts.splats.dense import render
 from novags.testbed.stability.parts.splats.rasterizer import PART, SMALL, _single

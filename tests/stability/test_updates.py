@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 import torch
 
-from novags.splats.cpu import noise
-from novags.splats.training import adam, mcmc
+from novags.splats.cpu.training import noise
+from novags.splats.training.updates import adam, mcmc
 from novags.testbed.stability import Case, Setting, measured
 from novags.testbed.stability.parts.splats import updates
 from novags.testbed.stability.parts.splats.updates import PART

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from . import composite, plain_channels, project, project_backward, sort
 from .chains import forward as forward_chains
 from .chains import gradient as gradient_chains
 from .chains.forward import BASE, BUFFER, FINISHED, NUMBERS, TOTAL, VISIBLE
 from .chains.stages import PARTS_PER_THREAD
 from .memory import carve, empty
 from .parallel import run, run_chain
-from .record import CHANNELS, ROW, TILE
+from .raster import composite, plain_channels, project, project_backward, sort
+from .raster.record import CHANNELS, ROW, TILE
 
 WAVE = 256  # list entries per tile of the first wave; saturated tiles take none of the next, which is twice as long
 GRAIN_TILES = 2

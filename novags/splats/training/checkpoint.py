@@ -16,8 +16,8 @@ from sensor_model.files.reading import brief
 from sensor_model.files.records import check_shape
 
 from ..gaussians import Gaussians
-from .adam import Adam
-from .camera_refinement import CameraState
+from .updates.adam import Adam
+from .updates.camera_refinement import CameraState
 
 STATE = {"iteration": int, "adam": int, "losses": [{"*": float}], "seconds": float, "settings": dict}
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from .adam import LearningRates
-from .camera_refinement import CameraRefinement
-from .mcmc import McmcConfig
+from .updates.adam import LearningRates
+from .updates.camera_refinement import CameraRefinement
+from .updates.mcmc import McmcConfig
 
 
 @dataclass(frozen=True, kw_only=True)

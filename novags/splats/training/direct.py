@@ -9,15 +9,17 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..cpu import activations, optimizer, pipeline, project_backward
+from ..cpu import pipeline
 from ..cpu.chains import training as chains
 from ..cpu.memory import carve, empty
 from ..cpu.parallel import run_chain
+from ..cpu.raster import project_backward
+from ..cpu.training import activations, optimizer
 from ..gaussians import Gaussians
-from ..validation import check_camera
+from ..raster.validation import check_camera
 from ..views import Views
-from .adam import Adam, LearningRates
 from .losses import compare
+from .updates.adam import Adam, LearningRates
 
 NEAR, FAR = 0.01, 1e10  # the defaults of `rasterize`
 STEPS = 10  # iterations after which the coefficients are looked at again

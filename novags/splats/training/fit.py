@@ -15,15 +15,15 @@ from torch import Tensor
 
 from ..gaussians import Gaussians
 from ..views import Views
-from .adam import Adam
-from .camera_refinement import CameraState, move_cameras
 from .checkpoint import TrainingState, digest, load_checkpoint, save_checkpoint
 from .config import FitConfig
 from .direct import DirectFit
 from .guard import NotFinite, norms
 from .iteration import backpropagate, check_parameters, current, default_photometric, where
-from .mcmc import add_noise, grow, prune_to_cap, relocate
 from .step import Step
+from .updates.adam import Adam
+from .updates.camera_refinement import CameraState, move_cameras
+from .updates.mcmc import add_noise, grow, prune_to_cap, relocate
 
 LOG_EVERY = 10  # iterations between entries of FitResult.losses and calls of progress
 

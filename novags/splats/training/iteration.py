@@ -7,13 +7,13 @@ import torch
 from torch import Tensor
 
 from ..views import Views
-from .activate import activate
-from .camera_refinement import refined
 from .checkpoint import TrainingState
 from .config import FitConfig
 from .guard import NotFinite, require_finite
 from .losses import photometric_loss
 from .step import Step, render_step
+from .updates.activate import activate
+from .updates.camera_refinement import refined
 
 ExtraLoss = Callable[[Step], Tensor | None]
 

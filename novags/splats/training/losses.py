@@ -7,10 +7,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..cpu import photometric
 from ..cpu.chains import training as chains
 from ..cpu.memory import carve, empty
 from ..cpu.parallel import run_chain
+from ..cpu.training import photometric
 from ..first_order import first_order
 
 WINDOW, SIGMA = 11, 1.5  # Wang et al. 2004, and every 3DGS code since

@@ -7,7 +7,7 @@ from typing import Any
 from torch import Tensor
 
 from ..gaussians import Gaussians
-from ..rasterize import rasterize
+from ..raster.rasterize import rasterize
 from ..views import Views
 
 Info = Mapping[str, Any]

@@ -39,8 +39,8 @@ def make_colmap_text(folder: Path) -> None:
 def make_ply(folder: Path) -> None:
     import torch
 
+    from novags.splats.files.ply import write_ply
     from novags.splats.gaussians import Gaussians
-    from novags.splats.ply import write_ply
 
     points = torch.rand(5, 3)
     for degree in (0, 1, 3):
@@ -48,7 +48,7 @@ def make_ply(folder: Path) -> None:
 
 
 def read_ply(folder: Path, file: Path) -> None:
-    from novags.splats.ply import read_ply
+    from novags.splats.files.ply import read_ply
 
     read_ply(file)
 
@@ -60,8 +60,8 @@ def make_checkpoint(folder: Path) -> None:
     import torch
 
     from novags.splats.gaussians import Gaussians
-    from novags.splats.training.adam import Adam
     from novags.splats.training.checkpoint import TrainingState, save_checkpoint
+    from novags.splats.training.updates.adam import Adam
 
     gaussians = Gaussians.from_points(torch.rand(4, 3), torch.rand(4, 3), sh_degree=1)
     adam = Adam(gaussians)
@@ -138,7 +138,7 @@ def _torch() -> None:
     import torch
 
     import novags.methods.nova.checkpoint
-    import novags.splats.ply  # noqa: F401
+    import novags.splats.files.ply  # noqa: F401
 
     torch.set_num_threads(1)
 

@@ -13,8 +13,8 @@ from novags.methods.enhancers.guided import EnhanceConfig, enhance
 from novags.methods.gaussian_fit import EnhancedFitConfig
 from novags.methods.problem import Problem
 from novags.splats import FitConfig, Views
-from novags.splats.training.camera_refinement import CameraRefinement
 from novags.splats.training.fit import FitResult
+from novags.splats.training.updates.camera_refinement import CameraRefinement
 
 CONFIG = EnhancedFitConfig(
     enhance=EnhanceConfig(window=5), init_scale=0.3, fit=FitConfig(iterations=4, sh_degree=1, seed=1)

@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from novags.splats import Gaussians, LearningRates
-from novags.splats.training.activate import activate
-from novags.splats.training.adam import Adam
+from novags.splats.training.updates.activate import activate
+from novags.splats.training.updates.adam import Adam
 
 
 def cloud(n: int, dtype=torch.float32) -> Gaussians:

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from novags.splats import CameraRefinement, FitConfig, Gaussians, Step, Views, fit, rasterize
-from novags.splats.training.camera_refinement import CameraState, move_cameras, refined
+from novags.splats.training.updates.camera_refinement import CameraState, move_cameras, refined
 
 SIZE, N_VIEWS, N = 40, 6, 300
 RADIUS, FOCAL = 2.4, 0.7  # near and wide: turns and moves of a camera then look different

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from novags.splats import Gaussians, rasterize, read_ply, write_ply
-from novags.splats.compact import write_splat, write_spz
+from novags.splats.files.compact import write_splat, write_spz
 
 
 def cloud(n: int, degree: int) -> Gaussians:

@@ -15,15 +15,16 @@ from novags.splats.cpu import compiler
 def sources(tmp_path, monkeypatch):
     """A copy of the package's sources that the compiler takes for its own."""
     package = Path(sh.__file__).parent
-    (tmp_path / "cpu").mkdir()
-    for path in [*package.glob("*.py"), *(package / "cpu").glob("*.py")]:
-        shutil.copy(path, tmp_path / path.relative_to(package))
+    for path in package.rglob("*.py"):
+        copy = tmp_path / path.relative_to(package)
+        copy.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(path, copy)
     monkeypatch.setattr(compiler.config, "CACHE_DIR", "")
     monkeypatch.setattr(compiler, "__file__", str(tmp_path / "cpu" / "compiler.py"))
     return tmp_path
 
 
-@pytest.mark.parametrize("name", ["cpu/simd.py", "cpu/record.py", "sh.py"])
+@pytest.mark.parametrize("name", ["cpu/vectors/simd.py", "cpu/raster/record.py", "sh.py"])
 def test_a_change_of_anything_that_kernels_are_made_of_gives_another_folder(sources, name):
     before = compiler.cache_folder()
     (sources / name).write_text((sources / name).read_text() + "\n# changed\n")

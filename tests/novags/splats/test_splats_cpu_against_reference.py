@@ -18,7 +18,7 @@ import torch
 from torch import Tensor
 
 from novags.splats import rasterize
-from novags.splats.raster_torch import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN, compensation, image_axes, project
+from novags.splats.raster.raster_torch import ALPHA_MAX, ALPHA_MIN, TRANSMITTANCE_MIN, compensation, image_axes, project
 from novags.splats.sh import sh_colors
 
 Scene = dict[str, Any]

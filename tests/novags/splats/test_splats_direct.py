@@ -13,7 +13,7 @@ from novags.splats.cpu import parallel
 from novags.splats.cpu.chains import stages
 from novags.splats.cpu.compiler import kernel
 from novags.splats.training import direct
-from novags.splats.training.camera_refinement import CameraRefinement
+from novags.splats.training.updates.camera_refinement import CameraRefinement
 
 loop = importlib.import_module("novags.splats.training.fit")  # the package has a function of that name
 CONFIG = FitConfig(
@@ -71,7 +71,9 @@ def test_an_iteration_is_at_most_nine_calls_of_compiled_code(problem, monkeypatc
     assert len(calls) == 4 * 7
 
 
-MODULES = ("training.mcmc", "training.losses", "training.adam", "training.activate", "cpu.pipeline")
+MODULES = (
+    "training.updates.mcmc", "training.losses", "training.updates.adam", "training.updates.activate", "cpu.pipeline",
+)  # fmt: skip
 
 
 def test_cameras_are_checked_once_a_fit(problem, monkeypatch):

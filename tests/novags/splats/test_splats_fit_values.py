@@ -23,10 +23,10 @@ from novags.splats import (
     photometric_loss,
     rasterize,
 )
-from novags.splats.training.activate import activate
-from novags.splats.training.adam import Adam
-from novags.splats.training.camera_refinement import CameraState, refined
-from novags.splats.training.mcmc import add_noise, grow, relocate
+from novags.splats.training.updates.activate import activate
+from novags.splats.training.updates.adam import Adam
+from novags.splats.training.updates.camera_refinement import CameraState, refined
+from novags.splats.training.updates.mcmc import add_noise, grow, relocate
 
 MODULE = sys.modules["novags.splats.training.fit"]  # the package's `fit` is the function
 WIDTH, HEIGHT, N_VIEWS, N = 20, 14, 5, 40

@@ -9,8 +9,9 @@ import gsplat
 import pytest
 import torch
 
-from novags.splats import raster_gsplat, rasterize
-from novags.splats.gsplat_call import REFUSED
+from novags.splats import rasterize
+from novags.splats.raster import raster_gsplat
+from novags.splats.raster.gsplat_call import REFUSED
 
 MODES = ["RGB", "D", "ED", "RGB+D", "RGB+ED"]
 

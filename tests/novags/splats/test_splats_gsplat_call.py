@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from novags.splats import rasterize
-from novags.splats.gsplat_call import REFUSED
+from novags.splats.raster.gsplat_call import REFUSED
 
 CPU = ["numba", "torch"]
 

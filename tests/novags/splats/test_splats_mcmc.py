@@ -9,9 +9,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from novags.splats import Gaussians
-from novags.splats.raster_torch import quat_to_rotmat
-from novags.splats.training.adam import Adam
-from novags.splats.training.mcmc import DEAD_OPACITY, McmcConfig, add_noise, grow, prune_to_cap, relocate, relocation
+from novags.splats.raster.raster_torch import quat_to_rotmat
+from novags.splats.training.updates.adam import Adam
+from novags.splats.training.updates.mcmc import (
+    DEAD_OPACITY,
+    McmcConfig,
+    add_noise,
+    grow,
+    prune_to_cap,
+    relocate,
+    relocation,
+)
 
 
 def cloud(n: int, seed: int = 0, *, logit: float | None = None) -> Gaussians:
@@ -164,7 +172,7 @@ def test_noise_has_the_covariance_of_the_paper(device_path, monkeypatch):
     if device_path == "kernel":
         add_noise(gaussians, amount, torch.Generator().manual_seed(1))
     else:
-        from novags.splats.training.mcmc import _add_noise_torch
+        from novags.splats.training.updates.mcmc import _add_noise_torch
 
         _add_noise_torch(gaussians, amount, torch.Generator().manual_seed(1))
     R = quat_to_rotmat(one.quats)[0].double()

@@ -12,8 +12,8 @@ import torch
 from novags.splats import FitConfig, Gaussians, McmcConfig, Views, fit, photometric_loss
 from novags.splats.cpu.memory import SMALL, Recycler, empty
 from novags.splats.cpu.parallel import run
-from novags.splats.training.activate import activate
-from novags.splats.training.mcmc import add_noise
+from novags.splats.training.updates.activate import activate
+from novags.splats.training.updates.mcmc import add_noise
 
 
 @pytest.fixture

@@ -10,7 +10,7 @@ import torch
 from scipy.special import sph_harm_y
 
 from novags.splats import rasterize
-from novags.splats.raster_torch import project
+from novags.splats.raster.raster_torch import project
 from novags.splats.sh import sh_basis, sh_colors
 
 Scene = dict[str, Any]

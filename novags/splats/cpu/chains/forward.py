@@ -4,9 +4,9 @@
 
 import numpy as np
 
-from .. import bins, composite, harmonics, plain_channels, project, sort
 from ..compiler import inline, kernel
-from ..record import TILE
+from ..raster import bins, composite, harmonics, plain_channels, project, sort
+from ..raster.record import TILE
 from .stages import alone, done, parts, shared, wait
 
 # Numbers of a wave: its first depth rank, its Gaussians, those of the next one, (Gaussian, tile) pairs in the waves

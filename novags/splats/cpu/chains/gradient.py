@@ -2,9 +2,9 @@
 
 # mypy: allow-untyped-defs
 
-from .. import composite, harmonics, project, project_backward
 from ..compiler import inline, kernel
-from ..record import TILE
+from ..raster import composite, harmonics, project, project_backward
+from ..raster.record import TILE
 from .stages import alone, done, shared, wait
 
 GRAIN_TILES = 2

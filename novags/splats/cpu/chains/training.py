@@ -2,8 +2,9 @@
 
 # mypy: allow-untyped-defs
 
-from .. import activations, optimizer, photometric, project_backward
 from ..compiler import kernel
+from ..raster import project_backward
+from ..training import activations, optimizer, photometric
 from .stages import shared
 
 GRAIN_VALUES = 4096

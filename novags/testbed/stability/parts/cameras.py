@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from novags.cameras.align import Alignment, Similarity, align, to_estimated
-from novags.splats.training.camera_refinement import refined
+from novags.splats.training.updates.camera_refinement import refined
 from novags.testbed.stability.case import Part, Setting, refusal, worse
 from simscenes.rigs import Rig, mitsuba_to_opencv, opencv_to_mitsuba
 

@@ -12,9 +12,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.splats.cpu import harmonics
 from novags.splats.cpu.parallel import run
-from novags.splats.cpu.record import CHANNEL, ROW
+from novags.splats.cpu.raster import harmonics
+from novags.splats.cpu.raster.record import CHANNEL, ROW
 from novags.splats.sh import sh_colors
 from novags.testbed.stability.case import Part, Setting
 from novags.testbed.stability.errors import relative_error, worst_error

@@ -14,10 +14,10 @@ import torch
 from torch import Tensor
 
 from novags.splats import Gaussians, LearningRates
-from novags.splats.cpu import noise
 from novags.splats.cpu.parallel import run
-from novags.splats.training import adam, mcmc
-from novags.splats.training.activate import activate
+from novags.splats.cpu.training import noise
+from novags.splats.training.updates import adam, mcmc
+from novags.splats.training.updates.activate import activate
 from novags.testbed.stability.case import Part, Setting
 from novags.testbed.stability.errors import relative_error, worst_error
 

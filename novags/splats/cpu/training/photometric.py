@@ -10,8 +10,8 @@ both directions of the derivatives, and the gradient. Planes of `moments` and `s
 
 import numpy as np
 
-from .compiler import inline, kernel
-from .simd import LANES, constant, load, select, splat, store
+from ..compiler import inline, kernel
+from ..vectors.simd import LANES, constant, load, select, splat, store
 
 WINDOW, HALF_WINDOW = 11, 5
 MOMENTS, SLOPES = 5, 3  # means of x, y, x^2, y^2, x y; derivatives of the score to those of x, x^2, x y

@@ -11,7 +11,7 @@ from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
-from .compiler import inline
+from ..compiler import inline
 from .simd import _I64, _INTS, _VEC, LANES, _pointer, load, store
 
 

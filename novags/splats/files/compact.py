@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from sensor_model.files.atomic import atomic
 
-from .gaussians import Gaussians
-from .sh import sh_basis
+from ..gaussians import Gaussians
+from ..sh import sh_basis
 
 SH_C0 = 0.28209479177387814  # the harmonic of degree 0
 SPZ_MAGIC, SPZ_VERSIONS = 0x5053474E, (2, 3)

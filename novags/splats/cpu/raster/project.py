@@ -4,26 +4,11 @@
 
 import numpy as np
 
-from .compiler import inline, kernel
-from .record import (
-    ALPHA_MIN,
-    HALF_LOG2E,
-    LOG2_ALPHA_MIN,
-    REACH_X,
-    REACH_Y,
-    ROW,
-    SLOPE,
-    TILE,
-    TOP,
-    A,
-    K,
-    Q,
-    X,
-    Y,
-)
-from .simd import LANES, bits, ceil, copy, floor, load, maximum, minimum, negative_abs, select, sqrt, store
-from .transpose import to_columns3, to_columns4, transpose
-from .vector_math import log2
+from ..compiler import inline, kernel
+from ..vectors.simd import LANES, bits, ceil, copy, floor, load, maximum, minimum, negative_abs, select, sqrt, store
+from ..vectors.transpose import to_columns3, to_columns4, transpose
+from ..vectors.vector_math import log2
+from .record import ALPHA_MIN, HALF_LOG2E, LOG2_ALPHA_MIN, REACH_X, REACH_Y, ROW, SLOPE, TILE, TOP, A, K, Q, X, Y
 
 ZERO, ONE, TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 MARGIN = np.float32(0.15)  # of the image size beyond its border: where gsplat stops following the affine approximation

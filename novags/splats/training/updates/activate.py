@@ -6,11 +6,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..cpu import activations
-from ..cpu.memory import empty
-from ..cpu.parallel import run
-from ..first_order import first_order
-from ..gaussians import Gaussians
+from ...cpu.memory import empty
+from ...cpu.parallel import run
+from ...cpu.training import activations
+from ...first_order import first_order
+from ...gaussians import Gaussians
 
 
 def activate(

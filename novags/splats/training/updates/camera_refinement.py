@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from ..raster_torch import quat_to_rotmat
+from ...raster.raster_torch import quat_to_rotmat
 
 # A camera is seen once in an epoch, so a memory of 1 / (1 - 0.999) visits would outlast most runs.
 BETA1, BETA2 = 0.9, 0.99

@@ -8,8 +8,8 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
+from ..sh import sh_colors
 from .info import Projected, Watch
-from .sh import sh_colors
 
 ALPHA_MIN = 1.0 / 255.0  # a contribution below one 8-bit step is skipped
 ALPHA_MAX = 0.999  # an opaque Gaussian would divide by 1 - alpha = 0 in the backward pass

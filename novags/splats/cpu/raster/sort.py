@@ -4,7 +4,7 @@
 
 import numpy as np
 
-from .compiler import kernel
+from ..compiler import kernel
 
 DIGIT = 11  # bits; 2048 counters of 4 bytes stay in the first-level cache
 GRAIN = 4096

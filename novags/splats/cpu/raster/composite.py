@@ -13,8 +13,25 @@ floats:
 
 import numpy as np
 
+from ..compiler import inline, kernel
+from ..vectors.simd import (
+    LANES,
+    above,
+    bits,
+    constant,
+    load,
+    lowest_bit,
+    minimum,
+    negative_abs,
+    pair_sums,
+    prefetch,
+    select,
+    splat,
+    store,
+    stream,
+)
+from ..vectors.vector_math import exp2_alpha
 from .bins import CELLS, SLACK, cells_reached
-from .compiler import inline, kernel
 from .record import (
     ALPHA_MAX,
     BLOCK,
@@ -32,23 +49,6 @@ from .record import (
     X,
     Y,
 )
-from .simd import (
-    LANES,
-    above,
-    bits,
-    constant,
-    load,
-    lowest_bit,
-    minimum,
-    negative_abs,
-    pair_sums,
-    prefetch,
-    select,
-    splat,
-    store,
-    stream,
-)
-from .vector_math import exp2_alpha
 
 ZERO, HALF, ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 SIDE = TILE // BLOCK  # 4, or 2 for tiles of 8 pixels

@@ -6,7 +6,7 @@ from typing import Any, NoReturn
 import torch
 from torch import Tensor
 
-from .sh import n_coefficients
+from ..sh import n_coefficients
 
 OF_CAMERAS = ("viewmats", "Ks", "backgrounds")
 

@@ -4,11 +4,11 @@
 
 import numpy as np
 
-from .compiler import inline, kernel
-from .project import _rotation
-from .simd import LANES, load, select, sqrt, store
-from .transpose import add3, gather3, to_columns4
-from .vector_math import exp, log2
+from ..compiler import inline, kernel
+from ..raster.project import _rotation
+from ..vectors.simd import LANES, load, select, sqrt, store
+from ..vectors.transpose import add3, gather3, to_columns4
+from ..vectors.vector_math import exp, log2
 
 ZERO, ONE, TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 INPUTS = 8  # quaternion, log scales, logit opacity

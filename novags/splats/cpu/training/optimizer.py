@@ -4,10 +4,10 @@
 
 import numpy as np
 
-from . import harmonics
-from .compiler import inline, kernel
-from .simd import LANES
-from .transpose import add3, gather3
+from ..compiler import inline, kernel
+from ..raster import harmonics
+from ..vectors.simd import LANES
+from ..vectors.transpose import add3, gather3
 
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
 # Of gradients, scales and coefficients: none that is smaller makes the gradient of another parameter overflow

@@ -6,10 +6,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..cpu import noise
-from ..cpu.parallel import run
-from ..gaussians import Gaussians
-from ..raster_torch import quat_to_rotmat
+from ...cpu.parallel import run
+from ...cpu.training import noise
+from ...gaussians import Gaussians
+from ...raster.raster_torch import quat_to_rotmat
 
 DEAD_OPACITY = 0.005  # at or below, a Gaussian shows nothing and is moved
 NODES, REACH = 128, 7.0  # trapezoid rule of the relocation integral; exp(-7^2) is below one float64 step

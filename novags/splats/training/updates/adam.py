@@ -8,10 +8,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..cpu import optimizer
-from ..cpu.parallel import run
-from ..gaussians import Gaussians
-from ..sh import n_coefficients
+from ...cpu.parallel import run
+from ...cpu.training import optimizer
+from ...gaussians import Gaussians
+from ...sh import n_coefficients
 
 BETA1, BETA2 = 0.9, 0.999
 EPS = 1e-15  # 3DGS: gradients are tiny, torch's 1e-8 would damp them; without any, 0 / 0 for a Gaussian never seen

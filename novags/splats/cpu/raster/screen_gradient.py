@@ -8,11 +8,11 @@ fast backward pass does not pay for it.
 
 import numpy as np
 
+from ..compiler import inline, kernel
+from ..memory import empty
+from ..parallel import run
+from ..pipeline import Frame
 from . import composite
-from .compiler import inline, kernel
-from .memory import empty
-from .parallel import run
-from .pipeline import Frame
 from .record import ALPHA_MAX, BLOCK, CHANNEL, CHANNELS, HALF_LOG2E, LOG2_ALPHA_MIN, TILE, TOP, A, K, Q, X, Y
 
 ZERO, HALF, ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)

@@ -4,7 +4,7 @@
 
 import numpy as np
 
-from .compiler import inline
+from ..compiler import inline
 from .simd import exponent, floor, maximum, minimum, select, shift_exponent
 
 _HALF, _ONE, _SQRT2 = np.float32(0.5), np.float32(1.0), np.float32(np.sqrt(2.0))

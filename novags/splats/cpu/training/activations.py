@@ -4,9 +4,9 @@
 
 import numpy as np
 
-from .compiler import inline, kernel
-from .simd import LANES, copy, load, store
-from .vector_math import exp
+from ..compiler import inline, kernel
+from ..vectors.simd import LANES, copy, load, store
+from ..vectors.vector_math import exp
 
 ZERO, ONE = np.float32(0.0), np.float32(1.0)
 BLOCK = 4096  # values per partial sum: fixed, so that it does not depend on the threads

@@ -4,11 +4,11 @@
 
 import numpy as np
 
-from ..sh import C0, C1, C2, C3
-from .compiler import inline, kernel
+from ...sh import C0, C1, C2, C3
+from ..compiler import inline, kernel
+from ..vectors.simd import LANES, bits, load, maximum, select, splat, sqrt, store
+from ..vectors.transpose import add3, gather3, transpose
 from .record import CHANNEL
-from .simd import LANES, bits, load, maximum, select, splat, sqrt, store
-from .transpose import add3, gather3, transpose
 
 ZERO, HALF, ONE, TWO, THREE, FOUR = (np.float32(v) for v in (0.0, 0.5, 1.0, 2.0, 3.0, 4.0))
 SIX, EIGHT = np.float32(6.0), np.float32(8.0)

@@ -13,8 +13,8 @@ import torch
 from sensor_model.files.atomic import atomic
 from sensor_model.files.reading import brief
 
-from .gaussians import Gaussians
-from .sh import n_coefficients
+from ..gaussians import Gaussians
+from ..sh import n_coefficients
 
 _DTYPES = {
     "float": "<f4", "float32": "<f4", "double": "<f8", "float64": "<f8", "uchar": "u1", "uint8": "u1", "char": "i1",

@@ -4,7 +4,7 @@
 
 import numpy as np
 
-from .compiler import kernel
+from ..compiler import kernel
 from .record import CHANNEL, CHANNELS
 
 ZERO = np.float32(0.0)

@@ -8,7 +8,9 @@ alpha times 1, u, u^2, u dy, dy, dy^2, and of the four channels' gradients.
 
 import numpy as np
 
-from .compiler import inline, kernel
+from ..compiler import inline, kernel
+from ..vectors.simd import LANES, load, select, splat, store
+from ..vectors.transpose import from_columns3, from_columns4, transpose
 from .project import (
     ANTIALIASED,
     EPS2D,
@@ -23,8 +25,6 @@ from .project import (
     _to_camera,
 )
 from .record import CHANNELS, ROW
-from .simd import LANES, load, select, splat, store
-from .transpose import from_columns3, from_columns4, transpose
 
 ZERO, HALF, ONE, TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 SUMS = 6

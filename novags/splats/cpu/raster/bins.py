@@ -8,9 +8,9 @@ reaches a tile is decided exactly, for 4 x 4 tiles at once.
 
 import numpy as np
 
-from .compiler import inline, kernel
+from ..compiler import inline, kernel
+from ..vectors.simd import LANES, bits, constant, lowest_bit, maximum, minimum, prefetch
 from .record import BLOCK, LOG2_ALPHA_MIN, REACH_X, REACH_Y, ROW, SLOPE, TILE, TOP, A, K, Q, X, Y
-from .simd import LANES, bits, constant, lowest_bit, maximum, minimum, prefetch
 
 HALF, ONE, ZERO = np.float32(0.5), np.float32(1.0), np.float32(0.0)
 SLACK = np.float32(0.01)  # in log2 alpha: rounding must never drop a pixel that compositing would accept

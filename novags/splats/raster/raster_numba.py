@@ -6,8 +6,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .cpu import pipeline, record
-from .first_order import first_order
+from ..cpu import pipeline
+from ..cpu.raster import record
+from ..first_order import first_order
 from .info import Projected, Watch
 from .validation import check_gaussians, refuse_overflow, used_colors
 
@@ -109,7 +110,7 @@ class _Render(torch.autograd.Function):
         v_alpha = np.zeros(size, np.float32) if v_alpha is None else _array(v_alpha)[..., 0]
         shape, v_pixels = _shape(means, quats, scales, opacities), (v_image, v_alpha)
         if ctx.watch.wanted:
-            from .cpu.screen_gradient import screen_gradient  # compiled for those alone who look at it
+            from ..cpu.raster.screen_gradient import screen_gradient  # compiled for those alone who look at it
 
             ctx.watch.add(ctx.number, *(torch.from_numpy(v) for v in screen_gradient(frame, *v_pixels)))
         gradients = pipeline.backward(frame, shape, _array(colors), *v_pixels, ctx.needs_input_grad[5])

@@ -1,0 +1,1 @@
+"""The kernels of a fit beside its renders: activations, losses, optimiser, noise."""

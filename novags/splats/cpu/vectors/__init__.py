@@ -1,0 +1,1 @@
+"""What kernels compute with: vectors of sixteen float32."""

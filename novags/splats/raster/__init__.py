@@ -1,0 +1,1 @@
+"""The call of gsplat and the rasterisers behind it."""
