@@ -47,12 +47,13 @@ GROUPS = (
       "tests/novags/splats/test_splats_fit*.py", "tests/novags/splats/test_splats_direct.py")),
     (("sensor_model/effects.py", "sensor_model/moments.py", "sensor_model/radiometry.py", "sensor_model/isp.py"),
      tuple(f"tests/sensor_model/test_{what}*.py"
-           for what in ("effects", "moments", "radiometry", "isp", "capture", "planner", "streams", "stated"))),
+           for what in ("effects", "moments", "radiometry", "isp", "capture", "planner"))
+     + ("tests/sensor_model/frame/test_streams.py", "tests/sensor_model/fast/test_stated_errors.py")),
     (("simscenes/rigs.py",), ("tests/simscenes/test_rigs*.py",)),
     (("simscenes/job/*.py", "simscenes/transport/*.py"),
-     tuple(f"tests/simscenes/test_{what}*.py"
-           for what in ("color_plan", "curves", "finish", "hardness", "job", "lens", "lights", "pilot", "render",
-                        "roulette", "scene_digest", "transport", "wishes"))),
+     tuple(f"tests/simscenes/{what}.py"
+           for what in ("job/test_*", "transport/test_*", "render/test_geometry", "render/test_passes",
+                        "render/test_lens*", "scenes/test_hardness", "loading/test_scene_digest"))),
 )  # fmt: skip
 # Imported once, before the forks. Nothing of ours, and nothing that starts threads, which a fork would lose.
 LIBRARIES = ("torch", "numba", "scipy.stats", "scipy.optimize", "scipy.ndimage", "hypothesis", "safetensors.torch",

@@ -204,7 +204,7 @@ def _python(code: str) -> tuple[str, list[str]]:
 def test_no_plugin_crashes_for_being_bare_so_that_the_trial_is_for_what_nobody_thought_of(tmp_path: Path) -> None:
     import sys
 
-    sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+    sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
     from tests.fuzz.readers.scenes import bare
 
     mi, crashes = activate(), []

@@ -12,7 +12,7 @@ from simscenes.backend import activate
 from simscenes.loading.load import build_scene
 from simscenes.render.geometry import geometry_channels
 
-PAGE = Path(__file__).resolve().parents[2] / "docs" / "adding-a-scene.md"
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "adding-a-scene.md"
 
 
 @pytest.fixture

@@ -1,0 +1,145 @@
+"""Passes of a render: their mean and variance, how many there are, repeatability, and targets of error."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simscenes import Rig
+from simscenes.backend import activate, using_variant
+from simscenes.loading.load import LoadedScene, build_scene
+from simscenes.render.passes import Passes, count_fireflies, split_passes
+from simscenes.render.radiance import Method, View
+from simscenes.render.sensors import sensor_dict
+from simscenes.rigs import intrinsics
+
+GRAY = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.4, 0.2]}}
+Scene = Callable[[], dict[str, Any]]
+Camera = Callable[..., Rig]
+
+
+def radiance(
+    loaded: LoadedScene, rig: Rig, *, spp: int | None = None, target_error: float | None = None, seed: int = 0
+) -> Any:
+    mi = activate()
+    integrator = mi.load_dict({"type": "path", "max_depth": 8, "rr_depth": 2})
+    return View(Method(mi, mi.variant(), loaded, integrator, seed=seed), rig, 0).render(spp, target_error)
+
+
+def test_variance_estimate_equals_the_spread_over_many_seeds(ball_on_plane: Scene, view: Camera) -> None:
+    """Rationale: the spread of n = 60 independent renders has relative SE sqrt(2/(n-1)) per independent pixel.
+
+    Both in sum over the view, and in each pixel for its 3 x 3 neighbourhood, which shares one variance.
+    """
+    loaded, rig, n = build_scene(ball_on_plane(), activate()), view(12, 9), 60
+    runs = [radiance(loaded, rig, spp=8, seed=k) for k in range(n)]
+    means = np.stack([r.mean for r in runs]).astype(np.float64)
+    estimates = np.stack([r.variance for r in runs]).astype(np.float64)
+    true = means.var(0, ddof=1)
+    # Per-seed estimates scatter by themselves; the truth's own error comes from its noisiest pixels.
+    each = estimates.mean((1, 2, 3))
+    se = np.hypot(each.std(ddof=1) / np.sqrt(n), np.sqrt(2 / (n - 1)) * np.linalg.norm(true) / true.size)
+    assert each.mean() == pytest.approx(true.mean(), abs=5 * se)
+    assert se < 0.2 * true.mean()
+    padded = np.pad(true, ((1, 1), (1, 1), (0, 0)), mode="symmetric")
+    around = np.stack([padded[y : y + 9, x : x + 12] for y in range(3) for x in range(3)])
+    fourth = np.linalg.norm(around, axis=0) / 9 * np.sqrt(2 / (n - 1))
+    pixel = (estimates.mean(0) - around.mean(0)) / np.hypot(estimates.std(0, ddof=1) / np.sqrt(n), fourth).clip(1e-12)
+    assert np.abs(pixel).max() < 6  # 324 values whose variances are themselves estimated from skew ones
+    assert np.median(estimates.std(0, ddof=1) / estimates.mean(0).clip(1e-12)) < 0.8  # 1.4 if each pixel had its own
+
+
+def test_samples_in_two_large_passes_are_almost_as_good_as_in_one(view: Camera) -> None:
+    """A lamp over a matt floor, direct light: the worst case, where stratified samples gain most by being many.
+
+    Root mean square over 8 seeds of 432 pixels each, whose relative error is some 1 / sqrt(2 * 8 * 432) = 1 %. In four
+    passes of 16 the error is 1.33 times that of one pass.
+    """
+    mi = activate()
+    lamp = mi.ScalarTransform4f().translate([0, 0, 6]).rotate([1, 0, 0], 180).scale(1.5)
+    glow = {"type": "area", "radiance": {"type": "rgb", "value": 9.0}}
+    floor = {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(30), "bsdf": GRAY}
+    scene = {"type": "scene", "floor": floor, "lamp": {"type": "rectangle", "to_world": lamp, "emitter": glow}}
+    loaded, rig = build_scene(scene, mi), view(24, 18)
+    integrator = mi.load_dict({"type": "path", "max_depth": 2, "rr_depth": 3})
+    ours, whole = [], []
+    for seed in range(8):
+        method = Method(mi, mi.variant(), loaded, integrator, seed=seed)
+        ours.append(View(method, rig, 0).render(64, None).mean)
+        sensor = mi.load_dict(
+            sensor_dict(mi, rig, 0, loaded) | {"sampler": {"type": "multijitter", "sample_count": 64}}
+        )
+        image = mi.render(loaded.scene, sensor=sensor, integrator=integrator, spp=64, seed=seed)
+        whole.append(np.array(image, dtype=np.float64)[..., :3])
+    errors = [float(np.sqrt(np.var(images, axis=0, ddof=1).mean())) for images in (ours, whole)]
+    assert errors[0] < 1.2 * errors[1]
+
+
+def test_passes_accumulate_like_numpy() -> None:
+    images = np.random.default_rng(0).normal(5, 1, (6, 4, 3, 3))
+    passes = Passes((4, 3))
+    for image in images:
+        passes.add(image)
+    result = passes.result(10)
+    assert np.allclose(result.mean, images.mean(0))
+    assert np.allclose(passes.variance(), images.var(0, ddof=1) / 6)
+    assert np.allclose(result.variance.mean(), images.var(0, ddof=1).mean() / 6)  # pooled, the sum is kept
+    assert result.spp == 60
+
+
+@pytest.mark.parametrize("spp", [2, 3, 17, 64, 256, 1000, 2048, 2049, 65536])
+def test_passes_are_few_and_fit_the_sampler(spp: int) -> None:
+    count, size = split_passes(spp)
+    assert count == max(2, -(-spp // 1024))
+    sampler = activate().load_dict({"type": "multijitter", "sample_count": size})
+    assert sampler.sample_count() == size  # not rounded up to what it can stratify
+    assert spp <= count * size
+    assert count * (size - 1) < spp * (1 + 2 / np.sqrt(size))  # at most one row of the grid more than needed
+
+
+def test_the_same_seed_gives_the_same_bits_where_threads_share_the_work(ball_on_plane: Scene, view: Camera) -> None:
+    """Enough samples for many work units, with passes whose pixels straddle them: a film of float32 would differ."""
+    loaded, rig = build_scene(ball_on_plane(), activate()), view(128, 97)
+    first = radiance(loaded, rig, spp=100)
+    for _ in range(3):
+        again = radiance(loaded, rig, spp=100)
+        assert np.array_equal(again.mean, first.mean)
+        assert np.array_equal(again.variance, first.variance)
+
+
+def test_sixty_five_thousand_samples_add_up_without_float32_bias() -> None:
+    """A sky of 1/3 is exact in every sample; one float32 sum over 65536 of them is off by 1e-4."""
+    mi = activate()
+    sky = {"type": "constant", "radiance": {"type": "rgb", "value": 1 / 3}}
+    far = {"type": "sphere", "center": [0, 0, -1e3], "radius": 1.0}
+    loaded = build_scene({"type": "scene", "sky": sky, "far": far}, mi)
+    result = radiance(
+        loaded, Rig(viewmats=np.eye(4)[None], Ks=intrinsics(4, 3, 40)[None], width=4, height=3), spp=65536
+    )
+    assert np.abs(result.mean * 3 - 1).max() < 3e-6
+
+
+def test_a_firefly_is_counted_and_an_even_field_is_not() -> None:
+    variance = np.random.default_rng(0).gamma(1.0, 1e-4, (20, 20))
+    assert count_fireflies(variance, level=1.0) == 0
+    variance[7, 7] = 1.0
+    assert count_fireflies(variance, level=1.0) == 1
+
+
+def test_target_error_is_reached_and_not_by_chance_only(ball_on_plane: Scene, view: Camera) -> None:
+    loaded, rig = build_scene(ball_on_plane(), activate()), view(24, 18)
+    result = radiance(loaded, rig, target_error=0.02)
+    assert result.error <= 0.02
+    reference = radiance(loaded, rig, spp=2048, seed=9)
+    actual = np.sqrt(((result.mean - reference.mean) ** 2).mean()) / reference.mean.mean()
+    assert actual < 0.02 * 1.5
+
+
+def test_a_scalar_variant_reaches_a_target_by_even_passes(ball_on_plane: Scene, view: Camera) -> None:
+    with using_variant("scalar") as mi:
+        loaded, rig = build_scene(ball_on_plane(), mi), view(8, 6)
+        integrator = mi.load_dict({"type": "path", "max_depth": 4, "rr_depth": 2})
+        result = View(Method(mi, mi.variant(), loaded, integrator), rig, 0).render(None, 0.1)
+    assert result.error <= 0.1
+    assert result.spp >= 16
