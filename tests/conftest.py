@@ -1,9 +1,11 @@
-"""What some tests need and not every machine has: said once, with the reason why its absence is not a failure."""
+"""What tests of several parts share, and what not every machine has: said once, and why its absence is no failure."""
 
 import os
 import re
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -67,3 +69,68 @@ def jit() -> None:
         # Where nobody may install libLLVM, novags renders with a scalar variant: that is slow but allowed, and this
         # machinery then has no part in it. Everything else is tested there too.
         pytest.skip(f"only scalar Mitsuba variants work here: {backend_status('llvm_ad')[1]}")
+
+
+@pytest.fixture
+def call(monkeypatch: pytest.MonkeyPatch) -> Callable[..., int]:
+    """A function that runs `novags` with its words in this process, and returns the exit code."""
+
+    def run(*words: str) -> int:
+        from novags import cli
+
+        monkeypatch.setattr(sys, "argv", ["novags", *words])
+        monkeypatch.setattr("signal.signal", lambda *_: None)  # pytest keeps its own handlers
+        try:
+            cli.main()
+        except SystemExit as stop:
+            return int(stop.code or 0)
+        return 0
+
+    return run
+
+
+BALL = """<scene version="3.0.0">
+  <sensor type="perspective">
+    <transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
+  </sensor>
+  <emitter type="constant"/>
+  <shape type="sphere"/>
+</scene>
+"""
+# The smallest experiment that every stage takes, as lines of a study file.
+SMALLEST = """
+[override]
+views = 4
+width = 24
+height = 24
+spp = 4
+points = 60
+iterations = 20
+render.variant = "scalar"
+"""
+
+
+@pytest.fixture(scope="session")
+def ball_xml() -> str:
+    """A scene file that renders fast with every variant of Mitsuba: a white ball before a camera, in white light."""
+    return BALL
+
+
+@pytest.fixture(scope="session")
+def smallest() -> str:
+    return SMALLEST
+
+
+@pytest.fixture(scope="session")
+def without_costs() -> Callable[[Any], Any]:
+    """A function that leaves out of a record all that differs from one time to the next."""
+    from novags.testbed.cache import VOLATILE
+
+    costs = {*VOLATILE, "hardware"} - {"stage"}
+
+    def rest(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: rest(part) for key, part in value.items() if key not in costs}
+        return [rest(part) for part in value] if isinstance(value, list) else value
+
+    return rest

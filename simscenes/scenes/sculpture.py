@@ -35,20 +35,21 @@ class Block:
         scaled = np.sqrt((x / radii[0]) ** 2 + ((along / radii[1]) ** 2 + (up / radii[2]) ** 2))
         return np.asarray((scaled - 1) * min(radii))
 
-    def add(self, part: Field, soft: float = SOFT) -> None:
+    def melt(self, part: Field, soft: float = SOFT) -> None:
         """Let a part run into what is there (a smooth minimum)."""
         mix = np.clip(0.5 + 0.5 * (self.field - part) / soft, 0, 1)
         self.field = self.field * (1 - mix) + part * mix - soft * mix * (1 - mix)
 
-    def cut(self, part: Field, soft: float = SOFT) -> None:
-        """Take a part away."""
-        self.field = -self.field
-        self.add(part, soft)
-        self.field = -self.field
+    def add(self, center: Point, radii: Point, soft: float = SOFT, *, tilt: float = 0.0, pair: bool = False) -> None:
+        """Let an ellipsoid run into what is there; of a pair the mirror image too, left and right."""
+        for side in (-1, 1) if pair else (1,):
+            self.melt(self.egg((side * center[0], *center[1:]), radii, tilt), soft)
 
-    def mirrored(self, center: Point, radii: Point, tilt: float = 0.0) -> list[Field]:
-        """An ellipsoid and its mirror image, left and right."""
-        return [self.egg((side * center[0], *center[1:]), radii, tilt) for side in (-1, 1)]
+    def cut(self, center: Point, radii: Point, soft: float = SOFT, *, tilt: float = 0.0, pair: bool = False) -> None:
+        """Take an ellipsoid or a pair of them away."""
+        self.field = -self.field
+        self.add(center, radii, soft, tilt=tilt, pair=pair)
+        self.field = -self.field
 
     def mesh(self, bsdf: Any, position: Point, yaw: float = 0.0, size: float = 1.0) -> Any:
         """The surface, with smooth normals; the texture is wrapped around z."""
@@ -75,30 +76,24 @@ def person(rng: np.random.Generator, step: float = 0.008) -> Block:
     """A bust with shoulders, 0.52 m high; the proportions of the face vary."""
     wide, long, nose = (float(v) for v in rng.uniform((0.95, 0.95, 0.9), (1.06, 1.06, 1.25)))
     b = Block((-0.25, -0.2, 0.0), (0.25, 0.2, 0.54), step)
-    b.add(b.egg((0, 0.01, 0.02), (0.21, 0.12, 0.13)))  # shoulders
-    b.add(b.egg((0, 0.015, 0.17), (0.058, 0.06, 0.13)), 0.05)  # neck
-    b.add(b.egg((0, 0.02, 0.41), (0.083 * wide, 0.105, 0.105)))  # skull
-    b.add(b.egg((0, -0.025, 0.34), (0.066 * wide, 0.072, 0.1 * long)), 0.03)  # face
-    b.add(b.egg((0, -0.072, 0.262), (0.026, 0.022, 0.018)), 0.03)  # chin
-    for part in b.mirrored((0.043, -0.062, 0.325), (0.024, 0.02, 0.022)):  # cheeks
-        b.add(part, 0.025)
-    for part in b.mirrored((0.033, -0.108, 0.372), (0.02, 0.018, 0.012)):  # sockets
-        b.cut(part, 0.015)
-    for part in b.mirrored((0.033, -0.08, 0.371), (0.013, 0.012, 0.012)):  # eyes
-        b.add(part, 0.004)
-    for part in b.mirrored((0.033, -0.091, 0.391), (0.024, 0.01, 0.006)):  # brows
-        b.add(part, 0.012)
-    b.add(b.egg((0, -0.1, 0.35), (0.01, 0.014 * nose, 0.032), 18), 0.012)  # nose
-    for part in b.mirrored((0.01, -0.108 - 0.006 * nose, 0.326), (0.008, 0.01, 0.007)):
-        b.add(part, 0.008)
+    b.add((0, 0.01, 0.02), (0.21, 0.12, 0.13))  # shoulders
+    b.add((0, 0.015, 0.17), (0.058, 0.06, 0.13), 0.05)  # neck
+    b.add((0, 0.02, 0.41), (0.083 * wide, 0.105, 0.105))  # skull
+    b.add((0, -0.025, 0.34), (0.066 * wide, 0.072, 0.1 * long), 0.03)  # face
+    b.add((0, -0.072, 0.262), (0.026, 0.022, 0.018), 0.03)  # chin
+    b.add((0.043, -0.062, 0.325), (0.024, 0.02, 0.022), 0.025, pair=True)  # cheeks
+    b.cut((0.033, -0.108, 0.372), (0.02, 0.018, 0.012), 0.015, pair=True)  # sockets
+    b.add((0.033, -0.08, 0.371), (0.013, 0.012, 0.012), 0.004, pair=True)  # eyes
+    b.add((0.033, -0.091, 0.391), (0.024, 0.01, 0.006), 0.012, pair=True)  # brows
+    b.add((0, -0.1, 0.35), (0.01, 0.014 * nose, 0.032), 0.012, tilt=18)  # nose
+    b.add((0.01, -0.108 - 0.006 * nose, 0.326), (0.008, 0.01, 0.007), 0.008, pair=True)
     for z in (0.302, 0.29):  # lips, and the mouth between them
-        b.add(b.egg((0, -0.092, z), (0.023, 0.012, 0.007)), 0.008)
-    b.cut(b.egg((0, -0.106, 0.296), (0.022, 0.008, 0.002)), 0.004)
-    for part in b.mirrored((0.088 * wide, 0.015, 0.36), (0.01, 0.022, 0.034), -12):  # ears
-        b.add(part, 0.008)
+        b.add((0, -0.092, z), (0.023, 0.012, 0.007), 0.008)
+    b.cut((0, -0.106, 0.296), (0.022, 0.008, 0.002), 0.004)
+    b.add((0.088 * wide, 0.015, 0.36), (0.01, 0.022, 0.034), 0.008, tilt=-12, pair=True)  # ears
     hair = b.egg((0, 0.045, 0.43), (0.096 * wide, 0.105, 0.1))
     strands = 0.004 * np.sin(70 * b.x + 40 * b.z + 6 * rng.random())
-    b.add(hair + strands, 0.008)
+    b.melt(hair + strands, 0.008)
     return b
 
 
@@ -106,18 +101,15 @@ def dog(rng: np.random.Generator, step: float = 0.008) -> Block:
     """A dog's head and chest, 0.46 m high, with hanging ears."""
     snout = float(rng.uniform(0.9, 1.15))
     b = Block((-0.2, -0.26, 0.0), (0.2, 0.2, 0.48), step)
-    b.add(b.egg((0, 0.04, 0.05), (0.15, 0.13, 0.16)))
-    b.add(b.egg((0, 0.02, 0.2), (0.085, 0.09, 0.14)), 0.05)
-    b.add(b.egg((0, 0.0, 0.345), (0.098, 0.1, 0.09)))
-    b.add(b.egg((0, -0.1, 0.315), (0.052, 0.085 * snout, 0.042), 8), 0.035)  # muzzle
-    b.add(b.egg((0, -0.1 - 0.08 * snout, 0.333), (0.022, 0.016, 0.016)), 0.006)  # nose
-    b.cut(b.egg((0, -0.13, 0.285), (0.045, 0.08, 0.004), 8), 0.006)  # mouth
-    for part in b.mirrored((0.045, -0.083, 0.375), (0.02, 0.014, 0.016)):
-        b.cut(part, 0.012)
-    for part in b.mirrored((0.044, -0.074, 0.375), (0.014, 0.013, 0.013)):
-        b.add(part, 0.004)
-    for part in b.mirrored((0.102, 0.015, 0.325), (0.018, 0.045, 0.085), 10):  # ears
-        b.add(part, 0.012)
+    b.add((0, 0.04, 0.05), (0.15, 0.13, 0.16))
+    b.add((0, 0.02, 0.2), (0.085, 0.09, 0.14), 0.05)
+    b.add((0, 0.0, 0.345), (0.098, 0.1, 0.09))
+    b.add((0, -0.1, 0.315), (0.052, 0.085 * snout, 0.042), 0.035, tilt=8)  # muzzle
+    b.add((0, -0.1 - 0.08 * snout, 0.333), (0.022, 0.016, 0.016), 0.006)  # nose
+    b.cut((0, -0.13, 0.285), (0.045, 0.08, 0.004), 0.006, tilt=8)  # mouth
+    b.cut((0.045, -0.083, 0.375), (0.02, 0.014, 0.016), 0.012, pair=True)
+    b.add((0.044, -0.074, 0.375), (0.014, 0.013, 0.013), 0.004, pair=True)
+    b.add((0.102, 0.015, 0.325), (0.018, 0.045, 0.085), 0.012, tilt=10, pair=True)  # ears
     return b
 
 
@@ -125,23 +117,17 @@ def cat(rng: np.random.Generator, step: float = 0.008) -> Block:
     """A sitting cat, 0.5 m high, with upright ears."""
     round_ = float(rng.uniform(0.95, 1.1))
     b = Block((-0.2, -0.22, 0.0), (0.22, 0.24, 0.52), step)
-    b.add(b.egg((0, 0.05, 0.12), (0.13, 0.15, 0.13)))
-    b.add(b.egg((0, 0.0, 0.22), (0.09, 0.09, 0.15)), 0.05)
-    for part in b.mirrored((0.05, -0.07, 0.08), (0.035, 0.045, 0.11)):  # fore legs
-        b.add(part, 0.03)
-    b.add(b.egg((0, -0.03, 0.375), (0.088 * round_, 0.078, 0.074)), 0.03)
-    for part in b.mirrored((0.055, -0.015, 0.445), (0.026, 0.014, 0.05), 8):  # ears
-        b.add(part, 0.012)
-    for part in b.mirrored((0.055, -0.035, 0.445), (0.013, 0.012, 0.032), 8):
-        b.cut(part, 0.008)
-    for part in b.mirrored((0.018, -0.098, 0.352), (0.022, 0.02, 0.018)):  # whisker pads
-        b.add(part, 0.012)
-    b.add(b.egg((0, -0.115, 0.367), (0.01, 0.008, 0.007)), 0.006)
-    for part in b.mirrored((0.036, -0.1, 0.39), (0.018, 0.014, 0.013)):
-        b.cut(part, 0.008)
-    for part in b.mirrored((0.036, -0.09, 0.39), (0.014, 0.011, 0.011)):
-        b.add(part, 0.004)
+    b.add((0, 0.05, 0.12), (0.13, 0.15, 0.13))
+    b.add((0, 0.0, 0.22), (0.09, 0.09, 0.15), 0.05)
+    b.add((0.05, -0.07, 0.08), (0.035, 0.045, 0.11), 0.03, pair=True)  # fore legs
+    b.add((0, -0.03, 0.375), (0.088 * round_, 0.078, 0.074), 0.03)
+    b.add((0.055, -0.015, 0.445), (0.026, 0.014, 0.05), 0.012, tilt=8, pair=True)  # ears
+    b.cut((0.055, -0.035, 0.445), (0.013, 0.012, 0.032), 0.008, tilt=8, pair=True)
+    b.add((0.018, -0.098, 0.352), (0.022, 0.02, 0.018), 0.012, pair=True)  # whisker pads
+    b.add((0, -0.115, 0.367), (0.01, 0.008, 0.007), 0.006)
+    b.cut((0.036, -0.1, 0.39), (0.018, 0.014, 0.013), 0.008, pair=True)
+    b.add((0.036, -0.09, 0.39), (0.014, 0.011, 0.011), 0.004, pair=True)
     curl = np.linspace(0, 1.6 * np.pi, 14)
     for a in curl:  # the tail, around the right side
-        b.add(b.egg((0.13 + 0.03 * np.cos(a) - 0.004 * a, 0.1 - 0.05 * a, 0.035), (0.024, 0.03, 0.024)), 0.02)
+        b.add((0.13 + 0.03 * np.cos(a) - 0.004 * a, 0.1 - 0.05 * a, 0.035), (0.024, 0.03, 0.024), 0.02)
     return b

@@ -2,12 +2,11 @@
 
 import csv
 import json
-import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-from novags import cli
 from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.folders.run import METRICS
@@ -18,33 +17,7 @@ STUDY = """
 scene = "ball.xml"
 electrons = [5, 20]
 method = "naive"
-[override]
-views = 4
-width = 24
-height = 24
-spp = 4
-points = 60
-iterations = 20
-render.variant = "scalar"
 """
-BALL = """<scene version="3.0.0">
-  <sensor type="perspective">
-    <transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
-  </sensor>
-  <emitter type="constant"/>
-  <shape type="sphere"/>
-</scene>
-"""
-
-
-def command(monkeypatch: pytest.MonkeyPatch, *words: str) -> int:
-    monkeypatch.setattr(sys, "argv", ["novags", *words])
-    monkeypatch.setattr("signal.signal", lambda *_: None)  # pytest keeps its own handlers
-    try:
-        cli.main()
-    except SystemExit as stop:
-        return int(stop.code or 0)
-    return 0
 
 
 def modified(folder: Path) -> dict[Path, int]:
@@ -52,18 +25,18 @@ def modified(folder: Path) -> dict[Path, int]:
 
 
 def test_a_study_makes_what_the_stages_make_and_repeats_or_believes_nothing_wrong(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, call: Callable[..., int], capsys: pytest.CaptureFixture[str], ball_xml: str, smallest: str
 ) -> None:
-    (tmp_path / "study.toml").write_text(STUDY)
-    (tmp_path / "ball.xml").write_text(BALL)
+    (tmp_path / "study.toml").write_text(STUDY + smallest)
+    (tmp_path / "ball.xml").write_text(ball_xml)
     out, store = tmp_path / "out" / "light", tmp_path / "out" / "store"
     words = ("study", str(tmp_path / "study.toml"), "--out", str(out), "--workers", "1")
 
-    assert command(monkeypatch, *words, "--dry-run") == 0
+    assert call(*words, "--dry-run") == 0
     assert "2 runs" in capsys.readouterr().out
     assert not (tmp_path / "out").exists()
 
-    assert command(monkeypatch, *words) == 0
+    assert call(*words) == 0
     assert "2 runs: 2 done" in capsys.readouterr().out
     rows = json.loads((out / "results.json").read_text())["rows"]
     with (out / "results.csv").open(newline="") as file:
@@ -84,7 +57,7 @@ def test_a_study_makes_what_the_stages_make_and_repeats_or_believes_nothing_wron
 
     before, true = modified(store), (run / METRICS).read_bytes()
     (run / METRICS).write_bytes(true.replace(b'"psnr": ', b'"psnr": 9'))  # a table of wonders
-    assert command(monkeypatch, *words) == 0
+    assert call(*words) == 0
     assert json.loads((out / "results.json").read_text())["rows"][0]["lit.psnr"] == rows[0]["lit.psnr"]
     changed = [path for path, time in modified(store).items() if time != before[path]]
     assert set(changed) == {run / METRICS, run / ".sealed.json"}  # nothing else was done twice

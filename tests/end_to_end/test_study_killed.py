@@ -7,12 +7,12 @@ import random
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from novags.testbed.cache import VOLATILE
 from novags.testbed.study.results import COSTS
 
 STUDY = """
@@ -21,23 +21,17 @@ scene = ["cornell", "tabletop", "tabletop:1"]
 electrons = [5, 20, 80]
 method = ["naive", "nova-fast"]
 seed = [0, 1]
-[override]
-views = 4
-width = 24
-height = 24
-spp = 4
-points = 60
-iterations = 20
+"""
+MORE = """
 denoiser_steps = 3
-render.variant = "scalar"
 fit.checkpoint_every = 10
 """
 KILLS = 10
 
 
-def start(folder: Path) -> "subprocess.Popen[bytes]":
+def start(folder: Path, study: str) -> "subprocess.Popen[bytes]":
     folder.mkdir(exist_ok=True)
-    (folder / "study.toml").write_text(STUDY)
+    (folder / "study.toml").write_text(study)
     root = Path(__file__).resolve().parents[2]
     environment = {**os.environ, "PYTHONPATH": str(root)}
     with (folder / "log").open("ab") as log:
@@ -61,38 +55,33 @@ def tables(folder: Path) -> tuple[Any, Any]:
     )  # type: ignore[return-value]
 
 
-def store(folder: Path) -> dict[str, object]:
+def store(folder: Path, without_costs: Callable[[Any], Any]) -> dict[str, object]:
     """Everything in the store, but for costs."""
-    return {path.relative_to(folder).as_posix(): content(path) for path in files(folder)}
+    return {path.relative_to(folder).as_posix(): content(path, without_costs) for path in files(folder)}
 
 
-def content(path: Path) -> object:
+def content(path: Path, without_costs: Callable[[Any], Any]) -> object:
     if path.name == ".sealed.json":  # checksums of files that hold costs
         return sorted(json.loads(path.read_text())["files"])
     return without_costs(json.loads(path.read_text())) if path.suffix == ".json" else path.read_bytes()
 
 
-def without_costs(value: Any) -> Any:
-    if isinstance(value, dict):
-        costs = {*VOLATILE, "hardware"} - {"stage"}
-        return {key: without_costs(part) for key, part in value.items() if key not in costs}
-    return [without_costs(part) for part in value] if isinstance(value, list) else value
-
-
 @pytest.mark.slow
-def test_a_study_of_36_runs_killed_ten_times_ends_the_same(tmp_path: Path) -> None:
-    whole, killed = tmp_path / "whole", tmp_path / "killed"
-    assert start(whole).wait() == 0, (whole / "log").read_text()
+def test_a_study_of_36_runs_killed_ten_times_ends_the_same(
+    tmp_path: Path, smallest: str, without_costs: Callable[[Any], Any]
+) -> None:
+    whole, killed, study = tmp_path / "whole", tmp_path / "killed", STUDY + smallest + MORE
+    assert start(whole, study).wait() == 0, (whole / "log").read_text()
     count = len(files(whole))
     moments = sorted(random.Random(0).sample(range(count), KILLS))
     for moment in moments:
-        process = start(killed)
+        process = start(killed, study)
         while len(files(killed)) < moment and process.poll() is None:
             time.sleep(0.05)
         assert process.poll() is None, (killed / "log").read_text()
         process.kill()
         process.wait()
-    assert start(killed).wait() == 0, (killed / "log").read_text()
+    assert start(killed, study).wait() == 0, (killed / "log").read_text()
     assert {row["state"] for row in tables(whole)[0]} == {"done"}
     assert tables(killed) == tables(whole)
-    assert store(killed) == store(whole)
+    assert store(killed, without_costs) == store(whole, without_costs)

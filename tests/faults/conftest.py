@@ -13,16 +13,6 @@ from typing import Any
 
 import pytest
 
-from novags.testbed.cache import VOLATILE
-
-BALL = """<scene version="3.0.0">
-  <sensor type="perspective">
-    <transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
-  </sensor>
-  <emitter type="constant"/>
-  <shape type="sphere"/>
-</scene>
-"""
 # The smallest size that every stage takes; checkpoints fall into the middle of the fit.
 VARIANT = "tiny=nova-fast:fit.checkpoint_every=10"
 SMALL = ["--views", "4", "--width", "24", "--height", "24", "--spp", "4"]
@@ -97,11 +87,11 @@ class Running:
 class Server:
     """Commands in forked children of a process that has loaded everything."""
 
-    def __init__(self, folder: Path, warm: list[list[str]]) -> None:
+    def __init__(self, folder: Path, scene: str, warm: list[list[str]]) -> None:
         self.reference, reports = folder / "reference", folder / "reports"
         reports.mkdir(parents=True)
         self.reference.mkdir()
-        (self.reference / "ball.xml").write_text(BALL)
+        (self.reference / "ball.xml").write_text(scene)
         root = Path(__file__).resolve().parents[2]
         words = [sys.executable, str(Path(__file__).with_name("server.py")), str(reports), str(self.reference)]
         self.errors = folder / "server.log"
@@ -141,10 +131,10 @@ class Server:
 
 
 @pytest.fixture(scope="session")
-def server(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Server]:
+def server(tmp_path_factory: pytest.TempPathFactory, ball_xml: str) -> Iterator[Server]:
     """The server; its `reference` folder holds set, capture and run, made without interruption."""
     order = ("render", "capture", "reconstruct", "score", "report")
-    found = Server(tmp_path_factory.mktemp("faults"), [STAGES[name].command for name in order])
+    found = Server(tmp_path_factory.mktemp("faults"), ball_xml, [STAGES[name].command for name in order])
     yield found
     found.close()
 
@@ -172,7 +162,7 @@ def begun(server: Server, tmp_path: Path) -> Callable[..., Path]:
 
 
 @pytest.fixture
-def same_as_reference(server: Server) -> Callable[[str, Path], list[str]]:
+def same_as_reference(server: Server, tree: Callable[[Path], dict[str, object]]) -> Callable[[str, Path], list[str]]:
     """The paths at which a stage's folder differs from the one that was never interrupted; [] if there are none."""
 
     def compare(name: str, folder: Path) -> list[str]:
@@ -186,26 +176,20 @@ def same_as_reference(server: Server) -> Callable[[str, Path], list[str]]:
     return compare
 
 
-def tree(folder: Path) -> dict[str, object]:
-    """Every entry of a folder, hidden ones too, with its content but for what it cost."""
-    return {path.relative_to(folder).as_posix(): _content(path) for path in sorted(folder.rglob("*"))}
+@pytest.fixture(scope="session")
+def tree(without_costs: Callable[[Any], Any]) -> Callable[[Path], dict[str, object]]:
+    """A function: every entry of a folder, hidden ones too, with its content but for what it cost."""
 
+    def content(path: Path) -> object:
+        if path.is_dir():
+            return "a folder"
+        if path.suffix == ".json":
+            return without_costs(json.loads(path.read_text()))
+        if path.suffix == ".html":  # durations and sizes are in its text and in its pictures
+            return re.sub(r"\d+(\.\d+)?|base64,[\w+/=]+", "#", path.read_text())
+        return path.read_bytes()
 
-def _content(path: Path) -> object:
-    if path.is_dir():
-        return "a folder"
-    if path.suffix == ".json":
-        return _without_costs(json.loads(path.read_text()))
-    if path.suffix == ".html":  # durations and sizes are in its text and in its pictures
-        return re.sub(r"\d+(\.\d+)?|base64,[\w+/=]+", "#", path.read_text())
-    return path.read_bytes()
-
-
-def _without_costs(value: Any) -> Any:
-    if isinstance(value, dict):
-        costs = {*VOLATILE, "hardware"} - {"stage"}
-        return {key: _without_costs(part) for key, part in value.items() if key not in costs}
-    return [_without_costs(part) for part in value] if isinstance(value, list) else value
+    return lambda folder: {path.relative_to(folder).as_posix(): content(path) for path in sorted(folder.rglob("*"))}
 
 
 @pytest.fixture(scope="session")
@@ -217,11 +201,6 @@ def page() -> dict[str, re.Pattern[str]]:
         if len(cells) == 4 and (lines := re.findall(r"`([^`]+)`", cells[1])):
             found[cells[0]] = re.compile("|".join(re.escape(text).replace("…", ".*") for text in lines))
     return found
-
-
-@pytest.fixture(scope="session", name="tree")
-def tree_of() -> Callable[[Path], dict[str, object]]:
-    return tree
 
 
 @pytest.fixture(scope="session")

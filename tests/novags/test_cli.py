@@ -3,22 +3,14 @@
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from novags import cli, options
 
-
-def call(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int:
-    """Run a command in this process; returns the exit code."""
-    monkeypatch.setattr(sys, "argv", ["novags", *arguments])
-    monkeypatch.setattr("signal.signal", lambda *_: None)  # pytest keeps its own handlers
-    try:
-        cli.main()
-    except SystemExit as stop:
-        return int(stop.code or 0)
-    return 0
+Call = Callable[..., int]
 
 
 def test_help_loads_no_heavy_library() -> None:
@@ -34,7 +26,7 @@ def test_help_loads_no_heavy_library() -> None:
     assert all(command in done.stdout for command in cli.COMMANDS)
 
 
-def test_variants_and_cameras_reach_the_experiment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_variants_and_cameras_reach_the_experiment(call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     from novags.cameras import KnownConfig
     from novags.testbed import experiment
 
@@ -42,7 +34,7 @@ def test_variants_and_cameras_reach_the_experiment(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr(experiment, "run", lambda preset, *_, **__: seen.append(preset) or tmp_path)
     words = ["--variant", "a=nova-fast:sh_weight=0.5", "--variant", "b=a:consistency=none", "--iterations", "7"]
     words += ["--cameras", "known:rotation_deg=2", "--refine-cameras", "--device", "cpu", "--out", str(tmp_path)]
-    assert call(monkeypatch, "run", *words) == 0
+    assert call("run", *words) == 0
     (preset,) = seen
     assert preset.methods[-2:] == ("a", "b")
     found = preset.reconstruct("b")
@@ -62,44 +54,38 @@ def test_variants_and_cameras_reach_the_experiment(monkeypatch: pytest.MonkeyPat
     ],
 )
 def test_a_wrong_word_is_one_line_with_the_near_ones(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], message: str
+    call: Call, capsys: pytest.CaptureFixture[str], words: tuple[str, ...], message: str
 ) -> None:
-    assert call(monkeypatch, *words) == 2
+    assert call(*words) == 2
     error = capsys.readouterr().err
     assert message in error
     assert len(error.splitlines()) == 1
 
 
 @pytest.mark.parametrize("words", [("--version",), ("list", "methods"), ("help",), ("help", "scores")])
-def test_the_front_door_answers(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]
-) -> None:
-    assert call(monkeypatch, *words) == 0
+def test_the_front_door_answers(call: Call, capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> None:
+    assert call(*words) == 0
     assert len(capsys.readouterr().out.split()) >= 2
 
 
 @pytest.mark.parametrize("command", ["plan", "render"])
-def test_light_has_the_same_options_everywhere(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str
-) -> None:
+def test_light_has_the_same_options_everywhere(call: Call, capsys: pytest.CaptureFixture[str], command: str) -> None:
     import dataclasses
 
-    assert call(monkeypatch, command, "--help") == 0
+    assert call(command, "--help") == 0
     text = capsys.readouterr().out
     for option in dataclasses.fields(options.LightOptions):
         assert re.search(rf"--{option.name.replace('_', '-')}[ ,]", text)
     where = ["--out", "x"] if command == "render" else ["--sensor", "ideal", "--electrons", "9"]
     wrong = ["--on", "motion blur", "--max-depth", "6", "--aperture-radius", "0.1", "--focus-distance", "2"]
     wrong += ["--motion", "9"]
-    assert call(monkeypatch, command, "cornell", *where, *wrong) == 2
+    assert call(command, "cornell", *where, *wrong) == 2
     assert "motion is a fraction of the step between views in (0, 2], got 9" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("command", sorted(cli.COMMANDS))
-def test_every_command_explains_every_option(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], command: str
-) -> None:
-    assert call(monkeypatch, command, "--help") == 0
+def test_every_command_explains_every_option(call: Call, capsys: pytest.CaptureFixture[str], command: str) -> None:
+    assert call(command, "--help") == 0
     text = capsys.readouterr().out
     import inspect
 
@@ -128,6 +114,7 @@ def test_every_command_explains_every_option(
     ],
 )
 def test_wrong_input_is_one_line_and_exit_code_2(
+    call: Call,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
     tmp_path: Path,
@@ -135,24 +122,28 @@ def test_wrong_input_is_one_line_and_exit_code_2(
     message: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert call(monkeypatch, *arguments) == 2
+    assert call(*arguments) == 2
     lines = [line for line in capsys.readouterr().err.splitlines() if line.strip()]
     assert len(lines) == 1
     assert lines[0].startswith("novags: error: ")
     assert message in lines[0]
 
 
-def test_the_traceback_is_there_for_those_who_ask(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_traceback_is_there_for_those_who_ask(call: Call, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("NOVAGS_TRACEBACK", "1")
     with pytest.raises(ValueError, match="no such folder"):
-        call(monkeypatch, "score", "no-such-folder")
+        call("score", "no-such-folder")
 
 
 @pytest.mark.parametrize(
     "error", [RuntimeError("first\nsecond"), RecursionError("deep"), KeyError("x"), BaseException("a panic")]
 )
 def test_what_nobody_foresaw_is_one_line_with_the_file_and_the_way_to_a_report(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, error: BaseException
+    call: Call,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    error: BaseException,
 ) -> None:
     from novags.testbed.folders import set as sets
 
@@ -162,7 +153,7 @@ def test_what_nobody_foresaw_is_one_line_with_the_file_and_the_way_to_a_report(
     (tmp_path / "photographs").mkdir()
     monkeypatch.setattr(sets, "load_set", broken)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    assert call(monkeypatch, "capture", str(tmp_path / "photographs"), "--out", str(tmp_path / "x")) == 1
+    assert call("capture", str(tmp_path / "photographs"), "--out", str(tmp_path / "x")) == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith(f"novags: error: unexpected {type(error).__name__} (at {tmp_path / 'photographs'}): ")
     (report,) = tmp_path.glob("novags-traceback-*.txt")
@@ -173,7 +164,7 @@ def test_what_nobody_foresaw_is_one_line_with_the_file_and_the_way_to_a_report(
 
 
 def test_too_little_memory_is_one_line_even_where_nothing_can_be_written(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+    call: Call, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     from novags.testbed import stages
 
@@ -182,21 +173,19 @@ def test_too_little_memory_is_one_line_even_where_nothing_can_be_written(
 
     monkeypatch.setattr(stages, "capture", too_large)
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "nowhere"))
-    assert call(monkeypatch, "capture", ".", "--out", "x") == 1
+    assert call("capture", ".", "--out", "x") == 1
     (line,) = capsys.readouterr().err.splitlines()
     assert "choose smaller pictures" in line
     assert line.endswith("NOVAGS_TRACEBACK=1 before the same command shows the traceback")
 
 
-def test_a_path_that_is_not_utf8_is_refused_before_any_work(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert call(monkeypatch, "capture", "a\udcff", "--out", "x") == 2
+def test_a_path_that_is_not_utf8_is_refused_before_any_work(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("capture", "a\udcff", "--out", "x") == 2
     assert "is not valid UTF-8: rename that file or folder" in capsys.readouterr().err
 
 
 def test_an_interruption_says_how_to_continue(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    call: Call, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     from novags.testbed import stages
 
@@ -204,7 +193,7 @@ def test_an_interruption_says_how_to_continue(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(stages, "capture", interrupted)
-    assert call(monkeypatch, "capture", ".", "--out", "x") == 130
+    assert call("capture", ".", "--out", "x") == 130
     assert "the same command again continues" in capsys.readouterr().err
 
 
@@ -219,10 +208,8 @@ def test_doctor_does_not_promise_a_gpu_to_what_runs_on_the_processor(monkeypatch
     assert "VGGT" not in findings  # nothing here uses it
 
 
-def test_doctor_finds_what_the_tests_themselves_need(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert call(monkeypatch, "doctor") == 0
+def test_doctor_finds_what_the_tests_themselves_need(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call("doctor") == 0
     text = capsys.readouterr().out
     assert "ok       torch" in text
     assert "ok       mitsuba" in text

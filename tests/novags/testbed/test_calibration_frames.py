@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 import pytest
 
-from novags import cli
 from novags.testbed.calibration_frames import characterise_folder, read_frames
 from sensor_model import PRESETS, Exposure, Sensor, expose, mosaic, read_sensor, write_dng
 
@@ -86,14 +85,12 @@ def test_a_monochrome_camera_is_found_in_images_of_every_kind(save, tmp_path: Pa
     assert found.nonlinearity == pytest.approx(MONO.nonlinearity, abs=0.004)
 
 
-def test_a_colour_camera_is_found_in_raw_files_and_takes_pictures(tmp_path: Path, monkeypatch, capsys) -> None:
+def test_a_colour_camera_is_found_in_raw_files_and_takes_pictures(tmp_path: Path, call, capsys) -> None:
     """Rationale: the whole way of a user, from his raw files to `--sensor`. Exposure times, pattern and bits: EXIF."""
     write_frames(tmp_path / "frames", BAYER, as_dng)
     (tmp_path / "frames" / "frames.toml").write_text("bits = 12\n[camera]\neta = 0.8847\nserial = 7\n")
-    monkeypatch.setattr("signal.signal", lambda *_: None)
     out = tmp_path / "new" / "camera.toml"
-    monkeypatch.setattr("sys.argv", ["novags", "characterise", str(tmp_path / "frames"), "--out", str(out)])
-    cli.main()
+    assert call("characterise", str(tmp_path / "frames"), "--out", str(out)) == 0
     assert "gain 1.6" in capsys.readouterr().out
     found = read_sensor(out)
     assert_found(found, BAYER, gain=0.02, mu_e_sat=0.02, sigma_d=0.04, dark_current=0.05, dsnu=0.08, prnu=0.08)

@@ -1,6 +1,7 @@
 """Claims about captures: any camera, any images, one view in memory at a time."""
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -93,20 +94,19 @@ def test_defects_are_planned_for_the_pixels_of_the_capture_not_of_the_pilot(tmp_
     ],
 )
 def test_a_wrong_camera_file_is_one_line_and_exit_code_2(
-    content: str | None, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
+    content: str | None,
+    message: str,
+    call: Callable[..., int],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture,
 ) -> None:
-    from novags import cli
-
     if content is not None:
         (tmp_path / "mine.toml").write_text(content)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("signal.signal", lambda *_: None)
     for command in (["capture", "set", "--out", "cap"], ["plan", "set", "--electrons", "5"], ["run", "--out", "x"]):
-        monkeypatch.setattr("sys.argv", ["novags", *command, "--sensor", "mine.toml"])
-        with pytest.raises(SystemExit) as stop:
-            cli.main()
+        assert call(*command, "--sensor", "mine.toml") == 2
         lines = capsys.readouterr().err.strip().splitlines()
-        assert stop.value.code == 2
         assert len(lines) == 1
         assert lines[0].startswith(
             ("novags: error: mine.toml: ", "novags: error: mine.toml is not a readable TOML file")
