@@ -2,6 +2,7 @@
 
 import ast
 import re
+from collections import Counter
 from functools import cache
 from pathlib import Path
 
@@ -137,6 +138,16 @@ def test_project_files_name_no_path_of_one_machine() -> None:
     assert found == []
 
 
+def python_files() -> list[Path]:
+    return [path for path in project_files() if path.suffix == ".py"]
+
+
 def test_python_files_stay_under_400_lines() -> None:
-    lengths = {name: len(path.read_text(encoding="utf-8").splitlines()) for name, path in modules().items()}
+    lengths = {str(path.relative_to(ROOT)): len(path.read_text("utf-8").splitlines()) for path in python_files()}
     assert {name: length for name, length in lengths.items() if length > 400} == {}
+
+
+def test_folders_hold_few_files() -> None:
+    """About a dozen: what a reader can take in at a glance. `__init__.py` and `conftest.py` count."""
+    sizes = Counter(str(path.parent.relative_to(ROOT)) for path in python_files())
+    assert {name: size for name, size in sizes.items() if size > 14} == {}

@@ -1,3 +1,5 @@
+from collections.abc import Callable
+
 import mpmath
 import pytest
 import torch
@@ -5,9 +7,9 @@ import torch
 from novags.splats.raster import raster_numba, raster_torch
 from novags.testbed.stability import Case, Setting, measured
 from novags.testbed.stability.parts.splats.dense import render
-from novags.testbed.stability.parts.splats.rasterizer import PART, SMALL, _single
+from novags.testbed.stability.parts.splats.rasterizer import SMALL, _single
 
-CASES = {case.name: case for case in PART.cases}
+Fails = Callable[..., bool]
 
 
 def test_the_error_stays_within_its_bound(case: Case, setting: Setting) -> None:
@@ -15,22 +17,18 @@ def test_the_error_stays_within_its_bound(case: Case, setting: Setting) -> None:
     assert found.holds, str(found)
 
 
-def fails(name: str, backend: str) -> bool:
-    return not measured(CASES[name], Setting(backend, 1)).holds
-
-
-def test_a_conic_that_cancels_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_conic_that_cancels_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
     # in float32 the readable rasteriser, which inverts the covariance, is what the kernels must not be
     monkeypatch.setattr(raster_numba, "render", raster_torch.render)
     assert fails("needles: near-singular covariances", "numba")
 
 
-def test_squares_of_short_quaternions_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_squares_of_short_quaternions_are_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(raster_torch, "unit_largest", lambda quats: quats)
     assert fails("quaternions of length 1e-20, 1e20 and subnormal", "torch")
 
 
-def test_layers_in_half_precision_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_layers_in_half_precision_are_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
     composite = raster_torch.composite
 
     def coarse(means2d, covs2d, opacities, features, width, height):
@@ -41,7 +39,7 @@ def test_layers_in_half_precision_are_noticed(monkeypatch: pytest.MonkeyPatch) -
         assert fails(name, "torch"), name
 
 
-def test_a_slope_through_the_cap_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_slope_through_the_cap_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
     def leaking(x, largest):
         return x + (torch.minimum(x, torch.tensor(largest)) - x).detach()
 
@@ -49,7 +47,7 @@ def test_a_slope_through_the_cap_is_noticed(monkeypatch: pytest.MonkeyPatch) -> 
     assert fails("logits -100 to 100", "torch")
 
 
-def test_dust_without_the_added_variance_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_dust_without_the_added_variance_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
     dilated = raster_torch.dilated
     monkeypatch.setattr(raster_torch, "dilated", lambda M, eps2d: dilated(M, 0.2))
     assert fails("log scales -40 to 20", "torch")

@@ -1,13 +1,13 @@
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 import torch
 
 from novags.testbed.stability import Case, Setting, measured
 from novags.testbed.stability.parts.splats import harmonics
-from novags.testbed.stability.parts.splats.harmonics import PART
 
-CASES = {case.name: case for case in PART.cases}
-HERE = Setting("torch", 1)
+Fails = Callable[..., bool]
 
 
 def test_the_error_stays_within_its_bound(case: Case, setting: Setting) -> None:
@@ -15,11 +15,7 @@ def test_the_error_stays_within_its_bound(case: Case, setting: Setting) -> None:
     assert found.holds, str(found)
 
 
-def fails(name: str) -> bool:
-    return not measured(CASES[name], HERE).holds
-
-
-def test_harmonics_from_angles_are_noticed_at_the_poles(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_harmonics_from_angles_are_noticed_at_the_poles(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
     colors = harmonics.sh_colors
 
     def from_angles(degree, directions, sh):
@@ -32,20 +28,20 @@ def test_harmonics_from_angles_are_noticed_at_the_poles(monkeypatch: pytest.Monk
     assert fails("poles and what is near them")
 
 
-def test_a_length_without_its_floor_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_length_without_its_floor_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
     colors = harmonics.sh_colors
     monkeypatch.setattr(harmonics, "sh_colors", lambda d, x, sh: colors(d, x / x.norm(dim=-1, keepdim=True), sh))
     assert fails("a Gaussian at the camera's centre")
 
 
-def test_half_precision_is_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_half_precision_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
     colors = harmonics.sh_colors
     monkeypatch.setattr(harmonics, "sh_colors", lambda d, x, sh: colors(d, x, sh.bfloat16().float()))
     for name in ("poles and what is near them", "directions of length 1e-9 to 1e15", "coefficients of 1e6"):
         assert fails(name), name
 
 
-def test_coefficients_beyond_the_degree_are_noticed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_coefficients_beyond_the_degree_are_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
     colors = harmonics.sh_colors
     monkeypatch.setattr(harmonics, "sh_colors", lambda d, x, sh: colors(d, x, sh) + 0 * sh.sum((1, 2))[:, None])
     assert fails("another degree: what lies above it may be anything")
