@@ -43,8 +43,7 @@ GROUPS = (
       "tests/novags/methods/nova/test_trainer*.py")),
     (tuple(f"novags/splats/training/{what}.py"
            for what in ("losses", "updates/mcmc", "fit", "iteration", "config", "direct")),
-     ("tests/novags/splats/test_splats_losses*.py", "tests/novags/splats/test_splats_mcmc*.py",
-      "tests/novags/splats/test_splats_fit*.py", "tests/novags/splats/test_splats_direct.py")),
+     tuple(f"tests/novags/splats/training/test_{what}.py" for what in ("losses", "mcmc", "fit*", "direct"))),
     (("sensor_model/effects.py", "sensor_model/moments.py", "sensor_model/radiometry.py", "sensor_model/isp.py"),
      tuple(f"tests/sensor_model/test_{what}*.py"
            for what in ("effects", "moments", "radiometry", "isp", "capture", "planner"))
