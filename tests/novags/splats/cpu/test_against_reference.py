@@ -253,7 +253,7 @@ def test_values_and_gradients_match_the_float64_reference(case, make_scene, reco
         assert of_all.max() < ALL_WITHIN, name
 
 
-# Few machines have one. That the call is mapped rightly is tested without, in test_splats_gsplat.py.
+# Few machines have one. That the call is mapped rightly is tested without, in raster/test_gsplat.py.
 @pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="gsplat's kernels need a CUDA device, there is none")
 @pytest.mark.parametrize("case", CASES)

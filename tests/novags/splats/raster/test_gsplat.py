@@ -1,6 +1,6 @@
 """How a call is mapped onto gsplat's: the readable rasteriser, behind gsplat's signature, stands in for its kernels.
 
-What the kernels themselves compute is compared in test_splats_cpu_against_reference, on a GPU.
+What the kernels themselves compute is compared in cpu/test_against_reference.py, on a GPU.
 """
 
 import inspect
