@@ -6,6 +6,7 @@ from difflib import get_close_matches
 from typing import Any
 
 from novags.methods import enhance_then_fit, oracle
+from novags.methods.averaging import trainer as averaging
 from novags.methods.gaussian_fit import EnhancedFitConfig, fit_parts
 from novags.methods.nova import trainer as nova
 from novags.methods.nova.denoiser import FAST_DENOISER
@@ -46,6 +47,17 @@ METHODS: dict[str, Method] = {
         sees_clean=True,
         bound="ceiling",
     ),
+    "averaging": Method(
+        title="bring the training exposures to the view by the true surface and average them by inverse variance: what "
+        "counting statistics across views alone can give",
+        family="bound",
+        color="#6b6b6b",
+        config=averaging.AveragingConfig,
+        train=averaging.train,
+        source="the Gauss-Markov theorem, and cubic convolution (Keys 1981)",
+        sees_clean=True,
+        sees_surface=True,
+    ),
 }
 
 _PUBLISHED = flattened(nova.NovaConfig())
@@ -78,6 +90,12 @@ VARIANTS: dict[str, Variant] = dict(
             "naive",
             "enhance, then fit the noisy pictures with L1 alone, which averages noise over the views",
             {"fit.dssim_weight": 0.0},
+        ),
+        _variant(
+            "averaging-clean",
+            "averaging",
+            "the same average of the noise-free exposures: what bringing them to the view costs by itself",
+            {"exposures": "noise-free"},
         ),
     )
 )

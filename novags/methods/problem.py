@@ -58,6 +58,25 @@ class RawPictures:
 
 
 @dataclass(frozen=True, kw_only=True)
+class TrueSurface:
+    """What every view of the set sees, held-out ones too: truth that no camera measures.
+
+    Attributes:
+        viewmats: World-to-camera matrices, float64 [V, 4, 4].
+        Ks: Intrinsics, float64 [V, 3, 3].
+        depth: z-depths at the pixel centres, float32 [V, H, W], inf where there is no surface.
+        normals: Of the surface, world axes, float32 [V, H, W, 3]; 0 where there is none.
+        training: Which of these views the problem's are, in its order [C].
+    """
+
+    viewmats: np.ndarray
+    Ks: np.ndarray
+    depth: np.ndarray
+    normals: np.ndarray
+    training: tuple[int, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
 class Problem:
     """One reconstruction problem.
 
@@ -73,6 +92,7 @@ class Problem:
         channels_share: Why the noise of a pixel's three channels is not independent ("demosaicing", "JPEG", "colour
             matrix"); empty where it is.
         clean: The exposures without noise, developed like `srgb8`, [C, H, W, 3]. Only methods with `sees_clean` get it.
+        surface: The true surface. Only methods with `sees_surface` get it.
         n_gaussians: How many Gaussians were asked for; None: as many as there are points at the start.
         names: One name per view; the keys of shared results.
         shared: Results that several methods have in common.
@@ -87,6 +107,7 @@ class Problem:
     noise: Noise | None = None
     channels_share: tuple[str, ...] = ()
     clean: Tensor | None = None
+    surface: TrueSurface | None = None
     n_gaussians: int | None = None
     names: tuple[str, ...] = ()
     shared: Memo = field(default_factory=Memo, repr=False, compare=False)

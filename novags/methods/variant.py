@@ -30,6 +30,7 @@ class Method:
             None: their steps all take the same time.
         cameras: The camera source that the publication uses; None if it does not matter.
         sees_clean: Whether it is given the noise-free exposures; a bound, never a rival.
+        sees_surface: Whether it is given the true surface and cameras too; it takes no other cameras.
         bound: The end of the scale that "recovered" is measured on: what noise costs lies between the two.
     """
 
@@ -42,6 +43,7 @@ class Method:
     parts: Callable[[Any], dict[str, int]] | None = None
     cameras: str | None = None
     sees_clean: bool = False
+    sees_surface: bool = False
     bound: Literal["floor", "ceiling"] | None = None
 
 

@@ -107,6 +107,11 @@ def enhanced_view(
     return shared.once(("enhanced", name, pictures, config), lambda: _enhance(dark, config, None))
 
 
+def enhanced_like(dark: Tensor, config: EnhancerConfig, params: Any) -> Tensor:
+    """A picture [H, W, 3], sRGB-encoded in 0..1, through the enhancement of another one with these parameters."""
+    return _enhance(dark, config, params)[0]
+
+
 def _enhance(dark: Tensor, config: EnhancerConfig, params: Any) -> tuple[Tensor, Any]:
     enhancer = next(e for e in ENHANCERS.values() if isinstance(config, e.config))
     return enhancer.enhance(dark, config, params)

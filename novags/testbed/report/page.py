@@ -105,8 +105,8 @@ def write_reports(
             material = Material(path.parent, {}, group.runs, group.metrics, group.capture, group.lit)
             with console.progress("report") as progress:
                 context = report_context(material, progress)
-            return _filled("report.html", path, {**context, "identity": identity})
-        return _filled("comparison.html", path, comparison_context(groups, path.parent, identity))
+            return fill_page("report.html", path, {**context, "identity": identity})
+        return fill_page("comparison.html", path, comparison_context(groups, path.parent, identity))
 
 
 def report_path(folders: Sequence[Path]) -> Path:
@@ -128,10 +128,10 @@ def _write_report(folder: Path, console: Console) -> Path:
     material = read_material(folder, console)
     with console.progress("report") as progress:
         context = report_context(material, progress)
-    return _filled("report.html", folder / REPORT, context)
+    return fill_page("report.html", folder / REPORT, context)
 
 
-def _filled(template: str, path: Path, context: dict[str, Any]) -> Path:
+def fill_page(template: str, path: Path, context: dict[str, Any]) -> Path:
     """Write a page and return its path."""
     import jinja2
 

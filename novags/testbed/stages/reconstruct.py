@@ -12,7 +12,7 @@ from torch import Tensor
 
 from novags.cameras import CameraConfig, CameraEstimate, KnownConfig, spell_cameras
 from novags.methods import METHODS
-from novags.methods.problem import LacksInput, Problem, RawPictures
+from novags.methods.problem import LacksInput, Problem, RawPictures, TrueSurface
 from novags.methods.reconstruction import Reconstruction
 from novags.methods.variant import Variant
 from novags.splats import Views
@@ -25,7 +25,7 @@ from novags.testbed.folders.imported import MISSING
 from novags.testbed.folders.run import CAMERAS, CHECKPOINTS, EVENTS
 from novags.testbed.folders.set import Source
 from novags.testbed.machine.devices import chosen_device
-from novags.testbed.stages.camera_source import Frame, cameras_of
+from novags.testbed.stages.camera_source import Frame, cameras_of, true_cameras
 from novags.testbed.stages.paths import keep_apart
 from novags.testbed.stages.viewers import viewer_cameras
 from simscenes.sets.pictures.exr import write_exr
@@ -52,6 +52,11 @@ class ReconstructConfig:
             raise ValueError(f"points must be >= 4, got {self.points}")
         if self.seed < 0:
             raise ValueError(f"seed must be >= 0, got {self.seed}")
+        if METHODS[self.variant.method].sees_surface and self.cameras != KnownConfig():
+            raise ValueError(
+                f"{self.variant.name} follows the true surface and so takes the set's own cameras, got cameras = "
+                f"{spell_cameras(self.cameras)}: use known, or leave {self.variant.name} out"
+            )
 
     def resolved(self) -> dict[str, Any]:
         """What determines the result."""
@@ -107,14 +112,14 @@ def reconstruct(
 
 
 def prepare(capture: Capture, source: Source, config: ReconstructConfig, console: Console) -> Prepared:
-    """The problem: pictures and cameras of the training views. Only methods with `sees_clean` get the noise-free ones.
+    """The problem: pictures and cameras of the training views. Truth goes to the methods alone whose row says so.
 
     Raises:
-        LacksInput: If the method needs the noise-free ones and the capture has none.
+        LacksInput: If the method needs the noise-free ones or the true surface, and they are not known.
         ValueError: If the capture has too few views, the camera source fails, or a file cannot be read.
     """
-    sees_clean = METHODS[config.variant.method].sees_clean
-    if sees_clean and not capture.holds("truth"):
+    method = METHODS[config.variant.method]
+    if method.sees_clean and not capture.holds("truth"):
         raise LacksInput(
             f"{config.variant.name} learns from noise-free exposures, and of {capture.path} {MISSING['truth']}"
         )
@@ -139,12 +144,31 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
         raw=raw_pictures(capture, indices) if capture.holds("raw") else None,
         noise=capture.noise,
         channels_share=capture.channels_share,
-        clean=stack([capture.clean(i) for i in indices]) if sees_clean else None,
+        clean=stack([capture.clean(i) for i in indices]) if method.sees_clean else None,
+        surface=true_surface(capture, source, indices, config.variant.name) if method.sees_surface else None,
         n_gaussians=config.points,
         names=tuple(capture.names[i] for i in indices),
         shared=capture.memo,
     )  # fmt: skip
     return Prepared(problem.to(device), estimate, indices, device)
+
+
+def true_surface(capture: Capture, source: Source, indices: list[int], name: str) -> TrueSurface:
+    """The surface that all views see, in the frame of the true cameras.
+
+    Raises:
+        LacksInput: If it is not known.
+    """
+    found = [None if source.scaled else source.views.geometry(i) for i in range(len(capture.names))]
+    known = [geometry for geometry in found if geometry is not None]
+    if len(known) < len(found):
+        raise LacksInput(f"{name} follows the true surface, and of {capture.path} it is not known: it was made from "
+                         "photographs, or from a set that was scaled down")  # fmt: skip
+    return TrueSurface(
+        viewmats=true_cameras(capture).numpy(), Ks=np.array(capture.cameras.rig.Ks, np.float64),
+        depth=np.stack([geometry["z"] for geometry in known]),
+        normals=np.stack([geometry["geometric_normals"] for geometry in known]), training=tuple(indices),
+    )  # fmt: skip
 
 
 def raw_pictures(capture: Capture, indices: list[int]) -> RawPictures:

@@ -1,0 +1,1 @@
+"""What counting statistics across views can give: exposures brought together by the true surface, and averaged."""

@@ -1,0 +1,113 @@
+"""The bound of counting statistics across views: the method `averaging`."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from torch import Tensor
+
+from novags.methods.averaging.scene import LEAST, AveragedScene
+from novags.methods.averaging.surface import Array, Camera
+from novags.methods.averaging.warp import Kernel, Rules
+from novags.methods.enhancers import EnhancerConfig, enhanced_like, enhanced_view, enhancement_record
+from novags.methods.enhancers.guided import EnhanceConfig
+from novags.methods.noise import estimate_noise
+from novags.methods.problem import LacksInput, Pictures, Problem, TrueSurface
+from novags.methods.reconstruction import Reconstruction
+from sensor_model import srgb_to_linear
+
+
+@dataclass(frozen=True, kw_only=True)
+class AveragingConfig:
+    """What is averaged, and what counts as seeing a pixel.
+
+    The surface is taken to look the same from everywhere: what shines or mirrors is averaged all the same, and costs
+    the noise-free average too.
+    """
+
+    exposures: Literal["noisy", "noise-free"] = "noisy"
+    pictures: Pictures = "8bit"  # through whose enhancement the average goes; what is averaged is linear, 16-bit
+    enhance: EnhancerConfig = field(default_factory=EnhanceConfig)
+    kernel: Kernel = "cubic"
+    tolerance: float = 0.01  # relative difference of depth up to which two views see the same surface
+    coarsest: float = 3.0  # pixels of the view along one of a training view, up to which that is used
+
+    def __post_init__(self) -> None:
+        for name, value in (("exposures", ("noisy", "noise-free")), ("kernel", ("cubic", "linear"))):
+            if getattr(self, name) not in value:
+                raise ValueError(f"{name} must be one of {', '.join(value)}, got {getattr(self, name)!r}")
+        if not 0 < self.tolerance < 1:
+            raise ValueError(f"tolerance must lie in (0, 1), got {self.tolerance}")
+        if not self.coarsest >= 1:
+            raise ValueError(f"coarsest must be >= 1 pixel, got {self.coarsest}")
+
+
+def train(
+    problem: Problem,
+    config: AveragingConfig,
+    *,
+    progress: Callable[[int, int, dict[str, float]], None] | None = None,
+    checkpoint: Path | None = None,
+) -> Reconstruction:
+    """Nothing is trained: the exposures with their variances and the true surface are the scene.
+
+    Args:
+        problem: The problem; it holds the noise-free exposures and the true surface.
+        config: All choices.
+        progress: Called once.
+        checkpoint: Not used: there is nothing to resume.
+
+    Raises:
+        LacksInput: If the problem lacks one of these, or the linear 16-bit pictures.
+    """
+    started = time.perf_counter()
+    exposures, variances = _exposures(problem, config)
+    assert problem.surface is not None
+    known = cameras_of(problem.surface, config.tolerance)
+
+    def enhance(dark: Tensor, view: int) -> Tensor:
+        like = problem.encoded(config.pictures)[view]
+        _, params = enhanced_view(problem.shared, problem.names[view], like, config.enhance, config.pictures)
+        return enhanced_like(dark.to(like.device), config.enhance, params).cpu()
+
+    scene = AveragedScene(
+        sources=[known[i] for i in problem.surface.training], exposures=exposures, variances=variances, known=known,
+        rules=Rules(kernel=config.kernel, coarsest=config.coarsest, mixed=False), enhance=enhance,
+    )  # fmt: skip
+    if progress is not None:
+        progress(1, 1, {})
+    return Reconstruction(
+        scene=scene,
+        space="enhanced",
+        config=config,
+        enhancement=enhancement_record(config.enhance, config.pictures),
+        seconds={"all": time.perf_counter() - started},
+    )
+
+
+def cameras_of(surface: TrueSurface, tolerance: float) -> list[Camera]:
+    """The cameras of all views with what they see."""
+    return [Camera.of(*view, tolerance)
+            for view in zip(surface.viewmats, surface.Ks, surface.depth, surface.normals, strict=True)]  # fmt: skip
+
+
+def _exposures(problem: Problem, config: AveragingConfig) -> tuple[Array, Array]:
+    """The exposures in linear light and the variance of their noise, both [C, H, W, 3].
+
+    The variance is that at the true mean: at the noisy value itself, bright outliers would lose weight.
+    """
+    if problem.clean is None or problem.surface is None or problem.linear16 is None:
+        wanted = {"the noise-free exposures": problem.clean, "the true surface": problem.surface,
+                  "the linear 16-bit pictures": problem.linear16}  # fmt: skip
+        missing = ", ".join(name for name, value in wanted.items() if value is None)
+        raise LacksInput(f"averaging over views by truth needs {missing}, and this capture has none")
+    clean = np.asarray(srgb_to_linear(problem.clean.cpu().double().numpy()), np.float64)
+    noisy = problem.linear16.cpu()
+    noise = problem.noise or estimate_noise(noisy)
+    variances = noise.linear16(problem.clean.new_tensor(clean).cpu().double()).numpy()
+    # Without the floor a camera without noise would divide by zero.
+    variances = np.maximum(variances, LEAST * max(float(variances.max()), LEAST))
+    return (noisy.double().numpy() if config.exposures == "noisy" else clean), variances

@@ -1,0 +1,152 @@
+"""A chart over the light as inline SVG: lines through means, bars for the spread, a mark where a curve breaks."""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+
+WIDTH, HEIGHT = 720, 340
+LEFT, RIGHT, TOP, BOTTOM = 62, 170, 14, 46
+LEGEND = 18  # px between two lines of it
+ALONE = """
+svg { background: #fff; font-family: system-ui, sans-serif; --line: #e2e2df; --muted: #63666d; }
+.chart .rule { stroke: var(--line); stroke-width: 1; }
+.chart text { fill: var(--muted); font-size: 12px; }
+.chart .line { fill: none; stroke: var(--own); stroke-width: 2; stroke-linejoin: round; }
+"""  # what the page's style says where the chart stands in one
+
+
+@dataclass(frozen=True)
+class Line:
+    """One curve.
+
+    Attributes:
+        name: In the legend.
+        key: CSS class that gives it its colour.
+        points: (x, mean, least, largest) from left to right.
+        dashed: Whether it is a bound.
+        knee: Where it breaks, x; None if it does not.
+    """
+
+    name: str
+    key: str
+    points: Sequence[tuple[float, float, float, float]]
+    dashed: bool = False
+    knee: float | None = None
+
+
+def level_chart(lines: Sequence[Line], *, x_label: str, y_label: str, title: str) -> str:
+    """Lines over a logarithmic x, which must be > 0; y is linear.
+
+    Raises:
+        ValueError: If there is nothing to draw, or an x is not positive.
+    """
+    points = [point for line in lines for point in line.points]
+    if not points or min(x for x, *_ in points) <= 0:
+        raise ValueError("a chart over the light needs at least one point, and light > 0 at every one")
+    frame = _Frame.around(points)
+    parts = [f'<svg class="chart" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(title)}">']
+    parts += frame.axes(sorted({x for x, *_ in points}), x_label, y_label)
+    for place, line in enumerate(lines):
+        parts += frame.line(line)
+        parts += _legend(line, place)
+    return "".join([*parts, "</svg>"])
+
+
+def alone(chart: str, colors: Mapping[str, str]) -> str:
+    """A chart as a file of its own.
+
+    Args:
+        chart: Of `level_chart`.
+        colors: "#rrggbb" by key of its lines.
+    """
+    own = "".join(f".{key} {{ --own: {color}; }}\n" for key, color in colors.items())
+    opened = f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{HEIGHT}" '
+    return chart.replace("<svg ", opened, 1).replace(">", f"><style>{ALONE}{own}</style>", 1) + "\n"
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """Where values lie in the picture."""
+
+    left: float  # logarithms
+    right: float
+    bottom: float
+    top: float
+
+    @staticmethod
+    def around(points: Sequence[tuple[float, float, float, float]]) -> "_Frame":
+        xs = [math.log(x) for x, *_ in points]
+        low, high = min(least for _, _, least, _ in points), max(largest for *_, largest in points)
+        pad = max(0.05 * (high - low), 1e-3 * abs(high), 1e-6)  # a constant line still needs a height
+        wide = max(0.03 * (max(xs) - min(xs)), 1e-3)
+        return _Frame(min(xs) - wide, max(xs) + wide, low - pad, high + pad)
+
+    def x(self, value: float) -> float:
+        share = (math.log(value) - self.left) / (self.right - self.left)
+        return LEFT + (WIDTH - LEFT - RIGHT) * share
+
+    def y(self, value: float) -> float:
+        return HEIGHT - BOTTOM - (HEIGHT - TOP - BOTTOM) * (value - self.bottom) / (self.top - self.bottom)
+
+    def axes(self, levels: Sequence[float], x_label: str, y_label: str) -> list[str]:
+        end, parts = WIDTH - RIGHT, []
+        for tick in ticks(self.bottom, self.top):
+            y = self.y(tick)
+            parts.append(f'<line class="rule" x1="{LEFT}" x2="{end}" y1="{y:.1f}" y2="{y:.1f}"/>')
+            parts.append(f'<text class="tick" x="{LEFT - 8}" y="{y + 4:.1f}" text-anchor="end">{tick:g}</text>')
+        last = -math.inf
+        for level in levels:
+            if self.x(level) - last >= 28:  # px; closer numbers would touch
+                last, below = self.x(level), HEIGHT - BOTTOM + 18
+                parts.append(f'<text class="tick" x="{last:.1f}" y="{below}" text-anchor="middle">{level:g}</text>')
+        middle, centre = (LEFT + end) / 2, (TOP + HEIGHT - BOTTOM) / 2
+        parts.append(f'<text class="axis" x="{middle}" y="{HEIGHT - 6}" text-anchor="middle">{escape(x_label)}</text>')
+        turned = f'transform="translate(14 {centre}) rotate(-90)"'
+        parts.append(f'<text class="axis" {turned} text-anchor="middle">{escape(y_label)}</text>')
+        return parts
+
+    def line(self, line: Line) -> list[str]:
+        if not line.points:
+            return []
+        path = " ".join(f"{self.x(x):.1f},{self.y(mean):.1f}" for x, mean, *_ in line.points)
+        parts = [_stroke(line, f'<polyline points="{path}"', f"<title>{escape(line.name)}</title></polyline>")]
+        for x, _, least, largest in line.points:
+            if largest > least:
+                bar = f'x1="{self.x(x):.1f}" x2="{self.x(x):.1f}" y1="{self.y(least):.1f}" y2="{self.y(largest):.1f}"'
+                parts.append(_stroke(line, f"<line {bar}", "</line>"))
+        if line.knee is not None:
+            x, y = self.x(line.knee), self.y(_between(line, line.knee))
+            told = f"<title>{escape(line.name)} breaks at {line.knee:.3g}</title></circle>"
+            parts.append(_stroke(line, f'<circle cx="{x:.1f}" cy="{y:.1f}" r="5"', told))
+        return parts
+
+
+def _stroke(line: Line, opened: str, closed: str) -> str:
+    dashes = ' stroke-dasharray="6 4"' if line.dashed and opened.startswith("<polyline") else ""
+    return f'{opened} class="line {escape(line.key)}"{dashes}>{closed}'
+
+
+def _legend(line: Line, place: int) -> list[str]:
+    x, y = WIDTH - RIGHT + 14, TOP + 10 + LEGEND * place
+    dashes = ' stroke-dasharray="6 4"' if line.dashed else ""
+    return [f'<line class="line {escape(line.key)}"{dashes} x1="{x}" x2="{x + 24}" y1="{y}" y2="{y}"/>',
+            f'<text class="name" x="{x + 30}" y="{y + 4}">{escape(line.name)}</text>']  # fmt: skip
+
+
+def _between(line: Line, x: float) -> float:
+    """The mean at x, linear in the logarithm between two points; the end's beyond them."""
+    points = line.points
+    for (left, low, *_), (right, high, *_) in zip(points, points[1:], strict=False):
+        if left <= x <= right:
+            return low + (high - low) * math.log(x / left) / math.log(right / left)
+    return points[0][1] if x < points[0][0] else points[-1][1]
+
+
+def ticks(low: float, high: float) -> list[float]:
+    """About five round numbers between two values."""
+    rough = (high - low) / 5
+    power = 10.0 ** math.floor(math.log10(rough))
+    step = next(factor * power for factor in (1, 2, 5, 10) if factor * power >= rough)
+    first = math.ceil(low / step - 1e-9)
+    return [round(step * k, 12) for k in range(first, math.floor(high / step + 1e-9) + 1)]

@@ -1,0 +1,196 @@
+"""The report on a study over the light: curves, where each method breaks, and the same as JSON, CSV and pictures.
+
+report.html            light.json   light.csv   (every point of every curve)   light-knees.csv
+light-MEASURE.svg      light-MEASURE-PLACE.svg  (where other axes than light, method and seed have several values)
+"""
+
+import csv
+import io
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from novags.methods import METHODS, chosen, with_variants
+from novags.methods.variant import Variant
+from novags.testbed.cache import read_json, write_json, write_text
+from novags.testbed.folders.experiment import REPORT
+from novags.testbed.report.level_chart import Line, alone, level_chart
+from novags.testbed.report.page import fill_page
+from novags.testbed.report.rows import distinct
+from novags.testbed.study.conduct import STUDY
+from novags.testbed.study.light import Curve, Measure, light_curves
+from novags.testbed.study.results import JSON, counted
+
+DATA, POINTS, KNEES = "light.json", "light.csv", "light-knees.csv"
+RESULTS: Any = {"axes": {"*": list}, "rows": [{"state": str, "method": str}]}
+TABLE: Any = {"file": str, "table": dict}
+
+
+@dataclass(frozen=True)
+class Chart:
+    """Curves of one score in one place.
+
+    Attributes:
+        title: Score, and place if there are several.
+        file: Name of the picture.
+        curves: One a method.
+    """
+
+    title: str
+    file: str
+    curves: list[Curve]
+
+    @property
+    def measure(self) -> Measure:
+        """The score."""
+        return self.curves[0].measure
+
+
+def is_study(folder: Path) -> bool:
+    """Whether a folder holds the tables of a study."""
+    return (folder / STUDY).is_file() and (folder / JSON).is_file()
+
+
+def write_levels(folder: Path, out: Path | None = None) -> Path:
+    """Write the report on a study over the light and return its path.
+
+    Args:
+        folder: Of the study.
+        out: The HTML file; None: report.html in the folder. The other files go beside it.
+
+    Raises:
+        ValueError: If the study has fewer than two light levels, or nothing is done yet.
+    """
+    results, study = read_json(folder / JSON, RESULTS), read_json(folder / STUDY, TABLE)
+    try:
+        curves = light_curves(results["rows"], results["axes"])
+    except ValueError as error:
+        raise ValueError(f"{folder}: {error}; its rows are in {folder / 'results.csv'}") from error
+    if not curves:
+        raise ValueError(f"{folder} has no finished run to draw: run its study first, or with --retry-failed")
+    path = out or folder / REPORT
+    charts = charts_of(curves)
+    looks = looks_of(dict.fromkeys(curve.method for curve in curves), study["table"].get("variant", {}))
+    drawn = {chart.file: draw(chart, looks) for chart in charts}
+    for file, svg in drawn.items():
+        write_text(path.parent / file, alone(svg, {look.key: look.color for look in looks.values()}))
+    write_json(path.parent / DATA, {"curves": [as_record(curve) for curve in curves]})
+    write_text(path.parent / POINTS, as_csv(point_rows(curves)))
+    knees = knee_rows(curves)
+    write_text(path.parent / KNEES, as_csv(knees))
+    context = {
+        "title": f"{study['file']}: {len(results['rows'])} runs over the light", "charts": charts, "drawn": drawn,
+        "looks": looks, "knees": knees, "states": counted(results["rows"]),
+        "failed": [row for row in results["rows"] if row["state"] == "failed"],
+        "files": {"points": POINTS, "knees": KNEES, "data": DATA},
+    }  # fmt: skip
+    return fill_page("study.html", path, context)
+
+
+@dataclass(frozen=True)
+class Look:
+    """How a method is drawn."""
+
+    key: str
+    color: str
+    bound: bool  # it sees truth
+
+
+def looks_of(names: Sequence[str] | Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Look]:
+    """How each method of a study is drawn.
+
+    Args:
+        names: Of methods and variants, in order.
+        own: The study's own variants: tables with "method".
+    """
+    variants = with_variants(Variant(name=name, method=str(table["method"])) for name, table in own.items())
+    found: dict[str, Look] = {}
+    for name in names:
+        method = METHODS[chosen(name, variants).method]
+        color = distinct(method.color, [look.color for look in found.values()])
+        found[name] = Look(f"m{len(found)}", color, method.sees_clean)
+    return found
+
+
+def charts_of(curves: Sequence[Curve]) -> list[Chart]:
+    """The charts that show something: one for each score and place."""
+    varied = [name for name in curves[0].place if len({str(curve.place[name]) for curve in curves}) > 1]
+    groups: dict[tuple[str, str], list[Curve]] = {}
+    for curve in curves:
+        place = ", ".join(f"{name} {curve.place[name]}" for name in varied)
+        groups.setdefault((curve.measure.key, place), []).append(curve)
+    order = list(dict.fromkeys(place for _, place in groups))
+    found = []
+    for (key, place), members in sorted(groups.items(), key=lambda item: order.index(item[0][1])):
+        if key == "registered" and not varies(members):
+            continue  # cameras were given
+        ending = f"-{slug}" if (slug := re.sub(r"[^A-Za-z0-9.]+", "-", place).strip("-").lower()) else ""
+        label = members[0].measure.label
+        found.append(Chart(f"{label}: {place}" if place else label, f"light-{key}{ending}.svg", members))
+    return found
+
+
+def varies(curves: Sequence[Curve]) -> bool:
+    """Whether there are different values."""
+    return len({value for curve in curves for level in curve.levels for value in level.values}) > 1
+
+
+def draw(chart: Chart, looks: Mapping[str, Look]) -> str:
+    """The chart as SVG."""
+    lines = []
+    for curve in chart.curves:
+        look = looks[curve.method]
+        points = [(level.electrons, level.mean, min(level.values), max(level.values))
+                  for level in curve.levels if level.mean is not None]  # fmt: skip
+        knee = curve.knee.electrons if curve.knee else None
+        lines.append(Line(curve.method, look.key, points, dashed=look.bound, knee=knee))
+    measure = chart.measure
+    unit = f" ({measure.unit})" if measure.unit else ""
+    return level_chart(lines, x_label="electrons per green pixel", y_label=f"{measure.label}{unit}", title=chart.title)
+
+
+def as_record(curve: Curve) -> dict[str, Any]:
+    """A curve for JSON."""
+    return {
+        "measure": curve.measure.key, "column": curve.measure.column, "unit": curve.measure.unit, **curve.place,
+        "method": curve.method,
+        "levels": [{"electrons": level.electrons, "mean": level.mean, "sd": level.sd, "values": list(level.values),
+                    "failed": level.failed} for level in curve.levels],
+        "rule": curve.measure.rule, "knee": None if curve.knee is None else vars(curve.knee),
+        "slope_per_doubling": curve.slope,
+    }  # fmt: skip
+
+
+def point_rows(curves: Sequence[Curve]) -> list[dict[str, Any]]:
+    """A row for each point."""
+    return [
+        {"measure": curve.measure.key, **curve.place, "method": curve.method, "electrons": level.electrons,
+         "mean": level.mean, "sd": level.sd, "least": min(level.values, default=None),
+         "largest": max(level.values, default=None), "seeds": len(level.values), "failed": level.failed}
+        for curve in curves for level in curve.levels
+    ]  # fmt: skip
+
+
+def knee_rows(curves: Sequence[Curve]) -> list[dict[str, Any]]:
+    """A row for each curve that can break."""
+    found = []
+    for curve in curves:
+        if (knee := curve.knee) is None or (curve.measure.key == "registered" and not varies([curve])):
+            continue
+        bright = [level.mean for level in curve.levels if level.mean is not None]
+        found.append(
+            {"measure": curve.measure.key, **curve.place, "method": curve.method, "rule": curve.measure.rule,
+             "bright": bright[-1] if bright else None, **vars(knee), "slope_per_doubling": curve.slope}
+        )  # fmt: skip
+    return found
+
+
+def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Rows as CSV; an empty cell is a value that there is not."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(dict.fromkeys(key for row in rows for key in row)), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()

@@ -1,0 +1,232 @@
+"""The average over views against a world of formulas: what it shows, how noisy it is, whom it believes."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from novags.methods.averaging.scene import AveragedScene, average
+from novags.methods.averaging.surface import Camera, seen_together
+from novags.methods.averaging.warp import Rules, warp
+from novags.splats import Views
+
+Array = NDArray[np.float64]
+SIZE, FOCAL, INNER = 32, 40.0, 6  # px, px, samples along a side of a pixel
+STRICT, LENIENT, EVERY = Rules(coarsest=3.0, mixed=False), Rules(), np.arange(SIZE * SIZE)
+BOX = np.array([[-0.35, -0.35, 0.0], [0.35, 0.35, 0.7]])
+
+
+def looking(eye: tuple[float, float, float], at: tuple[float, float, float] = (0, 0, 0.2)) -> Array:
+    """World-to-camera matrix, OpenCV axes, world z up."""
+    forward = np.subtract(at, eye) / np.linalg.norm(np.subtract(at, eye))
+    right = np.cross(forward, [0.0, 0.0, 1.0])
+    right /= np.linalg.norm(right)
+    rotation = np.stack([right, np.cross(forward, right), forward])
+    found = np.eye(4)
+    found[:3, :3], found[:3, 3] = rotation, -rotation @ np.asarray(eye, float)
+    return found
+
+
+@dataclass(frozen=True)
+class World:
+    """The ground z = 0, with or without a box on it, in a pattern without sharp edges."""
+
+    box: bool = True
+    frequency: float = 4.0  # radians per unit of length
+    K = np.array([[FOCAL, 0, SIZE / 2], [0, FOCAL, SIZE / 2], [0, 0, 1]])
+
+    def hit(self, viewmat: Array, points: Array) -> tuple[Array, Array, Array]:
+        """Of rays through image points [..., 2]: z-depth, place in the world, normal."""
+        rays = np.concatenate([points, np.ones_like(points[..., :1])], -1) @ np.linalg.inv(self.K).T
+        direction, eye = rays @ viewmat[:3, :3], -viewmat[:3, :3].T @ viewmat[:3, 3]
+        with np.errstate(divide="ignore"):
+            depth = np.where(direction[..., 2] < 0, -eye[2] / direction[..., 2], np.inf)
+            normal = np.broadcast_to([0.0, 0.0, 1.0], direction.shape).copy()
+            if self.box:
+                first, last = np.sort((BOX[:, None] - eye) / direction.reshape(1, -1, 3), 0)
+                enter, leave, axis = first.max(-1), last.min(-1), first.argmax(-1)
+                met = ((enter < leave) & (enter > 0) & (enter < depth.ravel())).reshape(depth.shape)
+                depth = np.where(met, enter.reshape(depth.shape), depth)
+                facing = -np.sign(direction) * np.eye(3)[axis].reshape(direction.shape)
+                normal = np.where(met[..., None], facing, normal)
+        return depth, eye + np.where(np.isfinite(depth), depth, 0.0)[..., None] * direction, normal
+
+    def colour(self, place: Array) -> Array:
+        """Linear light at places [..., 3], the same from everywhere."""
+        phase = self.frequency * place @ np.array([[1.0, 0.4, -0.6], [-0.5, 1.0, 0.8], [0.9, -0.7, 0.5]])
+        return np.asarray(0.5 + 0.3 * np.sin(phase))
+
+    def camera(self, viewmat: Array) -> Camera:
+        """The camera with its surface, from depth and normals at pixel centres as a rendered set has them."""
+        depth, _, normal = self.hit(viewmat, _centres())
+        return Camera.of(viewmat, self.K, depth.astype(np.float32), normal.astype(np.float32))
+
+    def picture(self, viewmat: Array) -> Array:
+        """Linear light [SIZE, SIZE, 3], averaged over each pixel; the background is black."""
+        ticks = (np.arange(INNER) + 0.5) / INNER - 0.5
+        total = np.zeros((SIZE, SIZE, 3))
+        for dx in ticks:
+            for dy in ticks:
+                depth, place, _ = self.hit(viewmat, _centres() + (dx, dy))
+                total += np.where(np.isfinite(depth)[..., None], self.colour(place), 0.0)
+        return total / INNER**2
+
+
+def _centres() -> Array:
+    x, y = np.meshgrid(np.arange(SIZE) + 0.5, np.arange(SIZE) + 0.5)
+    return np.stack([x, y], -1)
+
+
+AROUND = [looking((1.2 * np.cos(a), 1.2 * np.sin(a), 2.1 + 0.1 * k)) for k, a in enumerate(np.linspace(0, 1.5, 6))]
+TARGET = looking((0.9, 0.8, 2.3))
+
+
+def gathered(world: World, exposures: Array | None = None, variances: Array | None = None) -> AveragedScene:
+    """Six exposures of a world, without noise and with equal weights unless others are given."""
+    pictures = np.stack([world.picture(pose) for pose in AROUND]) if exposures is None else exposures
+    sources = [world.camera(pose) for pose in AROUND]
+    return AveragedScene(
+        sources=sources, exposures=pictures, variances=np.ones_like(pictures) if variances is None else variances,
+        known=[*sources, world.camera(TARGET)], rules=STRICT, enhance=lambda image, _: image,
+    )  # fmt: skip
+
+
+def inner(camera: Camera) -> NDArray[np.bool_]:
+    return (camera.whole & (camera.inverse_depth > 0)).ravel()
+
+
+def test_without_noise_the_average_is_the_picture() -> None:
+    """A warp by bilinear interpolation loses several times as much."""
+    world = World(frequency=8.0)
+    scene, truth = gathered(world), world.picture(TARGET).reshape(-1, 3)
+    target = world.camera(TARGET)
+    errors = {}
+    for kernel in ("cubic", "linear"):
+        found = average(target, scene.sources, scene.exposures, scene.variances, replace(STRICT, kernel=kernel))
+        judged = inner(target) & (found.views > 0)
+        assert judged.mean() > 0.6
+        errors[kernel] = np.sqrt(np.mean((found.mean - truth)[judged] ** 2))
+    assert errors["cubic"] < 0.004  # of a pattern whose standard deviation is 0.21
+    assert errors["linear"] > 2 * errors["cubic"]
+
+
+def test_a_finer_picture_is_averaged_over_the_whole_pixel() -> None:
+    """From nearer by, a pattern of six pixels a period must not be picked at points."""
+    world, near = World(box=False, frequency=22.0), looking((0.55, 0.0, 0.65), (0, 0, 0))
+    far = looking((2.2, 0.0, 2.6), (0, 0, 0))
+    target, source, truth = world.camera(far), world.camera(near), world.picture(far).reshape(-1, 3)
+    exposure = world.picture(near)[None]
+    found = average(target, [source], exposure, np.ones_like(exposure), STRICT)
+    seen = found.views > 0
+    assert seen.sum() > 20
+    assert np.abs(found.mean - truth)[seen].max() < 0.02
+    assert found.variance[seen].max() < 0.2  # of 16 pixels or so
+
+
+def test_the_variance_is_one_over_the_sum_of_inverse_variances() -> None:
+    """Measured over draws, within five standard errors; other weights leave more than that, and would be seen."""
+    world, rng, rows = World(), np.random.default_rng(0), EVERY[::5]
+    scene, target = gathered(world), world.camera(TARGET)
+    sigma = np.array([0.02, 0.05, 0.1, 0.2, 0.03, 0.4])[:, None, None, None] * (0.5 + scene.exposures)
+    found = average(target, scene.sources, scene.exposures, sigma**2, STRICT, rows)
+    inverse = np.zeros_like(found.mean)
+    for source, sd in zip(scene.sources, sigma, strict=True):
+        weights, views = warp(target, source, rows, STRICT)
+        inverse[views] += 1 / ((weights.toarray() ** 2) @ (sd**2).reshape(-1, 3))[views]
+    seen = found.views > 0
+    assert np.allclose(found.variance[seen], 1 / inverse[seen], rtol=1e-9)
+    assert np.isinf(found.variance[~seen]).all()
+
+    def ratios(weighted: Array) -> Array:
+        drawn = (sigma * rng.standard_normal(sigma.shape) for _ in range(20))
+        means = (average(target, scene.sources, noise, weighted, STRICT, rows).mean for noise in drawn)
+        return np.array([np.mean(mean[seen] ** 2 / found.variance[seen]) for mean in means])
+
+    good, equal = ratios(sigma**2), ratios(np.ones_like(sigma))
+    assert abs(good.mean() - 1) < 5 * good.std(ddof=1) / np.sqrt(len(good))
+    assert equal.mean() - 1 > 10 * equal.std(ddof=1) / np.sqrt(len(equal))
+
+
+def test_two_exposures_from_the_same_place_are_weighted_by_hand() -> None:
+    camera = World().camera(TARGET)
+    exposures = np.stack([np.full((SIZE, SIZE, 3), value) for value in (2.0, 7.0)])
+    variances = np.stack([np.full((SIZE, SIZE, 3), value) for value in (1.0, 4.0)])
+    found = average(camera, [camera, camera], exposures, variances, LENIENT)
+    assert np.allclose(found.mean, (2.0 / 1 + 7.0 / 4) / (1 / 1 + 1 / 4))
+    assert np.allclose(found.variance, 1 / (1 / 1 + 1 / 4))
+    assert (found.views == 2).all()
+
+
+def test_what_a_view_does_not_see_does_not_leak() -> None:
+    """The box shines in every exposure: no pixel of the ground alone may take any of that, and the other way round."""
+    world = World()
+    target = world.camera(TARGET)
+    ground = [world.hit(pose, _centres())[2][..., 2] > 0.5 for pose in (*AROUND, TARGET)]
+    on_box = [world.hit(pose, _centres())[1][..., 2] > 1e-6 for pose in (*AROUND, TARGET)]
+    shining = np.stack([np.where(box[..., None], 1000.0, 0.0) * np.ones(3) for box in on_box[:-1]])
+    found = average(target, [world.camera(p) for p in AROUND], shining, np.ones_like(shining), STRICT)
+    judged = inner(target) & (found.views > 0)
+    expected = np.where(on_box[-1].ravel(), 1000.0, 0.0)
+    assert np.allclose(found.mean[judged], expected[judged, None])
+    assert 50 < (judged & on_box[-1].ravel()).sum() < (judged & ground[-1].ravel()).sum()
+    hidden = average(target, [world.camera(looking((-2.0, -1.6, 1.2)))], shining[:1], shining[:1] + 1, STRICT)
+    assert (hidden.views > 0).mean() < 0.75  # the far sides of the box, and its shadow
+
+
+def test_holes_are_counted_and_take_the_colour_beside_them() -> None:
+    world = World()
+    scene = gathered(world)
+    scene.sources, scene.exposures, scene.variances = scene.sources[:1], scene.exposures[:1], scene.variances[:1]
+    views = Views(torch.tensor(TARGET[None]).float(), torch.tensor(world.K[None]).float(), SIZE, SIZE)
+    image, alpha, depth = scene.render(views)
+    seen = scene.averaged(world.camera(TARGET)).views.reshape(SIZE, SIZE) > 0
+    holes = int((~seen).sum())
+    assert 20 < holes < 400
+    assert scene.facts() == {"exposures": 1, "holes": holes, "pixels": SIZE * SIZE}
+    assert (image > 0.1).all()
+    surface = np.isfinite(world.hit(TARGET, _centres())[0])
+    assert np.array_equal(alpha[0].numpy() > 0, seen & surface)
+    true = world.hit(TARGET, _centres())[0]
+    assert np.allclose(depth[0].numpy()[seen & surface], true[seen & surface], rtol=1e-5)
+
+
+def test_a_camera_between_the_known_ones_sees_their_surface() -> None:
+    world, place = World(), looking((0.7, 0.9, 2.2))
+    scene = gathered(world)
+    found, true = seen_together(scene.known, place, world.K, SIZE, SIZE), world.camera(place)
+    judged = inner(true) & inner(found)
+    assert judged.mean() > 0.6
+    assert np.quantile(np.abs(found.inverse_depth / true.inverse_depth - 1).ravel()[judged], 0.98) < 0.01
+    error = (scene.averaged(found).mean - world.picture(place).reshape(-1, 3))[judged]
+    assert np.sqrt(np.mean(error**2)) < 0.02
+
+
+def test_the_background_turns_with_the_camera_and_has_no_parallax() -> None:
+    """Rationale: its z-depth is infinite, and the same direction is elsewhere in another picture."""
+    world = World(box=False)
+    pose = looking((0.0, 0.0, 1.0), (1.0, 0.0, 1.1))
+    turned = looking((0.5, 0.4, 1.3), (1.5, 0.6, 1.4))
+    source, target = world.camera(pose), world.camera(turned)
+    rays = np.concatenate([_centres(), np.ones((SIZE, SIZE, 1))], -1) @ np.linalg.inv(world.K).T
+
+    def sky(viewmat: Array) -> Array:
+        direction = rays @ viewmat[:3, :3]
+        return 0.5 + 0.4 * np.sin(3 * direction / np.linalg.norm(direction, axis=-1, keepdims=True))
+
+    empty = inner_of_background(target)
+    found = average(target, [source], sky(pose)[None], np.ones((1, SIZE, SIZE, 3)), STRICT)
+    judged = empty & (found.views > 0)
+    assert judged.sum() > 100
+    assert np.abs(found.mean - sky(turned).reshape(-1, 3))[judged].max() < 5e-3
+
+
+def inner_of_background(camera: Camera) -> NDArray[np.bool_]:
+    return (camera.whole & (camera.inverse_depth == 0)).ravel()
+
+
+def test_rows_sum_to_one_or_to_nothing() -> None:
+    world = World()
+    for rules in (STRICT, LENIENT, replace(STRICT, kernel="linear")):
+        weights, seen = warp(world.camera(TARGET), world.camera(AROUND[2]), EVERY, rules)
+        assert np.allclose(weights.sum(1), seen)

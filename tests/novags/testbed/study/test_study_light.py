@@ -1,0 +1,171 @@
+"""Curves over the light: what is averaged over what, and where a curve counts as broken."""
+
+import json
+import math
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from novags.testbed.report.level_chart import Line, level_chart
+from novags.testbed.report.levels import is_study, looks_of, write_levels
+from novags.testbed.study.light import MEASURES, Measure, common_knee, knee_of, light_curves
+
+FALL = Measure("psnr", "enhanced.aligned_psnr", "PSNR", "dB", "below", 3.0)
+RISE = Measure("depth", "geometry.abs_rel", "depth", "", "above", 2.0)
+Row = dict[str, Any]
+
+
+def row(electrons: float, method: str, seed: int, psnr: float | None, **more: Any) -> Row:
+    scores = {} if psnr is None else {"enhanced.aligned_psnr": psnr}
+    return {"scene": "a", "electrons": electrons, "method": method, "seed": seed, "state": "done", "stage": None,
+            "reason": None, "run": 1, **scores, **more}  # fmt: skip
+
+
+def axes(rows: list[Row]) -> dict[str, list[Any]]:
+    return {name: list(dict.fromkeys(r[name] for r in rows)) for name in ("scene", "electrons", "method", "seed")}
+
+
+@pytest.mark.parametrize(
+    ("values", "expected"),
+    [
+        # from 30 to 24 between 4 and 16: 27 is half the way in the logarithm
+        ({64: 30.0, 16: 30.0, 4: 24.0, 1: 10.0}, 8.0),
+        ({64: 30.0, 16: 27.0, 4: 27.0, 1: 27.0}, None),  # exactly on the limit has not fallen below it
+        # the first one met from the bright end
+        ({64: 30.0, 16: 26.0, 4: 29.0, 1: 20.0}, 64 ** (1 / 4) * 16 ** (3 / 4)),
+        ({64: 30.0, 16: 29.0, 4: None, 1: 29.0}, 16.0),  # a failed run: this much light was enough
+        ({64: None, 16: 20.0}, None),
+        ({}, None),
+    ],
+)
+def test_a_curve_breaks_where_it_falls_below_its_own_bright_value(
+    values: dict[float, float | None], expected: float | None
+) -> None:
+    assert knee_of(values, FALL) == (None if expected is None else pytest.approx(expected))
+
+
+def test_the_order_of_levels_does_not_matter() -> None:
+    assert knee_of({1: 10.0, 64: 30.0, 4: 24.0, 16: 30.0}, FALL) == pytest.approx(8.0)
+
+
+def test_an_error_breaks_where_it_has_doubled() -> None:
+    assert knee_of({100: 0.02, 10: 0.03, 1: 0.05}, RISE) == pytest.approx(10**0.5)
+    assert knee_of({100: 0.02, 10: 0.03, 1: 0.04}, RISE) is None
+
+
+def test_the_knee_of_all_seeds_is_their_geometric_mean_with_its_spread() -> None:
+    both = common_knee([2.0, 8.0])
+    assert (both.electrons, both.low, both.high, both.seeds, both.broken) == (pytest.approx(4.0), 2.0, 8.0, 2, 2)
+    one = common_knee([2.0, None])
+    assert (one.electrons, one.low, one.high, one.seeds, one.broken) == (None, 2.0, 2.0, 2, 1)
+
+
+def test_points_average_over_seeds_alone_and_name_what_failed() -> None:
+    rows = [row(e, m, s, 20 + 2 * s + (m == "b") + math.log2(e)) for e in (1, 4) for m in "ab" for s in (0, 1)]
+    rows[0] |= {"state": "failed", "enhanced.aligned_psnr": None}
+    curves = light_curves(rows, axes(rows))
+    found = {(c.method, c.measure.key): c for c in curves}
+    assert set(found) == {("a", "psnr"), ("b", "psnr")}
+    dark, bright = found["a", "psnr"].levels
+    assert (dark.electrons, dark.values, dark.failed, dark.sd) == (1.0, (22.0,), 1, None)
+    assert (bright.mean, bright.sd, bright.failed) == (23.0, pytest.approx(math.sqrt(2)), 0)
+    assert found["b", "psnr"].slope == pytest.approx(1.0)  # dB per doubling
+    assert found["b", "psnr"].place == {"scene": "a"}
+    assert found["a", "psnr"].knee is not None
+    assert (found["a", "psnr"].knee.broken, found["a", "psnr"].knee.seeds) == (1, 2)
+
+
+def test_a_run_that_found_no_cameras_registers_no_views() -> None:
+    """Any other failure says nothing about registration."""
+    share = "cameras.registered_share"
+    rows = [row(8, "a", 0, 25.0, **{share: 1.0}), row(1, "a", 0, None, state="failed", stage="cameras")]
+    registered = next(c for c in light_curves(rows, axes(rows)) if c.measure.key == "registered")
+    assert [level.values for level in registered.levels] == [(0.0,), (1.0,)]
+    assert registered.knee is not None
+    assert registered.knee.electrons == pytest.approx(8 ** (1 - 0.1))
+    rows[1]["stage"] = "reconstruct a"
+    registered = next(c for c in light_curves(rows, axes(rows)) if c.measure.key == "registered")
+    assert [(level.values, level.failed) for level in registered.levels] == [((), 1), ((1.0,), 0)]
+
+
+def test_one_light_level_makes_no_curve() -> None:
+    rows = [row(4, "a", 0, 20.0)]
+    with pytest.raises(ValueError, match="two values or more of electrons"):
+        light_curves(rows, axes(rows))
+
+
+def test_every_measure_that_breaks_says_how() -> None:
+    assert {m.key: m.rule for m in MEASURES} == {
+        "psnr": "3 dB below the value at the most light", "lit": "3 dB below the value at the most light",
+        "recovered": None, "registered": "0.1 below the value at the most light",
+        "depth": "2 times the value at the most light",
+    }  # fmt: skip
+
+
+@pytest.fixture
+def study(tmp_path: Path) -> Callable[[list[Row]], Path]:
+    """A folder of a study with these rows."""
+
+    def make(rows: list[Row]) -> Path:
+        (tmp_path / "results.json").write_text(json.dumps({"axes": axes(rows), "columns": [], "rows": rows}))
+        variant = {"mine": {"method": "naive", "fit.iterations": 5}}
+        (tmp_path / "study.json").write_text(json.dumps({"file": "l.toml", "table": {"variant": variant}}))
+        return tmp_path
+
+    return make
+
+
+def test_the_report_of_a_study_shows_the_curves_and_writes_their_numbers(study: Callable[..., Path]) -> None:
+    rows = [row(e, m, s, 20 + 3 * math.log2(e) + s) for e in (1, 2, 4) for m in ("naive", "mine") for s in (0, 1)]
+    folder = study(rows)
+    assert is_study(folder)
+    page = write_levels(folder).read_text(encoding="utf-8")
+    drawn = (folder / "light-psnr.svg").read_text(encoding="utf-8")
+    assert page.count("<polyline") == drawn.count("<polyline") == 2
+    assert drawn.count("breaks at 2<") == 2  # 3 dB are one doubling: from 4 to 2
+    record = json.loads((folder / "light.json").read_text())
+    assert [c["knee"]["electrons"] for c in record["curves"]] == [pytest.approx(2.0)] * 2
+    assert [level["mean"] for level in record["curves"][0]["levels"]] == [20.5, 23.5, 26.5]
+    points = (folder / "light.csv").read_text().splitlines()
+    assert points[0] == "measure,scene,method,electrons,mean,sd,least,largest,seeds,failed"
+    assert points[1].startswith("psnr,a,naive,1.0,20.5,0.7071")
+    assert len(points) == 1 + 6
+    assert (folder / "light-knees.csv").read_text().count("\n") == 3
+    assert not re.search(r"https?://(?!www\.w3\.org)", page + drawn)
+
+
+def test_a_picture_for_each_place_where_places_differ(study: Callable[..., Path]) -> None:
+    rows = [row(e, "naive", 0, 20.0 + e) | {"scene": place} for e in (1, 2) for place in ("a", "b c")]
+    folder = study(rows)
+    write_levels(folder)
+    assert sorted(path.name for path in folder.glob("*.svg")) == ["light-psnr-scene-a.svg", "light-psnr-scene-b-c.svg"]
+
+
+def test_a_study_with_nothing_done_says_so(study: Callable[..., Path]) -> None:
+    rows = [row(e, "naive", 0, None, state="failed", stage="x") for e in (1, 2)]
+    with pytest.raises(ValueError, match="no finished run to draw"):
+        write_levels(study(rows))
+
+
+def test_colours_of_variants_differ_and_bounds_are_dashed() -> None:
+    looks = looks_of(["naive", "mine", "oracle"], {"mine": {"method": "naive"}})
+    assert len({look.color for look in looks.values()}) == 3
+    assert [look.bound for look in looks.values()] == [False, False, True]
+
+
+def test_lines_lie_where_their_values_are() -> None:
+    """Equal factors of light are equal distances, and a knee lies on its line."""
+    points = [(x, y, y, y) for x, y in ((1, 10.0), (10, 20.0), (100, 30.0))]
+    svg = level_chart([Line("n", "m0", points, knee=10**0.5)], x_label="x", y_label="y", title="t")
+    (path,) = re.findall(r'points="([^"]*)"', svg)
+    (x0, y0), (x1, y1), (x2, y2) = ([float(v) for v in p.split(",")] for p in path.split())
+    assert x1 - x0 == pytest.approx(x2 - x1, abs=0.11)
+    assert y0 - y1 == pytest.approx(y1 - y2, abs=0.11)
+    assert y0 > y1
+    knee = re.search(r'cx="([\d.]+)" cy="([\d.]+)"', svg)
+    assert knee is not None
+    assert float(knee[1]) == pytest.approx((x0 + x1) / 2, abs=0.11)
+    assert float(knee[2]) == pytest.approx((y0 + y1) / 2, abs=0.11)
