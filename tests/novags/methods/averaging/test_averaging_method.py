@@ -1,6 +1,7 @@
 """The method `averaging` from a capture to its scores, and what it refuses."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,13 @@ from novags.testbed.stages.reconstruct import prepare
 from simscenes import read_exr
 
 QUIET = Console(quiet=True)
-TINY: dict[str, Any] = {"scene": "cornell", "n_views": 9, "width": 24, "height": 24, "spp": 16, "points": 100}
+TINY: dict[str, Any] = {"scene": "cornell", "n_views": 9, "width": 24, "height": 24, "spp": 4, "points": 100}
 
 
 @pytest.fixture(scope="module")
 def captures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("averaging")
-    stages.render(folder / "set", adapted(EXPERIMENTS["demo"], **TINY).render, QUIET)
+    stages.render(folder / "set", replace(adapted(EXPERIMENTS["demo"], **TINY).render, variant="scalar"), QUIET)
     for electrons in (2.0, 200.0):
         config = adapted(EXPERIMENTS["demo"], **TINY, electrons=electrons).capture
         stages.capture(folder / "set", folder / f"{electrons:g}", config, QUIET)
