@@ -7,7 +7,7 @@ light-MEASURE.svg      light-MEASURE-PLACE.svg  (where other axes than light, me
 import csv
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from novags.testbed.cache import read_json, write_json, write_text
 from novags.testbed.folders.experiment import REPORT
 from novags.testbed.report.level_chart import Line, alone, level_chart
 from novags.testbed.report.page import fill_page
-from novags.testbed.report.rows import distinct
+from novags.testbed.report.rows import OTHER, distinct
 from novags.testbed.study.conduct import STUDY
 from novags.testbed.study.light import Curve, Measure, light_curves
 from novags.testbed.study.results import JSON, counted
@@ -72,7 +72,7 @@ def write_levels(folder: Path, out: Path | None = None) -> Path:
         raise ValueError(f"{folder} has no finished run to draw: run its study first, or with --retry-failed")
     path = out or folder / REPORT
     charts = charts_of(curves)
-    looks = looks_of(dict.fromkeys(curve.method for curve in curves), study["table"].get("variant", {}))
+    looks = looks_of(dict.fromkeys(curve.method for curve in curves), study["table"])
     drawn = {chart.file: draw(chart, looks) for chart in charts}
     for file, svg in drawn.items():
         write_text(path.parent / file, alone(svg, {look.key: look.color for look in looks.values()}))
@@ -98,19 +98,20 @@ class Look:
     bound: bool  # it sees truth
 
 
-def looks_of(names: Sequence[str] | Mapping[str, Any], own: Mapping[str, Any]) -> dict[str, Look]:
+def looks_of(names: Iterable[str], study: Mapping[str, Any]) -> dict[str, Look]:
     """How each method of a study is drawn.
 
     Args:
-        names: Of methods and variants, in order.
-        own: The study's own variants: tables with "method".
+        names: Of methods, variants and programs, in order.
+        study: The content of the study file, with the tables of its own variants and programs.
     """
+    own, programs = study.get("variant", {}), study.get("method", {})
     variants = with_variants(Variant(name=name, method=str(table["method"])) for name, table in own.items())
     found: dict[str, Look] = {}
     for name in names:
-        method = METHODS[chosen(name, variants).method]
-        color = distinct(method.color, [look.color for look in found.values()])
-        found[name] = Look(f"m{len(found)}", color, method.sees_clean)
+        method = None if name in programs else METHODS[chosen(name, variants).method]
+        color = distinct(OTHER if method is None else method.color, [look.color for look in found.values()])
+        found[name] = Look(f"m{len(found)}", color, method is not None and method.sees_clean)
     return found
 
 

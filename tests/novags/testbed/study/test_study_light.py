@@ -151,9 +151,10 @@ def test_a_study_with_nothing_done_says_so(study: Callable[..., Path]) -> None:
 
 
 def test_colours_of_variants_differ_and_bounds_are_dashed() -> None:
-    looks = looks_of(["naive", "mine", "oracle"], {"mine": {"method": "naive"}})
-    assert len({look.color for look in looks.values()}) == 3
-    assert [look.bound for look in looks.values()] == [False, False, True]
+    tables = {"variant": {"mine": {"method": "naive"}}, "method": {"theirs": {"command": "x {capture} {out}"}}}
+    looks = looks_of(["naive", "mine", "oracle", "theirs"], tables)
+    assert len({look.color for look in looks.values()}) == 4
+    assert [look.bound for look in looks.values()] == [False, False, True, False]
 
 
 def test_lines_lie_where_their_values_are() -> None:
