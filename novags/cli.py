@@ -5,6 +5,7 @@ from collections.abc import Callable
 
 import tyro
 
+from novags.commands.dataset import dataset
 from novags.commands.experiment import run
 from novags.commands.inquiries import doctor, help_, list_
 from novags.commands.photographs import import_
@@ -18,6 +19,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     for function in (
         run,
         study,
+        dataset,
         list_,
         plan,
         render,

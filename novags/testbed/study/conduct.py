@@ -151,7 +151,7 @@ class _Watch:
             self.costs.add(task.kind, outcome.said["cost"])
         if outcome.state == "failed" and key not in self.failures:
             self._failed(key, outcome.said, outcome.stage or stage)
-        if task.kind == "run":
+        if key in self.plan.ends:
             failure = self.failures.get(outcome.cause or key, {})
             self.states[key] = State(outcome.state, failure.get("reason"), failure.get("stage"), failure.get("log"))
             if time.monotonic() - self._written >= TABLES_EVERY:

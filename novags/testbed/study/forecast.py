@@ -59,7 +59,7 @@ def _head(plan: Plan) -> str:
     study = plan.study
     product = " x ".join(f"{len(values)} {name}" for name, values in study.axes.items())
     without = f", {study.excluded} excluded" if study.excluded else ""
-    lines = [f"{study.path}: {len(plan.runs)} runs = {product}{without}"]
+    lines = [f"{study.path}: {len(plan.runs)} {study.ends}s = {product}{without}"]
     lines += [f"  {number:>4}  {cell.label}" for number, (cell, _) in enumerate(plan.runs[:SHOWN], 1)]
     more = len(plan.runs) - SHOWN
     return "\n".join([*lines, *([f"        and {more} more"] if more > 0 else [])])

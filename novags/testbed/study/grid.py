@@ -11,12 +11,13 @@ preset = "demo"                    where all that is not said comes from
 
 import itertools
 import math
+import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from novags.methods import with_variants
 from novags.methods.variant import Variant, dotted, read_variants
@@ -54,6 +55,7 @@ class Study:
         cells: Every combination that is not excluded.
         excluded: How many are.
         table: The content of the file.
+        ends: What each combination is: a "run" or, of a data set, a "capture".
     """
 
     path: Path
@@ -61,6 +63,7 @@ class Study:
     cells: tuple[Cell, ...]
     excluded: int
     table: dict[str, Any]
+    ends: Literal["run", "capture"] = "run"
 
 
 def spelled(values: Mapping[str, Value]) -> str:
@@ -76,7 +79,11 @@ def read_study(path: Path) -> Study:
         ValueError: If the file cannot be read, a name is unknown, a value is refused, values do not go together, or
             nothing is left to run; one line that names the file and the key.
     """
-    table = read_toml(path)
+    return study_of(path, read_toml(path))
+
+
+def study_of(path: Path, table: dict[str, Any], ends: Literal["run", "capture"] = "run") -> Study:
+    """The study of a table; arguments as attributes of `Study`, errors as `read_study`."""
     with _at(path, ""):
         _known(table, TABLES, "table or key")
         base = _preset(table.get("preset", "demo"))
@@ -90,13 +97,13 @@ def read_study(path: Path) -> Study:
         base = replace(base, commands=read_commands(table.get("method", {}), path.parent))
         if both := {command.name for command in base.commands} & {variant.name for variant in variants}:
             raise ValueError(f"[method.{min(both)}]: a variant is called {min(both)} too: rename one of them")
-    reader = _Reader(path, base, variants, table.get("rig", {}))
+    reader = _Reader(path, base, variants, table.get("rig", {}), ends)
     shared = reader.table(table.get("override", {}), "[override]")
     axes = reader.axes(table.get("grid", {}), base, shared)
     combinations = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
     kept = _without_excluded(path, table.get("exclude", []), axes, combinations)
     cells = tuple(Cell(values, reader.preset(values, shared)) for values in kept)
-    return Study(path, axes, cells, len(combinations) - len(cells), table)
+    return Study(path, axes, cells, len(combinations) - len(cells), table, ends)
 
 
 def _preset(name: Any) -> Preset:
@@ -131,6 +138,7 @@ class _Reader:
     base: Preset
     variants: tuple[Variant, ...]
     rigs: dict[str, Any]
+    ends: Literal["run", "capture"]
 
     def table(self, table: Any, place: str) -> Changes:
         """All keys of [override] or [rig.NAME], each checked by itself."""
@@ -151,7 +159,7 @@ class _Reader:
             raise ValueError(f"{self.path}: [grid]: {count} combinations, more than {MOST}: split the study")
         for key, listed in dotted(grid).items():
             with _at(self.path, f"[grid] {key}"):
-                values: list[Value] = listed if isinstance(listed, list) else [listed]
+                values = _variations(listed if isinstance(listed, list) else [listed])
                 if not values:
                     raise ValueError("it has no values: give one, or leave the axis out")
                 for value in values:
@@ -160,7 +168,8 @@ class _Reader:
                     raise ValueError(f"{twice[0]!r} is listed twice")
                 found[key] = tuple(values)
         self._one_place_each(found, shared)
-        found.setdefault("method", shared.adapted.get("methods", base.methods))
+        if self.ends == "run":
+            found.setdefault("method", shared.adapted.get("methods", base.methods))
         found.setdefault("seed", (shared.adapted.get("seed", base.capture.seed),))
         if unused := [name for name in self.rigs if name not in found.get("rig", ())]:
             raise ValueError(f"{self.path}: [rig.{unused[0]}]: no value of [grid] rig names it: use it or remove it")
@@ -218,6 +227,22 @@ class _Reader:
                                  "photographed as it is: put it into a study of its own")  # fmt: skip
         with _at(self.path, spelled(values)):
             return applied(self.base, shared.and_(own), self.variants)
+
+
+def _variations(values: list[Value]) -> list[Value]:
+    """Values of an axis, with "tabletop:0..9" as the ten variations that it stands for.
+
+    Raises:
+        ValueError: If the last one comes before the first, or they are too many.
+    """
+    found: list[Value] = []
+    for value in values:
+        match = re.fullmatch(r"([a-z_]+:)(\d{1,6})\.\.(\d{1,6})", value) if isinstance(value, str) else None
+        first, last = (int(match[2]), int(match[3])) if match else (0, 0)
+        if match and not first <= last < first + MOST:
+            raise ValueError(f"{value!r} must be NAME:FIRST..LAST with FIRST <= LAST and fewer than {MOST} of them")
+        found += [f"{match[1]}{number}" for number in range(first, last + 1)] if match else [value]
+    return found
 
 
 def _names(changes: Changes) -> set[str]:

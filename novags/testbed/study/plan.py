@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,11 @@ class Plan:
     tasks: dict[str, Task]
     runs: tuple[tuple[Cell, str], ...]
 
+    @cached_property
+    def ends(self) -> frozenset[str]:
+        """The keys of the runs, or of a data set's captures."""
+        return frozenset(key for _, key in self.runs)
+
     def above(self, key: str) -> Iterator[Task]:
         """A task and all that it is made from, the first made first."""
         for need in self.tasks[key].needs:
@@ -53,15 +59,15 @@ def plan_of(study: Study, store: Path, console: Console) -> Plan:
     for cell in study.cells:
         try:
             check(cell.preset, console)
-            key = planner.run(cell.preset)
+            key = planner.run(cell.preset) if study.ends == "run" else planner.capture(cell.preset)
         except ValueError as error:
             if str(study.path) in str(error):
                 raise
             raise ValueError(f"{study.path}: {cell.label}: {error}") from error
         if key in labels:
             raise ValueError(
-                f"{study.path}: [grid]: ({labels[key]}) and ({cell.label}) are the same run, because what differs has "
-                "no effect there: leave one out with [[exclude]]"
+                f"{study.path}: [grid]: ({labels[key]}) and ({cell.label}) are the same {study.ends}, because what "
+                "differs has no effect there: leave one out with [[exclude]]"
             )
         labels[key] = cell.label
         runs.append((cell, key))

@@ -13,6 +13,7 @@ from novags.testbed.folders import shapes
 from novags.testbed.folders.run import METRICS
 from novags.testbed.stages.score import recovered_fractions
 from novags.testbed.study.plan import Plan
+from novags.testbed.study.store import read_seal
 
 JSON, CSV = "results.json", "results.csv"
 COSTS = ("seconds.", "peak_bytes")  # beginnings of the columns that differ from one time to the next
@@ -79,8 +80,14 @@ class Table:
 
     def _scores_of(self, key: str) -> dict[str, Any]:
         if key not in self._scores:
-            self._scores[key] = flat_scores(self._method(key))
+            self._scores[key] = flat_scores(self._method(key)) if self.plan.study.ends == "run" else self._costs(key)
         return self._scores[key]
+
+    def _costs(self, key: str) -> dict[str, Any]:
+        """Of a capture, which has no scores."""
+        seal = read_seal(self.plan.tasks[key].folder(self.store))
+        assert seal is not None  # it is done
+        return {**dict(_flat({"seconds": seal.cost["seconds"]}, "")), "peak_bytes": seal.cost["peak_bytes"]}
 
     def _method(self, key: str) -> dict[str, Any]:
         metrics = read_json(self.plan.tasks[key].folder(self.store) / METRICS, shapes.METRICS)

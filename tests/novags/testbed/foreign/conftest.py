@@ -13,7 +13,6 @@ from simscenes.sets.multiview import write_cameras
 from simscenes.sets.pictures.png import write_png
 
 NAMES = [f"{i:04d}" for i in range(9)]
-TEST = ("0000", "0008")
 
 
 @pytest.fixture(scope="session")

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
@@ -14,10 +15,9 @@ from novags.testbed.metrics import image_scores
 from sensor_model import srgb_to_linear
 from simscenes.sets.pictures.exr import write_exr
 from simscenes.sets.pictures.png import read_png, write_png
-from tests.novags.testbed.foreign.conftest import TEST
-from tests.novags.testbed.foreign.helpers import command
 
 QUIET = Console(quiet=True)
+TEST = ("0000", "0008")
 
 
 def score(renders: Path, where: Path, reference: str = "lit") -> dict:
@@ -113,18 +113,18 @@ def test_references_that_there_are_not_are_refused(photographs: Path, tmp_path: 
 
 
 def test_the_command_says_what_was_compared_with_what(
-    photographs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    photographs: Path, tmp_path: Path, call: Callable[..., int], capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder = pictures(photographs, tmp_path / "mine", "16-bit")
     shutil.copy(folder / "0000.png", folder / "0003.png")  # a training view
     words = ("score", "--renders", str(folder), "--set", str(photographs), "--out", str(tmp_path / "scores.json"))
-    assert command(monkeypatch, *words) == 0
+    assert call(*words) == 0
     said = capsys.readouterr()
     assert "2 test views, 16-bit pictures, against lit: the views in good light, sRGB" in said.out
     assert "1 pictures are of no test view and are left out (0003.png)" in said.err
     kept = json.loads((tmp_path / "scores.json").read_text())
     assert f"{kept['mean']['lit']['psnr']:.4f}" in said.out
-    assert command(monkeypatch, *words) == 2
+    assert call(*words) == 2
     assert "is there already" in capsys.readouterr().err
-    assert command(monkeypatch, "score", "--renders", str(folder)) == 2
-    assert command(monkeypatch, "score") == 2
+    assert call("score", "--renders", str(folder)) == 2
+    assert call("score") == 2

@@ -1,0 +1,62 @@
+"""`novags dataset`: sets and captures of a grid, as a data set."""
+
+from pathlib import Path
+from typing import Literal
+
+from novags.commands import shared
+from novags.commands.shared import next_, writing
+from novags.options import Folder
+
+
+def dataset(
+    file: Folder, *, out: Path, store: Path | None = None, engine: Literal["local"] = "local",
+    workers: int | None = None, dry_run: bool = False, retry_failed: bool = False, overwrite: bool = False,
+    wait: bool = False,
+) -> None:  # fmt: skip
+    """Make a synthetic data set: scenes, rigs, cameras and light levels from one file; see docs/datasets.md.
+
+    What it will take is shown first. Finished work is kept: the same command again does only what is missing.
+
+    Args:
+        file: A study file without methods, with a table [dataset].
+        out: Folder of the data set; tables and logs of the work are in its folder `making`.
+        store: Folder of all sets and captures, shared with studies; `store` beside `out` if not given. Where both lie
+            on one disk, the data set links to its files.
+        engine: Where the work is done: on this machine.
+        workers: Processes at a time; as many as there are cores, or captures, if not given.
+        dry_run: Only show the captures, the splits, and what they will take: time, memory, disk. Nothing is written.
+        retry_failed: Try again the captures that failed before.
+        overwrite: Replace another data set in the same folder.
+        wait: If another process is writing to `out`, wait until it is done instead of refusing.
+    """
+    from novags.testbed.dataset.file import read_dataset
+    from novags.testbed.dataset.forecast import forecast
+    from novags.testbed.dataset.make import publish, refuse_foreign, splits
+    from novags.testbed.study.conduct import conduct
+    from novags.testbed.study.plan import plan_of
+    from novags.testbed.study.results import CSV, counted
+    from novags.testbed.study.session import describe, refuse_other
+
+    folder, making = out.parent / "store" if store is None else store, out / "making"
+    study, config = read_dataset(file)
+    divided = splits(study, config)
+    plan = plan_of(study, folder, shared.console())
+    if not overwrite:
+        refuse_foreign(out, making)
+        refuse_other(plan, making)
+    said = forecast(plan, config, divided, folder, out, workers)
+    if dry_run:
+        print(said)
+        return
+    with writing(out, wait) as console:
+        console.note(said)
+        making.mkdir(exist_ok=True)
+        describe(plan, making, folder)
+        rows = conduct(plan, making, folder, console, workers=workers, retry_failed=retry_failed)
+        states = counted(rows)
+        print(f"{len(rows)} captures: {', '.join(f'{count} {state}' for state, count in states.items())}")
+        if states.keys() - {"done"}:
+            next_(f"look at the reasons in {making / CSV}, then: the same command with --retry-failed")
+            raise SystemExit(1)
+        print(publish(plan, config, folder, out, console))
+    next_(f"look at {out / 'README.md'}")

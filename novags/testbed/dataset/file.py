@@ -1,0 +1,134 @@
+"""The file of a data set: a study file without methods, and a table [dataset].
+
+[dataset]
+name = "dark-rooms"                what it is called
+licence = "CC-BY-4.0"              of what is made, as SPDX spells it
+split_by = "scene"                 what never lies in two splits: a scene with all its variations, or a "variation"
+shard_mb = 256                     WebDataset shards of this size; none if left out
+description, version, creators, url, date
+[dataset.split]                    train = 0.8, val = 0.1, test = 0.1 if left out; or lists of scenes
+"""  # noqa: D214
+
+import math
+import re
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Literal, get_type_hints
+
+from novags.methods.variant import dotted
+from novags.settings import converted
+from novags.testbed.study.axes import changes_of
+from novags.testbed.study.grid import Study, study_of
+from sensor_model.files.reading import brief
+from sensor_model.files.toml_file import read_toml
+
+SPLITS = ("train", "val", "test")
+SHARES: dict[str, Any] = {"train": 0.8, "val": 0.1, "test": 0.1}
+OF_RUNS = ("method", "cameras", "points", "iterations", "denoiser_steps", "pictures", "refine_cameras", "device")
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DatasetConfig:
+    """What a data set is called and how it is divided.
+
+    Attributes:
+        name: Letters, digits and . _ -
+        licence: SPDX identifier, or text.
+        description: In a sentence or two.
+        version: Of the data.
+        creators: Names.
+        url: Where it will be found.
+        date: Of publication, YYYY-MM-DD.
+        split_by: What never lies in two splits.
+        split: Share of the units, or list of scenes, of each split.
+        shard_mb: Size of WebDataset shards, 1e6 bytes; None: no shards.
+        seed: Of the order in which scenes are dealt out to splits.
+    """
+
+    name: str
+    licence: str
+    description: str = ""
+    version: str = "1.0.0"
+    creators: tuple[str, ...] = ()
+    url: str = ""
+    date: str = ""
+    split_by: Literal["scene", "variation"] = "scene"
+    split: dict[str, Any] = field(default_factory=lambda: dict(SHARES))
+    shard_mb: float | None = None
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if not NAME.fullmatch(self.name):
+            raise ValueError(f"name must be letters, digits and . _ -, got {brief(repr(self.name), 60)}")
+        if not self.licence.strip():
+            raise ValueError("licence must be said: CC-BY-4.0, CC0-1.0, ...")
+        if self.date and not re.fullmatch(r"\d{4}-\d{2}-\d{2}", self.date):
+            raise ValueError(f"date must be YYYY-MM-DD, got {brief(repr(self.date), 60)}")
+        if self.shard_mb is not None and not (math.isfinite(self.shard_mb) and self.shard_mb > 0):
+            raise ValueError(f"shard_mb must be > 0, got {self.shard_mb:g}")
+
+
+def read_dataset(path: Path) -> tuple[Study, DatasetConfig]:
+    """Read and check the file of a data set.
+
+    Raises:
+        ValueError: If it cannot be read, names methods or photographs, or a value is refused; names the file and the
+            key.
+    """
+    table = read_toml(path)
+    about = table.pop("dataset", None)
+    try:
+        if not isinstance(about, dict):
+            raise ValueError('[dataset] is missing: it needs name and licence, such as "CC-BY-4.0"')
+        config = _config(about)
+        for place in ("grid", "override", *(f"rig.{name}" for name in table.get("rig", {}))):
+            _refuse_methods(table, place, path.parent)
+        if wrong := [name for name in ("variant", "method") if name in table]:
+            raise ValueError(f"[{wrong[0]}]: a data set has no methods: remove it")
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    study = study_of(path, table, "capture")
+    for cell in study.cells:
+        if cell.preset.folder is not None or cell.preset.photos is not None:
+            raise ValueError(f"{path}: {cell.label}: a data set is of rendered scenes, and this one was photographed: "
+                             "leave it out")  # fmt: skip
+    return study, config
+
+
+def _config(about: dict[str, Any]) -> DatasetConfig:
+    hints = get_type_hints(DatasetConfig)
+    for key in about:
+        if key not in hints:
+            near = get_close_matches(key, hints, 1)
+            hint = f"did you mean {near[0]!r}?" if near else f"there are {', '.join(hints)}"
+            raise ValueError(f"[dataset] has no setting {brief(repr(key), 60)}; {hint}")
+    if missing := [key for key in ("name", "licence") if key not in about]:
+        raise ValueError(f"[dataset] needs {missing[0]}")
+    split = about.get("split", SHARES)
+    if not isinstance(split, dict) or not split or any(key not in SPLITS for key in split):
+        raise ValueError(f"[dataset.split] must be a table of {', '.join(SPLITS)}")
+    values = {key: converted(str(value) if key == "date" else value, hints[key], f"[dataset] {key}")
+              for key, value in about.items() if key != "split"}  # fmt: skip
+    try:
+        return DatasetConfig(**values, split=split)
+    except ValueError as error:
+        raise ValueError(f"[dataset] {error}") from error
+
+
+def _refuse_methods(table: dict[str, Any], place: str, folder: Path) -> None:
+    """Refuse keys that change no capture."""
+    keys: Any = table
+    for part in place.split(".", 1):
+        keys = keys.get(part, {}) if isinstance(keys, dict) else {}
+    for key, value in dotted(keys).items() if isinstance(keys, dict) else ():
+        if key in OF_RUNS:
+            raise ValueError(f"[{place}] {key}: it belongs to reconstructions, and a data set has none: remove it")
+        first = value[0] if isinstance(value, list) and value else value
+        try:
+            changes = None if isinstance(first, dict | list) or key == "rig" else changes_of(key, first, folder)
+        except ValueError:
+            continue  # said where the study is read
+        if changes is not None and changes.settings:
+            raise ValueError(f"[{place}] {key}: it is a setting of methods, and a data set has none: remove it")

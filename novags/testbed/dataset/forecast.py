@@ -1,0 +1,41 @@
+"""What a data set will take, before any work."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+from novags.testbed.dataset.file import SPLITS, DatasetConfig
+from novags.testbed.study import forecast as of_study
+from novags.testbed.study.costs import Costs
+from novags.testbed.study.plan import Plan
+from novags.testbed.study.store import costs
+
+
+def forecast(
+    plan: Plan, config: DatasetConfig, divided: Mapping[str, str], store: Path, out: Path, workers: int | None
+) -> str:
+    """A page for a terminal: the forecast of the work, the splits, the disk that the data set takes beside the store.
+
+    Args:
+        plan: Of the data set.
+        config: Of the data set.
+        divided: The split of each scene.
+        store: The store.
+        out: Folder of the data set.
+        workers: As for `conduct`.
+    """
+    found = Costs.of(costs(store), 1)
+    size = sum(found.predicted(task).disk for task in plan.tasks.values())
+    linked = _device(store) == _device(out)
+    beside = (0.0 if linked else size) + (0.0 if config.shard_mb is None else size)
+    lines = [of_study.forecast(plan, store, workers), "", f"  data set {config.name}: about {of_study.size(size)}; "
+             f"beside the store it takes {of_study.size(beside)} ({'links' if linked else 'copies'}"
+             f"{', and shards' if config.shard_mb is not None else ''})"]  # fmt: skip
+    for split in SPLITS:
+        if scenes := [scene for scene, where in divided.items() if where == split]:
+            more = f" and {len(scenes) - 8} more" if len(scenes) > 8 else ""
+            lines.append(f"  {split:<7} {len(scenes):>4} scenes: {', '.join(scenes[:8])}{more}")
+    return "\n".join(lines)
+
+
+def _device(path: Path) -> int:
+    return next(parent for parent in (path.absolute(), *path.absolute().parents) if parent.exists()).stat().st_dev

@@ -1,0 +1,144 @@
+"""A finished plan becomes a data set: files, index, shards, metadata, data card; the manifest last.
+
+README.md  manifest.json  croissant.json  index.csv  shards/  SPLIT/set/  SPLIT/capture/
+"""
+
+import hashlib
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+from novags.testbed.cache import write_json, write_text
+from novags.testbed.console import Console
+from novags.testbed.dataset.card import card
+from novags.testbed.dataset.croissant import croissant
+from novags.testbed.dataset.file import SPLITS, DatasetConfig
+from novags.testbed.dataset.publish import INDEX, Entry, entries_of, link, spelled, views_of, write_index
+from novags.testbed.dataset.shards import FOLDER, write_shards
+from novags.testbed.dataset.splits import splits_of
+from novags.testbed.machine.provenance import package_version
+from novags.testbed.study.conduct import STUDY
+from novags.testbed.study.grid import Study
+from novags.testbed.study.plan import Plan
+from novags.testbed.study.session import jsonable_table
+
+MANIFEST, CARD, CROISSANT = "manifest.json", "README.md", "croissant.json"
+
+
+def scenes_of(study: Study) -> list[str]:
+    """The scenes of a data set, in the order of the file."""
+    return list(dict.fromkeys(spelled(cell.preset.render.scene, study.path) for cell in study.cells))
+
+
+def splits(study: Study, config: DatasetConfig) -> dict[str, str]:
+    """The split of each scene.
+
+    Raises:
+        ValueError: If they cannot be divided like that; names the file.
+    """
+    try:
+        return splits_of(scenes_of(study), config)
+    except ValueError as error:
+        raise ValueError(f"{study.path}: {error}") from error
+
+
+def publish(plan: Plan, config: DatasetConfig, store: Path, out: Path, console: Console) -> Path:
+    """Write the data set; returns its manifest. What is there already is kept.
+
+    Args:
+        plan: Of which every entry is complete.
+        config: Of the data set.
+        store: The store.
+        out: Folder of the data set, locked by the caller.
+        console: Where progress goes.
+
+    Raises:
+        OSError: If the disk is full or may not be written to.
+    """
+    (out / MANIFEST).unlink(missing_ok=True)  # it says that the data set is complete
+    entries = entries_of(plan, store, splits(plan.study, config))
+    _remove_others(entries, out)
+    with console.progress("publish") as progress:
+        for done, entry in enumerate(entries):
+            link(entry, store, out)
+            progress(done + 1, len(entries), entry.task.name)
+    views = list(views_of(entries, out))
+    write_index(views, out)
+    files = _checksums(out, console)
+    shards: list[str] = []
+    if config.shard_mb is not None:
+        sums = {name: facts["sha256"] for name, facts in files.items()}
+        shards = write_shards(views, out, config.shard_mb, sums)
+        files |= {name: _facts(out / name) for name in shards}
+    write_json(out / CROISSANT, croissant(config, list(views[0].row), files, shards))
+    manifest = _manifest(config, plan.study, entries, files)
+    write_text(out / CARD, card(config, entries, manifest))
+    manifest["files"] = files | {name: _facts(out / name) for name in (CROISSANT, CARD)}
+    write_json(out / MANIFEST, manifest)
+    return out / MANIFEST
+
+
+def refuse_foreign(out: Path, making: Path) -> None:
+    """Refuse a folder that holds files of these names and that no data set was made in.
+
+    Raises:
+        ValueError: If it does.
+    """
+    names = (MANIFEST, CARD, CROISSANT, INDEX, FOLDER, *SPLITS)
+    taken = [name for name in names if (out / name).exists()]
+    if taken and not (making / STUDY).exists():
+        raise ValueError(f"{out} already holds {', '.join(taken)}, and no work of this command is in {making}: choose "
+                         "another --out, or add --overwrite")  # fmt: skip
+
+
+def _remove_others(entries: list[Entry], out: Path) -> None:
+    """Remove sets and captures that an earlier file of this data set had: folders of this layout alone."""
+    kept = {entry.place for entry in entries}
+    for split in SPLITS:
+        for kind in ("set", "capture"):
+            for path in sorted((out / split / kind).glob("*")):
+                if path.relative_to(out).as_posix() not in kept:
+                    shutil.rmtree(path)
+
+
+def _checksums(out: Path, console: Console) -> dict[str, dict[str, Any]]:
+    """Of the files that data lie in: those of the splits, and the index."""
+    found = [path for split in SPLITS for path in sorted((out / split).rglob("*")) if path.is_file()]
+    result = {}
+    with console.progress("checksums") as progress:
+        for done, path in enumerate([*found, out / INDEX]):
+            result[path.relative_to(out).as_posix()] = _facts(path)
+            progress(done + 1, len(found) + 1, path.name)
+    return result
+
+
+def _facts(path: Path) -> dict[str, Any]:
+    with path.open("rb") as file:
+        found = hashlib.sha256()
+        while chunk := file.read(1 << 20):
+            found.update(chunk)
+    return {"bytes": os.stat(path).st_size, "sha256": found.hexdigest()}
+
+
+def _manifest(
+    config: DatasetConfig, study: Study, entries: list[Entry], files: dict[str, dict[str, Any]]
+) -> dict[str, Any]:
+    facts = [entry.facts() for entry in entries]
+    captures = [fact for fact in facts if fact["kind"] == "capture"]
+    return {
+        "name": config.name, "version": config.version, "licence": config.licence, "description": config.description,
+        "creators": list(config.creators),
+        "software": {name: package_version(name) for name in ("novags", "mitsuba", "numpy")},
+        "file": jsonable_table(study), "axes": {name: list(values) for name, values in study.axes.items()},
+        "seeds": sorted({fact["seed"] for fact in captures}),
+        "render_seeds": sorted({fact["seed"] for fact in facts if fact["kind"] == "set"}),
+        "splits": {split: sorted({f["scene"] for f in captures if f["split"] == split}) for split in SPLITS},
+        "cost": {
+            "seconds": sum(fact["cost"]["seconds"] for fact in facts),
+            "peak_bytes": max(fact["cost"]["peak_bytes"] for fact in facts),
+            "bytes": sum(fact["bytes"] for fact in files.values()),
+        },
+        "shards": [name for name in files if name.startswith(f"{FOLDER}/")],
+        "entries": facts,
+    }  # fmt: skip

@@ -1,0 +1,161 @@
+"""Sets and captures of a store as a data set: SPLIT/set/NAME and SPLIT/capture/NAME, and a row for each view.
+
+Files are links to those of the store where the disk allows it, and then take no further room; else copies.
+"""
+
+import csv
+import io
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from novags.testbed.cache import read_json, write_text
+from novags.testbed.folders.capture import RECORD as CAPTURE
+from novags.testbed.stages.render import RECORD as SET
+from novags.testbed.study.entry import Task
+from novags.testbed.study.grid import Value
+from novags.testbed.study.plan import Plan
+from novags.testbed.study.store import Seal, damaged, read_seal
+from simscenes.sets.multiview import MultiviewSet, load_set
+
+INDEX = "index.csv"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A set or a capture of a data set.
+
+    Attributes:
+        task: What made it.
+        scene: What was rendered, as the file of the data set spells it.
+        split: Where it lies.
+        values: Of the axes, of a capture.
+        seal: What it holds.
+        record: Its set.json or capture.json.
+    """
+
+    task: Task
+    scene: str
+    split: str
+    values: dict[str, Value]
+    seal: Seal
+    record: dict[str, Any]
+
+    @property
+    def place(self) -> str:
+        """Relative to the data set."""
+        return f"{self.split}/{self.task.kind}/{self.task.name}"
+
+    def facts(self) -> dict[str, Any]:
+        """For the manifest: what it is, what was simulated and what not, what it cost."""
+        kept = {name: self.record.get(name) for name in ("sensor_name", "electrons", "seed", "spp", "n_views",
+                                                         "views", "width", "height")}  # fmt: skip
+        kept["views"] = kept["views"] if isinstance(kept["views"], int) else kept["n_views"]
+        del kept["n_views"]
+        return {
+            "place": self.place, "kind": self.task.kind, "split": self.split, "scene": self.scene, "key": self.task.key,
+            "values": self.values, **{name: value for name, value in kept.items() if value is not None},
+            "simulation": simulated(self.record.get("plan")),
+            "cost": {"seconds": sum(self.seal.cost["seconds"].values()), "peak_bytes": self.seal.cost["peak_bytes"],
+                     "bytes": self.seal.cost["bytes"]},
+        }  # fmt: skip
+
+
+def simulated(plan: Mapping[str, Any] | None) -> dict[str, Any]:
+    """Effects that are in the data, those that are not, each with its reason, and the bound on what that changes."""
+    if plan is None:
+        return {"on": "all", "off": {}}
+    effects = plan["effects"]
+    return {
+        "on": [effect["name"] for effect in effects if effect["on"]],
+        "off": {effect["name"]: effect["reason"] for effect in effects if not effect["on"]},
+        "bound": plan["bound"], "unit": plan["unit"],
+    }  # fmt: skip
+
+
+def entries_of(plan: Plan, store: Path, splits: Mapping[str, str]) -> list[Entry]:
+    """Every set and capture of a plan, in its order; all must be complete.
+
+    Args:
+        plan: Of a data set.
+        store: The store.
+        splits: Split of each scene, as `spelled` has it.
+    """
+    values = {key: cell.values for cell, key in plan.runs}
+    found = []
+    for task in plan.tasks.values():
+        made = plan.tasks[task.needs[0]] if task.needs else task
+        folder, seal = task.folder(store), read_seal(task.folder(store))
+        assert seal is not None
+        record = read_json(folder / (SET if task.kind == "set" else CAPTURE))
+        scene = spelled(made.config.scene, plan.study.path)
+        found.append(Entry(task, scene, splits[scene], dict(values.get(task.key, {})), seal, record))
+    return found
+
+
+def spelled(scene: str, file: Path) -> str:
+    """A scene as the file of a data set spells it: a name of the catalogue, or a path that starts at its folder."""
+    return os.path.relpath(scene, file.parent) if scene.endswith(".xml") else scene
+
+
+def link(entry: Entry, store: Path, out: Path) -> None:
+    """Put the files of an entry into the data set; those that are there already, and whole, stay.
+
+    Raises:
+        OSError: If the disk is full or may not be written to.
+    """
+    place = out / entry.place
+    for name in damaged(place, entry.seal):
+        file, source = place / name, entry.task.folder(store) / name
+        file.parent.mkdir(parents=True, exist_ok=True)
+        temporary = file.with_name(f".{file.name}.partial")
+        temporary.unlink(missing_ok=True)
+        try:
+            os.link(source, temporary)
+        except OSError:  # another disk, or one without links: a full one shows in the copy
+            shutil.copy2(source, temporary)
+        temporary.replace(file)
+    there = {path.relative_to(place).as_posix() for path in place.rglob("*") if path.is_file()}
+    for name in there - entry.seal.files.keys():  # of an interrupted start, or of an earlier file
+        (place / name).unlink()
+
+
+@dataclass(frozen=True)
+class View:
+    """One view of a capture: what an index row and a sample of a shard say."""
+
+    row: dict[str, Any]
+    cameras: MultiviewSet
+    i: int
+
+
+def views_of(entries: list[Entry], out: Path) -> Iterator[View]:
+    """Every view of every capture, in order."""
+    sets = {entry.task.key: entry for entry in entries if entry.task.kind == "set"}
+    for entry in entries:
+        if entry.task.kind != "capture":
+            continue
+        lit = sets[entry.task.needs[0]]
+        cameras = load_set(out / entry.place)
+        for i, name in enumerate(cameras.names):
+            place, truth = entry.place, lit.place
+            yield View({
+                "split": entry.split, "scene": entry.scene, "sensor": entry.record["sensor_name"],
+                "electrons": entry.record["electrons"], "seed": entry.record["seed"], "capture": place, "set": truth,
+                "view": name, "held_out": int(i in cameras.test_indices), "dark": f"{place}/images/{name}.png",
+                "dark16": f"{place}/images16/{name}.png", "raw": f"{place}/raw/{name}.dng",
+                "truth": f"{place}/truth/{name}.exr", "lit": f"{truth}/images/{name}.png",
+                "gt": f"{truth}/gt/{name}.exr",
+            }, cameras, i)  # fmt: skip
+
+
+def write_index(views: list[View], out: Path) -> None:
+    """Write index.csv: a row for each view, with paths relative to the data set."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, list(views[0].row), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(view.row for view in views)
+    write_text(out / INDEX, text.getvalue())

@@ -1,0 +1,92 @@
+"""WebDataset shards: plain tar files, in which the files of a sample stand together and share the start of their names.
+
+The same samples give the same bytes: names in order, no times, no owners.
+"""
+
+import hashlib
+import io
+import json
+import tarfile
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from novags.testbed.cache import read_json, write_json
+from novags.testbed.dataset.publish import View
+from sensor_model.files.atomic import atomic
+
+FOLDER, STATE = "shards", ".shards.json"
+MEMBERS = {"dark": "dark.png", "dark16": "dark16.png", "raw": "raw.dng", "truth": "truth.exr", "lit": "lit.png",
+           "gt": "gt.exr"}  # fmt: skip
+
+
+def write_shards(views: Sequence[View], out: Path, megabytes: float, sums: dict[str, str]) -> list[str]:
+    """Write the shards that are not there yet; returns their names, relative to the data set.
+
+    Args:
+        views: The samples, in order.
+        out: The data set.
+        megabytes: Size at which a shard is closed, 1e6 bytes.
+        sums: SHA-256 of every file of the data set, by its relative name.
+
+    Raises:
+        OSError: If the disk is full or may not be written to.
+    """
+    folder = out / FOLDER
+    folder.mkdir(exist_ok=True)
+    state_file = folder / STATE
+    known = read_json(state_file, {"*": str}) if state_file.exists() else {}
+    made: dict[str, str] = {}
+    for name, samples in _divided(views, out, megabytes * 1e6):
+        recipe = hashlib.sha256("\n".join(_line(*sample, sums) for sample in samples).encode()).hexdigest()
+        if known.get(name) != recipe or not (folder / name).is_file():
+            with atomic(folder / name) as temporary:
+                _write(temporary, samples, out)
+        made[name] = recipe
+        write_json(state_file, {**known, **made})
+    for path in folder.glob("*.tar"):
+        if path.name not in made:
+            path.unlink()
+    write_json(state_file, made)
+    return [f"{FOLDER}/{name}" for name in made]
+
+
+def _divided(views: Sequence[View], out: Path, limit: float) -> Iterator[tuple[str, list[tuple[str, View]]]]:
+    """Shards of each split by name, with their samples by key."""
+    captures = {place: number for number, place in enumerate(dict.fromkeys(view.row["capture"] for view in views))}
+    for split in dict.fromkeys(view.row["split"] for view in views):
+        number, size, samples = 0, 0, list[tuple[str, View]]()
+        for view in (view for view in views if view.row["split"] == split):
+            samples.append((f"{captures[view.row['capture']]:06d}-{view.i:05d}", view))
+            size += sum((out / view.row[kind]).stat().st_size for kind in MEMBERS)
+            if size >= limit:
+                yield f"{split}-{number:06d}.tar", samples
+                number, size, samples = number + 1, 0, []
+        if samples:
+            yield f"{split}-{number:06d}.tar", samples
+
+
+def _line(key: str, view: View, sums: dict[str, str]) -> str:
+    return " ".join([key, *(sums[view.row[kind]] for kind in MEMBERS), json.dumps(about(view), sort_keys=True)])
+
+
+def _write(path: Path, samples: list[tuple[str, View]], out: Path) -> None:
+    with tarfile.open(path, "w", format=tarfile.USTAR_FORMAT) as tar:
+        for key, view in samples:
+            for kind, suffix in MEMBERS.items():
+                _add(tar, f"{key}.{suffix}", (out / view.row[kind]).read_bytes())
+            _add(tar, f"{key}.json", json.dumps(about(view), sort_keys=True).encode())
+
+
+def _add(tar: tarfile.TarFile, name: str, content: bytes) -> None:
+    member = tarfile.TarInfo(name)
+    member.size, member.mode = len(content), 0o644  # time 0 and owner 0 are what it begins with
+    tar.addfile(member, io.BytesIO(content))
+
+
+def about(view: View) -> dict[str, Any]:
+    """What a sample says beside its pictures: its row without paths, and its camera."""
+    rig = view.cameras.rig
+    kept = {name: value for name, value in view.row.items() if name not in MEMBERS}
+    return {**kept, "viewmat": rig.viewmats[view.i].tolist(), "K": rig.Ks[view.i].tolist(), "width": rig.width,
+            "height": rig.height}  # fmt: skip

@@ -1,0 +1,190 @@
+"""A tiny data set by its command: what it holds, that it says so truly, and that nothing is done twice."""
+
+import csv
+import hashlib
+import json
+import re
+import sys
+import tarfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from novags.commands.dataset import dataset
+from novags.testbed.console import Console
+from novags.testbed.folders.capture import open_capture
+from simscenes.sets.pictures.png import read_png
+
+FILE = """
+[dataset]
+name = "dark-balls"
+licence = "CC-BY-4.0"
+description = "Balls in the dark"
+creators = ["Jane Doe"]
+shard_mb = 0.2
+[dataset.split]
+val = ["two.xml"]
+train = 1
+[grid]
+scene = ["one.xml", "two.xml"]
+electrons = [5, 50]
+[override]
+views = 4
+width = 24
+height = 24
+spp = 4
+render.variant = "scalar"
+"""
+BALL = """<scene version="3.0.0">
+  <sensor type="perspective">
+    <transform name="to_world"><lookat origin="0,0,4" target="0,0,0" up="0,1,0"/></transform>
+  </sensor>
+  <emitter type="constant"/>
+  <shape type="sphere"><bsdf type="diffuse"><rgb name="reflectance" value="{color}"/></bsdf></shape>
+</scene>
+"""
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a data set in data/."""
+    folder = tmp_path_factory.mktemp("dataset")
+    (folder / "data.toml").write_text(FILE)
+    (folder / "one.xml").write_text(BALL.format(color="0.8,0.2,0.1"))
+    (folder / "two.xml").write_text(BALL.format(color="0.1,0.3,0.8"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("signal.signal", lambda *_: None)  # pytest keeps its own handlers
+        dataset(folder / "data.toml", out=folder / "data", workers=1)
+    return folder
+
+
+def sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def rows(place: Path) -> list[dict[str, str]]:
+    with (place / "data" / "index.csv").open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_every_view_is_in_the_index_and_no_scene_in_two_splits(place: Path) -> None:
+    found = rows(place)
+    assert len(found) == 2 * 2 * 4
+    assert {(row["split"], row["scene"]) for row in found} == {("train", "one.xml"), ("val", "two.xml")}
+    for row in found:
+        assert all((place / "data" / row[kind]).is_file() for kind in ("dark", "dark16", "raw", "truth", "lit", "gt"))
+    capture = open_capture(place / "data" / found[0]["capture"])
+    assert capture.record["electrons"] == 5
+    source = capture.source(Console(quiet=True))  # the set is found beside it, wherever the data set lies
+    assert source.views.path.resolve() == (place / "data" / found[0]["set"]).resolve()
+    assert np.array_equal(source.lit(0), read_png(place / "data" / found[0]["lit"]))
+
+
+def test_the_manifest_names_every_file_with_its_checksum_and_what_was_simulated(place: Path) -> None:
+    data = place / "data"
+    manifest = json.loads((data / "manifest.json").read_text())
+    there = {path.relative_to(data).as_posix() for path in data.rglob("*") if path.is_file()}
+    own = {name for name in there if not any(part.startswith(".") for part in name.split("/"))}
+    assert set(manifest["files"]) == {name for name in own if not name.startswith("making/")} - {"manifest.json"}
+    assert all(sha256(data / name) == facts["sha256"] for name, facts in manifest["files"].items())
+    assert manifest["licence"] == "CC-BY-4.0"
+    assert manifest["seeds"] == [0]
+    assert manifest["splits"] == {"train": ["one.xml"], "val": ["two.xml"], "test": []}
+    assert manifest["cost"]["seconds"] == pytest.approx(sum(e["cost"]["seconds"] for e in manifest["entries"]))
+    captures = [entry for entry in manifest["entries"] if entry["kind"] == "capture"]
+    assert [entry["electrons"] for entry in captures] == [5, 50, 5, 50]
+    for entry in manifest["entries"]:
+        assert entry["cost"]["seconds"] > 0
+        assert entry["simulation"]["on"]
+        assert all(reason for reason in entry["simulation"]["off"].values())
+    assert "photon_shot" in captures[0]["simulation"]["on"]
+    card = (data / "README.md").read_text()
+    assert card.startswith('---\nlicense: "cc-by-4.0"\n')
+    assert "| train | one.xml | 2 | 8 |" in card
+    assert "Balls in the dark" in card
+
+
+def test_shards_hold_the_files_themselves_each_sample_whole_and_bytes_without_a_date(place: Path) -> None:
+    data = place / "data"
+    shards = sorted((data / "shards").glob("*.tar"))
+    assert len(shards) > 2  # of 0.2 MB
+    assert {shard.name.partition("-")[0] for shard in shards} == {"train", "val"}
+    samples: dict[str, dict[str, bytes]] = {}
+    for shard in shards:
+        with tarfile.open(shard) as tar:
+            for member in tar:
+                assert (member.mtime, member.uid, member.gid, member.uname, member.mode) == (0, 0, 0, "", 0o644)
+                key, _, kind = member.name.partition(".")
+                opened = tar.extractfile(member)
+                assert opened is not None
+                samples.setdefault(key, {})[kind] = opened.read()
+    assert len(samples) == 16
+    for row, (_, sample) in zip(rows(place), sorted(samples.items()), strict=True):
+        assert sample["dark.png"] == (data / row["dark"]).read_bytes()
+        assert sample["gt.exr"] == (data / row["gt"]).read_bytes()
+        about = json.loads(sample["json"])
+        assert (about["view"], about["split"]) == (row["view"], row["split"])
+        assert about["electrons"] == float(row["electrons"])
+        assert np.shape(about["viewmat"]) == (4, 4)
+
+
+def test_the_same_command_does_nothing_again_and_mends_what_is_damaged(
+    place: Path, call: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ("dataset", str(place / "data.toml"), "--out", str(place / "data"), "--workers", "1")
+    files = [path for path in (place / "store").rglob("*") if path.is_file() and not path.name.endswith(".lock")]
+    files += (place / "data").rglob("*.tar")
+    before = {path: (path.stat().st_mtime_ns, path.stat().st_ino) for path in files}
+    sums = json.loads((place / "data" / "manifest.json").read_text())["files"]
+    damaged = place / "data" / rows(place)[3]["dark"]
+    whole = damaged.read_bytes()
+    damaged.unlink()  # a link: the store keeps its own
+    damaged.write_bytes(b"damaged")
+    (place / "data" / "manifest.json").unlink()
+    assert call(*words) == 0
+    assert damaged.read_bytes() == whole
+    assert {path: (path.stat().st_mtime_ns, path.stat().st_ino) for path in before} == before
+    assert json.loads((place / "data" / "manifest.json").read_text())["files"] == sums
+    capsys.readouterr()
+    assert call(*words, "--dry-run") == 0
+    said = capsys.readouterr().out
+    assert "4 captures = 2 scene x 2 electrons x 1 seed" in said
+    assert re.search(r"capture +4 +4 +0", said)
+    assert "train      1 scenes: one.xml" in said
+    assert "data set dark-balls: about" in said
+
+
+def test_another_data_set_or_somebody_elses_files_are_not_replaced(
+    place: Path, tmp_path: Path, call: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    (place / "other.toml").write_text(FILE.replace("[5, 50]", "[7]"))
+    assert call("dataset", str(place / "other.toml"), "--out", str(place / "data"), "--dry-run") == 2
+    assert "finished runs" in capsys.readouterr().err
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "README.md").write_text("mine")
+    assert call("dataset", str(place / "data.toml"), "--out", str(tmp_path / "mine")) == 2
+    assert "already holds README.md" in capsys.readouterr().err
+    assert (tmp_path / "mine" / "README.md").read_text() == "mine"
+
+
+def test_croissant_says_where_the_records_are_and_their_checksums(place: Path) -> None:
+    found = json.loads((place / "data" / "croissant.json").read_text())
+    assert found["conformsTo"] == "http://mlcommons.org/croissant/1.0"
+    objects = {part["@id"]: part for part in found["distribution"] if part["@type"] == "cr:FileObject"}
+    assert all(part["sha256"] == sha256(place / "data" / name) for name, part in objects.items())
+    assert objects["index.csv"]["encodingFormat"] == "text/csv"
+    columns = [field["source"]["extract"]["column"] for field in found["recordSet"][0]["field"]]
+    assert columns == list(rows(place)[0])
+
+
+def test_the_training_loop_of_the_page_reads_it_and_learns(
+    place: Path, blocks: Callable[..., list[str]], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (code,) = blocks("datasets.md")
+    monkeypatch.setattr(sys, "argv", ["train.py", str(place / "data")])
+    exec(code, {"__name__": "__main__"})
+    losses = [float(line.split()[3].rstrip(",")) for line in capsys.readouterr().out.splitlines()]
+    assert len(losses) == 20
+    assert losses[-1] < 0.7 * losses[0]

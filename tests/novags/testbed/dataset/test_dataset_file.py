@@ -1,0 +1,105 @@
+"""Claims about the file of a data set: what it means, how scenes are divided, and that every mistake is one line."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from novags.testbed.console import Console
+from novags.testbed.dataset.file import DatasetConfig, read_dataset
+from novags.testbed.dataset.splits import splits_of
+from novags.testbed.study.plan import plan_of
+
+FILE = """
+[dataset]
+name = "dark"
+licence = "CC-BY-4.0"
+[grid]
+scene = ["tabletop:2..4", "cornell"]
+electrons = [5, 20]
+"""
+SCENES = [f"{name}:{number}" for name in ("tabletop", "cornell", "studio", "hall", "street") for number in range(4)]
+
+
+def test_every_combination_is_a_capture_and_sets_are_shared(tmp_path: Path) -> None:
+    (tmp_path / "data.toml").write_text(FILE)
+    study, config = read_dataset(tmp_path / "data.toml")
+    scenes = ("tabletop:2", "tabletop:3", "tabletop:4", "cornell")
+    assert study.axes == {"scene": scenes, "electrons": (5, 20), "seed": (0,)}
+    assert (config.name, config.split_by, config.shard_mb) == ("dark", "scene", None)
+    plan = plan_of(study, tmp_path / "store", Console(quiet=True))
+    kinds = [task.kind for task in plan.tasks.values()]
+    assert {kind: kinds.count(kind) for kind in kinds} == {"set": 4, "capture": 8}
+    assert {plan.tasks[key].kind for key in plan.ends} == {"capture"}
+
+
+def config(**settings: Any) -> DatasetConfig:
+    return DatasetConfig(name="dark", licence="CC0-1.0", **settings)
+
+
+def test_no_scene_lies_in_two_splits_and_shares_are_kept() -> None:
+    found = splits_of(SCENES, config(split={"train": 0.6, "val": 0.2, "test": 0.2}))
+    by_scene = {name: {found[f"{name}:{k}"] for k in range(4)} for name in ("tabletop", "cornell", "studio", "hall")}
+    assert all(len(splits) == 1 for splits in by_scene.values())
+    assert sorted(found.values()) == ["test"] * 4 + ["train"] * 12 + ["val"] * 4
+    apart = splits_of(SCENES, config(split_by="variation"))
+    assert sorted(apart.values()) == ["test"] * 2 + ["train"] * 16 + ["val"] * 2
+    assert splits_of(SCENES[::-1], config(split_by="variation")) == apart
+    assert splits_of(SCENES, config(split_by="variation", seed=1)) != apart
+
+
+def test_lists_decide_and_the_rest_is_dealt_out() -> None:
+    found = splits_of(SCENES, config(split={"train": 2, "val": 1, "test": ["hall", "street"]}))
+    assert {scene for scene, split in found.items() if split == "test"} == set(SCENES[12:])
+    assert sorted(found.values())[8:] == ["train"] * 8 + ["val"] * 4
+
+
+WRONG_SPLITS = {
+    "twice": ({"train": ["hall"], "val": ["hall:2"]}, r"\[dataset.split\] val: hall lies in train already"),
+    "unknown": ({"train": 1, "test": ["attic"]}, r"test: there is no scene 'attic' in \[grid\] \(tabletop, cornell"),
+    "left over": ({"test": ["hall"]}, "lie in no split: name them in a list, or give a share"),
+    "share": ({"train": -1}, "train: it must be a share > 0 or a list of scenes, got -1"),
+    "text": ({"train": "most"}, "train: it must be a share > 0 or a list of scenes, got 'most'"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG_SPLITS)
+def test_splits_that_cannot_be_are_refused(what: str) -> None:
+    split, said = WRONG_SPLITS[what]
+    with pytest.raises(ValueError, match=said):
+        splits_of(SCENES, config(split=split))
+
+
+def test_a_split_that_would_be_empty_says_what_helps() -> None:
+    with pytest.raises(ValueError, match=r'nothing is left for it of 1 scenes: .* split_by = "variation" divides'):
+        splits_of(["tabletop:0", "tabletop:1", "tabletop:2"], config())
+
+
+WRONG = {
+    "no table": ("[grid]\nseed=0", "[dataset] is missing"),
+    "no licence": ("[dataset]\nname='a'", "[dataset] needs licence"),
+    "key": ("[dataset]\nname='a'\nlicense='x'", "[dataset] has no setting 'license'; did you mean 'licence'?"),
+    "name": (FILE.replace('"dark"', '"a b"'), "[dataset] name must be letters"),
+    "split": (f"{FILE}[dataset.split]\ntrian = 1", "[dataset.split] must be a table of train, val, test"),
+    "shards": (FILE.replace("licence", "shard_mb=0\nlicence"), "[dataset] shard_mb must be > 0, got 0"),
+    "date": (FILE.replace("licence", "date='May'\nlicence"), "[dataset] date must be YYYY-MM-DD"),
+    "method": (f"{FILE}method='naive'", "[grid] method: it belongs to reconstructions"),
+    "points": (f"{FILE}[override]\npoints=9", "[override] points: it belongs to reconstructions"),
+    "setting": (f"{FILE}fit.sh_degree=1", "[grid] fit.sh_degree: it is a setting of methods"),
+    "rig": (f"{FILE}rig='a'\n[rig.a]\niterations=3", "[rig.a] iterations: it belongs to reconstructions"),
+    "variant": (f"{FILE}[variant.a]\nmethod='naive'", "[variant]: a data set has no methods"),
+    "photographs": (FILE.replace('"cornell"', '"photos"'), "a data set is of rendered scenes"),
+    "range": (FILE.replace("2..4", "4..2"), "[grid] scene: 'tabletop:4..2' must be NAME:FIRST..LAST"),
+    "study's": (f"{FILE}[override]\nspps=3", "[override] spps: there is no such key"),
+}
+
+
+@pytest.mark.parametrize("what", WRONG)
+def test_a_mistake_is_one_line_with_the_file_and_the_key(tmp_path: Path, what: str) -> None:
+    text, said = WRONG[what]
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "data.toml").write_text(text)
+    file = re.escape(str(tmp_path / "data.toml"))
+    with pytest.raises(ValueError, match=rf"^{file}[^\n]*{re.escape(said)}[^\n]*$"):
+        read_dataset(tmp_path / "data.toml")
