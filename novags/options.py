@@ -60,3 +60,21 @@ class LightOptions:
 
 Light = Annotated[LightOptions, tyro.conf.arg(name=""), tyro.conf.OmitArgPrefixes]
 LIGHT = LightOptions()
+
+
+@dataclass(frozen=True)
+class ClusterOptions:
+    """The Ray cluster of --engine ray."""
+
+    address: str | None = None
+    """HOST:PORT of the cluster. If not given: RAY_ADDRESS, one that runs on this machine, or else one started here."""
+    needs: tuple[str, ...] = ()
+    """What tasks take: "cpus=2,memory=8GB" for all, "run:gpus=1" or "set:cpus=8" for one kind of set, capture, run."""
+    retries: int = 3
+    """Times that a task is tried again after its process or its node was lost."""
+    scratch: str | None = None
+    """Folder on each node for what it fetches from a store at a URL; in its folder for temporary files if not given."""
+
+
+Cluster = Annotated[ClusterOptions, tyro.conf.arg(name=""), tyro.conf.OmitArgPrefixes]
+CLUSTER = ClusterOptions()

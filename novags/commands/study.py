@@ -1,17 +1,22 @@
 """`novags study`: a grid of runs."""
 
 from pathlib import Path
-from typing import Literal
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Literal
 
 from novags.commands import shared
 from novags.commands.shared import next_, writing
-from novags.options import Folder
+from novags.options import CLUSTER, Cluster, Folder
+
+if TYPE_CHECKING:
+    from novags.testbed.study.engines.choice import Engine
+    from novags.testbed.study.plan import Plan
 
 
 def study(
-    file: Folder, *, out: Path, store: Path | None = None, engine: Literal["local"] = "local",
-    workers: int | None = None, dry_run: bool = False, retry_failed: bool = False, overwrite: bool = False,
-    wait: bool = False,
+    file: Folder, *, out: Path, store: str | None = None, engine: Literal["local", "ray"] = "local",
+    workers: int | None = None, cluster: Cluster = CLUSTER, dry_run: bool = False, nodes: tuple[int, ...] = (),
+    retry_failed: bool = False, overwrite: bool = False, wait: bool = False,
 ) -> None:  # fmt: skip
     """Run a grid of scenes, cameras, light levels, methods and seeds from one file; see docs/studies.md.
 
@@ -21,32 +26,86 @@ def study(
     Args:
         file: The study, a TOML file.
         out: Folder of its tables and logs.
-        store: Folder of all sets, captures and runs, which studies share; `store` beside `out` if not given.
-        engine: Where the work is done: on this machine.
-        workers: Processes at a time; all cores are divided among them. As many as there are cores, or runs, if not
-            given.
+        store: Folder of all sets, captures and runs, which studies share; `store` beside `out` if not given. With
+            --engine ray a folder that all nodes see, or a URL for fsspec.
+        engine: Where the work is done: on this machine, or on a Ray cluster (docs/clusters.md).
+        workers: Processes at a time on this machine; all cores are divided among them. As many as there are cores, or
+            runs, if not given.
+        cluster: Of --engine ray.
         dry_run: Only show the runs, and what they will take: time, memory, disk. Nothing is written.
+        nodes: With --dry-run: how long it would take on so many machines like this one; several numbers.
         retry_failed: Try again the runs that failed before.
         overwrite: Replace tables of another study.
         wait: If another process is writing to `out`, wait until it is done instead of refusing.
     """
-    from novags.testbed.study.conduct import conduct
-    from novags.testbed.study.forecast import forecast
     from novags.testbed.study.grid import read_study
     from novags.testbed.study.plan import plan_of
+
+    url = store if store is not None and "://" in store else None
+    folder = out / "fetched" if url else out.parent / "store" if store is None else Path(store)
+    plan = plan_of(read_study(file), folder, shared.console(), here=engine == "local")
+    if url and (found := next((task.source for task in plan.tasks.values() if task.source), None)):
+        raise ValueError(f"store {url}: the set {found} lies outside it: captures refer to their set by its place, so "
+                         "give --store a folder that all nodes see")  # fmt: skip
+    chosen = _engine(engine, len(plan.runs), workers, cluster, url)
+    if nodes and not dry_run:
+        raise ValueError("nodes are simulated: add --dry-run")
+    if dry_run:
+        print(_forecast(plan, folder, chosen, url, nodes))
+        return
+    _conduct(plan, out, folder, chosen, url, retry_failed, overwrite, wait)
+
+
+def _engine(name: str, runs: int, workers: int | None, cluster: Cluster, url: str | None) -> "Engine":
+    """Where the work is done.
+
+    Raises:
+        ValueError: If options do not go together.
+    """
+    from novags.testbed.study.engines.choice import Nodes, OneMachine
+    from novags.testbed.study.engines.needs import read_needs
+
+    if name == "ray":
+        if workers is not None:
+            raise ValueError("workers are processes on this machine; with --engine ray --needs says what tasks take")
+        if cluster.retries < 0:
+            raise ValueError(f"retries must be >= 0, got {cluster.retries}")
+        return Nodes(read_needs(cluster.needs), cluster.address, cluster.retries, url, cluster.scratch)
+    if cluster != CLUSTER:
+        raise ValueError("address, needs, retries and scratch belong to --engine ray")
+    if url is not None:
+        raise ValueError(f"store {url}: a URL needs --engine ray")
+    return OneMachine.shared(runs, workers)
+
+
+def _forecast(plan: "Plan", folder: Path, engine: "Engine", url: str | None, nodes: tuple[int, ...]) -> str:
+    from novags.testbed.study.elsewhere.nodes import known
+    from novags.testbed.study.elsewhere.remote import Remote
+    from novags.testbed.study.forecast import forecast
+
+    if url is None:
+        return forecast(plan, folder, engine, nodes=nodes)
+    with TemporaryDirectory(prefix="novags-") as temporary:
+        known(plan, Remote(url), Path(temporary))
+        return forecast(plan, Path(temporary), engine, url=url, nodes=nodes)
+
+
+def _conduct(
+    plan: "Plan", out: Path, folder: Path, engine: "Engine", url: str | None, retry_failed: bool, overwrite: bool,
+    wait: bool,
+) -> None:  # fmt: skip
+    from novags.testbed.study.conduct import conduct
+    from novags.testbed.study.elsewhere.nodes import known
+    from novags.testbed.study.elsewhere.remote import Remote
     from novags.testbed.study.results import CSV, counted
     from novags.testbed.study.session import describe, refuse_other
 
-    folder = out.parent / "store" if store is None else store
-    plan = plan_of(read_study(file), folder, shared.console())
-    if dry_run:
-        print(forecast(plan, folder, workers))
-        return
     with writing(out, wait) as console:
         if not overwrite:
             refuse_other(plan, out)
-        describe(plan, out, folder)
-        rows = conduct(plan, out, folder, console, workers=workers, retry_failed=retry_failed)
+        describe(plan, out, folder, url)
+        finished = known(plan, Remote(url), folder) if url else None
+        rows = conduct(plan, out, folder, console, engine, retry_failed=retry_failed, known=finished, url=url)
     states = counted(rows)
     print(f"{len(rows)} runs: {', '.join(f'{count} {state}' for state, count in states.items())}")
     print(out / CSV)

@@ -1,6 +1,5 @@
 """A study from its file to its tables: plan, do what is missing, keep what is known of failures, write the rows."""
 
-import os
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -11,33 +10,18 @@ from typing import Any
 from novags.testbed.cache import read_json, write_json
 from novags.testbed.console import Console
 from novags.testbed.study.costs import Costs, longest_after, time_left
-from novags.testbed.study.engines.local import Limits, Pool
-from novags.testbed.study.engines.processes import threads_environment
+from novags.testbed.study.elsewhere.nodes import keep_scores
+from novags.testbed.study.engines.choice import Engine, Work, log_of
 from novags.testbed.study.engines.progress import At, StudyProgress
 from novags.testbed.study.engines.worker import Outcome
-from novags.testbed.study.entry import Order, Task
 from novags.testbed.study.plan import Plan
 from novags.testbed.study.results import State, Table
 from novags.testbed.study.store import SEAL, costs
 from sensor_model.files.atomic import atomic
 
 STUDY, FAILURES = "study.json", "failures.json"
-PLACE = "novags.testbed.study.steps:make"
 KEPT = 0.05  # s; to compare a finished entry with its checksums
-TABLES_EVERY = 10.0  # s; between two writings of the tables while runs end
-
-
-def workers_for(runs: int, wanted: int | None) -> tuple[int, int]:
-    """Workers, and threads of each: all cores in all. What is done already does not change them, so bits stay the same.
-
-    Raises:
-        ValueError: If fewer than one worker is wanted.
-    """
-    if wanted is not None and wanted < 1:
-        raise ValueError(f"workers must be >= 1, got {wanted}")
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    workers = wanted or max(1, min(cores, runs))
-    return workers, max(1, cores // workers)
+TABLES_EVERY = 10.0  # s; at least, between two writings of the tables while runs end
 
 
 def there(plan: Plan, store: Path) -> set[str]:
@@ -46,8 +30,9 @@ def there(plan: Plan, store: Path) -> set[str]:
 
 
 def conduct(
-    plan: Plan, out: Path, store: Path, console: Console, *, workers: int | None = None, retry_failed: bool = False
-) -> list[dict[str, Any]]:
+    plan: Plan, out: Path, store: Path, console: Console, engine: Engine, *, retry_failed: bool = False,
+    known: Mapping[str, Outcome] | None = None, url: str | None = None,
+) -> list[dict[str, Any]]:  # fmt: skip
     """Do what is missing of a study and write its tables; returns their rows.
 
     Args:
@@ -55,30 +40,26 @@ def conduct(
         out: Its folder, locked by the caller.
         store: The store.
         console: Where progress goes.
-        workers: Processes; None: as many as there are cores, or runs if these are fewer.
+        engine: Where the work is done.
         retry_failed: Try again what failed before.
+        known: Entries that need not be looked at.
+        url: Where the store is, if `store` holds only what this machine knows of it.
 
     Raises:
         OSError: If the disk is full or may not be written to.
         KeyboardInterrupt: If it is interrupted; what is finished is kept.
     """
-    count, threads = workers_for(len(plan.runs), workers)
     store.mkdir(parents=True, exist_ok=True)
-    table = Table(plan, out, store)
-    predicted = Costs.of(costs(store), threads)
-    watch = _Watch(plan, table, predicted, count, StudyProgress(console, len(plan.runs)), known=there(plan, store))
+    table = Table(plan, out, store, url)
+    predicted = Costs.of(costs(store), engine.threads)
+    watch = _Watch(plan, table, predicted, engine.places, StudyProgress(console, len(plan.runs)),
+                   known=there(plan, store))  # fmt: skip
     watch.failures = {} if retry_failed else read_failures(out, set(plan.tasks) - watch.known)
     write_json(out / FAILURES, watch.failures)
     longest = longest_after(plan, watch.seconds_left())
-    limits = Limits(
-        workers=count, order=longest.__getitem__,
-        memory=lambda key: predicted.predicted(plan.tasks[key]).memory,
-        seconds=lambda key: predicted.predicted(plan.tasks[key]).seconds,
-    )  # fmt: skip
-    pool = Pool(PLACE, _Orders(plan, out, store, threads).request, limits, watch, threads_environment(threads))
     failed = {key: Outcome("failed", f["reason"], f["stage"]) for key, f in watch.failures.items()}
     try:
-        pool.run(plan.tasks.values(), failed)
+        engine.run(Work(plan, out, store, predicted, longest, watch, {**failed, **(known or {})}))
     except BaseException:
         with suppress(OSError):  # a full disk: said by the first error
             table.write(watch.states)
@@ -97,28 +78,6 @@ def read_failures(out: Path, keys: set[str]) -> dict[str, dict[str, str]]:
     return {key: failure for key, failure in found.items() if key in keys}
 
 
-def log_of(task: Task) -> str:
-    """The log of a task, relative to the study."""
-    return f"logs/{task.kind}-{task.name}.log"
-
-
-@dataclass(frozen=True)
-class _Orders:
-    """Turns the keys of a plan into what workers are sent."""
-
-    plan: Plan
-    out: Path
-    store: Path
-    threads: int
-
-    def request(self, key: str, results: Mapping[str, Any]) -> dict[str, Any]:
-        task = self.plan.tasks[key]
-        source = self.plan.tasks[task.needs[0]].folder(self.store) if task.needs else task.source
-        made_of = {need: result["content"] for need, result in results.items()}
-        order = Order(task, task.folder(self.store), source, made_of, self.threads)
-        return {"task": order, "log": str((self.out / log_of(task)).absolute())}
-
-
 @dataclass
 class _Watch:
     """Keeps the tables, the failures and the progress of a study up to date."""
@@ -133,8 +92,11 @@ class _Watch:
     failures: dict[str, dict[str, str]] = field(default_factory=dict)
     over: set[str] = field(default_factory=set)
     under_way: dict[str, tuple[float, At]] = field(default_factory=dict)
-    _written: float = 0.0
+    _write_at: float = 0.0
     _left: tuple[float, float] = (0.0, 0.0)  # seconds left, and when to count again
+
+    def places(self, count: int) -> None:
+        self.workers = count
 
     def started(self, key: str) -> None:
         self.under_way[key] = (time.monotonic(), ("starting", 0, 0, ""))
@@ -149,14 +111,17 @@ class _Watch:
         self.over.add(key)
         if outcome.state == "done" and outcome.said["made"]:
             self.costs.add(task.kind, outcome.said["cost"])
+        if outcome.state == "done" and outcome.said.get("scores") is not None:
+            keep_scores(task.folder(self.table.store), outcome.said["scores"])
         if outcome.state == "failed" and key not in self.failures:
             self._failed(key, outcome.said, outcome.stage or stage)
         if key in self.plan.ends:
             failure = self.failures.get(outcome.cause or key, {})
             self.states[key] = State(outcome.state, failure.get("reason"), failure.get("stage"), failure.get("log"))
-            if time.monotonic() - self._written >= TABLES_EVERY:
+            if (start := time.monotonic()) >= self._write_at:
                 self.table.write(self.states)
-                self._written = time.monotonic()
+                now = time.monotonic()
+                self._write_at = now + max(TABLES_EVERY, 50 * (now - start))  # at most 2 % of the time goes into this
 
     def _failed(self, key: str, reason: str, stage: str) -> None:
         """Keep a failure, unless it is the disk's."""

@@ -61,11 +61,11 @@ class Costs:
     """Measured costs, and what they predict."""
 
     measured: dict[str, list[tuple[str, int, float, Cost]]] = field(default_factory=dict)  # by kind
-    threads: int = 1  # of each task of this study
+    threads: Mapping[str, int] = field(default_factory=dict)  # of each task of this study, by kind; 1 if it is missing
     _ratios: dict[tuple[str, str, float], Cost] = field(default_factory=dict)
 
     @staticmethod
-    def of(entries: Iterable[Mapping[str, Any]], threads: int) -> "Costs":
+    def of(entries: Iterable[Mapping[str, Any]], threads: Mapping[str, int]) -> "Costs":
         """Of the entries of a store, as `store.costs` gives them."""
         costs = Costs(threads=threads)
         for entry in entries:
@@ -99,8 +99,10 @@ class Costs:
         if not rows:
             return Cost(1.0, 1.0, 1.0)
 
+        threads = self.threads.get(kind, 1)
+
         def unlike(row: tuple[str, int, float, Cost]) -> tuple[bool, bool, float]:
-            return row[0] != group, row[1] != self.threads, abs(math.log(max(row[2], 1.0) / max(work, 1.0)))
+            return row[0] != group, row[1] != threads, abs(math.log(max(row[2], 1.0) / max(work, 1.0)))
 
         alike = sorted(rows, key=unlike)
         first = unlike(alike[0])[:2]

@@ -53,6 +53,7 @@ class Order:
         source: Folder that it is made from: of a set for a capture, of a capture for a run.
         made_of: Content of each entry that it is made from, by key.
         threads: That this worker may use.
+        version: Of the code that planned it, see `store.version`.
     """
 
     task: Task
@@ -60,6 +61,7 @@ class Order:
     source: Path | None
     made_of: dict[str, str]
     threads: int
+    version: str
 
 
 @dataclass(frozen=True)

@@ -1,29 +1,37 @@
 """What a study will take, before any work: runs, stages that are there, time, memory, disk. Writes nothing."""
 
-import heapq
 import shutil
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
 
 from novags.testbed.machine.memory import available_bytes
-from novags.testbed.study.conduct import KEPT, there, workers_for
-from novags.testbed.study.costs import Costs, longest_after
+from novags.testbed.study.conduct import KEPT, there
+from novags.testbed.study.costs import Costs
+from novags.testbed.study.engines.choice import Engine
 from novags.testbed.study.engines.progress import duration
 from novags.testbed.study.plan import Plan
+from novags.testbed.study.simulate import makespan, said_threads, simulated
 from novags.testbed.study.store import KINDS, costs, other_entries
 
 SHOWN = 40  # runs listed by name
 
 
-def forecast(plan: Plan, store: Path, workers: int | None = None) -> str:
+def forecast(
+    plan: Plan, store: Path, engine: Engine, *, url: str | None = None, nodes: Sequence[int] = ()
+) -> str:  # fmt: skip
     """A page for a terminal.
 
     Args:
         plan: The study.
         store: The store.
-        workers: As for `conduct`.
+        engine: Where the work would be done.
+        url: Where the store is, if `store` holds only what this machine knows of it.
+        nodes: Numbers of nodes like this machine to simulate.
+
+    Raises:
+        ValueError: If a number of nodes is below 1.
     """
-    count, threads = workers_for(len(plan.runs), workers)
+    count, threads = engine.places, engine.threads
     found, known = Costs.of(costs(store), threads), there(plan, store)
     predicted = {key: found.predicted(task) for key, task in plan.tasks.items()}
     seconds = {key: KEPT if key in known else cost.seconds for key, cost in predicted.items()}
@@ -42,17 +50,19 @@ def forecast(plan: Plan, store: Path, workers: int | None = None) -> str:
     disk, free = sum(cost.disk for cost in todo.values()), shutil.disk_usage(_existing(store)).free
     lines += [
         "",
-        f"  time    {duration(makespan(plan, seconds, count))} with {count} workers of {threads} "
-        f"thread{'s' * (threads > 1)}; {duration(sum(seconds.values()))} of work"
+        f"  time    {duration(makespan(plan, seconds, count))} with {count} workers of {said_threads(threads)}; "
+        f"{duration(sum(seconds.values()))} of work"
         + ("" if all(found.known(plan.tasks[key]) for key in todo) else " (nothing like it in the store: rough)"),
         f"  memory  at most {size(peak)} of {size(available_bytes())} free; fewer tasks at a time where it is short",
-        f"  disk    {size(disk)} of {size(free)} free in {store}",
+        f"  disk    {size(disk)} of {size(free)} free in {store}"
+        if url is None
+        else f"  disk    {size(disk)} at {url}",
     ]
-    if disk > free:
+    if url is None and disk > free:
         lines.append("  note: the disk is too small: free some, or choose another --store")
     if stray := other_entries(store, set(plan.tasks)):
         lines.append(f"  the store holds {stray} entries of other studies, settings or versions of novags")
-    return "\n".join(lines)
+    return "\n".join([*lines, *simulated(plan, predicted, seconds, engine, nodes)])
 
 
 def _head(plan: Plan) -> str:
@@ -63,36 +73,6 @@ def _head(plan: Plan) -> str:
     lines += [f"  {number:>4}  {cell.label}" for number, (cell, _) in enumerate(plan.runs[:SHOWN], 1)]
     more = len(plan.runs) - SHOWN
     return "\n".join([*lines, *([f"        and {more} more"] if more > 0 else [])])
-
-
-def makespan(plan: Plan, seconds: Mapping[str, float], workers: int) -> float:
-    """Seconds until all tasks are done, the longest chains first.
-
-    Args:
-        plan: The plan.
-        seconds: Of each task.
-        workers: Tasks at a time.
-    """
-    longest = longest_after(plan, seconds)
-    waiting = {key: len(task.needs) for key, task in plan.tasks.items()}
-    users: dict[str, list[str]] = {}
-    for key, task in plan.tasks.items():
-        for need in task.needs:
-            users.setdefault(need, []).append(key)
-    ready = [(-longest[key], key) for key, needs in waiting.items() if not needs]
-    heapq.heapify(ready)
-    running: list[tuple[float, str]] = []
-    now = 0.0
-    while ready or running:
-        while ready and len(running) < workers:
-            _, key = heapq.heappop(ready)
-            heapq.heappush(running, (now + seconds[key], key))
-        now, key = heapq.heappop(running)
-        for user in users.get(key, []):
-            waiting[user] -= 1
-            if not waiting[user]:
-                heapq.heappush(ready, (-longest[user], user))
-    return now
 
 
 def size(count: float) -> str:

@@ -43,13 +43,14 @@ class Plan:
         yield self.tasks[key]
 
 
-def plan_of(study: Study, store: Path, console: Console) -> Plan:
+def plan_of(study: Study, store: Path, console: Console, *, here: bool = True) -> Plan:
     """What has to be made for a study; nothing is computed and nothing written.
 
     Args:
         study: The study.
         store: The store, from which paths to sets elsewhere are counted.
         console: Where notes on sets that are there go.
+        here: The work will be done on this machine, so that it must have the device.
 
     Raises:
         ValueError: If a scene or a set cannot be read, settings do not go together, a camera source or a device is not
@@ -58,7 +59,7 @@ def plan_of(study: Study, store: Path, console: Console) -> Plan:
     planner, runs, labels = Planner(store, console), [], dict[str, str]()
     for cell in study.cells:
         try:
-            check(cell.preset, console)
+            check(cell.preset, console, here)
             key = planner.run(cell.preset) if study.ends == "run" else planner.capture(cell.preset)
         except ValueError as error:
             if str(study.path) in str(error):
@@ -74,7 +75,7 @@ def plan_of(study: Study, store: Path, console: Console) -> Plan:
     return Plan(study, planner.tasks, tuple(runs))
 
 
-def check(preset: Preset, console: Console) -> None:
+def check(preset: Preset, console: Console, here: bool = True) -> None:
     """Refuse what is known to fail before anything is computed.
 
     Raises:
@@ -84,7 +85,8 @@ def check(preset: Preset, console: Console) -> None:
     if preset.command(preset.methods[0]) is not None and preset.cameras != KnownConfig():
         raise ValueError(f"cameras: {preset.methods[0]} is a program, which reads the true cameras (known) with its "
                          "pictures: leave the others out with [[exclude]]")  # fmt: skip
-    chosen_device(preset.device, console)
+    if here:
+        chosen_device(preset.device, console)
     if preset.folder is None and preset.photos is None and min(preset.render.width, preset.render.height) < SMALLEST:
         size = f"{preset.render.width} x {preset.render.height}"
         raise ValueError(

@@ -12,6 +12,7 @@ from novags.testbed.cache import read_json, write_json, write_text
 from novags.testbed.folders import shapes
 from novags.testbed.folders.run import METRICS
 from novags.testbed.stages.score import recovered_fractions
+from novags.testbed.study.entry import Task
 from novags.testbed.study.plan import Plan
 from novags.testbed.study.store import read_seal
 
@@ -37,11 +38,13 @@ class Table:
         plan: What runs there are.
         out: Folder of the study.
         store: The store.
+        url: Where the store is, if `store` holds only what this machine knows of it.
     """
 
     plan: Plan
     out: Path
     store: Path
+    url: str | None = None
     _scores: dict[str, dict[str, Any]] = field(default_factory=dict)  # of finished runs, by key: read once
 
     def rows(self, states: Mapping[str, State]) -> list[dict[str, Any]]:
@@ -56,7 +59,7 @@ class Table:
             state = states.get(key, State())
             row = {
                 "run": number, **cell.values, "state": state.name, "reason": state.reason, "stage": state.stage,
-                "log": state.log, "folder": self._relative(key),
+                "log": state.log, "folder": place_of(self.plan.tasks[key], self.out, self.store, self.url),
             }  # fmt: skip
             scores = self._scores_of(key) if state.name == "done" else {}
             found.append({**row, **shares.get(key, {}), **scores})
@@ -74,9 +77,6 @@ class Table:
         write_text(self.out / CSV, text.getvalue())
         write_json(self.out / JSON, {"axes": self.plan.study.axes, "columns": columns, "rows": rows})
         return rows
-
-    def _relative(self, key: str) -> str:
-        return Path(os.path.relpath(self.plan.tasks[key].folder(self.store), self.out)).as_posix()
 
     def _scores_of(self, key: str) -> dict[str, Any]:
         if key not in self._scores:
@@ -121,6 +121,13 @@ class Table:
             if dot:
                 found.setdefault(kind, {})[number] = value
         return found
+
+
+def place_of(task: Task, out: Path, store: Path, url: str | None) -> str:
+    """Where an entry is: relative to the study, or a URL."""
+    if url is not None:
+        return f"{url}/{task.kind}/{task.name}"
+    return Path(os.path.relpath(task.folder(store), out)).as_posix()
 
 
 def flat_scores(method: Mapping[str, Any]) -> dict[str, Any]:

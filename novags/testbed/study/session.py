@@ -16,22 +16,23 @@ from novags.testbed.folders.run import RECORD
 from novags.testbed.study.conduct import STUDY
 from novags.testbed.study.grid import Study
 from novags.testbed.study.plan import Plan
-from novags.testbed.study.results import CSV, JSON
+from novags.testbed.study.results import CSV, JSON, place_of
 
 SHAPE: Any = {"file": str, "table": dict, "runs": [{"values": dict, "key": str, "folder": str}]}
 ROWS: Any = {"rows": [{"state": str}]}
 
 
-def describe(plan: Plan, out: Path, store: Path) -> None:
-    """Write study.json."""
+def describe(plan: Plan, out: Path, store: Path, url: str | None = None) -> None:
+    """Write study.json; `url`: where the store is, if it is not in the folder `store`."""
     runs = [
-        {"values": cell.values, "key": key, "folder": _relative(plan.tasks[key].folder(store), out)}
+        {"values": cell.values, "key": key, "folder": place_of(plan.tasks[key], out, store, url)}
         for cell, key in plan.runs
     ]
     study = plan.study
     write_json(
         out / STUDY,
-        {"file": study.path.name, "table": jsonable_table(study), "store": _relative(store, out),
+        {"file": study.path.name, "table": jsonable_table(study),
+         "store": url or Path(os.path.relpath(store, out)).as_posix(),
          "axes": study.axes, "excluded": study.excluded, "runs": runs},
     )  # fmt: skip
 
@@ -72,10 +73,6 @@ def refuse_other(plan: Plan, out: Path) -> None:
         first = ", ".join(f"{name} {value}" for name, value in lost[0].items())
         raise ValueError(f"{out} holds {len(lost)} finished runs ({first}{', ...' * (len(lost) > 1)}) that "
                          f"{plan.study.path} does not have: {remedy}")  # fmt: skip
-
-
-def _relative(path: Path, start: Path) -> str:
-    return Path(os.path.relpath(path, start)).as_posix()
 
 
 def _as_text(value: Any) -> Any:

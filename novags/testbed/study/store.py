@@ -51,6 +51,12 @@ def code_of(kind: str) -> str:
     return found.hexdigest()
 
 
+@cache
+def version() -> str:
+    """Hash of the code that makes entries of any kind, as it is on this machine."""
+    return digest({kind: code_of(kind) for kind in CODE})
+
+
 def key_of(kind: str, recipe: dict[str, Any], code: str | None = None) -> str:
     """The key of an entry.
 
@@ -106,13 +112,13 @@ def write_seal(folder: Path, key: str, made_of: dict[str, Any], cost: dict[str, 
     return seal
 
 
-def read_seal(folder: Path) -> Seal | None:
+def read_seal(folder: Path, name: str = SEAL) -> Seal | None:
     """The seal of an entry; None if it is not complete.
 
     Raises:
         ValueError: If the seal itself is damaged.
     """
-    path = folder / SEAL
+    path = folder / name
     if not path.exists():
         return None
     found = read_json(path, {**SHAPE, "made_of": dict})

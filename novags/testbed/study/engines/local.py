@@ -4,29 +4,16 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from multiprocessing.connection import wait
-from typing import Any, Protocol
+from typing import Any
 
 from novags.testbed.machine.memory import available_bytes
 from novags.testbed.study.engines.processes import Worker
+from novags.testbed.study.engines.queue import Job, Queue, Watcher, lateness
 from novags.testbed.study.engines.worker import Outcome
 
 LOOK = 0.5  # s between two looks at what is free
-AGAIN = 2.0  # s until a job that another process is at work on is tried again
-LATE, LATE_SECONDS = 10.0, 300.0  # beyond so many times its predicted seconds, and so many, a job is said to be late
 STOP = 10.0  # s that workers get to mark how far they are
 MARGIN = 1.2  # times the predicted memory is kept free for a job
-
-
-class Job(Protocol):
-    """Something to do once others are done."""
-
-    @property
-    def key(self) -> str:
-        """What it is called here."""
-
-    @property
-    def needs(self) -> tuple[str, ...]:
-        """Jobs that come before it."""
 
 
 @dataclass(frozen=True)
@@ -44,25 +31,6 @@ class Limits:
     memory: Callable[[str], float] = lambda key: 0.0
     seconds: Callable[[str], float] = lambda key: 0.0
     order: Callable[[str], float] = lambda key: 0.0
-
-
-class Watcher(Protocol):
-    """Who is told what happens."""
-
-    def started(self, key: str) -> None:
-        """A job has begun."""
-
-    def progress(self, key: str, stage: str, done: int, total: int, what: str) -> None:
-        """How far it is."""
-
-    def ended(self, key: str, outcome: Outcome) -> None:
-        """It is over; as "skipped" if one that it needs has failed."""
-
-    def note(self, text: str) -> None:
-        """Something that a user should know."""
-
-    def tick(self) -> None:
-        """Some time has passed."""
 
 
 @dataclass
@@ -83,10 +51,10 @@ class Pool:
     watcher: Watcher
     environment: Mapping[str, str] = field(default_factory=dict)
     workers: list[Worker] = field(default_factory=list)
-    outcomes: dict[str, Outcome] = field(default_factory=dict)
-    _jobs: dict[str, Job] = field(default_factory=dict)
-    _todo: dict[str, float] = field(default_factory=dict)  # when a job may start, by the monotonic clock
-    _said: set[str] = field(default_factory=set)
+    queue: Queue = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.queue = Queue(self.watcher, self.limits.order)
 
     def run(self, jobs: Iterable[Job], known: Mapping[str, Outcome] | None = None) -> dict[str, Outcome]:
         """Do all jobs, each after those that it needs; returns how each ended.
@@ -98,17 +66,13 @@ class Pool:
         Raises:
             OSError: If the machine cannot go on, because a disk is full, say. What is finished is kept.
         """
-        self._jobs = {job.key: job for job in jobs}
-        self._todo = dict.fromkeys(self._jobs, 0.0)
         try:
-            for key, outcome in (known or {}).items():
-                if key in self._todo:
-                    self._end(key, outcome)
-            while self._todo or self._busy:
+            self.queue.fill(jobs, known or {})
+            while self.queue:
                 self._start_what_fits()
                 self._hear()
                 self.watcher.tick()
-            return self.outcomes
+            return self.queue.outcomes
         finally:
             self._stop()
 
@@ -117,24 +81,20 @@ class Pool:
         return [worker for worker in self.workers if worker.key is not None]
 
     def _start_what_fits(self) -> None:
-        now = time.monotonic()
-        ready = [key for key, since in self._todo.items()
-                 if since <= now and all(need in self.outcomes for need in self._jobs[key].needs)]  # fmt: skip
-        for key in sorted(ready, key=self.limits.order, reverse=True):
+        for key in self.queue.ready():
             if len(self._busy) >= self.limits.workers:
                 return
             if self._fits(key):  # if not, a smaller one may
-                self._start(key, now)
+                self._start(key)
 
-    def _start(self, key: str, now: float) -> None:
+    def _start(self, key: str) -> None:
         idle = next((worker for worker in self.workers if worker.key is None), None)
         if idle is None:
             idle = Worker.start(self.place, self.environment)
             self.workers.append(idle)
-        results = {need: self.outcomes[need].said for need in self._jobs[key].needs}
-        del self._todo[key]
+        request = self.request(key, self.queue.take(key))
         self.watcher.started(key)
-        idle.give(key, self.request(key, results), now)
+        idle.give(key, request, time.monotonic())
 
     def _fits(self, key: str) -> bool:
         """Whether memory holds one more job: what the others will still take counts as taken."""
@@ -144,8 +104,11 @@ class Pool:
         needed += sum(max(0.0, self._memory(w.key) - w.resident) for w in self._busy if w.key is not None)
         if needed <= (free := available_bytes()):
             return True
-        self._say_once("memory", f"memory allows {len(self._busy)} of {self.limits.workers} tasks at a time: the next "
-                       f"needs {needed / 1e9:.1f} GB with those under way, {free / 1e9:.1f} GB are free")  # fmt: skip
+        self.queue.say_once(
+            "memory",
+            f"memory allows {len(self._busy)} of {self.limits.workers} tasks at a time: the next needs "
+            f"{needed / 1e9:.1f} GB with those under way, {free / 1e9:.1f} GB are free",
+        )
         return False
 
     def _memory(self, key: str) -> float:
@@ -176,10 +139,9 @@ class Pool:
         if outcome.state == "machine":
             raise OSError(f"{outcome.said}: what is finished is kept; mend that and run the same command again")
         if outcome.state == "busy":
-            self._todo[key] = time.monotonic() + AGAIN
-            self._say_once(f"busy {key}", f"{outcome.said}; other work goes on meanwhile")
+            self.queue.busy(key, outcome.said)
         else:
-            self._end(key, outcome)
+            self.queue.end(key, outcome)
 
     def _died(self, worker: Worker) -> None:
         self.workers.remove(worker)
@@ -188,31 +150,14 @@ class Pool:
         if not worker.ready:
             raise OSError(f"a worker could not start: {said}; what it printed stands above")
         if worker.key is not None:
-            self._end(worker.key, Outcome("failed", said))
-
-    def _end(self, key: str, outcome: Outcome) -> None:
-        """Note the end of a job, and of all that need it if it failed."""
-        self._todo.pop(key, None)
-        self.outcomes[key] = outcome
-        self.watcher.ended(key, outcome)
-        if outcome.state != "done":
-            for other in [other for other in self._todo if key in self._jobs[other].needs]:
-                if other in self._todo:  # it may have ended with another one by now
-                    self._end(other, Outcome("skipped", outcome.said, outcome.stage, outcome.cause or key))
+            self.queue.end(worker.key, Outcome("failed", said))
 
     def _look_at_clock(self, worker: Worker) -> None:
         assert worker.key is not None
-        expected = self.limits.seconds(worker.key)
-        taken = time.monotonic() - worker.since
-        if not worker.late and taken > max(LATE_SECONDS, LATE * expected):
+        said = lateness(time.monotonic() - worker.since, self.limits.seconds(worker.key))
+        if said is not None and not worker.late:
             worker.late = True
-            self.watcher.note(f"a task has run for {taken / 60:.0f} min, {taken / max(expected, 1e-9):.0f} times what "
-                              f"was predicted (process {worker.process.pid}); it goes on")  # fmt: skip
-
-    def _say_once(self, what: str, text: str) -> None:
-        if what not in self._said:
-            self._said.add(what)
-            self.watcher.note(text)
+            self.watcher.note(f"{said} (process {worker.process.pid})")
 
     def _stop(self) -> None:
         for worker in self.workers:

@@ -28,7 +28,11 @@ from sensor_model.files.reading import brief
 BETWEEN = 0.5  # s between two reports of progress
 PR_SET_PDEATHSIG = 1
 # Nothing is wrong with a task that meets these: the machine has to be put right first.
-OF_MACHINE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO)
+OF_MACHINE = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO, errno.EFBIG)
+
+
+class MachineError(OSError):
+    """Something to put right on the machine: nothing is wrong with the task."""
 
 
 @dataclass(frozen=True)
@@ -119,8 +123,7 @@ def _outcome(place: str, request: Mapping[str, Any], connection: Connection) -> 
     except OSError as error:
         return Outcome("machine", f"cannot write the log {request['log']}: {error.strerror or error}")
     try:
-        module, _, function = place.partition(":")
-        work = getattr(importlib.import_module(module), function)
+        work = function_at(place)
         signal.signal(signal.SIGTERM, _stop)  # a library may have taken it over
         return Outcome("done", work(request["task"], console))
     except BlockingIOError as error:
@@ -132,8 +135,15 @@ def _outcome(place: str, request: Mapping[str, Any], connection: Connection) -> 
         return _failure(error, getattr(error, "stage", ""))
 
 
+def function_at(place: str) -> Callable[[Any, Console], Any]:
+    """The function MODULE:FUNCTION that does tasks."""
+    module, _, name = place.partition(":")
+    function: Callable[[Any, Console], Any] = getattr(importlib.import_module(module), name)
+    return function
+
+
 def _failure(error: BaseException, stage: str) -> Outcome:
-    if isinstance(error, OSError) and error.errno in OF_MACHINE:
+    if isinstance(error, MachineError) or (isinstance(error, OSError) and error.errno in OF_MACHINE):
         return Outcome("machine", brief(error), stage)
     said = brief(error) or "no message"
     expected = isinstance(error, ValueError | OSError | MemoryError)

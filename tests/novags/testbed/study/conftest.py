@@ -29,6 +29,9 @@ class Diary:
         self.notes: list[str] = []
         self.on_tick: Callable[[], Any] = lambda: None
 
+    def places(self, count: int) -> None:
+        pass
+
     def started(self, key: str) -> None:
         self.events.append(("started", key))
 
@@ -73,7 +76,7 @@ def pool(fake: ModuleType, diary: Diary, tmp_path: Path) -> Callable[..., Any]:
             task = by_key[key]
             source = by_key[task.needs[0]].folder(tmp_path) if task.needs else None
             made_of = {need: result["content"] for need, result in results.items()}
-            order = Order(task, task.folder(tmp_path), source, made_of, threads=1)
+            order = Order(task, task.folder(tmp_path), source, made_of, threads=1, version="")
             return {"task": order, "log": str(tmp_path / "logs" / f"{key}.log")}
 
         return Pool("fake_stages:make", request, Limits(workers, **limits), diary, threads_environment(1))

@@ -8,9 +8,11 @@ import pytest
 from novags.testbed.console import Console
 from novags.testbed.study import store
 from novags.testbed.study.costs import Costs, default, longest_after, time_left
-from novags.testbed.study.forecast import forecast, makespan
+from novags.testbed.study.engines.choice import OneMachine
+from novags.testbed.study.forecast import forecast
 from novags.testbed.study.grid import read_study
 from novags.testbed.study.plan import Plan, plan_of
+from novags.testbed.study.simulate import makespan
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
 from simscenes.sets.pictures.png import write_png
@@ -118,7 +120,7 @@ def test_the_forecast_counts_what_is_there_and_writes_nothing(tmp_path: Path) ->
     store.write_seal(folder, first.key, {}, {"seconds": {"render": 50.0}, "peak_bytes": 10**9, "group": first.group,
                                              "work": first.work, "pixels": first.pixels, "threads": 1})  # fmt: skip
     before = sorted(tmp_path.rglob("*"))
-    text = forecast(found, tmp_path / "store", workers=2)
+    text = forecast(found, tmp_path / "store", OneMachine(2, 1))
     assert sorted(tmp_path.rglob("*")) == before
     rows = {line.split()[0]: line.split()[1:4] for line in text.splitlines() if line.startswith(("  set", "  capture"))}
     assert rows == {"set": ["2", "1", "1"], "capture": ["8", "0", "8"]}
@@ -126,7 +128,7 @@ def test_the_forecast_counts_what_is_there_and_writes_nothing(tmp_path: Path) ->
     assert "50 s" in next(line for line in text.splitlines() if line.startswith("  set"))  # as the other one took
     assert "other studies" not in text
     assert "holds 1 entries of other studies" in forecast(
-        plan(tmp_path, f"{GRID}[override]\nspp=8"), tmp_path / "store"
+        plan(tmp_path, f"{GRID}[override]\nspp=8"), tmp_path / "store", OneMachine(2, 1)
     )
 
 

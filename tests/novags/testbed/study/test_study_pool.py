@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from novags.testbed.study.engines import local, processes
+from novags.testbed.study.engines import local, processes, queue
 
 
 def times_made(tmp_path: Path, key: str) -> int:
@@ -105,7 +105,7 @@ def test_what_another_process_is_at_work_on_waits_while_other_work_goes_on(
 ) -> None:
     from sensor_model.files.lock import locked
 
-    monkeypatch.setattr(local, "AGAIN", 0.2)
+    monkeypatch.setattr(queue, "AGAIN", 0.2)
     tasks = [fake.task("a"), fake.task("b", seconds=0.1)]
     held = locked(tmp_path / "run" / "a")
     held.__enter__()
@@ -125,7 +125,7 @@ def test_what_another_process_is_at_work_on_waits_while_other_work_goes_on(
 def test_a_late_job_is_said_to_be_late_and_goes_on(
     pool: Callable[..., Any], fake: ModuleType, diary: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(local, "LATE_SECONDS", 0.01)
+    monkeypatch.setattr(queue, "LATE_SECONDS", 0.01)
     tasks = [fake.task("a", seconds=0.8)]
     found = pool(tasks, seconds=lambda key: 0.001).run(tasks)
     assert found["a"].state == "done"

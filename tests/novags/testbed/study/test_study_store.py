@@ -26,7 +26,7 @@ def made(fake: ModuleType, tmp_path: Path) -> Callable[..., dict[str, Any]]:
 
     def make(key: str = "a", **made_of: str) -> dict[str, Any]:
         task = fake.task("a")
-        order = Order(type(task)(**{**vars(task), "key": key}), tmp_path / "run" / "a", None, made_of, 1)
+        order = Order(type(task)(**{**vars(task), "key": key}), tmp_path / "run" / "a", None, made_of, 1, "")
         return dict(fake.make(order, QUIET))
 
     return make

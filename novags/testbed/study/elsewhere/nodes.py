@@ -1,0 +1,116 @@
+"""Entries whose store is at a URL: a node fetches what it lacks to a folder of its own, works there, and sends."""
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from novags.testbed.console import Console
+from novags.testbed.folders.run import METRICS
+from novags.testbed.study.elsewhere.remote import FETCHED, Damaged, Remote
+from novags.testbed.study.engines.worker import Outcome, function_at
+from novags.testbed.study.entry import Order, Task
+from novags.testbed.study.plan import Plan
+from novags.testbed.study.steps import depends
+from novags.testbed.study.store import SEAL, Seal, damaged, read_seal
+from sensor_model.files.atomic import atomic
+from sensor_model.files.lock import locked
+
+PLACE = "novags.testbed.study.elsewhere.nodes:make"
+
+
+@dataclass(frozen=True)
+class Away:
+    """An entry that a node has to make or find.
+
+    Attributes:
+        chain: The task, after all that it is made from.
+        threads: Of each of these.
+        version: Of the code that planned it.
+        url: The store.
+        scratch: Folder on each node for entries, which may be deleted between studies; None: in the node's folder for
+            temporary files.
+        place: MODULE:FUNCTION that makes an entry from its `Order`.
+    """
+
+    chain: tuple[Task, ...]
+    threads: tuple[int, ...]
+    version: str
+    url: str
+    scratch: str | None
+    place: str
+
+
+def make(away: Away, console: Console) -> dict[str, Any]:
+    """Make sure that an entry is complete in the store; what nodes do. Returns as `entry.ensure`, and its scores."""
+    scratch = Path(away.scratch or Path(tempfile.gettempdir(), "novags-scratch")).expanduser()
+    contents: dict[str, str] = {}
+    for task, threads in zip(away.chain, away.threads, strict=True):
+        made_of = {need: contents[need] for need in task.needs}
+        source = away.chain[[t.key for t in away.chain].index(task.needs[0])].folder(scratch) if task.needs else None
+        order = Order(task, task.folder(scratch), source, made_of, threads, away.version)
+        result = _provide(order, Remote(away.url), away.place, console)
+        contents[task.key] = result["content"]
+    metrics = order.folder / METRICS
+    return {**result, "scores": metrics.read_bytes() if metrics.exists() else None}
+
+
+def _provide(order: Order, remote: Remote, place: str, console: Console) -> dict[str, Any]:
+    """An entry on this node and in the store: fetched, or made here and sent."""
+    with locked(order.folder, wait=console.note):  # tasks beside each other need the same set
+        there = _fetched(order, remote, console)
+        result: dict[str, Any] = function_at(place)(order, console)
+        seal = read_seal(order.folder)
+        assert seal is not None
+        if there is None or there.content != seal.content or there.made_of != seal.made_of:
+            remote.send(order.task, order.folder, seal)
+    return result
+
+
+def _fetched(order: Order, remote: Remote, console: Console) -> Seal | None:
+    """The seal of an entry that has been fetched; None if there is none to believe."""
+    try:
+        return remote.fetch(order.task, order.folder)
+    except Damaged as error:
+        console.note(f"{error}: making the entry again")
+        return None
+
+
+def known(plan: Plan, remote: Remote, folder: Path) -> dict[str, Outcome]:
+    """What of a study is complete in its store; nothing but seals and scores is fetched.
+
+    Args:
+        plan: The study.
+        remote: The store.
+        folder: Where the seals and scores go, laid out as a store.
+
+    Returns:
+        The outcome of each entry whose seal is there and fits those of what it is made from. That its other files are
+        as they were is seen when they are needed.
+    """
+    names = {kind: remote.names(kind) for kind in {task.kind for task in plan.tasks.values()}}
+    found: dict[str, Outcome] = {}
+    for key, task in plan.tasks.items():  # each comes after what it needs
+        if task.name not in names[task.kind] or not all(need in found for need in task.needs):
+            continue
+        made_of = {**{need: found[need].said["content"] for need in task.needs}, **depends(task)}
+        try:
+            seal = remote.seal(task, task.folder(folder))
+        except Damaged:
+            continue  # said when it is made again
+        if seal is None or seal.made_of != made_of:
+            continue
+        place = task.folder(folder)
+        if METRICS in seal.files:
+            keep_scores(place, remote.read(task, METRICS) or b"")
+            if damaged(place, Seal(key, {METRICS: seal.files[METRICS]}, {}, {})):
+                continue
+        (place / FETCHED).replace(place / SEAL)
+        found[key] = Outcome("done", {"content": seal.content, "cost": seal.cost, "made": False, "scores": None})
+    return found
+
+
+def keep_scores(folder: Path, scores: bytes) -> None:
+    """Write the scores of a run whose other files are elsewhere."""
+    with atomic(folder / METRICS) as temporary:
+        temporary.write_bytes(scores)

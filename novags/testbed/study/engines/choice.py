@@ -1,0 +1,199 @@
+"""Engines for studies: this machine, or a Ray cluster."""
+
+import os
+import uuid
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+from novags.testbed.cache import write_text
+from novags.testbed.study.costs import Costs
+from novags.testbed.study.elsewhere import nodes
+from novags.testbed.study.engines.cluster import Cluster, Terms
+from novags.testbed.study.engines.local import MARGIN, Limits, Pool
+from novags.testbed.study.engines.needs import Needs, resources
+from novags.testbed.study.engines.processes import threads_environment
+from novags.testbed.study.engines.queue import Watcher
+from novags.testbed.study.engines.worker import Outcome
+from novags.testbed.study.entry import Order, Task
+from novags.testbed.study.plan import Plan
+from novags.testbed.study.store import KINDS, version
+
+PLACE = "novags.testbed.study.steps:make"
+MARKER = ".novags-store"  # in a store that nodes share: what they see must be the same folder
+
+
+@dataclass(frozen=True)
+class Work:
+    """A study and what is predicted of its tasks.
+
+    Attributes:
+        plan: The study.
+        out: Its folder.
+        store: The store; of one at a URL, a folder for seals and scores.
+        costs: What tasks will cost.
+        longest: Seconds from the start of each task to the end of the longest chain that begins with it, by key.
+        watcher: Who is told.
+        known: How some tasks have ended before.
+    """
+
+    plan: Plan
+    out: Path
+    store: Path
+    costs: Costs
+    longest: Mapping[str, float]
+    watcher: Watcher
+    known: Mapping[str, Outcome]
+
+    def memory(self, key: str) -> float:
+        """Bytes that a task will take."""
+        return self.costs.predicted(self.plan.tasks[key]).memory
+
+    def seconds(self, key: str) -> float:
+        """That it will take."""
+        return self.costs.predicted(self.plan.tasks[key]).seconds
+
+    def log(self, task: Task) -> str:
+        """Where its output goes."""
+        return str((self.out / log_of(task)).absolute())
+
+    def order(self, key: str, results: Mapping[str, Any], threads: int) -> Order:
+        """What a worker is sent."""
+        task = self.plan.tasks[key]
+        source = self.plan.tasks[task.needs[0]].folder(self.store) if task.needs else task.source
+        made_of = {need: result["content"] for need, result in results.items()}
+        return Order(task, task.folder(self.store).absolute(), source and source.absolute(), made_of, threads,
+                     version())  # fmt: skip
+
+
+class Engine(Protocol):
+    """Does the tasks of a study."""
+
+    @property
+    def places(self) -> int:
+        """Tasks at a time, as far as is known before it starts."""
+
+    @property
+    def threads(self) -> Mapping[str, int]:
+        """Of a task, by its kind."""
+
+    def run(self, work: Work) -> None:
+        """Do them all; errors as `Pool.run`."""
+
+
+@dataclass(frozen=True)
+class OneMachine:
+    """Processes on this machine.
+
+    Attributes:
+        places: Processes at a time.
+        cores: Threads of each.
+    """
+
+    places: int
+    cores: int
+
+    @staticmethod
+    def shared(runs: int, wanted: int | None) -> "OneMachine":
+        """All cores, divided among processes. What is done already does not change them, so that bits stay the same.
+
+        Args:
+            runs: Of the study.
+            wanted: Processes; None: as many as cores, or runs if these are fewer.
+
+        Raises:
+            ValueError: If fewer than one process is wanted.
+        """
+        if wanted is not None and wanted < 1:
+            raise ValueError(f"workers must be >= 1, got {wanted}")
+        cores = cores_here()
+        workers = wanted or max(1, min(cores, runs))
+        return OneMachine(workers, max(1, cores // workers))
+
+    @property
+    def threads(self) -> Mapping[str, int]:
+        """The same for all."""
+        return dict.fromkeys(KINDS, self.cores)
+
+    def run(self, work: Work) -> None:
+        """Do all tasks."""
+
+        def request(key: str, results: Mapping[str, Any]) -> dict[str, Any]:
+            return {"task": work.order(key, results, self.cores), "log": work.log(work.plan.tasks[key])}
+
+        limits = Limits(self.places, memory=work.memory, seconds=work.seconds, order=work.longest.__getitem__)
+        environment = threads_environment(self.cores)
+        Pool(PLACE, request, limits, work.watcher, environment).run(work.plan.tasks.values(), work.known)
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """The nodes of a Ray cluster.
+
+    Attributes:
+        needs: Of each kind of task.
+        address: Of the cluster, see `Terms`.
+        retries: See `Terms`.
+        url: The store, where it is not a folder that all nodes see.
+        scratch: Folder on each node for a store at a URL, see `nodes.Away`.
+    """
+
+    needs: Mapping[str, Needs]
+    address: str | None = None
+    retries: int = 3
+    url: str | None = None
+    scratch: str | None = None
+
+    @property
+    def places(self) -> int:
+        """On a node like this machine; the cluster says how many there are when the study starts."""
+        return max(1, cores_here() // max(self.threads.values()))
+
+    @property
+    def threads(self) -> Mapping[str, int]:
+        """As many as cores are asked for."""
+        return {kind: needs.cpus for kind, needs in self.needs.items()}
+
+    def run(self, work: Work) -> None:
+        """Do all tasks."""
+        terms = Terms(
+            resources=lambda key: resources(self.needs[work.plan.tasks[key].kind]),
+            memory=lambda key: MARGIN * work.memory(key), seconds=work.seconds, order=work.longest.__getitem__,
+            retries=self.retries, address=self.address,
+        )  # fmt: skip
+        marker = None if self.url else _mark(work.store)
+
+        def request(key: str, results: Mapping[str, Any]) -> dict[str, Any]:
+            task = work.plan.tasks[key]
+            ordered = work.order(key, results, self.threads[task.kind]) if self.url is None else self._away(work, key)
+            return {"task": ordered, "log": work.log(task), "marker": marker}
+
+        place = PLACE if self.url is None else nodes.PLACE
+        Cluster(place, request, terms, work.watcher).run(work.plan.tasks.values(), work.known)
+
+    def _away(self, work: Work, key: str) -> nodes.Away:
+        assert self.url is not None
+        chain = tuple({task.key: task for task in work.plan.above(key)}.values())
+        threads = tuple(self.threads[task.kind] for task in chain)
+        return nodes.Away(chain, threads, version(), self.url, self.scratch, PLACE)
+
+
+def cores_here() -> int:
+    """Cores of this machine that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def log_of(task: Task) -> str:
+    """The log of a task, relative to the study."""
+    return f"logs/{task.kind}-{task.name}.log"
+
+
+def _mark(store: Path) -> tuple[str, str]:
+    """Write what nodes must find in the store."""
+    path = (store / MARKER).absolute()
+    text = path.read_text(encoding="ascii") if path.exists() else ""
+    if not text:
+        text = uuid.uuid4().hex
+        write_text(path, text)
+    return str(path), text
