@@ -1,5 +1,6 @@
 """One entry of the store: kept if it is as it was sealed, else made by its stages, which resume what is unfinished."""
 
+import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -8,7 +9,8 @@ from typing import Any
 
 from novags.testbed.cache import read_json
 from novags.testbed.console import Console
-from novags.testbed.study.store import SEAL, Seal, clear, damaged, read_seal, write_seal
+from novags.testbed.study.engines.worker import MachineError
+from novags.testbed.study.store import SEAL, Seal, clear, damaged, read_seal, version, write_seal
 from sensor_model.files.lock import locked
 
 
@@ -97,7 +99,13 @@ def ensure(order: Order, steps: Steps, console: Console, depends: dict[str, Any]
     Raises:
         ValueError: If a stage refuses its input.
         BlockingIOError: If another process is at work there.
+        MachineError: If this process has other code than the one that planned the study, whose code the key is of.
     """
+    if version() != order.version:
+        raise MachineError(
+            f"novags on {os.uname().nodename} is another version than the one that planned this study: it was changed "
+            "meanwhile, or the nodes have different ones"
+        )
     made_of = {**order.made_of, **(depends or {})}
     with locked(order.folder):
         seal = _believed(order, steps, console)

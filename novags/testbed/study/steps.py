@@ -1,6 +1,5 @@
 """The stages that make each kind of entry of a store: where a study calls the test bed."""
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -14,19 +13,11 @@ from novags.testbed.metrics import PerceptualDistance
 from novags.testbed.stages.poses import PosesConfig
 from novags.testbed.stages.render import RECORD as SET
 from novags.testbed.stages.render import RenderConfig
-from novags.testbed.study.engines.worker import MachineError
 from novags.testbed.study.entry import Order, Step, Steps, Task, ensure
-from novags.testbed.study.store import version
 
 
 def make(order: Order, console: Console) -> dict[str, Any]:
-    """Make sure that an entry is there and complete; what workers do, see `entry.ensure`.
-
-    Raises:
-        MachineError: If this process has other code than the one that planned the study: the key of the entry is that
-            of the planner's code.
-    """
-    refuse_other_version(order.version)
+    """Make sure that an entry is there and complete; what workers do, see `entry.ensure`."""
     limit_threads(order.threads)
     return ensure(order, steps(order.task, order.folder, order.source, console), console, depends(order.task))
 
@@ -71,15 +62,6 @@ def make_set(
 def depends(task: Task) -> dict[str, Any]:
     """What the content depends on that is no part of the key: with LPIPS installed later, scores alone are redone."""
     return {"lpips": PerceptualDistance.missing() is None} if task.kind == "run" else {}
-
-
-def refuse_other_version(planned: str) -> None:
-    """Refuse to make entries with other code than their keys say."""
-    if version() != planned:
-        raise MachineError(
-            f"novags on {os.uname().nodename} is another version than the one that planned this study: it was changed "
-            "meanwhile, or the nodes have different ones"
-        )
 
 
 def limit_threads(count: int) -> None:

@@ -68,6 +68,7 @@ def pool(fake: ModuleType, diary: Diary, tmp_path: Path) -> Callable[..., Any]:
     from novags.testbed.study.engines.local import Limits, Pool
     from novags.testbed.study.engines.processes import threads_environment
     from novags.testbed.study.entry import Order
+    from novags.testbed.study.store import version
 
     def make(tasks: list[Any], workers: int = 2, **limits: Any) -> Any:
         by_key = {task.key: task for task in tasks}
@@ -76,7 +77,7 @@ def pool(fake: ModuleType, diary: Diary, tmp_path: Path) -> Callable[..., Any]:
             task = by_key[key]
             source = by_key[task.needs[0]].folder(tmp_path) if task.needs else None
             made_of = {need: result["content"] for need, result in results.items()}
-            order = Order(task, task.folder(tmp_path), source, made_of, threads=1, version="")
+            order = Order(task, task.folder(tmp_path), source, made_of, threads=1, version=version())
             return {"task": order, "log": str(tmp_path / "logs" / f"{key}.log")}
 
         return Pool("fake_stages:make", request, Limits(workers, **limits), diary, threads_environment(1))

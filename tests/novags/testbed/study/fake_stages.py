@@ -51,7 +51,7 @@ def write_pieces(order: Order, source: str, console: Console) -> dict[str, Any]:
             progress(k + 1, PIECES, "")
     if config.fails:
         FAILURES[config.fails](order)
-    return {"threads": os.environ.get("OMP_NUM_THREADS")}
+    return {"threads": os.environ.get("OMP_NUM_THREADS"), "gpus": os.environ.get("CUDA_VISIBLE_DEVICES")}
 
 
 def piece(folder: Path, k: int) -> Path:
@@ -85,11 +85,35 @@ def first_time(order: Order) -> None:
         raise RuntimeError("not yet")
 
 
+def killed_once(order: Order) -> None:
+    killed(order, os.getpid(), 1)
+
+
+def parent_killed_once(order: Order) -> None:
+    """On a node of a cluster, the Ray worker."""
+    killed(order, os.getppid(), 1)
+    time.sleep(30)
+
+
+def killed_always(order: Order) -> None:
+    killed(order, os.getpid(), 9)
+
+
+def killed(order: Order, process: int, times: int) -> None:
+    """Make a mark, then end a process, unless there are so many marks."""
+    marks = order.folder.parent / f".{order.task.key}.killed"
+    if not marks.exists() or len(marks.read_text()) < times:
+        with marks.open("a") as file:
+            file.write("x")
+        os.kill(process, signal.SIGKILL)
+
+
 def too_large(order: Order) -> None:
     raise MemoryError("reconstruct: memory is not enough")
 
 
-FAILURES = {f.__name__: f for f in (refused, full, crashed, unforeseen, left, first_time, too_large)}
+FAILURES = {f.__name__: f for f in (refused, full, crashed, unforeseen, left, first_time, too_large,
+                                   killed_once, parent_killed_once, killed_always)}  # fmt: skip
 
 
 def task(text: str, *needs: str, **config: Any) -> Task:

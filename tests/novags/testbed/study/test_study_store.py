@@ -15,7 +15,7 @@ from novags.testbed.study.entry import Order
 from novags.testbed.study.grid import read_study
 from novags.testbed.study.plan import Plan, plan_of
 from novags.testbed.study.session import describe, refuse_other
-from novags.testbed.study.store import SEAL, read_seal
+from novags.testbed.study.store import SEAL, read_seal, version
 
 QUIET = Console(quiet=True)
 
@@ -26,7 +26,7 @@ def made(fake: ModuleType, tmp_path: Path) -> Callable[..., dict[str, Any]]:
 
     def make(key: str = "a", **made_of: str) -> dict[str, Any]:
         task = fake.task("a")
-        order = Order(type(task)(**{**vars(task), "key": key}), tmp_path / "run" / "a", None, made_of, 1, "")
+        order = Order(type(task)(**{**vars(task), "key": key}), tmp_path / "run" / "a", None, made_of, 1, version())
         return dict(fake.make(order, QUIET))
 
     return make

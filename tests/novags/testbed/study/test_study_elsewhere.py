@@ -1,0 +1,214 @@
+"""Claims about a store at a URL, and about what a node of a cluster does with a task; without a cluster."""
+
+import itertools
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import pytest
+
+from novags.testbed.console import Console
+from novags.testbed.study.elsewhere import nodes as elsewhere
+from novags.testbed.study.elsewhere.nodes import Away
+from novags.testbed.study.elsewhere.remote import FETCHED, Remote
+from novags.testbed.study.engines import node
+from novags.testbed.study.engines.needs import Needs, fits, read_needs, resources
+from novags.testbed.study.engines.worker import Outcome
+from novags.testbed.study.entry import Order
+from novags.testbed.study.plan import Plan
+from novags.testbed.study.store import SEAL, version
+
+fsspec = pytest.importorskip("fsspec")
+QUIET = Console(quiet=True)
+counter = itertools.count()
+
+
+@pytest.fixture(params=["memory", "file"])
+def url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    return f"memory://store{next(counter)}" if request.param == "memory" else f"file://{tmp_path}/remote"
+
+
+@pytest.fixture
+def tasks(fake: ModuleType) -> list[Any]:
+    return [fake.task("a"), fake.task("b", "a")]
+
+
+@pytest.fixture
+def make(fake: ModuleType, tasks: list[Any], tmp_path: Path) -> Callable[..., dict[str, Any]]:
+    """Make `b`, or find it, on a node with a disk of its own."""
+
+    def on(disk: str, url: str, chain: Any = None) -> dict[str, Any]:
+        chain = tuple(tasks) if chain is None else chain
+        away = Away(chain, (1,) * len(chain), version(), url, str(tmp_path / disk), "fake_stages:make")
+        return elsewhere.make(away, QUIET)
+
+    return on
+
+
+def count(tmp_path: Path, disk: str, key: str) -> int:
+    path = tmp_path / disk / "run" / f".{key}.count"
+    return len(path.read_text()) if path.exists() else 0
+
+
+def files(url: str) -> dict[str, bytes]:
+    fs, root = fsspec.core.url_to_fs(url)
+    return {str(path)[len(root) :]: fs.cat_file(path) for path in fs.find(root)}
+
+
+def write(url: str, name: str, content: bytes) -> None:
+    fs, root = fsspec.core.url_to_fs(url)
+    fs.pipe_file(f"{root}/{name}", content)
+
+
+def test_a_node_fetches_what_another_made_and_the_store_is_laid_out_as_on_a_disk(
+    make: Callable[..., dict[str, Any]], tasks: list[Any], url: str, tmp_path: Path
+) -> None:
+    first = make("one", url)
+    assert (first["made"], count(tmp_path, "one", "a"), count(tmp_path, "one", "b")) == (True, 1, 1)
+    folder = tmp_path / "one" / "run"
+    local = {f"/run/{p.relative_to(folder).as_posix()}": p.read_bytes() for p in folder.rglob("*") if p.is_file()}
+    assert files(url) == {name: content for name, content in local.items() if not name.endswith(".count")}
+    second = make("two", url)
+    assert (second["made"], second["content"]) == (False, first["content"])
+    assert count(tmp_path, "two", "a") + count(tmp_path, "two", "b") == 0
+    assert (tmp_path / "two" / "run" / "b" / "2.txt").read_text() == "b2(a0()a1()a2()a3())"
+
+
+@pytest.mark.parametrize("harm", ["changed", "gone", "seal cut", "seal of another", "seal gone", "path"])
+def test_what_is_damaged_in_the_store_is_made_again_where_it_is_needed(
+    make: Callable[..., dict[str, Any]], tasks: list[Any], url: str, tmp_path: Path, harm: str
+) -> None:
+    make("one", url)
+    whole = {name: content for name, content in files(url).items() if name.endswith(".txt")}
+    seal = files(url)[f"/run/a/{SEAL}"]
+    fs, root = fsspec.core.url_to_fs(url)
+    if harm == "changed":
+        write(url, "run/a/1.txt", b"a1[]")
+    elif harm == "gone":
+        fs.rm_file(f"{root}/run/a/1.txt")
+    elif harm == "seal cut":
+        write(url, f"run/a/{SEAL}", seal[:50])
+    elif harm == "seal of another":
+        write(url, f"run/a/{SEAL}", files(url)[f"/run/b/{SEAL}"])
+    elif harm == "seal gone":
+        fs.rm_file(f"{root}/run/a/{SEAL}")
+    else:
+        write(url, f"run/a/{SEAL}", seal.replace(b'"1.txt"', b'"../../1.txt"'))
+    make("two", url)
+    assert [count(tmp_path, "two", key) for key in "ab"] == [1, 0]
+    assert {name: content for name, content in files(url).items() if name.endswith(".txt")} == whole
+    make("three", url)
+    assert [count(tmp_path, "three", key) for key in "ab"] == [0, 0]
+    assert not list(tmp_path.rglob(FETCHED))
+
+
+def test_what_a_killed_node_has_half_fetched_is_not_believed(
+    make: Callable[..., dict[str, Any]], tasks: list[Any], url: str, tmp_path: Path
+) -> None:
+    make("one", url)
+    whole = files(url)
+    half = tmp_path / "two" / "run" / "a"
+    half.mkdir(parents=True)
+    (half / FETCHED).write_bytes(whole[f"/run/a/{SEAL}"])
+    (half / "made.json").write_bytes(whole["/run/a/made.json"])  # a record that says that all is there
+    fs, root = fsspec.core.url_to_fs(url)
+    fs.rm_file(f"{root}/run/a/{SEAL}")
+    make("two", url)
+    assert (half / "3.txt").read_bytes() == whole["/run/a/3.txt"]
+    assert count(tmp_path, "two", "a") == 1
+
+
+def test_a_study_knows_finished_entries_by_their_seals_alone(
+    make: Callable[..., dict[str, Any]], tasks: list[Any], url: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(elsewhere, "depends", lambda task: {})
+    plan = Plan(None, {task.key: task for task in tasks}, ())  # type: ignore[arg-type]
+    here = tmp_path / "here"
+    assert elsewhere.known(plan, Remote(url), here) == {}
+    first = make("one", url)
+    found = elsewhere.known(plan, Remote(url), here)
+    assert {key: outcome.state for key, outcome in found.items()} == {"a": "done", "b": "done"}
+    assert (found["b"].said["content"], found["b"].said["made"]) == (first["content"], False)
+    assert sorted(path.name for path in here.rglob("*") if path.is_file()) == [SEAL, SEAL]
+    monkeypatch.setattr(elsewhere, "depends", lambda task: {"lpips": True} if task.key == "b" else {})
+    assert set(elsewhere.known(plan, Remote(url), here)) == {"a"}  # b has to be scored anew
+    fs, root = fsspec.core.url_to_fs(url)
+    fs.rm_file(f"{root}/run/a/{SEAL}")
+    assert elsewhere.known(plan, Remote(url), here) == {}
+
+
+def test_a_url_that_nothing_serves_is_one_line() -> None:
+    with pytest.raises(ValueError, match="store nothing://x: .*scripts/setup cluster installs fsspec"):
+        Remote("nothing://x")
+
+
+@pytest.fixture
+def ended() -> Iterator[None]:
+    yield
+    node._end_kept()
+
+
+def request(fake: ModuleType, folder: Path, marker: Any = None, **config: Any) -> dict[str, Any]:
+    task = fake.task("a", **config)
+    return {"task": Order(task, task.folder(folder), None, {}, 1, version()), "marker": marker}
+
+
+@pytest.mark.usefixtures("ended")
+@pytest.mark.skipif(sys.platform != "linux", reason="looks at signals")
+def test_a_node_keeps_its_process_for_the_next_task_and_says_what_was_killed(fake: ModuleType, tmp_path: Path) -> None:
+    told: list[Any] = []
+
+    def do(name: str, marker: Any = None, **config: Any) -> tuple[Outcome, str]:
+        return node.do("fake_stages:make", request(fake, tmp_path / name, marker, **config), {}, told.append)
+
+    outcome, log = do("one")
+    assert (outcome.state, log) == ("done", "making a\n")
+    assert told[0] == ("write", 0, 0, "")
+    (kept,) = node._kept.values()
+    assert do("two", fails="refused")[0] == Outcome("failed", "it does not suit me", "write")
+    assert list(node._kept.values()) == [kept]
+    with pytest.raises(node.Lost) as lost:
+        do("three", fails="killed_once")
+    assert "SIGKILL" in lost.value.said
+    assert lost.value.log == "making a\n"
+    assert do("three", fails="killed_once")[0].state == "done"
+    outcome, log = do("four", fails="crashed")
+    assert (outcome.state, outcome.said) == ("failed", "its process was ended by SIGSEGV")
+    (tmp_path / "marker").write_text("here")
+    assert do("five", marker=(str(tmp_path / "marker"), "here"))[0].state == "done"
+    for marker in ((str(tmp_path / "marker"), "there"), (str(tmp_path / "none"), "here")):
+        outcome, _ = do("six", marker=marker)
+        assert (outcome.state, "does not see the store" in outcome.said) == ("machine", True)
+    assert not (tmp_path / "six").exists()
+
+
+def test_needs_are_of_all_tasks_or_of_one_kind() -> None:
+    assert read_needs([]) == dict.fromkeys(("set", "capture", "run"), Needs(1, 0.0, None))
+    found = read_needs(["cpus=2,memory=500MB", "run:gpus=0.5,memory=8", "set:cpus=16"])
+    assert found == {
+        "set": Needs(16, 0.0, 5e8), "capture": Needs(2, 0.0, 5e8), "run": Needs(2, 0.5, 8e9)
+    }  # fmt: skip
+    assert resources(found["run"]) == {"CPU": 2.0, "GPU": 0.5, "memory": 8e9}
+    assert resources(Needs()) == {"CPU": 1.0, "GPU": 0.0}
+    assert fits({"CPU": 2.0, "memory": 5.0}, {"CPU": 2.0, "memory": 6.0})
+    assert not fits({"CPU": 1.0, "GPU": 1.0}, {"CPU": 2.0})
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("render:cpus=1", "there are no tasks 'render' in 'render:cpus=1'; there are set, capture, run"),
+        ("cpus=0", "cpus must be a whole number >= 1, got 0"),
+        ("cpus=1.5", "cpus must be a whole number >= 1, got 1.5"),
+        ("gpus=1.5", "gpus must be a whole number or below 1, got 1.5"),
+        ("cpus=2GB", "'cpus=2GB' in 'cpus=2GB' is none of cpus=N, gpus=N, memory=N"),
+        ("run:", "'' in 'run:' is none of"),
+        ("cores=2", "'cores=2' in 'cores=2' is none of"),
+    ],
+)
+def test_needs_that_mean_nothing_are_refused(text: str, said: str) -> None:
+    with pytest.raises(ValueError, match="needs: ") as error:
+        read_needs([text])
+    assert said in str(error.value)
