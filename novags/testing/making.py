@@ -9,10 +9,11 @@ from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.presets import EXPERIMENTS
 from novags.testbed.study.axes import Changes, applied, changes_of
-from novags.testbed.study.conduct import workers_for
+from novags.testbed.study.engines.choice import cores_here
 from novags.testbed.study.entry import Order, Task, ensure
 from novags.testbed.study.plan import Planner
 from novags.testbed.study.steps import depends, steps
+from novags.testbed.study.store import version
 from novags.testing.known import DarkCapture
 from sensor_model.files.lock import locked
 
@@ -59,7 +60,7 @@ def _made(task: Task, store: Path, planner: Planner, content: Mapping[str, str])
     """The content of an entry, made if it is not there; another process at work on it is waited for."""
     folder = task.folder(store)
     source = planner.tasks[task.needs[0]].folder(store) if task.needs else task.source
-    order = Order(task, folder, source, {need: content[need] for need in task.needs}, workers_for(1, None)[1])
+    order = Order(task, folder, source, {need: content[need] for need in task.needs}, cores_here(), version())
     with locked(folder, wait=QUIET.note):
         made: str = ensure(order, steps(task, folder, source, QUIET), QUIET, depends(task))["content"]
     return made

@@ -75,8 +75,8 @@ def score(order: Order, console: Console) -> None:
     scores = {"mean": mean, "views": {}, "training_2d": None, "seconds": {"fit": 1.0}, "peak_bytes": 1}
     run_stage(
         "score", order.folder, "metrics.json", inputs={"content": cache.digest(content)}, config={}, owns=(),
-        prepare=lambda: None, work=lambda _: {"methods": {order.task.group: scores}, "recovered": {}, "unavailable": {}},
-        console=console, overwrite=True,
+        prepare=lambda: None, console=console, overwrite=True,
+        work=lambda _: {"methods": {order.task.group: scores}, "recovered": {}, "unavailable": {}},
     )  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""What `novags study` does when something fails: a line that says what to do, or the work again; never a wrong table."""
+"""What `novags study` does when something fails: a line that says what to do, or the work again; no wrong table."""
 
 import ctypes
 import json

@@ -163,11 +163,12 @@ def test_what_no_node_has_is_said_and_an_interruption_marks_how_far_tasks_are(
             raise KeyboardInterrupt
 
     diary.on_tick = interrupt
+    before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(KeyboardInterrupt):
         cluster(tasks, {"b": {"CPU": 7.0}}).run(tasks)
     assert diary.notes[0].startswith("no node has 7 CPUs, 0 GPUs, 0.0 GB, which a task asks for")
     assert 0 < json.loads(began.read_text())["seconds"] < 60
-    assert signal.getsignal(signal.SIGTERM) == signal.SIG_DFL
+    assert signal.getsignal(signal.SIGTERM) == before
 
 
 def test_a_fault_of_a_node_stops_everything_and_is_no_failure(

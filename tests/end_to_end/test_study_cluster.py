@@ -1,0 +1,102 @@
+"""A tiny study on a Ray cluster of two nodes ends with the tables and entries of one machine, bit for bit."""
+
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from novags.testbed.cache import VOLATILE
+from novags.testbed.study.engines.choice import cores_here
+from novags.testbed.study.results import COSTS
+
+pytest.importorskip("ray")
+pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore:::ray")]
+ROOT = Path(__file__).resolve().parents[2]
+STUDY = """
+[grid]
+scene = "cornell"
+electrons = [5, 20]
+method = ["naive", "nova-fast"]
+[override]
+views = 4
+width = 24
+height = 24
+spp = 4
+points = 60
+iterations = 20
+denoiser_steps = 3
+render.variant = "scalar"
+"""
+
+
+@pytest.fixture(scope="module")
+def address() -> Iterator[str]:
+    from ray.cluster_utils import Cluster
+
+    small = {"num_cpus": 1, "object_store_memory": 80 << 20}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("PYTHONPATH", str(ROOT))
+        patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
+        cluster = Cluster(initialize_head=True, head_node_args={**small, "include_dashboard": False})
+        cluster.add_node(**small)
+        yield cluster.address
+        cluster.shutdown()
+
+
+def study(folder: Path, *words: str) -> None:
+    folder.mkdir(exist_ok=True)
+    (folder / "study.toml").write_text(STUDY)
+    command = [sys.executable, "-m", "novags", "study", "study.toml", "--out", "out", *words]
+    done = subprocess.run(
+        command, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+
+
+def rows(folder: Path) -> list[dict[str, Any]]:
+    """The table without costs and places."""
+    found = json.loads((folder / "out" / "results.json").read_text())["rows"]
+    return [{k: v for k, v in row.items() if not k.startswith((*COSTS, "folder"))} for row in found]
+
+
+def entries(store: Path) -> dict[str, object]:
+    """Everything in a store but costs."""
+    paths = [path for path in store.rglob("*") if path.is_file() and not path.name.startswith(".")]
+    return {path.relative_to(store).as_posix(): content(path) for path in paths}
+
+
+def content(path: Path) -> object:
+    return without_costs(json.loads(path.read_text())) if path.suffix == ".json" else path.read_bytes()
+
+
+def without_costs(value: Any) -> Any:
+    if isinstance(value, dict):
+        costs = {*VOLATILE, "hardware"} - {"stage"}
+        return {key: without_costs(part) for key, part in value.items() if key not in costs}
+    return [without_costs(part) for part in value] if isinstance(value, list) else value
+
+
+def test_a_cluster_gives_the_same_bits_as_one_machine_in_a_common_folder_and_at_a_url(
+    address: str, tmp_path: Path
+) -> None:
+    study(tmp_path / "local", "--workers", str(cores_here()))  # one thread each
+    whole = entries(tmp_path / "local" / "store")
+    assert len(rows(tmp_path / "local")) == 4
+    cluster = ("--engine", "ray", "--address", address)
+    study(tmp_path / "shared", *cluster)
+    assert rows(tmp_path / "shared") == rows(tmp_path / "local")
+    assert entries(tmp_path / "shared" / "store") == whole
+    at_url = (*cluster, "--store", f"file://{tmp_path}/bucket", "--scratch", str(tmp_path / "scratch"))
+    study(tmp_path / "url", *at_url)
+    assert rows(tmp_path / "url") == rows(tmp_path / "local")
+    assert entries(tmp_path / "bucket") == whole
+    before = {path: path.stat().st_mtime_ns for path in (tmp_path / "bucket").rglob("*")}
+    study(tmp_path / "again", *cluster, "--store", f"file://{tmp_path}/bucket", "--scratch", str(tmp_path / "other"))
+    assert rows(tmp_path / "again") == rows(tmp_path / "local")
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "bucket").rglob("*")} == before
+    assert not (tmp_path / "other").exists()  # seals and scores were enough
