@@ -5,13 +5,14 @@ from typing import Literal
 
 from novags.commands import shared
 from novags.commands.shared import next_, writing
-from novags.options import Folder
+from novags.commands.study import engine_of
+from novags.options import CLUSTER, Cluster, Folder
 
 
 def dataset(
-    file: Folder, *, out: Path, store: Path | None = None, engine: Literal["local"] = "local",
-    workers: int | None = None, dry_run: bool = False, retry_failed: bool = False, overwrite: bool = False,
-    wait: bool = False,
+    file: Folder, *, out: Path, store: Path | None = None, engine: Literal["local", "ray"] = "local",
+    workers: int | None = None, cluster: Cluster = CLUSTER, dry_run: bool = False,
+    retry_failed: bool = False, overwrite: bool = False, wait: bool = False,
 ) -> None:  # fmt: skip
     """Make a synthetic data set: scenes, rigs, cameras and light levels from one file; see docs/datasets.md.
 
@@ -22,8 +23,9 @@ def dataset(
         out: Folder of the data set; tables and logs of the work are in its folder `making`.
         store: Folder of all sets and captures, shared with studies; `store` beside `out` if not given. Where both lie
             on one disk, the data set links to its files.
-        engine: Where the work is done: on this machine.
-        workers: Processes at a time; as many as there are cores, or captures, if not given.
+        engine: Where the work is done: on this machine, or on a Ray cluster that sees the store (docs/clusters.md).
+        workers: Processes at a time on this machine; as many as there are cores, or captures, if not given.
+        cluster: Of --engine ray.
         dry_run: Only show the captures, the splits, and what they will take: time, memory, disk. Nothing is written.
         retry_failed: Try again the captures that failed before.
         overwrite: Replace another data set in the same folder.
@@ -40,11 +42,12 @@ def dataset(
     folder, making = out.parent / "store" if store is None else store, out / "making"
     study, config = read_dataset(file)
     divided = splits(study, config)
-    plan = plan_of(study, folder, shared.console())
+    plan = plan_of(study, folder, shared.console(), here=engine == "local")
+    chosen = engine_of(engine, len(plan.runs), workers, cluster, None)
     if not overwrite:
         refuse_foreign(out, making)
         refuse_other(plan, making)
-    said = forecast(plan, config, divided, folder, out, workers)
+    said = forecast(plan, config, divided, folder, out, chosen)
     if dry_run:
         print(said)
         return
@@ -52,7 +55,7 @@ def dataset(
         console.note(said)
         making.mkdir(exist_ok=True)
         describe(plan, making, folder)
-        rows = conduct(plan, making, folder, console, workers=workers, retry_failed=retry_failed)
+        rows = conduct(plan, making, folder, console, chosen, retry_failed=retry_failed)
         states = counted(rows)
         print(f"{len(rows)} captures: {', '.join(f'{count} {state}' for state, count in states.items())}")
         if states.keys() - {"done"}:

@@ -47,7 +47,7 @@ def study(
     if url and (found := next((task.source for task in plan.tasks.values() if task.source), None)):
         raise ValueError(f"store {url}: the set {found} lies outside it: captures refer to their set by its place, so "
                          "give --store a folder that all nodes see")  # fmt: skip
-    chosen = _engine(engine, len(plan.runs), workers, cluster, url)
+    chosen = engine_of(engine, len(plan.runs), workers, cluster, url)
     if nodes and not dry_run:
         raise ValueError("nodes are simulated: add --dry-run")
     if dry_run:
@@ -56,7 +56,7 @@ def study(
     _conduct(plan, out, folder, chosen, url, retry_failed, overwrite, wait)
 
 
-def _engine(name: str, runs: int, workers: int | None, cluster: Cluster, url: str | None) -> "Engine":
+def engine_of(name: str, runs: int, workers: int | None, cluster: Cluster, url: str | None) -> "Engine":
     """Where the work is done.
 
     Raises:

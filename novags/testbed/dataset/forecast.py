@@ -6,12 +6,13 @@ from pathlib import Path
 from novags.testbed.dataset.file import SPLITS, DatasetConfig
 from novags.testbed.study import forecast as of_study
 from novags.testbed.study.costs import Costs
+from novags.testbed.study.engines.choice import Engine
 from novags.testbed.study.plan import Plan
 from novags.testbed.study.store import costs
 
 
 def forecast(
-    plan: Plan, config: DatasetConfig, divided: Mapping[str, str], store: Path, out: Path, workers: int | None
+    plan: Plan, config: DatasetConfig, divided: Mapping[str, str], store: Path, out: Path, engine: Engine
 ) -> str:
     """A page for a terminal: the forecast of the work, the splits, the disk that the data set takes beside the store.
 
@@ -21,13 +22,13 @@ def forecast(
         divided: The split of each scene.
         store: The store.
         out: Folder of the data set.
-        workers: As for `conduct`.
+        engine: Where the work would be done.
     """
-    found = Costs.of(costs(store), 1)
+    found = Costs.of(costs(store), engine.threads)
     size = sum(found.predicted(task).disk for task in plan.tasks.values())
     linked = _device(store) == _device(out)
     beside = (0.0 if linked else size) + (0.0 if config.shard_mb is None else size)
-    lines = [of_study.forecast(plan, store, workers), "", f"  data set {config.name}: about {of_study.size(size)}; "
+    lines = [of_study.forecast(plan, store, engine), "", f"  data set {config.name}: about {of_study.size(size)}; "
              f"beside the store it takes {of_study.size(beside)} ({'links' if linked else 'copies'}"
              f"{', and shards' if config.shard_mb is not None else ''})"]  # fmt: skip
     for split in SPLITS:
