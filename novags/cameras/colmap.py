@@ -2,10 +2,15 @@
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 Progress = Callable[[int, int, str], None]
 """Steps done, total steps, and the current activity."""
+
+LOWER_EDGE = 1.5  # scales
 
 
 @contextmanager
@@ -25,6 +30,24 @@ def extraction(pycolmap: Any, *, max_features: int, peak_threshold: float, first
     options.sift.peak_threshold = peak_threshold
     options.sift.first_octave = first_octave
     return options
+
+
+def detect(pycolmap: Any, database: Any, name: str, folder: Path, extractor: Any) -> int:
+    """Write the features of a picture, which the open database knows, and return the number of its camera.
+
+    VLFeat leaves the descriptors of features in the last row of their octave as the memory was, which varies from run
+    to run. A pixel of the octave is at most 1 / 1.8 of the scale, so those nearer to the lower edge than that are
+    dropped, with room for two halvings that did not come out even.
+    """
+    points, descriptors = extractor.extract(bitmap := pycolmap.Bitmap.read(folder / name, False))
+    shapes = np.array([(p.x, p.y, p.a11, p.a12, p.a21, p.a22) for p in points], np.float32).reshape(-1, 6)
+    scales = np.array([p.compute_scale() for p in points])
+    kept = shapes[:, 1] < bitmap.height - LOWER_EDGE * scales
+    image = database.read_image_with_name(name)
+    database.write_keypoints(image.image_id, shapes[kept])
+    whole = pycolmap.FeatureDescriptors(descriptors.type, np.ascontiguousarray(descriptors.data[kept]))
+    database.write_descriptors(image.image_id, whole)
+    return int(image.camera_id)
 
 
 def verification(pycolmap: Any, *, min_matches: int, max_error: float, seed: int) -> Any:

@@ -1,8 +1,7 @@
 """Cameras of photographs of which nothing is known, by COLMAP (pycolmap): features, matches, mapping with the lens.
 
 `sfm` places dark pictures whose lens is known. Here lens, distortion included, and poses are found together, from large
-and bright photographs. Everything runs on the CPU with one thread and a seed; rarely, pycolmap still gives another
-model for the same.
+and bright photographs. Everything runs on the CPU with one thread, and is the same for the same seed.
 """
 
 from collections.abc import Sequence
@@ -13,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from novags.cameras.colmap import Progress, extraction, largest, quiet, verification
+from novags.cameras.colmap import Progress, detect, extraction, largest, quiet, verification
 from novags.cameras.estimate import Array
 from simscenes.sets.readers.colmap import colmap_lens
 from simscenes.sets.readers.photographs import DistortedPinhole
@@ -122,6 +121,8 @@ def _detect(
 ) -> None:
     """Features of every picture, in order; the first picture of each camera brings the camera in."""
     cameras: dict[int, int] = {}
+    extractor = pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
+    pycolmap.Database.open(database).close()  # makes the file
     for done, shot in enumerate(shots):
         progress(done, 3 * len(shots), "features")
         if shot.camera in cameras:
@@ -131,12 +132,9 @@ def _detect(
             reader = pycolmap.ImageReaderOptions(camera_model="OPENCV" if len(alike) >= MANY else "SIMPLE_RADIAL")
             if shot.focal is not None:
                 reader.camera_params = _start(folder / shot.name, reader.camera_model, shot.focal)
-        pycolmap.extract_features(
-            database, folder, [shot.name], pycolmap.CameraMode.SINGLE, reader, options, pycolmap.Device.cpu
-        )
-        if shot.camera not in cameras:
-            with pycolmap.Database.open(database) as found:
-                cameras[shot.camera] = found.read_image_with_name(shot.name).camera_id
+        pycolmap.import_images(database, folder, pycolmap.CameraMode.SINGLE, [shot.name], reader)
+        with pycolmap.Database.open(database) as found:
+            cameras[shot.camera] = detect(pycolmap, found, shot.name, folder, extractor)
 
 
 def _start(file: Path, model: str, focal: float) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from novags.cameras.colmap import Progress, extraction, largest, quiet, verification
+from novags.cameras.colmap import Progress, detect, extraction, largest, quiet, verification
 from novags.cameras.estimate import Array, CameraEstimate, as_estimate
 from novags.cameras.points import averaged, fill, seen_colors
 from sensor_model.files.scratch import scratch
@@ -138,16 +138,17 @@ def _reconstruct(pictures: np.ndarray, Ks: np.ndarray, config: SfmConfig, seed: 
     with quiet(pycolmap), scratch("sfm") as root:
         database = root / "database.db"
         pycolmap.set_random_seed(seed)
+        extractor = pycolmap.FeatureExtractor.create(features, pycolmap.Device.cpu)
+        pycolmap.Database.open(database).close()  # makes the file
         for i, (picture, K) in enumerate(zip(pictures, Ks, strict=True)):
             progress(i, total, "features")
             name = f"{i:06d}.png"
             if not cv2.imwrite(str(root / name), picture[..., ::-1]):
                 raise ValueError(f"sfm: cannot write a temporary picture into {root}: free some space there")
             # One call per picture, in order: picture and camera numbers then depend on nothing else.
-            pycolmap.extract_features(
-                database, root, [name], pycolmap.CameraMode.PER_IMAGE, _camera(pycolmap, K),
-                features, pycolmap.Device.cpu,
-            )  # fmt: skip
+            pycolmap.import_images(database, root, pycolmap.CameraMode.PER_IMAGE, [name], _camera(pycolmap, K))
+            with pycolmap.Database.open(database) as found:
+                detect(pycolmap, found, name, root, extractor)
         progress(count, total, "matches")
         pycolmap.match_exhaustive(
             database,

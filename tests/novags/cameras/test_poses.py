@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
-from scipy.spatial.distance import pdist
 
 from novags.cameras.align import align
 from novags.cameras.registration import pairs_of
 from novags.testbed import stages
+from novags.testbed.cache import folder_digest
 from novags.testbed.console import Console
 from novags.testbed.folders.set import open_source
 from novags.testbed.folders.video import write_frames
@@ -122,15 +122,10 @@ def test_what_did_not_register_is_counted_and_named_everywhere(placed, tmp_path:
     assert line in later.getvalue()
 
 
-def test_the_same_photographs_give_the_same_cameras_and_are_placed_once(taken, placed, tmp_path: Path) -> None:
+def test_the_same_photographs_give_the_same_set_and_are_placed_once(taken, placed, tmp_path: Path) -> None:
     config = PosesConfig(photographs=taken[1])
     stages.poses(tmp_path / "again", config, QUIET)
-    first, again = (load_set(folder) for folder in (placed[0], tmp_path / "again"))
-    assert again.names == first.names
-    assert (again.rig.width, again.rig.height) == (first.rig.width, first.rig.height)
-    # Not to the bit: in one run of many, pycolmap has given another model for the same seed on a busy machine.
-    distances = [pdist(np.linalg.inv(views.rig.viewmats)[:, :3, 3]) for views in (first, again)]
-    np.testing.assert_allclose(*(d / d.mean() for d in distances), atol=0.02)
+    assert folder_digest(tmp_path / "again") == folder_digest(placed[0])
     before = (placed[0] / "set.json").stat().st_mtime_ns
     stages.poses(placed[0], config, QUIET)
     assert (placed[0] / "set.json").stat().st_mtime_ns == before
