@@ -146,61 +146,6 @@ def leading(material: Material) -> tuple[str, str, str] | None:
     return None
 
 
-def _values(material: Material) -> dict[str, float | None]:
-    if (found := leading(material)) is None:
-        return dict.fromkeys(material.metrics["methods"])
-    kind, number, _ = found
-    return {name: m["mean"][kind].get(number, m["mean"][kind]["aligned_psnr"])
-            for name, m in material.metrics["methods"].items()}  # fmt: skip
-
-
-def _recovered(material: Material) -> dict[str, float]:
-    found_by = leading(material)
-    key = "recovered" if found_by is not None and found_by[0] == "enhanced" else "recovered_lit"
-    found: dict[str, float] = material.metrics.get(key, {})
-    return found
-
-
-def verdict(material: Material) -> str:
-    """One sentence with the outcome."""
-    if (found := leading(material)) is None:
-        return (
-            "There is no truth to score these photographs with: the renders can be looked at, and beside the dark "
-            "pictures. novags import takes --lit (the views in good light) and --clean (long exposures)."
-        )
-    value, main, floor = _values(material), material.main, material.bound("floor")
-    reached = value[main]
-    if reached is None:
-        return f"{main} has no score: the references show nothing but one colour, which any blank picture equals."
-    text = f"{main} reaches {reached:.2f} dB on the held-out views ({found[2]})"
-    if floor is not None and main != floor and (other := value[floor]) is not None:
-        gain = reached - other
-        text += f", {abs(gain):.2f} dB {'more' if gain >= 0 else 'less'} than {floor}"
-    fraction = _recovered(material).get(main)
-    if fraction is not None and fraction > 0:
-        text += f"; that wins back {fraction:.0%} of what noise costs here"
-    return text + "."
-
-
-def cards(material: Material) -> list[dict[str, str]]:
-    """The verdict in numbers: value, unit, label."""
-    value, main = _values(material), material.main
-    floor, ceiling = material.bound("floor"), material.bound("ceiling")
-    reached, lowest, highest = (None if name is None else value[name] for name in (main, floor, ceiling))
-    found = []
-    if reached is not None:
-        found.append({"value": f"{reached:.2f}", "unit": "dB", "label": f"{main}, held-out views"})
-    if reached is not None and lowest is not None and main != floor:
-        found.append({"value": signed(reached - lowest), "unit": "dB", "label": f"over {floor}"})
-    if (fraction := _recovered(material).get(main)) is not None:
-        share = f"{100 * fraction:.0f}".replace("-", "−")
-        found.append({"value": share, "unit": "%", "label": "of the loss to noise recovered"})
-    if highest is not None:
-        found.append({"value": f"{highest:.2f}", "unit": "dB", "label": f"{ceiling}, the ceiling"})
-    found.append({"value": duration(sum(row["seconds"] for row in costs(material))), "unit": "", "label": "in all"})
-    return found
-
-
 def score_table(metrics: Mapping[str, Any], kind: str, competes: Mapping[str, bool]) -> list[dict[str, Any]]:
     """One row for each run that has this reference, with the best value of each column marked.
 

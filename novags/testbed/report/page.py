@@ -20,7 +20,6 @@ from novags.testbed.report.facts import (
     GEOMETRY,
     Material,
     camera_table,
-    cards,
     configurations,
     costs,
     departures,
@@ -35,10 +34,10 @@ from novags.testbed.report.facts import (
     size,
     title,
     training_table,
-    verdict,
     what_was_done,
 )
 from novags.testbed.report.pictures import ERROR_CEILING, pick_views, view_tiles
+from novags.testbed.report.verdict import cards, verdict
 from novags.testbed.results.again import run_again
 from novags.testbed.results.comparison import MAIN, Group, deltas_of, groups_of
 from sensor_model.files.lock import locked

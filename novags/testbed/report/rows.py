@@ -27,7 +27,7 @@ class Row:
         family: Of the method.
         color: "#rrggbb", different for every run of a report.
         bound: "floor", "ceiling" or None, for a method with its own settings; a variant is not a bound.
-        competes: Whether it may be the best: a method that sees the noise-free exposures may not.
+        competes: Whether it may be the best: a method that sees any truth may not.
     """
 
     name: str
@@ -51,7 +51,7 @@ def rows_of(runs: Mapping[str, Run]) -> dict[str, Row]:
         rows[name] = Row(
             name=name, key=f"m{k}", method=run.method, title=title, family="" if method is None else method.family,
             color=color, bound=method.bound if method is not None and run.name == run.method else None,
-            competes=method is None or not method.sees_clean,
+            competes=method is None or not (method.sees_clean or method.sees_surface),
         )  # fmt: skip
     return rows
 

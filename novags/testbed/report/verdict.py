@@ -1,0 +1,84 @@
+"""The outcome in a sentence and in numbers: which run comes first, by how much, and which scores disagree."""
+
+from novags.testbed.report.facts import COLUMNS, Material, costs, duration, join, leading, score_table, signed
+
+
+def _values(material: Material) -> dict[str, float | None]:
+    if (found := leading(material)) is None:
+        return dict.fromkeys(material.metrics["methods"])
+    kind, number, _ = found
+    return {name: m["mean"][kind].get(number, m["mean"][kind]["aligned_psnr"])
+            for name, m in material.metrics["methods"].items()}  # fmt: skip
+
+
+def _recovered(material: Material) -> dict[str, float]:
+    found_by = leading(material)
+    key = "recovered" if found_by is not None and found_by[0] == "enhanced" else "recovered_lit"
+    found: dict[str, float] = material.metrics.get(key, {})
+    return found
+
+
+def verdict(material: Material) -> str:
+    """One sentence with the outcome."""
+    if (found := leading(material)) is None:
+        return (
+            "There is no truth to score these photographs with: the renders can be looked at, and beside the dark "
+            "pictures. novags import takes --lit (the views in good light) and --clean (long exposures)."
+        )
+    value, best, floor = _values(material), leader(material), material.bound("floor")
+    reached = value[best]
+    if reached is None:
+        return f"{best} has no score: the references show nothing but one colour, which any blank picture equals."
+    rivals = sum(row.competes for row in material.rows.values())
+    text = (
+        f"{best} {'comes first with' if rivals > 1 else 'reaches'} {reached:.2f} dB on the held-out views ({found[2]})"
+    )
+    if floor is not None and best != floor and (other := value[floor]) is not None:
+        gain = reached - other
+        text += f", {abs(gain):.2f} dB {'more' if gain >= 0 else 'less'} than {floor}"
+    fraction = _recovered(material).get(best)
+    if fraction is not None and fraction > 0:
+        text += f"; that wins back {fraction:.0%} of what noise costs here"
+    if best != material.main and (ours := value[material.main]) is not None:
+        text += f"; {material.main} reaches {ours:.2f} dB"
+    return text + "." + _dissent(material, found[0], found[1], best)
+
+
+def leader(material: Material) -> str:
+    """The run with the best main score among those that see no truth; the main run where none has a score."""
+    value = _values(material)
+    scored = [name for name, row in material.rows.items() if row.competes and value[name] is not None]
+    return max(scored, key=lambda name: value[name] or 0.0, default=material.main)
+
+
+def _dissent(material: Material, kind: str, main_score: str, best: str) -> str:
+    """Which other scores put another run first: the headline hides none that is worse for its own."""
+    rows = score_table(material.metrics, kind, {name: row.competes for name, row in material.rows.items()})
+    headings = {key: heading for key, heading, _, _ in COLUMNS[kind]}
+    first: dict[str, list[str]] = {}
+    for key in (key for key in headings if key != main_score):
+        marked = [row["method"] for row in rows for cell in row["cells"] if cell["key"] == key and cell["best"]]
+        if marked and best not in marked:
+            first.setdefault(marked[0], []).append(headings[key])
+    if not first:
+        return ""
+    return " Not so by " + "; by ".join(f"{join(scores)}: {name} comes first" for name, scores in first.items()) + "."
+
+
+def cards(material: Material) -> list[dict[str, str]]:
+    """The verdict in numbers: value, unit, label."""
+    value, best = _values(material), leader(material)
+    floor, ceiling = material.bound("floor"), material.bound("ceiling")
+    reached, lowest, highest = (None if name is None else value[name] for name in (best, floor, ceiling))
+    found = []
+    if reached is not None:
+        found.append({"value": f"{reached:.2f}", "unit": "dB", "label": f"{best}, held-out views"})
+    if reached is not None and lowest is not None and best != floor:
+        found.append({"value": signed(reached - lowest), "unit": "dB", "label": f"over {floor}"})
+    if (fraction := _recovered(material).get(best)) is not None:
+        share = f"{100 * fraction:.0f}".replace("-", "−")
+        found.append({"value": share, "unit": "%", "label": "of the loss to noise recovered"})
+    if highest is not None:
+        found.append({"value": f"{highest:.2f}", "unit": "dB", "label": f"{ceiling}, the ceiling"})
+    found.append({"value": duration(sum(row["seconds"] for row in costs(material))), "unit": "", "label": "in all"})
+    return found
