@@ -51,6 +51,22 @@ def test_a_model_of_too_few_points_is_filled_up_where_the_scene_is(scene: Any) -
     assert np.quantile(distance, 0.9) < 0.12
 
 
+def test_points_behind_a_surface_do_not_pull_what_is_filled_in_away_from_it() -> None:
+    """A screen at depth 1 before a wall at depth 3, of which the model has points behind the screen too."""
+    rng, count = np.random.default_rng(2), 400
+    screen = np.column_stack([rng.uniform(-0.5, 0.5, (count, 2)), np.ones(count)])
+    wall = np.column_stack([rng.uniform(-2.9, 2.9, (4 * count, 2)), np.full(4 * count, 3.0)])
+    K = np.array([[[SIZE / 2, 0, SIZE / 2], [0, SIZE / 2, SIZE / 2], [0, 0, 1.0]]])
+    grey = np.full((1, SIZE, SIZE, 3), 0.5, np.float32)
+    sparse = np.concatenate([screen, wall])
+    filled = from_model(sparse, grey, np.eye(4)[None], K, len(sparse) + 2000, rng).xyz[len(sparse) :]
+    sides = np.abs(filled[:, :2] / filled[:, 2:]).max(1)
+    before, beside = filled[sides < 0.4, 2], filled[(sides > 0.6) & (sides < 0.9), 2]
+    assert len(before) > 200
+    assert np.mean(np.abs(before - 1) < 0.01) > 0.9  # 5 % if points behind the screen counted
+    assert np.mean(np.abs(beside - 3) < 0.01) > 0.9
+
+
 def test_a_model_that_no_view_sees_gives_way_to_the_pictures(scene: Any) -> None:
     behind = np.array([[-50.0, -50, 0], [-50, -51, 0], [-51, -50, 1]])
     first = from_model(behind, pictures(scene), *cameras(scene), 300, np.random.default_rng(0))
