@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from novags import cli
+from novags.testbed import cache
 from novags.testbed.study import store as stores
 from novags.testbed.study.engines import choice
 
@@ -63,6 +64,7 @@ def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Star
     """Start `novags study` on stages that compute nothing."""
     monkeypatch.syspath_prepend(str(HERE))
     monkeypatch.setattr(choice, "PLACE", "counting_steps:make")
+    monkeypatch.setattr(cache, "environment", cache.environment)  # which `counting_steps` changes where it is loaded
     order = choice.Order
 
     def light(task: Any, *rest: Any) -> Any:  # so that workers need not load torch
