@@ -64,8 +64,8 @@ class TrueSurface:
     Attributes:
         viewmats: World-to-camera matrices, float64 [V, 4, 4].
         Ks: Intrinsics, float64 [V, 3, 3].
-        depth: z-depths at the pixel centres, float32 [V, H, W], inf where there is no surface.
-        normals: Of the surface, world axes, float32 [V, H, W, 3]; 0 where there is none.
+        depth: z-depths at the pixel centres, float32 [V, H, W], inf in front of empty space.
+        normals: Of the surface, world axes, float32 [V, H, W, 3]; 0 in front of empty space.
         training: Which of these views the problem's are, in its order [C].
     """
 

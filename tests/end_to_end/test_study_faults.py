@@ -19,7 +19,8 @@ from novags.testbed.study import store as stores
 from novags.testbed.study.engines import choice
 
 pytestmark = [
-    pytest.mark.skipif(not hasattr(os, "fork"), reason="forks"),
+    # A fork of this process has imported everything: seconds less for each command. Windows has no fork.
+    pytest.mark.skipif(not hasattr(os, "fork"), reason="the tests start commands by os.fork, which this system lacks"),
     pytest.mark.filterwarnings("ignore:.*multi-threaded, use of fork.*:DeprecationWarning"),
 ]
 HERE = Path(__file__).resolve().parent
@@ -178,7 +179,8 @@ def bound_by_permissions() -> None:
         assert libc.capset(header, data) == 0
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="capabilities")
+# Root may write anywhere. Only Linux can take that right from a process alone, by its capabilities.
+@pytest.mark.skipif(sys.platform != "linux", reason="takes the rights of root away by Linux capabilities")
 def test_a_folder_that_may_not_be_written_to_is_one_line_and_finished_work_can_be_read_there(
     run: Callable[..., tuple[int, str]], tmp_path: Path
 ) -> None:

@@ -144,7 +144,7 @@ class AveragedScene:
 
 
 def filled(image: Array, seen: Mask) -> Array:
-    """An image [h, w, 3] whose holes have the colour of the nearest pixel that was seen; all 0 if there is none."""
+    """The image [h, w, 3], its holes filled with the colour of the nearest seen pixel; all 0 if no pixel was seen."""
     if seen.all() or not seen.any():
         return np.where(seen[..., None], image, 0.0)
     row, column = distance_transform_edt(~seen, return_distances=False, return_indices=True)

@@ -19,7 +19,7 @@ def splits_of(scenes: Sequence[str], config: DatasetConfig) -> dict[str, str]:
     that their names and the seed decide.
 
     Raises:
-        ValueError: If a list names what there is not or a scene twice, shares are refused, or a split stays empty.
+        ValueError: If a list names a scene that [grid] lacks or that another list has, shares are refused, or a split stays empty.
     """
     units = list(dict.fromkeys(unit_of(scene, config.split_by) for scene in scenes))
     found: dict[str, str] = {}
@@ -27,7 +27,7 @@ def splits_of(scenes: Sequence[str], config: DatasetConfig) -> dict[str, str]:
         for scene in config.split[name] if isinstance(config.split.get(name), list) else ():
             unit = unit_of(str(scene), config.split_by)
             if unit not in units:
-                raise ValueError(f"[dataset.split] {name}: there is no scene {scene!r} in [grid] ({', '.join(units)})")
+                raise ValueError(f"[dataset.split] {name}: [grid] has no scene {scene!r} (it has {', '.join(units)})")
             if found.setdefault(unit, name) != name:
                 raise ValueError(f"[dataset.split] {name}: {unit} lies in {found[unit]} already")
     shares = {name: share for name, share in config.split.items() if not isinstance(share, list)}

@@ -41,7 +41,7 @@ def experiments_in(folder: Path) -> list[Path]:
     """The folder itself if it is a run or an experiment, else every experiment and every other run below it, sorted.
 
     Raises:
-        ValueError: If there is none.
+        ValueError: If `folder` does not exist, or holds neither runs nor experiments.
     """
     if not folder.is_dir():
         raise ValueError(f"no such folder: {folder}")
@@ -62,7 +62,7 @@ def gather(folders: Sequence[Path]) -> dict[str, Run]:
     A name is the run's own, after the folder it lies in and a slash where others have it too.
 
     Raises:
-        ValueError: If a folder is none of these, or there is none.
+        ValueError: If no folder is given, or one holds neither runs nor experiments.
     """
     if not folders:
         raise ValueError("name at least one folder of a run, of an experiment, or of several of them")

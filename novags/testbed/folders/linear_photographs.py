@@ -135,7 +135,7 @@ def _has_linear(folder: Path) -> bool:
 
 
 def _linear_files(folder: Path, images: Path, names: list[str], source: Path) -> list[Path | None] | None:
-    """The linear file of each listed one; None if there are none."""
+    """The linear file for each listed name; None if the folder holds no linear files."""
     linear = [Path(name).suffix.lower() in SUFFIXES for name in names]
     found = [find_file(images, name) for name in names]
     if any(linear):

@@ -57,7 +57,7 @@ def test_lists_decide_and_the_rest_is_dealt_out() -> None:
 
 WRONG_SPLITS = {
     "twice": ({"train": ["hall"], "val": ["hall:2"]}, r"\[dataset.split\] val: hall lies in train already"),
-    "unknown": ({"train": 1, "test": ["attic"]}, r"test: there is no scene 'attic' in \[grid\] \(tabletop, cornell"),
+    "unknown": ({"train": 1, "test": ["attic"]}, r"test: \[grid\] has no scene 'attic' \(it has tabletop, cornell"),
     "left over": ({"test": ["hall"]}, "lie in no split: name them in a list, or give a share"),
     "share": ({"train": -1}, "train: it must be a share > 0 or a list of scenes, got -1"),
     "text": ({"train": "most"}, "train: it must be a share > 0 or a list of scenes, got 'most'"),
