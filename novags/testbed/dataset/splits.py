@@ -19,7 +19,8 @@ def splits_of(scenes: Sequence[str], config: DatasetConfig) -> dict[str, str]:
     that their names and the seed decide.
 
     Raises:
-        ValueError: If a list names a scene that [grid] lacks or that another list has, shares are refused, or a split stays empty.
+        ValueError: If a list names a scene that [grid] lacks or that another list has, if shares are refused, or if a
+            split stays empty.
     """
     units = list(dict.fromkeys(unit_of(scene, config.split_by) for scene in scenes))
     found: dict[str, str] = {}
