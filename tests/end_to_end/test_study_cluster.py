@@ -4,33 +4,23 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from novags.testbed.cache import VOLATILE
 from novags.testbed.study.engines.choice import cores_here
 from novags.testbed.study.results import COSTS
 
 pytest.importorskip("ray")
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore:::ray")]
 ROOT = Path(__file__).resolve().parents[2]
-STUDY = """
+GRID = """
 [grid]
 scene = "cornell"
 electrons = [5, 20]
 method = ["naive", "nova-fast"]
-[override]
-views = 4
-width = 24
-height = 24
-spp = 4
-points = 60
-iterations = 20
-denoiser_steps = 3
-render.variant = "scalar"
 """
 
 
@@ -40,7 +30,7 @@ def address() -> Iterator[str]:
 
     small = {"num_cpus": 1, "object_store_memory": 80 << 20}
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("PYTHONPATH", str(ROOT))
+        patch.setenv("PYTHONPATH", os.pathsep.join([str(ROOT), *filter(None, sys.path)]))
         patch.setenv("RAY_USAGE_STATS_ENABLED", "0")
         cluster = Cluster(initialize_head=True, head_node_args={**small, "include_dashboard": False})
         cluster.add_node(**small)
@@ -48,14 +38,19 @@ def address() -> Iterator[str]:
         cluster.shutdown()
 
 
-def study(folder: Path, *words: str) -> None:
-    folder.mkdir(exist_ok=True)
-    (folder / "study.toml").write_text(STUDY)
-    command = [sys.executable, "-m", "novags", "study", "study.toml", "--out", "out", *words]
-    done = subprocess.run(
-        command, cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True
-    )
-    assert done.returncode == 0, done.stderr
+@pytest.fixture
+def study(smallest: str) -> Callable[..., None]:
+    """A function that runs `novags study` in a folder."""
+
+    def run(folder: Path, *words: str) -> None:
+        folder.mkdir(exist_ok=True)
+        (folder / "study.toml").write_text(GRID + smallest + "denoiser_steps = 3\n")
+        command = [sys.executable, "-m", "novags", "study", "study.toml", "--out", "out", *words]
+        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *filter(None, sys.path)])}
+        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+
+    return run
 
 
 def rows(folder: Path) -> list[dict[str, Any]]:
@@ -64,25 +59,22 @@ def rows(folder: Path) -> list[dict[str, Any]]:
     return [{k: v for k, v in row.items() if not k.startswith((*COSTS, "folder"))} for row in found]
 
 
-def entries(store: Path) -> dict[str, object]:
-    """Everything in a store but costs."""
-    paths = [path for path in store.rglob("*") if path.is_file() and not path.name.startswith(".")]
-    return {path.relative_to(store).as_posix(): content(path) for path in paths}
+@pytest.fixture
+def entries(without_costs: Callable[[Any], Any]) -> Callable[[Path], dict[str, object]]:
+    """A function that reads everything in a store but costs."""
 
+    def content(path: Path) -> object:
+        return without_costs(json.loads(path.read_text())) if path.suffix == ".json" else path.read_bytes()
 
-def content(path: Path) -> object:
-    return without_costs(json.loads(path.read_text())) if path.suffix == ".json" else path.read_bytes()
+    def read(store: Path) -> dict[str, object]:
+        paths = [path for path in store.rglob("*") if path.is_file() and not path.name.startswith(".")]
+        return {path.relative_to(store).as_posix(): content(path) for path in paths}
 
-
-def without_costs(value: Any) -> Any:
-    if isinstance(value, dict):
-        costs = {*VOLATILE, "hardware"} - {"stage"}
-        return {key: without_costs(part) for key, part in value.items() if key not in costs}
-    return [without_costs(part) for part in value] if isinstance(value, list) else value
+    return read
 
 
 def test_a_cluster_gives_the_same_bits_as_one_machine_in_a_common_folder_and_at_a_url(
-    address: str, tmp_path: Path
+    address: str, study: Callable[..., None], entries: Callable[[Path], dict[str, object]], tmp_path: Path
 ) -> None:
     study(tmp_path / "local", "--workers", str(cores_here()))  # one thread each
     whole = entries(tmp_path / "local" / "store")
