@@ -1,19 +1,23 @@
 """A whole training run: seconds, where they go, memory and PSNR. Run by `bench_splats.py fit`."""
 
-import cProfile
-import dataclasses
+import itertools
 import math
-import pstats
 import resource
+import statistics
 import sys
 import time
+from collections import Counter
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import torch
 from torch import Tensor
 
 from novags.splats import FitConfig, Gaussians, Views, fit, rasterize
+from novags.splats.cpu import parallel
 
 # parts of an iteration: the chains and kernels of novags/splats/cpu that Python calls
 PARTS = {
@@ -22,6 +26,7 @@ PARTS = {
     "composite_backward": "compositing backward", "step": "projection and colours backward, Adam",
     "add": "Langevin noise",
 }  # fmt: skip
+REST = "rest (torch, Python)"
 
 
 def random_cloud(n: int, size: int, n_views: int) -> tuple[Gaussians, Views, Tensor]:
@@ -75,18 +80,34 @@ def render(gaussians: Gaussians, views: Views) -> Tensor:
 
 
 def profile(start: Gaussians, views: Views, images: Tensor, iterations: int) -> dict[str, float]:
-    """Milliseconds of CPU per iteration of each part on one thread, at the full number of Gaussians and SH degree 3."""
+    """Milliseconds of each part on one thread at SH degree 3: medians over the iterations."""
     torch.set_num_threads(1)
-    config = FitConfig(iterations=iterations, sh_every=1)
-    fit(start, views, lambda i: images[i], dataclasses.replace(config, iterations=5))
-    profiler = cProfile.Profile(time.thread_time)
-    profiler.enable()
-    fit(start, views, lambda i: images[i], config)
-    profiler.disable()
-    parts = dict.fromkeys([*PARTS.values(), "rest (torch, Python)"], 0.0)
-    for (file, _, function), (_, _, seconds, _, _) in pstats.Stats(profiler).stats.items():  # type: ignore[attr-defined]
-        compiled = Path(file).parent.name in ("chains", "cpu") and function in PARTS
-        parts[PARTS[function] if compiled else list(parts)[-1]] += 1e3 * seconds / iterations
+    began: list[float] = []
+    spent: list[Counter[str]] = []
+
+    def image(index: int) -> Tensor:
+        began.append(time.perf_counter())
+        spent.append(Counter())
+        return images[index]
+
+    def timed(call: Callable[..., None]) -> Callable[..., None]:
+        def run(kernel: Any, *arguments: Any) -> None:
+            start = time.perf_counter()
+            call(kernel, *arguments)
+            if spent:
+                spent[-1][PARTS[kernel.__name__]] += 1e3 * (time.perf_counter() - start)
+
+        return run
+
+    with ExitStack() as stack:
+        for module in [module for name, module in sys.modules.items() if name.startswith("novags.splats")]:
+            for name in ("run", "run_chain"):
+                if getattr(module, name, None) is getattr(parallel, name) and module is not parallel:
+                    stack.enter_context(patch.object(module, name, timed(getattr(parallel, name))))
+        fit(start, views, image, FitConfig(iterations=iterations, sh_every=1))
+    whole = [1e3 * (after - before) for before, after in itertools.pairwise(began)]
+    parts = {part: statistics.median(times[part] for times in spent) for part in PARTS.values()}
+    parts[REST] = statistics.median(all_ - times.total() for all_, times in zip(whole, spent, strict=False))
     return dict(sorted(parts.items(), key=lambda item: -item[1]))
 
 
@@ -115,5 +136,5 @@ def measure_fit(
         "size": [views.width, views.height],
         "views": len(views), "gaussians": len(result.gaussians), "iterations": iterations, "course": course,
         "peak_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024,
-        "cpu_ms_per_iteration": profile(result.gaussians, views, images, 200) if device == "cpu" else None,
+        "ms_per_iteration": profile(result.gaussians, views, images, 200) if device == "cpu" else None,
     }  # fmt: skip

@@ -1,5 +1,6 @@
 """Recycled arrays: what one iteration frees, the next one takes, without new pages from the operating system."""
 
+import ctypes
 import math
 import os
 import threading
@@ -15,20 +16,24 @@ KEEP = 2  # free bytes at most, in units of the bytes lately in use at once: vie
 FORGET = 1 / 4096  # part of that number that every array asked for takes away from it; about 50 make an iteration
 
 
-class _Lease:
-    """Owner of a block while any array looks into it; gives it back when the last one is gone."""
+class _Lease(np.ndarray):
+    """A view of a whole block; gives it back when the last array that looks into it is gone.
 
-    def __init__(
-        self, block: np.ndarray, shape: tuple[int, ...], dtype: np.dtype[Any], back: deque[np.ndarray]
-    ) -> None:
-        self.block, self.back = block, back
-        address = block.__array_interface__["data"][0]
-        self.__array_interface__ = {
-            "version": 3, "shape": shape, "typestr": dtype.str, "data": (address + -address % LINE, False),
-        }  # fmt: skip
+    An array keeps alive what it is a view of. Of views of views NumPy keeps the first array alone, but for a view of
+    another type whose memory is no array's: so this is a type of its own, and blocks are ctypes arrays.
+    """
+
+    back: deque[Any] | None = None
 
     def __del__(self) -> None:
-        self.back.append(self.block)  # nothing else: the garbage collector may be here in any thread, at any time
+        if self.back is not None:
+            self.back.append(self.base)  # nothing else: the garbage collector may be here in any thread, at any time
+
+
+def _aligned(size: int) -> Any:
+    """A new block of memory that begins at a cache line, as a ctypes array."""
+    memory = np.empty(size + LINE, np.uint8)
+    return (ctypes.c_uint8 * size).from_buffer(memory, -memory.__array_interface__["data"][0] % LINE)  # type: ignore[arg-type]
 
 
 class Recycler:
@@ -37,26 +42,31 @@ class Recycler:
     def __init__(self) -> None:
         self.lock = threading.Lock()
         self.free_bytes = 0
-        self._free: dict[int, list[np.ndarray]] = {}
-        self._back: deque[np.ndarray] = deque()
+        self._free: dict[int, list[Any]] = {}
+        self._back: deque[Any] = deque()
         self._in_use, self._lately = 0, 0.0  # bytes now; bytes at once, lately
 
     def empty(self, shape: tuple[int, ...] | int, dtype: Any = np.float32) -> np.ndarray:
         """Like `np.empty`, aligned to cache lines; the memory is recycled once no array refers to it."""
         dtype = np.dtype(dtype)
         shape = (shape,) if isinstance(shape, int) else shape
-        size = _size_class(max(math.prod(shape) * dtype.itemsize, 1)) + LINE
-        if size < SMALL:
-            return np.asarray(_Lease(np.empty(size, np.uint8), shape, dtype, deque(maxlen=0)))
+        n_bytes = max(math.prod(shape) * dtype.itemsize, 1)
+        if n_bytes < SMALL:
+            memory = np.empty(n_bytes + LINE, np.uint8)
+            return np.ndarray(shape, dtype, memory, -memory.__array_interface__["data"][0] % LINE)
+        size = _size_class(n_bytes)
         with self.lock:
-            self._collect()
+            if self._back:
+                self._collect()
             block = self._take(size)
-        return np.asarray(_Lease(block, shape, dtype, self._back))
+        lease = _Lease(size, np.uint8, block)
+        lease.back = self._back
+        return np.ndarray(shape, dtype, lease)
 
-    def _take(self, size: int) -> np.ndarray:
+    def _take(self, size: int) -> Any:
         blocks = self._free.pop(size, None)
         if blocks is None:
-            block = np.empty(size, np.uint8)  # may fail, and must then not have been counted
+            block = _aligned(size)  # may fail, and must then not have been counted
         else:
             block = blocks.pop()
             self.free_bytes -= size
