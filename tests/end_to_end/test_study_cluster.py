@@ -16,6 +16,27 @@ from novags.testbed.study.results import COSTS
 pytest.importorskip("ray")
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore:::ray")]
 ROOT = Path(__file__).resolve().parents[2]
+DATASET = """
+[dataset]
+name = "dark-boxes"
+licence = "CC-BY-4.0"
+description = "Boxes in the dark"
+creators = ["Jane Doe"]
+shard_mb = 0.2
+split_by = "variation"
+[dataset.split]
+val = ["cornell:1"]
+train = 1
+[grid]
+scene = ["cornell:0", "cornell:1"]
+electrons = [5, 20]
+[override]
+views = 4
+width = 24
+height = 24
+spp = 4
+render.variant = "scalar"
+"""
 GRID = """
 [grid]
 scene = "cornell"
@@ -38,6 +59,14 @@ def address() -> Iterator[str]:
         cluster.shutdown()
 
 
+def novags(folder: Path, *words: str) -> None:
+    """Run a command in a folder."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *filter(None, sys.path)])}
+    command = [sys.executable, "-m", "novags", *words]
+    done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
 @pytest.fixture
 def study(smallest: str) -> Callable[..., None]:
     """A function that runs `novags study` in a folder."""
@@ -45,10 +74,7 @@ def study(smallest: str) -> Callable[..., None]:
     def run(folder: Path, *words: str) -> None:
         folder.mkdir(exist_ok=True)
         (folder / "study.toml").write_text(GRID + smallest + "denoiser_steps = 3\n")
-        command = [sys.executable, "-m", "novags", "study", "study.toml", "--out", "out", *words]
-        environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(ROOT), *filter(None, sys.path)])}
-        done = subprocess.run(command, cwd=folder, env=environment, capture_output=True, text=True)
-        assert done.returncode == 0, done.stderr
+        novags(folder, "study", "study.toml", "--out", "out", *words)
 
     return run
 
@@ -92,3 +118,17 @@ def test_a_cluster_gives_the_same_bits_as_one_machine_in_a_common_folder_and_at_
     assert rows(tmp_path / "again") == rows(tmp_path / "local")
     assert {path: path.stat().st_mtime_ns for path in (tmp_path / "bucket").rglob("*")} == before
     assert not (tmp_path / "other").exists()  # seals and scores were enough
+
+
+def test_a_data_set_made_on_a_cluster_has_the_files_of_one_machine(address: str, tmp_path: Path) -> None:
+    def sums(name: str, *words: str) -> dict[str, str]:
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "data.toml").write_text(DATASET)
+        novags(tmp_path / name, "dataset", "data.toml", "--out", "data", *words)
+        listed = json.loads((tmp_path / name / "data" / "manifest.json").read_text())["files"]
+        kept = {path for path in listed if not path.endswith((".json", "README.md"))}  # those say what it took
+        return {path: listed[path]["sha256"] for path in kept}
+
+    local = sums("local", "--workers", str(cores_here()))
+    assert len({Path(path).parts[0] for path in local} & {"train", "val", "shards"}) == 3
+    assert sums("cluster", "--engine", "ray", "--address", address) == local

@@ -44,6 +44,7 @@ def write_pieces(order: Order, source: str, console: Console) -> dict[str, Any]:
     print(f"making {config.text}")
     with (order.folder.parent / f".{config.text}.count").open("a") as count:
         count.write("x")
+    (order.folder.parent / f".{config.text}.process").write_text(str(os.getpid()))
     with console.progress("write") as progress:
         for k in range(PIECES):
             time.sleep(config.seconds / PIECES)
