@@ -15,7 +15,8 @@ from simscenes.loading.checks.meshes import check_faces
 from simscenes.loading.checks.physical import check_parameters, scene_extent
 from simscenes.loading.checks.trial import check_survives
 from simscenes.loading.checks.untrusted import check_plugin, check_xml, searching_only
-from simscenes.loading.contents import objects_in, parameters_in, unique_materials
+from simscenes.loading.checks.usable import check_usable, raw_color
+from simscenes.loading.contents import parameters_in, unique_materials
 from simscenes.loading.digest import content_digest
 from simscenes.loading.integrator import OwnIntegrator, in_dict, in_file, own_integrator
 from simscenes.loading.naming import shape_names
@@ -40,6 +41,7 @@ class LoadedScene:
         extent: Diagonal of the bounding box, scene units.
         integrator: What the scene's own integrator asks for; None if it has none.
         sensor: Which of the scene's own sensors counts, from 0.
+        rgb_alone: Spectral variants would load it, and fail to render it.
         demand: Why fewer colours cannot load it, in Mitsuba's words; "" for a scene that RGB can.
     """
 
@@ -53,6 +55,7 @@ class LoadedScene:
     demand: str = ""
     integrator: OwnIntegrator | None = None
     sensor: int = 0
+    rgb_alone: bool = False
 
     @property
     def own_sensor(self) -> Any:
@@ -120,14 +123,7 @@ def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> Load
         raise ValueError(f"scene {name!r} cannot be loaded: {error}") from error
     if not isinstance(loaded, mi.Scene) or len(loaded.shapes()) == 0:
         raise ValueError(f"scene {name!r} has no shapes: there is nothing to see")
-    raw = ("RegularSpectrum", "IrregularSpectrum")
-    if "spectral" not in mi.variant() and any(part.class_name() in raw for part in objects_in(loaded, mi)):
-        # Mitsuba would only find out while rendering.
-        raise ValueError(f"scene {name!r} holds a 'regular' or 'irregular' spectrum, which only spectral variants can "
-                         "read; write it as type 'spectrum' with pairs of wavelength and value")  # fmt: skip
-    if any(light.class_name() == "DirectionalArea" for light in loaded.emitters()):
-        raise ValueError(f"scene {name!r} holds a 'directionalarea' emitter, whose light no path from a camera "
-                         "can find; use 'area', 'spot' or 'projector'")  # fmt: skip
+    check_usable(loaded, mi, name)
     extent = scene_extent(loaded)
     params = parameters_in(loaded, mi)
     check_faces(params)
@@ -141,7 +137,16 @@ def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> Load
     if source.parameters:
         digest = hashlib.sha256(f"{digest}{source.parameters}".encode()).hexdigest()
     return LoadedScene(
-        name, mi.variant(), loaded, digest, shapes, materials, extent, integrator=own, sensor=source.sensor
+        name,
+        mi.variant(),
+        loaded,
+        digest,
+        shapes,
+        materials,
+        extent,
+        integrator=own,
+        sensor=source.sensor,
+        rgb_alone=bool(raw_color(loaded, mi)),
     )
 
 

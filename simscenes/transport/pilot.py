@@ -69,9 +69,13 @@ class Pilot:
 
     @property
     def colors(self) -> tuple[str, ...]:
-        """The colour representations that the scene can be loaded in: objects made in Python belong to one."""
+        """The colour representations that the scene can be loaded in: objects made in Python belong to one.
+
+        So do raw bitmaps that are used as colours.
+        """
         first = COLORS.index(self.base)
-        return COLORS[first : first + 1] if _holds_objects(self.mi, self.source.description) else COLORS[first:]
+        one = self.loaded.rgb_alone or _holds_objects(self.mi, self.source.description)
+        return COLORS[first : first + 1] if one else COLORS[first:]
 
     def loads(self, color: str) -> bool:
         """Whether the scene can be loaded in a colour representation; tried, since plugins may be missing there."""

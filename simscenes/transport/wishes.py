@@ -23,13 +23,14 @@ def check_wishes(force: dict[str, bool], max_depth: int | None, optics: Optics, 
         raise ValueError(f"force: an effect must be one of {', '.join(plan.EFFECTS)}, got {', '.join(sorted(unknown))}")
     if max_depth is not None and max_depth < plan.DIRECT_DEPTH:
         raise ValueError(f"max_depth must be at least {plan.DIRECT_DEPTH} (lamps and what they light), got {max_depth}")
+    for_rgb = "the scene holds what is made for RGB alone: describe objects as dicts, leave raw out of colours' bitmaps"
     lacking = {
         plan.APERTURE: (optics.aperture_radius is None, "the camera is a pinhole: give Optics an aperture_radius"),
         plan.MOTION: (optics.motion is None, "the camera is at rest: give Optics a motion"),
         plan.MEDIA: (not media, "the scene holds no medium"),
         plan.SPECTRAL_MIS: (not media, "the scene holds no medium"),
-        plan.SPECTRAL: (not spectra, "the scene holds objects made for RGB: describe them as dicts"),
-        plan.POLARISATION: (not spectra, "the scene holds objects made for RGB: describe them as dicts"),
+        plan.SPECTRAL: (not spectra, for_rgb),
+        plan.POLARISATION: (not spectra, for_rgb),
     }
     for name in (name for name, on in force.items() if on):
         lacks, why = lacking.get(name, (False, ""))

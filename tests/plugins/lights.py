@@ -37,7 +37,7 @@ def beam(plugin: str, **parameters: Any) -> Any:
 
 
 def projector(mi: Any, folder: Path) -> Node:
-    slide = {"type": "bitmap", "filename": files.picture(folder / "t.exr"), "raw": True}
+    slide = {"type": "bitmap", "filename": files.picture(folder / "t.exr")}
     return beam("projector", irradiance=slide, fov=40.0, scale=10.0)(mi, folder)
 
 

@@ -14,6 +14,7 @@ from simscenes.loading.checks.untrusted import mitsuba_folder
 from simscenes.loading.load import build_in_fewest_colors, build_scene
 from simscenes.transport import effects, plan, planner
 from simscenes.transport.plugins import UNDERSTOOD, filters_in, not_understood
+from tests.plugins import files
 from tests.plugins.__main__ import line
 from tests.plugins.compare import all_rows, moved, passes
 from tests.plugins.row import Row, ball, grey, matt, plate, rig, stage
@@ -40,7 +41,7 @@ def test_every_plugin_is_understood(kind: str, tmp_path: Path) -> None:
     with using_variant("scalar") as mi:
         scenes = [(row.name, row.make(mi, tmp_path)) for row in all_rows() if row.kind == kind]
         for name, scene in scenes:
-            if name == "directionalarea":
+            if name in ("directionalarea", "timed_sunsky"):
                 continue
             loaded = build_in_fewest_colors(scene, "scalar")
             with using_variant(loaded.variant) as other:
@@ -123,6 +124,31 @@ def test_light_that_no_camera_finds_is_refused(tmp_path: Path) -> None:
     mi = activate()
     with pytest.raises(ValueError, match="'directionalarea' emitter, whose light no path"):
         build_scene(NAMED["directionalarea"].make(mi, tmp_path), mi)
+
+
+def test_a_light_that_mitsuba_cannot_render_is_refused(tmp_path: Path) -> None:
+    mi = activate()
+    with pytest.raises(ValueError, match="the scene holds a 'timed_sunsky': Mitsuba's llvm and cuda"):
+        build_scene(NAMED["timed_sunsky"].make(mi, tmp_path), mi)
+
+
+def test_a_raw_bitmap_as_a_colour_keeps_a_scene_in_rgb(tmp_path: Path) -> None:
+    """It has no spectrum: spectral variants of Mitsuba stop in the middle of a render. As a number it is in no way."""
+
+    def scene(*names: str) -> dict[str, Any]:
+        raw = {"type": "bitmap", "filename": files.picture(tmp_path / "t.exr"), "raw": True}
+        shape = {"type": "sphere", "bsdf": {"type": "principled", **dict.fromkeys(names, raw)}}
+        return {"type": "scene", "lamp": {"type": "constant"}, "shape": shape}
+
+    made = plan_transport(scene("base_color"), rig=rig())
+    assert made.color == "rgb"
+    assert made[plan.SPECTRAL].reason == "the scene holds what is made for RGB alone"
+    with pytest.raises(ValueError, match="forced on, but the scene holds what is made for RGB alone: "):
+        plan_transport(scene("base_color"), rig=rig(), force={plan.SPECTRAL: True})
+    with using_variant("scalar", "spectral") as mi:
+        with pytest.raises(ValueError, match="raw = true as base_color: it has no spectrum"):
+            build_scene(scene("roughness", "base_color"), mi)
+        build_scene(scene("roughness"), mi)
 
 
 def test_differences_are_told_from_noise() -> None:

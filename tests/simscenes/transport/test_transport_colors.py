@@ -29,7 +29,7 @@ class Object:
 def pilots(scene: Any = None, *, backend: str = "llvm_ad", allowed: float = 0.004) -> Pilot:
     source = SceneRef.of(scene or {"type": "scene"})
     images = {("path", 8, 2, 0): np.full((2, 3, 4, 3), 1.5)}
-    loaded: Any = SimpleNamespace(scene="scene")
+    loaded: Any = SimpleNamespace(scene="scene", rgb_alone=False)
     p = Pilot(SimpleNamespace(Object=Object), source, loaded, None, backend, allowed, 5, images=images)  # type: ignore[arg-type]
     p.scenes.update(spectral="in spectra", spectral_polarized="polarised")  # type: ignore[arg-type]
     return p
@@ -260,13 +260,13 @@ def test_what_filters_change_is_measured_and_kept_whatever_spectra_change(
     assert found.contribution == pytest.approx(0.1)
     (lost, _), _ = color_effects(made_for_rgb(), Optics(), False, [], 0.25, measured)
     assert (lost.on, lost.contribution) == (False, np.inf)
-    assert lost.reason == "the scene holds LinearPolarizer, but holds objects made for rgb, and cannot have others"
+    assert lost.reason == "the scene holds LinearPolarizer, but also what is made for rgb alone"
 
 
 def test_what_rgb_cannot_load_is_followed_in_spectra(surfaces: Any) -> None:
     surfaces(MIRROR)
     p = pilots()
-    loaded: Any = SimpleNamespace(scene="scene", demand="it needs spectra")
+    loaded: Any = SimpleNamespace(scene="scene", rgb_alone=False, demand="it needs spectra")
     for base, polarised in (("spectral", False), ("spectral_polarized", True)):
         other = replace(p, base=base, loaded=loaded)
         effect, made_up = spectral_effect(other, Optics(), 0.25, True)

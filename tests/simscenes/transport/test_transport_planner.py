@@ -19,7 +19,7 @@ from simscenes.transport.plan import EFFECTS, MADE_UP, TransportPlan
 RIG = orbit_rig(9, 128, 96, 40, radius=3.0)
 SOURCE = SceneRef.of("cornell")
 OPTICS = Optics(aperture_radius=0.1, focus_distance=2.0, motion=0.5)
-LOADED: Any = SimpleNamespace(scene="scene", variant="wide_rgb", color="rgb", integrator=None)
+LOADED: Any = SimpleNamespace(scene="scene", rgb_alone=False, variant="wide_rgb", color="rgb", integrator=None)
 
 
 def decision(name: str, on: bool = False, contribution: float = 0.0) -> Effect:
@@ -238,7 +238,7 @@ def test_layouts_are_written_into_folders_of_their_names(tmp_path: Path, monkeyp
 
 def test_the_scenes_own_integrator_is_kept_unless_overridden(asked: dict[str, Any]) -> None:
     own = OwnIntegrator("path", max_depth=12, rr_depth=7, hide_emitters=True)
-    loaded = SimpleNamespace(scene="scene", variant="wide_rgb", color="rgb", integrator=own)
+    loaded = SimpleNamespace(scene="scene", rgb_alone=False, variant="wide_rgb", color="rgb", integrator=own)
     made = planned(loaded=loaded)
     assert asked["depth_effects"][3] == 12
     assert (made.rr_depth, made.hide_emitters) == (7, True)
@@ -246,7 +246,9 @@ def test_the_scenes_own_integrator_is_kept_unless_overridden(asked: dict[str, An
     assert made["Russian roulette"].forced
     planned(loaded=loaded, max_depth=9)
     assert asked["depth_effects"][3] == 9
-    other = SimpleNamespace(scene="scene", variant="wide_rgb", color="rgb", integrator=OwnIntegrator("x", lost=("y",)))
+    other = SimpleNamespace(
+        scene="scene", rgb_alone=False, variant="wide_rgb", color="rgb", integrator=OwnIntegrator("x", lost=("y",))
+    )
     with pytest.warns(UserWarning, match="own integrator these are not kept: y; the plan chooses instead"):
         planned(loaded=other)
     plain = planner.default_plan(Optics(), own)

@@ -73,8 +73,16 @@ SPECTRA, POLARISED = "spectral transport", "polarisation"
         ({FOG: True, MIS: True}, {}, None),
         ({MIS: True}, {"media": False}, "'chromatic media' is forced on, but the scene holds no medium"),
         ({SPECTRA: True, POLARISED: True}, {}, None),
-        ({SPECTRA: True}, {"spectra": False}, "'spectral transport' is forced on, but the scene holds objects"),
-        ({POLARISED: True}, {"spectra": False}, "'polarisation' is forced on, but the scene holds objects"),
+        (
+            {SPECTRA: True},
+            {"spectra": False},
+            "'spectral transport' is forced on, but the scene holds what is made for RGB alone",
+        ),
+        (
+            {POLARISED: True},
+            {"spectra": False},
+            "'polarisation' is forced on, but the scene holds what is made for RGB alone",
+        ),
         ({MIS: True, POLARISED: True}, {}, "'chromatic media' forced on needs 'polarisation' off, and that"),
         ({MIS: True, POLARISED: False}, {}, None),
         ({MIS: True, FOG: False}, {}, "'chromatic media' forced on needs 'participating media' on, and that"),
