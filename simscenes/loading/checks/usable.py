@@ -10,7 +10,14 @@ UNUSABLE = {
         "a 'directionalarea' emitter, whose light no path from a camera can find; use 'area', 'spot' or 'projector'"
     ),
 }
-PAIRS = ("RegularSpectrum", "IrregularSpectrum")
+# What only spectral variants can read, by class; in RGB Mitsuba would find out in the middle of a render.
+SPECTRAL = {
+    "RegularSpectrum": "a 'regular' spectrum, which only spectral variants can read; write it as type 'spectrum' with "
+    "pairs of wavelength and value",
+    "IrregularSpectrum": "an 'irregular' spectrum, which only spectral variants can read; write it as type 'spectrum' "
+    "with pairs of wavelength and value",
+    "BlackBodySpectrum": "a 'blackbody' spectrum, which only spectral variants can read",
+}
 COLORS = frozenset({
     "base_color", "color0", "color1", "diffuse_reflectance", "diffuse_transmittance", "eta", "intensity", "irradiance",
     "k", "radiance", "reflectance", "specular_reflectance", "specular_transmittance", "transmittance",
@@ -33,11 +40,8 @@ def check_usable(scene: Any, mi: Any, name: str) -> None:
         kind = _class(part)
         if kind in UNUSABLE:
             raise ValueError(f"scene {name!r} holds {UNUSABLE[kind]}")
-        if kind in PAIRS and not spectral:
-            raise ValueError(
-                f"scene {name!r} holds a 'regular' or 'irregular' spectrum, which only spectral variants can read; "
-                "write it as type 'spectrum' with pairs of wavelength and value"
-            )
+        if kind in SPECTRAL and not spectral:
+            raise ValueError(f"scene {name!r} holds {SPECTRAL[kind]}")
     if spectral and (raw := raw_color(scene, mi)):
         raise ValueError(
             f"scene {name!r} holds a bitmap with raw = true as {raw}: it has no spectrum, and is for RGB alone; leave "

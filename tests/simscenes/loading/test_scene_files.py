@@ -132,6 +132,15 @@ def test_sensors_that_no_pinhole_camera_can_stand_in_for_are_refused_with_the_re
     assert len(own_cameras(path, 8, 8)) == 2
 
 
+def test_a_lamp_of_a_temperature_demands_spectra(tmp_path: Path) -> None:
+    """Mitsuba's RGB variants would stop in the middle of a render."""
+    heat = '<float name="temperature" value="2500"/>'
+    light = f'<emitter type="area"><spectrum type="blackbody" name="radiance">{heat}</spectrum></emitter>'
+    loaded = build_in_fewest_colors(file_of(tmp_path, BALL.replace("</shape>", f"{light}</shape>"), FRONT), "scalar")
+    assert loaded.color == "spectral"
+    assert loaded.demand.endswith("holds a 'blackbody' spectrum, which only spectral variants can read")
+
+
 def test_a_file_that_demands_spectra_gets_them(tmp_path: Path) -> None:
     """Its albedo is what a spectrum of that height is in RGB; what it was rendered in is recorded."""
     paint = '<spectrum type="regular" name="reflectance"><float name="wavelength_min" value="360"/>'
