@@ -121,7 +121,8 @@ def _decibels(score: float | None) -> str:
 
 
 def report(runs: Folders, *, out: Path | None = None, overwrite: bool = False, wait: bool = False) -> None:
-    """Write a report on scored runs: one self-contained HTML file. Of a study over the light: its curves.
+    """Write a report on scored runs, or on a study: one HTML file. Where there are many pictures, the page holds
+    thumbnails, and whole ones lie in a folder beside it.
 
     Args:
         runs: Folders of runs, of experiments, or folders that hold such; or the folder of one study.
@@ -129,12 +130,12 @@ def report(runs: Folders, *, out: Path | None = None, overwrite: bool = False, w
         overwrite: Replace a file even if it is not a report on the same runs.
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
-    from novags.testbed.report.levels import is_study, write_levels
     from novags.testbed.report.page import report_path, write_reports
+    from novags.testbed.report.study.page import is_study, write_study
 
     if len(runs) == 1 and is_study(runs[0]):
         with writing((out or runs[0] / "x").parent, wait, make=out is not None):
-            path = write_levels(runs[0], out)
+            path = write_study(runs[0], out)
         announce(path)
         return
     with writing((out or report_path(runs)).parent, wait, make=out is not None) as console:

@@ -10,7 +10,7 @@ from novags.testbed.cache import read_json, refuse_other, write_json
 from novags.testbed.console import Console
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders import shapes
-from novags.testbed.folders.experiment import EXPERIMENT, REPORT, find_runs
+from novags.testbed.folders.experiment import EXPERIMENT, REPORT, REPORT_FILES, find_runs
 from novags.testbed.folders.run import METRICS, RECORD
 from novags.testbed.presets import Preset
 from novags.testbed.report.page import write_report
@@ -39,7 +39,7 @@ def run(preset: Preset, out: Path, console: Console, *, command: str | None = No
     with locked(out):
         if not overwrite:
             _refuse_other(preset, out)
-        described = [out / name for name in (EXPERIMENT, METRICS, REPORT)]
+        described = [out / name for name in (EXPERIMENT, METRICS, REPORT, REPORT_FILES)]
         source = _source(preset, out, console, described, overwrite)
         capture = out / "capture"
         stages.capture(source, capture, preset.capture, console, stale=described, overwrite=overwrite)

@@ -1,4 +1,5 @@
-"""An experiment on disk: set/, capture/, a folder for each run, experiment.json, metrics.json, report.html.
+"""An experiment on disk: set/, capture/, a folder for each run, experiment.json, metrics.json, report.html,
+and report.files/ with its whole pictures where they are many.
 
 And collections of runs, wherever they lie.
 """
@@ -12,7 +13,7 @@ from novags.testbed.folders import shapes
 from novags.testbed.folders.run import RECORD, Run, open_run
 
 EXPERIMENT = "experiment.json"
-REPORT = "report.html"
+REPORT, REPORT_FILES = "report.html", "report.files"
 
 
 def find_runs(folder: Path) -> dict[str, Run]:

@@ -47,7 +47,7 @@ RESULT = (
     "exr",
     "depth",
 )
-OWNS = (*RESULT, *CHECKPOINTS, METRICS, "report.html")
+OWNS = (*RESULT, *CHECKPOINTS, METRICS, "report.html", "report.files")
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,14 @@
 """Charts of a report as inline SVG. Colours and fonts come from the page's style, so light and dark mode both fit."""
 
+import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 
 WIDTH, HEIGHT = 640, 300
 LEFT, RIGHT, TOP, BOTTOM = 62, 16, 14, 46
 
+DASHES = 4  # patterns of lines, one after the other: colours alone do not tell lines apart for everybody
 Series = Mapping[str, Sequence[tuple[float, float]]]
 
 
@@ -27,7 +29,10 @@ def line_chart(series: Series, keys: Mapping[str, str], *, x_label: str, y_label
         share = (math.log10(y) - y_low) / (y_high - y_low)
         return along, HEIGHT - BOTTOM - (HEIGHT - TOP - BOTTOM) * share
 
-    parts = [f'<svg class="chart" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(title)}">']
+    placed = [(name, keys[name], [(*place(x, y), f"{x:g}", f"{y:.4g}") for x, y in line if y > 0])
+              for name, line in series.items()]  # fmt: skip
+    opened = f'<svg class="chart" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(title)}"'
+    parts = [f"{opened} {plot_data(placed, x_label)}>"]
     for tick in log_ticks(y_low, y_high):
         _, y = place(0, tick)
         parts.append(f'<line class="rule" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>')
@@ -35,10 +40,11 @@ def line_chart(series: Series, keys: Mapping[str, str], *, x_label: str, y_label
     for tick in linear_ticks(x_max):
         x, _ = place(tick, 10**y_low)
         parts.append(f'<text class="tick" x="{x:.1f}" y="{HEIGHT - BOTTOM + 18}" text-anchor="middle">{tick:g}</text>')
-    for name, line in series.items():
+    for number, (name, line) in enumerate(series.items()):
         path = " ".join("{:.1f},{:.1f}".format(*place(x, y)) for x, y in line if y > 0)
         parts.append(
-            f'<polyline class="line {escape(keys[name])}" points="{path}"><title>{escape(name)}</title></polyline>'
+            f'<polyline class="line dash{number % DASHES} {escape(keys[name])}" points="{path}">'
+            f"<title>{escape(name)}</title></polyline>"
         )
     middle = (LEFT + WIDTH - RIGHT) / 2
     parts.append(f'<text class="axis" x="{middle}" y="{HEIGHT - 6}" text-anchor="middle">{escape(x_label)}</text>')
@@ -46,6 +52,19 @@ def line_chart(series: Series, keys: Mapping[str, str], *, x_label: str, y_label
     turned = f'transform="translate(14 {centre}) rotate(-90)"'
     parts.append(f'<text class="axis" {turned} text-anchor="middle">{escape(y_label)}</text>')
     return "".join([*parts, "</svg>"])
+
+
+def plot_data(series: Iterable[tuple[str, str, Sequence[tuple[float, float, str, str]]]], x_label: str) -> str:
+    """The attribute by which a script shows the values of a chart where one points at it.
+
+    Args:
+        series: Name, CSS class, and points: x and y in the picture, then their values as text.
+        x_label: What the x axis is.
+    """
+    lines = [{"name": name, "key": key, "points": [[round(x, 1), round(y, 1), a, b] for x, y, a, b in points]}
+             for name, key, points in series]  # fmt: skip
+    found = json.dumps({"x": x_label, "lines": lines}, separators=(",", ":"), ensure_ascii=False)
+    return f'data-plot="{escape(found)}"'
 
 
 def _log_range(values: Sequence[float]) -> tuple[float, float]:

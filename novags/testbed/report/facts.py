@@ -13,35 +13,9 @@ from novags.testbed.folders.run import METRICS, Run
 from novags.testbed.folders.set import Source
 from novags.testbed.report.charts import line_chart
 from novags.testbed.report.rows import Row, deviations, main_row, rows_of
+from novags.testbed.report.tables import GEOMETRY, ranked
 
-# key, heading, unit, whether more is better; the first is the main score
-_ENHANCED = (
-    ("aligned_psnr", "PSNR aligned", "dB", True),
-    ("tone_aligned_psnr", "PSNR tone-aligned", "dB", True),
-    ("psnr", "PSNR", "dB", True),
-    ("aligned_ssim", "SSIM aligned", "", True),
-    ("tone_aligned_ssim", "SSIM tone-aligned", "", True),
-    ("ssim", "SSIM", "", True),
-    ("flip", "FLIP", "", False),
-    ("delta_e", "ΔE2000", "", False),
-    ("lpips", "LPIPS", "", False),
-)
-COLUMNS = {
-    "enhanced": _ENHANCED,
-    "linear": (("linear_psnr", "PSNR linear", "dB", True),),
-    "lit": (_ENHANCED[1], _ENHANCED[0], *_ENHANCED[2:]),
-}
 EXACT = 1e-4  # degrees or extents; camera files round, and smaller errors are invisible
-GEOMETRY = (
-    ("abs_rel", "relative error", "", False),
-    ("within_5_percent", "within 5 %", "", True),
-    ("coverage", "covered", "", True),
-    ("floaters", "floaters", "", False),
-    ("consistency", "colour change between views", "", False),
-)
-
-
-Columns = tuple[tuple[str, str, str, bool], ...]
 
 
 @dataclass(frozen=True)
@@ -146,39 +120,11 @@ def leading(material: Material) -> tuple[str, str, str] | None:
     return None
 
 
-def score_table(metrics: Mapping[str, Any], kind: str, competes: Mapping[str, bool]) -> list[dict[str, Any]]:
-    """One row for each run that has this reference, with the best value of each column marked.
-
-    Args:
-        metrics: As in metrics.json.
-        kind: The reference.
-        competes: Whether a run may be the best, by name.
-    """
-    means = {name: m["mean"][kind] for name, m in metrics["methods"].items() if m["mean"].get(kind)}
-    return best_marked(means, COLUMNS[kind], competes)
-
-
-def best_marked(
-    values: Mapping[str, Mapping[str, Any]], columns: Columns, competes: Mapping[str, bool]
-) -> list[dict[str, Any]]:
-    """Rows of cells; the best value of each column among the runs that compete is marked."""
-    rows = []
-    for name, row in values.items():
-        cells = []
-        for key, _, _, more_is_better in columns:
-            rivals = [r[key] for other, r in values.items() if competes[other] and r.get(key) is not None]
-            best = (max if more_is_better else min)(rivals, default=None)
-            mark = competes[name] and row.get(key) == best and len(rivals) > 1
-            cells.append({"key": key, "value": row.get(key), "best": mark})
-        rows.append({"method": name, "cells": cells})
-    return rows
-
-
 def geometry_table(material: Material) -> list[dict[str, Any]]:
     """Depth scores of each run; empty where the true depth is not known."""
     found = {name: m["geometry"] for name, m in material.metrics["methods"].items() if m.get("geometry")}
     flat = {name: {**scores, "consistency": scores["consistency"]["excess"]} for name, scores in found.items()}
-    return best_marked(flat, GEOMETRY, {name: row.competes for name, row in material.rows.items()})
+    return ranked(flat, GEOMETRY, {name: row.competes for name, row in material.rows.items()})
 
 
 def camera_table(material: Material) -> list[dict[str, Any]]:
@@ -211,8 +157,8 @@ def training_table(material: Material) -> list[dict[str, Any]]:
     return [{"label": label, "key": key, **scores[key]} for key, label in labels.items() if key in scores]
 
 
-def loss_chart(runs: Mapping[str, Run], rows: Mapping[str, Row]) -> str | None:
-    """Photometric loss over the iterations, one line for each run; None if nothing was logged."""
+def loss_chart(runs: Mapping[str, Run], rows: Mapping[str, Row]) -> dict[str, Any] | None:
+    """Photometric loss over the iterations, one line for each run, and what stands for which; None without a log."""
     series = {}
     for name, run in runs.items():
         points = [(e["iteration"], e["photometric"]) for e in run.events() if "photometric" in e]
@@ -221,9 +167,10 @@ def loss_chart(runs: Mapping[str, Run], rows: Mapping[str, Row]) -> str | None:
         return None
     keys = {name: row.key for name, row in rows.items()}
     series = {name: points for name, points in series.items() if points}
-    return line_chart(
+    chart = line_chart(
         series, keys, x_label="iteration", y_label="photometric loss", title="Photometric loss over iterations"
     )
+    return {"chart": chart, "key": [(name, keys[name]) for name in series]}
 
 
 def smoothed(points: list[tuple[float, float]], count: int = 50) -> list[tuple[float, float]]:

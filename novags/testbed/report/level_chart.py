@@ -1,9 +1,12 @@
 """A chart over the light as inline SVG: lines through means, bars for the spread, a mark where a curve breaks."""
 
 import math
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+
+from novags.testbed.report.charts import plot_data
 
 WIDTH, HEIGHT = 720, 340
 LEFT, RIGHT, TOP, BOTTOM = 62, 170, 14, 46
@@ -45,7 +48,8 @@ def level_chart(lines: Sequence[Line], *, x_label: str, y_label: str, title: str
     if not points or min(x for x, *_ in points) <= 0:
         raise ValueError("a chart over the light needs at least one point, and light > 0 at every one")
     frame = _Frame.around(points)
-    parts = [f'<svg class="chart" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(title)}">']
+    opened = f'<svg class="chart" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(title)}"'
+    parts = [f"{opened} {plot_data([frame.placed(line) for line in lines], x_label)}>"]
     parts += frame.axes(sorted({x for x, *_ in points}), x_label, y_label)
     for place, line in enumerate(lines):
         parts += frame.line(line)
@@ -62,6 +66,7 @@ def alone(chart: str, colors: Mapping[str, str]) -> str:
     """
     own = "".join(f".{key} {{ --own: {color}; }}\n" for key, color in colors.items())
     opened = f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{HEIGHT}" '
+    chart = re.sub(r' data-plot="[^"]*"', "", chart, count=1)  # which only the script of the page reads
     return chart.replace("<svg ", opened, 1).replace(">", f"><style>{ALONE}{own}</style>", 1) + "\n"
 
 
@@ -88,6 +93,13 @@ class _Frame:
 
     def y(self, value: float) -> float:
         return HEIGHT - BOTTOM - (HEIGHT - TOP - BOTTOM) * (value - self.bottom) / (self.top - self.bottom)
+
+    def placed(self, line: Line) -> tuple[str, str, list[tuple[float, float, str, str]]]:
+        """A line as `plot_data` takes it."""
+        told = [f"{mean:.4g}" + (f" ({least:.4g} to {largest:.4g})" if largest > least else "")
+                for _, mean, least, largest in line.points]  # fmt: skip
+        return line.name, line.key, [(self.x(x), self.y(mean), f"{x:g}", text)
+                                     for (x, mean, *_), text in zip(line.points, told, strict=True)]  # fmt: skip
 
     def axes(self, levels: Sequence[float], x_label: str, y_label: str) -> list[str]:
         end, parts = WIDTH - RIGHT, []

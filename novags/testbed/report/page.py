@@ -6,18 +6,17 @@ Runs of one capture get the whole report; those of several captures a table for 
 import os
 import re
 from collections.abc import Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import digest, read_json, write_text
+from novags.testbed.cache import digest, jsonable, read_json, write_text
 from novags.testbed.console import Console, Update
 from novags.testbed.folders import shapes
 from novags.testbed.folders.experiment import EXPERIMENT, REPORT, experiments_in, find_runs
 from novags.testbed.folders.linear_photographs import LinearPhotographs
 from novags.testbed.folders.run import METRICS
 from novags.testbed.report.facts import (
-    COLUMNS,
-    GEOMETRY,
     Material,
     camera_table,
     configurations,
@@ -29,16 +28,20 @@ from novags.testbed.report.facts import (
     number,
     photographs_text,
     plans,
-    score_table,
     signed,
     size,
     title,
     training_table,
     what_was_done,
 )
-from novags.testbed.report.pictures import ERROR_CEILING, pick_views, view_tiles
+from novags.testbed.report.look.album import Album, files_of
+from novags.testbed.report.look.maps import ERROR_CEILING
+from novags.testbed.report.pictures import pick_views, view_tiles
+from novags.testbed.report.rows import rows_of
+from novags.testbed.report.signal_chart import signal
+from novags.testbed.report.tables import COLUMNS, GEOMETRY, per_view, score_table
 from novags.testbed.report.verdict import cards, verdict
-from novags.testbed.results.again import run_again
+from novags.testbed.results.again import run_again, score_again
 from novags.testbed.results.comparison import MAIN, Group, deltas_of, groups_of
 from sensor_model.files.lock import locked
 
@@ -102,9 +105,7 @@ def write_reports(
         if len(groups) == 1:
             group = groups[0]
             material = Material(path.parent, {}, group.runs, group.metrics, group.capture, group.lit)
-            with console.progress("report") as progress:
-                context = report_context(material, progress)
-            return fill_page("report.html", path, {**context, "identity": identity})
+            return _fill_report(path, material, console, identity)
         return fill_page("comparison.html", path, comparison_context(groups, path.parent, identity))
 
 
@@ -124,22 +125,43 @@ def _identity(path: Path) -> str | None:
 
 
 def _write_report(folder: Path, console: Console) -> Path:
-    material = read_material(folder, console)
+    return _fill_report(folder / REPORT, read_material(folder, console), console)
+
+
+def _fill_report(path: Path, material: Material, console: Console, identity: str = "") -> Path:
+    album = Album(path)
     with console.progress("report") as progress:
-        context = report_context(material, progress)
-    return fill_page("report.html", folder / REPORT, context)
+        context = report_context(material, album, progress)
+    album.settle()
+    return fill_page("report.html", path, {**context, "identity": identity})
 
 
 def fill_page(template: str, path: Path, context: dict[str, Any]) -> Path:
     """Write a page and return its path."""
     import jinja2
 
-    loader = jinja2.PackageLoader("novags.testbed.report", "")
+    loader = jinja2.PackageLoader("novags.testbed.report", "templates")
     templates = jinja2.Environment(loader=loader, autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
                                    lstrip_blocks=True)  # fmt: skip
-    templates.filters.update(number=number, duration=duration, size=size, signed=signed)
-    write_text(path, templates.get_template(template).render(context))
+    templates.filters.update(number=number, duration=duration, size=size, signed=signed, json=_embedded)
+    templates.globals.update(asset=_asset)
+    known = {"files": files_of(path).name, "looks": {}, "identity": "", "data": {}}
+    write_text(path, templates.get_template(template).render({**known, **context}))
     return path
+
+
+def _asset(name: str) -> Any:
+    """A script or a style as it is."""
+    import markupsafe
+
+    return markupsafe.Markup((files("novags.testbed.report") / name).read_text(encoding="utf-8"))
+
+
+def _embedded(value: Any) -> Any:
+    """JSON that neither ends a script nor an attribute."""
+    import jinja2.utils
+
+    return jinja2.utils.htmlsafe_json_dumps(jsonable(value), separators=(",", ":"), allow_nan=False)
 
 
 def comparison_context(groups: Sequence[Group], folder: Path, identity: str) -> dict[str, Any]:
@@ -149,13 +171,14 @@ def comparison_context(groups: Sequence[Group], folder: Path, identity: str) -> 
         by = {kind: group.deltas(kind) for kind in ("enhanced", "lit")}
         recovered = {"enhanced": group.metrics["recovered"], "lit": group.metrics["recovered_lit"]}
         rows = []
+        competes = {name: row.competes for name, row in rows_of(group.runs).items()}
         for name, run in group.runs.items():
             scores = group.metrics["methods"][name]
             row = {kind: {"value": (scores["mean"].get(kind) or {}).get(MAIN[kind]), "delta": by[kind][0].get(name),
                           "recovered": recovered[kind].get(name)} for kind in by}  # fmt: skip
             geometry = scores.get("geometry")
-            rows.append({"name": name, **row, "depth": geometry and geometry["abs_rel"],
-                         "seconds": run.record["stage"]["seconds"], "again": run_again(run, folder)})  # fmt: skip
+            rows.append({"name": name, **row, "competes": competes[name], "depth": geometry and geometry["abs_rel"],
+                         "seconds": run.record["stage"]["seconds"], "again": score_again(run, folder)})  # fmt: skip
         base = {kind: found[1] for kind, found in by.items()}
         shown.append({"title": group.title, "base": base, "rows": rows, "unavailable": group.metrics["unavailable"],
                       "unregistered": group.lit.views.unregistered})  # fmt: skip
@@ -171,15 +194,19 @@ def commands(material: Material) -> dict[str, str]:
     return {name: command for name, command in found.items() if command is not None}
 
 
-def report_context(material: Material, progress: Update) -> dict[str, Any]:
-    """What the template shows."""
+def report_context(material: Material, album: Album, progress: Update) -> dict[str, Any]:
+    """What the template shows; its pictures go into `album`."""
     competes = {name: row.competes for name, row in material.rows.items()}
     methods = {name: run.method for name, run in material.runs.items()}
     picked = pick_views(material.capture)
     views = []
     for done, i in enumerate(picked):
-        views.append(view_tiles(i, material.runs, material.main, material.capture, material.lit, material.metrics))
-        progress(done + 1, len(picked), f"view {views[-1].name}")
+        shown = view_tiles(i, material.runs, material.main, material.capture, material.lit, material.metrics, album)
+        views.append(shown)
+        progress(done + 1, len(picked), f"view {shown.name}")
+    scored = {kind: per_view(material.metrics, kind) for kind in COLUMNS}
+    left, right = material.bound("floor") or material.main, material.main
+    looks = {name: {"key": row.key, "competes": row.competes} for name, row in material.rows.items()}
     return {
         "title": title(material),
         "what": what_was_done(material),
@@ -187,11 +214,13 @@ def report_context(material: Material, progress: Update) -> dict[str, Any]:
         "cards": cards(material),
         "views": views,
         "main": material.main,
-        "compared": {"left": material.bound("floor") or material.main, "right": material.main},
+        "data": {"left": [f"render-{left}", "enhanced"], "right": [f"render-{right}", "truth-lit"],
+                 "views": scored, "looks": looks},
         "error_ceiling": ERROR_CEILING,
-        "rows": material.rows,
+        "looks": material.rows,
         "tables": {kind: score_table(material.metrics, kind, competes) for kind in COLUMNS},
         "columns": COLUMNS,
+        "per_view": scored,
         "geometry": geometry_table(material),
         "geometry_columns": GEOMETRY,
         "cameras": camera_table(material),
@@ -206,6 +235,7 @@ def report_context(material: Material, progress: Update) -> dict[str, Any]:
         "loss_chart": loss_chart(material.runs, material.rows),
         "costs": costs(material),
         "plans": plans(material),
+        "signal": signal(material.capture, picked),
         "kind": material.lit.views.kind,
         "photographs": photographs_text(material) if material.capture.imported else None,
         "linear": isinstance(material.lit.views, LinearPhotographs),
@@ -215,7 +245,7 @@ def report_context(material: Material, progress: Update) -> dict[str, Any]:
         "unavailable": material.metrics["unavailable"],
         "configurations": configurations(material),
         "commands": commands(material),
-        "identity": "",
+        "commands_of": {name: score_again(run, material.folder) for name, run in material.runs.items()},
         "deltas": {"linear": ({}, ""), **{kind: deltas_of(material.metrics, methods, kind) for kind in MAIN}},
         "environment": material.runs[material.main].record["stage"],
-    }
+    }  # fmt: skip

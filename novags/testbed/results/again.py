@@ -72,6 +72,12 @@ def run_again(run: Run, folder: Path) -> str | None:
     return shlex.join([*words, "--out", f"{run.name}-{AGAIN}"])
 
 
+def score_again(run: Run, folder: Path) -> str | None:
+    """The commands that reconstruct and score as `run` was, when they are run in `folder`; None as for `run_again`."""
+    command = run_again(run, folder)
+    return None if command is None else f"{command} && {shlex.join(['novags', 'score', f'{run.name}-{AGAIN}'])}"
+
+
 def _named(name: str, method: str, wanted: Mapping[str, Any]) -> list[str]:
     """`--method` or `--variant` with what makes `wanted` of it; [] where nothing does."""
     known = name in METHODS or name in VARIANTS

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from novags.testbed.report import verdict
-from novags.testbed.report.facts import COLUMNS
+from novags.testbed.report.tables import COLUMNS
 
 HEADINGS = {key: heading for key, heading, _, _ in COLUMNS["enhanced"]}
 

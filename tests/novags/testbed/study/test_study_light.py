@@ -10,7 +10,8 @@ from typing import Any
 import pytest
 
 from novags.testbed.report.level_chart import Line, level_chart
-from novags.testbed.report.levels import is_study, looks_of, write_levels
+from novags.testbed.report.study.light import looks_of
+from novags.testbed.report.study.page import is_study, write_study
 from novags.testbed.study.light import MEASURES, Measure, common_knee, knee_of, light_curves
 
 FALL = Measure("psnr", "enhanced.aligned_psnr", "PSNR", "dB", "below", 3.0)
@@ -122,7 +123,7 @@ def test_the_report_of_a_study_shows_the_curves_and_writes_their_numbers(study: 
     rows = [row(e, m, s, 20 + 3 * math.log2(e) + s) for e in (1, 2, 4) for m in ("naive", "mine") for s in (0, 1)]
     folder = study(rows)
     assert is_study(folder)
-    page = write_levels(folder).read_text(encoding="utf-8")
+    page = write_study(folder).read_text(encoding="utf-8")
     drawn = (folder / "light-psnr.svg").read_text(encoding="utf-8")
     assert page.count("<polyline") == drawn.count("<polyline") == 2
     assert drawn.count("breaks at 2<") == 2  # 3 dB are one doubling: from 4 to 2
@@ -140,14 +141,14 @@ def test_the_report_of_a_study_shows_the_curves_and_writes_their_numbers(study: 
 def test_a_picture_for_each_place_where_places_differ(study: Callable[..., Path]) -> None:
     rows = [row(e, "naive", 0, 20.0 + e) | {"scene": place} for e in (1, 2) for place in ("a", "b c")]
     folder = study(rows)
-    write_levels(folder)
+    write_study(folder)
     assert sorted(path.name for path in folder.glob("*.svg")) == ["light-psnr-scene-a.svg", "light-psnr-scene-b-c.svg"]
 
 
 def test_a_study_with_nothing_done_says_so(study: Callable[..., Path]) -> None:
     rows = [row(e, "naive", 0, None, state="failed", stage="x") for e in (1, 2)]
-    with pytest.raises(ValueError, match="no finished run to draw"):
-        write_levels(study(rows))
+    with pytest.raises(ValueError, match="no finished run to show"):
+        write_study(study(rows))
 
 
 def test_colours_of_variants_differ_and_bounds_are_dashed() -> None:

@@ -1,6 +1,6 @@
-"""The report on a study over the light: curves, where each method breaks, and the same as JSON, CSV and pictures.
+"""A study over the light: curves, where each method breaks, and the same as JSON, CSV and pictures beside the page.
 
-report.html            light.json   light.csv   (every point of every curve)   light-knees.csv
+light.json   light.csv (every point of every curve)   light-knees.csv
 light-MEASURE.svg      light-MEASURE-PLACE.svg  (where other axes than light, method and seed have several values)
 """
 
@@ -14,18 +14,12 @@ from typing import Any
 
 from novags.methods import METHODS, chosen, with_variants
 from novags.methods.variant import Variant
-from novags.testbed.cache import read_json, write_json, write_text
-from novags.testbed.folders.experiment import REPORT
+from novags.testbed.cache import write_json, write_text
 from novags.testbed.report.level_chart import Line, alone, level_chart
-from novags.testbed.report.page import fill_page
 from novags.testbed.report.rows import OTHER, distinct
-from novags.testbed.study.conduct import STUDY
-from novags.testbed.study.light import Curve, Measure, light_curves
-from novags.testbed.study.results import JSON, counted
+from novags.testbed.study.light import ELECTRONS, Curve, Measure, light_curves
 
 DATA, POINTS, KNEES = "light.json", "light.csv", "light-knees.csv"
-RESULTS: Any = {"axes": {"*": list}, "rows": [{"state": str, "method": str}]}
-TABLE: Any = {"file": str, "table": dict}
 
 
 @dataclass(frozen=True)
@@ -48,45 +42,31 @@ class Chart:
         return self.curves[0].measure
 
 
-def is_study(folder: Path) -> bool:
-    """Whether a folder holds the tables of a study."""
-    return (folder / STUDY).is_file() and (folder / JSON).is_file()
-
-
-def write_levels(folder: Path, out: Path | None = None) -> Path:
-    """Write the report on a study over the light and return its path.
+def light_report(folder: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[str, Sequence[Any]],
+                 looks: Mapping[str, "Look"]) -> dict[str, Any] | None:  # fmt: skip
+    """What the page shows of a study over the light; its pictures and numbers are written into `folder`.
 
     Args:
-        folder: Of the study.
-        out: The HTML file; None: report.html in the folder. The other files go beside it.
+        folder: Of the page.
+        rows: Of the study's table.
+        axes: Its axes and their values.
+        looks: How its methods are drawn.
 
-    Raises:
-        ValueError: If the study has fewer than two light levels, or nothing is done yet.
+    Returns:
+        None where the light was not varied, or nothing is done.
     """
-    results, study = read_json(folder / JSON, RESULTS), read_json(folder / STUDY, TABLE)
-    try:
-        curves = light_curves(results["rows"], results["axes"])
-    except ValueError as error:
-        raise ValueError(f"{folder}: {error}; its rows are in {folder / 'results.csv'}") from error
-    if not curves:
-        raise ValueError(f"{folder} has no finished run to draw: run its study first, or with --retry-failed")
-    path = out or folder / REPORT
+    if len(axes.get(ELECTRONS, ())) < 2 or not (curves := light_curves(rows, axes)):
+        return None
     charts = charts_of(curves)
-    looks = looks_of(dict.fromkeys(curve.method for curve in curves), study["table"])
     drawn = {chart.file: draw(chart, looks) for chart in charts}
     for file, svg in drawn.items():
-        write_text(path.parent / file, alone(svg, {look.key: look.color for look in looks.values()}))
-    write_json(path.parent / DATA, {"curves": [as_record(curve) for curve in curves]})
-    write_text(path.parent / POINTS, as_csv(point_rows(curves)))
+        write_text(folder / file, alone(svg, {look.key: look.color for look in looks.values()}))
+    write_json(folder / DATA, {"curves": [as_record(curve) for curve in curves]})
+    write_text(folder / POINTS, as_csv(point_rows(curves)))
     knees = knee_rows(curves)
-    write_text(path.parent / KNEES, as_csv(knees))
-    context = {
-        "title": f"{study['file']}: {len(results['rows'])} runs over the light", "charts": charts, "drawn": drawn,
-        "looks": looks, "knees": knees, "states": counted(results["rows"]),
-        "failed": [row for row in results["rows"] if row["state"] == "failed"],
-        "files": {"points": POINTS, "knees": KNEES, "data": DATA},
-    }  # fmt: skip
-    return fill_page("study.html", path, context)
+    write_text(folder / KNEES, as_csv(knees))
+    return {"charts": charts, "drawn": drawn, "knees": knees,
+            "files": {"points": POINTS, "knees": KNEES, "data": DATA}}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -96,6 +76,11 @@ class Look:
     key: str
     color: str
     bound: bool  # it sees truth
+
+    @property
+    def competes(self) -> bool:
+        """Whether it may be the best."""
+        return not self.bound
 
 
 def looks_of(names: Iterable[str], study: Mapping[str, Any]) -> dict[str, Look]:
@@ -111,7 +96,8 @@ def looks_of(names: Iterable[str], study: Mapping[str, Any]) -> dict[str, Look]:
     for name in names:
         method = None if name in programs else METHODS[chosen(name, variants).method]
         color = distinct(OTHER if method is None else method.color, [look.color for look in found.values()])
-        found[name] = Look(f"m{len(found)}", color, method is not None and method.sees_clean)
+        sees = method is not None and (method.sees_clean or method.sees_surface)
+        found[name] = Look(f"m{len(found)}", color, sees)
     return found
 
 

@@ -1,0 +1,1 @@
+"""What a report lets its reader look at: pictures, maps, and the numbers of single pixels."""

@@ -1,0 +1,191 @@
+"""Where pictures and data of a page go: into it while they are few, else beside it, with thumbnails in the page."""
+
+import base64
+import hashlib
+import io
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from sensor_model.files.atomic import atomic
+
+INSIDE = 14_000_000  # bytes of text that pictures and data may take in a page: with the rest it stays below 20 MB
+THUMB = 144  # px, longest side
+PNG_PIXELS = 256 * 256  # above it JPEG: noise compresses badly, and the page would grow by megabytes
+SUFFIX = {"png": "png", "jpeg": "jpg"}
+OWN = re.compile(r"[0-9a-f]{20}\.(png|jpg|js)")  # names of files beside a page; what is called otherwise is not ours
+
+
+@dataclass
+class Picture:
+    """A picture of a page.
+
+    Attributes:
+        data: The encoded picture.
+        kind: "png" or "jpeg".
+        src: What the page shows, a data URI: the whole picture, or a thumbnail of it.
+        full: Where the whole picture is, relative to the page; None if `src` is that.
+    """
+
+    data: bytes
+    kind: str
+    src: str = ""
+    full: str | None = None
+
+    @property
+    def exact(self) -> bool:
+        """Whether its codes are those of the picture that was given."""
+        return self.kind == "png"
+
+
+@dataclass
+class Script:
+    """Data of a page, as text that a script can read.
+
+    Attributes:
+        text: What it reads.
+        inside: Whether the page holds the text; None before `Album.settle`.
+        file: Where it is otherwise, relative to the page: a script that hands the text over.
+    """
+
+    text: str
+    name: str
+    inside: bool | None = None
+    file: str | None = None
+
+
+@dataclass
+class Album:
+    """The pictures and the data of one page.
+
+    Attributes:
+        page: The HTML file.
+        inside: Bytes of text that they may take in the page.
+    """
+
+    page: Path
+    inside: int = field(default_factory=lambda: INSIDE)
+    _pictures: list[Picture] = field(default_factory=list)
+    _scripts: list[Script] = field(default_factory=list)
+
+    @property
+    def folder(self) -> Path:
+        """What lies beside the page, if anything does."""
+        return files_of(self.page)
+
+    def add(self, image: np.ndarray) -> Picture:
+        """A float image [h,w,3] in 0..1: PNG while small, JPEG above `PNG_PIXELS`."""
+        codes = np.ascontiguousarray(np.round(np.clip(image, 0.0, 1.0) * 255).astype(np.uint8)[..., ::-1])
+        if codes.shape[0] * codes.shape[1] > PNG_PIXELS:
+            return self.add_encoded(_encoded(codes, "jpeg", 92), "jpeg")
+        return self.add_encoded(_with_palette(codes) or _encoded(codes, "png", 0), "png")
+
+    def add_file(self, path: Path) -> Picture:
+        """An 8-bit PNG file: as it is while small, else as JPEG.
+
+        Raises:
+            ValueError: If it is no picture.
+        """
+        data = path.read_bytes()
+        codes = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+        if codes is None:
+            raise ValueError(f"{path} is no picture: make it again")
+        if codes.shape[0] * codes.shape[1] > PNG_PIXELS:
+            return self.add_encoded(_encoded(codes, "jpeg", 92), "jpeg")
+        return self.add_encoded(data, "png")
+
+    def add_encoded(self, data: bytes, kind: str) -> Picture:
+        """A picture that is encoded already, "png" or "jpeg"."""
+        self._pictures.append(Picture(data, kind))
+        return self._pictures[-1]
+
+    def add_data(self, name: str, data: bytes) -> Script:
+        """Bytes that scripts of the page ask for by this name."""
+        self._scripts.append(Script(base64.b64encode(data).decode(), name))
+        return self._scripts[-1]
+
+    def settle(self) -> None:
+        """Decide what goes into the page, write the rest beside it, and remove what lies there of earlier pages.
+
+        Raises:
+            OSError: If it cannot be written.
+        """
+        pictures = sum(len(picture.data) * 4 // 3 for picture in self._pictures)
+        data = sum(len(script.text) for script in self._scripts)
+        whole = pictures <= self.inside
+        thumbs = [] if whole else [_thumbnail(picture) for picture in self._pictures]
+        used = pictures if whole else sum(map(len, thumbs))
+        written = set[str]()
+        for picture, thumb in zip(self._pictures, thumbs or self._pictures, strict=True):
+            if isinstance(thumb, str):
+                picture.src, picture.full = thumb, self._write(picture.data, SUFFIX[picture.kind], written)
+            else:
+                picture.src = _uri(picture.data, picture.kind)
+        for script in self._scripts:
+            script.inside = used + data <= self.inside
+            if not script.inside:
+                call = f'novags.probe.receive("{script.name}", "{script.text}");\n'
+                script.file = self._write(call.encode(), "js", written)
+        self._forget(written)
+
+    def _write(self, data: bytes, suffix: str, written: set[str]) -> str:
+        name = f"{hashlib.blake2b(data, digest_size=10).hexdigest()}.{suffix}"
+        if name not in written:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            with atomic(self.folder / name) as temporary:
+                temporary.write_bytes(data)
+            written.add(name)
+        return f"{self.folder.name}/{name}"
+
+    def _forget(self, written: set[str]) -> None:
+        if not self.folder.is_dir():
+            return
+        for path in self.folder.iterdir():
+            if OWN.fullmatch(path.name) and path.name not in written:
+                path.unlink()
+        if not any(self.folder.iterdir()):
+            self.folder.rmdir()
+
+
+def files_of(page: Path) -> Path:
+    """The folder of what lies beside a page."""
+    return page.with_name(f"{page.stem}.files")
+
+
+def _encoded(codes: np.ndarray, kind: str, quality: int) -> bytes:
+    options = [] if kind == "png" else [cv2.IMWRITE_JPEG_QUALITY, quality]
+    done, data = cv2.imencode(f".{kind}", codes, options)
+    assert done
+    return bytes(data.tobytes())
+
+
+def _with_palette(codes: np.ndarray) -> bytes | None:
+    """A picture of at most 256 colours, as colour maps make, at a third of the size; None of one that has more."""
+    from PIL import Image
+
+    packed = codes.astype(np.uint32) @ np.array([1, 256, 65536], np.uint32)
+    colours, places = np.unique(packed, return_inverse=True)
+    if len(colours) > 256:
+        return None
+    picture = Image.fromarray(places.reshape(packed.shape).astype(np.uint8))  # modes "L", then with a palette "P"
+    picture.putpalette(np.stack([colours >> 16, colours >> 8 & 255, colours & 255], -1).astype(np.uint8).tobytes())
+    found = io.BytesIO()
+    picture.save(found, "png")
+    return found.getvalue()
+
+
+def _thumbnail(picture: Picture) -> str:
+    codes = cv2.imdecode(np.frombuffer(picture.data, np.uint8), cv2.IMREAD_COLOR)
+    assert codes is not None
+    shrink = THUMB / max(codes.shape[:2])
+    if shrink < 1:
+        size = (max(1, round(codes.shape[1] * shrink)), max(1, round(codes.shape[0] * shrink)))
+        codes = cv2.resize(codes, size, interpolation=cv2.INTER_AREA)
+    return _uri(_encoded(codes, "jpeg", 75), "jpeg")
+
+
+def _uri(data: bytes, kind: str) -> str:
+    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"

@@ -1,0 +1,72 @@
+// A number of a table says how it was made: a click, or Enter, shows the command. Arrow keys move between numbers.
+novags.cells = {
+  tell(table, cell) {
+    this.shut(table);
+    const row = cell.parentElement, head = table.tHead.rows[0].cells[cell.cellIndex];
+    const name = novags.tables.text(row.querySelector("th")), what = novags.tables.text(head);
+    const rivals = [...table.tBodies[0].rows].filter((other) => other.cells[cell.cellIndex].dataset.rank).length;
+    const place = cell.dataset.rank ? `, place ${cell.dataset.rank} of ${rivals}` : "";
+    const box = document.createElement("div");
+    box.className = "told";
+    box.innerHTML = '<strong></strong> <span class="muted">Make it again, in the folder of this page:</span><pre></pre><div><button type="button">Copy</button><button type="button">Close</button></div>';
+    box.querySelector("strong").textContent = `${name}, ${what}: ${cell.dataset.value || "no value"}${place}.`;
+    box.querySelector("pre").textContent = row.dataset.command;
+    const [copy, close] = box.querySelectorAll("button");
+    copy.addEventListener("click", () => this.copy(row.dataset.command, copy));
+    close.addEventListener("click", () => {
+      this.shut(table);
+      cell.focus();
+    });
+    table.parentElement.after(box);
+    novags.state.set(`cell.${table.dataset.name}`, `${cell.cellIndex}:${name}`);
+  },
+  shut(table) {
+    const next = table.parentElement.nextElementSibling;
+    if (next?.classList.contains("told")) next.remove();
+    novags.state.set(`cell.${table.dataset.name}`, "");
+  },
+  async copy(text, button) {
+    try {
+      await navigator.clipboard.writeText(text);
+      button.textContent = "Copied";
+    } catch {  // a page from a file may not
+      getSelection().selectAllChildren(button.closest(".told").querySelector("pre"));
+      button.textContent = "Selected: press Ctrl+C";
+    }
+  },
+  move(cell, key) {
+    const row = cell.parentElement, at = cell.cellIndex;
+    const next = { ArrowLeft: row.cells[at - 1], ArrowRight: row.cells[at + 1], ArrowUp: row.previousElementSibling?.cells[at], ArrowDown: row.nextElementSibling?.cells[at] }[key];
+    if (!next?.classList.contains("num")) return;
+    next.tabIndex = 0;
+    cell.tabIndex = -1;
+    next.focus();
+  },
+};
+
+novags.parts.push({
+  start() {
+    for (const table of document.querySelectorAll("table[data-name]")) {
+      const first = table.querySelector("tr[data-command] td.num");
+      if (!first) continue;
+      first.tabIndex = 0;
+      const asked = (event) => event.target.closest("tr[data-command] td.num");
+      table.tBodies[0].addEventListener("click", (event) => asked(event) && novags.cells.tell(table, asked(event)));
+      table.tBodies[0].addEventListener("keydown", (event) => {
+        const cell = asked(event);
+        if (!cell) return;
+        if (event.key.startsWith("Arrow")) novags.cells.move(cell, event.key);
+        else if (event.key === "Enter" || event.key === " ") novags.cells.tell(table, cell);
+        else return;
+        event.preventDefault();
+      });
+    }
+  },
+  restore() {
+    for (const table of novags.tables.all.keys()) {
+      const [, column, name] = /^(\d+):(.*)$/.exec(novags.state.get(`cell.${table.dataset.name}`)) ?? [];
+      const row = [...table.tBodies[0].rows].find((other) => other.dataset.command && novags.tables.text(other.querySelector("th")) === name);
+      if (row?.cells[column]) novags.cells.tell(table, row.cells[column]);
+    }
+  },
+});

@@ -1,0 +1,43 @@
+// Tables with many rows can be narrowed to single values of their axes.
+novags.parts.push({
+  tables: [],
+  start() {
+    for (const table of document.querySelectorAll("table[data-name]")) {
+      const box = document.createElement("div"), rows = [...table.tBodies[0].rows], selects = [];
+      box.className = "filters";
+      [...table.tHead.rows[0].cells].forEach((head, column) => {
+        if (!("filter" in head.dataset)) return;
+        const values = [...new Set(rows.map((row) => novags.tables.text(row.cells[column])))];
+        if (values.length < 2) return;
+        const label = document.createElement("label"), select = document.createElement("select"), name = novags.tables.text(head);
+        select.append(new Option("all", ""), ...values.map((value) => new Option(value, value)));
+        select.dataset.key = `only.${table.dataset.name}.${name}`;
+        select.dataset.column = column;
+        select.addEventListener("change", () => {
+          novags.state.set(select.dataset.key, select.value);
+          this.narrow(rows, selects);
+        });
+        label.append(name, select);
+        box.append(label);
+        selects.push(select);
+      });
+      if (!selects.length) continue;
+      table.parentElement.previousElementSibling.before(box);
+      this.tables.push({ rows, selects });
+    }
+  },
+  narrow(rows, selects) {
+    for (const row of rows) {
+      row.hidden = selects.some((select) => select.value && novags.tables.text(row.cells[select.dataset.column]) !== select.value);
+    }
+  },
+  restore() {
+    for (const { rows, selects } of this.tables) {
+      for (const select of selects) {
+        const wanted = novags.state.get(select.dataset.key);
+        select.value = [...select.options].some((option) => option.value === wanted) ? wanted : "";
+      }
+      if (selects.some((select) => select.value) || rows.some((row) => row.hidden)) this.narrow(rows, selects);
+    }
+  },
+});

@@ -1,0 +1,69 @@
+// What is open, sorted and compared, kept in the address: a link to the page shows it as it is now.
+const novags = {
+  data: JSON.parse(document.getElementById("data").textContent),
+  parts: [],  // each with start(), once, and restore(), whenever the address changes
+  byId: (id) => document.getElementById(id),
+
+  start() {
+    this.state.read();
+    for (const part of this.parts) part.start();
+    this.restore();
+    addEventListener("hashchange", () => {
+      this.state.read();
+      this.restore();
+    });
+  },
+  restore() {
+    for (const part of this.parts) part.restore();
+    const target = this.byId(this.state.get("at"));
+    if (target) target.scrollIntoView();
+  },
+};
+
+novags.state = {
+  values: new URLSearchParams(),
+  timer: 0,
+  read() {
+    const text = location.hash.slice(1);
+    this.values = new URLSearchParams(text.includes("=") ? text : "");  // without one it is a plain anchor
+  },
+  get(key) {
+    return this.values.get(key) ?? "";
+  },
+  set(key, value) {
+    if (this.get(key) === String(value ?? "")) return;
+    if (value === "" || value === null || value === undefined) this.values.delete(key);
+    else this.values.set(key, value);
+    clearTimeout(this.timer);  // browsers refuse hundreds of changes in a row
+    this.timer = setTimeout(() => history.replaceState(null, "", `#${this.values}`), 150);
+  },
+};
+
+// Links at headings, and parts that unfold.
+novags.parts.push({
+  start() {
+    for (const heading of document.querySelectorAll(":is(h2, h3, h4)[id]")) {
+      const link = document.createElement("a");
+      link.className = "anchor";
+      link.href = `#at=${heading.id}`;
+      link.textContent = "#";
+      link.setAttribute("aria-label", `Link to “${heading.textContent}”`);
+      link.addEventListener("click", (event) => {
+        event.preventDefault();
+        novags.state.set("at", heading.id);
+        heading.scrollIntoView();
+      });
+      heading.append(link);
+    }
+    for (const part of document.querySelectorAll("details[id]")) {
+      part.dataset.first = part.open ? "open" : "";
+      part.addEventListener("toggle", () => novags.state.set(part.id, this.changed(part) ? (part.open ? "open" : "shut") : ""));
+    }
+  },
+  restore() {
+    for (const part of document.querySelectorAll("details[id]")) {
+      part.open = (novags.state.get(part.id) || (part.dataset.first ? "open" : "shut")) === "open";
+    }
+  },
+  changed: (part) => part.open !== Boolean(part.dataset.first),
+});

@@ -1,0 +1,116 @@
+// Every table can be sorted, downloaded as CSV, and says when columns lie outside the screen.
+novags.tables = {
+  all: new Map(),
+
+  text(cell) {
+    const copy = cell.cloneNode(true);
+    for (const extra of copy.querySelectorAll(".dagger, .arrow, .hidden-csv")) extra.remove();
+    return copy.textContent.replace(/\s+/g, " ").trim();
+  },
+  value(cell) {
+    return cell.dataset.value ?? this.text(cell);
+  },
+  number(text) {
+    return text === "" ? NaN : Number(text === "inf" ? "Infinity" : text.replace("−", "-"));
+  },
+
+  sort(table, column, descending) {
+    const heads = [...table.tHead.rows[0].cells], body = table.tBodies[0], rows = [...body.rows];
+    const keyed = rows.map((row) => ({ row, value: this.value(row.cells[column]) }));
+    const numeric = keyed.every(({ value }) => value === "" || !Number.isNaN(this.number(value)));
+    const sign = descending ? -1 : 1;
+    keyed.sort((a, b) => {
+      if (a.value === "" || b.value === "") return (a.value === "") - (b.value === "");  // unknown ones last, both ways
+      if (numeric) return sign * (this.number(a.value) - this.number(b.value)) || 0;
+      return sign * a.value.localeCompare(b.value, "en", { numeric: true });
+    });
+    body.append(...keyed.map(({ row }) => row));
+    heads.forEach((head, k) => {
+      if (head.hasAttribute("aria-sort")) head.setAttribute("aria-sort", k !== column ? "none" : descending ? "descending" : "ascending");
+    });
+    if (heads[0].classList.contains("rank")) {
+      for (const row of rows) {
+        const cell = row.cells[column], place = row.cells[0];
+        if (place.textContent !== "†") place.textContent = cell.dataset.rank ?? "";
+      }
+    }
+    novags.state.set(`sort.${table.dataset.name}`, `${column}${descending ? "d" : "a"}`);
+  },
+
+  press(table, column) {
+    const head = table.tHead.rows[0].cells[column], now = head.getAttribute("aria-sort");
+    if (now !== "none") return this.sort(table, column, now === "ascending");
+    const more = head.dataset.better ? head.dataset.better === "more" : head.classList.contains("num");
+    this.sort(table, column, more);
+  },
+
+  csv(table) {
+    const quoted = (text) => (/[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
+    const marked = Boolean(table.querySelector("tbody .dagger"));
+    const line = (cells, more) => [...cells, ...(marked ? [more] : [])].map(quoted).join(",");
+    const heads = [...table.tHead.rows[0].cells].map((cell) => (cell.classList.contains("rank") ? "place" : this.text(cell)));
+    const rows = [...table.tBodies[0].rows, ...(table.tFoot ? table.tFoot.rows : [])].filter((row) => !row.hidden);
+    const lines = rows.map((row) => line([...row.cells].map((cell) => this.value(cell).replace("†", "")), row.querySelector(".dagger") ? "yes" : "no"));
+    return [line(heads, "sees truth"), ...lines].join("\n") + "\n";
+  },
+
+  download(table) {
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(new Blob([this.csv(table)], { type: "text/csv" }));
+    link.download = `${table.dataset.name.replace(/[^\w.-]+/g, "-")}.csv`;
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+  },
+
+  // How many columns are not, or not wholly, on the screen.
+  hint(scroll, table, note) {
+    const wider = scroll.scrollWidth > scroll.clientWidth + 1;
+    scroll.classList.toggle("wider", wider);
+    note.hidden = !wider;
+    if (!wider) return;
+    const edge = scroll.getBoundingClientRect().right + 1;
+    const beyond = [...table.tHead.rows[0].cells].filter((cell) => cell.getBoundingClientRect().right > edge).length;
+    note.textContent = beyond ? `→ ${beyond} more ${beyond === 1 ? "column" : "columns"}: move sideways` : "← more columns: move sideways";
+  },
+};
+
+novags.parts.push({
+  start() {
+    const { tables } = novags;
+    for (const table of document.querySelectorAll("table[data-name]")) {
+      const scroll = table.parentElement, over = document.createElement("div");
+      over.className = "over";
+      over.innerHTML = '<span class="more" hidden></span><button type="button">CSV</button>';
+      const [note, csv] = over.children;
+      csv.setAttribute("aria-label", `Download “${scroll.getAttribute("aria-label")}” as CSV`);
+      csv.addEventListener("click", () => tables.download(table));
+      scroll.before(over);
+      [...table.tHead.rows[0].cells].forEach((head, column) => {
+        if (head.classList.contains("rank")) return;
+        const button = document.createElement("button");
+        button.type = "button";
+        button.append(...head.childNodes);
+        head.append(button);
+        head.setAttribute("aria-sort", head.dataset.sorted ?? "none");
+        button.addEventListener("click", () => tables.press(table, column));
+      });
+      const heads = [...table.tHead.rows[0].cells], rows = [...table.tBodies[0].rows];
+      tables.all.set(table, { rows, places: rows.map((row) => row.cells[0].textContent), sorted: heads.map((head) => head.getAttribute("aria-sort")) });
+      new ResizeObserver(() => tables.hint(scroll, table, note)).observe(scroll);
+      scroll.addEventListener("scroll", () => tables.hint(scroll, table, note), { passive: true });
+    }
+  },
+  restore() {
+    for (const [table, first] of novags.tables.all) {
+      const [, column, way] = /^(\d+)([ad])$/.exec(novags.state.get(`sort.${table.dataset.name}`)) ?? [];
+      const heads = [...table.tHead.rows[0].cells];
+      if (column !== undefined && heads[column]?.hasAttribute("aria-sort")) {
+        novags.tables.sort(table, +column, way === "d");
+      } else if (heads.some((head, k) => head.getAttribute("aria-sort") !== first.sorted[k])) {
+        table.tBodies[0].append(...first.rows);
+        heads.forEach((head, k) => head.hasAttribute("aria-sort") && head.setAttribute("aria-sort", first.sorted[k]));
+        if (heads[0].classList.contains("rank")) first.rows.forEach((row, k) => (row.cells[0].textContent = first.places[k]));
+      }
+    }
+  },
+});

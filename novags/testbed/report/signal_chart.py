@@ -1,0 +1,97 @@
+"""How much light the pixels of a capture got: a histogram in electrons, or in codes where electrons are not known."""
+
+from collections.abc import Sequence
+from html import escape
+
+import numpy as np
+
+from novags.testbed.folders.capture import Capture
+from novags.testbed.report.charts import plot_data
+
+WIDTH, HEIGHT = 640, 240
+LEFT, RIGHT, TOP, BOTTOM = 62, 16, 14, 46
+CLASSES = {"red": "red", "green": "green", "blue": "blue"}
+BINS = 60
+
+
+def signal(capture: Capture, indices: Sequence[int]) -> dict[str, str] | None:
+    """The histogram of these views with a sentence on it; None where there is nothing to draw."""
+    if capture.imported or capture.sensor is None:
+        codes = np.concatenate([255 * capture.srgb8(i).reshape(-1, 3) for i in indices])
+        edges = np.linspace(0.0, 256.0, 65)
+        text = f"How bright the pixels of the {len(indices)} views shown are, in 8-bit codes (sRGB)."
+        return {"text": text, "chart": _chart(_shares(codes, edges), edges, "8-bit code", logarithmic=False)}
+    sensor = capture.sensor
+    electrons = np.concatenate(
+        [_channels((capture.truth(i, "clean") - sensor.black_level) / sensor.gain, sensor.cfa) for i in indices]
+    )
+    seen = electrons[np.isfinite(electrons) & (electrons > 0)]
+    if not seen.size:
+        return None
+    low, high = np.quantile(seen, 0.001), seen.max()
+    edges = np.geomspace(min(low, high / 10), high * 1.001, BINS + 1)
+    below = float((electrons < edges[0]).sum() / np.isfinite(electrons).sum())
+    text = (
+        f"How many electrons the pixels of the {len(indices)} views shown collect on average, by the colour of their "
+        f"filter; read noise alone is {sensor.sigma_d:.2g} electrons. {below:.1%} of the pixels get less than the "
+        "chart shows."
+    )
+    return {"text": text, "chart": _chart(_shares(electrons, edges), edges, "electrons per pixel", logarithmic=True)}
+
+
+def _channels(values: np.ndarray, cfa: str | None) -> np.ndarray:
+    """[n,3] of three chips; of a mosaic each pixel is in the column of its filter, and NaN in the others."""
+    if values.ndim == 3:
+        return values.reshape(-1, 3)
+    found = np.full((*values.shape, 3), np.nan, np.float32)
+    for place, letter in enumerate(cfa or "GGGG"):
+        row, column = divmod(place, 2)
+        found[row::2, column::2, "RGB".index(letter)] = values[row::2, column::2]
+    return found.reshape(-1, 3)
+
+
+def _shares(values: np.ndarray, edges: np.ndarray) -> dict[str, np.ndarray]:
+    """The share of each channel's pixels in each bin."""
+    found = {}
+    for channel, name in enumerate(CLASSES):
+        known = values[np.isfinite(values[:, channel]), channel]
+        if known.size:
+            found[name] = np.histogram(known, edges)[0] / known.size
+    return found
+
+
+def _chart(shares: dict[str, np.ndarray], edges: np.ndarray, x_label: str, *, logarithmic: bool) -> str:
+    top = max(share.max() for share in shares.values()) or 1.0
+    scale = np.log(edges) if logarithmic else edges
+    xs = LEFT + (WIDTH - LEFT - RIGHT) * (scale - scale[0]) / (scale[-1] - scale[0])
+    floor = HEIGHT - BOTTOM
+    parts = [f'<rect class="frame" x="{LEFT}" y="{TOP}" width="{WIDTH - LEFT - RIGHT}" height="{floor - TOP}"/>']
+    series = []
+    for place, (name, share) in enumerate(shares.items()):
+        ys = floor - (floor - TOP) * share / top
+        path = f"M{xs[0]:.1f},{floor}" + "".join(f"V{y:.1f}H{x:.1f}" for y, x in zip(ys, xs[1:], strict=True))
+        parts.append(f'<path class="line dash{place} {name}" d="{path}"><title>{name}</title></path>')
+        middle = (xs[1:] + xs[:-1]) / 2
+        centre = np.sqrt(edges[1:] * edges[:-1]) if logarithmic else (edges[1:] + edges[:-1]) / 2
+        series.append((name, name, [(float(a), float(b), f"{c:.3g}", f"{s:.2%}")
+                                    for a, b, c, s in zip(middle, ys, centre, share, strict=True)]))  # fmt: skip
+    for value in _ticks(edges, logarithmic):
+        x = np.interp(np.log(value) if logarithmic else value, scale, xs)
+        parts.append(f'<text class="tick" x="{x:.1f}" y="{floor + 18}" text-anchor="middle">{value:g}</text>')
+    parts.append(f'<text class="tick" x="{LEFT - 8}" y="{TOP + 10}" text-anchor="end">{top:.1%}</text>')
+    middle_x = (LEFT + WIDTH - RIGHT) / 2
+    parts.append(f'<text class="axis" x="{middle_x}" y="{HEIGHT - 6}" text-anchor="middle">{escape(x_label)}</text>')
+    turned = f'transform="translate(14 {(TOP + floor) / 2}) rotate(-90)"'
+    parts.append(f'<text class="axis" {turned} text-anchor="middle">share of the pixels</text>')
+    label = f"Histogram of {x_label}"
+    opened = f'<svg class="chart" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{label}"'
+    return f"{opened} {plot_data(series, x_label)}>{''.join(parts)}</svg>"
+
+
+def _ticks(edges: np.ndarray, logarithmic: bool) -> list[float]:
+    if not logarithmic:
+        return [0, 64, 128, 192, 255]
+    low, high = int(np.floor(np.log10(edges[0]))), int(np.ceil(np.log10(edges[-1])))
+    steps = (1, 2, 5) if high - low <= 3 else (1,)
+    found = [step * 10.0**power for power in range(low, high + 1) for step in steps]
+    return [value for value in found if edges[0] <= value <= edges[-1]]

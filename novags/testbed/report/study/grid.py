@@ -1,0 +1,141 @@
+"""The runs of a study, one line for each combination but the seed, and which method comes first where."""
+
+import statistics
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from novags.testbed.report.facts import join
+from novags.testbed.report.tables import measured, ranks
+from novags.testbed.study.light import METHOD, SEED
+
+Row = Mapping[str, Any]
+# column of the study's table, heading, unit, whether more is better, digits
+COLUMNS = (
+    ("enhanced.aligned_psnr", "PSNR aligned, noise-free", "dB", True, 2),
+    ("lit.tone_aligned_psnr", "PSNR tone-aligned, lit", "dB", True, 2),
+    ("linear.linear_psnr", "PSNR linear", "dB", True, 2),
+    ("enhanced.flip", "FLIP, noise-free", "", False, 3),
+    ("recovered", "Recovered", "", True, 2),
+    ("recovered_lit", "Recovered, lit", "", True, 2),
+    ("geometry.abs_rel", "Depth error", "", False, 3),
+    ("cameras.registered_share", "Views with a camera", "", True, 2),
+    ("seconds.reconstruct", "Reconstruction", "s", False, 1),
+    ("peak_bytes", "Peak memory", "MB", False, 0),
+)
+SCORES = ("enhanced.aligned_psnr", "lit.tone_aligned_psnr", "enhanced.flip", "geometry.abs_rel")
+SCALES = {"peak_bytes": 1e-6}
+
+
+@dataclass
+class Line:
+    """The runs that differ in their seed alone.
+
+    Attributes:
+        place: Values of the axes but method and seed.
+        method: Name of the method.
+        runs: Its rows of the study's table.
+        spread: Mean and standard deviation over the seeds (None of fewer than two) by column; columns without a value
+            are missing.
+        places: Its rank among those that compete at the same place, by column.
+    """
+
+    place: dict[str, Any]
+    method: str
+    runs: list[Row]
+    spread: dict[str, tuple[float, float | None]] = field(default_factory=dict)
+    places: dict[str, int] = field(default_factory=dict)
+
+
+def lines_of(rows: Sequence[Row], axes: Mapping[str, Any], competes: Mapping[str, bool]) -> list[Line]:
+    """One line for each combination of all axes but the seed, best first at each place.
+
+    Args:
+        rows: Of the study's table.
+        axes: Its axes.
+        competes: Whether a method may be the best, by name.
+    """
+    others = [name for name in axes if name not in (METHOD, SEED)]
+    groups: dict[tuple[Any, ...], Line] = {}
+    for row in rows:
+        place = {name: row[name] for name in others}
+        key = (*map(str, place.values()), row[METHOD])
+        groups.setdefault(key, Line(place, str(row[METHOD]), [])).runs.append(row)
+    for line in groups.values():
+        for column, *_ in COLUMNS:
+            values = [value for row in line.runs if (value := _value(row, column)) is not None]
+            if values:
+                sd = statistics.stdev(values) if len(values) > 1 else None
+                line.spread[column] = (statistics.fmean(values), sd)
+    found = []
+    for members in by_place(list(groups.values())).values():
+        for column, _, _, more, _ in COLUMNS:
+            known = {line.method: line.spread[column][0] for line in members
+                     if column in line.spread and competes[line.method]}  # fmt: skip
+            for name, rank in ranks(known, more).items():
+                next(line for line in members if line.method == name).places[column] = rank
+        found += sorted(members, key=_main)
+    return found
+
+
+def by_place(lines: Sequence[Line]) -> dict[tuple[str, ...], list[Line]]:
+    """The lines of each place."""
+    found: dict[tuple[str, ...], list[Line]] = {}
+    for line in lines:
+        found.setdefault(tuple(map(str, line.place.values())), []).append(line)
+    return found
+
+
+def shown_columns(lines: Sequence[Line]) -> list[tuple[str, str, str, bool, int]]:
+    """The columns that have a value."""
+    return [column for column in COLUMNS if any(column[0] in line.spread for line in lines)]
+
+
+def main_column(lines: Sequence[Line]) -> str | None:
+    """The score that decides: against the noise-free exposure where every finished line has it, else the lit one."""
+    done = [line for line in lines if line.spread]
+    return next((column for column in SCORES[:2] if done and all(column in line.spread for line in done)), None)
+
+
+def verdict(lines: Sequence[Line], competes: Mapping[str, bool]) -> str:
+    """How often which method comes first, by the main score and by those that disagree."""
+    if (main := main_column(lines)) is None:
+        return "No score is known of all runs, so no method comes first."
+    headings = {column: heading for column, heading, *_ in COLUMNS}
+    firsts = {column: first_places(lines, column) for column in SCORES}
+    count = sum(firsts[main].values())
+    best = next(iter(firsts[main]), None)
+    if best is None or not any(competes.values()):
+        return "Only methods that see truth were run."
+    others = [f"{name} in {times}" for name, times in firsts[main].items() if name != best]
+    rest = f"; {join(others)}" if others else ""
+    text = f"{best} comes first in {firsts[main][best]} of {count} comparisons by {headings[main]}{rest}."
+    for column in SCORES:
+        if column != main and (found := firsts[column]) and next(iter(found)) != best:
+            winner = next(iter(found))
+            text += (
+                f" Not so by {headings[column]}: there {winner} comes first in {found[winner]} of "
+                f"{sum(found.values())}, {best} in {found.get(best, 0)}."
+            )
+    return text
+
+
+def first_places(lines: Sequence[Line], column: str) -> dict[str, int]:
+    """How often each method comes first by a column, most often first; places with one rival do not count."""
+    found: dict[str, int] = {}
+    for members in by_place(lines).values():
+        placed = [line for line in members if column in line.places]
+        if len(placed) > 1:
+            winner = min(placed, key=lambda line: line.places[column]).method
+            found[winner] = found.get(winner, 0) + 1
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def _value(row: Row, column: str) -> float | None:
+    value = measured(row.get(column)) if row["state"] == "done" else None
+    return None if value is None else value * SCALES.get(column, 1.0)
+
+
+def _main(line: Line) -> tuple[bool, float]:
+    found = next((line.spread[column][0] for column in SCORES[:2] if column in line.spread), None)
+    return found is None, -(found or 0.0)

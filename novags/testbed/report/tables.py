@@ -1,0 +1,126 @@
+"""The tables of scores: which columns there are, who comes first in each, and every view by itself."""
+
+import math
+import statistics
+from collections.abc import Mapping
+from typing import Any
+
+# key, heading, unit, whether more is better; the first is the main score
+_ENHANCED = (
+    ("aligned_psnr", "PSNR aligned", "dB", True),
+    ("tone_aligned_psnr", "PSNR tone-aligned", "dB", True),
+    ("psnr", "PSNR", "dB", True),
+    ("aligned_ssim", "SSIM aligned", "", True),
+    ("tone_aligned_ssim", "SSIM tone-aligned", "", True),
+    ("ssim", "SSIM", "", True),
+    ("flip", "FLIP", "", False),
+    ("delta_e", "ΔE2000", "", False),
+    ("lpips", "LPIPS", "", False),
+)
+COLUMNS = {
+    "enhanced": _ENHANCED,
+    "linear": (("linear_psnr", "PSNR linear", "dB", True),),
+    "lit": (_ENHANCED[1], _ENHANCED[0], *_ENHANCED[2:]),
+}
+GEOMETRY = (
+    ("abs_rel", "relative error", "", False),
+    ("within_5_percent", "within 5 %", "", True),
+    ("coverage", "covered", "", True),
+    ("floaters", "floaters", "", False),
+    ("consistency", "colour change between views", "", False),
+)
+
+Columns = tuple[tuple[str, str, str, bool], ...]
+
+
+def score_table(metrics: Mapping[str, Any], kind: str, competes: Mapping[str, bool]) -> list[dict[str, Any]]:
+    """One row for each run that has this reference, best first, with its rank in each column.
+
+    Args:
+        metrics: As in metrics.json.
+        kind: The reference.
+        competes: Whether a run may be the best, by name.
+    """
+    means = {name: m["mean"][kind] for name, m in metrics["methods"].items() if m["mean"].get(kind)}
+    return ranked(means, COLUMNS[kind], competes)
+
+
+def ranked(
+    values: Mapping[str, Mapping[str, Any]], columns: Columns, competes: Mapping[str, bool]
+) -> list[dict[str, Any]]:
+    """Rows of cells in the order of the first column; the best value of each column among those that compete is marked.
+
+    Args:
+        values: By row, then by column.
+        columns: What is shown.
+        competes: Whether a row may be the best; those that may not have no rank.
+    """
+    places = {}
+    for key, _, _, more in columns:
+        known = {name: found for name, row in values.items() if (found := measured(row.get(key))) is not None}
+        places[key] = ranks({name: value for name, value in known.items() if competes[name]}, more)
+    rows = []
+    for name, row in values.items():
+        cells = []
+        for key, *_ in columns:
+            rank = places[key].get(name)
+            cells.append({"key": key, "value": row.get(key), "rank": rank,
+                          "best": rank == 1 and len(places[key]) > 1})  # fmt: skip
+        rows.append({"method": name, "competes": competes[name], "cells": cells})
+    key, _, _, more = columns[0]
+    return sorted(rows, key=lambda row: _order(measured(values[row["method"]].get(key)), more))
+
+
+def ranks(values: Mapping[str, float], more_is_better: bool) -> dict[str, int]:
+    """The place of each: 1 for the best; equal values share a place, and the next ones are left out."""
+    return {
+        name: 1 + sum((other > value) if more_is_better else (other < value) for other in values.values())
+        for name, value in values.items()
+    }
+
+
+def measured(value: float | str | None) -> float | None:
+    """A score as a number: JSON has infinity as text; None and NaN are no scores."""
+    number = math.nan if value is None else float(value)
+    return None if math.isnan(number) else number
+
+
+def _order(value: float | None, more: bool) -> tuple[bool, float]:
+    return (value is None, 0.0 if value is None else -value if more else value)
+
+
+def per_view(metrics: Mapping[str, Any], kind: str) -> dict[str, Any] | None:
+    """Every score of every held-out view, and its spread over them; None where there are no scores.
+
+    Returns:
+        `views`, `methods`, and by score `heading`, `unit`, `digits`, `values` (a row for each view, a value or None for
+        each method) and `spread` (mean, standard deviation, worst and best of each method).
+    """
+    methods = [name for name, m in metrics["methods"].items() if m["mean"].get(kind)]
+    views = list(dict.fromkeys(view for name in methods for view in metrics["methods"][name]["views"]))
+    scores = {}
+    for key, heading, unit, more in COLUMNS[kind]:
+        values = [[(metrics["methods"][name]["views"].get(view, {}).get(kind) or {}).get(key) for name in methods]
+                  for view in views]  # fmt: skip
+        if any(value is not None for row in values for value in row):
+            columns = [[found for row in values if (found := measured(row[m])) is not None]
+                       for m in range(len(methods))]  # fmt: skip
+            spreads = [spread_of(column, more) for column in columns]
+            scores[key] = {"heading": heading, "unit": unit, "more": more, "digits": digits(key), "values": values,
+                           "spread": {what: [found[what] for found in spreads] for what in spreads[0]}}  # fmt: skip
+    return {"views": views, "methods": methods, "scores": scores} if scores else None
+
+
+def spread_of(values: list[float], more: bool) -> dict[str, float | None]:
+    """Mean, standard deviation (None of fewer than two), worst and best."""
+    if not values:
+        return {"mean": None, "sd": None, "worst": None, "best": None}
+    low, high = min(values), max(values)
+    sd = statistics.stdev(values) if len(values) > 1 and math.isfinite(high - low) else None
+    return {"mean": statistics.fmean(values), "sd": sd,
+            "worst": low if more else high, "best": high if more else low}  # fmt: skip
+
+
+def digits(key: str) -> int:
+    """Digits after the point in which a score is shown."""
+    return 2 if "psnr" in key or key == "delta_e" else 3

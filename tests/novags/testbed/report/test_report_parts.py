@@ -1,0 +1,242 @@
+"""Claims about what a report is made of: places in tables, spreads, maps, pictures, the numbers under the probe."""
+
+import math
+import re
+import sys
+import zlib
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[4]
+sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a module
+
+from novags.testbed import stages  # noqa: E402
+from novags.testbed.console import Console  # noqa: E402
+from novags.testbed.folders.capture import Capture, open_capture  # noqa: E402
+from novags.testbed.report.look.album import Album, files_of  # noqa: E402
+from novags.testbed.report.look.maps import colour_map, normal_map, normals_of_depth  # noqa: E402
+from novags.testbed.report.look.probe import probe_of  # noqa: E402
+from novags.testbed.report.signal_chart import signal  # noqa: E402
+from novags.testbed.report.tables import per_view, ranks, score_table  # noqa: E402
+from novags.testbed.stages.capture import CaptureConfig  # noqa: E402
+from simscenes.sets.pictures.exr import read_exr  # noqa: E402
+from tests.fuzz.readers.records import make_set  # noqa: E402
+
+QUIET = Console(quiet=True)
+
+
+def test_equal_scores_share_a_place_and_the_next_one_is_left_out() -> None:
+    values = {"a": 3.0, "b": 5.0, "c": 5.0, "d": 1.0}
+    assert ranks(values, True) == {"b": 1, "c": 1, "a": 3, "d": 4}
+    assert ranks(values, False) == {"d": 1, "a": 2, "b": 3, "c": 3}
+    assert ranks({}, True) == {}
+
+
+def metrics(**means: Any) -> dict[str, Any]:
+    return {"methods": {name: {"mean": {"enhanced": mean}} for name, mean in means.items()}}
+
+
+def test_rows_stand_best_first_and_what_sees_truth_takes_no_place() -> None:
+    found = score_table(
+        metrics(a={"aligned_psnr": 20.0, "flip": 0.1}, b={"aligned_psnr": None, "flip": 0.3},
+                c={"aligned_psnr": "inf", "flip": 0.2}, bound={"aligned_psnr": 30.0, "flip": 0.0}),
+        "enhanced", {"a": True, "b": True, "c": True, "bound": False},
+    )  # fmt: skip
+    assert [row["method"] for row in found] == ["c", "bound", "a", "b"]
+    places = {row["method"]: {cell["key"]: cell["rank"] for cell in row["cells"]} for row in found}
+    assert {name: place["aligned_psnr"] for name, place in places.items()} == {"a": 2, "b": None, "c": 1, "bound": None}
+    assert {name: place["flip"] for name, place in places.items()} == {"a": 1, "b": 3, "c": 2, "bound": None}
+
+
+def test_the_spread_over_views_is_that_of_the_views() -> None:
+    views = {f"{k}": {"enhanced": {"aligned_psnr": value, "flip": value / 10, "lpips": None}}
+             for k, value in enumerate((20.0, 26.0, 23.0))}  # fmt: skip
+    views["3"] = {"enhanced": {"aligned_psnr": None, "flip": 9.0, "lpips": None}}
+    found = per_view({"methods": {"a": {"mean": {"enhanced": {"flip": 1}}, "views": views}}}, "enhanced")
+    assert found is not None
+    assert found["views"] == ["0", "1", "2", "3"]
+    assert list(found["scores"]) == ["aligned_psnr", "flip"]
+    score = found["scores"]["aligned_psnr"]
+    assert score["values"] == [[20.0], [26.0], [23.0], [None]]
+    assert score["spread"] == {"mean": [23.0], "sd": [3.0], "worst": [20.0], "best": [26.0]}
+    assert found["scores"]["flip"]["spread"]["worst"] == [9.0]
+    assert found["scores"]["flip"]["spread"]["best"] == [2.0]
+    assert per_view({"methods": {"a": {"mean": {"enhanced": None}, "views": {}}}}, "enhanced") is None
+
+
+def test_normals_of_a_tilted_plane_are_its_own_and_face_the_camera() -> None:
+    normal = np.array([0.3, -0.5, -0.8])
+    normal /= np.linalg.norm(normal)
+    K = np.array([[40.0, 0, 15.2], [0, 44.0, 11.1], [0, 0, 1]])
+    rows, columns = np.indices((24, 32))
+    rays = np.stack([(columns + 0.5 - 15.2) / 40, (rows + 0.5 - 11.1) / 44, np.ones((24, 32))], -1)
+    z = (normal @ [0, 0, 5.0]) / (rays @ normal)  # n . (z ray) = n . p
+    found = normals_of_depth(z, K)
+    assert found.reshape(-1, 3) == pytest.approx(np.broadcast_to(normal, (24 * 32, 3)), abs=1e-2)
+    assert found[1:-1, 1:-1].reshape(-1, 3) == pytest.approx(np.broadcast_to(normal, (22 * 30, 3)), abs=2e-3)
+
+
+def test_no_depth_makes_no_normal_and_a_wall_ahead_is_blue() -> None:
+    K = np.array([[20.0, 0, 8], [0, 20.0, 8], [0, 0, 1]])
+    assert not np.isnan(normals_of_depth(np.zeros((16, 16)), K)).any()
+    seen = np.ones((16, 16), bool)
+    seen[0, 0] = False
+    picture = normal_map(normals_of_depth(np.full((16, 16), 2.0), K), seen)
+    assert picture[5, 5] == pytest.approx([0.5, 0.5, 1.0])
+    assert picture[0, 0] == pytest.approx([0.5, 0.5, 0.5])
+
+
+def decoded(uri: str) -> np.ndarray:
+    import base64
+
+    codes = cv2.imdecode(np.frombuffer(base64.b64decode(uri.partition(",")[2]), np.uint8), cv2.IMREAD_COLOR)
+    assert codes is not None
+    return codes[..., ::-1]
+
+
+@pytest.mark.parametrize("kind", ["noise", "map"])
+def test_small_pictures_keep_every_code_and_maps_are_small(tmp_path: Path, kind: str) -> None:
+    rng = np.random.default_rng(0)
+    values = rng.random((60, 50))
+    image = rng.random((60, 50, 3)) if kind == "noise" else colour_map(values, "magma")
+    album = Album(tmp_path / "page.html")
+    picture = album.add(image.astype(np.float32))
+    album.settle()
+    assert (decoded(picture.src) == np.round(255 * image.astype(np.float32)).astype(np.uint8)).all()
+    assert picture.exact
+    assert picture.full is None
+    if kind == "map":
+        plain = cv2.imencode(".png", np.round(255 * image[..., ::-1]).astype(np.uint8))[1]
+        assert len(picture.data) < 0.6 * len(plain)
+
+
+def test_large_pictures_are_jpeg_at_their_own_size(tmp_path: Path) -> None:
+    album = Album(tmp_path / "page.html")
+    picture = album.add(np.random.default_rng(0).random((300, 700, 3)).astype(np.float32))
+    album.settle()
+    assert picture.src.startswith("data:image/jpeg")
+    assert decoded(picture.src).shape == (300, 700, 3)
+    assert not picture.exact
+
+
+def test_beside_a_page_lies_what_it_shows_and_nothing_of_earlier_pages(tmp_path: Path) -> None:
+    def make(*seeds: int, inside: int) -> list[Any]:
+        album = Album(tmp_path / "page.html", inside)
+        found = [album.add(np.random.default_rng(seed).random((200, 250, 3)).astype(np.float32)) for seed in seeds]
+        found.append(album.add_data("probe-x", b"numbers"))  # type: ignore[arg-type]
+        album.settle()
+        return found
+
+    folder = files_of(tmp_path / "page.html")
+    *pictures, data = make(0, 1, inside=10_000)
+    assert {path.name for path in folder.iterdir()} == {Path(item.full or "").name for item in pictures} | {
+        Path(data.file).name
+    }
+    assert all((folder.parent / str(item.full)).read_bytes() == item.data for item in pictures)
+    assert max(decoded(pictures[0].src).shape) == 144
+    (folder / "mine.png").write_bytes(b"x")
+    (kept, _) = make(1, inside=10)
+    assert {path.name for path in folder.iterdir()} >= {"mine.png", Path(kept.full or "").name}
+    assert len(list(folder.iterdir())) == 3
+    (folder / "mine.png").unlink()
+    make(1, inside=10_000_000)
+    assert not folder.exists()
+
+
+@pytest.fixture(scope="module")
+def captures(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Capture]:
+    """Of a set through colour filters of its own: three chips, and a Bayer mosaic."""
+    folder = tmp_path_factory.mktemp("captures")
+    (folder / "set").mkdir()
+    make_set(folder / "set")
+    found = {}
+    for name, sensor in (("chips", "a7s2-iso6400-3chip"), ("mosaic", "a7s2-iso6400")):
+        stages.capture(folder / "set", folder / name, CaptureConfig(sensor=sensor, electrons=60.0), QUIET)
+        found[name] = open_capture(folder / name)
+    return found
+
+
+def planes(header: dict[str, Any], data: bytes) -> dict[str, np.ndarray]:
+    """Each plane [channels,h,w] by its name, as the page describes them."""
+    raw, start, found = np.frombuffer(zlib.decompress(data), np.uint8), 0, {}
+    for plane in header["planes"]:
+        shape = (plane["channels"], header["height"], header["width"])
+        count = math.prod(shape)
+        low, high = raw[start : start + count], raw[start + count : start + 2 * count]
+        codes = low.astype(np.uint16) + 256 * high.astype(np.uint16)
+        values = codes if plane["whole"] else codes.view(np.float16).astype(float) * plane["scale"]
+        found[plane["name"]] = values.reshape(shape)
+        start += 2 * count
+    assert start == len(raw)
+    return found
+
+
+@pytest.mark.parametrize("name", ["chips", "mosaic"])
+def test_a_probe_holds_what_the_files_of_the_capture_say(captures: dict[str, Capture], name: str) -> None:
+    capture = captures[name]
+    sensor = capture.sensor
+    assert sensor is not None
+    probe = probe_of(capture, 1)
+    assert probe is not None
+    found = planes(probe.header, probe.data)
+    truth, _ = read_exr(capture.path / "truth" / "0001.exr")
+    mean, variance = (
+        np.stack([truth[f"{kind}.{c}"] for c in "RGB"]) if name == "chips" else truth[kind][None]
+        for kind in ("mean", "variance")
+    )
+    raw = capture.raw(1)
+    assert (found["dn"] == (np.moveaxis(raw, -1, 0) if raw.ndim == 3 else raw[None])).all()
+    assert found["mean"] == pytest.approx((mean - sensor.black_level) / sensor.gain, rel=6e-4, abs=1e-6)
+    assert found["noise"] == pytest.approx(np.sqrt(variance) / sensor.gain, rel=6e-4)
+    assert probe.header["per_dn"] is None  # a colour matrix mixes the channels
+    assert np.moveaxis(found["linear"], 0, -1) == pytest.approx(capture.linear16(1), rel=6e-4, abs=1e-7)
+    assert np.moveaxis(found["linear_mean"], 0, -1) == pytest.approx(capture.clean_linear(1), rel=6e-4, abs=1e-7)
+    assert probe.header["cfa"] == sensor.cfa
+
+
+def test_signals_beyond_half_precision_keep_their_scale(captures: dict[str, Capture], monkeypatch: Any) -> None:
+    capture = captures["chips"]
+    bright = np.full((24, 32, 3), 5e6, np.float32)
+    bright[0, 0] = 2e5
+    monkeypatch.setattr(type(capture), "truth", lambda self, i, kind: bright)
+    probe = probe_of(capture, 0)
+    assert probe is not None
+    mean = planes(probe.header, probe.data)["mean"]
+    assert capture.sensor is not None
+    assert mean[0, 1, 1] == pytest.approx((5e6 - 512) / capture.sensor.gain, rel=1e-3)
+    assert mean[0, 0, 0] == pytest.approx((2e5 - 512) / capture.sensor.gain, rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["chips", "mosaic"])
+def test_the_histogram_counts_the_electrons_of_each_filter(captures: dict[str, Capture], name: str) -> None:
+    capture = captures[name]
+    assert capture.sensor is not None
+    found = signal(capture, [0, 2])
+    assert found is not None
+    green = []
+    for view in ("0000", "0002"):
+        truth, _ = read_exr(capture.path / "truth" / f"{view}.exr")
+        if name == "chips":
+            green.append(truth["clean.G"].ravel())
+        else:  # RGGB
+            green += [truth["clean"][0::2, 1::2].ravel(), truth["clean"][1::2, 0::2].ravel()]
+    electrons = (np.concatenate(green) - capture.sensor.black_level) / capture.sensor.gain
+    lines = {line["name"]: line["points"] for line in plot(found["chart"])["lines"]}
+    assert list(lines) == ["red", "green", "blue"]
+    shares = np.array([float(point[3].rstrip("%")) / 100 for point in lines["green"]])
+    assert shares.sum() == pytest.approx(1, abs=0.01)
+    centres = np.array([float(point[2]) for point in lines["green"]])
+    assert (shares * centres).sum() == pytest.approx(electrons.mean(), rel=0.05)
+
+
+def plot(chart: str) -> Any:
+    import html
+    import json
+
+    found = re.search(r'data-plot="([^"]*)"', chart)
+    assert found is not None
+    return json.loads(html.unescape(found[1]))
