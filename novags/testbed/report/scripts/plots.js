@@ -1,7 +1,12 @@
 // Charts show the values where one points at them; with the focus on a chart, the arrow keys walk along it.
 novags.plots = {
   svg(kind, attributes) {
-    const made = document.createElementNS("http://www.w3.org/2000/svg", kind);
+    if (!novags.plots.space) {
+      const box = document.createElement("div");
+      box.innerHTML = "<svg></svg>";
+      novags.plots.space = box.firstChild.namespaceURI;
+    }
+    const made = document.createElementNS(novags.plots.space, kind);
     for (const [name, value] of Object.entries(attributes)) made.setAttribute(name, value);
     return made;
   },

@@ -5,7 +5,7 @@ import json
 import math
 import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,102 +15,16 @@ import pytest
 ROOT = Path(__file__).resolve().parents[4]
 sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a module
 
-from novags.methods.variant import Variant  # noqa: E402
-from novags.testbed import stages  # noqa: E402
-from novags.testbed.cache import jsonable  # noqa: E402
 from novags.testbed.console import Console  # noqa: E402
 from novags.testbed.folders.capture import open_capture  # noqa: E402
 from novags.testbed.folders.run import open_run  # noqa: E402
-from novags.testbed.presets import EXPERIMENTS, adapted  # noqa: E402
 from novags.testbed.report.look import album  # noqa: E402
 from novags.testbed.report.page import write_report  # noqa: E402
 from novags.testbed.results.again import run_again  # noqa: E402
-from novags.testbed.stages.capture import CaptureConfig  # noqa: E402
 from simscenes.sets.pictures.exr import read_exr  # noqa: E402
 from simscenes.sets.pictures.png import read_codes  # noqa: E402
-from tests.fuzz.readers.records import STAGE, make_run  # noqa: E402
 
 QUIET = Console(quiet=True)
-PSNR = {"naive": 20.25, "better": 23.75, "oracle": 30.5}
-VIEW = {"0000": 1.0, "0001": -0.5}  # added to the mean score of a view
-
-
-@pytest.fixture(scope="module")
-def experiment(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three runs of a real capture of noise, with scores that are made up; `better` is a variant."""
-    folder = tmp_path_factory.mktemp("page")
-    make_run(folder)
-    facts = json.loads((folder / "set" / "set.json").read_text())
-    del facts["camera_matrix"]  # light in linear sRGB, as of most sets
-    (folder / "set" / "set.json").write_text(json.dumps(facts))
-    stages.capture(folder / "set", folder / "capture", CaptureConfig(electrons=200.0), QUIET, overwrite=True)
-    captured = open_capture(folder / "capture")
-    inputs = {"capture": captured.content, "set": captured.record["stage"]["inputs"]["set"]}
-    shutil.copytree(folder / "naive", folder / "better")
-    better = Variant(name="better", method="naive", settings={"fit.dssim_weight": "0.1"})
-    preset = adapted(EXPERIMENTS["demo"], variants=(better,))
-    metrics = json.loads((folder / "metrics.json").read_text())
-    for name, value in PSNR.items():
-        asked = jsonable(preset.reconstruct(name).resolved())
-        run = json.loads((folder / name / "run.json").read_text()) | {"name": name, "config": asked["config"]}
-        run["stage"]["config"], run["enhancement"]["config"] = asked, {}
-        run["stage"]["inputs"] = inputs
-        (folder / name / "run.json").write_text(json.dumps(run))
-        scores = json.loads(json.dumps(metrics["methods"].get(name, metrics["methods"]["naive"])))
-        for kind in ("enhanced", "lit"):
-            scores["mean"][kind] |= {"aligned_psnr": value, "tone_aligned_psnr": value / 2, "flip": value / 100}
-        scores["views"] = {view: {kind: scores["mean"][kind] | {"aligned_psnr": value + off}
-                                  for kind in ("enhanced", "lit")} for view, off in VIEW.items()}  # fmt: skip
-        metrics["methods"][name] = scores
-        (folder / name / "metrics.json").write_text(
-            json.dumps({"methods": {name: scores}, "recovered": {}, "unavailable": {}, "stage": STAGE})
-        )
-        events = [{"iteration": k, "photometric": 2.0**-k * value} for k in range(1, 6)]
-        (folder / name / "events.jsonl").write_text("".join(json.dumps(event) + "\n" for event in events))
-    (folder / "metrics.json").write_text(json.dumps(metrics))
-    (folder / "experiment.json").write_text(json.dumps({"command": "novags run", "methods": list(PSNR), "preset": {}}))
-    write_report(folder, QUIET)
-    return folder
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    found = shutil.which("chromium")
-    if found is None:
-        pytest.skip("no chromium on this machine (Debian: apt-get install chromium)")
-    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed (scripts/setup dev)")
-    with playwright.sync_playwright() as driver:
-        opened = driver.chromium.launch(executable_path=found, args=["--no-sandbox", "--disable-gpu"])
-        yield opened
-        opened.close()
-
-
-@pytest.fixture
-def visit(browser: Any) -> Iterator[Callable[..., Any]]:
-    """Open a page; anything that it complains of, or asks the network for, fails the test."""
-    contexts, complaints = [], list[str]()
-
-    def complain(said: Any, lost: bool) -> None:
-        if said.type in ("error", "warning") and not (lost and "ERR_FILE_NOT_FOUND" in said.text):
-            complaints.append(said.text)
-
-    def go(page: Path, link: str = "", *, width: int = 1300, theme: str = "light", lost: bool = False) -> Any:
-        context = browser.new_context(
-            viewport={"width": width, "height": 900}, color_scheme=theme, has_touch=width < 500
-        )
-        contexts.append(context)
-        tab = context.new_page()
-        tab.on("console", lambda said: complain(said, lost))
-        tab.on("pageerror", lambda error: complaints.append(str(error)))
-        tab.on("request", lambda asked: None if asked.url.startswith(("file:", "data:", "blob:"))
-               else complaints.append(asked.url))  # fmt: skip
-        tab.goto(page.as_uri() + link)
-        return tab
-
-    yield go
-    for context in contexts:
-        context.close()
-    assert complaints == []
 
 
 def column(tab: Any, table: str, index: int) -> list[str]:
@@ -121,9 +35,9 @@ def column(tab: Any, table: str, index: int) -> list[str]:
     return found
 
 
-def link_of(tab: Any, part: str) -> str:
-    """The address, once it holds `part`."""
-    tab.wait_for_function("part => location.hash.includes(part)", arg=part)
+def link_of(tab: Any) -> str:
+    """The address, once it says what is shown."""
+    tab.wait_for_function("location.hash === `#${novags.state.values}`")
     return str(tab.evaluate("location.hash"))
 
 
@@ -165,7 +79,7 @@ def test_tables_sort_by_any_column_with_places_and_the_link_keeps_it(
     flip.get_by_role("button").press("Enter")
     assert column(tab, "scores-enhanced", 1) == ["oracle†", "better", "naive"]
     assert column(tab, "scores-enhanced", 0) == ["†", "2", "1"]
-    again = visit(experiment / "report.html", link_of(tab, "sort.scores-enhanced"))
+    again = visit(experiment / "report.html", link_of(tab))
     assert column(again, "scores-enhanced", 0) == ["†", "2", "1"]
     again.evaluate("location.hash = ''")
     again.wait_for_function("document.querySelector('[data-name=scores-enhanced] td.rank').textContent === '†'")
@@ -216,7 +130,7 @@ def test_the_border_follows_the_slider_the_keys_and_the_pointer(
     clip = tab.evaluate("getComputedStyle(document.getElementById('left-layer')).clipPath")
     right = float(clip.split()[1].removesuffix("%"))  # what lies right of the border is not of the left picture
     assert right == pytest.approx(100 - border(tab), abs=0.01)
-    link = link_of(tab, f"border={round(border(tab), 4):g}")
+    link = link_of(tab)
     assert border(visit(experiment / "report.html", link)) == pytest.approx(border(tab), abs=1e-3)
 
 
@@ -250,7 +164,7 @@ def test_both_pictures_zoom_around_the_pointer_and_move_in_step(
     tab.mouse.up()
     for side in ("left", "right"):  # what was under the pointer still is
         assert place_under(tab, side, x - 40, y + 20) == pytest.approx(before, abs=2e-3)
-    link = link_of(tab, "zoom=8")
+    link = link_of(tab)
     again = visit(experiment / "report.html", link, width=width)
     assert again.evaluate("[novags.stage.x, novags.stage.y]") == pytest.approx(
         tab.evaluate("[novags.stage.x, novags.stage.y]"), abs=1e-4
@@ -303,7 +217,7 @@ def test_pointing_and_arrow_keys_choose_the_pixel(visit: Callable[..., Any], exp
     tab.mouse.move(box["x"] + box["width"] * 10.5 / 32, box["y"] + box["height"] * 7.5 / 24)
     probed(tab, 10, 7)
     tab.mouse.click(box["x"] + box["width"] * 20.5 / 32, box["y"] + box["height"] * 3.5 / 24)
-    assert "pixel=20" in link_of(tab, "pixel=")
+    assert "pixel=20" in link_of(tab)
     tab.mouse.move(0, 0)
     tab.locator("#compare").press("ArrowDown")
     probed(tab, 20, 4)
@@ -328,7 +242,7 @@ def test_a_small_picture_is_compared_by_a_click_or_a_key(visit: Callable[..., An
     tab.locator("#view").select_option(index=1)
     assert tab.evaluate(shown) == ["error-oracle", "depth-naive"]
     tab.locator("details#departures-m0 summary").click()
-    link = link_of(tab, "departures-m0")
+    link = link_of(tab)
     again = visit(experiment / "report.html", link, width=390)
     assert again.evaluate(shown) == ["error-oracle", "depth-naive"]
     assert again.locator("#view").input_value() == "1"
@@ -336,7 +250,7 @@ def test_a_small_picture_is_compared_by_a_click_or_a_key(visit: Callable[..., An
         "details#departures-m0").get_attribute("open")  # fmt: skip
 
 
-def test_curves_show_their_values_to_pointer_and_keys(visit: Callable[..., Any], experiment: Path) -> None:
+def test_curves_show_their_values_to_pointer_and_keys(visit: Callable[..., Any], experiment: Path, psnr: dict) -> None:
     tab = visit(experiment / "report.html")
     chart = tab.locator("section[aria-labelledby=training] svg.chart")
     chart.focus()
@@ -345,7 +259,7 @@ def test_curves_show_their_values_to_pointer_and_keys(visit: Callable[..., Any],
     note = tab.locator("section[aria-labelledby=training] .plot-note")
     assert note.locator("strong").text_content() == "2 iteration"
     lines = {text.split()[0]: float(text.split()[1]) for text in note.locator("div").all_text_contents()}
-    assert lines == {name: pytest.approx(value / 4, rel=1e-3) for name, value in PSNR.items()}
+    assert lines == {name: pytest.approx(value / 4, rel=1e-3) for name, value in psnr.items()}
     box = chart.bounding_box()
     tab.mouse.move(box["x"] + box["width"] * 0.97, box["y"] + 30)
     assert note.locator("strong").text_content() == "5 iteration"
@@ -353,7 +267,7 @@ def test_curves_show_their_values_to_pointer_and_keys(visit: Callable[..., Any],
     assert not note.is_visible()
 
 
-def test_single_views_show_any_score_with_its_spread(visit: Callable[..., Any], experiment: Path) -> None:
+def test_single_views_show_any_score_with_its_spread(visit: Callable[..., Any], experiment: Path, psnr: dict) -> None:
     tab = visit(experiment / "report.html")
     assert column(tab, "views-enhanced", 0) == ["0000", "0001"]
     assert column(tab, "views-enhanced", 1) == ["21.25", "19.75"]
@@ -363,8 +277,8 @@ def test_single_views_show_any_score_with_its_spread(visit: Callable[..., Any], 
     assert told == {"mean": 20.5, "sd": pytest.approx(1.5 / math.sqrt(2), abs=6e-3), "worst": 19.75, "best": 21.25}
     assert tab.locator('[data-strip="enhanced"] circle').count() == 6
     tab.locator('select[data-views="enhanced"]').select_option("flip")
-    assert column(tab, "views-enhanced", 1) == [f"{PSNR['naive'] / 100:.3f}"] * 2
-    again = visit(experiment / "report.html", link_of(tab, "score.enhanced=flip"))
+    assert column(tab, "views-enhanced", 1) == [f"{psnr['naive'] / 100:.3f}"] * 2
+    again = visit(experiment / "report.html", link_of(tab))
     assert column(again, "views-enhanced", 1) == column(tab, "views-enhanced", 1)
 
 
