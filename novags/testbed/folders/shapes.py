@@ -14,6 +14,7 @@ CAPTURE = {
     "set": {"path": str, "kind": str, "max_size": (int, None)}, "sensor_name": str, "sensor": dict,
     "exposure": {"time": float, "temperature?": (float, None), "origin": [int], "line_time?": float},
     "electrons": float, "signal_quantiles_e": {"0.01": float, "0.99": float}, "demosaic": str,
+    "seed?": int, "mean_green_radiance?": float,
     "color_matrix": (Numbers(3, 3), None), "jpeg_quality?": (int, None), "views": int, "width": int, "height": int,
     "plan": (PLAN, None), "stage": {**STAGE, "inputs": {"set": str}},
 }  # fmt: skip
@@ -28,6 +29,7 @@ IMPORT = {  # a capture.json of kind "imported"
 }  # fmt: skip
 CAMERAS = {"source": str, "unregistered": [str], "registered_share": float, "mean_rotation_deg": float,
            "mean_centre_error": float, "depth_scale": float}  # fmt: skip
+VIEWER_CAMERAS = [{"img_name": str, "position": Numbers(3), "rotation": Numbers(3, 3)}]
 RUN = {
     "name": str, "method": str, "title?": str, "capture": str, "space": str, "config": dict,
     "enhancement": ({"enhancer": str, "pictures": str, "config": dict}, None), "cameras?": (CAMERAS, None),

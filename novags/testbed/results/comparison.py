@@ -34,11 +34,7 @@ class Group:
     @property
     def title(self) -> str:
         """Scene, electrons and camera."""
-        scene = self.lit.views.meta.get("scene") or self.lit.views.path.name
-        record = self.capture.record
-        if self.capture.imported:
-            return f"{scene}, photographs from the dark"
-        return f"{scene}, {record['electrons']:g} electrons, {record['sensor_name']}"
+        return title_of(self.capture, self.lit)
 
     def deltas(self, kind: str) -> tuple[dict[str, float], str]:
         """What each run has over the floor, or the first run, in the main score of a reference; and what that is."""
@@ -56,12 +52,28 @@ def groups_of(folders: Sequence[Path], console: Console) -> list[Group]:
     Raises:
         ValueError: If a folder holds no run, or a run is not scored or no longer fits its capture.
     """
-    runs = gather(folders)
+    return [Group(capture, lit, mine, merged(mine)) for capture, lit, mine in runs_by_capture(folders, console)]
+
+
+def runs_by_capture(folders: Sequence[Path], console: Console) -> list[tuple[Capture, Source, dict[str, Run]]]:
+    """The runs of several folders, scored or not, by the capture that they were made from, in order.
+
+    Raises:
+        ValueError: If a folder holds no run, or a run no longer fits its capture.
+    """
     found: dict[str, tuple[Capture, Source, dict[str, Run]]] = {}
-    for name, run in runs.items():
+    for name, run in gather(folders).items():
         capture, lit = run.inputs(console)
         found.setdefault(capture.content, (capture, lit, {}))[2][name] = run
-    return [Group(capture, lit, mine, merged(mine)) for capture, lit, mine in found.values()]
+    return list(found.values())
+
+
+def title_of(capture: Capture, lit: Source) -> str:
+    """Scene, electrons and camera of a capture."""
+    scene = lit.views.meta.get("scene") or lit.views.path.name
+    if capture.imported:
+        return f"{scene}, photographs from the dark"
+    return f"{scene}, {capture.record['electrons']:g} electrons, {capture.record['sensor_name']}"
 
 
 def merged(runs: Mapping[str, Run]) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from sensor_model import (
     PRESETS,
     Exposure,
     Plan,
+    RawFrame,
     Sensor,
     expose,
     mosaic,
@@ -200,11 +201,10 @@ def capture_views(
     with console.progress("capture") as progress:
         for i, name in enumerate(names):
             if not has_view(folder, name):
-                photons = photons_for_electrons(
-                    source.radiance(i), electrons=config.electrons, mean_green=light.mean_green, sensor=sensor
-                )
-                seen = mosaic(photons, sensor.cfa) if sensor.cfa else photons
-                frame = expose(seen, sensor, exposure, seed=config.seed, view=i, plan=plan)
+                frame = expose_view(
+                    source.radiance(i), sensor, exposure, electrons=config.electrons, mean_green=light.mean_green,
+                    seed=config.seed, view=i, plan=plan,
+                )  # fmt: skip
                 matrix = source.color_matrix
                 write_view(folder, name, frame, sensor, exposure, config.demosaic, matrix, config.jpeg_quality)
             progress(i + 1, len(names), f"view {name}")
@@ -235,6 +235,20 @@ def capture_views(
         "plan": None if plan is None else plan.to_dict(),
         **({"files": files_of(source)} if source.views.renamed else {}),
     }
+
+
+def expose_view(
+    radiance: np.ndarray, sensor: Sensor, exposure: Exposure, *, electrons: float, mean_green: float, seed: int,
+    view: int, plan: Plan | None = None,
+) -> RawFrame:  # fmt: skip
+    """One exposure of linear RGB [h,w,3], scaled so that green of `mean_green` gives so many electrons.
+
+    Raises:
+        ValueError: If the light or a number is out of range.
+    """
+    photons = photons_for_electrons(radiance, electrons=electrons, mean_green=mean_green, sensor=sensor)
+    seen = mosaic(photons, sensor.cfa) if sensor.cfa else photons
+    return expose(seen, sensor, exposure, seed=seed, view=view, plan=plan)
 
 
 def files_of(source: Source) -> dict[str, str]:

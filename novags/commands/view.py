@@ -1,0 +1,32 @@
+"""The command that shows runs in a browser."""
+
+import threading
+
+from novags.commands import shared
+from novags.options import Folders
+
+
+def view(runs: Folders, *, host: str = "127.0.0.1", port: int = 8080, sensor: str | None = None) -> None:
+    """Show runs in a browser: Gaussians, cameras, pictures, and any view exposed again at any light level.
+
+    Args:
+        runs: Folders of runs, of experiments, or folders that hold such.
+        host: Where to listen: 127.0.0.1 for browsers on this machine, 0.0.0.0 for all that reach it. There is no
+            password.
+        port: Port to listen at; the next free one where it is taken.
+        sensor: Camera that views are exposed again with, a name or a TOML file; if not given, that of the capture.
+    """
+    from novags.testbed.viewer.server import check_installed, serving
+    from novags.testbed.viewer.shown import shown_of
+
+    check_installed()
+    console = shared.console()
+    if not runs:
+        raise ValueError("name at least one folder of a run, of an experiment, or of several of them")
+    with serving(shown_of(runs, console, sensor), host, port) as viewer:
+        print(f"viewer: {viewer.address}", flush=True)
+        console.note("open it in a browser; stop it with Ctrl-C")
+        try:
+            threading.Event().wait()
+        except KeyboardInterrupt:  # the way to end it
+            console.note("stopped")

@@ -1,0 +1,223 @@
+"""One browser: what it has chosen, and the thread that shows it."""
+
+import threading
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from novags.cameras.align import to_true
+from novags.cameras.estimate import Array, centers_of
+from novags.testbed.viewer.latest import Latest
+from novags.testbed.viewer.light import expose_again
+from novags.testbed.viewer.panel import MODEL, NOTHING, TRUTH, Panel
+from novags.testbed.viewer.shown import Shown
+from novags.testbed.viewer.splats import rendered
+from novags.testbed.viewer.world import SIZE, own_cameras
+from sensor_model.files.reading import brief
+
+PLATE = 320  # px; longest side of a picture at a frustum
+ENLARGED = 384  # px; about as wide as the panel
+TRAINING, HELD_OUT, ESTIMATED = (90, 160, 255), (255, 176, 64), (230, 90, 200)
+APART = 1e-3  # viewer units: cameras that are nearer to the true ones are not drawn beside them
+WITHIN = 0.2  # viewer units: a frustum that the viewer stands in would cover everything
+
+
+class Session:
+    """What one browser shows. Everything is computed in one thread of its own, and by one session at a time."""
+
+    def __init__(self, client: Any, all_shown: Sequence[Shown], computing: threading.Lock) -> None:
+        """Build the controls, and begin with the first run. `computing`: held where sessions share memory."""
+        self.client, self.all_shown, self.computing = client, all_shown, computing
+        self.plates: dict[int, Any] = {}
+        self.nodes: list[Any] = []
+        self.has_gaussians = True
+        self.exposed: tuple[Any, ...] | None = None  # what the exposed picture was made from
+        self.shown_kind: tuple[str, str] | None = None  # method and kind of the pictures, once all are there
+        self.latest = Latest(self._update)
+        first = all_shown[0].capture.record.get("electrons", 20.0)
+        self.panel = Panel(client.gui, [shown.title for shown in all_shown], first, self.latest.ask)
+        self.latest.ask("capture")
+        client.camera.on_update(lambda _: self.latest.ask("move"))
+
+    @property
+    def shown(self) -> Shown:
+        """The capture that is chosen."""
+        return next((s for s in self.all_shown if s.title == self.panel.capture.value), self.all_shown[0])
+
+    def _update(self, parts: frozenset[str]) -> None:
+        """Show what is chosen now. What goes wrong, a folder that was removed say, is said in the panel."""
+        try:
+            if "capture" in parts:
+                self._enter()
+                parts |= {"splats", "pictures", "light"}
+            self._offer()
+            if "splats" in parts:
+                self._show_splats()
+            if parts & {"light", "move"}:
+                self._show_light()
+            if "pictures" in parts:
+                self._show_pictures()
+            self._clear_the_view()
+            self._say("" if self.has_gaussians else f"{self.panel.method.value} made no Gaussians: see its pictures")
+        except Exception as error:  # the thread must outlive every file that is missing
+            if not self.latest.over:  # else the browser has gone, and with it all that could be changed
+                self._say(f"**{type(error).__name__}**: {brief(error, 500)}")
+
+    def _say(self, trouble: str) -> None:
+        self.panel.trouble.content, self.panel.trouble.visible = trouble, bool(trouble)
+
+    def _enter(self) -> None:
+        """Begin with a capture: its frusta, and a place from where all are seen."""
+        shown = self.shown
+        for plate in self.plates.values():
+            plate.remove()
+        self.plates = {}
+        self.panel.method.options = tuple(shown.runs)
+        self.client.scene.set_up_direction(shown.world.up)
+        camera, start = self.client.camera, centers_of(shown.world.viewmats)[0]
+        camera.position, camera.up_direction = 1.5 * start, shown.world.up
+        camera.look_at = np.zeros(3)  # the middle of what the cameras look at
+
+    def _offer(self) -> None:
+        panel, shown = self.panel, self.shown
+        kinds = shown.kinds(panel.method.value)
+        panel.offer(panel.pictures, (*kinds, NOTHING), "rendered")
+        panel.offer(panel.light, (TRUTH, MODEL) if shown.source.lit_known else (MODEL,), MODEL)
+
+    def _show_splats(self) -> None:
+        with self.computing:
+            found = self.shown.scene(self.panel.method.value)
+        self.has_gaussians = found is not None
+        for node in self.nodes:
+            node.remove()
+        self.nodes = []
+        if found is None or not self.panel.splats.value:
+            return
+        _, into, drawn = found
+        add = self.client.scene.add_gaussian_splats
+        self.nodes.append(add("/gaussians", drawn.centers, drawn.covariances, drawn.colors, drawn.opacities))
+        own = own_cameras(self.shown.runs[self.panel.method.value])
+        names, viewmats = ([], np.empty((0, 4, 4))) if own is None else (own[0], to_true(into, own[1]).numpy())
+        for name, viewmat in zip(names, viewmats, strict=True):
+            true = self.shown.world.viewmats[self.shown.capture.names.index(name)]
+            if np.abs(viewmat - true).max() > APART:
+                self.nodes.append(self._frustum(f"/estimated/{name}", viewmat, ESTIMATED))
+
+    def _frustum(self, name: str, viewmat: Array, color: tuple[int, int, int], **more: Any) -> Any:
+        rig = self.shown.capture.cameras.rig
+        tall = 2 * np.arctan(rig.height / 2 / rig.Ks[0, 1, 1])
+        scale = 0.35 * min(1.0, (20 / len(rig.Ks)) ** 0.5)
+        return self.client.scene.add_camera_frustum(
+            name, float(tall), rig.width / rig.height, scale=scale, color=color, thickness=0.008,
+            wxyz=quaternion(viewmat[:3, :3].T), position=centers_of(viewmat[None])[0], cast_shadow=False,
+            receive_shadow=False, **more,
+        )  # fmt: skip
+
+    def _show_pictures(self) -> None:
+        """Every frustum with its picture; left when other pictures are asked for."""
+        panel, shown = self.panel, self.shown
+        name, kind = panel.method.value, panel.pictures.value
+        held_out = set(shown.capture.cameras.test_indices)
+        for i, view in enumerate(shown.capture.names):
+            if self.latest.pending("pictures") or self.latest.pending("capture"):
+                return
+            with self.computing:
+                picture = None if kind == NOTHING else shown.picture(kind, name, i)
+            plate = None if picture is None else small(picture)
+            if i not in self.plates:
+                color = HELD_OUT if i in held_out else TRAINING
+                self.plates[i] = self._frustum(f"/cameras/{view}", shown.world.viewmats[i], color, image=plate)
+                self.plates[i].on_click(lambda _, i=i: self._stand_at(i))
+            else:
+                self.plates[i].image = plate
+            self.plates[i].visible = panel.cameras.value
+        self.shown_kind = name, kind
+
+    def _stand_at(self, i: int) -> None:
+        """Put the viewer where a camera is."""
+        viewmat, rig = self.shown.world.viewmats[i], self.shown.capture.cameras.rig
+        place, camera = centers_of(viewmat[None])[0], self.client.camera
+        with self.client.atomic():
+            camera.position, camera.up_direction = place, -viewmat[1, :3]
+            camera.look_at = place + SIZE * viewmat[2, :3]
+            camera.fov = float(2 * np.arctan(rig.height / 2 / rig.Ks[i, 1, 1]))
+
+    def _clear_the_view(self) -> None:
+        """Hide the frusta that the viewer stands in."""
+        places = centers_of(self.shown.world.viewmats)
+        here = np.asarray(self.client.camera.position)
+        for i, plate in self.plates.items():
+            wanted = bool(self.panel.cameras.value and np.linalg.norm(places[i] - here) > WITHIN)
+            if plate.visible != wanted:
+                plate.visible = wanted
+
+    def _show_light(self) -> None:
+        """Expose the view that is seen now, and show the developed picture."""
+        shown, panel, client = self.shown, self.panel, self.client
+        viewmat = viewmat_of(np.asarray(client.camera.wxyz), np.asarray(client.camera.position))
+        true, name, view = panel.light.value == TRUTH, panel.method.value, shown.world.nearest(viewmat)
+        seen = () if true else (name, viewmat.tobytes(), client.camera.fov)
+        made_from = (shown.title, true, view, panel.electrons, panel.brighten.value, *seen)
+        if made_from == self.exposed:
+            return
+        with self.computing:
+            light, green = (shown.true_light(view), shown.true_green()) if true else self._modelled(viewmat, view)
+            camera = shown.camera if true else shown.camera.for_srgb()
+            picture, gain = expose_again(
+                light, camera, electrons=panel.electrons, mean_green=green, view=view, brighten=panel.brighten.value
+            )
+        panel.exposed.image = enlarged(picture)
+        what = f"view {shown.capture.names[view]}" if true else name
+        panel.said.content = f"{what}: **{panel.electrons:.3g} electrons** per pixel, digital gain {gain:.3g}"
+        self.exposed = made_from
+
+    def _modelled(self, viewmat: Array, view: int) -> tuple[np.ndarray, float]:
+        """Light and mean green of the view that the browser has, or of the nearest one without Gaussians."""
+        shown, name = self.shown, self.panel.method.value
+        found = shown.scene(name)
+        if found is None:
+            if not (view in shown.capture.cameras.test_indices or shown.runs[name].shows_training_views):
+                view = min(shown.capture.cameras.test_indices, key=lambda k: abs(k - view))
+            image = shown.runs[name].rendering(shown.capture.names[view])
+        else:
+            scene, into, _ = found
+            image = rendered(scene, into, viewmat, float(self.client.camera.fov), shown.size)
+        return shown.linear(name, image), shown.run_green(name)
+
+
+def small(picture: np.ndarray) -> np.ndarray:
+    """An 8-bit picture, at most `PLATE` px wide and high, of one in 0..1."""
+    height, width = picture.shape[:2]
+    if max(height, width) > PLATE:
+        import cv2
+
+        share = PLATE / max(height, width)
+        size = (max(1, round(share * width)), max(1, round(share * height)))
+        picture = cv2.resize(picture, size, interpolation=cv2.INTER_AREA)
+    return np.asarray(np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)
+
+
+def enlarged(picture: np.ndarray) -> np.ndarray:
+    """A small picture with every pixel as a square, so that its noise is seen."""
+    times = max(1, ENLARGED // max(picture.shape[:2]))
+    return picture.repeat(times, 0).repeat(times, 1)
+
+
+def quaternion(rotation: Array) -> Array:
+    """The quaternion wxyz of a rotation matrix [3, 3]."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(rotation).as_quat()
+    return np.array([w, x, y, z])
+
+
+def viewmat_of(wxyz: Array, place: Array) -> Array:
+    """World to camera [4, 4] of a camera's rotation to the world, wxyz, and its centre."""
+    from scipy.spatial.transform import Rotation
+
+    w, x, y, z = wxyz
+    viewmat = np.eye(4)
+    viewmat[:3, :3] = Rotation.from_quat([x, y, z, w]).as_matrix().T
+    viewmat[:3, 3] = -viewmat[:3, :3] @ place
+    return viewmat

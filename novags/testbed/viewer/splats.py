@@ -1,0 +1,88 @@
+"""A run's Gaussians: as the browser draws them, and as seen from any camera of the viewer."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from novags.cameras.align import Similarity, to_estimated
+from novags.cameras.estimate import Array
+from novags.methods.problem import encode
+from novags.methods.reconstruction import GaussianScene
+from novags.splats import Gaussians, Views, read_ply
+from novags.splats.raster.raster_torch import quat_to_rotmat
+from novags.splats.sh import sh_to_rgb
+from novags.splats.training.config import FitConfig
+from novags.testbed.folders.run import SCENE, Run
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """Gaussians as the browser draws them: of one colour from every side.
+
+    Attributes:
+        centers: [N, 3] float32.
+        covariances: [N, 3, 3] float32.
+        colors: [N, 3] float32, sRGB code, 0..1.
+        opacities: [N, 1] float32, 0..1.
+    """
+
+    centers: np.ndarray
+    covariances: np.ndarray
+    colors: np.ndarray
+    opacities: np.ndarray
+
+
+def drawn(gaussians: Gaussians, into: Similarity, gain: float | None = None) -> Drawn:
+    """Gaussians in the frame that `into` leads to, in the constant part of their colours.
+
+    Args:
+        gaussians: In a frame of their own.
+        into: From that frame.
+        gain: Of Gaussians in linear light: to what is encoded for the screen. Blending in code is not quite blending
+            in light.
+    """
+    g = gaussians.detach()
+    axes = into.scale * (into.rotation @ quat_to_rotmat(g.quats.double())) * g.scales.double()[:, None]
+    colors = sh_to_rgb(g.sh[:, 0]).float().numpy()
+    return Drawn(
+        into.apply(g.means).float().numpy(),
+        (axes @ axes.mT).float().numpy(),
+        np.clip(colors, 0, 1) if gain is None else encode(gain * colors),
+        g.opacities.float().numpy()[:, None],
+    )
+
+
+def scene_of(run: Run) -> GaussianScene | None:
+    """The Gaussians of a run, to be splatted as it did; None for methods that made none.
+
+    Raises:
+        ValueError: If its file is damaged.
+    """
+    path = run.path / SCENE
+    if not path.is_file():
+        return None
+    dilation = float(run.record.get("eps2d", FitConfig.eps2d))
+    return GaussianScene(read_ply(path), dilation, bool(run.record.get("antialiased", FitConfig.antialiased)))
+
+
+def rendered(scene: GaussianScene, into: Similarity, viewmat: Array, fov_y: float, size: tuple[int, int]) -> np.ndarray:
+    """A picture of a scene.
+
+    Args:
+        scene: In a frame of its own.
+        into: From that frame to the viewer's.
+        viewmat: World to camera, in the viewer's frame [4, 4].
+        fov_y: Vertical field of view, radians.
+        size: Width and height, pixels.
+
+    Returns:
+        float32 [h, w, 3], in the scene's own space.
+    """
+    width, height = size
+    focal = height / 2 / math.tan(fov_y / 2)
+    K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float32)
+    camera = to_estimated(into, torch.from_numpy(viewmat)[None]).float()
+    image: np.ndarray = scene.render(Views(camera, K[None], width, height))[0][0].numpy()
+    return image

@@ -1,0 +1,91 @@
+"""The viewer's own frame: the true world moved and scaled, so that every scene has the same size on the screen.
+
+X_viewer = scale * (X_true - middle). Browsers hold the covariances of Gaussians as 16-bit floats, which neither
+millimetres nor kilometres fit into.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from novags.cameras.align import IDENTITY, Similarity, align, to_true
+from novags.cameras.estimate import Array, centers_of, extent_of
+from novags.testbed.folders import shapes
+from novags.testbed.folders.capture import Capture
+from novags.testbed.folders.run import CAMERAS, Run
+from novags.testbed.stages.camera_source import true_cameras
+from sensor_model.files.records import read_record
+
+SIZE = 3.0  # viewer units from the mean camera to the outermost one, and a tenth
+
+
+@dataclass(frozen=True)
+class World:
+    """The viewer's frame for one capture.
+
+    Attributes:
+        from_true: From the true frame, with its zero at `origin_of` the capture.
+        viewmats: The true cameras in the viewer's frame [C, 4, 4] float64.
+        up: Unit vector.
+    """
+
+    from_true: Similarity
+    viewmats: Array
+    up: tuple[float, float, float]
+
+    @staticmethod
+    def of(capture: Capture, up: tuple[float, float, float] | None) -> "World":
+        """The frame around a capture's cameras. `up` None: what is up in the mean picture."""
+        true = true_cameras(capture).numpy()
+        extent = extent_of(true)
+        # What the cameras look at lies about one extent before their middle; of a ring it is below the middle or in it.
+        middle = centers_of(true).mean(0) + extent * true[:, 2, :3].mean(0)
+        scale = SIZE / extent
+        turn = torch.eye(3, dtype=torch.float64)
+        from_true = Similarity(scale, turn, torch.from_numpy(-scale * middle))
+        if up is None:
+            mean = -true[:, 1, :3].mean(0)
+            x, y, z = mean / (np.linalg.norm(mean) or 1.0)  # 0 / 1: of cameras that are upside down to each other
+            up = (float(x), float(y), float(z)) if np.any(mean) else (0.0, 0.0, 1.0)
+        return World(from_true, to_true(from_true, torch.from_numpy(true)).numpy(), up)
+
+    def nearest(self, viewmat: Array) -> int:
+        """The view whose camera is nearest to this one [4, 4]: in angle, and in distance per `SIZE`, weighted alike."""
+        cosines = (np.trace(self.viewmats[:, :3, :3] @ viewmat[:3, :3].T, axis1=1, axis2=2) - 1) / 2
+        distances = np.linalg.norm(centers_of(self.viewmats) - centers_of(viewmat[None]), axis=1) / SIZE
+        return int(np.argmin(np.hypot(np.arccos(np.clip(cosines, -1, 1)), distances)))
+
+
+def own_cameras(run: Run) -> tuple[list[str], Tensor] | None:
+    """Names and matrices [R, 4, 4] float64 of the training cameras in a run's frame; None if it did not write them.
+
+    Raises:
+        ValueError: If the file is damaged.
+    """
+    path = run.path / CAMERAS
+    if not path.is_file():
+        return None
+    listed = read_record(path, shapes.VIEWER_CAMERAS, "reconstruct again")
+    turns = np.array([camera["rotation"] for camera in listed], np.float64).reshape(-1, 3, 3).transpose(0, 2, 1)
+    places = np.array([camera["position"] for camera in listed], np.float64).reshape(-1, 3)
+    viewmats = np.tile(np.eye(4), (len(listed), 1, 1))
+    viewmats[:, :3, :3], viewmats[:, :3, 3] = turns, -np.einsum("cij,cj->ci", turns, places)
+    return [camera["img_name"] for camera in listed], torch.from_numpy(viewmats)
+
+
+def true_from(run: Run, capture: Capture) -> Similarity:
+    """From the frame of a run to the true one; the identity for runs that did not write their cameras.
+
+    Raises:
+        ValueError: If its cameras are damaged, or are not those of the capture.
+    """
+    found = own_cameras(run)
+    if found is None:
+        return IDENTITY
+    names, viewmats = found
+    if unknown := [name for name in names if name not in capture.names]:
+        raise ValueError(f"{run.path / CAMERAS} names {unknown[0]}, which is no view of {capture.path}: reconstruct "
+                         "again")  # fmt: skip
+    return align(viewmats, true_cameras(capture)[[capture.names.index(name) for name in names]]).similarity
