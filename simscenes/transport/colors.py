@@ -74,10 +74,14 @@ def polarisation_effect(p: Pilot, media: bool, geometry: list[Any], measure: boo
 
 
 def _paired(p: Pilot, colors: tuple[str, str], media: bool) -> pilot.Share:
-    """What a second colour representation changes in the pilot views, against a first one."""
+    """What a second colour representation changes in the pilot views, against a first one.
+
+    `volpath` gives nan where a medium lets one of the wavelengths of a path pass unhindered; `volpathmis` does not
+    polarise.
+    """
     images = []
     for color in colors:
-        kind = "volpath" if media else "path"
+        kind = "path" if not media else "volpath" if "spectral_polarized" in colors else "volpathmis"
         settings = {"type": kind, "max_depth": DEPTHS[0], "rr_depth": 4, **p.hiding}
         with p.in_color(color) as (other, loaded):
             images.append(pilot.render_pilot(other, loaded, p.rig, settings, p.seed))

@@ -123,7 +123,8 @@ def render_pilot(mi: Any, loaded: LoadedScene, rig: Rig, integrator: dict[str, A
         views.append(np.array(image, dtype=np.float64)[..., :3])
     result = np.stack(views)
     if not np.isfinite(result).all():
-        raise ValueError(f"scene {loaded.name!r} renders to nan or infinite radiance; look for a broken emitter")
+        raise ValueError(f"scene {loaded.name!r} renders to nan or infinite radiance; look for a broken emitter, or a "
+                         "medium whose sigma_t is 0 at some wavelengths")  # fmt: skip
     return result
 
 

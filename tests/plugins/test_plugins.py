@@ -151,6 +151,13 @@ def test_a_raw_bitmap_as_a_colour_keeps_a_scene_in_rgb(tmp_path: Path) -> None:
         build_scene(scene("roughness"), mi)
 
 
+def test_a_medium_that_some_wavelengths_pass_unhindered_is_planned(tmp_path: Path) -> None:
+    """Mitsuba's `volpath` gives nan in it, `volpathmis` does not."""
+    (row,) = (row for row in all_rows() if (row.kind, row.note) == ("medium", "a measured spectrum"))
+    made = plan_transport(row.make(activate(), tmp_path), rig=rig(), measure=False)
+    assert (made.color, made.integrator()["type"]) == ("spectral", "volpathmis")
+
+
 def test_differences_are_told_from_noise() -> None:
     """Of 36 blocks half lose and half win 0.1 of 1; noise of another 0.1 a pass adds nothing on average."""
     random = np.random.default_rng(0)
