@@ -77,7 +77,7 @@ def _head(plan: Plan) -> str:
 
 def size(count: float) -> str:
     """Bytes in the unit that suits them."""
-    for unit, factor in (("GB", 1e9), ("MB", 1e6)):
+    for unit, factor in (("TB", 1e12), ("GB", 1e9), ("MB", 1e6)):
         if count >= factor:
             return f"{count / factor:.1f} {unit}"
     return f"{count / 1e3:.0f} kB"
