@@ -1,5 +1,6 @@
 """Where a reconstruction's cameras come from, and how their frame relates to the true one."""
 
+import copy
 import dataclasses
 from dataclasses import dataclass
 from typing import Any
@@ -33,10 +34,21 @@ def cameras_of(
 ) -> CameraEstimate:
     """Cameras of some views of a capture, and first points, from the source that `config` belongs to.
 
+    They are found once for all methods that ask for the same while the capture is open, and copied for each.
+
     Raises:
         ValueError: If the source cannot place at least two views, or is not installed.
     """
     check_cameras(config)
+    asked = ("cameras", config, source.digest(), tuple(indices), points, seed, device)
+    found = capture.memo.once(asked, lambda: _found(config, capture, source, indices, points, seed, device, console))
+    return copy.deepcopy(found)
+
+
+def _found(
+    config: CameraConfig, capture: Capture, source: Source, indices: list[int], points: int, seed: int,
+    device: torch.device, console: Console,
+) -> CameraEstimate:  # fmt: skip
     dark = torch.from_numpy(np.stack([capture.srgb8(i) for i in indices]))
     views = capture.cameras
     if isinstance(config, KnownConfig):

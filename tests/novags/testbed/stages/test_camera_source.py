@@ -8,10 +8,13 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from novags.cameras import CameraEstimate, KnownConfig
+from novags.cameras import CameraEstimate, KnownConfig, estimate_cameras
 from novags.splats import Gaussians, rasterize
+from novags.testbed import stages
 from novags.testbed.console import Console
+from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.presets import EXPERIMENTS, adapted
+from novags.testbed.stages import camera_source
 from novags.testbed.stages.camera_source import Frame, cameras_of, codes, pictures_for
 from simscenes import Rig, orbit_rig
 
@@ -114,16 +117,37 @@ def test_codes_round_and_clip() -> None:
     assert codes(torch.tensor([-0.1, 0.0, 0.5, 1.0, 1.2])).tolist() == [0, 0, 128, 255, 255]
 
 
-def test_stated_errors_reach_the_cameras_that_methods_get(tmp_path_factory: pytest.TempPathFactory) -> None:
-    """The whole way: set, capture, cameras. The turn is 3 degrees RMS over 7 cameras, so within 40 %."""
-    from novags.testbed import stages
-    from novags.testbed.folders.capture import open_capture
-
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    """A capture of nine tiny views."""
     folder = tmp_path_factory.mktemp("turned")
     tiny = adapted(EXPERIMENTS["demo"], scene="cornell", n_views=9, width=24, height=24, spp=4)
     stages.render(folder / "set", tiny.render, QUIET)
     stages.capture(folder / "set", folder / "capture", tiny.capture, QUIET)
-    opened = open_capture(folder / "capture")
+    return open_capture(folder / "capture")
+
+
+def test_cameras_are_found_once_for_all_methods_and_each_has_its_own_copy(
+    opened: Capture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Any] = []
+    monkeypatch.setattr(camera_source, "estimate_cameras", lambda *a, **k: asked.append(k) or estimate_cameras(*a, **k))
+    source, train = opened.source(QUIET), opened.cameras.train_indices
+
+    def cameras(seed: int) -> CameraEstimate:
+        return cameras_of(KnownConfig(), opened, source, train, 60, seed, torch.device("cpu"), QUIET)
+
+    first = cameras(5)
+    kept = first.points.clone()
+    first.points.zero_()  # a method that trains them in place
+    assert torch.equal(cameras(5).points, kept)
+    assert len(asked) == 1
+    assert not torch.equal(cameras(6).points, kept)
+    assert len(asked) == 2
+
+
+def test_stated_errors_reach_the_cameras_that_methods_get(opened: Capture) -> None:
+    """The whole way: set, capture, cameras. The turn is 3 degrees RMS over 7 cameras, so within 40 %."""
     source, train = opened.source(QUIET), opened.cameras.train_indices
     found = {
         degrees: cameras_of(KnownConfig(rotation_deg=degrees), opened, source, train, 50, 0, torch.device("cpu"), QUIET)
