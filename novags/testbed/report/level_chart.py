@@ -10,7 +10,7 @@ from novags.testbed.report.charts import plot_data
 
 WIDTH, HEIGHT = 720, 340
 LEFT, RIGHT, TOP, BOTTOM = 62, 170, 14, 46
-LEGEND = 18  # px between two lines of it
+LEGEND = 22  # px between two lines of it
 ALONE = """
 svg { background: #fff; font-family: system-ui, sans-serif; --line: #e2e2df; --muted: #63666d; }
 .chart .rule { stroke: var(--line); stroke-width: 1; }
@@ -109,7 +109,7 @@ class _Frame:
             parts.append(f'<text class="tick" x="{LEFT - 8}" y="{y + 4:.1f}" text-anchor="end">{tick:g}</text>')
         last = -math.inf
         for level in levels:
-            if self.x(level) - last >= 28:  # px; closer numbers would touch
+            if self.x(level) - last >= 40:  # px; closer numbers would touch
                 last, below = self.x(level), HEIGHT - BOTTOM + 18
                 parts.append(f'<text class="tick" x="{last:.1f}" y="{below}" text-anchor="middle">{level:g}</text>')
         middle, centre = (LEFT + end) / 2, (TOP + HEIGHT - BOTTOM) / 2

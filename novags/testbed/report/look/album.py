@@ -14,6 +14,8 @@ from sensor_model.files.atomic import atomic
 
 INSIDE = 14_000_000  # bytes of text that pictures and data may take in a page: with the rest it stays below 20 MB
 THUMB = 144  # px, longest side
+SMALL = 80  # px; of thumbnails where there are more than `MANY`
+MANY = 500
 PNG_PIXELS = 256 * 256  # above it JPEG: noise compresses badly, and the page would grow by megabytes
 SUFFIX = {"png": "png", "jpeg": "jpg"}
 OWN = re.compile(r"[0-9a-f]{20}\.(png|jpg|js)")  # names of files beside a page; what is called otherwise is not ours
@@ -116,7 +118,8 @@ class Album:
         pictures = sum(len(picture.data) * 4 // 3 for picture in self._pictures)
         data = sum(len(script.text) for script in self._scripts)
         whole = pictures <= self.inside
-        thumbs = [] if whole else [_thumbnail(picture) for picture in self._pictures]
+        side = THUMB if len(self._pictures) <= MANY else SMALL
+        thumbs = [] if whole else [_thumbnail(picture, side) for picture in self._pictures]
         used = pictures if whole else sum(map(len, thumbs))
         written = set[str]()
         for picture, thumb in zip(self._pictures, thumbs or self._pictures, strict=True):
@@ -177,10 +180,10 @@ def _with_palette(codes: np.ndarray) -> bytes | None:
     return found.getvalue()
 
 
-def _thumbnail(picture: Picture) -> str:
+def _thumbnail(picture: Picture, side: int) -> str:
     codes = cv2.imdecode(np.frombuffer(picture.data, np.uint8), cv2.IMREAD_COLOR)
     assert codes is not None
-    shrink = THUMB / max(codes.shape[:2])
+    shrink = side / max(codes.shape[:2])
     if shrink < 1:
         size = (max(1, round(codes.shape[1] * shrink)), max(1, round(codes.shape[0] * shrink)))
         codes = cv2.resize(codes, size, interpolation=cv2.INTER_AREA)

@@ -45,22 +45,23 @@ novags.cells = {
 };
 
 novags.parts.push({
-  start() {
-    for (const table of document.querySelectorAll("table[data-name]")) {
-      const first = table.querySelector("tr[data-command] td.num");
-      if (!first) continue;
-      first.tabIndex = 0;
-      const asked = (event) => event.target.closest("tr[data-command] td.num");
-      table.tBodies[0].addEventListener("click", (event) => asked(event) && novags.cells.tell(table, asked(event)));
-      table.tBodies[0].addEventListener("keydown", (event) => {
-        const cell = asked(event);
-        if (!cell) return;
-        if (event.key.startsWith("Arrow")) novags.cells.move(cell, event.key);
-        else if (event.key === "Enter" || event.key === " ") novags.cells.tell(table, cell);
-        else return;
-        event.preventDefault();
-      });
-    }
+  adopt(root) {
+    for (const table of root.querySelectorAll("table[data-name]")) this.table(table);
+  },
+  table(table) {
+    const first = table.querySelector("tr[data-command] td.num");
+    if (!first) return;
+    first.tabIndex = 0;
+    const asked = (event) => event.target.closest("tr[data-command] td.num");
+    table.tBodies[0].addEventListener("click", (event) => asked(event) && novags.cells.tell(table, asked(event)));
+    table.tBodies[0].addEventListener("keydown", (event) => {
+      const cell = asked(event);
+      if (!cell) return;
+      if (event.key.startsWith("Arrow")) novags.cells.move(cell, event.key);
+      else if (event.key === "Enter" || event.key === " ") novags.cells.tell(table, cell);
+      else return;
+      event.preventDefault();
+    });
   },
   restore() {
     for (const table of novags.tables.all.keys()) {

@@ -1,30 +1,31 @@
 // Tables with many rows can be narrowed to single values of their axes.
 novags.parts.push({
   tables: [],
-  start() {
-    for (const table of document.querySelectorAll("table[data-name]")) {
-      const box = document.createElement("div"), rows = [...table.tBodies[0].rows], selects = [];
-      box.className = "filters";
-      [...table.tHead.rows[0].cells].forEach((head, column) => {
-        if (!("filter" in head.dataset)) return;
-        const values = [...new Set(rows.map((row) => novags.tables.text(row.cells[column])))];
-        if (values.length < 2) return;
-        const label = document.createElement("label"), select = document.createElement("select"), name = novags.tables.text(head);
-        select.append(new Option("all", ""), ...values.map((value) => new Option(value, value)));
-        select.dataset.key = `only.${table.dataset.name}.${name}`;
-        select.dataset.column = column;
-        select.addEventListener("change", () => {
-          novags.state.set(select.dataset.key, select.value);
-          this.narrow(rows, selects);
-        });
-        label.append(name, select);
-        box.append(label);
-        selects.push(select);
-      });
-      if (!selects.length) continue;
-      table.parentElement.previousElementSibling.before(box);
-      this.tables.push({ rows, selects });
-    }
+  adopt(root) {
+    for (const table of root.querySelectorAll("table[data-name]")) this.table(table);
+  },
+  table(table) {
+    const box = document.createElement("div"), rows = [...table.tBodies[0].rows], selects = [];
+    box.className = "filters";
+    [...table.tHead.rows[0].cells].forEach((head, column) => {
+      if (!("filter" in head.dataset)) return;
+      const values = [...new Set(rows.map((row) => novags.tables.text(row.cells[column])))];
+      if (values.length > 1) selects.push(this.select(table, head, column, values, box));
+    });
+    if (!selects.length) return;
+    for (const select of selects) select.addEventListener("change", () => this.narrow(rows, selects));
+    table.parentElement.previousElementSibling.before(box);
+    this.tables.push({ rows, selects });
+  },
+  select(table, head, column, values, box) {
+    const label = document.createElement("label"), select = document.createElement("select"), name = novags.tables.text(head);
+    select.append(new Option("all", ""), ...values.map((value) => new Option(value, value)));
+    select.dataset.key = `only.${table.dataset.name}.${name}`;
+    select.dataset.column = column;
+    select.addEventListener("change", () => novags.state.set(select.dataset.key, select.value));
+    label.append(name, select);
+    box.append(label);
+    return select;
   },
   narrow(rows, selects) {
     for (const row of rows) {

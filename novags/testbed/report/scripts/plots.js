@@ -52,8 +52,8 @@ novags.plots = {
 };
 
 novags.parts.push({
-  start() {
-    for (const chart of document.querySelectorAll("svg[data-plot]")) {
+  adopt(root) {
+    for (const chart of root.querySelectorAll("svg[data-plot]")) {
       const plot = JSON.parse(chart.dataset.plot), box = document.createElement("div");
       box.className = "plot";
       box.innerHTML = '<div class="plot-note" role="status" hidden></div>';

@@ -1,17 +1,23 @@
 // What is open, sorted and compared, kept in the address: a link to the page shows it as it is now.
 const novags = {
   data: JSON.parse(document.getElementById("data").textContent),
-  parts: [],  // each with start(), once, and restore(), whenever the address changes
+  // Each has restore(), whenever the address changes; some have start(), once, or adopt(root), for what the page begins
+  // with and for what is made later.
+  parts: [],
   byId: (id) => document.getElementById(id),
 
   start() {
     this.state.read();
-    for (const part of this.parts) part.start();
+    for (const part of this.parts) part.start?.();
+    this.adopt(document);
     this.restore();
     addEventListener("hashchange", () => {
       this.state.read();
       this.restore();
     });
+  },
+  adopt(root) {
+    for (const part of this.parts) part.adopt?.(root);
   },
   restore() {
     for (const part of this.parts) part.restore();
@@ -57,13 +63,24 @@ novags.parts.push({
     }
     for (const part of document.querySelectorAll("details[id]")) {
       part.dataset.first = part.open ? "open" : "";
-      part.addEventListener("toggle", () => novags.state.set(part.id, this.changed(part) ? (part.open ? "open" : "shut") : ""));
+      part.addEventListener("toggle", () => {
+        novags.state.set(part.id, this.changed(part) ? (part.open ? "open" : "shut") : "");
+        if (part.open) this.unfold(part);
+      });
     }
   },
   restore() {
     for (const part of document.querySelectorAll("details[id]")) {
       part.open = (novags.state.get(part.id) || (part.dataset.first ? "open" : "shut")) === "open";
     }
+  },
+  // Long tables are made when they are asked for, so that the page opens at once.
+  unfold(part) {
+    const kept = part.querySelector(":scope > template");
+    if (!kept) return;
+    kept.replaceWith(kept.content);
+    novags.adopt(part);
+    for (const other of novags.parts) if (other.adopt) other.restore();
   },
   changed: (part) => part.open !== Boolean(part.dataset.first),
 });

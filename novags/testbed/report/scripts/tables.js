@@ -3,6 +3,7 @@ novags.tables = {
   all: new Map(),
 
   text(cell) {
+    if (!cell.firstElementChild) return cell.textContent.trim();
     const copy = cell.cloneNode(true);
     for (const extra of copy.querySelectorAll(".dagger, .arrow, .hidden-csv")) extra.remove();
     return copy.textContent.replace(/\s+/g, " ").trim();
@@ -46,12 +47,15 @@ novags.tables = {
 
   csv(table) {
     const quoted = (text) => (/[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
-    const marked = Boolean(table.querySelector("tbody .dagger"));
-    const line = (cells, more) => [...cells, ...(marked ? [more] : [])].map(quoted).join(",");
-    const heads = [...table.tHead.rows[0].cells].map((cell) => (cell.classList.contains("rank") ? "place" : this.text(cell)));
+    const marked = Boolean(table.querySelector("tbody .dagger")), heads = [...table.tHead.rows[0].cells];
     const rows = [...table.tBodies[0].rows, ...(table.tFoot ? table.tFoot.rows : [])].filter((row) => !row.hidden);
-    const lines = rows.map((row) => line([...row.cells].map((cell) => this.value(cell).replace("†", "")), row.querySelector(".dagger") ? "yes" : "no"));
-    return [line(heads, "sees truth"), ...lines].join("\n") + "\n";
+    const spread = heads.map((_, k) => rows.some((row) => "sd" in row.cells[k].dataset));  // mean ± standard deviation
+    const named = (cell) => (cell.classList.contains("rank") ? "place" : this.text(cell));
+    const told = heads.flatMap((cell, k) => [named(cell), ...(spread[k] ? [`${named(cell)}, standard deviation`] : [])]);
+    const line = (row) => [...row.cells].flatMap((cell, k) => [this.value(cell).replace("†", ""), ...(spread[k] ? [cell.dataset.sd ?? ""] : [])]);
+    const lines = [[...told, ...(marked ? ["sees truth"] : [])]];
+    for (const row of rows) lines.push([...line(row), ...(marked ? [row.querySelector(".dagger") ? "yes" : "no"] : [])]);
+    return lines.map((cells) => cells.map(quoted).join(",") + "\n").join("");
   },
 
   download(table) {
@@ -75,30 +79,30 @@ novags.tables = {
 };
 
 novags.parts.push({
-  start() {
-    const { tables } = novags;
-    for (const table of document.querySelectorAll("table[data-name]")) {
-      const scroll = table.parentElement, over = document.createElement("div");
-      over.className = "over";
-      over.innerHTML = '<span class="more" hidden></span><button type="button">CSV</button>';
-      const [note, csv] = over.children;
-      csv.setAttribute("aria-label", `Download “${scroll.getAttribute("aria-label")}” as CSV`);
-      csv.addEventListener("click", () => tables.download(table));
-      scroll.before(over);
-      [...table.tHead.rows[0].cells].forEach((head, column) => {
-        if (head.classList.contains("rank")) return;
-        const button = document.createElement("button");
-        button.type = "button";
-        button.append(...head.childNodes);
-        head.append(button);
-        head.setAttribute("aria-sort", head.dataset.sorted ?? "none");
-        button.addEventListener("click", () => tables.press(table, column));
-      });
-      const heads = [...table.tHead.rows[0].cells], rows = [...table.tBodies[0].rows];
-      tables.all.set(table, { rows, places: rows.map((row) => row.cells[0].textContent), sorted: heads.map((head) => head.getAttribute("aria-sort")) });
-      new ResizeObserver(() => tables.hint(scroll, table, note)).observe(scroll);
-      scroll.addEventListener("scroll", () => tables.hint(scroll, table, note), { passive: true });
-    }
+  adopt(root) {
+    for (const table of root.querySelectorAll("table[data-name]")) this.table(table);
+  },
+  table(table) {
+    const { tables } = novags, scroll = table.parentElement, over = document.createElement("div");
+    const heads = [...table.tHead.rows[0].cells], rows = [...table.tBodies[0].rows];
+    over.className = "over";
+    over.innerHTML = '<span class="more" hidden></span><button type="button">CSV</button>';
+    const [note, csv] = over.children;
+    csv.setAttribute("aria-label", `Download “${scroll.getAttribute("aria-label")}” as CSV`);
+    csv.addEventListener("click", () => tables.download(table));
+    scroll.before(over);
+    heads.forEach((head, column) => {
+      if (head.classList.contains("rank")) return;
+      const button = document.createElement("button");
+      button.type = "button";
+      button.append(...head.childNodes);
+      head.append(button);
+      head.setAttribute("aria-sort", head.dataset.sorted ?? "none");
+      button.addEventListener("click", () => tables.press(table, column));
+    });
+    tables.all.set(table, { rows, places: rows.map((row) => row.cells[0].textContent), sorted: heads.map((head) => head.getAttribute("aria-sort")) });
+    new ResizeObserver(() => tables.hint(scroll, table, note)).observe(scroll);
+    scroll.addEventListener("scroll", () => tables.hint(scroll, table, note), { passive: true });
   },
   restore() {
     for (const [table, first] of novags.tables.all) {

@@ -135,7 +135,8 @@ def draw(chart: Chart, looks: Mapping[str, Look]) -> str:
         lines.append(Line(curve.method, look.key, points, dashed=look.bound, knee=knee))
     measure = chart.measure
     unit = f" ({measure.unit})" if measure.unit else ""
-    return level_chart(lines, x_label="electrons per green pixel", y_label=f"{measure.label}{unit}", title=chart.title)
+    short = measure.label.partition(" against ")[0]  # the title says against what
+    return level_chart(lines, x_label="electrons per green pixel", y_label=f"{short}{unit}", title=chart.title)
 
 
 def as_record(curve: Curve) -> dict[str, Any]:

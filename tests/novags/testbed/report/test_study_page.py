@@ -1,0 +1,139 @@
+"""Claims about the report on a study: places at each combination, spread, filters, pictures, commands."""
+
+import csv
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from novags.testbed.report.study.grid import first_places, lines_of, verdict
+from novags.testbed.report.study.page import write_study
+from novags.testbed.report.study.records import read_records
+
+COMPETES = {"naive": True, "better": True, "oracle": False}
+SCORES = {("naive", 5): (20.0, 22.0), ("naive", 50): (26.0, 26.5), ("better", 5): (23.0, 23.5),
+          ("better", 50): (25.0, 25.5), ("oracle", 5): (29.0, 29.5), ("oracle", 50): (30.0, 30.5)}  # fmt: skip
+
+
+def rows(folder: str = "{method}") -> list[dict[str, Any]]:
+    """Three methods at two light levels by two seeds; the last run has failed."""
+    found: list[dict[str, Any]] = []
+    for (method, electrons), values in SCORES.items():
+        for seed, value in enumerate(values):
+            found.append({
+                "run": len(found) + 1, "scene": "a", "electrons": electrons, "method": method, "seed": seed,
+                "state": "done", "reason": None, "stage": None, "folder": folder.format(method=method),
+                "enhanced.aligned_psnr": value, "lit.tone_aligned_psnr": 40 - value, "peak_bytes": 10**8,
+            })  # fmt: skip
+    found[-1] |= {"state": "failed", "reason": "the <disk> broke", "stage": "fit"}
+    return found
+
+
+AXES = {"scene": ["a"], "electrons": [5, 50], "method": list(COMPETES), "seed": [0, 1]}
+
+
+def test_lines_are_means_over_seeds_with_places_at_each_combination() -> None:
+    lines = lines_of(rows(), AXES, COMPETES)
+    assert [(line.place["electrons"], line.method) for line in lines] == [
+        (5, "oracle"), (5, "better"), (5, "naive"), (50, "oracle"), (50, "naive"), (50, "better")
+    ]  # fmt: skip
+    naive = lines[2]
+    assert naive.spread["enhanced.aligned_psnr"] == (21.0, pytest.approx(2**0.5))
+    assert naive.spread["peak_bytes"] == (100.0, 0.0)
+    assert naive.places == {"enhanced.aligned_psnr": 2, "lit.tone_aligned_psnr": 1, "peak_bytes": 1}
+    assert lines[3].spread["enhanced.aligned_psnr"] == (30.0, None)  # the other seed has failed
+    assert lines[3].places == {}
+
+
+def test_the_headline_counts_who_comes_first_and_says_where_another_does() -> None:
+    made = [row | {"enhanced.aligned_psnr": 27.0} if (row["method"], row["electrons"]) == ("better", 50) else row
+            for row in rows()]  # fmt: skip
+    lines = lines_of(made, AXES, COMPETES)
+    assert first_places(lines, "enhanced.aligned_psnr") == {"better": 2}
+    assert verdict(lines, COMPETES) == (
+        "better comes first in 2 of 2 comparisons by PSNR aligned, noise-free. Not so by PSNR tone-aligned, lit: there "
+        "naive comes first in 1 of 2, better in 1."
+    )
+
+
+@pytest.fixture(scope="module")
+def study(experiment: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A study whose runs are those of the made report, again and again."""
+    folder = tmp_path_factory.mktemp("study")
+    place = os.path.relpath(experiment, folder)
+    (folder / "results.json").write_text(json.dumps({"axes": AXES, "columns": [], "rows": rows(f"{place}/{{method}}")}))
+    table = {"variant": {"better": {"method": "naive"}}, "grid": AXES}
+    (folder / "study.json").write_text(json.dumps({"file": "l.toml", "table": table}))
+    write_study(folder)
+    return folder
+
+
+def test_a_run_whose_folder_is_gone_is_counted_and_the_others_are_shown(study: Path, tmp_path: Path) -> None:
+    table = json.loads((study / "results.json").read_text())
+    for row in table["rows"][:3]:
+        row["folder"] = "s3://bucket/run"
+    records = read_records(study, table["rows"])
+    assert records.lost == [1, 2, 3]
+    assert sorted(records.runs) == list(range(4, 12))
+
+
+def test_shared_stages_count_once(study: Path) -> None:
+    costs = {row["label"]: row for row in read_records(study, json.loads((study / "results.json").read_text())["rows"])
+             .costs()}  # fmt: skip
+    assert {label: row["count"] for label, row in costs.items()} == {
+        "render": 1, "capture": 1, "reconstruct: naive": 1, "reconstruct: better": 1, "reconstruct: oracle": 1
+    }  # fmt: skip
+    assert costs["reconstruct: naive"]["seconds"] == 2.0
+
+
+def texts(tab: Any, table: str, column: int) -> list[str]:
+    found: list[str] = tab.eval_on_selector_all(
+        f'table[data-name="{table}"] tbody tr:not([hidden])',
+        f"rows => rows.map(row => row.cells[{column}].textContent)",
+    )
+    return found
+
+
+@pytest.mark.parametrize("width", [390, 1300])
+def test_a_study_is_narrowed_sorted_compared_and_downloaded(visit: Callable[..., Any], study: Path, width: int) -> None:
+    tab = visit(study / "report.html", width=width)
+    assert tab.evaluate("document.documentElement.scrollWidth") == width
+    assert texts(tab, "combinations", 0) == ["†", "1", "2", "†", "1", "2"]
+    tab.get_by_label("electrons").first.select_option("5")
+    assert texts(tab, "combinations", 1) == ["oracle†", "better", "naive"]
+    lit = tab.locator('table[data-name="combinations"] thead button').filter(has_text="tone-aligned")
+    lit.click()
+    assert texts(tab, "combinations", 1) == ["naive", "better", "oracle†"]
+    assert texts(tab, "combinations", 0) == ["1", "2", "†"]
+    with tab.expect_download() as loading:
+        tab.get_by_label("Download “Scores of every combination” as CSV").click()
+    lines = list(csv.DictReader(Path(loading.value.path()).read_text(encoding="utf-8").splitlines()))
+    assert [(line["Method"], line["electrons"], float(line["PSNR aligned, noise-free dB"])) for line in lines] == [
+        ("naive", "5", 21.0), ("better", "5", 23.25), ("oracle", "5", 29.25)
+    ]  # fmt: skip
+    assert float(lines[0]["PSNR aligned, noise-free dB, standard deviation"]) == pytest.approx(2**0.5)
+    tab.locator("#runs summary").click()
+    tab.wait_for_selector('table[data-name="runs"]')
+    assert len(texts(tab, "runs", 0)) == 12
+    assert tab.locator("dd", has_text="the <disk> broke").count() == 1
+    tab.wait_for_function("location.hash === `#${novags.state.values}`")
+    again = visit(study / "report.html", tab.evaluate("location.hash"), width=width)
+    again.wait_for_selector('table[data-name="runs"]')
+    assert texts(again, "combinations", 1) == ["naive", "better", "oracle†"]
+
+
+def test_pictures_and_commands_of_a_study_are_those_of_its_runs(visit: Callable[..., Any], study: Path) -> None:
+    tab = visit(study / "report.html")
+    keys = tab.eval_on_selector_all(".grid.shown figure", "figures => figures.map(figure => figure.dataset.key)")
+    assert keys == ["dark", "truth-lit", "render-oracle", "error-oracle", "render-better", "error-better",
+                    "render-naive", "error-naive"]  # fmt: skip
+    tab.locator("#view").select_option(index=1)
+    assert "electrons 50" in tab.locator("#view option:checked").text_content()
+    cell = tab.locator('table[data-name="combinations"] tbody tr').nth(1).locator("td.num").nth(1)
+    cell.click()
+    commands = tab.locator(".told pre").text_content().splitlines()
+    assert len(commands) == 2  # one a seed
+    assert all("novags reconstruct ../page0/capture --variant" in command for command in commands)
