@@ -12,6 +12,7 @@ from novags.commands.photographs import import_
 from novags.commands.results import characterise, export_results, report, score
 from novags.commands.stages import capture, plan, poses, reconstruct, render
 from novags.commands.study import study
+from novags.commands.video import video
 from novags.commands.view import view
 from novags.failure import errors_in_one_line
 
@@ -31,6 +32,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
         score,
         report,
         view,
+        video,
         export_results,
         characterise,
         doctor,

@@ -1,0 +1,36 @@
+"""The command that films a flight through a reconstruction."""
+
+from pathlib import Path
+
+from novags.commands import shared
+from novags.commands.shared import next_
+from novags.options import Folder
+
+
+def video(
+    run: Folder, *, out: Path | None = None, seconds: float = 8.0, fps: float = 24.0, overwrite: bool = False
+) -> None:
+    """Film a flight through a run, on a smooth path through its training cameras, beside truth and dark pictures.
+
+    Truth and dark pictures are known at the cameras alone: in between, those of the nearest one are shown, and the
+    film says so.
+
+    Args:
+        run: Folder of a run that holds Gaussians.
+        out: The film: .mp4 (MPEG-4), or .webp, which every browser plays; if not given, RUN.mp4 beside the run.
+        seconds: How long it takes, about.
+        fps: Frames a second.
+        overwrite: Replace a file that is there.
+    """
+    from novags.testbed.flight.video import make_video
+    from novags.testbed.folders.run import open_run
+    from novags.testbed.stages.paths import keep_apart
+
+    opened = open_run(run)
+    path = out or run.resolve().with_suffix(".mp4")
+    keep_apart(path, run)
+    if path.exists() and not overwrite:
+        raise ValueError(f"{path} is there already: choose another --out, or add --overwrite")
+    frames = make_video(opened, path, shared.console(), seconds=seconds, fps=fps)
+    print(f"{path}: {frames} frames")
+    next_(f"novags report {run}")

@@ -1,0 +1,1 @@
+"""`novags video`: a flight through a reconstruction, beside the truth and the dark pictures."""

@@ -1,0 +1,81 @@
+"""Frames into a video file: MP4 (MPEG-4), or an animated WebP, which browsers show as a picture."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+
+from sensor_model.files.atomic import atomic
+
+SUFFIXES = (".mp4", ".webp")
+
+
+class Film(Protocol):
+    """Takes frames."""
+
+    def add(self, frame: np.ndarray) -> None:
+        """Add a frame: uint8 RGB [h,w,3], all of one size, even in both directions."""
+        ...
+
+
+@contextmanager
+def film(path: Path, fps: float) -> Iterator[Film]:
+    """A video file that appears when the block ends without an error.
+
+    Raises:
+        ValueError: If the suffix is neither .mp4 nor .webp, or this OpenCV cannot write MP4.
+        OSError: If the file cannot be written.
+    """
+    check_suffix(path)
+    with atomic(path) as temporary:
+        made: Any = _Mp4(temporary, fps) if path.suffix == ".mp4" else _WebP(temporary, fps)
+        try:
+            yield made
+        finally:
+            made.close()
+        if not temporary.exists() or not temporary.stat().st_size:
+            raise OSError(f"{path}: nothing was written; is the disk full?")
+
+
+def check_suffix(path: Path) -> None:
+    """Raise ValueError for a file of another kind."""
+    if path.suffix not in SUFFIXES:
+        raise ValueError(f"a video must be called {' or '.join(SUFFIXES)}, got {path.name}: choose another --out")
+
+
+class _Mp4:
+    def __init__(self, path: Path, fps: float) -> None:
+        self._path, self._fps = path, fps
+        self._writer: Any = None
+
+    def add(self, frame: np.ndarray) -> None:
+        import cv2
+
+        if self._writer is None:
+            size = (frame.shape[1], frame.shape[0])
+            self._writer = cv2.VideoWriter(str(self._path), cv2.VideoWriter.fourcc(*"mp4v"), self._fps, size)
+            if not self._writer.isOpened():
+                raise ValueError(f"this OpenCV cannot write {self._path.suffix}: give --out a name that ends in .webp")
+        self._writer.write(np.ascontiguousarray(frame[..., ::-1]))
+
+    def close(self) -> None:
+        if self._writer is not None:
+            self._writer.release()
+
+
+class _WebP:
+    def __init__(self, path: Path, fps: float) -> None:
+        self._path, self._fps, self._frames = path, fps, list[Any]()
+
+    def add(self, frame: np.ndarray) -> None:
+        from PIL import Image
+
+        self._frames.append(Image.fromarray(frame))
+
+    def close(self) -> None:
+        if self._frames:
+            first, *rest = self._frames
+            first.save(self._path, "webp", save_all=True, append_images=rest, duration=round(1000 / self._fps), loop=0,
+                       quality=80, method=2)  # fmt: skip

@@ -1,0 +1,189 @@
+"""Claims about films: the path goes smoothly through the cameras, frames show what they say, files are readable."""
+
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+ROOT = Path(__file__).resolve().parents[4]
+sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a module
+
+from novags import cli  # noqa: E402
+from novags.splats import Gaussians, Views, rasterize, write_ply  # noqa: E402
+from novags.testbed.console import Console  # noqa: E402
+from novags.testbed.flight import video  # noqa: E402
+from novags.testbed.flight.film import film  # noqa: E402
+from novags.testbed.flight.panels import BAR, Panel, frame  # noqa: E402
+from novags.testbed.flight.path import distances, fly, shorter_order  # noqa: E402
+from novags.testbed.folders.run import open_run  # noqa: E402
+from novags.testbed.references import references  # noqa: E402
+from novags.testbed.stages.viewers import viewer_cameras  # noqa: E402
+from simscenes.rigs import orbit_rig  # noqa: E402
+from tests.fuzz.readers.records import make_run  # noqa: E402
+
+QUIET = Console(quiet=True)
+
+
+def ring(count: int) -> np.ndarray:
+    """Cameras evenly on a quarter of a circle of radius 2 around the origin, which they look at."""
+    viewmats = np.tile(np.eye(4), (count, 1, 1))
+    for viewmat, angle in zip(viewmats, np.linspace(0, np.pi / 2, count), strict=True):
+        forward = -np.array([np.cos(angle), np.sin(angle), 0.0])
+        down = np.array([0.0, 0.0, -1.0])
+        viewmat[:3, :3] = np.stack([np.cross(down, forward), down, forward])
+        viewmat[:3, 3] = [0.0, 0.0, 2.0]
+    return viewmats
+
+
+def test_a_path_passes_through_every_camera_and_stays_on_their_circle() -> None:
+    given = ring(7)
+    flight = fly(given, 61)
+    assert len(flight.viewmats) == 61
+    assert (flight.distance < 1e-9).sum() == 7
+    assert set(flight.nearest[flight.distance < 1e-9]) == set(range(7))
+    turns, moves = flight.viewmats[:, :3, :3], flight.viewmats[:, :3, 3]
+    assert np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max() < 1e-12
+    centers = -np.einsum("fji,fj->fi", turns, moves)
+    assert np.linalg.norm(centers, axis=1) == pytest.approx(np.full(61, 2.0), abs=5e-3)
+    steps = np.linalg.norm(np.diff(centers, axis=0), axis=1)
+    assert steps.max() < 1.1 * steps.min()  # an even pace
+    second = np.linalg.norm(np.diff(centers, 2, axis=0), axis=1)
+    assert second.max() < 0.06 * steps.min()  # without corners: straight lines would turn by 15 degrees at a camera
+
+
+def test_photographs_in_no_order_are_visited_along_the_shorter_way() -> None:
+    given = ring(9)
+    shuffled = given[[0, 5, 2, 8, 1, 7, 3, 6, 4]]
+    assert shorter_order(distances(shuffled, shuffled)) == [0, 4, 2, 6, 8, 1, 7, 5, 3]
+    assert shorter_order(distances(given, given)) == list(range(9))
+
+
+def test_cameras_that_stand_twice_at_a_place_do_not_stop_the_flight() -> None:
+    given = ring(4)
+    flight = fly(given[[0, 1, 1, 2, 3]], 20)
+    assert np.isfinite(flight.viewmats).all()
+    with pytest.raises(ValueError, match="at least 2 different cameras, got 3 at one place"):
+        fly(given[[1, 1, 1]], 20)
+
+
+def test_a_frame_holds_whole_pixels_and_is_even() -> None:
+    image = np.random.default_rng(0).random((33, 25, 3)).astype(np.float32)
+    made = frame([Panel(image, "a", "b"), Panel(image[:, :11], "c", "long " * 40)])
+    assert made.shape == (330 + BAR, 250 + 8 + 110, 3)
+    codes = np.round(255 * image).astype(np.uint8)
+    assert (made[5:330:10, 5:250:10] == codes).all()
+    assert (made[5:330:10, 263:368:10] == codes[:, :11]).all()
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".webp"])
+def test_a_film_has_its_frames_in_order(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"f{suffix}"
+    with film(path, 10) as made:
+        for level in (40, 120, 200):
+            made.add(np.full((64, 96, 3), level, np.uint8))
+    if suffix == ".mp4":
+        reader, levels = cv2.VideoCapture(str(path)), []
+        while (read := reader.read())[0]:
+            levels.append(read[1].mean())
+        assert reader.get(cv2.CAP_PROP_FPS) == pytest.approx(10)
+    else:
+        from PIL import Image, ImageSequence
+
+        levels = [np.asarray(picture.convert("RGB")).mean() for picture in ImageSequence.Iterator(Image.open(path))]
+    assert levels == pytest.approx([40, 120, 200], abs=4)
+
+
+def test_a_film_that_fails_leaves_no_file(tmp_path: Path) -> None:
+    def shoot() -> None:
+        with film(tmp_path / "f.mp4", 10) as made:
+            made.add(np.zeros((64, 96, 3), np.uint8))
+            raise RuntimeError
+
+    with pytest.raises(RuntimeError):
+        shoot()
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run with Gaussians and three cameras on an orbit."""
+    folder = tmp_path_factory.mktemp("film")
+    make_run(folder)
+    record = json.loads((folder / "naive" / "run.json").read_text())
+    record["enhancement"]["config"] = {}
+    (folder / "naive" / "run.json").write_text(json.dumps(record))
+    rig = orbit_rig(3, 32, 24, 50.0, radius=3.0)
+    viewmats, Ks = (torch.tensor(np.asarray(m), dtype=torch.float32) for m in (rig.viewmats, rig.Ks))
+    views = [Views(viewmats[k : k + 1], Ks[k : k + 1], 32, 24) for k in range(3)]
+    (folder / "naive" / "cameras.json").write_text(json.dumps(viewer_cameras(["0000", "0001", "0002"], views)))
+    generator = torch.Generator().manual_seed(0)
+    points, colors = (torch.rand(200, 3, generator=generator) for _ in range(2))
+    write_ply(folder / "naive" / "point_cloud.ply", Gaussians.from_points(points - 0.5, colors, sh_degree=0))
+    return folder / "naive"
+
+
+def test_frames_show_the_gaussians_from_there_and_the_nearest_pictures(
+    run: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    frames, notes = list[np.ndarray](), list[list[str]]()
+
+    @contextmanager
+    def kept(path: Path, fps: float) -> Iterator[Any]:
+        yield type("Kept", (), {"add": lambda self, made: frames.append(made)})()
+
+    def noted(panels: list[Panel]) -> np.ndarray:
+        notes.append([panel.note for panel in panels])
+        return frame(panels)
+
+    monkeypatch.setattr(video, "film", kept)
+    monkeypatch.setattr(video, "frame", noted)
+    count = video.make_video(open_run(run), tmp_path / "f.mp4", QUIET, seconds=1.0, fps=9.0)
+    assert count == len(frames) == 9
+    opened = open_run(run)
+    capture, lit = opened.inputs(QUIET)
+    gaussians = video.scene_of(opened).gaussians
+    lenses = json.loads((run / "cameras.json").read_text())
+    turn, place = (np.array(lenses[0][key]) for key in ("rotation", "position"))
+    viewmat = np.eye(4)
+    viewmat[:3, :3], viewmat[:3, 3] = turn.T, -turn.T @ place
+    K = np.median(capture.cameras.rig.Ks, axis=0)
+    K[0, 0], K[1, 1] = lenses[0]["fx"], lenses[0]["fy"]
+    g = gaussians
+    there = torch.tensor(viewmat, dtype=torch.float32)[None], torch.tensor(K, dtype=torch.float32)[None]
+    image, _, _ = rasterize(g.means, g.quats, g.scales, g.opacities, g.sh, *there, 32, 24, sh_degree=0)
+    times = 14  # 24 rows become 336
+    shown = frames[0][times // 2 : 336 : times, times // 2 : 32 * times : times]
+    assert np.abs(shown.astype(float) - 255 * image[0].numpy().clip(0, 1)).max() <= 0.51
+    truth = references(opened, capture, lit, 0)["enhanced"]
+    left = 32 * times + 8
+    assert np.abs(frames[0][7:336:times, left + 7 : left + 32 * times : times] - 255 * truth).max() <= 0.51
+    assert notes[0] == ["reconstruction", "view 0000", "view 0000"]
+    assert notes[1][1:] == ["none from here; nearest: view 0000"] * 2
+    assert notes[-1][1] == "view 0002"
+
+
+def test_a_run_without_gaussians_and_files_that_are_there_are_refused_in_one_line(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def said(*words: str) -> str:
+        monkeypatch.setattr(sys, "argv", ["novags", "video", str(run), *words])
+        with pytest.raises(SystemExit):
+            cli.main()
+        return capsys.readouterr().err
+
+    (tmp_path / "f.mp4").write_bytes(b"mine")
+    assert "is there already: choose another --out, or add --overwrite" in said("--out", str(tmp_path / "f.mp4"))
+    assert "must be called .mp4 or .webp, got f.gif" in said("--out", str(tmp_path / "f.gif"))
+    assert "must not lie inside its input" in said("--out", str(run / "f.mp4"))
+    assert "got -1 s at 24 frames a second" in said("--out", str(tmp_path / "g.mp4"), "--seconds", "-1")
+    monkeypatch.setattr(video, "scene_of", lambda opened: None)
+    assert "only Gaussians can be rendered from new places, and naive has made none" in said(
+        "--out", str(tmp_path / "g.mp4"))  # fmt: skip
+    assert [path.name for path in tmp_path.iterdir()] == ["f.mp4"]
