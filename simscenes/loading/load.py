@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import hashlib
 import re
 from contextlib import nullcontext
@@ -15,7 +16,7 @@ from simscenes.loading.checks.meshes import check_faces
 from simscenes.loading.checks.physical import check_parameters, scene_extent
 from simscenes.loading.checks.trial import check_survives
 from simscenes.loading.checks.untrusted import check_plugin, check_xml, searching_only
-from simscenes.loading.checks.usable import check_usable, raw_color
+from simscenes.loading.checks.usable import raw_color, why_unusable
 from simscenes.loading.contents import parameters_in, unique_materials
 from simscenes.loading.digest import content_digest
 from simscenes.loading.integrator import OwnIntegrator, in_dict, in_file, own_integrator
@@ -123,7 +124,10 @@ def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> Load
         raise ValueError(f"scene {name!r} cannot be loaded: {error}") from error
     if not isinstance(loaded, mi.Scene) or len(loaded.shapes()) == 0:
         raise ValueError(f"scene {name!r} has no shapes: there is nothing to see")
-    check_usable(loaded, mi, name)
+    if problem := why_unusable(loaded, mi):
+        del loaded
+        gc.collect()
+        raise ValueError(f"scene {name!r} holds {problem}")
     extent = scene_extent(loaded)
     params = parameters_in(loaded, mi)
     check_faces(params)

@@ -24,29 +24,25 @@ COLORS = frozenset({
 })  # fmt: skip  # textures that are asked for a colour, by their names in what uses them; the others for a number
 
 
-def check_usable(scene: Any, mi: Any, name: str) -> None:
-    """Refuse what Mitsuba would only find out while rendering, or never.
+def why_unusable(scene: Any, mi: Any) -> str:
+    """What Mitsuba would only find out while rendering, or never: the plugin and the reason; "" if there is none.
 
-    Args:
-        scene: A loaded scene.
-        mi: The mitsuba module.
-        name: Of the scene, for messages.
-
-    Raises:
-        ValueError: If the scene holds such a thing. The message says "spectral" if another variant can render it.
+    It says "spectral" if another variant can render it. The caller lets go of the scene before it raises: while an
+    object that RGB cannot evaluate is alive, llvm and cuda render no other scene in RGB either.
     """
     spectral = "spectral" in mi.variant()
     for _, part in _parts(scene, mi):
         kind = _class(part)
         if kind in UNUSABLE:
-            raise ValueError(f"scene {name!r} holds {UNUSABLE[kind]}")
+            return UNUSABLE[kind]
         if kind in SPECTRAL and not spectral:
-            raise ValueError(f"scene {name!r} holds {SPECTRAL[kind]}")
+            return SPECTRAL[kind]
     if spectral and (raw := raw_color(scene, mi)):
-        raise ValueError(
-            f"scene {name!r} holds a bitmap with raw = true as {raw}: it has no spectrum, and is for RGB alone; leave "
-            "raw out where a picture is a colour"
+        return (
+            f"a bitmap with raw = true as {raw}: it has no spectrum, and is for RGB alone; leave raw out where a "
+            "picture is a colour"
         )
+    return ""
 
 
 def raw_color(scene: Any, mi: Any) -> str:
