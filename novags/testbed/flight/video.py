@@ -47,7 +47,7 @@ class Beside:
         view = self.names[nearest]
         if nearest not in self._kept:
             self._kept[nearest] = self._pictures(self.capture.names.index(view))
-        where = f"view {view}" if distance <= SAME else f"none from here; nearest: view {view}"
+        where = f"view {view}" if distance <= SAME else f"no picture from here; nearest: view {view}"
         return [Panel(image, title, where) for image, title in self._kept[nearest]]
 
     def _pictures(self, i: int) -> list[tuple[np.ndarray, str]]:

@@ -165,7 +165,7 @@ def test_frames_show_the_gaussians_from_there_and_the_nearest_pictures(
     left = 32 * times + 8
     assert np.abs(frames[0][7:336:times, left + 7 : left + 32 * times : times] - 255 * truth).max() <= 0.51
     assert notes[0] == ["reconstruction", "view 0000", "view 0000"]
-    assert notes[1][1:] == ["none from here; nearest: view 0000"] * 2
+    assert notes[1][1:] == ["no picture from here; nearest: view 0000"] * 2
     assert notes[-1][1] == "view 0002"
 
 
