@@ -31,8 +31,8 @@ def line_chart(series: Series, keys: Mapping[str, str], *, x_label: str, y_label
 
     placed = [(name, keys[name], [(*place(x, y), f"{x:g}", f"{y:.4g}") for x, y in line if y > 0])
               for name, line in series.items()]  # fmt: skip
-    opened = f'<svg class="chart" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(title)}"'
-    parts = [f"{opened} {plot_data(placed, x_label)}>"]
+    parts = [f'<svg class="chart" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(title)}" '
+             f"{plot_data(placed, x_label)}>"]  # fmt: skip
     for tick in log_ticks(y_low, y_high):
         _, y = place(0, tick)
         parts.append(f'<line class="rule" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{y:.1f}" y2="{y:.1f}"/>')
@@ -46,9 +46,8 @@ def line_chart(series: Series, keys: Mapping[str, str], *, x_label: str, y_label
             f'<polyline class="line dash{number % DASHES} {escape(keys[name])}" points="{path}">'
             f"<title>{escape(name)}</title></polyline>"
         )
-    middle = (LEFT + WIDTH - RIGHT) / 2
+    middle, centre = (LEFT + WIDTH - RIGHT) / 2, (TOP + HEIGHT - BOTTOM) / 2
     parts.append(f'<text class="axis" x="{middle}" y="{HEIGHT - 6}" text-anchor="middle">{escape(x_label)}</text>')
-    centre = (TOP + HEIGHT - BOTTOM) / 2
     turned = f'transform="translate(14 {centre}) rotate(-90)"'
     parts.append(f'<text class="axis" {turned} text-anchor="middle">{escape(y_label)}</text>')
     return "".join([*parts, "</svg>"])

@@ -10,12 +10,21 @@ from novags.testbed.report.charts import plot_data
 
 WIDTH, HEIGHT = 720, 340
 LEFT, RIGHT, TOP, BOTTOM = 62, 170, 14, 46
+MARKS = (
+    "M-4,-4h8v8h-8z",
+    "M0,-5L5,4H-5z",
+    "M0,-5.5L5.5,0L0,5.5L-5.5,0z",
+    "M-4,0a4,4 0 1,0 8,0a4,4 0 1,0 -8,0",
+    "M0,5L5,-4H-5z",
+    "M-5,-1.5h3.5v-3.5h3v3.5h3.5v3h-3.5v3.5h-3v-3.5h-3.5z",
+)  # of lines one after the other: not by colour alone
 LEGEND = 22  # px between two lines of it
 ALONE = """
 svg { background: #fff; font-family: system-ui, sans-serif; --line: #e2e2df; --muted: #63666d; }
 .chart .rule { stroke: var(--line); stroke-width: 1; }
 .chart text { fill: var(--muted); font-size: 12px; }
 .chart .line { fill: none; stroke: var(--own); stroke-width: 2; stroke-linejoin: round; }
+.chart .mark { fill: var(--own); }
 """  # what the page's style says where the chart stands in one
 
 
@@ -52,7 +61,7 @@ def level_chart(lines: Sequence[Line], *, x_label: str, y_label: str, title: str
     parts = [f"{opened} {plot_data([frame.placed(line) for line in lines], x_label)}>"]
     parts += frame.axes(sorted({x for x, *_ in points}), x_label, y_label)
     for place, line in enumerate(lines):
-        parts += frame.line(line)
+        parts += frame.line(line, MARKS[place % len(MARKS)])
         parts += _legend(line, place)
     return "".join([*parts, "</svg>"])
 
@@ -118,12 +127,13 @@ class _Frame:
         parts.append(f'<text class="axis" {turned} text-anchor="middle">{escape(y_label)}</text>')
         return parts
 
-    def line(self, line: Line) -> list[str]:
+    def line(self, line: Line, mark: str) -> list[str]:
         if not line.points:
             return []
         path = " ".join(f"{self.x(x):.1f},{self.y(mean):.1f}" for x, mean, *_ in line.points)
         parts = [_stroke(line, f'<polyline points="{path}"', f"<title>{escape(line.name)}</title></polyline>")]
-        for x, _, least, largest in line.points:
+        for x, mean, least, largest in line.points:
+            parts.append(_mark(line, mark, self.x(x), self.y(mean)))
             if largest > least:
                 bar = f'x1="{self.x(x):.1f}" x2="{self.x(x):.1f}" y1="{self.y(least):.1f}" y2="{self.y(largest):.1f}"'
                 parts.append(_stroke(line, f"<line {bar}", "</line>"))
@@ -139,10 +149,15 @@ def _stroke(line: Line, opened: str, closed: str) -> str:
     return f'{opened} class="line {escape(line.key)}"{dashes}>{closed}'
 
 
+def _mark(line: Line, mark: str, x: float, y: float) -> str:
+    return f'<path class="mark {escape(line.key)}" transform="translate({x:.1f} {y:.1f})" d="{mark}"/>'
+
+
 def _legend(line: Line, place: int) -> list[str]:
     x, y = WIDTH - RIGHT + 14, TOP + 10 + LEGEND * place
     dashes = ' stroke-dasharray="6 4"' if line.dashed else ""
     return [f'<line class="line {escape(line.key)}"{dashes} x1="{x}" x2="{x + 24}" y1="{y}" y2="{y}"/>',
+            _mark(line, MARKS[place % len(MARKS)], x + 12, y),
             f'<text class="name" x="{x + 30}" y="{y + 4}">{escape(line.name)}</text>']  # fmt: skip
 
 

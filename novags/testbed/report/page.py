@@ -196,41 +196,28 @@ def commands(material: Material) -> dict[str, str]:
 
 def report_context(material: Material, album: Album, progress: Update) -> dict[str, Any]:
     """What the template shows; its pictures go into `album`."""
-    competes = {name: row.competes for name, row in material.rows.items()}
-    methods = {name: run.method for name, run in material.runs.items()}
     picked = pick_views(material.capture)
     views = []
     for done, i in enumerate(picked):
         shown = view_tiles(i, material.runs, material.main, material.capture, material.lit, material.metrics, album)
         views.append(shown)
         progress(done + 1, len(picked), f"view {shown.name}")
-    scored = {kind: per_view(material.metrics, kind) for kind in COLUMNS}
     left, right = material.bound("floor") or material.main, material.main
+    scores = score_context(material)
     looks = {name: {"key": row.key, "competes": row.competes} for name, row in material.rows.items()}
+    data = {"left": [f"render-{left}", "enhanced"], "right": [f"render-{right}", "truth-lit"],
+            "views": scores["per_view"], "looks": looks}  # fmt: skip
     return {
+        **scores,
         "title": title(material),
         "what": what_was_done(material),
         "verdict": verdict(material),
         "cards": cards(material),
         "views": views,
         "main": material.main,
-        "data": {"left": [f"render-{left}", "enhanced"], "right": [f"render-{right}", "truth-lit"],
-                 "views": scored, "looks": looks},
+        "data": data,
         "error_ceiling": ERROR_CEILING,
         "looks": material.rows,
-        "tables": {kind: score_table(material.metrics, kind, competes) for kind in COLUMNS},
-        "columns": COLUMNS,
-        "per_view": scored,
-        "geometry": geometry_table(material),
-        "geometry_columns": GEOMETRY,
-        "cameras": camera_table(material),
-        "recovered": {
-            "enhanced": material.metrics["recovered"],
-            "lit": material.metrics.get("recovered_lit", {}),
-            "linear": {},
-        },
-        "bounds": [material.bound("floor"), material.bound("ceiling")],
-        "training_2d": training_table(material),
         "departures": departures(material),
         "loss_chart": loss_chart(material.runs, material.rows),
         "costs": costs(material),
@@ -245,7 +232,25 @@ def report_context(material: Material, album: Album, progress: Update) -> dict[s
         "unavailable": material.metrics["unavailable"],
         "configurations": configurations(material),
         "commands": commands(material),
+        "environment": material.runs[material.main].record["stage"],
+    }
+
+
+def score_context(material: Material) -> dict[str, Any]:
+    """What the tables of scores show."""
+    competes = {name: row.competes for name, row in material.rows.items()}
+    methods = {name: run.method for name, run in material.runs.items()}
+    recovered = {"enhanced": material.metrics["recovered"], "lit": material.metrics.get("recovered_lit", {})}
+    return {
+        "tables": {kind: score_table(material.metrics, kind, competes) for kind in COLUMNS},
+        "columns": COLUMNS,
+        "per_view": {kind: per_view(material.metrics, kind) for kind in COLUMNS},
+        "geometry": geometry_table(material),
+        "geometry_columns": GEOMETRY,
+        "cameras": camera_table(material),
+        "recovered": {**recovered, "linear": {}},
+        "bounds": [material.bound("floor"), material.bound("ceiling")],
+        "training_2d": training_table(material),
         "commands_of": {name: score_again(run, material.folder) for name, run in material.runs.items()},
         "deltas": {"linear": ({}, ""), **{kind: deltas_of(material.metrics, methods, kind) for kind in MAIN}},
-        "environment": material.runs[material.main].record["stage"],
-    }  # fmt: skip
+    }

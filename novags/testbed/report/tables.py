@@ -5,6 +5,8 @@ import statistics
 from collections.abc import Mapping
 from typing import Any
 
+from sensor_model.files.reading import brief
+
 # key, heading, unit, whether more is better; the first is the main score
 _ENHANCED = (
     ("aligned_psnr", "PSNR aligned", "dB", True),
@@ -80,8 +82,15 @@ def ranks(values: Mapping[str, float], more_is_better: bool) -> dict[str, int]:
 
 
 def measured(value: float | str | None) -> float | None:
-    """A score as a number: JSON has infinity as text; None and NaN are no scores."""
-    number = math.nan if value is None else float(value)
+    """A score as a number: JSON has infinity as text; None and NaN are no scores.
+
+    Raises:
+        ValueError: If it is another text.
+    """
+    try:
+        number = math.nan if value is None else float(value)
+    except ValueError as error:
+        raise ValueError(f"a score must be a number, got {brief(repr(value))}: score again") from error
     return None if math.isnan(number) else number
 
 

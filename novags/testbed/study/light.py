@@ -181,7 +181,8 @@ def _value(row: Mapping[str, Any], measure: Measure) -> float | None:
     if row["state"] == "failed" and row.get("stage") == OF_CAMERAS:
         return measure.missing
     value = row.get(measure.column) if row["state"] == "done" else None
-    return None if value is None else float(value)
+    number = math.nan if value is None else float(value)
+    return number if math.isfinite(number) else None  # JSON has infinity as text; no curve leads there
 
 
 def knee_of(values: Mapping[float, float | None], measure: Measure) -> float | None:

@@ -37,10 +37,8 @@ novags.look = {
     }
     if (novags.stage.pixel) this.probe();
   },
-  // The pictures of a view are made when it is shown first, so that a page of many views opens at once.
   fetch(grid) {
-    const kept = grid.querySelector(":scope > template");
-    if (kept) kept.replaceWith(kept.content);
+    novags.unpack(grid);
     for (const figure of grid.querySelectorAll("figure")) this.listen(figure);
     grid.classList.toggle("pixels", +grid.querySelector("img").getAttribute("width") < 480);
     grid.dataset.ready = "";

@@ -19,6 +19,14 @@ const novags = {
   adopt(root) {
     for (const part of this.parts) part.adopt?.(root);
   },
+  // Long tables, and the pictures of all views but the first, are text until they are asked for: the page opens at once.
+  unpack(box) {
+    const kept = box.querySelector(":scope > script.late"), made = document.createElement("template");
+    if (!kept) return false;
+    made.innerHTML = kept.textContent;
+    kept.replaceWith(made.content);
+    return true;
+  },
   restore() {
     for (const part of this.parts) part.restore();
     const target = this.byId(this.state.get("at"));
@@ -74,11 +82,8 @@ novags.parts.push({
       part.open = (novags.state.get(part.id) || (part.dataset.first ? "open" : "shut")) === "open";
     }
   },
-  // Long tables are made when they are asked for, so that the page opens at once.
   unfold(part) {
-    const kept = part.querySelector(":scope > template");
-    if (!kept) return;
-    kept.replaceWith(kept.content);
+    if (!novags.unpack(part)) return;
     novags.adopt(part);
     for (const other of novags.parts) if (other.adopt) other.restore();
   },

@@ -1,12 +1,11 @@
 """The runs of a study, one line for each combination but the seed, and which method comes first where."""
 
-import statistics
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 from novags.testbed.report.facts import join
-from novags.testbed.report.tables import measured, ranks
+from novags.testbed.report.tables import measured, ranks, spread_of
 from novags.testbed.study.light import METHOD, SEED
 
 Row = Mapping[str, Any]
@@ -65,8 +64,8 @@ def lines_of(rows: Sequence[Row], axes: Mapping[str, Any], competes: Mapping[str
         for column, *_ in COLUMNS:
             values = [value for row in line.runs if (value := _value(row, column)) is not None]
             if values:
-                sd = statistics.stdev(values) if len(values) > 1 else None
-                line.spread[column] = (statistics.fmean(values), sd)
+                over = spread_of(values, True)
+                line.spread[column] = (float(over["mean"] or 0.0), over["sd"])
     found = []
     for members in by_place(list(groups.values())).values():
         for column, _, _, more, _ in COLUMNS:

@@ -5,21 +5,30 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import read_json
+from novags.testbed.folders import shapes
 from novags.testbed.folders.experiment import REPORT
 from novags.testbed.report.look.album import Album
 from novags.testbed.report.look.maps import ERROR_CEILING
 from novags.testbed.report.page import fill_page
-from novags.testbed.report.study.grid import SCALES, Line, lines_of, main_column, shown_columns, verdict
+from novags.testbed.report.study.grid import COLUMNS, SCALES, Line, lines_of, main_column, shown_columns, verdict
 from novags.testbed.report.study.light import Look, light_report, looks_of
 from novags.testbed.report.study.pictures import study_views
-from novags.testbed.report.study.records import Records, read_records
+from novags.testbed.report.study.records import Records, read_records, signals
 from novags.testbed.study.conduct import STUDY
-from novags.testbed.study.light import METHOD
+from novags.testbed.study.light import MEASURES, METHOD
 from novags.testbed.study.results import CSV, JSON, counted
+from sensor_model.files.records import check_shape, read_record
 
-RESULTS: Any = {"axes": {"*": list}, "rows": [{"state": str, "method": str, "run": int}]}
-TABLE: Any = {"file": str, "table": dict}
+AGAIN = "run the study again: what is done is kept"
+VALUE = (str, float, bool)  # of an axis
+RESULTS: Any = {"axes": {"*": [VALUE]}, "rows": list}
+TABLE: Any = {"file": str, "table": {"variant?": {"*": {"method": str}}, "method?": dict}}
+ROW: Any = {
+    "state": str,
+    "method": str,
+    "run": int,
+    **{f"{name}?": (str, None) for name in ("reason", "stage", "folder")},
+}
 
 
 def is_study(folder: Path) -> bool:
@@ -37,8 +46,8 @@ def write_study(folder: Path, out: Path | None = None) -> Path:
     Raises:
         ValueError: If its tables cannot be read, or nothing is done yet.
     """
-    results, study = read_json(folder / JSON, RESULTS), read_json(folder / STUDY, TABLE)
-    rows, axes = results["rows"], results["axes"]
+    rows, axes = read_rows(folder / JSON)
+    study = read_record(folder / STUDY, TABLE, AGAIN)
     if not any(row["state"] == "done" for row in rows):
         raise ValueError(f"{folder} has no finished run to show: run its study first, or with --retry-failed")
     path = out or folder / REPORT
@@ -46,20 +55,34 @@ def write_study(folder: Path, out: Path | None = None) -> Path:
     competes = {name: look.competes for name, look in looks.items()}
     lines, records = lines_of(rows, axes, competes), read_records(folder, rows)
     album = Album(path)
-    views = study_views(lines, records, album)
+    views, unseen = study_views(lines, records, album)
     album.settle()
     light = light_report(path.parent, rows, axes, looks)
     context = {
         **_tables(lines, rows, axes, records, path),
         "title": f"{study['file']}: {len(rows)} runs",
         "verdict": verdict(lines, competes), "states": counted(rows), "light": light, "looks": looks,
-        "views": views, "error_ceiling": ERROR_CEILING, "data": _data(lines, looks),
+        "views": views, "unseen": unseen, "signals": signals(lines, records),
+        "error_ceiling": ERROR_CEILING, "data": _data(lines, looks),
         "failed": [row for row in rows if row["state"] == "failed"], "costs": records.costs(),
         "effects": records.effects(), "departures": records.departures(), "lost": len(records.lost),
         "configuration": json.dumps(study["table"], indent=2, ensure_ascii=False), "csv": CSV,
         "beside": path.parent.resolve() == folder.resolve(),
     }  # fmt: skip
     return fill_page("study.html", path, context)
+
+
+def read_rows(path: Path) -> tuple[list[dict[str, Any]], dict[str, list[Any]]]:
+    """The rows of a study's table, and the values of its axes.
+
+    Raises:
+        ValueError: If it cannot be read, or a row lacks an axis or has no number where a score belongs.
+    """
+    results = read_record(path, RESULTS, AGAIN)
+    scores = {column for column, *_ in COLUMNS} | {measure.column for measure in MEASURES}
+    row = {**ROW, **dict.fromkeys(results["axes"], VALUE), **{f"{column}?": shapes.MEASURED for column in scores}}
+    check_shape(results["rows"], [row], f"{path}: rows", AGAIN)
+    return results["rows"], results["axes"]
 
 
 def _data(lines: Sequence[Line], looks: Mapping[str, Look]) -> dict[str, Any]:

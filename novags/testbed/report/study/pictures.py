@@ -5,24 +5,37 @@ from pathlib import Path
 from typing import Any
 
 from novags.methods.problem import encode
+from novags.testbed.folders.capture import Capture
+from novags.testbed.folders.imported import is_imported
 from novags.testbed.folders.run import Run
 from novags.testbed.report.look.album import Album
 from novags.testbed.report.look.maps import error_map
+from novags.testbed.report.look.probe import Probe, probe_of
 from novags.testbed.report.pictures import Tile, ViewTiles
 from novags.testbed.report.study.grid import Line, by_place
 from novags.testbed.report.study.records import Records
 from novags.testbed.study.grid import spelled
+from sensor_model import sensor_from_dict
+from simscenes.sets.multiview import load_set
 from simscenes.sets.pictures.png import read_png
 
 
-def study_views(lines: Sequence[Line], records: Records, album: Album) -> list[ViewTiles]:
-    """The pictures of every place that has a finished run on this machine."""
-    found = []
+def study_views(
+    lines: Sequence[Line], records: Records, album: Album
+) -> tuple[list[ViewTiles], dict[str, str]]:  # fmt: skip
+    """The pictures of every place that has a finished run on this machine; and the places without, with the reason."""
+    found, lost = list[ViewTiles](), dict[str, str]()
     for members in by_place(lines).values():
+        place = spelled(members[0].place) or "all runs"
         runs = {line.method: number for line in members if (number := _first(line, records)) is not None}
-        if runs and (view := _view(spelled(members[0].place) or "all runs", runs, records, album)) is not None:
+        try:
+            view = _view(place, runs, records, album) if runs else None
+        except (ValueError, OSError) as error:  # one damaged file must not cost the page of a thousand runs
+            lost[place] = str(error)
+            continue
+        if view is not None:
             found.append(view)
-    return found
+    return found, lost
 
 
 def _first(line: Line, records: Records) -> int | None:
@@ -53,7 +66,24 @@ def _view(place: str, runs: dict[str, int], records: Records, album: Album) -> V
     for method, mine in runs.items():
         _add_run(add, method, records.runs[mine], name, lit, album)
     height, width = first.shape[:2]
-    return ViewTiles(f"{place}, view {Path(name).stem}", True, width, height, tuple(tiles))
+    title = f"{place}, view {Path(name).stem}"
+    if (probe := _probe(capture, records.captures[number][1], Path(name).stem)) is None:
+        return ViewTiles(title, True, width, height, tuple(tiles))
+    return ViewTiles(
+        title, True, width, height, tuple(tiles), probe.header, album.add_data(f"probe-{title}", probe.data)
+    )
+
+
+def _probe(path: Path, record: dict[str, Any], view: str) -> Probe | None:
+    """The numbers of a view's pixels; None of imported photographs.
+
+    The capture is not compared with its checksums: of a study of thousands that would read everything.
+    """
+    if record.get("sensor") is None or is_imported(record):
+        return None
+    cameras = load_set(path)
+    capture = Capture(path, record, cameras, sensor_from_dict(record["sensor"]), content="")
+    return probe_of(capture, cameras.names.index(view)) if view in cameras.names else None
 
 
 def _add_run(add: Any, method: str, run: Run, name: str, lit: Any, album: Album) -> None:

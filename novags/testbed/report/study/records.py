@@ -7,12 +7,19 @@ from typing import Any
 
 from novags.testbed.cache import read_json
 from novags.testbed.folders import capture as capture_folder
+from novags.testbed.folders import shapes
 from novags.testbed.folders.run import Run, open_run
 from novags.testbed.report.rows import deviations
+from novags.testbed.report.study.grid import Line, by_place
 from novags.testbed.results.again import score_again
+from novags.testbed.study.grid import spelled
 
 RECORD = "set.json"
-STAGE: Any = {"stage?": {"name?": str, "seconds": float, "peak_bytes": int}, "plan?": (dict, None)}
+COST = {"seconds": float, "peak_bytes": int}
+SET: Any = {"stage?": {"name?": str, **COST}, "plan?": (shapes.PLAN, None)}
+CAPTURE: Any = {"stage": COST, "set?": ({"path": str}, None), "plan?": (shapes.PLAN, None),
+                "signal_quantiles_e?": {"*": shapes.MEASURED}, "sensor_name?": (str, None)}  # fmt: skip
+SHARES = {"0.01": "1 % get less", "0.25": "a quarter", "0.5": "half", "0.75": "three quarters", "0.99": "99 %"}
 PLANS = {"set": "Light transport", "capture": "Sensor"}
 
 
@@ -71,6 +78,19 @@ class Records:
         return {name: found for name, run in first.items() if (found := deviations(run))}
 
 
+def signals(lines: Sequence[Line], records: Records) -> list[dict[str, Any]]:
+    """How much light the pixels of each place get, in electrons; places without a record are missing."""
+    found = []
+    for members in by_place(lines).values():
+        numbers = [int(row["run"]) for line in members for row in line.runs if int(row["run"]) in records.captures]
+        facts = records.captures[numbers[0]][1] if numbers else {}
+        if quantiles := facts.get("signal_quantiles_e"):
+            shown = {name: quantiles[key] for key, name in SHARES.items() if key in quantiles}
+            found.append({"place": spelled(members[0].place) or "all runs", "camera": facts.get("sensor_name") or "",
+                          "electrons": shown})  # fmt: skip
+    return found
+
+
 def read_records(folder: Path, rows: Sequence[Mapping[str, Any]]) -> Records:
     """Read the records of every finished run whose folder is here; one that cannot be read is among the lost."""
     found, known = Records(folder), dict[Path, Any]()
@@ -83,10 +103,10 @@ def read_records(folder: Path, rows: Sequence[Mapping[str, Any]]) -> Records:
             run = open_run(path)
             capture = (path / run.record["capture"]).resolve()
             if capture not in known:
-                known[capture] = read_json(capture / capture_folder.RECORD, {"stage": {"seconds": float}})
+                known[capture] = read_json(capture / capture_folder.RECORD, CAPTURE)
             made_of = (capture / str((known[capture].get("set") or {}).get("path", "."))).resolve()
             if made_of not in known:
-                known[made_of] = read_json(made_of / RECORD, STAGE) if (made_of / RECORD).is_file() else None
+                known[made_of] = read_json(made_of / RECORD, SET) if (made_of / RECORD).is_file() else None
         except (ValueError, OSError):
             found.lost.append(number)
             continue

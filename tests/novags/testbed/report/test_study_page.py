@@ -12,6 +12,7 @@ import pytest
 from novags.testbed.report.study.grid import first_places, lines_of, verdict
 from novags.testbed.report.study.page import write_study
 from novags.testbed.report.study.records import read_records
+from simscenes.sets.pictures.exr import read_exr
 
 COMPETES = {"naive": True, "better": True, "oracle": False}
 SCORES = {("naive", 5): (20.0, 22.0), ("naive", 50): (26.0, 26.5), ("better", 5): (23.0, 23.5),
@@ -89,6 +90,21 @@ def test_shared_stages_count_once(study: Path) -> None:
     assert costs["reconstruct: naive"]["seconds"] == 2.0
 
 
+def test_a_damaged_picture_costs_its_place_and_not_the_page(study: Path, tmp_path: Path, experiment: Path) -> None:
+    import shutil
+
+    (tmp_path / "study").mkdir()
+    shutil.copytree(experiment, tmp_path / "runs")
+    for name in ("results.json", "study.json"):
+        text = (study / name).read_text().replace(os.path.relpath(experiment, study), "../runs")
+        (tmp_path / "study" / name).write_text(text)
+    (tmp_path / "runs" / "capture" / "images" / "0000.png").write_bytes(b"no picture")
+    page = write_study(tmp_path / "study").read_text(encoding="utf-8")
+    assert "Pictures that cannot be shown: electrons 5" in page.replace("scene a, ", "")
+    assert "0000.png is no picture: make it again" in page
+    assert 'data-name="combinations"' in page
+
+
 def texts(tab: Any, table: str, column: int) -> list[str]:
     found: list[str] = tab.eval_on_selector_all(
         f'table[data-name="{table}"] tbody tr:not([hidden])',
@@ -125,13 +141,21 @@ def test_a_study_is_narrowed_sorted_compared_and_downloaded(visit: Callable[...,
     assert texts(again, "combinations", 1) == ["naive", "better", "oracle†"]
 
 
-def test_pictures_and_commands_of_a_study_are_those_of_its_runs(visit: Callable[..., Any], study: Path) -> None:
+def test_pictures_and_commands_of_a_study_are_those_of_its_runs(
+    visit: Callable[..., Any], study: Path, experiment: Path
+) -> None:
     tab = visit(study / "report.html")
     keys = tab.eval_on_selector_all(".grid.shown figure", "figures => figures.map(figure => figure.dataset.key)")
     assert keys == ["dark", "truth-lit", "render-oracle", "error-oracle", "render-better", "error-better",
                     "render-naive", "error-naive"]  # fmt: skip
     tab.locator("#view").select_option(index=1)
     assert "electrons 50" in tab.locator("#view option:checked").text_content()
+    tab.evaluate("novags.stage.probe({x: 10.5 / 32, y: 7.5 / 24}, true)")
+    tab.wait_for_function("document.querySelectorAll('#probe tbody tr').length > 8")
+    truth, _ = read_exr(experiment / "capture" / "truth" / "0000.exr")
+    shown = tab.locator("#probe tbody tr", has_text="True mean, DN").locator("td").evaluate_all(
+        "cells => cells.map(cell => +cell.dataset.value)")  # fmt: skip
+    assert shown == pytest.approx([truth[f"mean.{c}"][7, 10] for c in "RGB"], rel=1e-3)
     cell = tab.locator('table[data-name="combinations"] tbody tr').nth(1).locator("td.num").nth(1)
     cell.click()
     commands = tab.locator(".told pre").text_content().splitlines()
