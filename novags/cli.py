@@ -8,6 +8,7 @@ import tyro
 from novags.commands.dataset import dataset
 from novags.commands.experiment import run
 from novags.commands.inquiries import doctor, help_, list_
+from novags.commands.pareto import pareto
 from novags.commands.photographs import import_
 from novags.commands.results import characterise, export_results, report, score
 from novags.commands.stages import capture, plan, poses, reconstruct, render
@@ -22,6 +23,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
         run,
         study,
         dataset,
+        pareto,
         list_,
         plan,
         render,

@@ -1,11 +1,10 @@
-"""What accuracy costs in time: the renderer's cost curves, and equal error against plain Mitsuba.
+"""Equal error against plain Mitsuba, and how well times are foretold. The knobs' curves: `novags pareto render`.
 
-    python scripts/bench_render.py [--out FILE] [--scene tabletop] [--size 48] [--knobs spp sampler ...]
-    python scripts/bench_render.py --knobs none --equal-size 96 --equal-views 8 --target-error 0.03
-    python scripts/bench_render.py --knobs none --equal-views 0 --predict tabletop gallery street
+    python scripts/bench_render.py --equal-size 96 --equal-views 8 --target-error 0.03 [--out FILE]
+    python scripts/bench_render.py --equal-views 0 --predict tabletop gallery street
 
-Writes JSON lines {"knob", "setting", "seconds", "error", "error_unit", "error_sd", "default"}, a curve a knob. The last
-lines, knob "method", compare whole jobs: `render_set` to a target error, everything included (reading the scene,
+Writes JSON lines {"knob", "setting", "seconds", "error", "error_unit", "error_sd", "default"}, knob "method", that
+compare whole jobs: `render_set` to a target error, everything included (reading the scene,
 planning, predicting, geometry, writing), and what `mi.render` needs with an independent and with a multijittered
 sampler, depth 8 and roulette from 5, for the same error in every view, reading the scene included. All errors are
 measured: of ours against a render of --reference-spp samples by another seed, whose own variance is subtracted, of the
@@ -30,7 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simscenes import activate, default_rig, render_set
-from simscenes.job.curves import KNOBS, NOISE, render_curves
+from simscenes.job.curves import NOISE
 from simscenes.loading.load import build_scene
 from simscenes.render.passes import Passes
 from simscenes.render.sensors import sensor_dict
@@ -133,13 +132,10 @@ def predictions(scenes: Sequence[str], size: int, target: float) -> Iterator[dic
 
 
 def main() -> None:
-    """Run the sweeps and write the curves."""
+    """Run the comparisons and write the lines."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, help="file for the JSON lines beside stdout")
     parser.add_argument("--scene", default="tabletop")
-    parser.add_argument("--size", type=int, default=48, help="width and height of the curves' images")
-    parser.add_argument("--repeats", type=int, default=3)
-    parser.add_argument("--knobs", nargs="*", default=list(KNOBS), choices=[*KNOBS, "none"])
     parser.add_argument("--equal-size", type=int, default=96, help="width and height where whole jobs are compared")
     parser.add_argument("--equal-views", type=int, default=8, help="0 leaves the comparison out")
     parser.add_argument("--target-error", type=float, default=0.03)
@@ -149,13 +145,12 @@ def main() -> None:
     parser.add_argument("--peers", nargs="+", default=list(PEERS), choices=PEERS)
     parser.add_argument("--reference-spp", type=int, default=4096)
     a = parser.parse_args()
-    curves = render_curves(a.scene, size=a.size, repeats=a.repeats, knobs=[k for k in a.knobs if k != "none"])
     size, views = a.equal_size, a.equal_views
     sampling = (a.plain_spp, a.plain_seeds, a.reference_spp, a.peers)
     compared = equal_error(a.scene, size, views, a.target_error, *sampling) if views else ()
     foretold = predictions(a.predict, a.equal_size, a.target_error)
     lines = []
-    for line in itertools.chain(curves, compared, foretold):
+    for line in itertools.chain(compared, foretold):
         lines.append(json.dumps(line))
         print(lines[-1], flush=True)
     if a.out:

@@ -1,21 +1,18 @@
-"""What the sensor model costs: megapixels per second per effect and for the whole chain, and what accuracy costs.
+"""What the sensor model costs: megapixels per second per effect and for the whole chain.
 
 Three chains in one run, taking turns so that a busy machine slows all alike: ours (exact Poisson), plain numpy
-(Poisson, full well, normal read noise, gain, rounding), and getframes. Tables go to standard output, cost curves as
-JSON lines (knob, setting, seconds per megapixel, error, error_unit, error_sd, default) to --out.
+(Poisson, full well, normal read noise, gain, rounding), and getframes. What accuracy costs: `novags pareto sensor`.
 
-    .venv/bin/python scripts/bench_sensor.py [--pixels 4000000] [--repeats 9] [--out FILE]
+    .venv/bin/python scripts/bench_sensor.py [--pixels 4000000] [--repeats 9]
 """
 
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -27,13 +24,9 @@ from sensor_model import (
     Exposure,
     Sensor,
     SensorOptics,
-    develop_linear,
     expose,
-    photons_for_electrons,
     plan_effects,
 )
-from sensor_model import mosaic as filter_array
-from sensor_model.plan import Plan
 
 LEVELS = (2.0, 20.0, 200.0, 2000.0)
 PLAN_LEVELS = (0.5, 2.0, 10.0, 50.0, 500.0)
@@ -150,160 +143,16 @@ def bench_plans(shape: tuple[int, int], repeats: int) -> None:
     print(f"together: {100 * (1 - planned / whole):.0f} % of the time saved; largest error less bound {worst:.5f}")
 
 
-def kolmogorov(a: np.ndarray, b: np.ndarray) -> float:
-    """Largest difference of the distribution functions of two integer samples."""
-    top = int(max(a.max(), b.max())) + 1
-    counts = [np.bincount(x.ravel(), minlength=top).cumsum() / x.size for x in (a, b)]
-    return float(np.abs(counts[0] - counts[1]).max())
-
-
-def point(
-    knob: str,
-    setting: str,
-    take: Callable[[int], np.ndarray],
-    error: Callable[[np.ndarray, int], float],
-    unit: str,
-    *,
-    pixels: int,
-    repeats: int,
-    default: bool,
-) -> dict:
-    """One point of a cost curve: take(seed) is timed, error(its result, seed) is averaged over three seeds."""
-    errors = [error(take(seed), seed) for seed in range(3)]
-    return {
-        "knob": f"sensor.{knob}",
-        "setting": setting,
-        "seconds": round(fastest([lambda: take(0)], repeats)[0] / pixels * 1e6, 6),
-        "error": float(np.mean(errors)),
-        "error_unit": unit,
-        "error_sd": float(np.std(errors, ddof=1)),
-        "default": default,
-    }
-
-
-def curve_shot(shape: tuple[int, int], repeats: int) -> list[dict]:
-    """Normal for Poisson. Error: Kolmogorov distance of the codes to those of exact frames with other seeds."""
-    lines = []
-    for level in (0.5, *LEVELS):
-        light = np.full(shape, level / PLAIN.eta)
-        exact = [expose(light, PLAIN, EXPOSURE, seed=10 + s, view=0).dn for s in range(3)]
-        for shot in ("poisson", "normal"):
-
-            def take(seed: int, shot: str = shot, light: np.ndarray = light) -> np.ndarray:
-                return expose(light, PLAIN, EXPOSURE, seed=seed, view=0, shot=shot).dn
-
-            def error(dn: np.ndarray, seed: int, exact: list[np.ndarray] = exact) -> float:
-                return kolmogorov(dn, exact[seed])
-
-            unit, size = "Kolmogorov distance of codes", {"pixels": light.size, "repeats": repeats}
-            lines.append(point("shot", f"{shot} {level:g} e-", take, error, unit, **size, default=shot == "poisson"))
-    return lines
-
-
-def curve_light(shape: tuple[int, int], repeats: int) -> list[dict]:
-    """Width of the light that is read. Error against float64 light."""
-    light = np.random.default_rng(0).uniform(0, 200, shape)
-    exact = [expose(light, PLAIN, EXPOSURE, seed=s, view=0).dn.astype(int) for s in range(3)]
-    lines = []
-    for name in ("float64", "float32"):
-        narrow = light.astype(name)
-
-        def take(seed: int, narrow: np.ndarray = narrow) -> np.ndarray:
-            return expose(narrow, PLAIN, EXPOSURE, seed=seed, view=0).dn
-
-        def error(dn: np.ndarray, seed: int) -> float:
-            return float(np.abs(dn - exact[seed]).mean())
-
-        size = {"pixels": light.size, "repeats": repeats}
-        lines.append(point("light", name, take, error, "mean |DN|", **size, default=name == "float64"))
-    return lines
-
-
-def curve_precision(shape: tuple[int, int], repeats: int) -> list[dict]:
-    """Width of the arithmetic. Error: share of the codes that differ from those of float64, all by one."""
-    light = np.random.default_rng(0).uniform(0, 200, shape)
-    exact = [expose(light, PLAIN, EXPOSURE, seed=s, view=0).dn for s in range(3)]
-    lines = []
-    for precision in ("float64", "float32"):
-
-        def take(seed: int, precision: str = precision) -> np.ndarray:
-            return expose(light, PLAIN, EXPOSURE, seed=seed, view=0, precision=precision).dn
-
-        def error(dn: np.ndarray, seed: int) -> float:
-            return float(np.count_nonzero(dn != exact[seed]) / dn.size)
-
-        size = {"pixels": light.size, "repeats": repeats}
-        lines.append(
-            point("precision", precision, take, error, "share of codes", **size, default=precision == "float64")
-        )
-    return lines
-
-
-def curve_plan(shape: tuple[int, int], repeats: int) -> list[dict]:
-    """Tolerance of the plan. Error: relative standard deviation of the frame."""
-    sensor, lines = PRESETS["imx900-lcg"], []
-    light = np.full(shape, 20 / sensor.eta)
-    whole = [expose(light, sensor, EXPOSURE, seed=s, view=0).dn.std() for s in range(3)]
-    for tolerance in (None, 0.01, 0.05, 0.2):
-        plan = None if tolerance is None else plan_effects(sensor, EXPOSURE, 20.0, tolerance)
-
-        def take(seed: int, plan: Plan | None = plan) -> np.ndarray:
-            return expose(light, sensor, EXPOSURE, seed=seed, view=0, plan=plan).dn
-
-        def error(dn: np.ndarray, seed: int) -> float:
-            return abs(float(whole[seed] / dn.std()) - 1)
-
-        setting = "everything" if tolerance is None else f"tolerance {tolerance:g}"
-        size = {"pixels": light.size, "repeats": repeats}
-        lines.append(point("plan", setting, take, error, "relative sd", **size, default=tolerance is None))
-    return lines
-
-
-def curve_demosaic(side: int, repeats: int) -> list[dict]:
-    """Demosaicing a fine texture, 50 e-, noise-free. Error: root mean square against three chips."""
-    y, x = np.mgrid[0:side, 0:side][..., None]
-    rng = np.random.default_rng(0)
-    sensor, chips, lines = PRESETS["imx900-hcg"], PRESETS["imx900-hcg-3chip"], []
-    mosaics, truths = [], []
-    for _ in range(3):
-        texture = 1 + 0.5 * np.sin(x * rng.uniform(0.1, 0.6) + y * rng.uniform(-0.6, 0.6) + rng.uniform(0, 1, 3))
-        photons = photons_for_electrons(texture, electrons=50, mean_green=1.0, sensor=sensor)
-        mosaics.append(expose(filter_array(photons, "RGGB"), sensor, EXPOSURE, seed=0, view=0).clean_dn)
-        truths.append(develop_linear(expose(photons, chips, EXPOSURE, seed=0, view=0).clean_dn, chips))
-    for method in ("menon", "malvar", "bilinear", "half"):
-
-        def take(seed: int, method: str = method) -> np.ndarray:
-            return develop_linear(mosaics[seed], sensor, demosaic=method)
-
-        def error(found: np.ndarray, seed: int) -> float:
-            cells = side // found.shape[0]
-            truth = truths[seed].reshape(found.shape[0], cells, found.shape[1], cells, 3).mean((1, 3))
-            return float(np.sqrt(((found - truth) ** 2).mean()) * sensor.capacity_e)
-
-        size = {"pixels": side * side, "repeats": repeats}
-        lines.append(point("demosaic", method, take, error, "e- rms", **size, default=method == "menon"))
-    return lines
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--pixels", type=int, default=4_000_000)
     parser.add_argument("--repeats", type=int, default=9)
-    parser.add_argument("--out", type=Path, help="append the cost curves to this file instead of printing them")
     args = parser.parse_args()
     side = int(args.pixels**0.5)
     shape = (side, side)
     bench_chain(shape, args.repeats)
     bench_effects(shape, args.repeats)
     bench_plans((min(side, 1000),) * 2, min(args.repeats, 3))
-    curves = [f for curve in (curve_shot, curve_light, curve_precision, curve_plan) for f in curve(shape, args.repeats)]
-    curves += curve_demosaic(min(side, 512), args.repeats)
-    text = "\n".join(map(json.dumps, curves))
-    if args.out:
-        with args.out.open("a", encoding="utf-8") as file:
-            file.write(text + "\n")
-    else:
-        print("\n" + text)
 
 
 if __name__ == "__main__":

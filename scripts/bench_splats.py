@@ -3,11 +3,11 @@
     python scripts/bench_splats.py grid    --out DIR    forward, backward, iteration against N and image size; a plot
     python scripts/bench_splats.py common  --out DIR    the image-fitting workload that other engines publish, the
                                                         readable reference on it, and 100,000 small splats at 400²
-    python scripts/bench_splats.py knobs   --out DIR    error against seconds of every approximation, as JSON lines
     python scripts/bench_splats.py memory  --out DIR    bytes per Gaussian, per (Gaussian, tile) pair and per pixel
     python scripts/bench_splats.py fit     --out DIR    7,000 iterations, 256 x 256, 28 views, 50,000 Gaussians, with
                                                         the time of each part; --capture CAP: the oracle's images
 
+What the engine's approximations cost in accuracy and time: `novags pareto splats`.
 Every measurement runs in a process of its own, so that peak memory is its own. Times are the best of several repeats.
 """
 
@@ -18,13 +18,14 @@ import os
 import resource
 import subprocess
 import sys
-import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
 import torch
-from bench_splats_scenes import best, common_scene, cube_scene
+from bench_splats_scenes import best, common_scene
+
+from novags.testbed.pareto.splat_engine.scene import cube_scene
 
 SIZES = (128, 256, 512, 1024)
 COUNTS = (1_000, 10_000, 100_000, 1_000_000)
@@ -234,39 +235,10 @@ def run_one(out: Path, what: str, **arguments: Any) -> None:
     (out / f"{what}.json").write_text(json.dumps(row, indent=1))
 
 
-def measure_knob(**arguments: Any) -> dict[str, Any]:
-    """Error and time of one setting."""
-    import bench_splats_knobs
-
-    return bench_splats_knobs.measure_knob(**arguments)
-
-
-def run_knobs(out: Path, repeat: int) -> None:
-    """Error against time, one knob at a time.
-
-    The truth is the float64 reference without thresholds; for the dilation, the same without dilation box-filtered from
-    4 x 4 samples a pixel, because dilation stands in for that filter.
-    """
-    from bench_splats_knobs import KNOBS, reference_image
-
-    n, size = 10_000, 128
-    with tempfile.NamedTemporaryFile(suffix=".pt") as file, torch.no_grad():
-        exact = reference_image(n, size, exact=True)
-        supersampled = reference_image(n, size, exact=True, supersample=4, eps2d=0.0)
-        torch.save({"exact": exact, "supersampled": supersampled}, file.name)
-        lines = []
-        for knob, (settings, default) in KNOBS.items():
-            for setting in settings:
-                row = in_child("knob", knob=knob, setting=setting, n=n, size=size, repeat=repeat, references=file.name)
-                lines.append({"knob": knob, "setting": setting, **row, "default": setting == default})
-                print(json.dumps(lines[-1]), flush=True)
-    (out / "knobs.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
-
-
 def main() -> None:
     """Parse and run."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("part", choices=["grid", "common", "knobs", "memory", "fit", "child"])
+    parser.add_argument("part", choices=["grid", "common", "memory", "fit", "child"])
     parser.add_argument("arguments", nargs="?", help=argparse.SUPPRESS)
     parser.add_argument("--out", type=Path, default=Path("bench_splats"))
     parser.add_argument("--repeat", type=int, default=15)
@@ -296,8 +268,6 @@ def main() -> None:
         run_common(options.out, options.repeat)
     elif options.part == "memory":
         run_one(options.out, "memory")
-    elif options.part == "knobs":
-        run_knobs(options.out, options.repeat)
     else:
         keys = [key for _, key, _ in fit] + ["capture", "device"]
         run_one(options.out, "fit", **{key: getattr(options, key) for key in keys})

@@ -9,22 +9,6 @@ import torch
 from torch import Tensor
 
 
-def cube_scene(n: int, size: int, seed: int = 0) -> dict[str, Tensor]:
-    """Small Gaussians in [-1, 1]^3, about half as wide as they are apart, seen from outside."""
-    g = torch.Generator().manual_seed(seed)
-    view = torch.eye(4)
-    view[2, 3] = 3.0
-    return {
-        "means": 2 * torch.rand(n, 3, generator=g) - 1,
-        "quats": torch.randn(n, 4, generator=g),
-        "scales": torch.exp(0.4 * torch.randn(n, 3, generator=g)) * 0.4 * n ** (-1 / 3),
-        "opacities": 0.05 + 0.9 * torch.rand(n, generator=g),
-        "sh": 0.3 * torch.randn(n, 16, 3, generator=g),
-        "viewmats": view[None],
-        "Ks": torch.tensor([[[1.0 * size, 0, size / 2], [0, 1.0 * size, size / 2], [0, 0, 1]]]),
-    }
-
-
 def common_scene(n: int, size: int = 256) -> dict[str, Tensor]:
     """Means uniform in [-1, 1]^3, scales uniform in [0, 1], random rotations, a camera at z = 8, 90 degrees wide."""
     g = torch.Generator().manual_seed(0)

@@ -4,7 +4,6 @@ from simscenes.backend import VariantStatus as VariantStatus
 from simscenes.backend import activate as activate
 from simscenes.backend import choose_variant as choose_variant
 from simscenes.backend import variant_report as variant_report
-from simscenes.job.curves import render_curves as render_curves
 from simscenes.job.render_set import render_set as render_set
 from simscenes.optics import Optics as Optics
 from simscenes.render.fitting import fit_rig as fit_rig

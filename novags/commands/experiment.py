@@ -1,9 +1,13 @@
 """`novags run`: a whole comparison."""
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from novags.commands.shared import announce, cameras_of, command_line, variants_of, writing
 from novags.options import Define, Device, PresetName, Repeated
+
+if TYPE_CHECKING:
+    from novags.testbed.presets import Preset
 
 
 def run(
@@ -15,6 +19,8 @@ def run(
     define: Define = (),
     sensor: str | None = None,
     electrons: float | None = None,
+    budget: str | None = None,
+    curves: Path | None = None,
     out: Path | None = None,
     methods: tuple[str, ...] | None = None,
     variant: Repeated = (),
@@ -46,7 +52,12 @@ def run(
         define: What a parameter of a Mitsuba file stands for, NAME=VALUE; may be given several times.
         sensor: A camera of sensor_model.PRESETS, or a TOML file of your own.
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
-        out: Folder of the experiment; if not given, out/PRESET, with the scene and the electrons where they are given.
+        budget: Time that everything may take, 120s, 5min, 1h: iterations, Gaussians, denoiser steps, samples and size
+            are chosen to lose least against the preset, those that are given here excepted. What that is expected to
+            cost is said before; see docs/accuracy-and-time.md.
+        curves: With a budget: folder of what `novags pareto nova` measured; if not given, out/pareto if it was measured
+            on this machine, else the curves that came with novags.
+        out: Folder of the experiment; if not given, out/PRESET, with scene, electrons and budget where they are given.
         methods: Methods and variants to compare; `novags list methods` names them.
         variant: A method with settings changed, NAME=METHOD:SETTING=VALUE,SETTING=VALUE, compared as well; may be given
             several times. Or a TOML file with tables [variant.NAME].
@@ -78,13 +89,37 @@ def run(
         variants=variants_of(variant), cameras=cameras_of(cameras), refine_cameras=refine_cameras, device=device,
         parameters=define or None,
     )  # fmt: skip
-    folder = (
-        out
-        if out is not None
-        else Path("out") / _default_name(preset, scene if photos is None else str(photos), electrons)
-    )
+    whole = Path("out") / _default_name(preset, scene if photos is None else str(photos), electrons)
+    if budget is None:
+        if curves is not None:
+            raise ValueError(f"--curves {curves} belong to a budget: add --budget, or leave them out")
+        folder = whole if out is None else out
+        with writing(folder, wait) as console:
+            report_path = experiment.run(chosen, folder, console, command=command_line(folder), overwrite=overwrite)
+        announce(report_path)
+        return
+    decided = {
+        "iterations": iterations, "points": points, "denoiser_steps": denoiser_steps, "spp": spp,
+        "size": width or height,
+    }  # fmt: skip
+    given = frozenset(name for name, value in decided.items() if value is not None)
+    _within(chosen, budget, given, curves, out, whole, wait, overwrite)
+
+
+def _within(
+    preset: "Preset", budget: str, given: frozenset[str], curves: Path | None, out: Path | None, whole: Path,
+    wait: bool, overwrite: bool,
+) -> None:  # fmt: skip
+    """Run an experiment in a given time; `whole`: where the same one without a budget lies, if it was run."""
+    from novags.testbed.budget import conduct
+    from novags.testbed.budget.duration import seconds_of
+
+    request = conduct.Request(preset, seconds_of(budget), given, curves)
+    folder = whole.with_name(f"{whole.name}-{request.budget:g}s") if out is None else out
     with writing(folder, wait) as console:
-        report_path = experiment.run(chosen, folder, console, command=command_line(folder), overwrite=overwrite)
+        report_path = conduct.run(request, folder, console, command=command_line(folder), overwrite=overwrite)
+    for line in conduct.result(request, folder, whole):
+        print(line)
     announce(report_path)
 
 

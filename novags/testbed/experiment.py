@@ -19,6 +19,8 @@ from novags.testbed.stages.score import merge
 from novags.testbed.study.steps import make_set
 from sensor_model.files.lock import locked
 
+DESCRIBED = (EXPERIMENT, METRICS, REPORT, REPORT_FILES)  # what tells of all runs in the folder
+
 
 def run(preset: Preset, out: Path, console: Console, *, command: str | None = None, overwrite: bool = False) -> Path:
     """Run what is still missing of the experiment in `out`; returns the path of the report.
@@ -39,16 +41,23 @@ def run(preset: Preset, out: Path, console: Console, *, command: str | None = No
     with locked(out):
         if not overwrite:
             _refuse_other(preset, out)
-        described = [out / name for name in (EXPERIMENT, METRICS, REPORT, REPORT_FILES)]
-        source = _source(preset, out, console, described, overwrite)
-        capture = out / "capture"
-        stages.capture(source, capture, preset.capture, console, stale=described, overwrite=overwrite)
+        described = [out / name for name in DESCRIBED]
+        capture = photograph(preset, out, console, overwrite=overwrite)
         for name in preset.methods:
             config = preset.reconstruct(name)
             stages.reconstruct(capture, out / name, config, console, stale=described, overwrite=overwrite)
         write_json(out / EXPERIMENT, {"command": command, "methods": preset.methods, "preset": asdict(preset)})
         score_all(out, console)
         return write_report(out, console)
+
+
+def photograph(preset: Preset, out: Path, console: Console, *, overwrite: bool = False) -> Path:
+    """The first half of `run`: make the set, if none is given, and take the pictures; returns the capture's folder."""
+    with locked(out):
+        described = [out / name for name in DESCRIBED]
+        source = _source(preset, out, console, described, overwrite)
+        stages.capture(source, out / "capture", preset.capture, console, stale=described, overwrite=overwrite)
+        return out / "capture"
 
 
 def _source(preset: Preset, out: Path, console: Console, stale: Sequence[Path], overwrite: bool) -> Path:

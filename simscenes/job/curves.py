@@ -1,9 +1,12 @@
-"""What accuracy costs in time: error against seconds for every knob of the renderer."""
+"""What accuracy costs in time: error and seconds of a small view for every setting of every knob of the renderer.
+
+`novags pareto render` repeats this over seeds and draws the curves.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -58,11 +61,38 @@ KNOBS: dict[str, tuple[Any, ...]] = {
 }
 
 
-class Bench:
-    """A scene and its references, rendered once."""
+@dataclass(frozen=True)
+class Measured:
+    """One measurement: seconds of a view on the wall and of all processors, and its error."""
 
-    def __init__(self, scene: str, size: int, repeats: int, seed: int = 0) -> None:
-        self.scene, self.repeats, self.seed = scene, repeats, seed
+    seconds: float
+    cpu_seconds: float
+    error: float
+
+
+def settings_of(knob: str) -> tuple[tuple[Any, ...], Any]:
+    """The settings of a knob that work on this machine, and the default among them.
+
+    Raises:
+        ValueError: If there is no such knob.
+    """
+    if knob not in KNOBS:
+        raise ValueError(f"knobs must be among {', '.join(KNOBS)}, got {knob!r}")
+    if knob == "variant":
+        return tuple(name for name in KNOBS[knob] if backend_status(name)[0]), backend_of()
+    return KNOBS[knob], getattr(DEFAULT, knob)
+
+
+def unit_of(knob: str) -> str:
+    """What the errors of a knob's settings are."""
+    return MISSING if knob == "max_depth" else NOISE
+
+
+class Bench:
+    """A scene of the catalogue and its references, rendered once each: `N_VIEWS` views of size x size pixels."""
+
+    def __init__(self, scene: str, size: int, seed: int = 0) -> None:
+        self.scene = scene
         self.rig = default_rig(scene, N_VIEWS, size, size)
         self._loaded: dict[str, LoadedScene] = {}
         self._references: dict[str, list[Image]] = {}
@@ -98,12 +128,12 @@ class Bench:
                 self._references[s.color] = [v.render(None, REFERENCE_ERROR).mean.astype(np.float64) for v in views]
         return self._references[s.color]
 
-    def render(self, s: Setting, i: int, seed: int) -> tuple[Image, float]:
-        """One view with a setting, and its seconds; all sensors and kernels exist before the timing starts."""
+    def render(self, s: Setting, i: int, seed: int) -> tuple[Image, float, float]:
+        """One view, its seconds and those of the processors; all sensors and kernels exist before they start."""
         with self.ready(s) as (mi, loaded):
             for _ in range(2):  # the first time compiles the kernels
                 view = self.view(mi, loaded, s, i, seed)
-                start = time.perf_counter()
+                start, begun = time.perf_counter(), time.process_time()
                 if s.samples == "uneven":  # as towards a target: a pilot, and blocks where it saw noise
                     pilot = view.pilot
                     blocks = Blocks(pilot.passes, 0, np.full_like(pilot.shares, PILOT_SPP, dtype=np.int64))
@@ -113,63 +143,38 @@ class Bench:
                     passes = Passes((self.rig.height, self.rig.width))
                     view.run(passes, 1, s.spp)
                     image = passes.mean
-                seconds = time.perf_counter() - start
-        return image, seconds
+                seconds, cpu = time.perf_counter() - start, time.process_time() - begun
+        return image, seconds, cpu
 
-    def noise(self, s: Setting, truth_in: str = "rgb") -> dict[str, Any]:
+    def measure(self, knob: str, setting: Any, seed: int) -> Measured:
+        """A setting of a knob, the others at their defaults.
+
+        Raises:
+            ValueError: If there is no such knob.
+        """
+        settings_of(knob)
+        chosen = replace(DEFAULT, **{knob: setting})
+        if knob == "max_depth":
+            return self.missing(chosen, seed)
+        return self.noise(chosen, seed, "spectral" if knob == "color" else "rgb")
+
+    def noise(self, s: Setting, seed: int, truth_in: str = "rgb") -> Measured:
         """Seconds of a view, and its relative RMSE against the reference in RGB or in full spectra."""
-        truths = self.reference(replace(s, color=truth_in))
-        errors, seconds = [], []
-        for k in range(self.repeats):
-            squares = []
-            for i, truth in enumerate(truths):
-                image, spent = self.render(s, i, self.seed + k)
-                squares.append(((image - truth) ** 2).mean() / truth.mean() ** 2 - REFERENCE_ERROR**2)
-                seconds.append(spent)
-            errors.append(float(np.sqrt(max(np.mean(squares), 0.0))))
-        return _point(seconds, errors, NOISE)
+        squares, spent = [], []
+        for i, truth in enumerate(self.reference(replace(s, color=truth_in))):
+            image, *seconds = self.render(s, i, seed)
+            squares.append(((image - truth) ** 2).mean() / truth.mean() ** 2 - REFERENCE_ERROR**2)
+            spent.append(seconds)
+        wall, cpu = np.median(spent, 0)
+        return Measured(float(wall), float(cpu), float(np.sqrt(max(np.mean(squares), 0.0))))
 
-    def missing(self, s: Setting) -> dict[str, Any]:
+    def missing(self, s: Setting, seed: int) -> Measured:
         """Seconds of a view, and the light that its truncated paths lack: the same paths are followed to depth 64."""
-        errors, seconds = [], []
-        for k in range(self.repeats):
-            for i in range(N_VIEWS):
-                image, spent = self.render(s, i, self.seed + k)
-                deep, _ = self.render(replace(s, max_depth=64), i, self.seed + k)
-                errors.append(float((deep - image).mean() / deep.mean()))
-                seconds.append(spent)
-        return _point(seconds, errors, MISSING)
-
-
-def _point(seconds: Sequence[float], errors: Sequence[float], unit: str) -> dict[str, Any]:
-    return {
-        "seconds": float(np.median(seconds)), "error": float(np.mean(errors)), "error_unit": unit,
-        "error_sd": float(np.std(errors, ddof=1)) if len(errors) > 1 else 0.0,
-    }  # fmt: skip
-
-
-def render_curves(
-    scene: str = "tabletop", *, size: int = 48, repeats: int = 3, knobs: Sequence[str] = tuple(KNOBS), seed: int = 0
-) -> Iterator[dict[str, Any]]:
-    """Measure every setting of some knobs, the others at their defaults, on three small views of a catalogue scene.
-
-    Yields:
-        {"knob", "setting", "seconds" (of one view), "error", "error_unit", "error_sd" (over repeats), "default"}.
-
-    Raises:
-        ValueError: If a knob or the scene does not exist.
-    """
-    if unknown := set(knobs) - set(KNOBS):
-        raise ValueError(f"knobs must be among {list(KNOBS)}, got {sorted(unknown)}")
-    bench = Bench(scene, size, repeats, seed)
-    for knob in knobs:
-        for value in KNOBS[knob]:
-            if knob == "variant" and not backend_status(value)[0]:
-                continue
-            chosen = replace(DEFAULT, **{knob: value})
-            if knob == "max_depth":
-                found = bench.missing(chosen)
-            else:
-                found = bench.noise(chosen, "spectral" if knob == "color" else "rgb")
-            default = value == (backend_of() if knob == "variant" else getattr(DEFAULT, knob))
-            yield {"knob": knob, "setting": value, **found, "default": default}
+        lacks, spent = [], []
+        for i in range(N_VIEWS):
+            image, *seconds = self.render(s, i, seed)
+            deep, *_ = self.render(replace(s, max_depth=64), i, seed)
+            lacks.append((deep - image).mean() / deep.mean())
+            spent.append(seconds)
+        wall, cpu = np.median(spent, 0)
+        return Measured(float(wall), float(cpu), float(np.mean(lacks)))

@@ -10,7 +10,7 @@ import pytest
 
 from simscenes import default_rig
 from simscenes.job import curves
-from simscenes.job.curves import DEFAULT, KNOBS, Bench, Setting, render_curves
+from simscenes.job.curves import DEFAULT, KNOBS, Bench, Measured, Setting, settings_of, unit_of
 from simscenes.render.passes import Passes
 
 TRUTHS = [np.arange(1.0, 13.0).reshape(2, 2, 3) * level for level in (1.0, 2.0, 5.0)]
@@ -20,7 +20,7 @@ TRUTHS = [np.arange(1.0, 13.0).reshape(2, 2, 3) * level for level in (1.0, 2.0, 
 def bench() -> Bench:
     """A bench that has rendered nothing yet."""
     made = Bench.__new__(Bench)
-    made.scene, made.repeats, made.seed, made.weights = "cornell", 2, 40, ()
+    made.scene, made.weights = "cornell", ()
     made.rig = default_rig("cornell", 3, 4, 2)
     made._loaded, made._references = {}, {}
     return made
@@ -33,22 +33,20 @@ def test_noise_is_the_relative_error_without_that_of_the_reference(
     sign = np.array([[1, -1], [-1, 1]])[..., None] * np.ones(3)
     asked: list[Any] = []
 
-    def rendered(s: Setting, i: int, seed: int) -> tuple[np.ndarray, float]:
+    def rendered(s: Setting, i: int, seed: int) -> tuple[np.ndarray, float, float]:
         asked.append((i, seed))
         error = 0.1 * 2**i * (1 if seed == 40 else 3)
-        return TRUTHS[i] + error * TRUTHS[i].mean() * sign, 3.0**i
+        return TRUTHS[i] + error * TRUTHS[i].mean() * sign, 3.0**i, 5.0**i
 
     monkeypatch.setattr(bench, "reference", lambda s: TRUTHS if s.color == "rgb" else None)
     monkeypatch.setattr(bench, "render", rendered)
-    found = bench.noise(Setting(color="spectral"))
+    found = [bench.noise(Setting(color="spectral"), seed) for seed in (40, 41)]
     assert asked == [(i, seed) for seed in (40, 41) for i in range(3)]
-    first, second = (np.sqrt((0.01 + 0.04 + 0.16) / 3 * scale - 1e-4) for scale in (1, 9))
-    assert found["error"] == pytest.approx((first + second) / 2)
-    assert found["error_sd"] == pytest.approx((second - first) / np.sqrt(2))
-    assert found["seconds"] == 3  # the median
-    assert found["error_unit"] == "relative RMSE"
-    monkeypatch.setattr(bench, "render", lambda s, i, seed: (TRUTHS[i], 1.0))
-    assert bench.noise(Setting())["error"] == 0  # not less than the reference can tell
+    expected = [np.sqrt((0.01 + 0.04 + 0.16) / 3 * scale - 1e-4) for scale in (1, 9)]
+    assert [each.error for each in found] == pytest.approx(expected)
+    assert {(each.seconds, each.cpu_seconds) for each in found} == {(3.0, 5.0)}  # the medians
+    monkeypatch.setattr(bench, "render", lambda s, i, seed: (TRUTHS[i], 1.0, 1.0))
+    assert bench.noise(Setting(), 0).error == 0  # not less than the reference can tell
 
 
 def test_light_is_missing_against_the_same_paths_followed_further(
@@ -56,22 +54,16 @@ def test_light_is_missing_against_the_same_paths_followed_further(
 ) -> None:
     """View i lacks 1, 2, 4 % of its light, and twice that with the second seed."""
 
-    def rendered(s: Setting, i: int, seed: int) -> tuple[np.ndarray, float]:
+    def rendered(s: Setting, i: int, seed: int) -> tuple[np.ndarray, float, float]:
         lack = 0.0 if s.max_depth == 64 else 0.01 * 2**i * (seed - 39)
         assert s.spp == 16
-        return TRUTHS[i] * (1 - lack), 100.0 if s.max_depth == 64 else 2.0 + i
+        seconds = 100.0 if s.max_depth == 64 else 2.0 + i
+        return TRUTHS[i] * (1 - lack), seconds, 2 * seconds
 
     monkeypatch.setattr(bench, "render", rendered)
-    found = bench.missing(Setting(spp=16, max_depth=3))
-    lacks = [0.01, 0.02, 0.04, 0.02, 0.04, 0.08]
-    assert found["error"] == pytest.approx(np.mean(lacks))
-    assert found["error_sd"] == pytest.approx(np.sqrt(sum((x - 0.035) ** 2 for x in lacks) / 5))
-    assert found["seconds"] == 3
-    assert found["error_unit"] == "share of all light"
-
-
-def test_one_repeat_has_no_spread() -> None:
-    assert curves._point([5.0, 1.0], [0.25], "u") == {"seconds": 3, "error": 0.25, "error_unit": "u", "error_sd": 0}
+    first, second = (bench.missing(Setting(spp=16, max_depth=3), seed) for seed in (40, 41))
+    assert (first.error, second.error) == pytest.approx((0.07 / 3, 0.14 / 3))
+    assert (first.seconds, first.cpu_seconds) == (3, 6)
 
 
 def test_the_reference_is_deep_and_shares_no_random_numbers_with_what_is_measured(
@@ -104,7 +96,8 @@ def test_a_view_is_timed_when_its_kernels_are_compiled(
     samples: str, bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock, runs = SimpleNamespace(now=5.0), []
-    monkeypatch.setattr(curves, "time", SimpleNamespace(perf_counter=lambda: clock.now))
+    clocks = SimpleNamespace(perf_counter=lambda: clock.now, process_time=lambda: 2 * clock.now)
+    monkeypatch.setattr(curves, "time", clocks)
     shares = np.array([[0.2, 1.0, 3.0, 0.0], [1.4, 0.7, 0.7, 1.0]])
 
     @contextmanager
@@ -133,11 +126,12 @@ def test_a_view_is_timed_when_its_kernels_are_compiled(
     asked: list[Any] = []
     monkeypatch.setattr(bench, "ready", ready)
     monkeypatch.setattr(bench, "view", lambda mi, loaded, s, i, seed: asked.append((i, seed)) or Seen())
-    image, seconds = bench.render(Setting(spp=64, samples=samples), 2, 11)
+    image, seconds, cpu = bench.render(Setting(spp=64, samples=samples), 2, 11)
     assert (image == 7).all()
     assert asked == [(2, 11)] * 2
     assert runs == [(1, 16 if samples == "uneven" else 64)] * 2
     assert seconds == (6 if samples == "uneven" else 4)
+    assert cpu == 2 * seconds
 
 
 def test_lights_are_weighed_where_the_setting_says_so(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -168,31 +162,30 @@ def test_lights_are_weighed_where_the_setting_says_so(bench: Bench, monkeypatch:
     assert loads == [("cornell", "scalar_rgb"), ("cornell", "scalar_spectral")]
 
 
-def test_every_knob_is_turned_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_knob_is_turned_alone(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
     """Depth is measured as missing light, colours against full spectra, the rest as noise; missing variants not."""
+    asked: list[tuple[Setting, int, str]] = []
 
-    class Told:
-        def __init__(self, *made: Any) -> None:
-            assert made == ("hall", 24, 5, 6)
+    def measured(s: Setting, seed: int, by: str = "missing") -> Measured:
+        asked.append((s, seed, by))
+        return Measured(1.0, 2.0, 3.0)
 
-        def noise(self, s: Setting, truth_in: str) -> dict[str, Any]:
-            return {"of": s, "by": truth_in}
-
-        def missing(self, s: Setting) -> dict[str, Any]:
-            return {"of": s, "by": "missing"}
-
-    monkeypatch.setattr(curves, "Bench", Told)
+    monkeypatch.setattr(bench, "noise", measured)
+    monkeypatch.setattr(bench, "missing", measured)
     works = {"scalar": True, "llvm_ad": True, "cuda_ad": False}  # asked about nothing else
     monkeypatch.setattr(curves, "backend_status", lambda name: (works[name], ""))
     monkeypatch.setattr(curves, "backend_of", lambda: "llvm_ad")
-    lines = list(render_curves("hall", size=24, repeats=5, seed=6))
-    wanted = [(knob, value) for knob, values in KNOBS.items() for value in values if value != "cuda_ad"]
-    assert [(line["knob"], line["setting"]) for line in lines] == wanted
-    for line in lines:
-        changed = {k for k, v in vars(line["of"]).items() if v != getattr(DEFAULT, k)}
-        assert changed <= {line["knob"]}
-        assert getattr(line["of"], line["knob"]) == line["setting"]
-        assert line["by"] == {"max_depth": "missing", "color": "spectral"}.get(line["knob"], "rgb")
-    defaults = {line["knob"]: line["setting"] for line in lines if line["default"]}
+    wanted = [(knob, value) for knob in KNOBS for value in settings_of(knob)[0]]
+    assert wanted == [(knob, value) for knob, values in KNOBS.items() for value in values if value != "cuda_ad"]
+    for knob, value in wanted:
+        assert bench.measure(knob, value, 6) == Measured(1.0, 2.0, 3.0)
+        turned, seed, by = asked[-1]
+        changed = {k for k, v in vars(turned).items() if v != getattr(DEFAULT, k)}
+        assert changed <= {knob}
+        assert getattr(turned, knob) == value
+        assert seed == 6
+        assert by == {"max_depth": "missing", "color": "spectral"}.get(knob, "rgb")
+    defaults = {knob: settings_of(knob)[1] for knob in KNOBS}
     assert defaults == {knob: getattr(DEFAULT, knob) for knob in KNOBS} | {"variant": "llvm_ad"}
-    assert sum(line["default"] for line in lines) == len(KNOBS)
+    assert {unit_of(knob) for knob in KNOBS if knob != "max_depth"} == {"relative RMSE"}
+    assert unit_of("max_depth") == "share of all light"

@@ -1,0 +1,40 @@
+"""`novags pareto`: what accuracy costs in time."""
+
+from pathlib import Path
+
+from novags.commands.shared import next_, writing
+from novags.options import Name
+
+
+def pareto(
+    what: Name, *, out: Path, quick: bool = False, repeats: int | None = None, overwrite: bool = False,
+    wait: bool = False,
+) -> None:  # fmt: skip
+    """Measure what accuracy costs in time: every knob's error against its seconds, see docs/accuracy-and-time.md.
+
+    Each measurement is on disk as soon as it is made: the same command again does only what is missing.
+
+    Args:
+        what: render, sensor, splats, nova (whole reconstructions), or all.
+        out: Folder of the curves (curves.jsonl), and of a figure and tables for each of these.
+        quick: Small sizes and fewer settings: minutes instead of hours for all. The sizes stand in every line.
+        repeats: Measurements of each setting, whose spread gives the error bars; 3 if not given, 2 with --quick.
+        overwrite: Drop measurements of other sizes or of another machine that lie in `out`.
+        wait: If another process is writing to `out`, wait until it is done instead of refusing.
+    """
+    from novags.testbed.pareto.measure import measure
+    from novags.testbed.pareto.page import write
+    from novags.testbed.pareto.subjects import chosen
+
+    made, count = chosen(what), (2 if quick else 3) if repeats is None else repeats
+    with writing(out, wait) as console:
+        for make in made:
+            subject = make(quick, out / "work", console)
+            try:
+                samples = measure(subject, out, count, console, overwrite=overwrite)
+            except KeyboardInterrupt:
+                console.note(f"pareto {subject.name}: stopped; what was measured is kept in {out}")
+                raise
+            for path in write(subject, samples, out):
+                print(path)
+    next_(f"look at {out}, or: novags run --budget 120s --curves {out}")

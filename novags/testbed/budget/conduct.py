@@ -1,0 +1,191 @@
+"""Run an experiment in a given time: try it in small, choose settings, say so, run, and say what came of it."""
+
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from novags.cameras import KnownConfig
+from novags.testbed import experiment
+from novags.testbed.budget import said
+from novags.testbed.budget.choice import Choice, Option, choice_of, choose, fastest
+from novags.testbed.budget.known import Known, known
+from novags.testbed.budget.settings import OF_A_RENDER, open_options, turned
+from novags.testbed.budget.trial import Forecast, OutOfTime, forecast
+from novags.testbed.cache import digest, jsonable, read_json, write_json
+from novags.testbed.console import Console
+from novags.testbed.folders.experiment import EXPERIMENT
+from novags.testbed.presets import Preset
+from sensor_model.files.lock import locked
+
+RECORD = "budget.json"
+RESERVE = 0.1  # of the budget: by so much a trial may foretell too little
+TRIAL = 0.5  # of the budget: a trial that takes longer shows that the budget is too small
+FORETOLD = {"seconds": float, "lost": float, "sd": float}
+SHAPE = {
+    "request": str, "budget": float, "trial": float, "curves": str, "shares": {"*": float}, "foretold": FORETOLD,
+    "preset_seconds": float, "seconds?": float,
+}  # fmt: skip
+State = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked for.
+
+    Attributes:
+        preset: The experiment that the budget is compared with.
+        budget: Seconds.
+        decided: Options that the user has set: the budget leaves them alone.
+        curves: Folder of curves; None: see `known`.
+    """
+
+    preset: Preset
+    budget: float
+    decided: frozenset[str] = frozenset()
+    curves: Path | None = None
+
+    def __post_init__(self) -> None:
+        if self.preset.photos is not None:
+            raise ValueError("a budget cannot foretell how long the cameras of bare photographs take: novags poses "
+                             "first, then --scene SET with the budget")  # fmt: skip
+        if not isinstance(self.preset.cameras, KnownConfig):
+            raise ValueError("a budget cannot foretell how long finding cameras takes: leave out --cameras or --budget")
+
+    def identity(self) -> str:
+        """Hash of all that the choice depends on, apart from machine and curves."""
+        return digest({"preset": jsonable(asdict(self.preset)), "budget": self.budget, "decided": sorted(self.decided)})
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A choice, and what it was made of.
+
+    Attributes:
+        tried: What the trial foretells.
+        options: What there is to choose.
+        choice: What was chosen.
+        facts: Where the curves come from.
+        spent: What trial and choice took, s.
+    """
+
+    tried: Forecast
+    options: dict[str, list[Option]]
+    choice: Choice
+    facts: Known
+    spent: float
+
+
+def run(request: Request, out: Path, console: Console, *, command: str | None = None, overwrite: bool = False) -> Path:
+    """Run the experiment within its budget; returns the path of the report.
+
+    Args:
+        request: What is asked for.
+        out: The experiment folder; `budget.json` in it has what was chosen, foretold and taken.
+        console: Where progress goes.
+        command: The command line, for the record.
+        overwrite: Replace finished results of another request.
+
+    Raises:
+        ValueError: If the budget is too small: says the least time; or an input is wrong.
+        BlockingIOError: If another process is writing to `out`.
+    """
+    start = time.perf_counter()
+    with locked(out):
+        state = _begun(request, out)
+        if state is not None:
+            console.note(f"budget: going on with what was chosen before ({out / RECORD})")
+        else:
+            if (out / EXPERIMENT).exists() and not overwrite:
+                raise ValueError(f"{out} holds a finished experiment of another request: choose another --out, or add "
+                                 "--overwrite to replace it")  # fmt: skip
+            plan = _planned(request, console)
+            state = _write(out, _state(request, plan))
+            preset = turned(request.preset, state["shares"])
+            for line in said.before(request.preset, preset, state):
+                console.note(line)
+            experiment.photograph(preset, out, console, overwrite=overwrite)
+            state = _adjusted(request, plan, state, time.perf_counter() - start, out, console)
+        preset = turned(request.preset, state["shares"])
+        report = experiment.run(preset, out, console, command=command, overwrite=overwrite)
+        if "seconds" not in state:
+            state = _write(out, {**state, "seconds": time.perf_counter() - start})
+    return report
+
+
+def _begun(request: Request, out: Path) -> State | None:
+    """What an earlier call with the same request has chosen."""
+    if not (out / RECORD).exists():
+        return None
+    state = read_json(out / RECORD, SHAPE)
+    return state if state["request"] == request.identity() else None
+
+
+def _write(out: Path, state: State) -> State:
+    write_json(out / RECORD, state)
+    return state
+
+
+def _planned(request: Request, console: Console) -> Plan:
+    """Try the experiment in small, and choose.
+
+    Raises:
+        ValueError: If the budget is too small.
+    """
+    start, facts = time.perf_counter(), known(request.curves)
+    what = f"a budget of {request.budget:g} s is too small"
+    remedy = "give more time, fewer methods, or smaller pictures"
+    console.note(f"budget {request.budget:g} s: trying the experiment in small, to see how fast this machine is")
+    try:
+        tried = forecast(request.preset, TRIAL * request.budget)
+    except OutOfTime:
+        raise ValueError(f"{what}: trying the experiment in small alone takes more than "
+                         f"{TRIAL * request.budget:.0f} s here; {remedy}") from None  # fmt: skip
+    options = open_options(request.preset, facts.options, request.decided)
+    spent = time.perf_counter() - start
+    choice = choose(tried.parts, options, request.budget * (1 - RESERVE) - spent)
+    if choice is None:
+        least = (fastest(tried.parts, options).seconds + spent) / (1 - RESERVE)
+        raise ValueError(f"{what}: the least that this experiment takes here is about {least:.0f} s; {remedy}")
+    return Plan(tried, options, choice, facts, spent)
+
+
+def _state(request: Request, plan: Plan) -> State:
+    choice = plan.choice
+    return {
+        "request": request.identity(), "budget": request.budget, "trial": plan.spent, "curves": plan.facts.source,
+        "shares": {option.name: option.share for option in choice.options},
+        "foretold": {"seconds": choice.seconds + plan.spent, "lost": choice.lost, "sd": choice.sd},
+        "preset_seconds": sum(plan.tried.parts.values()),
+    }  # fmt: skip
+
+
+def _adjusted(request: Request, plan: Plan, state: State, spent: float, out: Path, console: Console) -> State:
+    """The choice for the rest once the pictures are taken, for the time that is really left; said if it changes."""
+    left = request.budget * (1 - RESERVE / 2) - spent  # less is left to be wrong about
+    taken = [option for option in plan.choice.options if option.name in OF_A_RENDER]
+    rest = {name: settings for name, settings in plan.options.items() if name not in OF_A_RENDER}
+    parts = _with(plan.tried.after, taken)
+    again = choose(parts, rest, left) or fastest(parts, rest)
+    whole = choice_of(plan.tried.parts, [*taken, *again.options])
+    shares = {option.name: option.share for option in whole.options}
+    foretold = {"seconds": spent + again.seconds, "lost": whole.lost, "sd": whole.sd}
+    if foretold["seconds"] > request.budget:
+        console.note(f"budget: {spent:.0f} s are gone, and the rest takes {again.seconds:.0f} s at least: it will take "
+                     f"about {foretold['seconds'] - request.budget:.0f} s more than the budget")  # fmt: skip
+    if shares == state["shares"]:
+        return state
+    state = {**state, "shares": shares, "foretold": foretold}
+    for line in said.again(request.preset, turned(request.preset, shares), state, spent):
+        console.note(line)
+    return _write(out, state)
+
+
+def _with(parts: dict[str, float], options: list[Option]) -> dict[str, float]:
+    """Seconds of parts with some options chosen."""
+    return {part: choice_of({part: seconds}, options).seconds for part, seconds in parts.items()}
+
+
+def result(request: Request, out: Path, against: Path | None) -> list[str]:
+    """What came of a finished experiment, line by line; see `said.after`."""
+    return said.after(request.preset, out, read_json(out / RECORD, SHAPE), against)

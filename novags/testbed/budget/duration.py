@@ -1,0 +1,27 @@
+"""How people write a time."""
+
+import math
+import re
+
+from sensor_model.files.reading import brief
+
+UNITS = {"": 1.0, "s": 1.0, "sec": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
+NUMBER = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*([a-z]*)")
+
+
+def seconds_of(text: str) -> float:
+    """The seconds that a time stands for: 120s, 120, 2min, 2.5m, 1h, 1h30min.
+
+    Raises:
+        ValueError: If it is none, or not above 0.
+    """
+    rest, total = text.strip().lower(), 0.0
+    parts = NUMBER.findall(rest)
+    whole = "".join(NUMBER.sub("", rest).split())
+    if whole or not parts or any(unit not in UNITS for _, unit in parts):
+        raise ValueError(f"a budget is a time like 120s, 2min or 1h, got {brief(repr(text), 60)}")
+    for number, unit in parts:
+        total += float(number) * UNITS[unit]
+    if not 0 < total < math.inf:
+        raise ValueError(f"a budget must be more than no time, got {brief(repr(text), 60)}")
+    return total

@@ -1,0 +1,80 @@
+"""A knob: one choice that trades accuracy for time, and how a value of it is measured."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+Setting = str | int | float | None
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One measurement of one setting.
+
+    Attributes:
+        seconds: On the wall.
+        cpu_seconds: Of all processors together, user and system.
+        error: In the knob's unit, >= 0; 0 is perfect.
+        parts: Processor seconds by part of the work, where it has several.
+    """
+
+    seconds: float
+    cpu_seconds: float
+    error: float
+    parts: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Knob:
+    """One knob of a subject; the others are at their defaults while it is turned.
+
+    Attributes:
+        name: Unique in its subject.
+        settings: What is measured, from the fastest on.
+        default: One of them.
+        unit: Of the error.
+        of: What the seconds are of: "a view".
+        why: Why the default is the default.
+        measure: (setting, seed) -> one measurement. The seed varies what a repetition may vary.
+        shared: Knobs with the same word here have one measurement of their defaults in common; None: with nobody.
+        option: The option of `novags run` that the knob is, for `--budget`; None: it has none.
+    """
+
+    name: str
+    settings: tuple[Setting, ...]
+    default: Setting
+    unit: str
+    of: str
+    why: str
+    measure: Callable[[Setting, int], Measured]
+    shared: str | None = None
+    option: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.default not in self.settings or len(set(self.settings)) < len(self.settings):
+            raise ValueError(f"the settings of {self.name} must be different ones and hold the default {self.default}")
+
+    def key(self, setting: Setting, seed: int) -> tuple[str, Setting, int]:
+        """What a measurement is stored under."""
+        common = self.shared is not None and setting == self.default
+        return (f"default of {self.shared}", None, seed) if common else (self.name, setting, seed)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """Knobs that are measured on the same work.
+
+    Attributes:
+        name: render, sensor, ...
+        workload: What they are measured on: scene, sizes, counts. Points of two workloads never meet in one curve.
+        knobs: In the order of the page.
+    """
+
+    name: str
+    workload: Mapping[str, Any]
+    knobs: tuple[Knob, ...]
+
+
+def spelled(workload: Mapping[str, Any]) -> str:
+    """A workload in a sentence."""
+    return ", ".join(f"{name} {value}" for name, value in workload.items())

@@ -1,0 +1,71 @@
+"""Measure a subject: every setting of every knob, seed after seed. What is measured already is kept."""
+
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from statistics import median
+
+from novags.testbed.console import Console
+from novags.testbed.pareto.knob import Knob, Setting, Subject
+from novags.testbed.pareto.samples import Samples
+from novags.testbed.study.engines.progress import duration
+
+Step = tuple[Knob, Setting, int]
+
+
+def steps(subject: Subject, repeats: int) -> list[Step]:
+    """Every measurement once. Seeds come last: what else loads the machine meets all settings alike."""
+    found: dict[tuple[str, Setting, int], Step] = {}
+    for seed in range(repeats):
+        for knob in subject.knobs:
+            for setting in knob.settings:
+                found.setdefault(knob.key(setting, seed), (knob, setting, seed))
+    return list(found.values())
+
+
+def measure(
+    subject: Subject, folder: Path, repeats: int, console: Console, *, overwrite: bool = False
+) -> Samples:  # fmt: skip
+    """Measure what is missing.
+
+    Args:
+        subject: What.
+        folder: Where `NAME.samples.json` is kept.
+        repeats: Seeds, 0 to repeats - 1.
+        console: Where progress goes.
+        overwrite: Drop measurements of another size or machine.
+
+    Raises:
+        ValueError: If `repeats` is below 1, or the folder holds measurements of another size or machine.
+    """
+    if repeats < 1:
+        raise ValueError(f"repeats must be >= 1, got {repeats}")
+    samples = Samples(folder / f"{subject.name}.samples.json", subject, overwrite=overwrite)
+    todo = steps(subject, repeats)
+    missing = [step for step in todo if samples.find(*step) is None]
+    if kept := len(todo) - len(missing):
+        console.note(f"pareto {subject.name}: {kept} of {len(todo)} measurements are there already")
+    with console.progress(f"pareto {subject.name}") as progress:
+        for place, (knob, setting, seed) in enumerate(missing):
+            left = time_left(samples, missing[place:])
+            said = f"{knob.name} = {setting}, seed {seed}{left and ', '}{left}"
+            progress(kept + place, len(todo), said)
+            start = time.perf_counter()
+            measured = knob.measure(setting, seed)
+            samples.add(knob, setting, seed, measured, time.perf_counter() - start)
+        progress(len(todo), len(todo), "done")
+    return samples
+
+
+def time_left(samples: Samples, missing: Sequence[Step]) -> str:
+    """What measurements took so far foretells the rest: those of the same setting first, then of the same knob."""
+    rows = list(samples.spent())
+    if not rows:
+        return ""
+    total = 0.0
+    for knob, setting, seed in missing:
+        name, value, _ = knob.key(setting, seed)
+        same = [spent for other, at, spent in rows if other == name and at == value]
+        near = [spent for other, _, spent in rows if other == knob.name]
+        total += median(same or near or [spent for *_, spent in rows])
+    return f"about {duration(total)} left"

@@ -1,0 +1,46 @@
+"""What a measured subject leaves in its folder: lines of JSON, a figure, tables; and tables in a page of one's own."""
+
+from pathlib import Path
+
+from novags.testbed.cache import write_text
+from novags.testbed.pareto.curve import Point, curves, read_curves, write_curves
+from novags.testbed.pareto.figure import figure
+from novags.testbed.pareto.knob import Subject
+from novags.testbed.pareto.samples import Samples
+from novags.testbed.pareto.table import heading, tables
+
+TITLES = {
+    "render": "Renderer: error of a view", "sensor": "Sensor model: error of a frame",
+    "splats": "Splat engine: error of a picture",
+}  # fmt: skip
+
+
+def write(subject: Subject, samples: Samples, folder: Path) -> list[Path]:
+    """Write `curves.jsonl`, `NAME.svg` and `NAME.md`; returns the three."""
+    points = curves(subject, samples)
+    lines = write_curves(folder, points)
+    picture, table = folder / f"{subject.name}.svg", folder / f"{subject.name}.md"
+    write_text(picture, figure(points, TITLES.get(subject.name, "Reconstruction: error of held-out views")))
+    write_text(table, f"{heading(points)}\n\n{tables(points)}")
+    return [lines, picture, table]
+
+
+def marks(name: str) -> tuple[str, str]:
+    """The two lines of a page between which the tables of a subject stand."""
+    return f"<!-- curves: {name} -->", "<!-- end of curves -->"
+
+
+def embedded(page: str, points: list[Point]) -> str:
+    """A page with the tables of these points between the marks of their subjects; other parts stay as they are."""
+    for name in dict.fromkeys(point["knob"].partition(".")[0] for point in points):
+        begin, end = marks(name)
+        head, found, rest = page.partition(begin)
+        if found and end in rest:
+            own = [point for point in points if point["knob"].startswith(f"{name}.")]
+            page = f"{head}{begin}\n\n{heading(own)}\n\n{tables(own)}\n{end}{rest.partition(end)[2]}"
+    return page
+
+
+def update(page: Path, folder: Path) -> None:
+    """Bring the tables in a page up to the curves in a folder."""
+    write_text(page, embedded(page.read_text(encoding="utf-8"), read_curves(folder)))

@@ -1,0 +1,69 @@
+"""The measurements of a subject on disk: written after every one, so that an interruption costs at most that one."""
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from novags.testbed.cache import jsonable, read_json, write_json
+from novags.testbed.machine.provenance import environment
+from novags.testbed.pareto.knob import Knob, Measured, Setting, Subject, spelled
+
+NUMBER = (str, float, None)  # a setting
+SHAPE = {
+    "workload": dict, "hardware": dict, "versions": dict,
+    "samples": [{"knob": str, "setting": NUMBER, "seed": int, "seconds": float, "cpu_seconds": float, "error": float,
+                 "parts": {"*": float}, "spent": float}],
+}  # fmt: skip
+
+
+class Samples:
+    """What was measured of a subject so far.
+
+    Args:
+        path: The file.
+        subject: Whose.
+        overwrite: Drop what the file holds if it was measured on other work or another machine.
+
+    Raises:
+        ValueError: If the file is damaged, or was measured on other work or another machine.
+    """
+
+    def __init__(self, path: Path, subject: Subject, *, overwrite: bool = False) -> None:
+        self.path = path
+        made = environment()
+        self.about = jsonable(
+            {"workload": subject.workload, "hardware": made["hardware"], "versions": made["versions"]}
+        )
+        self.rows: list[dict[str, Any]] = []
+        if not path.exists():
+            return
+        known = read_json(path, SHAPE)
+        other = [word for word in ("workload", "hardware") if known[word] != self.about[word]]
+        if not other:
+            self.rows = known["samples"]
+        elif not overwrite:
+            before = ", ".join(spelled(known[word]) for word in other)
+            raise ValueError(f"{path} holds measurements of another {' and '.join(other)} ({before}): choose another "
+                             "--out, or add --overwrite to drop them")  # fmt: skip
+
+    def find(self, knob: Knob, setting: Setting, seed: int) -> dict[str, Any] | None:
+        """A measurement, or None if it was not made yet."""
+        wanted = knob.key(setting, seed)
+        return next((row for row in self.rows if (row["knob"], row["setting"], row["seed"]) == wanted), None)
+
+    def of(self, knob: Knob, setting: Setting) -> dict[int, dict[str, Any]]:
+        """All measurements of a setting, by seed."""
+        keys = {row["seed"] for row in self.rows}
+        return {seed: row for seed in sorted(keys) if (row := self.find(knob, setting, seed)) is not None}
+
+    def add(self, knob: Knob, setting: Setting, seed: int, measured: Measured, spent: float) -> None:
+        """Take in a measurement that took `spent` seconds with all its preparations, and write the file."""
+        name, value, _ = knob.key(setting, seed)
+        row = {"knob": name, "setting": value, "seed": seed, **jsonable(asdict(measured)), "spent": spent}
+        self.rows.append(row)
+        write_json(self.path, {**self.about, "samples": self.rows})
+
+    def spent(self) -> Iterator[tuple[str, Setting, float]]:
+        """Knob, setting and seconds of every measurement."""
+        return ((row["knob"], row["setting"], row["spent"]) for row in self.rows)

@@ -1,0 +1,59 @@
+"""The knobs of a whole reconstruction: those of the preset demo's first method, on a scene and noise of each seed."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from novags.methods import METHODS
+from novags.testbed.console import Console
+from novags.testbed.pareto.knob import Subject
+from novags.testbed.pareto.reconstruction import SCENE, Bench, Row
+from novags.testbed.presets import EXPERIMENTS, adapted
+
+PRESET = EXPERIMENTS["demo"]
+SIZE: Mapping[str, Any] = {"width": 64, "height": 64, "points": 3200}  # as many points a pixel as in the preset
+SMALL: Mapping[str, Any] = {
+    "width": 32, "height": 32, "points": 800, "n_views": 9, "spp": 32, "iterations": 160, "denoiser_steps": 40,
+}  # fmt: skip
+
+KNOBS: dict[str, Row] = {
+    "iterations": Row(
+        (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0), "of the fit: as many as let the whole demonstration take four minutes",
+        option="iterations",
+    ),
+    "points": Row((1 / 8, 1 / 4, 1 / 2, 1.0, 2.0), "Gaussians: 0.8 for each pixel of a view", option="points"),
+    "denoiser steps": Row(
+        (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0), "before the fit, on small crops: a quarter of the demonstration's time",
+        option="denoiser_steps",
+    ),
+    "denoiser cadence": Row(
+        (None, 64, 16), "fit iterations between two more steps of the denoiser; none: it trains before the fit alone",
+        setting="denoiser.denoise_every",
+    ),
+    "mask share": Row(
+        (0.05, 0.2, 0.5), "share of the pixels that are blinded in one step of the denoiser; it costs no time",
+        setting="denoiser.blind_spots.mask_fraction",
+    ),
+    "consistency": Row(
+        (64, 16, 4), "fit iterations between two evaluations of the geometric term, each a second rendering",
+        setting="consistency.every",
+    ),
+    "samples per pixel": Row((1 / 16, 1 / 4, 1.0), "of the rendered truth, which is scored against too", option="spp"),
+    "resolution": Row(
+        (1 / 2, 0.71, 1.0), "width and height of render, pictures and fit; scored at the full size", option="size"
+    ),
+}  # fmt: skip
+
+
+def nova(small: bool, folder: Path, console: Console) -> Subject:
+    """Whole reconstructions; sets and captures of each seed are kept in `folder`."""
+    base = adapted(PRESET, **{**SIZE, **(SMALL if small else {}), "methods": PRESET.methods[:1]})
+    bench, render, config = Bench(base, folder), base.render, base.reconstruct(base.methods[0])
+    parts = METHODS[config.variant.method].parts
+    workload = {
+        "method": config.variant.name, "scene": f"{SCENE}:SEED", "views": render.n_views,
+        "size": f"{render.width} x {render.height}", "samples per pixel": render.spp,
+        "sensor": base.capture.sensor_name, "electrons": base.capture.electrons, "points": base.points,
+        **({} if parts is None else parts(config.config)),
+    }  # fmt: skip
+    return Subject("nova", workload, tuple(bench.knob(name, row) for name, row in KNOBS.items()))

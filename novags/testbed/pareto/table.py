@@ -1,0 +1,65 @@
+"""Curves as Markdown: a table a knob, and what is to be said of its default."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from novags.testbed.pareto.figure import setting_text
+from novags.testbed.pareto.front import beaten_by
+from novags.testbed.pareto.knob import spelled
+
+Point = Mapping[str, Any]
+
+
+def tables(points: Sequence[Point]) -> str:
+    """Every knob of some curves, in their order."""
+    knobs = list(dict.fromkeys(point["knob"] for point in points))
+    return "\n".join(_table(knob, [point for point in points if point["knob"] == knob]) for knob in knobs)
+
+
+def _table(knob: str, points: Sequence[Point]) -> str:
+    decibels = any(point["db_lost"] for point in points) and "RMSE of held-out views" in points[0]["error_unit"]
+    head = [knob.partition(".")[2], "processor s", "wall s", f"error ({points[0]['error_unit']})",
+            *(["lost to the default"] if decibels else []), "on the front"]  # fmt: skip
+    lines = [f"#### {knob}", "", f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
+    for point in points:
+        setting = setting_text(point["setting"])
+        cells = [
+            f"**{setting}** (default)" if point["default"] else setting, f"{point['cpu_seconds']:.3g}",
+            f"{point['seconds']:.3g}", f"{point['error']:.3g} ± {point['error_sd']:.2g}",
+            *([_decibels(point)] if decibels else []), "yes" if point["front"] else "",
+        ]  # fmt: skip
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join([*lines, "", said(points), ""])
+
+
+def _decibels(point: Point) -> str:
+    if point["db_lost"] is None:
+        return ""
+    return "0" if point["default"] else f"{point['db_lost']:.2f} ± {point['db_lost_sd']:.2f} dB"
+
+
+def said(points: Sequence[Point]) -> str:
+    """Where the default of a knob lies, and why it is the default."""
+    default = next((point for point in points if point["default"]), None)
+    if default is None:
+        return "The default is not measured yet."
+    place = "is on the front" if default["front"] else _off_the_front(default, points)
+    return f"The default, {setting_text(default['setting'])}, {place}: {default['why']}."
+
+
+def _off_the_front(default: Point, points: Sequence[Point]) -> str:
+    others = [(point["cpu_seconds"], point["error"], point["error_sd"]) for point in points]
+    clear = beaten_by((default["cpu_seconds"], default["error"]), others, default["error_sd"])
+    if not clear:
+        return "is off the front by less than the spread of two points"
+    names = ", ".join(setting_text(points[i]["setting"]) for i in clear)
+    return f"is off the front ({names}: faster and more accurate beyond the spread)"
+
+
+def heading(points: Sequence[Point]) -> str:
+    """What the points of a subject were measured on, in a sentence."""
+    first, counts = points[0], sorted({point["repeats"] for point in points})
+    machine = first["hardware"]
+    seeds = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+    return (f"{spelled(first['workload'])}. Repetitions: {seeds}. Machine: {machine.get('processor')}, "
+            f"{machine.get('cores')} cores.")  # fmt: skip
