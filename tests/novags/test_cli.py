@@ -111,6 +111,14 @@ def test_every_command_explains_every_option(call: Call, capsys: pytest.CaptureF
         (["render", "missing.xml", "--out", "x"], "missing.xml cannot be read"),
         (["run", "--methods", "nova", "nova"], "once each"),
         (["run", "--views", "1"], "n_views must be >= 3"),
+        (["run", "--budget", "soon"], "a budget is a time like 120s"),
+        (["run", "--budget", "0s"], "a budget must be more than no time"),
+        (["run", "--budget", "60s", "--cameras", "sfm"], "leave out --cameras or --budget"),
+        (["run", "--budget", "60s", "--photos", "x"], "novags poses first"),
+        (["run", "--budget", "60s", "--curves", "x"], "cannot read the curves x"),
+        (["run", "--curves", "x"], "belong to a budget"),
+        (["pareto", "rendr", "--out", "x"], "did you mean 'render'"),
+        (["pareto", "sensor", "--out", "x", "--repeats", "0"], "repeats must be >= 1"),
     ],
 )
 def test_wrong_input_is_one_line_and_exit_code_2(

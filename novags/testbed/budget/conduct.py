@@ -10,13 +10,14 @@ from novags.testbed import experiment
 from novags.testbed.budget import said
 from novags.testbed.budget.choice import Choice, Option, choice_of, choose, fastest
 from novags.testbed.budget.known import Known, known
-from novags.testbed.budget.settings import OF_A_RENDER, open_options, turned
+from novags.testbed.budget.settings import OF_A_RENDER, WORDS, open_options, turned
 from novags.testbed.budget.trial import Forecast, OutOfTime, forecast
 from novags.testbed.cache import digest, jsonable, read_json, write_json
 from novags.testbed.console import Console
 from novags.testbed.folders.experiment import EXPERIMENT
 from novags.testbed.presets import Preset
 from sensor_model.files.lock import locked
+from sensor_model.files.reading import brief
 
 RECORD = "budget.json"
 RESERVE = 0.1  # of the budget: by so much a trial may foretell too little
@@ -92,7 +93,7 @@ def run(request: Request, out: Path, console: Console, *, command: str | None = 
     """
     start = time.perf_counter()
     with locked(out):
-        state = _begun(request, out)
+        state = begun(request, out)
         if state is not None:
             console.note(f"budget: going on with what was chosen before ({out / RECORD})")
         else:
@@ -113,11 +114,14 @@ def run(request: Request, out: Path, console: Console, *, command: str | None = 
     return report
 
 
-def _begun(request: Request, out: Path) -> State | None:
+def begun(request: Request, out: Path) -> State | None:
     """What an earlier call with the same request has chosen."""
     if not (out / RECORD).exists():
         return None
     state = read_json(out / RECORD, SHAPE)
+    if any(name not in WORDS or not 0 < share <= 1 for name, share in state["shares"].items()):
+        raise ValueError(f"{out / RECORD}: shares must be of {', '.join(WORDS)} and in (0, 1], got "
+                         f"{brief(state['shares'], 100)}; remove it, the choice is then made again")  # fmt: skip
     return state if state["request"] == request.identity() else None
 
 

@@ -9,6 +9,7 @@ from novags.testbed.cache import jsonable
 from novags.testbed.machine.provenance import hardware
 from novags.testbed.pareto.curve import CURVES, Point, read_curves
 from novags.testbed.pareto.knob import spelled
+from sensor_model.files.reading import brief, reading
 
 SHIPPED = Path(__file__).resolve().parents[1] / "pareto" / "shipped.jsonl"
 USUAL = Path("out") / "pareto"  # where docs/accuracy-and-time.md puts curves
@@ -35,10 +36,11 @@ def known(folder: Path | None) -> Known:
     """
     if folder is None and (USUAL / CURVES).exists():
         points = read_curves(USUAL)
-        if (found := options_of(points)) and _hardware(points) == jsonable(hardware()):
-            return Known(found, f"measured earlier on this machine ({USUAL})")
+        if _points_of_options(points) and _hardware(points) == jsonable(hardware()):
+            return Known(known(USUAL).options, f"measured earlier on this machine ({USUAL})")
     points = read_curves(SHIPPED if folder is None else folder)
-    found = options_of(points)
+    with reading(SHIPPED if folder is None else folder, "measure it again with novags pareto nova"):
+        found = options_of(points)
     if not found:
         raise ValueError(
             f"{folder} holds no curves of whole reconstructions: novags pareto nova --out {folder} measures them"
@@ -57,6 +59,7 @@ def options_of(points: Sequence[Point]) -> dict[str, list[Option]]:
     found: dict[str, list[Option]] = {}
     for point in _points_of_options(points):
         default = next((p for p in points if p["knob"] == point["knob"] and p["default"]), None)
+        _check(point)
         if default is None or point["setting"] > default["setting"] or point["db_lost"] is None:
             continue
         if not (point["front"] or point["default"]):
@@ -68,10 +71,18 @@ def options_of(points: Sequence[Point]) -> dict[str, list[Option]]:
         }
         option = Option(
             name=point["option"], share=point["setting"] / default["setting"], factors=factors,
-            lost=max(0.0, point["db_lost"]), sd=point["db_lost_sd"],
+            lost=max(0.0, point["db_lost"]), sd=point["db_lost_sd"] or 0.0,
         )  # fmt: skip
         found.setdefault(option.name, []).append(option)
     return {name: refined(settings) for name, settings in found.items()}
+
+
+def _check(point: Point) -> None:
+    """Refuse what has no logarithm: a setting of nothing, a part that takes less than no time."""
+    setting, parts = point["setting"], point["parts"]
+    if not isinstance(setting, int | float) or not setting > 0 or min(parts.values(), default=0) < 0:
+        raise ValueError(f"the settings of {point['knob']} must be numbers > 0 and the seconds of its parts >= 0, got "
+                         f"{brief(setting, 60)} and {brief(parts, 100)}")  # fmt: skip
 
 
 def _points_of_options(points: Sequence[Point]) -> list[Point]:

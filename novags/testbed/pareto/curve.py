@@ -4,10 +4,8 @@ import json
 import math
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from statistics import median
+from statistics import mean, median, stdev
 from typing import Any
-
-import numpy as np
 
 from novags.testbed.cache import jsonable, write_text
 from novags.testbed.pareto.front import front
@@ -50,11 +48,12 @@ def curves(subject: Subject, samples: Samples) -> list[Point]:
 
 def _numbers(rows: list[Mapping[str, Any]]) -> dict[str, Any]:
     errors = [row["error"] for row in rows]
-    parts = {name: median(row["parts"][name] for row in rows) for name in rows[0]["parts"]}
+    common = [name for name in rows[0]["parts"] if all(name in row["parts"] for row in rows)]
+    parts = {name: median(row["parts"][name] for row in rows) for name in common}
     return {
         "seconds": median(row["seconds"] for row in rows), "seconds_sd": sd([row["seconds"] for row in rows]),
         "cpu_seconds": median(row["cpu_seconds"] for row in rows),
-        "cpu_seconds_sd": sd([row["cpu_seconds"] for row in rows]), "error": float(np.mean(errors)),
+        "cpu_seconds_sd": sd([row["cpu_seconds"] for row in rows]), "error": mean(errors),
         "error_sd": sd(errors), "parts": parts, "repeats": len(rows),
     }  # fmt: skip
 
@@ -65,12 +64,12 @@ def _lost(rows: Mapping[int, Mapping[str, Any]], reference: Mapping[int, Mapping
     if not pairs or min(min(pair) for pair in pairs) <= 0:  # no decibels where an error is zero
         return {"db_lost": None, "db_lost_sd": None}
     lost = [20 * math.log10(error / least) for error, least in pairs]
-    return {"db_lost": float(np.mean(lost)), "db_lost_sd": sd(lost)}
+    return {"db_lost": mean(lost), "db_lost_sd": sd(lost)}
 
 
 def sd(values: list[float]) -> float:
     """Standard deviation of a sample; 0 of a single value, of which nothing is known."""
-    return float(np.std(values, ddof=1)) if len(values) > 1 else 0.0
+    return stdev(values) if len(values) > 1 else 0.0
 
 
 def write_curves(folder: Path, points: Iterable[Point]) -> Path:

@@ -13,7 +13,7 @@ from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.variant import Variant
 from novags.settings import flattened
 from novags.testbed import stages
-from novags.testbed.cache import jsonable
+from novags.testbed.cache import jsonable, read_json
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.metrics import aligned_psnr
@@ -95,11 +95,10 @@ class Bench:
         with ExitStack() as held:
             own = kept if row.option not in RENDERED else held.enter_context(scratch("pareto"))
             capture = photographed(preset, own)
-            if row.option in RENDERED:
-                parts["render"] = clock.read()[1]
-                rendering = clock.read()
-            else:
-                rendering = (0.0, 0.0)
+            rendering = clock.read() if row.option in RENDERED else (0.0, 0.0)
+            if row.option in RENDERED:  # what samples and pixels change is the light alone
+                spent = read_json(own / "set" / "set.json")["seconds"]
+                parts["render"] = rendering[1] * spent["radiance"] / sum(spent.values())
             # of a smaller render the error is that at full size; of a noisier one, against what it shows itself
             plain = adapted(self.base, scene=f"{SCENE}:{seed}", seed=seed)
             truth = photographed(plain, kept) if row.option == "size" else capture

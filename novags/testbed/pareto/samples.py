@@ -10,6 +10,7 @@ from novags.testbed.machine.provenance import environment
 from novags.testbed.pareto.knob import Knob, Measured, Setting, Subject, spelled
 
 NUMBER = (str, float, None)  # a setting
+LARGEST = 1e100  # of a time or an error: their squares must be numbers too
 SHAPE = {
     "workload": dict, "hardware": dict, "versions": dict,
     "samples": [{"knob": str, "setting": NUMBER, "seed": int, "seconds": float, "cpu_seconds": float, "error": float,
@@ -41,7 +42,7 @@ class Samples:
         known = read_json(path, SHAPE)
         other = [word for word in ("workload", "hardware") if known[word] != self.about[word]]
         if not other:
-            self.rows = known["samples"]
+            self.rows = _checked(known["samples"], path)
         elif not overwrite:
             before = ", ".join(spelled(known[word]) for word in other)
             raise ValueError(f"{path} holds measurements of another {' and '.join(other)} ({before}): choose another "
@@ -67,3 +68,13 @@ class Samples:
     def spent(self) -> Iterator[tuple[str, Setting, float]]:
         """Knob, setting and seconds of every measurement."""
         return ((row["knob"], row["setting"], row["spent"]) for row in self.rows)
+
+
+def _checked(rows: list[dict[str, Any]], path: Path) -> list[dict[str, Any]]:
+    """The rows, all of whose times and errors are possible."""
+    for place, row in enumerate(rows):
+        for name in ("seconds", "cpu_seconds", "error"):
+            if not 0 <= row[name] <= LARGEST:
+                raise ValueError(f"{path}: samples[{place}].{name} must be in 0..{LARGEST:g}, got {row[name]:g}; "
+                                 "remove the file to measure again")  # fmt: skip
+    return rows

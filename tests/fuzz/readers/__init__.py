@@ -1,10 +1,19 @@
 """Every reader of files that people bring, by name. A new reader gets a row here."""
 
 from tests.fuzz.case import Reader
-from tests.fuzz.readers import commands, foreign, images, imported, models, photographs, records, scenes, studies, text
+from tests.fuzz.readers import (
+    commands,
+    curves,
+    foreign,
+    images,
+    imported,
+    models,
+    photographs,
+    records,
+    scenes,
+    studies,
+    text,
+)
 
-READERS: dict[str, Reader] = {
-    reader.name: reader
-    for group in (commands, foreign, text, models, images, imported, photographs, records, scenes, studies)
-    for reader in group.READERS
-}
+GROUPS = (commands, curves, foreign, text, models, images, imported, photographs, records, scenes, studies)
+READERS: dict[str, Reader] = {reader.name: reader for group in GROUPS for reader in group.READERS}

@@ -43,12 +43,12 @@ def splats(small: bool, folder: Path, console: Console) -> Subject:
         settings, default, why = KNOBS[name]
         ends = tuple(s for s in settings if s in (settings[0], default, settings[-1]))  # each compiles for a while
 
-        def measured(setting: Setting, seed: int) -> Measured:
-            return _measured(folder, name, setting, n, size, seed)
+        def one(setting: Setting, seed: int) -> Measured:
+            return measured(folder, name, setting, n, size, seed)
 
         return Knob(
             name=name, settings=ends if small else settings, default=default, unit="RMSE of the picture",
-            of="a forward and a backward pass", why=why, measure=measured,
+            of="a forward and a backward pass", why=why, measure=one,
             shared=None if name == "eps2d" else "a picture",
         )  # fmt: skip
 
@@ -56,7 +56,7 @@ def splats(small: bool, folder: Path, console: Console) -> Subject:
     return Subject("splats", workload, tuple(knob(name) for name in KNOBS))
 
 
-def _measured(folder: Path, knob: str, setting: Setting, n: int, size: int, seed: int) -> Measured:
+def measured(folder: Path, knob: str, setting: Setting, n: int, size: int, seed: int) -> Measured:
     """One setting, against the truth of this seed, which is made first if it is not there."""
     supersampled = knob == "eps2d"  # dilation stands in for a filter over the pixel
     truth = folder / f"truth-{n}-{size}-{seed}{'-supersampled' if supersampled else ''}.npy"

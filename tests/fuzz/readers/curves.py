@@ -1,0 +1,109 @@
+"""Curves of accuracy against time, what they are made of, and what a budget has chosen from them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+from tests.fuzz.case import Reader
+
+CURVE = {
+    "seconds": 2.0, "seconds_sd": 0.1, "cpu_seconds_sd": 0.1, "error_unit": "%", "error_sd": 0.2, "front": True,
+    "repeats": 3, "of": "a reconstruction", "why": "so", "workload": {"scene": "x", "size": "64 x 64"},
+    "hardware": {"processor": "x", "cores": 2},
+}  # fmt: skip
+
+
+def make_curves(folder: Path) -> None:
+    points = [
+        {**CURVE, "knob": f"nova.{name}", "setting": setting, "cpu_seconds": 0.01 * setting, "error": 500 / setting,
+         "default": setting == 800, "option": option, "parts": {"fit": 0.01 * setting, "denoiser": 3.0},
+         "db_lost": 8.0 - 0.01 * setting, "db_lost_sd": 0.3}
+        for name, option in (("iterations", "iterations"), ("mask share", None)) for setting in (100, 400, 800)
+    ]  # fmt: skip
+    (folder / "curves.jsonl").write_text("".join(json.dumps(point) + "\n" for point in points))
+
+
+def read_curves(folder: Path, file: Path) -> None:
+    """As a budget and the page of curves do."""
+    from novags.testbed.budget.choice import choose
+    from novags.testbed.budget.known import known
+    from novags.testbed.pareto.curve import read_curves
+    from novags.testbed.pareto.page import embedded
+
+    options = known(folder).options
+    choose({"fit": 10.0, "denoiser": 5.0, "fixed": 1.0}, options, 9.0)
+    embedded("<!-- curves: nova -->\n<!-- end of curves -->", read_curves(folder))
+
+
+def make_state(folder: Path) -> None:
+    from novags.testbed.budget.conduct import Request
+    from novags.testbed.presets import EXPERIMENTS
+
+    state = {
+        "request": Request(EXPERIMENTS["demo"], 60.0).identity(), "budget": 60.0, "trial": 9.0, "curves": "mine",
+        "shares": {"iterations": 0.25}, "foretold": {"seconds": 50.0, "lost": 1.0, "sd": 0.2}, "preset_seconds": 200.0,
+        "seconds": 52.0,
+    }  # fmt: skip
+    (folder / "budget.json").write_text(json.dumps(state))
+
+
+def read_state(folder: Path, file: Path) -> None:
+    """As a budget does that was interrupted, and one that is done."""
+    from novags.testbed.budget.conduct import Request, begun, result
+    from novags.testbed.budget.settings import turned
+    from novags.testbed.presets import EXPERIMENTS
+
+    request = Request(EXPERIMENTS["demo"], 60.0)
+    if (state := begun(request, folder)) is not None:
+        turned(request.preset, state["shares"])
+        if "seconds" in state:
+            result(request, folder, None)
+
+
+def make_samples(folder: Path) -> None:
+    from novags.testbed.pareto.knob import Measured
+    from novags.testbed.pareto.samples import Samples
+
+    subject = _subject()
+    samples = Samples(folder / "x.samples.json", subject)
+    for seed in range(2):
+        for setting in (1, 2, 4):
+            samples.add(subject.knobs[0], setting, seed, Measured(1.0, 2.0, 1 / setting, {"fit": 1.0}), 3.0)
+
+
+def read_samples(folder: Path, file: Path) -> None:
+    """As the measuring does that goes on."""
+    from novags.testbed.pareto.curve import curves
+    from novags.testbed.pareto.figure import figure
+    from novags.testbed.pareto.samples import Samples
+    from novags.testbed.pareto.table import tables
+
+    subject = _subject()
+    if points := curves(subject, Samples(file, subject)):
+        figure(points, "x"), tables(points)
+
+
+def _subject():  # type: ignore[no-untyped-def]  # of a module that is imported late
+    from novags.testbed.pareto.knob import Knob, Measured, Subject
+
+    knob = Knob(
+        name="k", settings=(1, 2, 4), default=2, unit="%", of="it", why="so", measure=lambda s, i: Measured(0, 0, 0)
+    )
+    return Subject("x", {"size": 3}, (knob,))
+
+
+def _prepare() -> None:
+    import torch
+
+    import novags.testbed.budget.conduct
+    import novags.testbed.pareto.page  # noqa: F401
+
+    torch.set_num_threads(1)
+
+
+READERS = [
+    Reader("curves.jsonl", make_curves, read_curves, ("curves.jsonl",), share=4, prepare=_prepare),
+    Reader("budget.json", make_state, read_state, ("budget.json",), share=8, prepare=_prepare),
+    Reader("samples of curves", make_samples, read_samples, ("x.samples.json",), share=4, prepare=_prepare),
+]
