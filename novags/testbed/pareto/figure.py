@@ -105,9 +105,9 @@ def _frame(knob: str, point: Point, x: Axis, y: Axis) -> list[str]:
     for tick in y.ticks():
         at = y.at(tick)
         parts.append(f'<line class="rule" x1="{LEFT}" x2="{WIDTH - RIGHT}" y1="{at:.1f}" y2="{at:.1f}"/>')
-        parts.append(f'<text x="{LEFT - 6}" y="{at + 4:.1f}" text-anchor="end">{tick:.3g}</text>')
+        parts.append(f'<text x="{LEFT - 6}" y="{at + 4:.1f}" text-anchor="end">{tick:g}</text>')
     for tick in x.ticks():
-        parts.append(f'<text x="{x.at(tick):.1f}" y="{HEIGHT - BOTTOM + 16}" text-anchor="middle">{tick:.3g}</text>')
+        parts.append(f'<text x="{x.at(tick):.1f}" y="{HEIGHT - BOTTOM + 16}" text-anchor="middle">{tick:g}</text>')
     what = f"processor seconds of {point['of']}"
     middle = (LEFT + WIDTH - RIGHT) / 2
     return [*parts, f'<text x="{middle}" y="{HEIGHT - 10}" text-anchor="middle">{escape(what)}</text>']
@@ -125,7 +125,7 @@ def _points(points: Sequence[Point], x: Axis, y: Axis) -> list[str]:
         across, up = x.at(point["cpu_seconds"]), y.at(point["error"])
         above, below = y.at(point["error"] + point["error_sd"]), y.at(point["error"] - point["error_sd"])
         kind = f"{'default' if point['default'] else 'point'}{'' if point['front'] else ' off'}"
-        said = f"{setting_text(point['setting'])}: {point['error']:.3g} ± {point['error_sd']:.2g}"
+        said = f"{setting_text(point['setting'])}: {with_spread(point['error'], point['error_sd'], point['repeats'])}"
         parts.append(f'<line class="bar" x1="{across:.1f}" x2="{across:.1f}" y1="{above:.1f}" y2="{below:.1f}"/>')
         mark = f'<path class="{kind}" d="M{across:.1f} {up - 7:.1f}l7 7l-7 7l-7 -7z">'
         disc = f'<circle class="{kind}" cx="{across:.1f}" cy="{up:.1f}" r="4">'
@@ -150,6 +150,11 @@ def _label(text: str, x: float, y: float, taken: list[tuple[float, float, float]
     left, base = min(places, key=cost)
     taken.append((left, base - 10, wide))
     return f'<text class="label" x="{left:.1f}" y="{base:.1f}">{escape(text)}</text>'
+
+
+def with_spread(value: float, spread: float, repeats: int) -> str:
+    """A number with its standard deviation, of which a single measurement says nothing."""
+    return f"{value:.3g}" if repeats < 2 else f"{value:.3g} ± {spread:.2g}"
 
 
 def setting_text(setting: Any) -> str:

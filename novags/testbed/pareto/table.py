@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from novags.testbed.pareto.figure import setting_text
+from novags.testbed.pareto.figure import setting_text, with_spread
 from novags.testbed.pareto.front import beaten_by
 from novags.testbed.pareto.knob import spelled
 
@@ -25,7 +25,7 @@ def _table(knob: str, points: Sequence[Point]) -> str:
         setting = setting_text(point["setting"])
         cells = [
             f"**{setting}** (default)" if point["default"] else setting, f"{point['cpu_seconds']:.3g}",
-            f"{point['seconds']:.3g}", f"{point['error']:.3g} ± {point['error_sd']:.2g}",
+            f"{point['seconds']:.3g}", with_spread(point["error"], point["error_sd"], point["repeats"]),
             *([_decibels(point)] if decibels else []), "yes" if point["front"] else "",
         ]  # fmt: skip
         lines.append(f"| {' | '.join(cells)} |")
@@ -35,7 +35,7 @@ def _table(knob: str, points: Sequence[Point]) -> str:
 def _decibels(point: Point) -> str:
     if point["db_lost"] is None:
         return ""
-    return "0" if point["default"] else f"{point['db_lost']:.2f} ± {point['db_lost_sd']:.2f} dB"
+    return "0" if point["default"] else f"{with_spread(point['db_lost'], point['db_lost_sd'], point['repeats'])} dB"
 
 
 def said(points: Sequence[Point]) -> str:
