@@ -59,4 +59,4 @@ def nova(small: bool, folder: Path, console: Console) -> Subject:
         "sensor": base.capture.sensor_name, "electrons": base.capture.electrons, "points": base.points,
         **({} if parts is None else parts(config.config)),
     }  # fmt: skip
-    return Subject("nova", workload, tuple(bench.knob(name, row) for name, row in KNOBS.items()))
+    return Subject(nova.__name__, workload, tuple(bench.knob(name, row) for name, row in KNOBS.items()))
