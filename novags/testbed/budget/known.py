@@ -52,7 +52,7 @@ def known(folder: Path | None) -> Known:
 
 
 def options_of(points: Sequence[Point]) -> dict[str, list[Option]]:
-    """The options of some curves; settings off the front and above the default are left out.
+    """The options of some curves; settings above the default are left out.
 
     What was measured to be better than the default at less time counts as no loss: it may be chance.
     """
@@ -61,8 +61,6 @@ def options_of(points: Sequence[Point]) -> dict[str, list[Option]]:
         default = next((p for p in points if p["knob"] == point["knob"] and p["default"]), None)
         _check(point)
         if default is None or point["setting"] > default["setting"] or point["db_lost"] is None:
-            continue
-        if not (point["front"] or point["default"]):
             continue
         factors = {
             part: point["parts"].get(part, seconds) / seconds

@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from statistics import mean, median, stdev
 from typing import Any
@@ -33,7 +33,7 @@ def curve(subject: Subject, knob: Knob, samples: Samples) -> list[Point]:
         if rows:
             about = {"of": knob.of, "why": knob.why, "option": knob.option, "workload": dict(subject.workload)}
             found.append({
-                "knob": f"{subject.name}.{knob.name}", "setting": setting, **_numbers(list(rows.values())),
+                "knob": f"{subject.name}.{knob.name}", "setting": setting, **_numbers(list(rows.values()), knob.parts),
                 "error_unit": knob.unit, "default": setting == knob.default, **_lost(rows, reference), **about,
                 "hardware": samples.about["hardware"],
             })  # fmt: skip
@@ -46,15 +46,15 @@ def curves(subject: Subject, samples: Samples) -> list[Point]:
     return [jsonable(point) for knob in subject.knobs for point in curve(subject, knob, samples)]
 
 
-def _numbers(rows: list[Mapping[str, Any]]) -> dict[str, Any]:
+def _numbers(rows: list[Mapping[str, Any]], parts: Sequence[str]) -> dict[str, Any]:
     errors = [row["error"] for row in rows]
-    common = [name for name in rows[0]["parts"] if all(name in row["parts"] for row in rows)]
-    parts = {name: median(row["parts"][name] for row in rows) for name in common}
+    common = [name for name in parts if all(name in row["parts"] for row in rows)]
+    medians = {name: median(row["parts"][name] for row in rows) for name in common}
     return {
         "seconds": median(row["seconds"] for row in rows), "seconds_sd": sd([row["seconds"] for row in rows]),
         "cpu_seconds": median(row["cpu_seconds"] for row in rows),
         "cpu_seconds_sd": sd([row["cpu_seconds"] for row in rows]), "error": mean(errors),
-        "error_sd": sd(errors), "parts": parts, "repeats": len(rows),
+        "error_sd": sd(errors), "parts": medians, "repeats": len(rows),
     }  # fmt: skip
 
 

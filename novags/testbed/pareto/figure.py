@@ -69,8 +69,10 @@ class Axis:
         """With some room on both sides; a single value lies in the middle."""
         scaled = [math.log10(value) for value in values] if logarithmic else list(values)
         low, high = min(scaled), max(scaled)
-        room = 0.1 * (high - low) or (0.3 if logarithmic else 0.5 * abs(high) or 1.0)
-        return Axis(low - room, high + room, logarithmic, start, end)
+        least = 0.1 if logarithmic else 0.02 * abs(high) or 1.0  # equal values would leave no axis
+        room = max(0.1 * (high - low), least)
+        bottom = low - room if logarithmic else max(low - room, -0.05 * (high + room))  # nothing is below zero
+        return Axis(bottom, high + room, logarithmic, start, end)
 
     def at(self, value: float) -> float:
         """Where a value lies, px; a logarithm of nothing is at the low end."""
@@ -82,15 +84,17 @@ class Axis:
     def ticks(self) -> list[float]:
         """A few round values."""
         if not self.logarithmic:
-            return ticks(self.low, self.high)
+            return ticks(max(self.low, 0.0), self.high)
         found = log_ticks(self.low, self.high)
+        if len(found) < 2:
+            found = ticks(10**self.low, 10**self.high)
         return found[:: math.ceil(len(found) / 4)]
 
 
 def _panel(knob: str, points: Sequence[Point]) -> list[str]:
     errors = [point["error"] for point in points]
     logarithmic = min(errors) > 0 and max(errors) > FEW * min(errors)
-    ends = [e for p in points for e in (p["error"] - p["error_sd"], p["error"] + p["error_sd"])]
+    ends = [e for p in points for e in (max(p["error"] - p["error_sd"], 0.0), p["error"] + p["error_sd"])]
     shown = errors + [end for end in ends if end > 0 or not logarithmic]
     if logarithmic:  # a bar that reaches far below its point would squeeze the rest
         shown = [value for value in shown if value > 0.5 * min(errors)]
@@ -123,7 +127,8 @@ def _points(points: Sequence[Point], x: Axis, y: Axis) -> list[str]:
     parts, taken = [], [(x.at(p["cpu_seconds"]) - 8, y.at(p["error"]) - 8, 16.0) for p in points]
     for point in points:
         across, up = x.at(point["cpu_seconds"]), y.at(point["error"])
-        above, below = y.at(point["error"] + point["error_sd"]), y.at(point["error"] - point["error_sd"])
+        least = max(point["error"] - point["error_sd"], 0.0)
+        above, below = y.at(point["error"] + point["error_sd"]), y.at(least)
         kind = f"{'default' if point['default'] else 'point'}{'' if point['front'] else ' off'}"
         said = f"{setting_text(point['setting'])}: {with_spread(point['error'], point['error_sd'], point['repeats'])}"
         parts.append(f'<line class="bar" x1="{across:.1f}" x2="{across:.1f}" y1="{above:.1f}" y2="{below:.1f}"/>')

@@ -38,6 +38,7 @@ class Knob:
         measure: (setting, seed) -> one measurement. The seed varies what a repetition may vary.
         shared: Knobs with the same word here have one measurement of their defaults in common; None: with nobody.
         option: The option of `novags run` that the knob is, for `--budget`; None: it has none.
+        parts: The parts of the work whose time a setting changes; what others take differs by chance.
     """
 
     name: str
@@ -49,6 +50,7 @@ class Knob:
     measure: Callable[[Setting, int], Measured]
     shared: str | None = None
     option: str | None = None
+    parts: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if self.default not in self.settings or len(set(self.settings)) < len(self.settings):

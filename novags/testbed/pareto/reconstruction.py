@@ -40,12 +40,14 @@ class Row:
         why: Of the default.
         option: A number of the preset: iterations, points, denoiser_steps, spp, or size (width and height).
         setting: Or one of the method, by dotted name.
+        parts: Whose time it changes: render, and the parts of the method's training.
     """
 
     settings: tuple[Setting, ...]
     why: str
     option: str | None = None
     setting: str | None = None
+    parts: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,7 @@ class Bench:
             name=name, settings=settings, default=default, unit="aligned RMSE of held-out views, % of white",
             of="a render and a reconstruction" if renders else "a reconstruction", why=row.why, measure=measured,
             shared="a render and a reconstruction" if renders else "a reconstruction", option=row.option,
+            parts=row.parts,
         )  # fmt: skip
 
     def _warm(self, prepared: Prepared) -> None:

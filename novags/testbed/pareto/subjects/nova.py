@@ -21,29 +21,35 @@ SMALL: Mapping[str, Any] = {
 
 KNOBS: dict[str, Row] = {
     "iterations": Row(
-        (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0), "of the fit; the preset has three times as many: four minutes in all",
-        option="iterations",
+        (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0), "as many as let the whole demonstration take four minutes; the preset has "
+        "three times as many", option="iterations", parts=("fit",),
     ),
-    "points": Row((1 / 8, 1 / 4, 1 / 2, 1.0, 2.0), "Gaussians: 0.8 for each pixel of a view", option="points"),
+    "points": Row(
+        (1 / 8, 1 / 4, 1 / 2, 1.0, 2.0), "Gaussians; 0.8 for each pixel of a view, as in the preset", option="points",
+        parts=("fit",),
+    ),
     "denoiser steps": Row(
-        (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0), "before the fit, on small crops; the preset has three times as many",
-        option="denoiser_steps",
+        (1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0), "before the fit, on small crops; the preset has three times as many, which "
+        "is a third of the time of its method", option="denoiser_steps", parts=("denoiser",),
     ),
     "denoiser cadence": Row(
-        (None, 64, 16), "fit iterations between two more steps of the denoiser; none: it trains before the fit alone",
-        setting="denoiser.denoise_every",
+        (None, 64, 16), "fit iterations between two more steps of the denoiser; none trains it before the fit alone",
+        setting="denoiser.denoise_every", parts=("fit",),
     ),
     "mask share": Row(
-        (0.05, 0.2, 0.5), "share of the pixels that are blinded in one step of the denoiser; it costs no time",
-        setting="denoiser.blind_spots.mask_fraction",
+        (0.05, 0.2, 0.5), "share of the pixels that are blinded in a step of the denoiser; no setting costs more",
+        setting="denoiser.blind_spots.mask_fraction", parts=("denoiser",),
     ),
     "consistency": Row(
         (64, 16, 4), "fit iterations between two evaluations of the geometric term, each a second rendering",
-        setting="consistency.every",
+        setting="consistency.every", parts=("fit",),
     ),
-    "samples per pixel": Row((1 / 16, 1 / 4, 1.0), "of the rendered truth, which is scored against too", option="spp"),
+    "samples per pixel": Row(
+        (1 / 16, 1 / 4, 1.0), "of the rendered truth, which is scored against too", option="spp", parts=("render",)
+    ),
     "resolution": Row(
-        (1 / 2, 0.71, 1.0), "width and height of render, pictures and fit; scored at the full size", option="size"
+        (1 / 2, 0.71, 1.0), "width and height of render, pictures and fit; scored at the full size", option="size",
+        parts=("render", "fit"),
     ),
 }  # fmt: skip
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from novags.testbed.console import Console
 from novags.testbed.pareto.knob import Knob, Measured, Setting, Subject
 
-SCENE, SIZE, SMALL = "tabletop", 48, 16
+SCENE, SIZE, SMALL = "tabletop", 32, 16
 WHY = {
     "spp": "a set is rendered once and used for everything after it; --spp and --target-error say otherwise",
     "sampler": "the least error of those that any number of samples suits; the spread of two halves gives the variance",

@@ -141,5 +141,5 @@ def _demosaic(side: int) -> Knob:
 
         return _timed(lambda: develop_linear(seen, camera, demosaic=method), error, side * side)
 
-    why = "the smallest error of those that keep the picture's size; half gives pictures of half the size"
+    why = "made for the edges of photographs, which these waves do not have; half gives pictures of half the size"
     return _knob("demosaicing", ("half", "bilinear", "malvar", "menon"), "menon", "e- rms", why, measured)

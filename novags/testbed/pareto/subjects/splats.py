@@ -12,7 +12,7 @@ from novags.testbed.pareto.knob import Knob, Measured, Setting, Subject
 from sensor_model.files.atomic import atomic
 from sensor_model.files.reading import brief
 
-COUNT, SIZE = 5000, 96
+COUNT, SIZE = 2000, 64
 SMALL_COUNT, SMALL_SIZE = 500, 32
 CHILD = "novags.testbed.pareto.splat_engine.child"
 # Settings from the fastest on, the default, and why.

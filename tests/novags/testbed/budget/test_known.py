@@ -35,12 +35,11 @@ def write(path: Path, points: list[Any]) -> None:
     path.write_text("".join(json.dumps(p) + "\n" for p in points))
 
 
-def test_options_are_shares_of_the_default_on_the_front_and_never_a_gain() -> None:
+def test_options_are_shares_of_the_default_and_never_a_gain() -> None:
     found = options_of(CURVE)
     assert list(found) == ["points"]
     measured = {option.share: option for option in found["points"] if option.share in (0.125, 0.25, 0.5, 1.0, 2.0)}
-    assert list(measured) == [0.125, 0.25, 0.5, 1.0]  # 0.25: interpolated, since the measured one is off the front
-    assert {share: option.lost for share, option in measured.items()} == {0.125: 2.0, 0.25: 1.0, 0.5: 0.0, 1.0: 0.0}
+    assert {share: option.lost for share, option in measured.items()} == {0.125: 2.0, 0.25: 0.5, 0.5: 0.0, 1.0: 0.0}
     assert measured[0.125].factors == {"fit": 0.25}  # what takes no time has no factor
     assert measured[0.5].factors == {"fit": 0.75}
 

@@ -29,6 +29,7 @@ class Made:
         return Knob(
             name=name, settings=settings, default=default, unit="codes", of="a call", why="it is",
             measure=lambda setting, seed: self.value(name, setting, seed), shared=shared, option=name,
+            parts=("fit",),
         )  # fmt: skip
 
     @property

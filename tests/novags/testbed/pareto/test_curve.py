@@ -45,7 +45,7 @@ def test_points_are_medians_means_and_paired_decibels(made: Any, tmp_path: Path)
     for seed, (seconds, cpu, error, default) in enumerate(
         ((1.0, 5.0, 2.0, 1.0), (3.0, 6.0, 8.0, 2.0), (2.0, 9.0, 20.0, 2.0))
     ):
-        samples.add(knob, 1.5, seed, Measured(seconds, cpu, error, {"fit": cpu}), 1.0)
+        samples.add(knob, 1.5, seed, Measured(seconds, cpu, error, {"fit": cpu, "denoiser": 1.0}), 1.0)
         samples.add(knob, 22.75, seed, Measured(10.0, 20.0, default), 1.0)
     fast, default = curves(subject, samples)
     assert (fast["seconds"], fast["cpu_seconds"], fast["error"], fast["parts"]) == (2.0, 6.0, 10.0, {"fit": 6.0})
@@ -126,6 +126,19 @@ def test_a_longer_time_lies_further_right_and_a_larger_error_higher(made: Any, t
     assert sorted(at, key=lambda p: p[0]) == sorted(at, key=lambda p: -p[1])[::-1]
     order = sorted(range(3), key=lambda i: points[i]["cpu_seconds"])
     assert [at[i][0] for i in order] == sorted(x for x, _ in at)
+
+
+@pytest.mark.parametrize("apart", [0.0, 1e-9, 0.01, 3.0])
+def test_points_close_together_have_axes_with_numbers(made: Any, tmp_path: Path, apart: float) -> None:
+    points = [p for p in curves(made.subject, measure(made.subject, tmp_path, 1, QUIET)) if p["knob"] == "made.steps"]
+    near = [{**p, "cpu_seconds": 0.028 * (1 + i * apart), "error": 7 * (1 + i * apart)} for i, p in enumerate(points)]
+    root = ElementTree.fromstring(figure(near, "t"))
+    numbers = [text for text in root.iter(f"{SVG}text") if re.fullmatch(r"[\d.]+", text.text or "")]
+    below = [text for text in numbers if text.get("text-anchor") == "middle"]
+    beside = [text for text in numbers if text.get("text-anchor") == "end"]
+    for axis in (below, beside):
+        assert len({text.text for text in axis}) == len(axis) >= 2
+        assert all(math.isfinite(float(text.get("x", "nan")) * float(text.get("y", "nan"))) for text in axis)
 
 
 def test_errors_of_zero_are_drawn_too(made: Any, tmp_path: Path) -> None:
