@@ -63,7 +63,7 @@ def _lost(rows: Mapping[int, Mapping[str, Any]], reference: Mapping[int, Mapping
     pairs = [(rows[seed]["error"], reference[seed]["error"]) for seed in rows if seed in reference]
     if not pairs or min(min(pair) for pair in pairs) <= 0:  # no decibels where an error is zero
         return {"db_lost": None, "db_lost_sd": None}
-    lost = [20 * math.log10(error / least) for error, least in pairs]
+    lost = [20 * (math.log10(error) - math.log10(least)) for error, least in pairs]
     return {"db_lost": mean(lost), "db_lost_sd": sd(lost)}
 
 

@@ -102,8 +102,13 @@ def _prepare() -> None:
     torch.set_num_threads(1)
 
 
-READERS = [
-    Reader("curves.jsonl", make_curves, read_curves, ("curves.jsonl",), share=4, prepare=_prepare),
-    Reader("budget.json", make_state, read_state, ("budget.json",), share=8, prepare=_prepare),
-    Reader("samples of curves", make_samples, read_samples, ("x.samples.json",), share=4, prepare=_prepare),
-]
+def make(folder: Path) -> None:
+    make_curves(folder), make_state(folder), make_samples(folder)
+
+
+def read(folder: Path, file: Path) -> None:
+    kind = {"curves.jsonl": read_curves, "budget.json": read_state}.get(file.name, read_samples)
+    kind(folder, file)
+
+
+READERS = [Reader("curves and budgets", make, read, ("*.json", "*.jsonl"), share=1.5, prepare=_prepare)]
