@@ -166,7 +166,7 @@ def _raw() -> None:
 
 READERS = [
     Reader("EXR", make_exr, read_exr, ("*.exr",), cut=("a.exr",), share=10, prepare=_exr),
-    Reader("PNG", make_png, read_picture, ("*.png",), cut=("grey8.png", "interlaced.png"), share=12, prepare=_images),
+    Reader("PNG", make_png, read_picture, ("*.png",), cut=("grey8.png", "interlaced.png"), share=9, prepare=_images),
     Reader("JPEG", make_jpeg, read_picture, ("*.jp*g",), cut=("plain.jpg",), share=8, prepare=_images),
     Reader("DNG", make_dng, read_dng, ("*.dng",), cut=("bayer.dng",), share=8, prepare=_raw),
 ]
