@@ -23,10 +23,10 @@ def view(runs: Folders, *, host: str = "127.0.0.1", port: int = 8080, sensor: st
     console = shared.console()
     if not runs:
         raise ValueError("name at least one folder of a run, of an experiment, or of several of them")
-    with serving(shown_of(runs, console, sensor), host, port) as viewer:
-        print(f"viewer: {viewer.address}", flush=True)
-        console.note("open it in a browser; stop it with Ctrl-C")
-        try:
+    try:
+        with serving(shown_of(runs, console, sensor), host, port) as viewer:
+            print(f"viewer: {viewer.address}", flush=True)
+            console.note("open it in a browser; stop it with Ctrl-C")
             threading.Event().wait()
-        except KeyboardInterrupt:  # the way to end it
-            console.note("stopped")
+    except KeyboardInterrupt:  # the way to end it
+        console.note("stopped")

@@ -32,8 +32,8 @@ class Panel:
                 hint="mean signal of green in electrons per pixel, powers of ten",
             )  # fmt: skip
             self.brighten = gui.add_checkbox("Brighten", True, hint="develop with a digital gain up to middle grey")
-            self.exposed = gui.add_image(np.zeros((2, 2, 3), np.uint8), format="png")
             self.said = gui.add_markdown("")
+            self.exposed = gui.add_image(np.zeros((2, 2, 3), np.uint8), format="png")
         self.trouble = gui.add_markdown("", visible=False)
         self.capture.on_update(lambda _: asked("capture"))
         self.method.on_update(lambda _: asked("splats", "pictures", "light"))

@@ -157,7 +157,6 @@ def shown_of(folders: Sequence[Path], console: Console, sensor: str | None = Non
     """
     found: list[Shown] = []
     for capture, source, runs in runs_by_capture(folders, console):
-        rendered = source.views.kind == "rendered"
         config = None if sensor is None else CaptureConfig(sensor=sensor)
         title = title_of(capture, source)
         found.append(
@@ -166,7 +165,7 @@ def shown_of(folders: Sequence[Path], console: Console, sensor: str | None = Non
                 capture=capture,
                 source=source,
                 runs=runs,
-                world=World.of(capture, (0.0, 0.0, 1.0) if rendered else None),
+                world=World.of(capture, upright=source.views.kind == "rendered"),
                 camera=Camera.of(capture, source, config),
             )
         )

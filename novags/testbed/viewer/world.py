@@ -36,8 +36,11 @@ class World:
     up: tuple[float, float, float]
 
     @staticmethod
-    def of(capture: Capture, up: tuple[float, float, float] | None) -> "World":
-        """The frame around a capture's cameras. `up` None: what is up in the mean picture."""
+    def of(capture: Capture, upright: bool) -> "World":
+        """The frame around a capture's cameras.
+
+        Up is what is up in the mean picture; with `upright` the axis of the true world that is nearest to that.
+        """
         true = true_cameras(capture).numpy()
         extent = extent_of(true)
         # What the cameras look at lies about one extent before their middle; of a ring it is below the middle or in it.
@@ -45,11 +48,12 @@ class World:
         scale = SIZE / extent
         turn = torch.eye(3, dtype=torch.float64)
         from_true = Similarity(scale, turn, torch.from_numpy(-scale * middle))
-        if up is None:
-            mean = -true[:, 1, :3].mean(0)
-            x, y, z = mean / (np.linalg.norm(mean) or 1.0)  # 0 / 1: of cameras that are upside down to each other
-            up = (float(x), float(y), float(z)) if np.any(mean) else (0.0, 0.0, 1.0)
-        return World(from_true, to_true(from_true, torch.from_numpy(true)).numpy(), up)
+        up = -true[:, 1, :3].mean(0)
+        if upright or not np.linalg.norm(up) > 1e-6:  # cameras that are upside down to each other agree on no up
+            axis = int(np.argmax(np.abs(up)))
+            up = np.sign(up[axis]) * np.eye(3)[axis] if np.any(up) else np.eye(3)[2]
+        x, y, z = up / np.linalg.norm(up)
+        return World(from_true, to_true(from_true, torch.from_numpy(true)).numpy(), (float(x), float(y), float(z)))
 
     def nearest(self, viewmat: Array) -> int:
         """The view whose camera is nearest to this one [4, 4]: in angle, and in distance per `SIZE`, weighted alike."""

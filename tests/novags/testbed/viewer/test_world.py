@@ -117,12 +117,28 @@ def test_a_scene_of_any_size_fits_into_the_frame(runs: Runs, size: float, monkey
     capture = open_capture(runs["capture"])
     rig = orbit_rig(9, 64, 48, 50.0, radius=size)
     monkeypatch.setattr("novags.testbed.viewer.world.true_cameras", lambda _: torch.from_numpy(np.array(rig.viewmats)))
-    world = World.of(capture, None)
+    world = World.of(capture, upright=False)
     centers = -np.einsum("cji,cj->ci", world.viewmats[:, :3, :3], world.viewmats[:, :3, 3])
     reach = np.linalg.norm(centers - centers.mean(0), axis=1).max()
     assert reach == pytest.approx(SIZE / 1.1, rel=1e-4)
     assert np.allclose(world.viewmats[:, :3, :3], np.array(rig.viewmats)[:, :3, :3])
     assert world.up[2] > 0.99  # a ring around an upright axis
+
+
+@pytest.mark.parametrize(("axis", "sign"), [(2, 1), (1, 1), (0, -1)])
+def test_a_rendered_scene_stands_upright_whichever_axis_of_its_file_is_up(
+    runs: Runs, axis: int, sign: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = orbit_rig(3, 64, 48, 50.0, radius=2.0, sweep_deg=60.0, elevation_deg=35.0)
+    world = np.eye(4)
+    world[:3, :3] = np.roll(np.eye(3), axis - 2, axis=0) if sign > 0 else turned(-90, (0, 1, 0))
+    moved = np.array(rig.viewmats) @ np.linalg.inv(world)
+    monkeypatch.setattr("novags.testbed.viewer.world.true_cameras", lambda _: torch.from_numpy(moved))
+    expected = world[:3, :3] @ [0, 0, 1]
+    assert np.allclose(World.of(open_capture(runs["capture"]), upright=True).up, expected)
+    tilted = np.array(World.of(open_capture(runs["capture"]), upright=False).up)
+    assert 0.7 < tilted @ expected < 0.999
+    assert np.linalg.norm(tilted) == pytest.approx(1)
 
 
 def test_the_nearest_view_is_the_one_whose_camera_it_is(runs: Runs) -> None:

@@ -1,0 +1,165 @@
+"""Run the commands that the pages in docs/ show, and write what they print into the pages.
+
+    python scripts/make_docs.py [PAGE ...] [--cheap]      (all pages, if none is named)
+
+A command stands in a block of the language `console`, on a line that begins with "$ "; the lines below it are its
+output. The blocks of a page run in their order in one empty folder, `novags` being the one of this checkout. A comment
+in front of a block says more: `<!-- cheap -->`: takes a few seconds, always prints the same, and a test compares it;
+`<!-- first=8 -->`: only so many lines are kept; `<!-- stop -->`: a server, which is interrupted once it has printed its
+address; `<!-- exit=2 -->`: it must fail with this code.
+
+`<!-- file NAME -->` before a block: the page's block of code with that title is written to a file of that name first.
+
+MkDocs takes this file as its hook: where a page says `<!-- from README.md: HEADING -->`, the site has that section of
+the README.
+"""
+
+import argparse
+import os
+import re
+import shlex
+import signal
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+BLOCK = re.compile(
+    r"(?:^<!-- (?P<wishes>(?:cheap|stop|first=\d+|exit=\d+)(?: \S+)*) -->\n+)?^```console\n(?P<body>.*?)^```$",
+    re.M | re.S,
+)
+SECTION = re.compile(r"^<!-- from README.md: (?P<heading>.*?) -->$", re.M)
+WIDTH = 110  # columns
+LIMIT = 1800  # s
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What the comment in front of a block says."""
+
+    cheap: bool = False
+    stop: bool = False
+    first: int | None = None
+    exit: int = 0
+
+    @staticmethod
+    def of(text: str | None) -> "Wishes":
+        """The wishes in the words of a comment."""
+        words = dict(word.partition("=")[::2] for word in (text or "").split())
+        return Wishes(
+            "cheap" in words, "stop" in words, int(words["first"]) if "first" in words else None,
+            int(words.get("exit", 0)),
+        )  # fmt: skip
+
+
+def printed(command: str, folder: Path, wishes: Wishes) -> str:
+    """What a command prints on standard output and error, without paths of this machine.
+
+    Raises:
+        RuntimeError: If it ends with another code than is said.
+    """
+    words = shlex.split(command)
+    if words[0] == "novags":
+        words[:1] = [sys.executable, "-m", "novags"]
+    environment = {**os.environ, "COLUMNS": str(WIDTH), "PYTHONPATH": str(ROOT), "NO_COLOR": "1"}
+    lines = []
+    with subprocess.Popen(
+        words, cwd=folder, env=environment, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    ) as process:
+        for line in process.stdout or ():
+            lines.append(line)
+            if wishes.stop and "http://" in line:
+                process.send_signal(signal.SIGINT)
+        code = process.wait(LIMIT)
+    text = portable("".join(lines), folder.resolve())
+    if code != wishes.exit:
+        raise RuntimeError(f"{command} ended with {code}:\n{text}")
+    return text
+
+
+def portable(text: str, folder: Path) -> str:
+    """An output without the places of the working folder, of this checkout and of its virtual environment."""
+    for place in (folder, ROOT, Path(sys.prefix).parent):
+        text = text.replace(f"file://{place}/", "file://.../").replace(f"{place}/", "")
+    return text
+
+
+def shortened(text: str, first: int | None) -> str:
+    """The first lines of an output, without what a line ends with; "..." stands for the others."""
+    lines = [line.rstrip() for line in text.rstrip().splitlines()]
+    return "\n".join(lines if first is None or len(lines) <= first else [*lines[:first], "..."])
+
+
+def with_outputs(page: str, folder: Path, failed: list[str] | None = None, *, cheap_only: bool = False) -> str:
+    """A page with its blocks run in `folder`; one that fails stays as it is, and joins `failed` if that is given."""
+
+    def run(found: re.Match[str]) -> str:
+        wishes = Wishes.of(found["wishes"])
+        if cheap_only and not wishes.cheap:
+            return found[0]
+        body = ""
+        for line in found["body"].splitlines():
+            if line.startswith("$ "):
+                try:
+                    said = shortened(printed(line[2:], folder, wishes), wishes.first)
+                except RuntimeError as error:
+                    if failed is None:
+                        raise
+                    failed.append(str(error))
+                    return found[0]
+                body += f"{line}\n{said}\n" if said else f"{line}\n"
+        return found[0].replace(found["body"], body)
+
+    return BLOCK.sub(run, page)
+
+
+def on_page_markdown(markdown: str, **_: object) -> str:
+    """A page of the site: with the sections of the README that it names.
+
+    Raises:
+        ValueError: If the README has no such section.
+    """
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+
+    def section(found: re.Match[str]) -> str:
+        text = re.search(rf"^## {re.escape(found['heading'])}\n(.*?)(?=^## |\Z)", readme, re.M | re.S)
+        if text is None:
+            raise ValueError(f"README.md has no section {found['heading']!r}")
+        return text[1].strip().replace("](docs/", "](")
+
+    return SECTION.sub(section, markdown)
+
+
+def made(page: str, failed: list[str] | None = None, *, cheap_only: bool = False) -> str:
+    """A page as it should be, of its text."""
+    with tempfile.TemporaryDirectory(prefix="novags-docs-") as folder:
+        for name in re.findall(r"^<!-- file (\S+) -->$", page, re.M):
+            content = re.search(rf'^```\w+ title="{re.escape(name)}"\n(.*?)^```$', page, re.M | re.S)
+            if content is None:
+                raise ValueError(f"no block of code has the title {name}")
+            (Path(folder) / name).write_text(content[1], encoding="utf-8")
+        return with_outputs(page, Path(folder), failed, cheap_only=cheap_only)
+
+
+def main() -> None:
+    """Write the pages."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("pages", nargs="*", type=Path, default=sorted(DOCS.glob("*.md")))
+    parser.add_argument("--cheap", action="store_true", help="only what the test compares")
+    args = parser.parse_args()
+    failed: list[str] = []
+    for page in args.pages:
+        before = page.read_text(encoding="utf-8")
+        text = made(before, failed, cheap_only=args.cheap)
+        if text != before:
+            page.write_text(text, encoding="utf-8")
+            print(page.relative_to(ROOT) if page.is_relative_to(ROOT) else page, flush=True)
+    if failed:
+        raise SystemExit("\n".join(failed))
+
+
+if __name__ == "__main__":
+    main()
