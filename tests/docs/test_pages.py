@@ -12,6 +12,7 @@ from types import ModuleType
 
 import pytest
 
+from novags.cli import COMMANDS
 from sensor_model.effect_list import EFFECT_LIST
 from simscenes import SCENES
 
@@ -90,6 +91,11 @@ def test_every_command_that_a_page_shows_has_its_output() -> None:
     assert empty == [], "run python scripts/make_docs.py"
 
 
+def test_the_page_of_commands_has_every_command() -> None:
+    text = (DOCS / "commands.md").read_text(encoding="utf-8")
+    assert [name for name in COMMANDS if f"novags {name}" not in text] == []
+
+
 PAGE = """# Page
 
 ```toml title="a.txt"
@@ -158,6 +164,7 @@ def test_the_gallery_shows_every_scene() -> None:
     assert sum(path.stat().st_size for path in DOCS.rglob("*") if path.suffix in (".png", ".jpg")) < 2_500_000
 
 
+@pytest.mark.slow
 def test_the_site_is_built_without_a_warning(tmp_path: Path) -> None:
     pytest.importorskip("mkdocs", reason="the site is built with the extra docs, which is not installed")
     command = [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(tmp_path / "site")]
