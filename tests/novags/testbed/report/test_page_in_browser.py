@@ -211,6 +211,21 @@ def test_the_probe_shows_what_the_files_say(visit: Callable[..., Any], experimen
         assert found["Dark input, 8-bit code"] == codes[y, x].tolist()
 
 
+def test_of_a_mosaic_the_probe_shows_the_channel_of_the_filter(visit: Callable[..., Any], experiment: Path) -> None:
+    tab = visit(experiment / "report.html")
+    codes = [[300 * y + x for x in range(3)] for y in range(2)]
+    found = tab.evaluate(
+        """codes => {
+            const flat = codes.flat(), header = { cfa: "GRBG", width: 3, height: 2 };
+            const bytes = { low: flat.map(v => v & 255), high: flat.map(v => v >> 8) };
+            const found = { header, planes: { dn: { channels: 1, whole: true, scale: 1, ...bytes } } };
+            return [[0, 0], [1, 0], [2, 0], [0, 1], [1, 1]].map(([x, y]) => novags.probe.at(found, "dn", x, y));
+        }""",
+        codes,
+    )  # fmt: skip
+    assert found == [[None, 0, None], [1, None, None], [None, 2, None], [None, None, 300], [None, 301, None]]
+
+
 def test_pointing_and_arrow_keys_choose_the_pixel(visit: Callable[..., Any], experiment: Path) -> None:
     tab = visit(experiment / "report.html")
     box = tab.locator("#compare").bounding_box()

@@ -98,6 +98,17 @@ def decoded(uri: str) -> np.ndarray:
     return codes[..., ::-1]
 
 
+def test_true_normals_are_those_of_the_set_in_the_axes_of_the_camera(experiment: Path) -> None:
+    page = (experiment / "report.html").read_text(encoding="utf-8")
+    uri = re.search(r'<figure data-key="normal-true"><img src="([^"]*)"', page)  # of the first view
+    assert uri is not None
+    truth, _ = read_exr(experiment / "set" / "gt" / "0000.exr")
+    world = np.stack([truth[f"Ng.{axis}"] for axis in "XYZ"], -1)
+    right, down, forward = open_capture(experiment / "capture").cameras.rig.viewmats[0][:3, :3]
+    expected = 0.5 + 0.5 * np.stack([world @ right, -(world @ down), -(world @ forward)], -1)
+    assert np.abs(decoded(uri[1]) - 255 * expected.clip(0, 1)).max() <= 0.51
+
+
 @pytest.mark.parametrize("kind", ["noise", "map"])
 def test_small_pictures_keep_every_code_and_maps_are_small(tmp_path: Path, kind: str) -> None:
     rng = np.random.default_rng(0)
