@@ -9,6 +9,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a module
 
+from sensor_model import read_sensor  # noqa: E402
 from tests.fuzz.readers.records import make_run  # noqa: E402
 
 EXAMPLE = re.compile(r"^<!-- run -->\n```python\n(.*?)^```$", re.M | re.S)
@@ -32,6 +33,18 @@ def test_there_are_examples_and_all_are_short() -> None:
     found = [example for page in WITH_EXAMPLES for example in examples(page)]
     assert len(found) >= 8
     assert max(len([line for line in example.splitlines() if line.strip()]) for example in found) <= 11
+
+
+def test_the_camera_of_the_page_is_one(tmp_path: Path) -> None:
+    text = (ROOT / "docs" / "own-camera.md").read_text(encoding="utf-8")
+    (block,) = re.findall(r'^```toml title="mine.toml"\n(.*?)^```$', text, re.M | re.S)
+    (tmp_path / "mine.toml").write_text(block, encoding="utf-8")
+    sensor = read_sensor(tmp_path / "mine.toml")
+    assert (sensor.gain, sensor.sigma_d, sensor.mu_e_sat, sensor.cfa) == (2.5, 1.8, 12000, "RGGB")
+    for name in [line.split(" = ")[0] for line in block.splitlines()][:5]:
+        (tmp_path / "mine.toml").write_text(re.sub(rf"^{name} .*$", "", block, flags=re.M), encoding="utf-8")
+        with pytest.raises(ValueError, match=f"{name} missing"):
+            read_sensor(tmp_path / "mine.toml")
 
 
 @pytest.mark.parametrize("page", WITH_EXAMPLES, ids=lambda page: page.name)
