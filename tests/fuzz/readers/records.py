@@ -145,6 +145,34 @@ def read_experiment(folder: Path, file: Path) -> None:
     merge({name: material.metrics for name in runs}, {name: run.method for name, run in runs.items()})
 
 
+def make_viewed(folder: Path) -> None:
+    """A run with the cameras that the viewer aligns."""
+    import torch
+
+    from novags.splats import Views
+    from novags.testbed.folders.capture import open_capture
+    from novags.testbed.stages.reconstruct import views_of
+    from novags.testbed.stages.viewers import viewer_cameras
+
+    make_run(folder)
+    rig = open_capture(folder / "capture").cameras.rig
+    matrices, Ks = (torch.tensor(np.array(values)) for values in (rig.viewmats, rig.Ks))
+    views: list[Views] = [views_of(matrices[[i]], Ks[[i]], rig.width, rig.height) for i in range(3)]
+    (folder / "naive" / "cameras.json").write_text(json.dumps(viewer_cameras(["0000", "0001", "0002"], views)))
+
+
+def read_viewed(folder: Path, file: Path) -> None:
+    """As the viewer does."""
+    from novags.testbed.console import Console
+    from novags.testbed.viewer.shown import shown_of
+    from novags.testbed.viewer.world import true_from
+
+    (shown,) = shown_of([folder / "naive"], Console(quiet=True))
+    found = true_from(shown.runs["naive"], shown.capture)
+    if not (found.scale > 0 and bool(found.rotation.isfinite().all()) and bool(found.translation.isfinite().all())):
+        raise AssertionError(f"the run is placed at {found}")
+
+
 def read_unfinished(folder: Path, file: Path) -> None:
     from novags.testbed.cache import _Stage
     from novags.testbed.console import Console
@@ -208,6 +236,7 @@ READERS = [
     Reader("set.json", make_set, read_set, ("set.json", "seconds.json"), share=3, prepare=_line),
     Reader("capture.json", make_capture, read_capture, ("capture/capture.json",), share=2, prepare=_line),
     Reader("records of runs", make_run, read_experiment, RUN, share=2, prepare=_line),
+    Reader("cameras.json", make_viewed, read_viewed, ("naive/cameras.json",), share=3, prepare=_line),
     Reader("events.jsonl", make_log, read_log, ("events.jsonl",), share=4, prepare=_line),
     Reader(
         "unfinished.json", make_unfinished, read_unfinished, ("unfinished.json", "metrics.json"), share=8, prepare=_line
