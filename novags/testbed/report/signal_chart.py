@@ -23,7 +23,7 @@ def signal(capture: Capture, indices: Sequence[int]) -> dict[str, str] | None:
         return {"text": text, "chart": _chart(_shares(codes, edges), edges, "8-bit code", logarithmic=False)}
     sensor = capture.sensor
     electrons = np.concatenate(
-        [_channels((capture.truth(i, "clean") - sensor.black_level) / sensor.gain, sensor.cfa) for i in indices]
+        [by_filter((capture.truth(i, "clean") - sensor.black_level) / sensor.gain, sensor.cfa) for i in indices]
     )
     seen = electrons[np.isfinite(electrons) & (electrons > 0)]
     if not seen.size:
@@ -39,7 +39,7 @@ def signal(capture: Capture, indices: Sequence[int]) -> dict[str, str] | None:
     return {"text": text, "chart": _chart(_shares(electrons, edges), edges, "electrons per pixel", logarithmic=True)}
 
 
-def _channels(values: np.ndarray, cfa: str | None) -> np.ndarray:
+def by_filter(values: np.ndarray, cfa: str | None) -> np.ndarray:
     """[n,3] of three chips; of a mosaic each pixel is in the column of its filter, and NaN in the others."""
     if values.ndim == 3:
         return values.reshape(-1, 3)

@@ -44,9 +44,7 @@ def normals_of_depth(z: np.ndarray, K: np.ndarray) -> np.ndarray:
     normals = np.cross(down, right)
     length = np.linalg.norm(normals, axis=-1, keepdims=True)
     # Where the depth is 0 all around, the points coincide and have no normal; any length but 0 keeps NaN out.
-    normals = normals / np.where(length > 0, length, 1.0)
-    away = (normals * points).sum(-1, keepdims=True) > 0
-    found: np.ndarray = np.where(away, -normals, normals)
+    found: np.ndarray = normals / np.where(length > 0, length, 1.0)
     return found
 
 

@@ -20,7 +20,7 @@ from novags.testbed.folders.capture import Capture, open_capture  # noqa: E402
 from novags.testbed.report.look.album import Album, files_of  # noqa: E402
 from novags.testbed.report.look.maps import colour_map, normal_map, normals_of_depth  # noqa: E402
 from novags.testbed.report.look.probe import probe_of  # noqa: E402
-from novags.testbed.report.signal_chart import signal  # noqa: E402
+from novags.testbed.report.signal_chart import by_filter, signal  # noqa: E402
 from novags.testbed.report.tables import per_view, ranks, score_table  # noqa: E402
 from novags.testbed.stages.capture import CaptureConfig  # noqa: E402
 from simscenes.sets.pictures.exr import read_exr  # noqa: E402
@@ -242,6 +242,11 @@ def test_the_histogram_counts_the_electrons_of_each_filter(captures: dict[str, C
     assert shares.sum() == pytest.approx(1, abs=0.01)
     centres = np.array([float(point[2]) for point in lines["green"]])
     assert (shares * centres).sum() == pytest.approx(electrons.mean(), rel=0.05)
+
+
+def test_pixels_of_a_mosaic_count_for_the_colour_of_their_filter() -> None:
+    found = by_filter(np.array([[1.0, 2.0], [3.0, 4.0]]), "GRBG")
+    assert [[v for v in channel if v == v] for channel in found.T.tolist()] == [[2.0], [1.0, 4.0], [3.0]]
 
 
 def plot(chart: str) -> Any:
