@@ -4,6 +4,7 @@ import base64
 import hashlib
 import json
 import os
+import shlex
 import sys
 import time
 from pathlib import Path
@@ -35,7 +36,7 @@ import time; time.sleep(0.5)
 
 def method(folder: Path, code: str, more: str = "", **settings: object) -> CommandConfig:
     (folder / "mine.py").write_text(code)
-    words = f"{sys.executable} mine.py {{capture}} {{out}} {more}"
+    words = f"{shlex.quote(sys.executable)} mine.py {{capture}} {{out}} {more}"
     (found,) = read_commands({"mine": {"command": words, **settings}}, folder)
     return found
 
