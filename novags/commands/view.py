@@ -11,8 +11,8 @@ def view(runs: Folders, *, host: str = "127.0.0.1", port: int = 8080, sensor: st
 
     Args:
         runs: Folders of runs, of experiments, or folders that hold such.
-        host: Where to listen: 127.0.0.1 for browsers on this machine, 0.0.0.0 for all that reach it. There is no
-            password.
+        host: Where to listen: 127.0.0.1 for browsers on this machine, 0.0.0.0 for every machine that can
+            reach it. No password is asked for.
         port: Port to listen at; the next free one where it is taken.
         sensor: Camera that views are exposed again with, a name or a TOML file; if not given, that of the capture.
     """

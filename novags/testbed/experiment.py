@@ -19,7 +19,7 @@ from novags.testbed.stages.score import merge
 from novags.testbed.study.steps import make_set
 from sensor_model.files.lock import locked
 
-DESCRIBED = (EXPERIMENT, METRICS, REPORT, REPORT_FILES)  # what tells of all runs in the folder
+DESCRIBED = (EXPERIMENT, METRICS, REPORT, REPORT_FILES)  # files that describe all runs in the folder
 
 
 def run(preset: Preset, out: Path, console: Console, *, command: str | None = None, overwrite: bool = False) -> Path:

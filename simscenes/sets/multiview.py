@@ -182,7 +182,7 @@ def load_set(path: str | Path) -> MultiviewSet:
             transforms_train.json.
 
     Raises:
-        ValueError: If the folder is none of these, a render in it is unfinished, a camera file is broken or no image
+        ValueError: If the folder is of another kind, a render in it is unfinished, a camera file is broken or no image
             listed there exists. Listed images that are missing are skipped and counted in one warning.
     """
     path = Path(path)
@@ -229,7 +229,7 @@ def _unregistered(path: Path, found: Photographs, meta: dict[str, Any]) -> tuple
 
 
 def _no_set(path: Path) -> str:
-    """Why a folder is no set, with what to do about it."""
+    """Why a folder is not a set, and what to do about it."""
     if pictures := picture_files(path):
         return (f"{path} holds {len(pictures)} pictures without camera poses: find the poses first, with "
                 f"novags poses {path} --out SET")  # fmt: skip

@@ -19,8 +19,8 @@ FORGET = 1 / 4096  # part of that number that every array asked for takes away f
 class _Lease(np.ndarray):
     """A view of a whole block; gives it back when the last array that looks into it is gone.
 
-    An array keeps alive what it is a view of. Of views of views NumPy keeps the first array alone, but for a view of
-    another type whose memory is no array's: so this is a type of its own, and blocks are ctypes arrays.
+    NumPy keeps the base of an array alive, and takes the first array for the base of a view of a view. It makes an
+    exception for a view of another type whose memory does not belong to an array: hence this type, and ctypes blocks.
     """
 
     back: deque[Any] | None = None

@@ -13,7 +13,7 @@ def seconds_of(text: str) -> float:
     """The seconds that a time stands for: 120s, 120, 2min, 2.5m, 1h, 1h30min.
 
     Raises:
-        ValueError: If it is none, or not above 0.
+        ValueError: If the text is not a time, or the time is not above 0.
     """
     rest, total = text.strip().lower(), 0.0
     parts = NUMBER.findall(rest)

@@ -75,7 +75,7 @@ def after(preset: Preset, out: Path, state: State, against: Path | None) -> list
 
 
 def _scores(folder: Path, preset: Preset | None) -> dict[str, float] | None:
-    """Aligned PSNR of each method of a finished experiment; None if there is none, or it is not that of the preset."""
+    """Aligned PSNR of each method; None if the experiment is unfinished, or has other settings than the preset."""
     if not ((folder / EXPERIMENT).exists() and (folder / METRICS).exists()):
         return None
     record = read_json(folder / EXPERIMENT, shapes.EXPERIMENT)

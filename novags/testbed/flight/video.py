@@ -85,7 +85,7 @@ class Course:
         names, viewmats = found
         if unknown := [name for name in names if name not in capture.names]:
             raise ValueError(
-                f"{run.path / CAMERAS} names {unknown[0]}, which is no view of {capture.path}: reconstruct again"
+                f"{run.path / CAMERAS} names {unknown[0]}, which is not a view of {capture.path}: reconstruct again"
             )
         lenses = read_record(run.path / CAMERAS, LENSES, "reconstruct again")
         K = np.median(np.asarray(capture.cameras.rig.Ks, np.float64), axis=0)

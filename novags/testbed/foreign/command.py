@@ -75,9 +75,9 @@ class CommandConfig:
         if missing := [name for name in ("capture", "out") if name not in used]:
             raise ValueError(f"command must say where {{{missing[0]}}} goes, got {brief(repr(self.command), 100)}")
         if self._program(words[0]) is None:
-            raise ValueError(f"command: there is no program {brief(words[0], 100)} to run")
+            raise ValueError(f"command: the program {brief(words[0], 100)} was not found")
         if lost := [name for name in self.files if not (self.folder / name).exists()]:
-            raise ValueError(f"files: there is no {self.folder / lost[0]}")
+            raise ValueError(f"files: {self.folder / lost[0]} does not exist")
 
     def _split(self) -> list[str]:
         try:

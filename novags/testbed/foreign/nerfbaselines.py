@@ -92,7 +92,7 @@ def runs_of(folders: Sequence[Path]) -> list[Run]:
     """Every run of these; of a study those that are done.
 
     Raises:
-        ValueError: If there is none, or a folder is none of these.
+        ValueError: If no run is found, or a folder is of another kind.
     """
     found: list[Run] = []
     for folder in folders:

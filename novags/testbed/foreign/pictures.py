@@ -66,7 +66,7 @@ def find_renders(folder: Path, names: Sequence[str]) -> Renders:
         ValueError: If there is no such folder, a view has no picture (all such are named), or more than one.
     """
     if not folder.is_dir():
-        raise ValueError(f"there is no folder of pictures {folder}")
+        raise ValueError(f"the folder of pictures {folder} does not exist")
     found: dict[str, list[Path]] = {}
     for path in sorted(folder.iterdir()):
         if path.suffix.lower() in SUFFIXES and path.is_file() and not path.name.startswith("."):

@@ -59,7 +59,7 @@ class Truth:
             ValueError: If it is neither, cannot be read, or holds no view out.
         """
         if not path.is_dir():
-            raise ValueError(f"there is no set {path}")
+            raise ValueError(f"the set {path} does not exist")
         capture = open_capture(path) if (path / RECORD).is_file() else None
         lit = open_source(path, console) if capture is None else capture.source(console)
         views = lit.views if capture is None else capture.cameras

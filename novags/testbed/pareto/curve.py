@@ -85,7 +85,7 @@ def read_curves(path: Path) -> list[Point]:
     """The points of a file of curves, or of the one in a folder.
 
     Raises:
-        ValueError: If there is none, or a line is no point.
+        ValueError: If the file holds no point, or a line that is not one.
     """
     file = path / CURVES if path.is_dir() else path
     remedy = "remove it and run novags pareto again"

@@ -247,7 +247,7 @@ def merge(metrics: dict[str, dict[str, Any]], methods: dict[str, str]) -> dict[s
 def recovered_fractions(
     scores: dict[str, Any], methods: dict[str, str], kind: str = "enhanced", number: str = "aligned_psnr"
 ) -> tuple[dict[str, float], str | None]:
-    """The share of what noise costs that each run wins back, and the reason if there is none.
+    """The share of what noise costs that each run wins back, and the reason where it is unknown.
 
     Args:
         scores: The scores of each run, by its name, which may follow a folder and a slash.

@@ -91,7 +91,7 @@ def ensure(order: Order, steps: Steps, console: Console, depends: dict[str, Any]
         order: The entry.
         steps: What makes it.
         console: Where notes go.
-        depends: What else the content depends on that is no part of the key, because little of the work does.
+        depends: What else the content depends on; not in the key, because little of the work depends on it.
 
     Returns:
         `content`, `cost` and `made` (False: it was there) of the entry.

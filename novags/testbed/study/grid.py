@@ -265,7 +265,7 @@ def _without_excluded(
             for key, listed in wanted.items():
                 if missing := [value for value in listed if value not in axes[key]]:
                     known = ", ".join(map(str, axes[key]))
-                    raise ValueError(f"{key}: {missing[0]!r} is none of its values in [grid] ({known})")
+                    raise ValueError(f"{key}: {missing[0]!r} is not among its values in [grid] ({known})")
         kept = [c for c in kept if not all(c[key] in values for key, values in wanted.items())]
     if not kept:
         raise ValueError(f"{path}: [[exclude]]: nothing is left to run")

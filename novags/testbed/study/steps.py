@@ -60,7 +60,7 @@ def make_set(
 
 
 def depends(task: Task) -> dict[str, Any]:
-    """What the content depends on that is no part of the key: with LPIPS installed later, scores alone are redone."""
+    """What the content depends on besides its key: where LPIPS is installed later, only the scores are made again."""
     return {"lpips": PerceptualDistance.missing() is None} if task.kind == "run" else {}
 
 

@@ -90,6 +90,6 @@ def true_from(run: Run, capture: Capture) -> Similarity:
         return IDENTITY
     names, viewmats = found
     if unknown := [name for name in names if name not in capture.names]:
-        raise ValueError(f"{run.path / CAMERAS} names {unknown[0]}, which is no view of {capture.path}: reconstruct "
+        raise ValueError(f"{run.path / CAMERAS} names {unknown[0]}, which is not a view of {capture.path}: reconstruct "
                          "again")  # fmt: skip
     return align(viewmats, true_cameras(capture)[[capture.names.index(name) for name in names]]).similarity

@@ -25,7 +25,7 @@ COLORS = frozenset({
 
 
 def why_unusable(scene: Any, mi: Any) -> str:
-    """What Mitsuba would only find out while rendering, or never: the plugin and the reason; "" if there is none.
+    """What Mitsuba would only find out while rendering, or never: the plugin and the reason; "" if all can be used.
 
     It says "spectral" if another variant can render it. The caller lets go of the scene before it raises: while an
     object that RGB cannot evaluate is alive, llvm and cuda render no other scene in RGB either.
@@ -46,7 +46,7 @@ def why_unusable(scene: Any, mi: Any) -> str:
 
 
 def raw_color(scene: Any, mi: Any) -> str:
-    """What the first raw bitmap that is used as a colour is used for; "" if there is none."""
+    """The parameter that the first raw bitmap used as a colour belongs to; "" without such a bitmap."""
     labels = (label for label, part in _parts(scene, mi)
               if label in COLORS and _class(part) == "BitmapTextureImpl" and "raw = 1" in str(part))  # fmt: skip
     return next(labels, "")

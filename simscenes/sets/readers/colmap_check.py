@@ -45,7 +45,7 @@ class Model:
     def add_image(self, number: int, camera: int, name: str, pose: Any, seen: NDArray[np.uint64]) -> None:
         """An image; `pose` is quaternion and translation."""
         _require(number not in self.seen, f"has two images {number}")
-        _require(camera in self.cameras, f"has camera {camera} in image {name!r}, and there is none of that number")
+        _require(camera in self.cameras, f"names camera {camera} in image {name!r}, which the file of cameras lacks")
         _require(np.isfinite(pose).all() and any(pose[:4]), f"has a pose that is not finite or zero in image {name!r}")
         self.seen[number] = seen
         self.names[number] = name

@@ -181,7 +181,7 @@ def listed(entries: Sequence[tuple[Path | None, NDArray[np.float64], Any]], sour
         source: For messages.
 
     Raises:
-        ValueError: If there is none, or one file is listed twice. Missing ones are counted in one warning.
+        ValueError: If no photograph is there, or one file is listed twice. Missing ones are counted in one warning.
     """
     there = [Listed(file, viewmat, camera) for file, viewmat, camera in entries if file is not None]
     if not there:

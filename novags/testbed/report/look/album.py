@@ -89,12 +89,12 @@ class Album:
         """An 8-bit PNG file: as it is while small, else as JPEG.
 
         Raises:
-            ValueError: If it is no picture.
+            ValueError: If the file is not a picture.
         """
         data = path.read_bytes()
         codes = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
         if codes is None:
-            raise ValueError(f"{path} is no picture: make it again")
+            raise ValueError(f"{path} is not a picture: make it again")
         if codes.shape[0] * codes.shape[1] > PNG_PIXELS:
             return self.add_encoded(_encoded(codes, "jpeg", 92), "jpeg")
         return self.add_encoded(data, "png")

@@ -31,7 +31,7 @@ class Records:
         folder: Of the study.
         runs: By number of the row.
         captures: Folder and capture.json by number of the row.
-        sets: Folder and set.json (None where there is none) by number of the row.
+        sets: Folder and set.json (None where it is missing) by number of the row.
         lost: Numbers of finished rows whose folder is not here, or cannot be read.
     """
 

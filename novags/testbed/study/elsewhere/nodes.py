@@ -68,7 +68,7 @@ def _provide(order: Order, remote: Remote, place: str, console: Console) -> dict
 
 
 def _fetched(order: Order, remote: Remote, console: Console) -> Seal | None:
-    """The seal of an entry that has been fetched; None if there is none to believe."""
+    """The seal of an entry that has been fetched; None if it is missing or cannot be trusted."""
     try:
         return remote.fetch(order.task, order.folder)
     except Damaged as error:

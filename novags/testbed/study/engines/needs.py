@@ -46,7 +46,7 @@ def read_needs(texts: Iterable[str]) -> dict[str, Needs]:
 def _amount(part: str, text: str) -> tuple[str, float]:
     match = re.fullmatch(r"(cpus|gpus|memory)=(\d+(?:\.\d+)?)(GB|MB|)", part.strip())
     if match is None or (match[1] != "memory" and match[3]):
-        raise ValueError(f"needs: {part!r} in {text!r} is none of cpus=N, gpus=N, memory=N with GB or MB")
+        raise ValueError(f"needs: {part!r} in {text!r} must be cpus=N, gpus=N, or memory=N with GB or MB")
     name, number = match[1], float(match[2])
     if name == "memory":
         return name, number * UNITS[match[3]]

@@ -142,7 +142,7 @@ WRONG = {
     "no out": ({"mine": {"command": "true {capture}"}}, "command must say where {out} goes"),
     "place": ({"mine": {"command": "true {capture} {out} {gpu}"}}, "{gpu} stands for nothing; there are capture, out"),
     "quote": ({"mine": {"command": "true '{capture} {out}"}}, "command: No closing quotation"),
-    "program": ({"mine": {"command": "./none {capture} {out}"}}, "there is no program ./none to run"),
+    "program": ({"mine": {"command": "./none {capture} {out}"}}, "the program ./none was not found"),
     "setting": (
         {"mine": {"command": "true {capture} {out}", "time": 3}},
         "it has no setting 'time'; there are comm",
@@ -151,7 +151,7 @@ WRONG = {
     "space": ({"mine": {"command": "true {capture} {out}", "space": "dark"}}, "space must be one of lit, linear"),
     "taken": ({"naive": {"command": "true {capture} {out}"}}, "the name naive is taken by a method of the test bed"),
     "name": ({"a b": {"command": "true {capture} {out}"}}, "a variant's name must be letters"),
-    "files": ({"mine": {"command": "true {capture} {out}", "files": ["lib"]}}, "files: there is no .*lib"),
+    "files": ({"mine": {"command": "true {capture} {out}", "files": ["lib"]}}, "files: .*lib does not exist"),
 }
 
 

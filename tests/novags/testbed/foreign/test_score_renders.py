@@ -108,7 +108,7 @@ def test_references_that_there_are_not_are_refused(photographs: Path, tmp_path: 
     folder = pictures(photographs, tmp_path / "mine", "8-bit")
     with pytest.raises(ValueError, match="the reference clean is of a dark capture, and .*photos is a set"):
         score(folder, photographs, "clean")
-    with pytest.raises(ValueError, match="there is no set"):
+    with pytest.raises(ValueError, match="does not exist"):
         score(folder, tmp_path / "nowhere")
 
 

@@ -204,9 +204,9 @@ def test_needs_are_of_all_tasks_or_of_one_kind() -> None:
         ("cpus=0", "cpus must be a whole number >= 1, got 0"),
         ("cpus=1.5", "cpus must be a whole number >= 1, got 1.5"),
         ("gpus=1.5", "gpus must be a whole number or below 1, got 1.5"),
-        ("cpus=2GB", "'cpus=2GB' in 'cpus=2GB' is none of cpus=N, gpus=N, memory=N"),
-        ("run:", "'' in 'run:' is none of"),
-        ("cores=2", "'cores=2' in 'cores=2' is none of"),
+        ("cpus=2GB", "'cpus=2GB' in 'cpus=2GB' must be cpus=N, gpus=N, or memory=N"),
+        ("run:", "'' in 'run:' must be cpus=N"),
+        ("cores=2", "'cores=2' in 'cores=2' must be cpus=N"),
     ],
 )
 def test_needs_that_mean_nothing_are_refused(text: str, said: str) -> None:

@@ -144,7 +144,7 @@ WRONG: dict[str, tuple[str, str]] = {
     "variant's setting": ("[grid]\nmethod='a'\n[variant.a]\nmethod='naive'\nfit.x=1", "[grid] method: a"),
     "exclude axis": ("[[exclude]]\nscnee='cornell'", "[[exclude]] 1: unknown axis 'scnee'"),
     "exclude value": (
-        "[grid]\nelectrons=[5]\n[[exclude]]\nelectrons=6", "1: electrons: 6 is none of its values in [grid] (5)"
+        "[grid]\nelectrons=[5]\n[[exclude]]\nelectrons=6", "1: electrons: 6 is not among its values in [grid] (5)"
     ),
     "exclude shape": ("exclude = 3", "[[exclude]]: each must be a table"),
     "nothing left": ("[grid]\nelectrons=[5]\n[[exclude]]\nelectrons=5", "[[exclude]]: nothing is left to run"),

@@ -156,7 +156,7 @@ def test_cameras_that_are_not_those_of_the_capture_are_one_line(runs: Runs, tmp_
     text = (run / "cameras.json").read_text()
     (run / "cameras.json").write_text(text.replace('"0003"', '"0033"'))
     (shown,) = shown_of([run], QUIET)
-    with pytest.raises(ValueError, match=r"cameras.json names 0033, which is no view of .*: reconstruct again"):
+    with pytest.raises(ValueError, match=r"cameras.json names 0033, which is not a view of .*: reconstruct again"):
         shown.scene("naive")
     (run / "cameras.json").write_text(text.replace("[", "", 1))
     with pytest.raises(ValueError, match=r"cameras.json is not valid JSON .*; reconstruct again"):
