@@ -1,6 +1,7 @@
 """Physical camera model: radiance in, digital numbers out. Arrays only."""
 
 from sensor_model.capture import RawFrame as RawFrame
+from sensor_model.capture import clean_response as clean_response
 from sensor_model.capture import expose as expose
 from sensor_model.capture import expose_burst as expose_burst
 from sensor_model.characterise import Characterisation as Characterisation

@@ -56,13 +56,31 @@ class RawFrame:
     @cached_property
     def clean_dn(self) -> NDArray[np.float32]:
         """What the same light gives without noise and without fixed pattern; saturates, is not rounded. DN."""
-        s = self.sensor
-        light = on_sensor(as_channels(self.photons), s, self.exposure).astype(np.float64)
-        charge = effects.collect(light, eta=s.eta, response=1.0, dark_e=s.dark_e(self.exposure))
-        held = effects.blooming(charge, s.mu_e_sat) if s.blooming else effects.full_well(charge, s.mu_e_sat)
-        signal = effects.nonlinear(effects.crosstalk(held, s.coupling) if s.coupling else held, s.droop)
-        clean = np.minimum(s.gain * signal + s.black_level, s.white_dn)
-        return clean.reshape(self.photons.shape).astype(np.float32)
+        return clean_response(self.photons, self.sensor, self.exposure)
+
+
+def clean_response(photons: ArrayLike, sensor: Sensor, exposure: Exposure) -> NDArray[np.float32]:
+    """What light gives without noise, without fixed pattern and without rounding; it saturates.
+
+    Args:
+        photons: As for `expose`; [h, w, 3] needs a sensor without colour filter array.
+        sensor: The camera.
+        exposure: How it is used.
+
+    Returns:
+        The shape of `photons`, DN.
+
+    Raises:
+        ValueError: if the photons are of the wrong shape, or NaN, infinite or negative anywhere.
+    """
+    photons, s = checked(photons, sensor), sensor
+    check_light(photons, "photons")
+    light = on_sensor(as_channels(photons), s, exposure).astype(np.float64)
+    charge = effects.collect(light, eta=s.eta, response=1.0, dark_e=s.dark_e(exposure))
+    held = effects.blooming(charge, s.mu_e_sat) if s.blooming else effects.full_well(charge, s.mu_e_sat)
+    signal = effects.nonlinear(effects.crosstalk(held, s.coupling) if s.coupling else held, s.droop)
+    clean = np.minimum(s.gain * signal + s.black_level, s.white_dn)
+    return clean.reshape(photons.shape).astype(np.float32)
 
 
 def expose(

@@ -8,13 +8,15 @@ from novags.commands import shared
 from novags.commands.shared import announce, next_, writing
 from novags.options import Folder, Folders
 
+_Reference = Literal["lit", "linear", "clean", "linear_demosaiced", "clean_demosaiced"]
+
 if TYPE_CHECKING:
     from novags.testbed.results.comparison import Group
 
 
 def score(
     runs: Folders = (), *, renders: Path | None = None, set: Path | None = None,
-    reference: Literal["lit", "linear", "clean"] = "lit", out: Path | None = None, overwrite: bool = False,
+    reference: _Reference = "lit", out: Path | None = None, overwrite: bool = False,
     wait: bool = False,
 ) -> None:  # fmt: skip
     """Score runs against the truth, write metrics.json, and compare them. Or pictures from anywhere: --renders, --set.
@@ -25,7 +27,7 @@ def score(
         set: The set or the capture whose test views they show.
         reference: What they are compared with: lit (the views in good light, sRGB), linear (the light of the scene,
             after one gain for all views; 16-bit and EXR files hold linear light then), clean (of a capture: the dark
-            exposures without noise, sRGB).
+            exposures without noise, sRGB); linear_demosaiced, clean_demosaiced: the same of noise-free mosaics.
         out: File for all scores of pictures, JSON; the means are printed anyway.
         overwrite: Replace it.
         wait: If another process is writing there, wait until it is done instead of refusing.
@@ -56,7 +58,7 @@ def score(
 
 
 def _score_pictures(
-    renders: Path, set: Path, reference: Literal["lit", "linear", "clean"], out: Path | None, overwrite: bool
+    renders: Path, set: Path, reference: _Reference, out: Path | None, overwrite: bool
 ) -> None:  # fmt: skip
     from novags.testbed.cache import write_json
     from novags.testbed.foreign.score import Truth, score_renders

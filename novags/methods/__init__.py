@@ -40,7 +40,7 @@ METHODS: dict[str, Method] = {
         title="enhance the noise-free exposures, then fit: what no real method can see, hence the ceiling",
         family="bound",
         color="#008560",
-        config=EnhancedFitConfig,
+        config=oracle.OracleConfig,
         train=oracle.train,
         parts=fit_parts,
         source="3DGS-MCMC (Kheradmand et al. 2024) on simulated exposures without noise",
@@ -90,6 +90,12 @@ VARIANTS: dict[str, Variant] = dict(
             "naive",
             "enhance, then fit the noisy pictures with L1 alone, which averages noise over the views",
             {"fit.dssim_weight": 0.0},
+        ),
+        _variant(
+            "oracle-demosaiced",
+            "oracle",
+            "the same from noise-free mosaics, interpolated as the pictures are: what demosaicing costs by itself",
+            {"demosaiced": True},
         ),
         _variant(
             "averaging-clean",

@@ -91,7 +91,10 @@ class Problem:
         noise: Variance of each datum as a function of its mean, or None if unknown.
         channels_share: Why the noise of a pixel's three channels is not independent ("demosaicing", "JPEG", "colour
             matrix"); empty where it is.
-        clean: The exposures without noise, developed like `srgb8`, [C, H, W, 3]. Only methods with `sees_clean` get it.
+        clean: The exposures without noise, developed like `srgb8`, [C, H, W, 3]; behind a colour filter array of all
+            three channels of each pixel. Only methods with `sees_clean` get it.
+        clean_demosaiced: Behind a colour filter array: the noise-free mosaics, interpolated as the pictures are; None
+            elsewhere. Only methods with `sees_clean` get it.
         surface: The true surface. Only methods with `sees_surface` get it.
         n_gaussians: How many Gaussians were asked for; None: as many as there are points at the start.
         names: One name per view; the keys of shared results.
@@ -107,6 +110,7 @@ class Problem:
     noise: Noise | None = None
     channels_share: tuple[str, ...] = ()
     clean: Tensor | None = None
+    clean_demosaiced: Tensor | None = None
     surface: TrueSurface | None = None
     n_gaussians: int | None = None
     names: tuple[str, ...] = ()
@@ -114,7 +118,7 @@ class Problem:
 
     def __post_init__(self) -> None:
         want = (len(self.views), self.views.height, self.views.width, 3)
-        for name in ("srgb8", "linear16", "clean"):
+        for name in ("srgb8", "linear16", "clean", "clean_demosaiced"):
             value = getattr(self, name)
             if value is not None and value.shape != want:
                 raise ValueError(f"{name} must be [C, H, W, 3] = {list(want)} like the views, got {list(value.shape)}")
@@ -153,7 +157,7 @@ class Problem:
         raw = None if self.raw is None else replace(self.raw, dn=self.raw.dn.to(device))
         return replace(
             self, views=views, srgb8=self.srgb8.to(device), linear16=moved(self.linear16), raw=raw,
-            clean=moved(self.clean), shared=Memo(),
+            clean=moved(self.clean), clean_demosaiced=moved(self.clean_demosaiced), shared=Memo(),
         )  # fmt: skip
 
 

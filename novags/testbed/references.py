@@ -1,9 +1,11 @@
 """What the pictures of a method are compared with; references are never mixed.
 
 `enhanced`: the noise-free dark exposure, enhanced exactly as its noisy twin, for methods whose output is enhanced: it
-differs from their input by noise alone. `linear`: the noise-free exposure in linear light, for methods whose output is
-linear. `lit`: the well-lit render or photograph, for all methods. Of imported photographs clean long exposures take the
-place of the noise-free ones, and what was not given is missing.
+isolates noise. `linear`: the noise-free exposure in linear light, for methods whose output is linear. Of a camera with
+a colour filter array both are of what all three channels of each pixel would have given; `enhanced_demosaiced` and
+`linear_demosaiced` are of the noise-free mosaic, interpolated as the pictures are, with the errors of that. `lit`: the
+well-lit render or photograph, for all methods. Of imported photographs clean long exposures take the place of the
+noise-free ones, and what was not given is missing.
 """
 
 from typing import Any
@@ -11,23 +13,29 @@ from typing import Any
 import numpy as np
 import torch
 
-from novags.methods.enhancers import enhanced_twins, enhanced_view, recorded
+from novags.methods.enhancers import enhanced_twin, enhanced_view, recorded
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.imported import MISSING
 from novags.testbed.folders.run import Run
 from novags.testbed.folders.set import Source
 from novags.testbed.metrics import Image
 
+LINEAR = ("linear", "linear_demosaiced")  # the references in linear light
 
-def enhanced_pair(capture: Capture, i: int, enhancement: dict[str, Any]) -> tuple[Image, Image]:
-    """The dark exposure of view `i` enhanced as a run did it, and its noise-free twin through the same enhancement."""
+
+def enhanced_truth(capture: Capture, i: int, enhancement: dict[str, Any], *, demosaiced: bool = False) -> Image:
+    """The noise-free exposure of view `i` through the enhancement that a run gave its noisy twin.
+
+    `demosaiced`: as for `Capture.clean_linear`.
+    """
     _, config = recorded(enhancement)
-    dark, clean = (
-        torch.from_numpy(image.copy()) for image in (capture.dark(i, enhancement["pictures"]), capture.clean(i))
-    )
-    twins = enhanced_twins(capture.memo, capture.names[i], dark, clean, config, enhancement["pictures"])
-    noisy, reference = (image.numpy() for image in twins)
-    return noisy, reference
+    pictures = enhancement["pictures"]
+    images = capture.dark(i, pictures), capture.clean(i, demosaiced=demosaiced)
+    dark, clean = (torch.from_numpy(image.copy()) for image in images)
+    found: Image = enhanced_twin(
+        capture.memo, capture.names[i], dark, clean, config, pictures, demosaiced=demosaiced
+    ).numpy()
+    return found
 
 
 def enhanced_dark(capture: Capture, i: int, enhancement: dict[str, Any]) -> Image:
@@ -52,10 +60,11 @@ def missing_references(run: Run, capture: Capture, lit: Source) -> dict[str, str
 def references(run: Run, capture: Capture, lit: Source, i: int) -> dict[str, Image]:
     """Every reference of view `i` for this run, by name, float32 [h,w,3]; the one that isolates noise comes first."""
     missing, found = missing_references(run, capture, lit), dict[str, Image]()
-    if run.enhancement is not None and "enhanced" not in missing:
-        found["enhanced"] = enhanced_pair(capture, i, run.enhancement)[1]
-    if run.space == "linear" and "linear" not in missing:
-        found["linear"] = capture.clean_linear(i)
+    for suffix in ("", "_demosaiced") if capture.demosaiced else ("",):
+        if run.enhancement is not None and "enhanced" not in missing:
+            found["enhanced" + suffix] = enhanced_truth(capture, i, run.enhancement, demosaiced=bool(suffix))
+        if run.space == "linear" and "linear" not in missing:
+            found["linear" + suffix] = capture.clean_linear(i, demosaiced=bool(suffix))
     return found if "lit" in missing else {**found, "lit": lit.lit(i)}
 
 

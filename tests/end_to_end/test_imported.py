@@ -18,7 +18,7 @@ from novags.testbed.folders.run import open_run
 from novags.testbed.folders.set import open_source
 from novags.testbed.metrics import image_scores
 from novags.testbed.presets import Preset, adapted
-from novags.testbed.references import enhanced_pair
+from novags.testbed.references import enhanced_truth
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.capture import CaptureConfig
 from novags.testbed.stages.importing import ImportConfig
@@ -114,7 +114,7 @@ def test_a_long_exposure_lets_the_ceiling_run_and_scores_against_itself(
     assert metrics["mean"]["lit"] is None
     run = open_run(tmp_path / "run")
     capture, _ = run.inputs(quiet)
-    reference = enhanced_pair(capture, 8, run.enhancement or {})[1]
+    reference = enhanced_truth(capture, 8, run.enhancement or {})
     assert metrics["views"]["0008"]["enhanced"]["psnr"] == image_scores(run.rendering("0008"), reference, None)["psnr"]
     ours = reconstructed(line / "ours", tmp_path / "ours", tiny, quiet, "oracle")["methods"]["oracle"]
     # Ten times the light has a tenth of the variance; renders after 8 steps are far worse than what that changes.

@@ -54,6 +54,7 @@ def rounding_adds_a_twelfth(level: Any, sd: Any, top: Any) -> Any:
     [
         (effects, "digitise", cast_first, "codes below 0"),
         (effects, "digitise", half_up, "signals half way"),
+        (effects, "nonlinear", lambda electrons, droop: electrons, "the three noise-free channels"),
         (effects, "full_well", lambda charge, full: charge, "full pixels"),
         (isp, "white_balance", lambda sensor: np.ones(3), "full pixels"),
         (effects, "tukey_quantile", tukey_by_powers, "Tukey-lambda at u"),

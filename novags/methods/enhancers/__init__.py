@@ -67,25 +67,34 @@ def enhanced(problem: Problem, config: EnhancerConfig, pictures: Pictures) -> Te
     return torch.stack([enhanced_view(problem.shared, name, view, config, pictures)[0] for name, view in views])
 
 
-def enhanced_clean(problem: Problem, config: EnhancerConfig, pictures: Pictures) -> Tensor:
+def enhanced_clean(problem: Problem, config: EnhancerConfig, pictures: Pictures, *, demosaiced: bool = False) -> Tensor:
     """The noise-free exposures, enhanced exactly as their noisy twins [C, H, W, 3].
+
+    Args:
+        problem: The problem.
+        config: Of the enhancer.
+        pictures: Which pictures the noisy twins are.
+        demosaiced: Behind a colour filter array: the noise-free mosaics, interpolated as the pictures are.
 
     Raises:
         LacksInput: If the problem has no noise-free exposures.
     """
     if problem.clean is None:
         raise LacksInput("this method needs the noise-free exposures (Problem.clean), and this capture has none")
-    dark, clean = problem.encoded(pictures), problem.clean
-    found = []
-    for i, name in enumerate(problem.names):
-        found.append(enhanced_twins(problem.shared, name, dark[i], clean[i], config, pictures)[1])
-    return torch.stack(found)
+    demosaiced = demosaiced and problem.clean_demosaiced is not None  # three chips: no difference
+    dark, clean = problem.encoded(pictures), problem.clean_demosaiced if demosaiced else problem.clean
+    assert clean is not None
+    views = zip(problem.names, dark, clean, strict=True)
+    return torch.stack(
+        [enhanced_twin(problem.shared, *view, config, pictures, demosaiced=demosaiced) for view in views]
+    )
 
 
-def enhanced_twins(
-    shared: Memo, name: str, dark: Tensor, clean: Tensor, config: EnhancerConfig, pictures: Pictures
-) -> tuple[Tensor, Tensor]:
-    """One view enhanced, and its noise-free twin through the same enhancement, both [H, W, 3].
+def enhanced_twin(
+    shared: Memo, name: str, dark: Tensor, clean: Tensor, config: EnhancerConfig, pictures: Pictures, *,
+    demosaiced: bool = False,
+) -> Tensor:  # fmt: skip
+    """The noise-free twin of one view through the enhancement that the view got, [H, W, 3].
 
     Args:
         shared: Where the results of a capture are kept.
@@ -94,16 +103,17 @@ def enhanced_twins(
         clean: The same exposure without noise.
         config: Of the enhancer.
         pictures: Which pictures `dark` is one of.
+        demosaiced: Whether `clean` was interpolated from a mosaic.
     """
-    noisy, params = enhanced_view(shared, name, dark, config, pictures)
-    key = ("enhanced clean", name, pictures, config)
-    return noisy, shared.once(key, lambda: _enhance(clean, config, params)[0])
+    _, params = enhanced_view(shared, name, dark, config, pictures)
+    key = ("enhanced clean", name, pictures, config, demosaiced)
+    return shared.once(key, lambda: _enhance(clean, config, params)[0])
 
 
 def enhanced_view(
     shared: Memo, name: str, dark: Tensor, config: EnhancerConfig, pictures: Pictures
 ) -> tuple[Tensor, Any]:
-    """One view enhanced [H, W, 3], and the parameters of its enhancement; arguments as for `enhanced_twins`."""
+    """One view enhanced [H, W, 3], and the parameters of its enhancement; arguments as for `enhanced_twin`."""
     return shared.once(("enhanced", name, pictures, config), lambda: _enhance(dark, config, None))
 
 

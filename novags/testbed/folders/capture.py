@@ -3,7 +3,8 @@
 capture.json          sensor, exposure, plan, seeds, the set it was made from; written last
 raw/NNNN.dng          the sensor's digital numbers
 images16/NNNN.png     linear RGB, 16-bit            images/NNNN.png    sRGB, 8-bit
-truth/NNNN.exr        digital numbers: analytic mean and variance, noise-free (clean), saturation
+truth/NNNN.exr        digital numbers: analytic mean and variance, noise-free (clean), saturation; behind a colour
+                      filter array also what three chips would give without noise (clean.R, clean.G, clean.B)
 transforms.json ...   the cameras, as in a multiview set
 
 A capture that was imported (`folders.imported`) has of these what its photographs have.
@@ -61,8 +62,23 @@ def write_view(
     demosaic: Demosaic,
     color_matrix: np.ndarray | None,
     jpeg_quality: int | None = None,
+    *,
+    clean_rgb: np.ndarray | None = None,
 ) -> None:
-    """Write everything about one exposure. `color_matrix`: as for `develop`."""
+    """Write everything about one exposure.
+
+    Args:
+        folder: Of the capture.
+        name: Of the view.
+        frame: The exposure.
+        sensor: The camera.
+        exposure: How it was used.
+        demosaic: As for `develop`.
+        color_matrix: As for `develop`.
+        jpeg_quality: As for `develop`.
+        clean_rgb: Of a frame behind a colour filter array: what all three channels of each pixel would give without
+            noise, [h,w,3], DN.
+    """
     for part in ("raw", "truth"):
         (folder / part).mkdir(parents=True, exist_ok=True)
     write_dng(folder / "raw" / f"{name}.dng", frame.dn, sensor, exposure, color_matrix=color_matrix)
@@ -70,6 +86,7 @@ def write_view(
         **_planes("mean", frame.mean_dn),
         **_planes("variance", frame.variance_dn),
         **_planes("clean", frame.clean_dn),
+        **({} if clean_rgb is None else _planes("clean", clean_rgb)),
         **_planes("saturated", frame.saturated.astype(np.uint32)),
     }
     write_exr(folder / "truth" / f"{name}.exr", truth)
@@ -146,35 +163,55 @@ class Capture:
         """The dark exposure in linear light, float32 [h,w,3]: the 16-bit picture, else the 8-bit one decoded."""
         return self.linear16(i) if self.holds("images16") else np.asarray(srgb_to_linear(self.srgb8(i)))
 
-    def clean(self, i: int) -> np.ndarray:
-        """The same exposure without noise, fixed pattern or rounding, developed alike; sRGB-encoded float32 [h,w,3]."""
-        return encode(self.clean_linear(i))
+    def clean(self, i: int, *, demosaiced: bool = False) -> np.ndarray:
+        """The same exposure without noise, fixed pattern or rounding, developed alike; sRGB-encoded float32 [h,w,3].
 
-    def clean_linear(self, i: int) -> np.ndarray:
+        `demosaiced`: as for `clean_linear`.
+        """
+        return encode(self.clean_linear(i, demosaiced=demosaiced))
+
+    def clean_linear(self, i: int, *, demosaiced: bool = False) -> np.ndarray:
         """The noise-free exposure in linear light, float32 [h,w,3], in the unit of `linear16`.
 
-        Of imported photographs: the clean long exposure, brought to the light of the dark ones by one factor.
+        Of a camera with a colour filter array: what all three channels of each pixel would have given. Of imported
+        photographs: the clean long exposure, brought to the light of the dark ones by one factor.
+
+        Args:
+            i: The view.
+            demosaiced: Of a camera with a colour filter array: the noise-free mosaic, interpolated as the pictures are,
+                with the errors of that. Otherwise there is no difference.
 
         Raises:
             LacksInput: If it is not known.
+            ValueError: If its file is missing, damaged or of an earlier version.
         """
         self._need("truth")
-        return self.memo.once(("clean linear", i), lambda: self._developed_clean(i))
+        demosaiced = demosaiced and self.demosaiced
+        return self.memo.once(("clean linear", i, demosaiced), lambda: self._developed_clean(i, demosaiced))
 
-    def _developed_clean(self, i: int) -> np.ndarray:
+    @property
+    def demosaiced(self) -> bool:
+        """Whether its pictures are interpolated from mosaics whose three noise-free channels are known."""
+        return self.sensor is not None and self.sensor.cfa is not None and not self.imported
+
+    def _developed_clean(self, i: int, demosaiced: bool) -> np.ndarray:
         if self.imported:
             return self._read(imported.read_clean, "truth", i, ".exr")
         assert self.sensor is not None
-        dn = self.truth(i, "clean")
         matrix = self.record["color_matrix"]
-        return develop_linear(dn, self.sensor, demosaic=self.record["demosaic"], color_matrix=matrix)
+        if demosaiced:
+            dn = self.truth(i, "clean")
+            return develop_linear(dn, self.sensor, demosaic=self.record["demosaic"], color_matrix=matrix)
+        dn = self._read(lambda path: _channels_of(path, "clean"), "truth", i, ".exr")
+        return develop_linear(dn, replace(self.sensor, cfa=None), color_matrix=matrix)
 
     def truth(self, i: int, kind: str) -> np.ndarray:
         """What is known of each pixel of a simulated exposure, float32 [h,w], or [h,w,3] of three chips.
 
         Args:
             i: The view.
-            kind: "mean" over all exposures like it, DN; their temporal "variance", DN²; "clean": without noise, DN.
+            kind: "mean" over all exposures like it, DN; their temporal "variance", DN²; "clean": without noise, DN, of
+                a mosaic the channel that each pixel measures.
 
         Raises:
             LacksInput: If the capture was imported.
@@ -258,11 +295,15 @@ class Capture:
 
 def _truth_dn(path: Path, kind: str) -> np.ndarray:
     channels, _ = read_exr(path)
-    if kind in channels:
-        return channels[kind]
-    if missing := [name for colour in "RGB" if (name := f"{kind}.{colour}") not in channels]:
+    return channels[kind] if kind in channels else _channels_of(path, kind, channels)
+
+
+def _channels_of(path: Path, kind: str, channels: dict[str, np.ndarray] | None = None) -> np.ndarray:
+    """Three channels [h,w,3] of a truth file, of all those that it holds."""
+    found = read_exr(path)[0] if channels is None else channels
+    if missing := [name for colour in "RGB" if (name := f"{kind}.{colour}") not in found]:
         raise ValueError(f"{path} lacks the channels {', '.join(missing)}: capture again")
-    return np.stack([channels[f"{kind}.{colour}"] for colour in "RGB"], axis=-1)
+    return np.stack([found[f"{kind}.{colour}"] for colour in "RGB"], axis=-1)
 
 
 def exposure_of(record: dict[str, Any]) -> Exposure:

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -23,13 +24,15 @@ from novags.testbed.metrics import (
     linear_psnr,
     mean_scores,
 )
-from novags.testbed.references import true_depth
+from novags.testbed.references import LINEAR, true_depth
 
-Reference = Literal["lit", "linear", "clean"]
+Reference = Literal["lit", "linear", "clean", "linear_demosaiced", "clean_demosaiced"]
 MEANING = {
     "lit": "the views in good light, sRGB",
     "linear": "the light of the scene, linear, after one gain for all views",
     "clean": "the dark exposures without noise, sRGB",
+    "linear_demosaiced": "the noise-free mosaics, interpolated, linear, after one gain for all views",
+    "clean_demosaiced": "the noise-free mosaics, interpolated, sRGB",
 }
 
 
@@ -86,21 +89,29 @@ class Truth:
             if not self.lit.lit_known:
                 raise ValueError(f"{self.path}: {MISSING['lit']}")
             return self.lit.lit
+        demosaiced = reference.endswith("_demosaiced")
         if self.capture is None:
-            if reference == "clean":
-                raise ValueError(f"the reference clean is of a dark capture, and {self.path} is a set: name a capture")
+            if reference != "linear":
+                raise ValueError(
+                    f"the reference {reference} is of a dark capture, and {self.path} is a set: name a capture"
+                )
             exposure = np.float32(self.lit.views.meta.get("exposure_scale", 1.0))  # 1 is white then
             return lambda i: self.lit.radiance(i) * exposure
         if not self.capture.holds("truth"):
             raise ValueError(f"{self.path}: {MISSING['truth']}")
-        return self.capture.clean_linear if reference == "linear" else self.capture.clean
+        if demosaiced and not self.capture.demosaiced:
+            raise ValueError(f"the reference {reference} is of a simulated camera with a colour filter array, and that "
+                             f"of {self.path} is another: use {reference.partition('_')[0]}")  # fmt: skip
+        read = self.capture.clean_linear if reference in LINEAR else self.capture.clean
+        return partial(read, demosaiced=demosaiced)
 
 
 def score_renders(folder: Path, truth: Truth, reference: Reference, console: Console) -> dict[str, Any]:
     """Scores of the pictures in `folder` of all held-out views.
 
     Files of 8 bits are sRGB-encoded. Those of 16 bits and EXR files hold what the reference holds: sRGB-encoded values
-    for "lit" and "clean", linear light for "linear". EXR files with a channel Z (and alpha) are scored in depth too.
+    for "lit" and "clean", linear light for "linear", the same for those of mosaics. EXR files with a
+    channel Z (and alpha) are scored in depth too.
 
     Returns:
         `mean` and `views` by reference as in metrics.json, `geometry` (None without depth), and `about`: what was
@@ -120,8 +131,8 @@ def score_renders(folder: Path, truth: Truth, reference: Reference, console: Con
             yield i, name, read_picture(renders.files[name], width, height)
 
     kinds = sorted({picture.kind for _, _, picture in pictures()})  # all are read before anything is computed
-    gain = _gain(read, pictures) if reference == "linear" else None
-    lpips = None if PerceptualDistance.missing() is not None or reference == "linear" else PerceptualDistance()
+    gain = _gain(read, pictures) if reference in LINEAR else None
+    lpips = None if PerceptualDistance.missing() is not None or reference in LINEAR else PerceptualDistance()
     views, depths = {}, []
     with console.progress(f"score {folder.name}") as progress:
         for done, (i, name, picture) in enumerate(pictures()):

@@ -20,7 +20,7 @@ from novags.testbed.metrics import aligned_psnr
 from novags.testbed.pareto.clock import Clock
 from novags.testbed.pareto.knob import Knob, Measured, Setting
 from novags.testbed.presets import Preset, adapted
-from novags.testbed.references import enhanced_pair
+from novags.testbed.references import enhanced_truth
 from novags.testbed.stages.camera_source import Frame
 from novags.testbed.stages.reconstruct import Prepared, ReconstructConfig, prepare
 from sensor_model.files.scratch import scratch
@@ -178,7 +178,7 @@ def held_out_error(result: Reconstruction, prepared: Prepared, capture: Capture,
     found = []
     for i in truth.cameras.test_indices:
         image = scene.render(frame.view(i, prepared.device))[0][0].cpu().numpy().astype(np.float32)
-        reference = enhanced_pair(truth, i, jsonable(result.enhancement))[1]
+        reference = enhanced_truth(truth, i, jsonable(result.enhancement))
         if (score := aligned_psnr(image, reference)) is not None:
             found.append(score)
     if not found:

@@ -248,9 +248,9 @@ def score_context(material: Material) -> dict[str, Any]:
         "geometry": geometry_table(material),
         "geometry_columns": GEOMETRY,
         "cameras": camera_table(material),
-        "recovered": {**recovered, "linear": {}},
+        "recovered": {**dict.fromkeys(COLUMNS, {}), **recovered},
         "bounds": [material.bound("floor"), material.bound("ceiling")],
         "training_2d": training_table(material),
         "commands_of": {name: score_again(run, material.folder) for name, run in material.runs.items()},
-        "deltas": {"linear": ({}, ""), **{kind: deltas_of(material.metrics, methods, kind) for kind in MAIN}},
+        "deltas": {kind: deltas_of(material.metrics, methods, kind) if kind in MAIN else ({}, "") for kind in COLUMNS},
     }

@@ -10,7 +10,7 @@ from novags.methods.problem import encode
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import Run
 from novags.testbed.folders.set import Source
-from novags.testbed.references import enhanced_dark, references
+from novags.testbed.references import LINEAR, enhanced_dark, references
 from novags.testbed.report.look.album import Album, Picture, Script
 from novags.testbed.report.look.maps import depth_map, error_map, normal_map, normals_of_depth
 from novags.testbed.report.look.probe import probe_of
@@ -19,7 +19,9 @@ from simscenes.sets.pictures.png import read_png
 VIEWS_OF_EACH_KIND = 4  # held-out and training views shown: enough to judge, small enough to mail
 TRUTHS = {
     "enhanced": ("Truth: noise-free", "the same exposure without noise, enhanced alike"),
+    "enhanced_demosaiced": ("Truth: noise-free, demosaiced", "the noise-free mosaic, interpolated and enhanced alike"),
     "linear": ("Truth: noise-free", "the same exposure without noise, in linear light"),
+    "linear_demosaiced": ("Truth: noise-free, demosaiced", "the noise-free mosaic, interpolated, in linear light"),
     "lit": ("Truth: well lit", "the scene in good light"),
 }
 LONG = {  # of imported photographs
@@ -106,7 +108,7 @@ def view_tiles(
     truths = {other: references(made, capture, lit, i) for other, made in runs.items()}
     for kind, image in truths[main].items():
         label, note = LONG[kind] if capture.imported and kind in LONG else TRUTHS[kind]
-        tiles.add(f"truth-{kind}", label, note, encode(image) if kind == "linear" else image)
+        tiles.add(f"truth-{kind}", label, note, shown(image, kind=kind))
     for other, image in renders.items():
         if truths[other]:
             _add_error(tiles, other, shown(image, runs[other]), truths[other])
@@ -120,7 +122,7 @@ def view_tiles(
 
 def shown(image: np.ndarray, run: Run | None = None, kind: str = "") -> np.ndarray:
     """A picture for display: linear light as sRGB code."""
-    linear = kind == "linear" or (run is not None and run.space == "linear")
+    linear = kind in LINEAR or (run is not None and run.space == "linear")
     return encode(image) if linear else image
 
 

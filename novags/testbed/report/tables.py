@@ -19,9 +19,12 @@ _ENHANCED = (
     ("delta_e", "ΔE2000", "", False),
     ("lpips", "LPIPS", "", False),
 )
+_LINEAR = (("linear_psnr", "PSNR linear", "dB", True),)
 COLUMNS = {
     "enhanced": _ENHANCED,
-    "linear": (("linear_psnr", "PSNR linear", "dB", True),),
+    "enhanced_demosaiced": _ENHANCED,
+    "linear": _LINEAR,
+    "linear_demosaiced": _LINEAR,
     "lit": (_ENHANCED[1], _ENHANCED[0], *_ENHANCED[2:]),
 }
 GEOMETRY = (

@@ -22,6 +22,7 @@ from sensor_model import (
     Plan,
     RawFrame,
     Sensor,
+    clean_response,
     expose,
     mosaic,
     photons_for_electrons,
@@ -79,7 +80,8 @@ class CaptureConfig:
     def resolved(self) -> dict[str, Any]:
         """What determines the pictures: the camera itself, neither the path of its file nor further layouts."""
         kept = {name: value for name, value in asdict(self).items() if name != "export"}
-        return kept | {"sensor": self.sensor_name}
+        truth = {"truth": "three channels"} if self.camera.cfa else {}  # earlier versions kept the mosaic alone
+        return kept | truth | {"sensor": self.sensor_name}
 
     @property
     def exposure(self) -> Exposure:
@@ -201,12 +203,14 @@ def capture_views(
     with console.progress("capture") as progress:
         for i, name in enumerate(names):
             if not has_view(folder, name):
-                frame = expose_view(
+                frame, clean = expose_with_truth(
                     source.radiance(i), sensor, exposure, electrons=config.electrons, mean_green=light.mean_green,
                     seed=config.seed, view=i, plan=plan,
                 )  # fmt: skip
                 matrix = source.color_matrix
-                write_view(folder, name, frame, sensor, exposure, config.demosaic, matrix, config.jpeg_quality)
+                write_view(
+                    folder, name, frame, sensor, exposure, config.demosaic, matrix, config.jpeg_quality, clean_rgb=clean
+                )
             progress(i + 1, len(names), f"view {name}")
     write_cameras(
         folder, names, source.rig, points=source.points(), held_out=source.views.test_indices, scene=source.views.scene
@@ -249,6 +253,22 @@ def expose_view(
     photons = photons_for_electrons(radiance, electrons=electrons, mean_green=mean_green, sensor=sensor)
     seen = mosaic(photons, sensor.cfa) if sensor.cfa else photons
     return expose(seen, sensor, exposure, seed=seed, view=view, plan=plan)
+
+
+def expose_with_truth(
+    radiance: np.ndarray, sensor: Sensor, exposure: Exposure, *, electrons: float, mean_green: float, **how: Any
+) -> tuple[RawFrame, np.ndarray | None]:
+    """One exposure as `expose_view` takes it; of a mosaic also what its three channels give without noise.
+
+    Returns:
+        The frame; and DN [h,w,3] as from three chips of the same camera, without what the plan leaves out. None of
+        three chips, whose frame tells it.
+    """
+    frame = expose_view(radiance, sensor, exposure, electrons=electrons, mean_green=mean_green, **how)
+    if sensor.cfa is None:
+        return frame, None
+    photons = photons_for_electrons(radiance, electrons=electrons, mean_green=mean_green, sensor=sensor)
+    return frame, clean_response(photons, replace(frame.sensor, cfa=None), exposure)
 
 
 def files_of(source: Source) -> dict[str, str]:

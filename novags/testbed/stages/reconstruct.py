@@ -145,6 +145,11 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
         noise=capture.noise,
         channels_share=capture.channels_share,
         clean=stack([capture.clean(i) for i in indices]) if method.sees_clean else None,
+        clean_demosaiced=(
+            stack([capture.clean(i, demosaiced=True) for i in indices])
+            if method.sees_clean and capture.demosaiced
+            else None
+        ),
         surface=true_surface(capture, source, indices, config.variant.name) if method.sees_surface else None,
         n_gaussians=config.points,
         names=tuple(capture.names[i] for i in indices),

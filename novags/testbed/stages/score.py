@@ -27,7 +27,7 @@ from novags.testbed.metrics import (
     mean_scores,
     psnr,
 )
-from novags.testbed.references import missing_references, references, true_depth
+from novags.testbed.references import LINEAR, missing_references, references, true_depth
 from sensor_model.files.lock import locked
 from simscenes.sets.geometry.correspondence import flow
 from simscenes.sets.pictures.png import read_png
@@ -101,7 +101,7 @@ def score_test_views(
             kind: {
                 "linear_psnr": None if is_black(reference) or gain is None else linear_psnr(rendered, reference, gain)
             }
-            if kind == "linear"
+            if kind in LINEAR
             else image_scores(shown(rendered, run, gain), reference, lpips)
             for kind, reference in references(run, capture, lit, i).items()
         }
@@ -122,11 +122,12 @@ def shows_nothing(views: dict[str, Any]) -> dict[str, str]:
     """Why scores that only a reference with something to see can have are missing, by the name of the score."""
     found = {}
     for kind in next(iter(views.values())):
-        number = "linear_psnr" if kind == "linear" else "aligned_psnr"
+        number = "linear_psnr" if kind in LINEAR else "aligned_psnr"
         blank = [name for name, scores in views.items() if scores[kind][number] is None]
         if blank:
-            what = "linear_psnr" if kind == "linear" else f"aligned scores against {kind}"
-            shows = "black" if kind == "linear" else "one colour to within 1/255 in every channel"
+            lost = "linear_psnr" if kind in LINEAR else "aligned scores"
+            what = lost if kind == "linear" else f"{lost} against {kind}"
+            shows = "black" if kind in LINEAR else "one colour to within 1/255 in every channel"
             found[what] = (
                 f"the reference is {shows} in {len(blank)} of {len(views)} views ({blank[0]}"
                 f"{', ...' if len(blank) > 1 else ''}), so that a blank picture scores like the truth: "

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -5,10 +7,12 @@ from novags.methods import enhance_then_fit as naive
 from novags.methods import oracle
 from novags.methods.enhancers.guided import enhance
 from novags.methods.gaussian_fit import EnhancedFitConfig
+from novags.methods.oracle import OracleConfig
 from novags.methods.problem import Problem
 from novags.splats import FitConfig, Gaussians, rasterize
 
 CONFIG = EnhancedFitConfig(init_scale=0.7, fit=FitConfig(iterations=60, sh_degree=0, mcmc=None))
+ORACLE = OracleConfig(init_scale=CONFIG.init_scale, fit=CONFIG.fit)
 
 
 def error(gaussians: Gaussians, inputs: Problem) -> float:
@@ -34,28 +38,45 @@ def test_naive_aims_at_the_enhanced_images(problem):
 
 def test_oracle_aims_at_the_noise_free_images_under_the_noisy_ones_enhancement(problem):
     inputs = problem(sigma=0.02)
-    result = oracle.train(inputs, CONFIG)
+    result = oracle.train(inputs, ORACLE)
     _, params = enhance(inputs.srgb8)
     assert torch.equal(result.targets, enhance(inputs.clean, params=params)[0])
 
 
+def test_of_a_mosaic_the_oracle_learns_from_three_channels_or_if_asked_from_what_was_interpolated(problem):
+    """Rationale: one memo serves both, as in an experiment, and must not hand one the other's pictures."""
+    inputs = problem(sigma=0.02)
+    _, params = enhance(inputs.srgb8)
+    mosaics = replace(inputs, clean_demosaiced=inputs.clean.roll(1, 2), shared=inputs.shared)
+    targets = [
+        oracle.train(made, replace(ORACLE, demosaiced=asked)).targets
+        for made, asked in ((mosaics, False), (mosaics, True), (inputs, True))  # the last: three chips
+    ]
+    three, interpolated = (enhance(clean, params=params)[0] for clean in (mosaics.clean, mosaics.clean_demosaiced))
+    assert torch.equal(targets[0], three)
+    assert torch.equal(targets[1], interpolated)
+    assert torch.equal(targets[2], three)
+    assert not torch.equal(three, interpolated)
+
+
 def test_noise_costs_naive_something_that_the_oracle_keeps(problem):
     inputs = problem(sigma=0.04)
-    config = EnhancedFitConfig(init_scale=0.7, fit=FitConfig(iterations=200, sh_degree=0, mcmc=None))
-    kept, spent = (error(method.train(inputs, config).scene.gaussians, inputs) for method in (oracle, naive))
+    fit = FitConfig(iterations=200, sh_degree=0, mcmc=None)
+    kept = error(oracle.train(inputs, replace(ORACLE, fit=fit)).scene.gaussians, inputs)
+    spent = error(naive.train(inputs, replace(CONFIG, fit=fit)).scene.gaussians, inputs)
     assert kept < 0.8 * spent
 
 
 def test_without_noise_naive_is_the_oracle(problem):
     inputs = problem(sigma=0)
-    a, b = naive.train(inputs, CONFIG), oracle.train(inputs, CONFIG)
+    a, b = naive.train(inputs, CONFIG), oracle.train(inputs, ORACLE)
     assert torch.equal(a.scene.gaussians.means, b.scene.gaussians.means)
     assert torch.equal(a.scene.gaussians.sh, b.scene.gaussians.sh)
 
 
 def test_a_capture_without_noise_free_exposures_has_no_oracle(problem):
     with pytest.raises(ValueError, match="noise-free exposures"):
-        oracle.train(problem(with_clean=False), CONFIG)
+        oracle.train(problem(with_clean=False), ORACLE)
 
 
 def test_progress_and_checkpoint_reach_the_fit(problem, tmp_path):

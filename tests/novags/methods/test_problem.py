@@ -68,11 +68,12 @@ def test_on_another_device_all_pictures_and_cameras_are_there_and_nothing_is_sha
     dn = torch.zeros(2, 4, 6)
     inputs = problem(
         linear16=torch.zeros(2, 4, 6, 3), clean=torch.zeros(2, 4, 6, 3),
-        raw=RawPictures(dn=dn, cfa="RGGB", black=64.0, white=1023.0),
+        clean_demosaiced=torch.zeros(2, 4, 6, 3), raw=RawPictures(dn=dn, cfa="RGGB", black=64.0, white=1023.0),
     )  # fmt: skip
     inputs.once("a", lambda: 1)
     moved = inputs.to("meta")
-    for tensor in (moved.srgb8, moved.linear16, moved.clean, moved.raw.dn, moved.views.viewmats, moved.views.Ks):
+    pictures = (moved.srgb8, moved.linear16, moved.clean, moved.clean_demosaiced)
+    for tensor in (*pictures, moved.raw.dn, moved.views.viewmats, moved.views.Ks):
         assert tensor.device.type == "meta"
     assert (moved.raw.cfa, moved.raw.black, moved.raw.white) == ("RGGB", 64.0, 1023.0)
     assert moved.once("a", lambda: 2) == 2

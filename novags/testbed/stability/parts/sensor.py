@@ -12,7 +12,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from novags.testbed.stability.case import Part, Setting, refusal, worse
-from sensor_model import PRESETS, DualGain, Exposure, RawFrame, Sensor, develop, develop_linear, effects, expose, mosaic
+from sensor_model import (
+    PRESETS,
+    DualGain,
+    Exposure,
+    RawFrame,
+    Sensor,
+    clean_response,
+    develop,
+    develop_linear,
+    effects,
+    expose,
+    mosaic,
+)
 from sensor_model.params import CFAS
 
 PART = Part("sensor")
@@ -291,6 +303,24 @@ def _(setting: Setting) -> float:
             clean = develop_linear(shot.clean_dn, camera, demosaic="bilinear") * camera.capacity_e
             wanted = colour * max(camera.rgb_response)
             worst = worse(worst, float(np.abs(clean / wanted - 1).max()))
+    return worst
+
+
+@PART.case("the three noise-free channels of a mosaic from darkness to 1e12 photons: one of them is in the raw frame",
+           bound=2.5e-4, unit="DN", backends=BOTH)  # fmt: skip
+def _(setting: Setting) -> float:
+    """The width of float32 at 4095 DN. The reference is exact: fractions, of the full well with its droop."""
+    worst, rng = 0.0, np.random.default_rng(5)
+    light = np.concatenate([np.zeros((2, 9, 3)), 10.0 ** rng.uniform(-9, 12, (9, 9, 3))])
+    for cfa in CFAS:
+        camera = replace(PRESETS["imx900-hcg"], cfa=cfa, nonlinearity=0.02)
+        full, dark, gain = Fraction(camera.mu_e_sat), Fraction(camera.dark_e(EXPOSURE)), Fraction(camera.gain)
+        held = [min(Fraction(camera.eta) * Fraction(mu) + dark, full) for mu in light.ravel()]
+        exact = [Fraction(camera.black_level) + gain * (q - Fraction(0.02) * q * q / full) for q in held]
+        wanted = np.array([float(dn) for dn in exact]).reshape(light.shape)
+        three = clean_response(light, replace(camera, cfa=None), EXPOSURE)
+        seen = frame(mosaic(light, cfa), camera, setting).clean_dn
+        worst = worse(worst, float(np.abs(three - wanted).max()), float(np.abs(seen - mosaic(wanted, cfa)).max()))
     return worst
 
 
