@@ -12,6 +12,7 @@ from novags.methods.memo import Memo
 from novags.methods.noise import Noise
 from novags.splats.views import Views
 from sensor_model import linear_to_srgb
+from sensor_model.params import Cfa
 
 Pictures = Literal["8bit", "16bit"]
 Result = TypeVar("Result")
@@ -52,7 +53,7 @@ class RawPictures:
     """
 
     dn: Tensor
-    cfa: str | None
+    cfa: Cfa | None
     black: float
     white: float
 

@@ -33,7 +33,7 @@ def enhanced_truth(capture: Capture, i: int, enhancement: dict[str, Any], *, dem
     images = capture.dark(i, pictures), capture.clean(i, demosaiced=demosaiced)
     dark, clean = (torch.from_numpy(image.copy()) for image in images)
     found: Image = enhanced_twin(
-        capture.memo, capture.names[i], dark, clean, config, pictures, demosaiced=demosaiced
+        capture.memo, capture.names[i], dark, clean, config, pictures, capture.noise, demosaiced=demosaiced
     ).numpy()
     return found
 
@@ -42,7 +42,8 @@ def enhanced_dark(capture: Capture, i: int, enhancement: dict[str, Any]) -> Imag
     """The dark exposure of view `i` enhanced as a run did it, noise and all."""
     _, config = recorded(enhancement)
     dark = torch.from_numpy(capture.dark(i, enhancement["pictures"]).copy())
-    found: Image = enhanced_view(capture.memo, capture.names[i], dark, config, enhancement["pictures"])[0].numpy()
+    name, pictures = capture.names[i], enhancement["pictures"]
+    found: Image = enhanced_view(capture.memo, name, dark, config, pictures, capture.noise)[0].numpy()
     return found
 
 

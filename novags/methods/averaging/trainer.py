@@ -70,7 +70,9 @@ def train(
 
     def enhance(dark: Tensor, view: int) -> Tensor:
         like = problem.encoded(config.pictures)[view]
-        _, params = enhanced_view(problem.shared, problem.names[view], like, config.enhance, config.pictures)
+        _, params = enhanced_view(
+            problem.shared, problem.names[view], like, config.enhance, config.pictures, problem.noise
+        )
         return enhanced_like(dark.to(like.device), config.enhance, params).cpu()
 
     scene = AveragedScene(

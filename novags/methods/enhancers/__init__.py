@@ -10,6 +10,7 @@ from torch import Tensor
 
 from novags.methods.enhancers import guided
 from novags.methods.memo import Memo
+from novags.methods.noise import Noise, Variance
 from novags.methods.problem import LacksInput, Pictures, Problem
 from sensor_model.files.reading import brief
 
@@ -19,18 +20,27 @@ class Enhancer:
     """An enhancement by name.
 
     Attributes:
-        config: Its configuration, a frozen dataclass.
-        enhance: (dark [H, W, 3] sRGB-encoded in 0..1, config, params or None) -> enhanced [H, W, 3] and params.
-            With the params of the noisy picture, its noise-free twin goes through the very same enhancement.
+        config: Its configuration, a frozen dataclass, or NoneType.
+        enhance: (dark [H, W, 3] sRGB-encoded in 0..1, config, params or None, variance of the linear pictures or None)
+            -> enhanced [H, W, 3] and params. With the params of the noisy picture, its noise-free twin goes through the
+            very same enhancement.
     """
 
     config: type
-    enhance: Callable[[Tensor, Any, Any], tuple[Tensor, Any]]
+    enhance: Callable[[Tensor, Any, Any, Variance | None], tuple[Tensor, Any]]
 
 
-EnhancerConfig: TypeAlias = guided.EnhanceConfig  # of any enhancer: a union once there is a second one
+EnhancerConfig: TypeAlias = guided.EnhanceConfig | None  # of any enhancer; None leaves the pictures dark
 
-ENHANCERS: dict[str, Enhancer] = {"guided": Enhancer(guided.EnhanceConfig, guided.enhance)}
+
+def _unchanged(dark: Tensor, config: None, params: Any, noise: Variance | None) -> tuple[Tensor, None]:
+    return dark, None
+
+
+ENHANCERS: dict[str, Enhancer] = {
+    "guided": Enhancer(guided.EnhanceConfig, guided.enhance),
+    "none": Enhancer(type(None), _unchanged),
+}
 
 
 def enhancement_record(config: EnhancerConfig, pictures: Pictures) -> dict[str, Any]:
@@ -41,7 +51,8 @@ def enhancement_record(config: EnhancerConfig, pictures: Pictures) -> dict[str, 
     """
     for name, enhancer in ENHANCERS.items():
         if isinstance(config, enhancer.config):
-            return {"enhancer": name, "pictures": pictures, "config": dataclasses.asdict(config)}
+            settings = {} if config is None else dataclasses.asdict(config)
+            return {"enhancer": name, "pictures": pictures, "config": settings}
     raise ValueError(f"no enhancer has a configuration like {type(config).__name__}; available: {', '.join(ENHANCERS)}")
 
 
@@ -64,7 +75,9 @@ def enhanced(problem: Problem, config: EnhancerConfig, pictures: Pictures) -> Te
     """The enhanced pictures of a problem [C, H, W, 3]; made once for all methods that share them."""
     dark = problem.encoded(pictures)
     views = zip(problem.names, dark, strict=True)
-    return torch.stack([enhanced_view(problem.shared, name, view, config, pictures)[0] for name, view in views])
+    return torch.stack(
+        [enhanced_view(problem.shared, name, view, config, pictures, problem.noise)[0] for name, view in views]
+    )
 
 
 def enhanced_clean(problem: Problem, config: EnhancerConfig, pictures: Pictures, *, demosaiced: bool = False) -> Tensor:
@@ -86,13 +99,13 @@ def enhanced_clean(problem: Problem, config: EnhancerConfig, pictures: Pictures,
     assert clean is not None
     views = zip(problem.names, dark, clean, strict=True)
     return torch.stack(
-        [enhanced_twin(problem.shared, *view, config, pictures, demosaiced=demosaiced) for view in views]
+        [enhanced_twin(problem.shared, *view, config, pictures, problem.noise, demosaiced=demosaiced) for view in views]
     )
 
 
 def enhanced_twin(
-    shared: Memo, name: str, dark: Tensor, clean: Tensor, config: EnhancerConfig, pictures: Pictures, *,
-    demosaiced: bool = False,
+    shared: Memo, name: str, dark: Tensor, clean: Tensor, config: EnhancerConfig, pictures: Pictures,
+    noise: Noise | None, *, demosaiced: bool = False,
 ) -> Tensor:  # fmt: skip
     """The noise-free twin of one view through the enhancement that the view got, [H, W, 3].
 
@@ -103,18 +116,19 @@ def enhanced_twin(
         clean: The same exposure without noise.
         config: Of the enhancer.
         pictures: Which pictures `dark` is one of.
+        noise: Of the capture, where it is known.
         demosaiced: Whether `clean` was interpolated from a mosaic.
     """
-    _, params = enhanced_view(shared, name, dark, config, pictures)
+    _, params = enhanced_view(shared, name, dark, config, pictures, noise)
     key = ("enhanced clean", name, pictures, config, demosaiced)
     return shared.once(key, lambda: _enhance(clean, config, params)[0])
 
 
 def enhanced_view(
-    shared: Memo, name: str, dark: Tensor, config: EnhancerConfig, pictures: Pictures
+    shared: Memo, name: str, dark: Tensor, config: EnhancerConfig, pictures: Pictures, noise: Noise | None
 ) -> tuple[Tensor, Any]:
     """One view enhanced [H, W, 3], and the parameters of its enhancement; arguments as for `enhanced_twin`."""
-    return shared.once(("enhanced", name, pictures, config), lambda: _enhance(dark, config, None))
+    return shared.once(("enhanced", name, pictures, config), lambda: _enhance(dark, config, None, noise))
 
 
 def enhanced_like(dark: Tensor, config: EnhancerConfig, params: Any) -> Tensor:
@@ -122,6 +136,6 @@ def enhanced_like(dark: Tensor, config: EnhancerConfig, params: Any) -> Tensor:
     return _enhance(dark, config, params)[0]
 
 
-def _enhance(dark: Tensor, config: EnhancerConfig, params: Any) -> tuple[Tensor, Any]:
+def _enhance(dark: Tensor, config: EnhancerConfig, params: Any, noise: Noise | None = None) -> tuple[Tensor, Any]:
     enhancer = next(e for e in ENHANCERS.values() if isinstance(config, e.config))
-    return enhancer.enhance(dark, config, params)
+    return enhancer.enhance(dark, config, params, None if noise is None else noise.linear16)

@@ -2,7 +2,8 @@
 
 `dark` is the sRGB-encoded input in 0..1, `brightness` (L) its edge-preserving smooth version, `gamma` the exponent that
 brings the mean of L**gamma to the target exposure, `ratio` (R) the factor every pixel is multiplied with. Images are
-[H, W, 3] or [C, H, W, 3]; every image gets its own gamma and epsilon, every colour channel is its own guide.
+[H, W, 3] or [C, H, W, 3]; every image gets its own gamma and epsilon. Every colour channel has a brightness map of its
+own, guided by itself, or all three share that of the luminance.
 """
 
 from dataclasses import dataclass
@@ -12,17 +13,25 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from novags.methods.enhancers.noise_level import immerkaer_sigma, patch_pca_sigma
+from novags.methods.enhancers.noise_level import immerkaer_sigma, known_sigma, patch_pca_sigma
+from novags.methods.noise import Variance
+from novags.methods.problem import LacksInput
+
+LUMINANCE = (0.2126, 0.7152, 0.0722)  # of sRGB code: Rec. 709
 
 
 @dataclass(frozen=True, kw_only=True)
 class EnhanceConfig:
     """Choices of the enhancement. The paper fixes `window` and `target` and leaves the rest open."""
 
+    # "channel": a brightness map for each colour channel. "luminance": one for all, which keeps the ratios of the
+    # channels, and averages their noise.
+    guide: Literal["channel", "luminance"] = "channel"
     window: int = 33  # px, odd; shrunk to fit images smaller than it
     target: float = 0.5  # tau, mean of L**gamma
     eta: float = 1e-4  # in R = L**gamma / (L + eta)
-    noise_estimator: Literal["patch-pca", "immerkaer"] = "patch-pca"
+    # "camera" takes the known noise of the camera, for pictures whose noise is not white, as after demosaicing.
+    noise_estimator: Literal["patch-pca", "immerkaer", "camera"] = "patch-pca"
     noise_factor: float = 1.0  # epsilon = noise_factor * estimated noise variance
     gamma_min: float = 0.02
     gamma_max: float = 5.0
@@ -108,17 +117,35 @@ def _check(dark: Tensor) -> None:
         )
 
 
-def _new_params(images: Tensor, config: EnhanceConfig) -> tuple[Tensor, int]:
+def _guides(images: Tensor, config: EnhanceConfig) -> Tensor:
+    """What the brightness maps are made of, [B, 3, H, W] or [B, 1, H, W], from images [B, 3, H, W]."""
+    if config.guide == "channel":
+        return images
+    return (images * images.new_tensor(LUMINANCE)[:, None, None]).sum(1, keepdim=True)
+
+
+def _new_params(images: Tensor, config: EnhanceConfig, noise: Variance | None) -> tuple[Tensor, int]:
     """Epsilon [B] and radius for images [B, 3, H, W]."""
-    estimate = patch_pca_sigma if config.noise_estimator == "patch-pca" else immerkaer_sigma
-    sigma = torch.stack([estimate(image) for image in images.detach()])
     radius = min(config.window // 2, (min(images.shape[-2:]) - 1) // 2)
+    images = images.detach()
+    if config.noise_estimator == "camera":
+        if noise is None:
+            raise LacksInput(
+                "noise_estimator = camera needs the noise of a known camera, and that of these pictures is not known: "
+                "use patch-pca"
+            )
+        weights = None if config.guide == "channel" else LUMINANCE
+        sigma = torch.stack([known_sigma(image, noise, weights) for image in images])
+    else:
+        estimate = patch_pca_sigma if config.noise_estimator == "patch-pca" else immerkaer_sigma
+        sigma = torch.stack([estimate(guide) for guide in _guides(images, config)])
     return config.noise_factor * sigma**2, radius
 
 
 def enhance(
-    dark: Tensor, config: EnhanceConfig | None = None, params: EnhanceParams | None = None
-) -> tuple[Tensor, EnhanceParams]:
+    dark: Tensor, config: EnhanceConfig | None = None, params: EnhanceParams | None = None,
+    noise: Variance | None = None,
+) -> tuple[Tensor, EnhanceParams]:  # fmt: skip
     """Brighten images to the target exposure: I_enh = min(I_dark * L**gamma / (L + eta), 1), equations 3 to 5.
 
     Differentiable in `dark`; gamma and epsilon count as constants. A black image stays black, an image brighter than
@@ -129,6 +156,7 @@ def enhance(
         config: Choices; None takes the defaults.
         params: Gamma, epsilon and radius of an earlier call, used instead of new ones: a noise-free exposure then goes
             through the same enhancement as its noisy twin.
+        noise: Variance of the linear pictures over their mean, where the camera is known.
 
     Returns:
         The enhanced images, same shape and dtype, 0..1, and the parameters used.
@@ -136,17 +164,18 @@ def enhance(
     Raises:
         ValueError: If the shape is wrong, a value is not finite or outside 0..1, or `params` belongs to another
             number of images.
+        LacksInput: If the noise of the camera is to be used, and is not known.
     """
     config = config or EnhanceConfig()
     _check(dark)
     images = (dark if dark.ndim == 4 else dark[None]).movedim(-1, 1)
     if params is None:
-        epsilon, radius = _new_params(images, config)
+        epsilon, radius = _new_params(images, config, noise)
     else:
         if params.gamma.shape != dark.shape[:-3]:
             raise ValueError(f"params hold {tuple(params.gamma.shape)} gammas, images are {tuple(dark.shape[:-3])}")
         epsilon, radius = params.epsilon.reshape(-1), params.radius
-    smooth = guided_filter(images, radius, epsilon)
+    smooth = guided_filter(_guides(images, config), radius, epsilon)
     eta = images.new_tensor(config.eta)
     # Clamp: 0**gamma has an infinite slope for gamma < 1, which would turn gradients into NaN.
     bounded = smooth.clamp_min(eta)

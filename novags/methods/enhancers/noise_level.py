@@ -1,10 +1,14 @@
-"""Noise level of one image from the image alone. Images are [3, H, W]; sigma is in image units."""
+"""Noise level of one image, from itself or by a known camera. Images are [D, H, W]; sigma is in image units."""
 
 import math
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
+
+from novags.methods.noise import Variance
+
+LEVEL_WINDOW = 5  # px; the light that a pixel's variance follows is the mean over so many squared
 
 
 def immerkaer_sigma(image: Tensor) -> Tensor:
@@ -13,7 +17,7 @@ def immerkaer_sigma(image: Tensor) -> Tensor:
     Fast, biased upward by texture, and far too low on demosaiced data, whose noise is smooth.
 
     Args:
-        image: [3, H, W]. Images narrower than 3 px have no estimate and give 0.
+        image: [D, H, W]. Images narrower than 3 px have no estimate and give 0.
 
     Returns:
         Scalar float64 tensor >= 0, mean over channels.
@@ -33,7 +37,7 @@ def patch_pca_sigma(image: Tensor, patch: int = 8, max_patches: int = 20_000) ->
     equals its median.
 
     Args:
-        image: [3, H, W].
+        image: [D, H, W].
         patch: Patch edge in px; shrunk until there are four patches per dimension (fewer make the spectrum useless).
         max_patches: Patches lie on a grid as dense as this number allows.
 
@@ -52,3 +56,29 @@ def patch_pca_sigma(image: Tensor, patch: int = 8, max_patches: int = 20_000) ->
     medians = (tail[(counts - 1) // 2] + tail[counts // 2]) / 2
     flat = (means <= medians).nonzero()
     return (means[flat[-1, 0]] if len(flat) else means[0]).sqrt()
+
+
+def known_sigma(image: Tensor, noise: Variance, weights: tuple[float, float, float] | None = None) -> Tensor:
+    """Root mean square over an sRGB-encoded image of the noise that a known camera leaves in it.
+
+    The variance of each pixel's light, at the mean light around it, times the squared slope of the sRGB curve there
+    (delta method). Clipping at black and rounding to 8 bits are not in it: where noise is clipped it is too large.
+
+    Args:
+        image: [3, H, W], sRGB code in 0..1.
+        noise: Of the linear picture.
+        weights: Of a sum of the three channels whose noise is wanted, taken as independent; None: the mean square over
+            the channels.
+
+    Returns:
+        Scalar float64 tensor >= 0.
+    """
+    half = LEVEL_WINDOW // 2
+    code = F.avg_pool2d(image.double()[None], LEVEL_WINDOW, 1, half, count_include_pad=False)[0].movedim(0, -1)
+    linear = torch.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+    # The floor is never used: below 0.0031308 the other branch is taken, but 0 ** -0.58 would be infinite.
+    slope = torch.where(linear <= 0.0031308, 12.92, 1.055 / 2.4 * linear.clamp_min(0.0031308) ** (1 / 2.4 - 1))
+    variance = noise(linear) * slope.square()
+    if weights is not None:
+        variance = (variance * variance.new_tensor(weights).square()).sum(-1)
+    return variance.mean().sqrt()

@@ -1,8 +1,8 @@
 """Targeted blind-spot masking and its loss (paper, section 4.3.1 and 4.3.3; Noise2Void).
 
-Batches are [B, D, H, W] with D = 3 colour channels, or 1 where each channel is blinded on its own. A mask is bool
-[B, H, W], True where the network is blinded: there its input is another pixel of the neighbourhood, and only there
-the loss is evaluated.
+Batches are [B, D, H, W] with D = 3 colour channels, 4 of packed mosaics, or 1 where each is blinded on its own. A mask
+is bool [B, H, W], True where the network is blinded: there its input is another pixel of the neighbourhood, and only
+there the loss is evaluated.
 """
 
 from dataclasses import dataclass
@@ -24,6 +24,10 @@ class BlindSpotConfig:
     # independent noise: a three-chip camera, without JPEG or a colour matrix. None: wherever that holds. The paper
     # blinds all three.
     per_channel: bool | None = False
+    # Blind the sensor's samples, packed as four channels of half the size, instead of demosaiced pictures, whose noise
+    # neighbours share; the result is demosaiced. This needs a known colour filter array, and neither JPEG nor a colour
+    # matrix. None: wherever that holds. Sizes, as of windows, crops and blurs, are then in cells of 2 px.
+    packed: bool | None = False
 
     def __post_init__(self) -> None:
         if self.mask_count is not None and self.mask_count < 1:

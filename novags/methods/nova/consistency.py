@@ -6,6 +6,7 @@ Pixel coordinates are (x, y) with centres at +0.5; depths are z-depths in their 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import torch
@@ -30,10 +31,17 @@ class ConsistencyConfig:
     every: int = 1  # iterations between two evaluations, each weighted `every` times; one costs a second rendering
     occlusion_tolerance: float = 0.1  # relative depth difference
     min_alpha: float = 0.5  # pixels the Gaussians cover less have no depth
-    neighbours: int = 8  # source candidates of a view, nearest first
+    # Which views are the candidates of one: those whose centres are nearest, those whose optical axes differ least, or
+    # all that keep to the limits below. The paper does not say.
+    pairs: Literal["nearest", "angle", "random"] = "nearest"
+    neighbours: int = 8  # candidates of a view, at most; of "random" all are
     max_angle: float = 30.0  # degrees between optical axes
     min_distance: float = 0.002  # between camera centres, in scene extents: closer ones carry no parallax
     max_distance: float = 1.5  # same unit
+    # What is brought over, and compared with the same of the target: pseudo-clean pictures, noisy enhanced ones, or
+    # renderings. The rendering of the source is a constant, as its depth is; that of the target is not.
+    warped: Literal["clean", "enhanced", "render"] = "clean"
+    confidence: bool = True  # False: C = 1, and so no L_conf
     learning_rate: float = 1e-3  # Adam, confidence network
 
     def __post_init__(self) -> None:
@@ -179,15 +187,17 @@ def source_candidates(views: Views, config: ConsistencyConfig) -> list[list[int]
     """For every view the views worth warping from: near, with a similar direction, but not in the same place.
 
     Returns:
-        One list per view, nearest first, at most `config.neighbours` long; empty where no view qualifies.
+        One list per view, the best first, at most `config.neighbours` long unless `config.pairs` is "random"; empty
+        where no view qualifies.
     """
     centers = views.centers.double()
     axes = views.viewmats[:, 2, :3].double()
     distances = torch.cdist(centers, centers) / views.extent
     angles = torch.rad2deg(torch.arccos((axes @ axes.T).clamp(-1, 1)))
     fits = (angles < config.max_angle) & (distances > config.min_distance) & (distances < config.max_distance)
-    order = distances.argsort(dim=1)
-    return [[int(j) for j in row if fits[i, j]][: config.neighbours] for i, row in enumerate(order)]
+    order = (angles if config.pairs == "angle" else distances).argsort(dim=1)
+    most = None if config.pairs == "random" else config.neighbours
+    return [[int(j) for j in row if fits[i, j]][:most] for i, row in enumerate(order)]
 
 
 class ConsistencyLoss:
@@ -196,7 +206,7 @@ class ConsistencyLoss:
     def __init__(
         self, views: Views, images: Callable[[int], Tensor], config: ConsistencyConfig, *, iterations: int, seed: int
     ) -> None:
-        """images: the pseudo-clean image [H, W, 3] of a view, in its state at the time of the call."""
+        """images: the picture [H, W, 3] of a view, in its state at the time of the call; not used for renderings."""
         self.config, self.images, self.seed = config, images, seed
         self.first = round(config.start * iterations)
         self.candidates = source_candidates(views, config)
@@ -217,17 +227,18 @@ class ConsistencyLoss:
         # One stream per iteration: a resumed run picks the same partners.
         source = candidates[int(np.random.default_rng([self.seed, step.iteration]).integers(len(candidates)))]
         with torch.no_grad():
-            _, depth_s, alpha_s, _ = step.rasterize_view(source)
-        target, least = self.images(step.view), self.config.min_alpha
+            render_s, depth_s, alpha_s, _ = step.rasterize_view(source)
+        rendered, least = self.config.warped == "render", self.config.min_alpha
+        target = step.render if rendered else self.images(step.view)
         warped, mask = reproject(
-            self.images(source),
+            render_s if rendered else self.images(source),
             torch.where(step.alpha > least, step.depth, 0.0),
             torch.where(alpha_s > least, depth_s, 0.0),
             Pinhole.of(step.views, step.view),
             Pinhole.of(step.views, source),
             self.config.occlusion_tolerance,
         )
-        confidence = self.network(warped, target)
+        confidence = self.network(warped, target) if self.config.confidence else torch.ones_like(step.alpha)
         loss = consistency_loss(warped, target, confidence, mask, self.config.confidence_weight)
         return self.config.weight * self.config.every * loss
 

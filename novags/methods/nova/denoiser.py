@@ -1,7 +1,8 @@
 """The self-supervised denoiser: blind-spot training on a scene's own enhanced views (paper, section 4.3).
 
-Views come as [C, H, W, 3]; inside, batches are [B, 3, H, W]. One `Denoiser` is one network with its optimiser and its
-own random stream, so that a resumed run draws what the uninterrupted one would have drawn.
+Views come as [C, H, W, 3]; inside, batches are [B, D, H, W], D = 3, or 4 of packed mosaics. One `Denoiser` is one
+network with its optimiser and its own random stream, so that a resumed run draws what the uninterrupted one would have
+drawn.
 """
 
 import math
@@ -14,8 +15,10 @@ from torch import Tensor, nn
 
 from novags.methods.nova.blindspot import BlindSpotConfig, n2v_loss, replace_masked, sample_mask
 from novags.methods.nova.checkpoint import pack, unpack
+from novags.methods.nova.packed import demosaiced, packed, turned
 from novags.methods.nova.resunet import ResUNet, ResUNetConfig
 from novags.splats.training.guard import NotFinite, all_finite, require_finite
+from sensor_model.params import Cfa
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,15 +100,28 @@ def donut_blur(images: Tensor, sigma: float) -> Tensor:
 class Denoiser:
     """A network in training on one scene's enhanced views."""
 
-    def __init__(self, enhanced: Tensor, config: DenoiserConfig, *, total_steps: int, seed: int) -> None:
-        """enhanced: [C, H, W, 3], 0..1. total_steps sets the length of the learning-rate decay."""
+    def __init__(
+        self, enhanced: Tensor, config: DenoiserConfig, *, total_steps: int, seed: int, cfa: Cfa | None = None
+    ) -> None:
+        """A network before its first step.
+
+        Args:
+            enhanced: [C, H, W, 3], 0..1.
+            config: All choices, with `blind_spots.packed` decided.
+            total_steps: Sets the length of the learning-rate decay.
+            seed: Of weights, crops and masks.
+            cfa: Colour filter array that the pictures were demosaiced from, for packed blind spots.
+        """
         if enhanced.ndim != 4 or enhanced.shape[-1] != 3 or 0 in enhanced.shape:
             raise ValueError(f"enhanced must be [C, H, W, 3], got {tuple(enhanced.shape)}")
         self.config, self.total_steps, self.step = config, max(1, total_steps), 0
-        self.images = enhanced.detach().movedim(-1, 1).contiguous()
+        self.size = enhanced.shape[1:3]
+        self.cfa = cfa if config.blind_spots.packed else None  # None: pictures, not mosaics
+        images = enhanced.detach()
+        self.images = images.movedim(-1, 1).contiguous() if self.cfa is None else packed(images, self.cfa)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
-            self.network = ResUNet(config.network).to(enhanced.device)
+            self.network = ResUNet(config.network, self.images.shape[1]).to(enhanced.device)
         # The layout in which convolutions on a CPU are fastest.
         self.network.to(memory_format=torch.channels_last)  # type: ignore[call-overload]  # torch's stubs lack this one
         if config.residual_blur is not None:
@@ -117,7 +133,7 @@ class Denoiser:
         self.views: list[int] = []  # of the last batch
 
     def predict(self, images: Tensor) -> Tensor:
-        """The network's estimate for images [B, 3, H, W], differentiable, not clipped."""
+        """The network's estimate for images [B, D, H, W], differentiable, not clipped."""
         estimate = self.network(images.contiguous(memory_format=torch.channels_last))
         if self.config.residual_blur is not None:
             estimate = estimate + donut_blur(images, self.config.residual_blur)
@@ -180,10 +196,16 @@ class Denoiser:
         require_finite("denoiser gradient of", self._gradients(), where, resumable=True)
 
     def denoise(self, view: int) -> Tensor:
-        """I_clean of one view, [H, W, 3] in 0..1: the network on the unmasked image. Differentiable in the weights."""
+        """I_clean of one view, [H, W, 3] in 0..1: the network on the unmasked image.
+
+        Differentiable in the weights, unless it was demosaiced.
+        """
         noisy = self.images[view : view + 1]
         clean = self.predict(noisy).clamp(0, 1)
-        return torch.lerp(clean, noisy, self.config.noisy_share)[0].movedim(0, -1)
+        mixed = torch.lerp(clean, noisy, self.config.noisy_share)[0]
+        if self.cfa is None:
+            return mixed.movedim(0, -1)
+        return demosaiced(mixed, self.cfa, *self.size).clamp(0, 1)  # its filters overshoot
 
     def denoise_all(self) -> Tensor:
         """I_clean of all views, [C, H, W, 3] in 0..1, without gradient."""
@@ -191,7 +213,7 @@ class Denoiser:
             return torch.stack([self.denoise(view) for view in range(len(self.images))])
 
     def _draw_batch(self) -> Tensor:
-        """Random crops [batch, 3, crop, crop], or whole views where no crop is configured."""
+        """Random crops [batch, D, crop, crop], or whole views where no crop is configured."""
         count, _, height, width = self.images.shape
         rows, columns = min(self.config.crop or height, height), min(self.config.crop or width, width)
         self.views = views = self._integers(count)
@@ -200,6 +222,8 @@ class Denoiser:
         batch = torch.stack(crops)
         if self.config.augment:
             turn = int(torch.randint(8, (1,), generator=self.generator, device=batch.device))
+            if self.cfa is not None:
+                return turned(batch, turn, self.cfa)
             batch = torch.rot90(batch, turn % 4, (2, 3))
             batch = batch.flip(3) if turn >= 4 else batch
         return batch

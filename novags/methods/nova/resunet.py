@@ -1,6 +1,6 @@
 """Deep Attention-ResUNet, the denoiser's network (paper, section 4.3.2; supplement, section B.3).
 
-Images are [B, 3, H, W] of any size; the network works on sizes padded to a multiple of 2**levels.
+Images are [B, D, H, W] of any size; the network works on sizes padded to a multiple of 2**levels.
 """
 
 from dataclasses import dataclass
@@ -17,6 +17,8 @@ class ResUNetConfig:
 
     widths: tuple[int, ...] = (32, 64, 128, 256)  # channels of the encoder levels
     bottleneck: int = 512  # channels
+    # "plain": a U-Net of two convolutions a level, without residual blocks and their gates.
+    blocks: Literal["attention-residual", "plain"] = "attention-residual"
     se_reduction: int = 16
     # Instance normalisation erases the absolute brightness of a view, which the decoder must then guess back.
     normalization: Literal["instance", "none"] = "instance"
@@ -73,12 +75,19 @@ class SqueezeExcite(nn.Module):
 
 
 class Level(nn.Module):
-    """One encoder or decoder level: convolution with LeakyReLU(0.2), then a ResBlock gated before its addition."""
+    """One encoder or decoder level: convolution with LeakyReLU(0.2), then a ResBlock gated before its addition.
+
+    Of a plain U-Net: two such convolutions.
+    """
 
     def __init__(self, channels_in: int, channels: int, config: ResUNetConfig) -> None:
         super().__init__()
         kind = config.normalization
         self.enter = nn.Sequential(*_conv(channels_in, channels, kind), nn.LeakyReLU(0.2))
+        self.plain = config.blocks == "plain"
+        if self.plain:
+            self.second = nn.Sequential(*_conv(channels, channels, kind), nn.LeakyReLU(0.2))
+            return
         self.residual = nn.Sequential(
             *_conv(channels, channels, kind), nn.LeakyReLU(0.2), *_conv(channels, channels, kind),
             SqueezeExcite(channels, config.se_reduction),
@@ -87,31 +96,34 @@ class Level(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """x: [B, channels_in, H, W] to [B, channels, H, W]."""
         x = self.enter(x)
+        if self.plain:
+            return self.second(x)
         return F.leaky_relu(x + self.residual(x), 0.2)
 
 
 class ResUNet(nn.Module):
     """Encoder, bottleneck, and a symmetric decoder with concatenated skip connections."""
 
-    def __init__(self, config: ResUNetConfig | None = None) -> None:
+    def __init__(self, config: ResUNetConfig | None = None, channels: int = 3) -> None:
+        """channels: D of the images, 4 of packed mosaics."""
         super().__init__()
         self.config = config or ResUNetConfig()
-        inputs = (3, *self.config.widths)
+        inputs = (channels, *self.config.widths)
         self.encoder = nn.ModuleList(Level(a, b, self.config) for a, b in zip(inputs[:-1], inputs[1:], strict=True))
         self.bottleneck = Level(inputs[-1], self.config.bottleneck, self.config)
         below = (*self.config.widths[1:], self.config.bottleneck)
         self.reduce = nn.ModuleList(nn.Conv2d(b, a, 1) for a, b in zip(self.config.widths, below, strict=True))
         self.decoder = nn.ModuleList(Level(2 * a, a, self.config) for a in self.config.widths)
-        self.head = nn.Conv2d(self.config.widths[0], 3, 1)
+        self.head = nn.Conv2d(self.config.widths[0], channels, 1)
 
     def forward(self, images: Tensor) -> Tensor:
         """Denoise images.
 
         Args:
-            images: [B, 3, H, W] float32, at least 1 px on each side.
+            images: [B, D, H, W] float32, at least 1 px on each side.
 
         Returns:
-            [B, 3, H, W] float32, not clipped.
+            [B, D, H, W] float32, not clipped.
         """
         height, width = images.shape[-2:]
         multiple = 2 ** len(self.encoder)

@@ -134,14 +134,17 @@ class _Training:
         self.denoiser: Denoiser | None = None
         if config.denoiser is not None:
             total = config.denoiser.total_steps(iterations)
-            self.denoiser = Denoiser(enhanced, config.denoiser, total_steps=total, seed=problem.seed)
+            cfa = None if problem.raw is None else problem.raw.cfa
+            self.denoiser = Denoiser(enhanced, config.denoiser, total_steps=total, seed=problem.seed, cfa=cfa)
         self.clean = _PseudoClean(enhanced, self.denoiser, config)
         self.noise: dict[int, tuple[Tensor, Tensor]] = {}  # view -> a pseudo-clean image and the noise map made from it
         self.geo: ConsistencyLoss | None = None
         if config.consistency is not None and config.consistency.weight > 0:
+            noisy = config.consistency.warped == "enhanced"
             self.geo = ConsistencyLoss(
-                problem.views, self.clean, config.consistency, iterations=iterations, seed=problem.seed
-            )
+                problem.views, enhanced.__getitem__ if noisy else self.clean, config.consistency,
+                iterations=iterations, seed=problem.seed,
+            )  # fmt: skip
         self.run = run_identity(problem, config)
         self.start: Gaussians | None = None
         self.stepping = False  # networks are between two splat iterations
@@ -268,23 +271,43 @@ class _Training:
 
 
 def suited(config: NovaConfig, problem: Problem) -> NovaConfig:
-    """The configuration with `per_channel` decided for the pictures of this problem.
+    """The configuration with `packed` and `per_channel` decided for the pictures of this problem.
 
     Raises:
-        ValueError: If channels are to be blinded one by one, but their noise is not independent.
+        ValueError: If channels are to be blinded one by one, but their noise is not independent; if mosaics are to be
+            blinded, and the pictures are none, or L_recon is to reach the denoiser through their demosaicing.
     """
     if config.denoiser is None:
         return config
-    spots = config.denoiser.blind_spots
-    if spots.per_channel and problem.channels_share:
+    spots, shared = config.denoiser.blind_spots, problem.channels_share
+    mosaics = problem.raw is not None and problem.raw.cfa is not None and shared == ("demosaicing",)
+    if spots.packed and not mosaics:
+        raise ValueError(
+            "denoiser.blind_spots.packed needs pictures that were demosaiced from a known colour filter array, and not "
+            f"changed further, and here {_reason(problem)}: set it to none (decided for the pictures) or false"
+        )
+    packed = mosaics and config.detach_target if spots.packed is None else spots.packed
+    if packed and not config.detach_target:
+        raise ValueError(
+            "denoiser.blind_spots.packed has no gradient through its demosaicing: leave detach_target True, or set it "
+            "to false"
+        )
+    if spots.per_channel and shared and not packed:
         raise ValueError(
             "denoiser.blind_spots.per_channel needs channels with independent noise, and here they share it through "
-            f"{' and '.join(problem.channels_share)}: a blinded channel could be inferred from the others. Set it to "
-            "none (decided for the pictures) or false"
+            f"{' and '.join(shared)}: a blinded channel could be inferred from the others. Set it to none (decided for "
+            "the pictures) or false"
         )
-    chosen = not problem.channels_share if spots.per_channel is None else spots.per_channel
-    spots = dataclasses.replace(spots, per_channel=chosen)
+    per_channel = (packed or not shared) if spots.per_channel is None else spots.per_channel
+    spots = dataclasses.replace(spots, per_channel=per_channel, packed=packed)
     return dataclasses.replace(config, denoiser=dataclasses.replace(config.denoiser, blind_spots=spots))
+
+
+def _reason(problem: Problem) -> str:
+    """Why the pictures hold no mosaic."""
+    if further := [share for share in problem.channels_share if share != "demosaicing"]:
+        return f"{' and '.join(further)} changed them"
+    return "there is none" if problem.raw is not None else "there are no raw frames that would tell it"
 
 
 def train(

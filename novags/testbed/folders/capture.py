@@ -38,6 +38,7 @@ from sensor_model import (
 )
 from sensor_model.files.reading import reading
 from sensor_model.isp import DEMOSAIC, Demosaic
+from sensor_model.params import Cfa
 from simscenes.sets.multiview import MultiviewSet, load_set
 from simscenes.sets.pictures.exr import read_exr, write_exr
 from simscenes.sets.pictures.png import read_codes, read_png, write_png
@@ -248,7 +249,7 @@ class Capture:
         return tuple(reason for reason, holds in reasons.items() if holds)
 
     @property
-    def levels(self) -> tuple[str | None, float, float]:
+    def levels(self) -> tuple[Cfa | None, float, float]:
         """Of the raw frames: colour filter array (None: three chips), DN without light, DN of saturation."""
         if self.imported:
             raw = self.record["raw"]

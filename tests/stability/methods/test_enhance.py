@@ -41,3 +41,8 @@ def test_a_gamma_that_stops_early_is_noticed(fails: Fails, monkeypatch: pytest.M
 def test_a_check_that_lets_nan_through_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(guided, "_check", lambda dark: None)
     assert fails("a pixel that is NaN, infinite, negative or above 1")
+
+
+def test_a_curve_without_its_straight_foot_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch, "where", lambda condition, yes, no: no)
+    assert fails("known noise of constant pictures from black to white")

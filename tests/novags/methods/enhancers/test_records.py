@@ -49,9 +49,9 @@ def test_sixteen_bit_pictures_are_encoded_first():
 def test_a_picture_is_enhanced_once_for_all_who_ask_with_the_same_settings(monkeypatch):
     calls = []
 
-    def counted(dark, config, params):
+    def counted(dark, config, params, noise):
         calls.append(config)
-        return enhance(dark, config, params)
+        return enhance(dark, config, params, noise)
 
     monkeypatch.setitem(enhancers.ENHANCERS, "guided", Enhancer(EnhanceConfig, counted))
     inputs = problem()

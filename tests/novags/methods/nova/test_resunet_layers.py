@@ -58,6 +58,8 @@ def gate(x: np.ndarray, w: Weights, name: str) -> np.ndarray:
 
 def level(x: np.ndarray, w: Weights, name: str, kind: str) -> np.ndarray:
     x = leaky(normalise(convolve(x, w[f"{name}.enter.0.weight"], w[f"{name}.enter.0.bias"]), kind))
+    if f"{name}.second.0.weight" in w:  # of a plain U-Net
+        return leaky(normalise(convolve(x, w[f"{name}.second.0.weight"], w[f"{name}.second.0.bias"]), kind))
     y = leaky(normalise(convolve(x, w[f"{name}.residual.0.weight"], w[f"{name}.residual.0.bias"]), kind))
     y = normalise(convolve(y, w[f"{name}.residual.3.weight"], w[f"{name}.residual.3.bias"]), kind)
     return leaky(x + gate(y, w, f"{name}.residual.5.gate"))
@@ -77,8 +79,9 @@ def by_hand(image: np.ndarray, w: Weights, levels: int, kind: str) -> np.ndarray
     return one_by_one(x, w["head.weight"], w["head.bias"])
 
 
-def network_and_weights(kind: str) -> tuple[ResUNet, Weights]:
-    network = ResUNet(ResUNetConfig(widths=(4, 6), bottleneck=8, se_reduction=2, normalization=kind)).double()
+def network_and_weights(kind: str, blocks: str = "attention-residual", channels: int = 3) -> tuple[ResUNet, Weights]:
+    config = ResUNetConfig(widths=(4, 6), bottleneck=8, se_reduction=2, normalization=kind, blocks=blocks)
+    network = ResUNet(config, channels).double()
     generator = torch.Generator().manual_seed(0)
     with torch.no_grad():
         for parameter in network.parameters():
@@ -97,6 +100,17 @@ def test_the_network_equals_the_one_written_out(kind):
     with torch.no_grad():
         found = network(torch.from_numpy(picture)[None])[0].numpy()
     np.testing.assert_allclose(found, by_hand(picture, weights, 2, kind), rtol=1e-5, atol=1e-5)
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+def test_a_plain_network_has_two_convolutions_a_level_and_neither_residuals_nor_gates(channels):
+    network, weights = network_and_weights("instance", "plain", channels)
+    assert not any("residual" in name or "gate" in name for name in weights)
+    assert sum("enter" in name or "second" in name for name in weights) == 2 * 2 * 5
+    picture = np.random.default_rng(2).uniform(0, 1, (channels, 8, 12))
+    with torch.no_grad():
+        found = network(torch.from_numpy(picture)[None])[0].numpy()
+    np.testing.assert_allclose(found, by_hand(picture, weights, 2, "instance"), rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -137,7 +151,12 @@ def test_the_papers_network_has_the_parameters_that_its_widths_call_for():
 
 def test_the_default_configuration_is_the_papers():
     assert ResUNet().config == ResUNetConfig(
-        widths=(32, 64, 128, 256), bottleneck=512, se_reduction=16, normalization="instance", precision="float32"
+        widths=(32, 64, 128, 256),
+        bottleneck=512,
+        blocks="attention-residual",
+        se_reduction=16,
+        normalization="instance",
+        precision="float32",
     )
 
 

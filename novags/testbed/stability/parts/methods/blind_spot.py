@@ -114,14 +114,19 @@ def no_leak_of_the_mask(setting: Setting) -> float:
 
 @PART.case("the centre never leaks: through the network", bound=0, unit="slope to the pixel's own value")
 def no_leak_of_the_network(setting: Setting) -> float:
-    """One blind spot: the prediction there has no slope in the noisy value there, for whole pixels and for channels."""
+    """One blind spot: the prediction there has no slope in the noisy value there.
+
+    For whole pixels, for channels, and for samples of a mosaic.
+    """
     worst = 0.0
-    for per_channel in (False, True):
+    for per_channel, packed in ((False, False), (True, False), (True, True)):
         config = DenoiserConfig(
             network=ResUNetConfig(widths=(4, 8), bottleneck=8, normalization="none"),
-            blind_spots=BlindSpotConfig(per_channel=per_channel), residual_blur=0.8,
+            blind_spots=BlindSpotConfig(per_channel=per_channel, packed=packed), residual_blur=0.8,
         )  # fmt: skip
-        denoiser = Denoiser(torch.rand(1, 12, 12, 3, generator=_stream()), config, total_steps=1, seed=0)
+        edge = 24 if packed else 12
+        picture = torch.rand(1, edge, edge, 3, generator=_stream())
+        denoiser = Denoiser(picture, config, total_steps=1, seed=0, cfa="RGGB")
         torch.nn.init.normal_(denoiser.network.head.weight, generator=_stream())
         noisy = denoiser.images[:1].clone().requires_grad_()
         planes = noisy.flatten(0, 1).unsqueeze(1) if per_channel else noisy

@@ -14,8 +14,11 @@ from torch import Tensor
 
 from novags.methods.enhancers import guided
 from novags.methods.enhancers.guided import EnhanceConfig, enhance
+from novags.methods.enhancers.noise_level import known_sigma
+from novags.methods.noise import Variance
 from novags.testbed.stability.case import Part, Setting, refusal
-from novags.testbed.stability.errors import worst_error
+from novags.testbed.stability.errors import relative_error, worst_error
+from sensor_model import NoiseCurve
 
 PART = Part("enhance")
 
@@ -166,3 +169,21 @@ def no_picture(setting: Setting) -> float:
         dark[2, 3, 1] = bad
         worst = max(worst, refusal(partial(enhance, dark), "dark must be finite and in 0..1", "(2, 3, 1)"))
     return worst
+
+
+@PART.case("known noise of constant pictures from black to white", bound=64 * EPS, unit="of the true one")
+def known_noise(setting: Setting) -> float:
+    """At black the curve's slope is 12.92, not that of its power, which is infinite; codes are float32."""
+    zero, never = (0.0,) * 3, (math.inf,) * 3
+    curve = NoiseCurve(
+        black=zero, white=(1.0,) * 3, offset=(1e-9,) * 3, slope=(1e-4,) * 3, quadratic=zero, switch=never, step=zero
+    )
+    found, true = [], []
+    for level in (0, 1, 2, 2600, 2700, 40001, 65535):
+        code = float(torch.tensor(level / 65535))
+        dark = code <= 0.04045
+        light = code / 12.92 if dark else math.exp(2.4 * math.log((code + 0.055) / 1.055))
+        slope = 12.92 if dark else 1.055 / 2.4 / math.exp((1 - 1 / 2.4) * math.log(light))
+        true.append(math.sqrt(1e-9 + 1e-4 * light) * slope)
+        found.append(float(known_sigma(torch.full((3, 7, 9), code), Variance(curve))))
+    return max(relative_error(np.array(f), np.array(t)) for f, t in zip(found, true, strict=True))
