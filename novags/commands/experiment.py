@@ -17,6 +17,7 @@ def run(
     photos: Path | None = None,
     fps: float | None = None,
     define: Define = (),
+    level: str | None = None,
     sensor: str | None = None,
     electrons: float | None = None,
     budget: str | None = None,
@@ -50,6 +51,8 @@ def run(
         photos: Instead of a scene: a folder of photographs without poses, or a video file; the poses are found first.
         fps: Frames to take from each second of the video; 2 if not given.
         define: What a parameter of a Mitsuba file stands for, NAME=VALUE; may be given several times.
+        level: Camera, electrons and pictures of one of the paper's data sets: lom, llnerf, llrs or mvtv, with -3chip
+            without demosaicing; `novags list levels` shows them. --sensor and --electrons change it.
         sensor: A camera of sensor_model.PRESETS, or a TOML file of your own.
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
         budget: Time that everything may take, 120s, 5min, 1h: iterations, Gaussians, denoiser steps, samples and size
@@ -82,14 +85,14 @@ def run(
     from novags.testbed.presets import EXPERIMENTS, adapted
 
     chosen = adapted(
-        EXPERIMENTS[preset], scene=scene, photos=photos, fps=fps, sensor=sensor, electrons=electrons,
+        EXPERIMENTS[preset], scene=scene, photos=photos, fps=fps, level=level, sensor=sensor, electrons=electrons,
         methods=methods, n_views=views,
         width=width, height=height, spp=spp, max_size=max_size, points=points, iterations=iterations,
         denoiser_steps=denoiser_steps, seed=seed,
         variants=variants_of(variant), cameras=cameras_of(cameras), refine_cameras=refine_cameras, device=device,
         parameters=define or None,
     )  # fmt: skip
-    whole = Path("out") / _default_name(preset, scene if photos is None else str(photos), electrons)
+    whole = Path("out") / _default_name(preset, scene if photos is None else str(photos), level, electrons)
     if budget is None:
         if curves is not None:
             raise ValueError(f"--curves {curves} belong to a budget: add --budget, or leave them out")
@@ -123,9 +126,10 @@ def _within(
     announce(report_path)
 
 
-def _default_name(preset: str, source: str | None, electrons: float | None) -> str:
+def _default_name(preset: str, source: str | None, level: str | None, electrons: float | None) -> str:
     """Of the folder of an experiment: different scenes and light do not meet in one."""
     from simscenes.sets.names import safe_name
 
     parts = [preset, *([] if source is None else [safe_name(Path(source).resolve().stem)])]
+    parts += [] if level is None else [level]
     return "-".join([*parts, *([] if electrons is None else [f"{electrons:g}e"])])

@@ -38,7 +38,7 @@ def doctor(*, stability: bool = False, part: tuple[str, ...] = (), long: bool = 
 
 
 def list_(what: Annotated[Listed, tyro.conf.Positional] = "all") -> None:
-    """List what is available: scenes, sensors, methods and variants, presets, camera sources.
+    """List what is available: scenes, sensors, methods and variants, light levels, presets, cameras.
 
     Args:
         what: One of these lists, or all.

@@ -115,7 +115,8 @@ def poses(
 
 
 def capture(
-    set: Folder, *, out: Path, sensor: str = "a7s2-iso6400-3chip", electrons: float = 20.0, time: float = 1 / 30,
+    set: Folder, *, out: Path, level: str | None = None, sensor: str | None = None, electrons: float | None = None,
+    time: float = 1 / 30,
     max_size: int | None = None, demosaic: Literal["menon", "malvar", "bilinear"] = "menon",
     jpeg_quality: int | None = None, tolerance: float | None = 0.05,
     export: tuple[Literal["blender", "llff"], ...] = (), seed: int = 0, overwrite: bool = False, wait: bool = False,
@@ -126,8 +127,11 @@ def capture(
         set: A set folder, a nerfstudio or instant-ngp folder (transforms.json with 8-bit images, camera raw files or
             linear EXR), or a COLMAP folder (sparse/0, images).
         out: Folder of the capture.
-        sensor: A camera of sensor_model.PRESETS, or a TOML file of your own.
-        electrons: Mean signal of the green channel over the set, electrons per pixel and exposure.
+        level: Camera and electrons of one of the paper's data sets; `novags list levels` shows them.
+        sensor: A camera of sensor_model.PRESETS, or a TOML file of your own; that of the level, else
+            a7s2-iso6400-3chip.
+        electrons: Mean signal of the green channel over the set, electrons per pixel and exposure; that of the level,
+            else 20.
         time: Exposure time in seconds; only the dark current depends on it.
         max_size: Scale larger images down to this longest side, in pixels.
         demosaic: Interpolation of the colour filter array.
@@ -139,10 +143,13 @@ def capture(
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
     from novags.testbed import stages
+    from novags.testbed.levels import level_named
     from novags.testbed.stages.capture import CaptureConfig
 
+    named = CaptureConfig() if level is None else level_named(level)
     config = CaptureConfig(
-        sensor=sensor, electrons=electrons, time=time, max_size=max_size, demosaic=demosaic,
+        sensor=named.sensor if sensor is None else sensor,
+        electrons=named.electrons if electrons is None else electrons, time=time, max_size=max_size, demosaic=demosaic,
         jpeg_quality=jpeg_quality, tolerance=tolerance, export=export, seed=seed,
     )  # fmt: skip
     with writing(out, wait) as console:

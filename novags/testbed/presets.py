@@ -10,6 +10,7 @@ from novags.methods import METHODS, chosen, with_variants
 from novags.methods.variant import Variant
 from novags.settings import has_setting
 from novags.testbed.foreign.command import CommandConfig
+from novags.testbed.levels import level_named
 from novags.testbed.stages.capture import CaptureConfig
 from novags.testbed.stages.poses import PosesConfig
 from novags.testbed.stages.reconstruct import ReconstructConfig
@@ -112,6 +113,7 @@ def adapted(
     photos: Path | None = None,
     fps: float | None = None,
     max_size: int | None = None,
+    level: str | None = None,
     sensor: str | None = None,
     electrons: float | None = None,
     methods: tuple[str, ...] | None = None,
@@ -134,11 +136,16 @@ def adapted(
 
     The caller's own variants are compared with the preset's methods, unless `methods` lists everything. A `scene` that
     is a folder is photographed as it is, and of `photos` (a folder or a video, with its `fps`) a set is made first;
-    photographs are scaled to the preset's size unless `max_size` says another.
+    photographs are scaled to the preset's size unless `max_size` says another. A `level` names camera, electrons and
+    pictures (`levels.LEVELS`), of which each can be given by itself as well.
 
     Raises:
         ValueError: If a value is out of range, or one of a render is given for a folder.
     """
+    if level is not None:
+        named = level_named(level)
+        sensor, pictures = sensor or named.sensor, pictures or named.pictures
+        electrons = named.electrons if electrons is None else electrons
     folder = None if scene is None or not Path(scene).is_dir() else Path(scene)
     if folder is not None:
         _refuse_of_render(f"the set {folder}", views=n_views, width=width, height=height, spp=spp)

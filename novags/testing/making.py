@@ -47,6 +47,8 @@ def make_capture(store: Path, scene: str, electrons: float, settings: Mapping[st
             raise ValueError(f"dark_capture: {key}: {error}") from error
         if found.settings:
             raise ValueError(f"dark_capture: {key} is a setting of methods, not of a capture: leave it out")
+        if twice := changes.adapted.keys() & found.adapted.keys():
+            raise ValueError(f"dark_capture: {key} sets {', '.join(sorted(twice))}, which is given too: leave one out")
         changes = changes.and_(found)
     planner = Planner(store, QUIET)
     key = planner.capture(applied(EXPERIMENTS["demo"], changes))

@@ -1,4 +1,4 @@
-"""What is available, as text: scenes, sensors, methods and variants, presets, camera sources."""
+"""What is available, as text: scenes, sensors, methods and variants, light levels, presets, camera sources."""
 
 import textwrap
 from collections.abc import Callable, Iterable
@@ -62,6 +62,15 @@ def methods() -> str:
     return f"{table(rows)}\n  more: --variant NAME=METHOD:SETTING=VALUE,..., see novags help variants"
 
 
+def levels() -> str:
+    """The light levels with their cameras."""
+    from novags.testbed.levels import LEVELS
+
+    rows = [(name, f"{level.title}: {level.sensor} at {level.electrons:g} electrons, pictures of "
+             f"{level.pictures.removesuffix('bit')} bits") for name, level in LEVELS.items()]  # fmt: skip
+    return table(rows)
+
+
 def presets() -> str:
     """The presets with their sizes."""
     from novags.testbed.presets import EXPERIMENTS
@@ -94,6 +103,7 @@ LISTS: dict[str, Callable[[], str]] = {
     "scenes": scenes,
     "sensors": sensors,
     "methods": methods,
+    "levels": levels,
     "presets": presets,
     "cameras": cameras,
 }

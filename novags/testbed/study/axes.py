@@ -11,6 +11,7 @@ from novags.cameras import parse_cameras
 from novags.methods import METHODS
 from novags.methods.variant import Variant
 from novags.settings import changed, converted, flattened, has_setting
+from novags.testbed.levels import level_named
 from novags.testbed.presets import Preset, adapted
 from sensor_model import PRESETS as SENSORS
 
@@ -101,6 +102,8 @@ def _keywords(key: str, value: Any, folder: Path) -> dict[str, Any]:
         if not (path := folder / Path(_text(value)).expanduser()).exists():
             raise ValueError(f"there are no photographs {path}")
         return {"photos": path}
+    if key == "level":
+        return level_named(_text(value)).settings()  # each by its name, so that another key for one of them is refused
     if key == "sensor" and value not in SENSORS and str(value).endswith(".toml"):
         return {"sensor": str(folder / value)}
     hint = _hints()[_keyword(key)]

@@ -12,14 +12,15 @@ from novags.testbed.help.catalogue import LISTS, first_sentence, listing
 from novags.testbed.help.topics import page, topics
 from novags.testbed.machine import devices
 from novags.testbed.machine.devices import chosen_device
+from novags.testbed.levels import LEVELS
 from novags.testbed.presets import EXPERIMENTS
 from sensor_model import PRESETS as SENSORS
 from simscenes import SCENES
 
 QUIET = Console(quiet=True)
 NAMES = {
-    "scenes": SCENES, "sensors": SENSORS, "methods": {**METHODS, **VARIANTS}, "presets": EXPERIMENTS,
-    "cameras": SOURCES,
+    "scenes": SCENES, "sensors": SENSORS, "methods": {**METHODS, **VARIANTS}, "levels": LEVELS,
+    "presets": EXPERIMENTS, "cameras": SOURCES,
 }  # fmt: skip
 
 
@@ -35,7 +36,9 @@ def test_a_list_names_everything_with_a_few_words(what: str) -> None:
 
 def test_all_lists_are_one_page() -> None:
     assert listing() == "\n\n".join(listing(what) for what in LISTS)
-    with pytest.raises(ValueError, match="no list of 'lenses'; available: scenes, sensors, methods, presets, cameras"):
+    with pytest.raises(
+        ValueError, match="no list of 'lenses'; available: scenes, sensors, methods, levels, presets, cameras"
+    ):
         listing("lenses")
 
 
