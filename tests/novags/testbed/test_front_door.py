@@ -10,9 +10,9 @@ from novags.methods import METHODS, VARIANTS
 from novags.testbed.console import Console
 from novags.testbed.help.catalogue import LISTS, first_sentence, listing
 from novags.testbed.help.topics import page, topics
+from novags.testbed.levels import LEVELS
 from novags.testbed.machine import devices
 from novags.testbed.machine.devices import chosen_device
-from novags.testbed.levels import LEVELS
 from novags.testbed.presets import EXPERIMENTS
 from sensor_model import PRESETS as SENSORS
 from simscenes import SCENES
