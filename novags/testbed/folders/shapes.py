@@ -42,6 +42,7 @@ GEOMETRY = {"abs_rel": MEASURED, "within_5_percent": MEASURED, "coverage": MEASU
 BLUR = {"psnr": MEASURED, "aligned_psnr": MEASURED, "sigma": float}
 SCORES = {
     "mean": {"*": ({"*": MEASURED}, None)}, "views": {"*": {"*": {"*": MEASURED}}}, "geometry?": (GEOMETRY, None),
+    "noise?": ({"known": MEASURED, "targets": MEASURED, "renders": MEASURED, "bias_floor": MEASURED}, None),
     "training_2d": ({"enhanced": dict, "blur": BLUR, "best_blur?": BLUR}, None), "seconds": {"*": float},
     "peak_bytes": int,
 }  # fmt: skip

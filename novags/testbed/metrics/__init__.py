@@ -1,7 +1,7 @@
 """Scores: pure functions of arrays that compare what a method made with the truth.
 
 `images` compares encoded pictures, `tone` aligns them first, `linear` compares light, `geometry` depth, `consistency`
-one view with another; `perceptual` is LPIPS.
+one view with another, `noise` what is left of it; `perceptual` is LPIPS.
 """
 
 from novags.testbed.metrics.consistency import ConsistencyScores, color_change, consistency_scores
@@ -20,6 +20,7 @@ from novags.testbed.metrics.images import (
     ssim,
 )
 from novags.testbed.metrics.linear import exposure_gain, is_black, linear_psnr
+from novags.testbed.metrics.noise import centred_noise, noise_share, squared_bias
 from novags.testbed.metrics.perceptual import PerceptualDistance
 from novags.testbed.metrics.tone import Image, affine_aligned, tone_aligned
 
@@ -33,6 +34,7 @@ __all__ = [
     "PerceptualDistance",
     "affine_aligned",
     "aligned_psnr",
+    "centred_noise",
     "color_change",
     "consistency_scores",
     "delta_e",
@@ -44,8 +46,10 @@ __all__ = [
     "is_black",
     "linear_psnr",
     "mean_scores",
+    "noise_share",
     "opacity_in_front",
     "psnr",
+    "squared_bias",
     "ssim",
     "tone_aligned",
 ]

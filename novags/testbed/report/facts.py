@@ -13,7 +13,7 @@ from novags.testbed.folders.run import METRICS, Run
 from novags.testbed.folders.set import Source
 from novags.testbed.report.charts import line_chart
 from novags.testbed.report.rows import Row, deviations, main_row, rows_of
-from novags.testbed.report.tables import GEOMETRY, ranked
+from novags.testbed.report.tables import GEOMETRY, NOISE, ranked
 
 EXACT = 1e-4  # degrees or extents; camera files round, and smaller errors are invisible
 
@@ -125,6 +125,12 @@ def geometry_table(material: Material) -> list[dict[str, Any]]:
     found = {name: m["geometry"] for name, m in material.metrics["methods"].items() if m.get("geometry")}
     flat = {name: {**scores, "consistency": scores["consistency"]["excess"]} for name, scores in found.items()}
     return ranked(flat, GEOMETRY, {name: row.competes for name, row in material.rows.items()})
+
+
+def noise_table(material: Material) -> list[dict[str, Any]]:
+    """What is left of the known noise in each run; empty where it is not known."""
+    found = {name: m["noise"] for name, m in material.metrics["methods"].items() if m.get("noise")}
+    return ranked(found, NOISE, {name: row.competes for name, row in material.rows.items()})
 
 
 def camera_table(material: Material) -> list[dict[str, Any]]:

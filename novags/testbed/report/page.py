@@ -25,6 +25,7 @@ from novags.testbed.report.facts import (
     duration,
     geometry_table,
     loss_chart,
+    noise_table,
     number,
     photographs_text,
     plans,
@@ -39,7 +40,7 @@ from novags.testbed.report.look.maps import ERROR_CEILING
 from novags.testbed.report.pictures import pick_views, view_tiles
 from novags.testbed.report.rows import rows_of
 from novags.testbed.report.signal_chart import signal
-from novags.testbed.report.tables import COLUMNS, GEOMETRY, per_view, score_table
+from novags.testbed.report.tables import COLUMNS, GEOMETRY, NOISE, per_view, score_table
 from novags.testbed.report.verdict import cards, verdict
 from novags.testbed.results.again import run_again, score_again
 from novags.testbed.results.comparison import MAIN, Group, deltas_of, groups_of
@@ -247,6 +248,8 @@ def score_context(material: Material) -> dict[str, Any]:
         "per_view": {kind: per_view(material.metrics, kind) for kind in COLUMNS},
         "geometry": geometry_table(material),
         "geometry_columns": GEOMETRY,
+        "noise": noise_table(material),
+        "noise_columns": NOISE,
         "cameras": camera_table(material),
         "recovered": {**dict.fromkeys(COLUMNS, {}), **recovered},
         "bounds": [material.bound("floor"), material.bound("ceiling")],

@@ -34,6 +34,12 @@ GEOMETRY = (
     ("floaters", "floaters", "", False),
     ("consistency", "colour change between views", "", False),
 )
+NOISE = (
+    ("renders", "left in renderings", "", False),
+    ("targets", "left in targets", "", False),
+    ("known", "noise", "sRGB code", False),
+    ("bias_floor", "bias floor", "dB", True),
+)
 
 Columns = tuple[tuple[str, str, str, bool], ...]
 
@@ -135,4 +141,4 @@ def spread_of(values: list[float], more: bool) -> dict[str, float | None]:
 
 def digits(key: str) -> int:
     """Digits after the point in which a score is shown."""
-    return 2 if "psnr" in key or key == "delta_e" else 3
+    return 2 if "psnr" in key or key in ("delta_e", "bias_floor") else 3

@@ -28,6 +28,7 @@ from novags.testbed.metrics import (
     psnr,
 )
 from novags.testbed.references import LINEAR, missing_references, references, true_depth
+from novags.testbed.stages.noise_scores import noise_scores
 from sensor_model.files.lock import locked
 from simscenes.sets.geometry.correspondence import flow
 from simscenes.sets.pictures.png import read_png
@@ -60,6 +61,7 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
         method = {
             **scores,
             "training_2d": score_training_images(run, captured, lit),
+            "noise": noise_scores(run, captured, lit),
             "cameras": run.record.get("cameras"),
             "seconds": stage_seconds(run, captured, lit),
             "peak_bytes": run.record.get("peak_bytes", run.record["stage"]["peak_bytes"]),  # of a program: its own
@@ -76,7 +78,7 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
         return {"methods": {run.name: method}, "recovered": {}, "unavailable": unavailable}
 
     return run_stage(
-        "score", run_path, METRICS, inputs=inputs, config={"lpips": missing is None, "format": 3}, owns=(METRICS,),
+        "score", run_path, METRICS, inputs=inputs, config={"lpips": missing is None, "format": 4}, owns=(METRICS,),
         prepare=lambda: None, work=work, console=console, overwrite=True,  # scores describe what is there now
     )  # fmt: skip
 

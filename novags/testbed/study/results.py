@@ -134,7 +134,7 @@ def flat_scores(method: Mapping[str, Any]) -> dict[str, Any]:
     """The scores and costs of a run as columns: `lit.psnr`, `geometry.abs_rel`, `seconds.render`, ..."""
     cameras = method.get("cameras") or {}
     chosen = {
-        **method["mean"], "geometry": method.get("geometry") or {},
+        **method["mean"], "geometry": method.get("geometry") or {}, "noise": method.get("noise") or {},
         "cameras": {name: cameras.get(name) for name in ("registered_share", "mean_rotation_deg",
                                                          "mean_centre_error") if name in cameras},
         "seconds": method["seconds"],

@@ -1,0 +1,97 @@
+"""Scores that only a test bed can give: the noise that is left of the known one, and the bias floor of the targets."""
+
+from typing import Any
+
+import numpy as np
+import torch
+
+from novags.methods.enhancers import enhanced_twin, enhanced_view, recorded
+from novags.methods.memo import Memo
+from novags.methods.problem import encode
+from novags.testbed.folders.capture import Capture
+from novags.testbed.folders.run import Run
+from novags.testbed.folders.set import Source
+from novags.testbed.metrics import PSNR_CEILING, Image, centred_noise, noise_share, squared_bias
+from novags.testbed.references import enhanced_dark, enhanced_truth
+from novags.testbed.stages.capture import expose_view
+from sensor_model import develop, from_linear16
+from sensor_model.planner import Plan
+from simscenes.sets.pictures.png import read_png
+
+VIEWS, EXPOSURES = 2, 6  # training views of the bias floor, and exposures of each
+FURTHER = 1_000_000  # seeds of these exposures start here, so that none is one of the capture's
+
+
+def noise_scores(run: Run, capture: Capture, lit: Source) -> dict[str, float | None] | None:
+    """Of the training views of a run that enhances its pictures, where the noise-free exposure is known; else None.
+
+    Returns:
+        `known`: root mean square of the noise in the enhanced pictures, sRGB code. `targets`, `renders`: the share of
+        it that is left in what the scene was fitted to, and in its renderings of the same views (None if there are
+        none). `bias_floor`: PSNR in dB of the mean of infinitely many exposures, each enhanced, against the noise-free
+        one, which a fit that averages cannot exceed; None of imported photographs, which cannot be taken again.
+    """
+    if run.enhancement is None or not (run.path / "enhanced").is_dir() or not capture.holds("truth"):
+        return None
+    squares, targets, renders = [], [], []
+    for i in capture.cameras.train_indices:
+        name = capture.names[i]
+        if not (run.path / "enhanced" / f"{name}.png").exists():
+            continue  # a view without a camera
+        noisy, truth = enhanced_dark(capture, i, run.enhancement), enhanced_truth(capture, i, run.enhancement)
+        squares.append(float(np.square(centred_noise(noisy, truth)).mean()))
+        kind = "denoised" if (run.path / "denoised").is_dir() else "enhanced"
+        targets.append(noise_share(read_png(run.path / kind / f"{name}.png"), noisy, truth))
+        if run.shows_training_views:
+            renders.append(noise_share(run.rendering(name), noisy, truth))
+    return {
+        "known": float(np.sqrt(np.mean(squares))) if squares else None,
+        "targets": _mean(targets),
+        "renders": _mean(renders),
+        "bias_floor": None if capture.imported else bias_floor(capture, lit, run.enhancement),
+    }
+
+
+def _mean(values: list[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return float(np.mean(known)) if known else None
+
+
+def bias_floor(capture: Capture, lit: Source, enhancement: dict[str, Any]) -> float:
+    """PSNR in dB that the mean of all exposures cannot exceed, at most `PSNR_CEILING`; see `noise_scores`.
+
+    `VIEWS` training views are exposed anew, each `EXPOSURES` times, and enhanced as the run did it; each exposure's
+    reference is the noise-free one through that exposure's own enhancement, as everywhere.
+    """
+    _, config = recorded(enhancement)
+    indices = capture.cameras.train_indices
+    found = []
+    for i in indices[:: max(1, len(indices) // VIEWS)][:VIEWS]:
+        clean = torch.from_numpy(capture.clean(i).copy())
+        exposures, references = [], []
+        for k in range(EXPOSURES):
+            memo, pictures = Memo(), enhancement["pictures"]  # of this exposure alone
+            dark = torch.from_numpy(exposed_again(capture, lit, i, FURTHER + k, pictures))
+            exposures.append(enhanced_view(memo, "", dark, config, pictures, capture.noise)[0].numpy())
+            references.append(enhanced_twin(memo, "", dark, clean, config, pictures, capture.noise).numpy())
+        found.append(squared_bias(exposures, references))
+    mean = float(np.mean(found))
+    return PSNR_CEILING if mean <= 10 ** (-PSNR_CEILING / 10) else -10 * float(np.log10(mean))
+
+
+def exposed_again(capture: Capture, lit: Source, i: int, seed: int, pictures: str) -> Image:
+    """Another exposure of view `i` of a simulated capture, as `Capture.dark` gives it."""
+    assert capture.sensor is not None
+    record = capture.record
+    frame = expose_view(
+        lit.radiance(i), capture.sensor, capture.exposure, electrons=record["electrons"],
+        mean_green=record["mean_green_radiance"], seed=seed, view=i,
+        plan=None if record["plan"] is None else Plan.from_dict(record["plan"]),
+    )  # fmt: skip
+    developed = develop(
+        frame, capture.sensor, demosaic=record["demosaic"], color_matrix=record["color_matrix"],
+        jpeg_quality=record.get("jpeg_quality"),
+    )  # fmt: skip
+    if pictures == "8bit":
+        return developed.srgb8.astype(np.float32) / 255
+    return encode(from_linear16(developed.linear16))

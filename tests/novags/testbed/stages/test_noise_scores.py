@@ -1,0 +1,113 @@
+"""Scores of the noise that is left: exposures taken again are the capture's own, and each number is of what it says."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from novags.methods.enhancers import enhancement_record
+from novags.methods.enhancers.guided import EnhanceConfig, enhance
+from novags.testbed import stages
+from novags.testbed.console import Console
+from novags.testbed.folders.capture import Capture, open_capture
+from novags.testbed.folders.set import Source
+from novags.testbed.metrics import centred_noise
+from novags.testbed.stages import noise_scores as module
+from novags.testbed.stages.capture import CaptureConfig
+from novags.testbed.stages.noise_scores import bias_floor, exposed_again, noise_scores
+from simscenes import orbit_rig
+from simscenes.sets.multiview import write_cameras
+from simscenes.sets.pictures.png import write_png
+
+QUIET = Console(quiet=True)
+CONFIG = EnhanceConfig(window=9)
+ENHANCEMENT = enhancement_record(CONFIG, "8bit")
+
+
+def taken(folder: Path, **settings) -> tuple[Capture, Source]:
+    """A capture of four posed photographs, and their set."""
+    names = [f"{i:04d}" for i in range(4)]
+    views = folder / "set"
+    write_cameras(views, names, orbit_rig(4, 34, 30, 50.0, radius=3.0))
+    (views / "images").mkdir()
+    rng = np.random.default_rng(0)
+    for name in names:
+        smooth = cv2.resize(rng.integers(20, 250, (6, 7, 3), np.uint8), (34, 30), interpolation=cv2.INTER_CUBIC)
+        cv2.imwrite(str(views / "images" / f"{name}.png"), smooth)
+    stages.capture(views, folder / "cap", CaptureConfig(**settings), QUIET)
+    capture = open_capture(folder / "cap")
+    return capture, capture.source(QUIET)
+
+
+@pytest.fixture(scope="module")
+def dark(tmp_path_factory: pytest.TempPathFactory) -> tuple[Capture, Source]:
+    """By a three-chip camera at 20 electrons."""
+    return taken(tmp_path_factory.mktemp("dark"), electrons=20, seed=3)
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [{"sensor": "a7s2-iso6400"}, {"electrons": 5, "jpeg_quality": 80}, {"tolerance": None, "demosaic": "bilinear"}],
+    ids=["bayer", "jpeg", "all effects"],
+)
+def test_an_exposure_taken_again_with_its_own_seed_is_the_captures(tmp_path, settings):
+    capture, lit = taken(tmp_path, seed=3, **settings)
+    for i in (0, 2):
+        assert np.array_equal(exposed_again(capture, lit, i, 3, "8bit"), capture.dark(i, "8bit"))
+        np.testing.assert_allclose(exposed_again(capture, lit, i, 3, "16bit"), capture.dark(i, "16bit"), atol=1e-7)
+        assert not np.array_equal(exposed_again(capture, lit, i, 4, "8bit"), capture.dark(i, "8bit"))
+
+
+def test_the_bias_floor_is_of_new_exposures_each_with_its_own_enhancement(dark, monkeypatch):
+    capture, lit = dark
+    monkeypatch.setattr(module, "VIEWS", 1)
+    (i, *_) = capture.cameras.train_indices
+    errors = []
+    for k in range(module.EXPOSURES):
+        picture = torch.from_numpy(exposed_again(capture, lit, i, module.FURTHER + k, "8bit"))
+        bright, params = enhance(picture, CONFIG)
+        errors.append((bright - enhance(torch.from_numpy(capture.clean(i)), CONFIG, params)[0]).double().numpy())
+    squared = np.mean(errors, 0) ** 2 - np.var(errors, 0, ddof=1) / len(errors)
+    assert bias_floor(capture, lit, ENHANCEMENT) == pytest.approx(-10 * np.log10(squared.mean()), abs=1e-6)
+
+
+def a_run(folder: Path, capture: Capture, *, rendered: float, denoised: float | None, trained: bool = True):
+    """Pictures of a run that leaves these shares of the noise in its renderings and in its targets; its truths."""
+    truths, noisy = {}, {}
+    for i in capture.cameras.train_indices:
+        name = capture.names[i]
+        bright, params = enhance(torch.from_numpy(capture.srgb8(i).copy()), CONFIG)
+        noisy[name] = bright.numpy()
+        truths[name] = enhance(torch.from_numpy(capture.clean(i).copy()), CONFIG, params)[0].numpy()
+        write_png(folder / "enhanced" / f"{name}.png", noisy[name])
+        if denoised is not None:
+            write_png(folder / "denoised" / f"{name}.png", truths[name] + denoised * (noisy[name] - truths[name]))
+    run = SimpleNamespace(
+        path=folder, enhancement=ENHANCEMENT, shows_training_views=trained,
+        rendering=lambda name: truths[name] + rendered * (noisy[name] - truths[name]),
+    )  # fmt: skip
+    return run, [centred_noise(noisy[name], truths[name]) for name in truths]
+
+
+@pytest.mark.parametrize(("denoised", "targets"), [(None, 1.0), (0.25, 0.25)])
+def test_the_shares_are_of_the_targets_and_of_the_renderings(dark, tmp_path, monkeypatch, denoised, targets):
+    capture, lit = dark
+    monkeypatch.setattr(module, "bias_floor", lambda *inputs: 31.5 if inputs == (capture, lit, ENHANCEMENT) else 0.0)
+    run, noise = a_run(tmp_path, capture, rendered=0.4, denoised=denoised)
+    found = noise_scores(run, capture, lit)
+    assert found["renders"] == pytest.approx(0.4, abs=1e-4)
+    assert found["targets"] == pytest.approx(targets, abs=0.005)  # 8-bit pictures
+    assert found["known"] == pytest.approx(float(np.sqrt(np.mean(np.square(noise)))))
+    assert found["bias_floor"] == 31.5
+
+
+def test_what_a_run_does_not_have_is_not_scored(dark, tmp_path, monkeypatch):
+    capture, lit = dark
+    monkeypatch.setattr(module, "bias_floor", lambda *inputs: 0.0)
+    run, _ = a_run(tmp_path, capture, rendered=0.4, denoised=None, trained=False)
+    assert noise_scores(run, capture, lit)["renders"] is None
+    run.enhancement = None
+    assert noise_scores(run, capture, lit) is None
