@@ -10,6 +10,7 @@ import torch
 
 from novags.methods.enhancers import enhancement_record
 from novags.methods.enhancers.guided import EnhanceConfig, enhance
+from novags.methods.memo import Memo
 from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_capture
@@ -92,9 +93,22 @@ def a_run(folder: Path, capture: Capture, *, rendered: float, denoised: float | 
     return run, [centred_noise(noisy[name], truths[name]) for name in truths]
 
 
+def test_the_runs_of_a_capture_share_its_bias_floor_unless_they_enhance_otherwise(dark, tmp_path, monkeypatch):
+    capture, lit = dark
+    monkeypatch.setattr(module, "_FLOORS", Memo())
+    asked = []
+    monkeypatch.setattr(module, "bias_floor", lambda *inputs: asked.append(inputs[2]) or 30.0 + len(asked))
+    run, _ = a_run(tmp_path, capture, rendered=0.4, denoised=None)
+    assert [noise_scores(run, capture, lit)["bias_floor"] for _ in range(2)] == [31.0, 31.0]
+    run.enhancement = enhancement_record(EnhanceConfig(window=7), "8bit")
+    assert noise_scores(run, capture, lit)["bias_floor"] == 32.0
+    assert asked == [ENHANCEMENT, run.enhancement]
+
+
 @pytest.mark.parametrize(("denoised", "targets"), [(None, 1.0), (0.25, 0.25)])
 def test_the_shares_are_of_the_targets_and_of_the_renderings(dark, tmp_path, monkeypatch, denoised, targets):
     capture, lit = dark
+    monkeypatch.setattr(module, "_FLOORS", Memo())
     monkeypatch.setattr(module, "bias_floor", lambda *inputs: 31.5 if inputs == (capture, lit, ENHANCEMENT) else 0.0)
     run, noise = a_run(tmp_path, capture, rendered=0.4, denoised=denoised)
     found = noise_scores(run, capture, lit)
@@ -106,6 +120,7 @@ def test_the_shares_are_of_the_targets_and_of_the_renderings(dark, tmp_path, mon
 
 def test_what_a_run_does_not_have_is_not_scored(dark, tmp_path, monkeypatch):
     capture, lit = dark
+    monkeypatch.setattr(module, "_FLOORS", Memo())
     monkeypatch.setattr(module, "bias_floor", lambda *inputs: 0.0)
     run, _ = a_run(tmp_path, capture, rendered=0.4, denoised=None, trained=False)
     assert noise_scores(run, capture, lit)["renders"] is None
