@@ -59,6 +59,7 @@ def experiment(tmp_path_factory: pytest.TempPathFactory) -> Path:
             scores["mean"][kind] |= {"aligned_psnr": value, "tone_aligned_psnr": value / 2, "flip": value / 100}
         scores["views"] = {view: {kind: scores["mean"][kind] | {"aligned_psnr": value + off}
                                   for kind in ("enhanced", "lit")} for view, off in VIEW.items()}  # fmt: skip
+        scores["noise"] = {"known": 0.0625, "targets": 1.0, "renders": value / 100, "bias_floor": 31.257}
         metrics["methods"][name] = scores
         (folder / name / "metrics.json").write_text(
             json.dumps({"methods": {name: scores}, "recovered": {}, "unavailable": {}, "stage": STAGE})

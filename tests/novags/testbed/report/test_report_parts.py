@@ -52,6 +52,16 @@ def test_rows_stand_best_first_and_what_sees_truth_takes_no_place() -> None:
     assert {name: place["flip"] for name, place in places.items()} == {"a": 1, "b": 3, "c": 2, "bound": None}
 
 
+def test_what_is_left_of_the_noise_stands_by_run_the_least_first(experiment: Path) -> None:
+    page = (experiment / "report.html").read_text(encoding="utf-8")
+    table = page[page.index('id="scores-noise"') :]
+    rows = re.findall(r"<tr.*?</tr>", table[table.index("<tbody>") : table.index("</tbody>")], re.S)
+    found = [[float(value) for value in re.findall(r'data-value="([\d.]+)"', row)] for row in rows]
+    assert found == [[share, 1.0, 0.0625, 31.257] for share in (0.2025, 0.2375, 0.305)]  # of naive, better, oracle
+    assert [word in row for word, row in zip(("naive", "better", "oracle"), rows, strict=True)] == [True] * 3
+    assert "31.26" in rows[0]
+
+
 def test_the_spread_over_views_is_that_of_the_views() -> None:
     views = {f"{k}": {"enhanced": {"aligned_psnr": value, "flip": value / 10, "lpips": None}}
              for k, value in enumerate((20.0, 26.0, 23.0))}  # fmt: skip
