@@ -50,12 +50,17 @@ class RawPictures:
         cfa: Colour filter array ("RGGB", ...); None for three chips.
         black: DN without light.
         white: DN of saturation.
+        balance: Factors that make grey of what a white surface gives, red, green, blue: `linear16` is
+            balance (dn - black) / (white - black), of a mosaic interpolated, times `matrix`. None if unknown.
+        matrix: [3, 3] from white-balanced camera RGB to linear sRGB; None: the identity.
     """
 
     dn: Tensor
     cfa: Cfa | None
     black: float
     white: float
+    balance: tuple[float, float, float] | None = None
+    matrix: tuple[tuple[float, ...], ...] | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -7,6 +7,7 @@ from typing import Any, Literal, Protocol
 import torch
 from torch import Tensor
 
+from novags.methods.tone import ToneCurve
 from novags.splats.files.ply import write_ply
 from novags.splats.gaussians import Gaussians
 from novags.splats.raster.rasterize import rasterize
@@ -34,11 +35,21 @@ class Scene(Protocol):
 
 @dataclass(frozen=True)
 class GaussianScene:
-    """A scene of Gaussians, shown as `eps2d` and `antialiased` of its FitConfig say."""
+    """A scene of Gaussians, shown as `eps2d` and `antialiased` of its FitConfig say.
+
+    Attributes:
+        gaussians: The Gaussians.
+        eps2d: As in `FitConfig`.
+        antialiased: As in `FitConfig`.
+        tone: Their colours are tones of this curve, and renders are light; None: renders are what they hold.
+        matrix: [3, 3] from that light to the light that is rendered; None: the identity.
+    """
 
     gaussians: Gaussians
     eps2d: float = FitConfig.eps2d
     antialiased: bool = FitConfig.antialiased
+    tone: ToneCurve | None = None
+    matrix: Tensor | None = None
 
     @staticmethod
     def of(gaussians: Gaussians, config: FitConfig) -> "GaussianScene":
@@ -54,15 +65,24 @@ class GaussianScene:
                 sh_degree=g.sh_degree, render_mode="RGB+ED", eps2d=self.eps2d,
                 rasterize_mode="antialiased" if self.antialiased else "classic",
             )  # fmt: skip
-        return images[..., :3], alphas[..., 0], images[..., 3]
+        colors = images[..., :3]
+        if self.tone is not None:
+            colors = self.tone.light(colors)
+        if self.matrix is not None:
+            colors = colors @ self.matrix.to(colors).T
+        return colors, alphas[..., 0], images[..., 3]
 
     def save(self, folder: Path) -> None:
-        """Write point_cloud.ply in the layout of 3DGS."""
+        """Write point_cloud.ply in the layout of 3DGS; where colours are tones, other viewers show them as a picture."""
         write_ply(folder / "point_cloud.ply", self.gaussians)
 
     def facts(self) -> dict[str, Any]:
         """Their number, and how they are to be splatted: the .ply does not say."""
-        return {"gaussians": len(self.gaussians), "eps2d": self.eps2d, "antialiased": self.antialiased}
+        facts: dict[str, Any] = {"gaussians": len(self.gaussians), "eps2d": self.eps2d, "antialiased": self.antialiased}
+        if self.tone is not None:
+            facts["tone"] = {"top": self.tone.top, "k": self.tone.k}
+            facts["matrix"] = None if self.matrix is None else self.matrix.tolist()
+        return facts
 
 
 @dataclass(kw_only=True)
@@ -75,12 +95,15 @@ class Reconstruction:
             exposure), "lit" (as in good light, sRGB).
         config: The resolved configuration; `dataclasses.asdict` of it is saved.
         enhancement: What made the dark pictures bright, for methods in the space "enhanced": {"enhancer", "pictures",
-            "config"}. The noise-free exposure goes through the same before renders are compared with it.
+            "config"}. The noise-free exposure goes through the same before renders are compared with it. A method in
+            the space "linear" may state one too: its renders then go through it, with the parameters that the training
+            views have on average, and are compared like those of methods that enhance.
         enhanced: The enhanced training pictures [C, H, W, 3], or None.
         targets: What the scene was finally fitted to [C, H, W, 3] (denoised pictures, say), or None.
         viewmats: The training cameras at the end of training [C, 4, 4]; None: unchanged.
         losses: Log entries of the training.
         seconds: Wall time by part.
+        found: What it measured and decided on the way, for the record; plain values.
     """
 
     scene: Scene
@@ -92,12 +115,13 @@ class Reconstruction:
     viewmats: Tensor | None = None
     losses: list[dict[str, float]] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
+    found: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        if (self.space == "enhanced") != (self.enhancement is not None):
+        if (self.space == "enhanced" and self.enhancement is None) or (self.space == "lit" and self.enhancement):
             raise ValueError(
-                "a reconstruction in the space 'enhanced' states its enhancement, and no other does, got "
-                f"{self.space!r} with {self.enhancement}"
+                "a reconstruction in the space 'enhanced' states its enhancement, and one in the space 'lit' does not, "
+                f"got {self.space!r} with {self.enhancement}"
             )
 
     def render(self, views: Views) -> tuple[Tensor, Tensor, Tensor]:

@@ -1,9 +1,11 @@
 """An iteration on the CPU without autograd: the kernels, chained, from the parameters to their Adam step.
 
-For the plain fit alone, whose loss is L1 + SSIM + regularisers; bit for bit what `iteration` does in general, at two
-thirds of its time. What is out of the ordinary (bad numbers, very large ones) changes nothing here and is left to
+For the plain fit alone, whose loss is of the picture, plus regularisers; bit for bit what `iteration` does in general,
+at two thirds of its time. What is out of the ordinary (bad numbers, very large ones) changes nothing here and is left to
 `iteration`, which finds out what it is and says so.
 """
+
+from collections.abc import Callable
 
 import numpy as np
 import torch
@@ -18,7 +20,6 @@ from ..cpu.training import activations, optimizer
 from ..gaussians import Gaussians
 from ..raster.validation import check_camera
 from ..views import Views
-from .losses import compare
 from .updates.adam import Adam, LearningRates
 
 NEAR, FAR = 0.01, 1e10  # the defaults of `rasterize`
@@ -29,10 +30,22 @@ class DirectFit:
     """The cameras of a fit, checked once, and what its iterations share."""
 
     def __init__(
-        self, views: Views, *, dssim_weight: float, opacity_reg: float, scale_reg: float, eps2d: float,
-        antialiased: bool,
+        self, views: Views, *, compare: Callable[[np.ndarray, np.ndarray], tuple[np.float32, np.ndarray]],
+        opacity_reg: float, scale_reg: float, eps2d: float, antialiased: bool,
     ) -> None:  # fmt: skip
-        """Raises ValueError for a camera that `rasterize` would refuse."""
+        """Check the cameras.
+
+        Args:
+            views: The training views.
+            compare: Loss of a picture and its target, and its gradient for the picture.
+            opacity_reg: As in `FitConfig`.
+            scale_reg: As in `FitConfig`.
+            eps2d: As in `FitConfig`.
+            antialiased: As in `FitConfig`.
+
+        Raises:
+            ValueError: For a camera that `rasterize` would refuse.
+        """
         for viewmat, K in zip(views.viewmats, views.Ks, strict=True):
             check_camera({"viewmats": viewmat[None], "Ks": K[None]})
         self.cameras = [
@@ -43,11 +56,8 @@ class DirectFit:
             for viewmat, K in zip(views.viewmats, views.Ks, strict=True)
         ]  # fmt: skip
         self.image_shape = (views.height, views.width, 3)
-        self.dssim_weight, self.opacity_reg, self.scale_reg = (
-            dssim_weight,
-            np.float32(opacity_reg),
-            np.float32(scale_reg),
-        )
+        self.compare = compare
+        self.opacity_reg, self.scale_reg = np.float32(opacity_reg), np.float32(scale_reg)
         self.v_alpha = np.zeros((views.height, views.width), np.float32)
         self.calm = 0  # iterations for which the coefficients are known to be small
 
@@ -87,7 +97,7 @@ class DirectFit:
         frame, image, _ = pipeline.forward(shape, _array(gaussians.sh), self.cameras[view], sh_degree, True, False)
         if frame.splats.suspect:
             return None
-        photometric, v_image = compare(image, _array(target), self.dssim_weight)
+        photometric, v_image = self.compare(image, _array(target))
         loss = np.float32(photometric + regularizer)
         if not np.isfinite(loss):
             return None

@@ -20,8 +20,9 @@ from .config import FitConfig
 from .direct import DirectFit
 from .guard import NotFinite, norms
 from .iteration import backpropagate, check_parameters, current, default_photometric, where
-from .step import Step
-from .updates.adam import Adam
+from .losses import compare
+from .step import PixelLoss, Step
+from .updates.adam import Adam, LearningRates
 from .updates.camera_refinement import CameraState, move_cameras
 from .updates.mcmc import add_noise, grow, prune_to_cap, relocate
 
@@ -69,7 +70,7 @@ def fit(
         target: Image [H, W, 3] that view i should show; asked every iteration, so it may change.
         config: How to train.
         photometric: Scalar loss of the Step and its target, which may then be of any shape; None is
-            (1 - w) L1 + w (1 - SSIM) with `config.dssim_weight`.
+            (1 - w) L1 + w (1 - SSIM) with `config.dssim_weight`. A `PixelLoss` spares the CPU autograd.
         extra_losses: Called with the Step after rendering; each returns a scalar to add, or None.
         before_step: Called with the iteration number before it starts.
         needs_depth: Render expected depth too; a function is asked in every iteration, by its number.
@@ -97,27 +98,28 @@ def fit(
     else:
         state = _initial_state(gaussians, views, config)
     cap = config.cap_max if config.cap_max is not None else len(gaussians)
-    compare = photometric or partial(default_photometric, config.dssim_weight)
-    direct = None if photometric is not None or extra_losses else _direct(state, views, config)
+    loss = photometric or partial(default_photometric, config.dssim_weight)
+    direct = None if extra_losses else _direct(state, views, config, photometric)
     save = None if checkpoint is None else partial(_save, checkpoint, settings, started)
     for iteration in range(state.iteration, config.iterations):
         means_rate = config.rates.means_at(iteration, config.iterations, extent)
+        rates = config.rates.at(iteration, config.iterations)
         view = config.view_at(iteration, len(views))
         try:
             if before_step is not None:
                 _prepare(before_step, iteration)
             losses, aim = None, target
             if direct is not None:
-                losses, aim = _step_directly(direct, state, iteration, target(view), config, means_rate)
+                losses, aim = _step_directly(direct, state, iteration, target(view), config, rates, means_rate)
             if losses is None:
                 losses = backpropagate(
                     state, views, iteration, config, extent,
                     with_depth=needs_depth(iteration) if callable(needs_depth) else needs_depth,
-                    photometric=partial(_compare, compare, aim), extra_losses=extra_losses,
+                    photometric=partial(_compare, loss, aim), extra_losses=extra_losses,
                 )  # fmt: skip
                 # extra losses may reach harmonics that are not rendered yet
                 degree = 3 if extra_losses else config.degree_at(iteration)
-                state.adam.step(state.gaussians, config.rates, means_rate, degree)
+                state.adam.step(state.gaussians, rates, means_rate, degree)
             _move(state, iteration, config, cap, means_rate)
             state.iteration = done = iteration + 1
             saving = done % config.checkpoint_every == 0 or done == config.iterations
@@ -140,8 +142,8 @@ def fit(
     )  # fmt: skip
 
 
-def _compare(compare: Callable[[Step, Tensor], Tensor], aim: Callable[[int], Tensor], step: Step) -> Tensor:
-    return compare(step, aim(step.view))
+def _compare(loss: Callable[[Step, Tensor], Tensor], aim: Callable[[int], Tensor], step: Step) -> Tensor:
+    return loss(step, aim(step.view))
 
 
 def _prepare(before_step: Callable[[int], None], iteration: int) -> None:
@@ -215,23 +217,37 @@ def _generator(seed: int, iteration: int, what: int) -> torch.Generator:
     return torch.Generator().manual_seed(int(state) & (2**63 - 1))
 
 
-def _direct(state: TrainingState, views: Views, config: FitConfig) -> DirectFit | None:
+def _direct(
+    state: TrainingState, views: Views, config: FitConfig, photometric: Callable[[Step, Tensor], Tensor] | None
+) -> DirectFit | None:
     """How to do without autograd, where that is possible."""
     if state.cameras is not None or config.backend not in ("auto", "numba") or state.gaussians.means.is_cuda:
         return None
-    names = ("dssim_weight", "opacity_reg", "scale_reg", "eps2d", "antialiased")
-    return DirectFit(views, **{name: getattr(config, name) for name in names})
+    if photometric is not None and not isinstance(photometric, PixelLoss):
+        return None
+    plain = partial(compare, dssim_weight=config.dssim_weight)
+    names = ("opacity_reg", "scale_reg", "eps2d", "antialiased")
+    return DirectFit(
+        views, compare=plain if photometric is None else photometric.compare,
+        **{name: getattr(config, name) for name in names},
+    )  # fmt: skip
 
 
 def _step_directly(
-    direct: DirectFit, state: TrainingState, iteration: int, image: Tensor, config: FitConfig, means_rate: float
+    direct: DirectFit,
+    state: TrainingState,
+    iteration: int,
+    image: Tensor,
+    config: FitConfig,
+    rates: LearningRates,
+    means_rate: float,
 ) -> tuple[tuple[float, float] | None, Callable[[int], Tensor]]:
     """Losses, or None if nothing was done; and the target that was asked for, to be asked again."""
     losses = None
-    if direct.takes(state.gaussians, image, config.rates):
+    if direct.takes(state.gaussians, image, rates):
         view = config.view_at(iteration, len(direct.cameras))
         degree = config.degree_at(iteration)
-        losses = direct.step(state.gaussians, state.adam, view, image, config.rates, means_rate, degree)
+        losses = direct.step(state.gaussians, state.adam, view, image, rates, means_rate, degree)
     return losses, lambda _: image
 
 

@@ -2,8 +2,9 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
+import numpy as np
 from torch import Tensor
 
 from ..gaussians import Gaussians
@@ -11,6 +12,19 @@ from ..raster.rasterize import rasterize
 from ..views import Views
 
 Info = Mapping[str, Any]
+
+
+@runtime_checkable
+class PixelLoss(Protocol):
+    """A photometric loss of the picture alone that brings its own gradient."""
+
+    def __call__(self, step: "Step", target: Tensor) -> Tensor:
+        """The loss, a scalar, by autograd."""
+        ...
+
+    def compare(self, image: np.ndarray, target: np.ndarray) -> tuple[np.float32, np.ndarray]:
+        """The loss of float32 arrays [H, W, 3], and its gradient for the image."""
+        ...
 
 
 @dataclass(kw_only=True)

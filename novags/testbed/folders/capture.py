@@ -37,7 +37,7 @@ from sensor_model import (
     write_dng,
 )
 from sensor_model.files.reading import reading
-from sensor_model.isp import DEMOSAIC, Demosaic
+from sensor_model.isp import DEMOSAIC, Demosaic, white_balance
 from sensor_model.params import Cfa
 from simscenes.sets.multiview import MultiviewSet, load_set
 from simscenes.sets.pictures.exr import read_exr, write_exr
@@ -256,6 +256,15 @@ class Capture:
             return raw["cfa"], float(raw["black"]), float(raw["white"])
         assert self.sensor is not None
         return self.sensor.cfa, float(self.sensor.black_level), self.sensor.white_dn
+
+    @property
+    def color(self) -> tuple[tuple[float, float, float] | None, tuple[tuple[float, ...], ...] | None]:
+        """From raw frames to linear pictures: white balance (None if unknown) and colour matrix (None: identity)."""
+        if self.sensor is None:
+            return None, None
+        red, green, blue = white_balance(self.sensor).tolist()
+        matrix = self.record["color_matrix"]
+        return (red, green, blue), None if matrix is None else tuple(tuple(map(float, row)) for row in matrix)
 
     @property
     def noise(self) -> Noise | None:

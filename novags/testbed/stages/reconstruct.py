@@ -179,7 +179,10 @@ def true_surface(capture: Capture, source: Source, indices: list[int], name: str
 def raw_pictures(capture: Capture, indices: list[int]) -> RawPictures:
     """The raw frames of these views."""
     cfa, black, white = capture.levels
-    return RawPictures(dn=stack([capture.raw(i) for i in indices]), cfa=cfa, black=black, white=white)
+    balance, matrix = capture.color
+    return RawPictures(
+        dn=stack([capture.raw(i) for i in indices]), cfa=cfa, black=black, white=white, balance=balance, matrix=matrix
+    )
 
 
 def reconstruct_views(

@@ -1,7 +1,7 @@
 """Adam over the five tensors of a set of Gaussians, with a learning rate per tensor (and one for the SH rest)."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -31,6 +31,8 @@ class LearningRates:
         logit_opacities: Logit opacity.
         sh_dc: Constant colour.
         sh_rest: Higher spherical harmonics.
+        cool_from: Share of the run after which all rates but that of the means fall, log-linearly.
+        cool_to: What they fall to at its end, as a share of themselves; 1: they do not.
     """
 
     means: float = 1.6e-4
@@ -41,6 +43,8 @@ class LearningRates:
     logit_opacities: float = 5e-2
     sh_dc: float = 2.5e-3
     sh_rest: float = 1.25e-4
+    cool_from: float = 0.6
+    cool_to: float = 1.0
 
     def __post_init__(self) -> None:
         if self.schedule not in ("original", "gsplat"):
@@ -48,6 +52,19 @@ class LearningRates:
         for name in ("means", "means_final", "quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"learning rate {name} must be >= 0, got {getattr(self, name)}")
+        if not (0 <= self.cool_from < 1 and 0 < self.cool_to <= 1):
+            raise ValueError(
+                f"cool_from must lie in [0, 1) and cool_to in (0, 1], got {self.cool_from} and {self.cool_to}"
+            )
+
+    def at(self, iteration: int, iterations: int) -> "LearningRates":
+        """These rates at an `iteration` of a run of `iterations`: cooled, but for those of the means."""
+        begin = self.cool_from * iterations
+        if self.cool_to == 1 or iteration <= begin:
+            return self
+        factor = self.cool_to ** ((iteration - begin) / (iterations - begin))
+        cooled = ("quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest")
+        return replace(self, **{name: factor * getattr(self, name) for name in cooled})
 
     def means_at(self, iteration: int, iterations: int, extent: float) -> float:
         """Learning rate of the means, world units, at `iteration` of a run of `iterations`."""

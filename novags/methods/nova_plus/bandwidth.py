@@ -1,0 +1,103 @@
+"""How alike two pixels must be to be averaged: what the data themselves say is best.
+
+An average of raw data has a bias, where what looked alike is not, and a variance. Both are known without truth: of a
+datum y with variance v and the average q of the others, whose variance is v_q,
+
+    E (y - q)**2 = v + v_q + bias**2
+
+The bias is common to all views; the variance is not, and the fit to the averages of all views takes it down again:
+VIEWS times. Too wide a window costs more than a picture by itself would show, so the best h is smaller than for one.
+"""
+
+import math
+
+import torch
+from torch import Tensor
+
+from novags.methods.nova_plus.average import averages
+from novags.methods.nova_plus.data import Exposures
+from novags.methods.tone import ToneCurve
+
+VIEWS = 3.0  # what the fit to all averages takes their variance down by
+STEP = math.sqrt(2)
+SMALLEST, LARGEST = 0.007, 0.32  # in tone
+JUDGES = 4  # views that are looked at
+
+
+def choose_bandwidth(guide: Tensor, data: Exposures, curve: ToneCurve) -> tuple[float, list[dict[str, float]]]:
+    """The h of `averages` at which bias**2 + variance / VIEWS is least, between the steps of a grid.
+
+    Args:
+        guide: Tones of the training views [C, H, W, 3].
+        data: The measurements.
+        curve: From tones to light.
+
+    Returns:
+        h, and what was found at each step: "h", "bias2" and "variance", in squared tone.
+    """
+    views = sorted({round(i * (len(guide) - 1) / (JUDGES - 1)) for i in range(JUDGES)})
+    found = []
+    for step in range(1 + math.floor(math.log(LARGEST / SMALLEST, STEP))):
+        h = SMALLEST * STEP**step
+        bias2, variance = errors_of_average(guide[views], data.light[views], data.fitted[views], data, curve, h)
+        found.append({"h": h, "bias2": bias2, "variance": variance})
+        if len(found) > 2 and bias2 > 4 * min(_risk(f) for f in found):
+            break  # it only grows from here
+    best = min(range(len(found)), key=lambda i: _risk(found[i]))
+    shift = _vertex(*(_risk(f) for f in found[best - 1 : best + 2])) if 0 < best < len(found) - 1 else 0.0
+    return found[best]["h"] * STEP**shift, found
+
+
+def errors_of_average(
+    guide: Tensor, light: Tensor, fitted: Tensor, data: Exposures, curve: ToneCurve, h: float
+) -> tuple[float, float]:
+    """Squared bias and variance of the guided averages, means over the data in squared tone.
+
+    Args:
+        guide: Tones [C, H, W, 3].
+        light: All data [C, H, W, 3].
+        fitted: Those that are averaged; nan elsewhere.
+        data: What knows their noise.
+        curve: From tones to light.
+        h: As in `averages`.
+    """
+    sums = averages(guide, fitted, h=h, patch=1, own=False)
+    slope = curve.slope(guide)
+    noise = data.noise(curve.light(guide)) / slope.square()
+    residual = ((light - sums.mean(light)) / slope).square()
+    # with the datum itself among the W others, the average is pulled back towards the truth by W / (W + 1)
+    pulled = (sums.weights / (sums.weights + 1)).square()
+    bias2 = pulled * (residual - noise * (1 + sums.variance))
+    variance = noise * (sums.squares + 1) / (sums.weights + 1).square()
+    there = ~fitted.isnan() & (sums.weights > 0.01)
+    if not there.any():
+        return 0.0, math.inf
+    return float(bias2[there].double().mean()), float(variance[there].double().mean())
+
+
+def _risk(found: dict[str, float]) -> float:
+    return found["bias2"] + found["variance"] / VIEWS
+
+
+def _vertex(left: float, middle: float, right: float) -> float:
+    """Where the parabola through three equally spaced values is least, -1/2..1/2 of a step from the middle one."""
+    bend = left - 2 * middle + right
+    return 0.0 if bend <= 0 else 0.5 * (left - right) / bend
+
+
+def guided_targets(guide: Tensor, data: Exposures, curve: ToneCurve, h: float, share: float) -> Tensor:
+    """What the views shall show: raw data averaged along the guide, mixed with the guide.
+
+    Args:
+        guide: Tones [C, H, W, 3].
+        data: The measurements.
+        curve: From tones to light and back.
+        h: As in `averages`.
+        share: Of the averages; the rest is the guide.
+
+    Returns:
+        Tones [C, H, W, 3], float32.
+    """
+    light = curve.light(guide)
+    averaged = averages(guide, data.fitted, h=h, patch=1).mean(light)
+    return torch.as_tensor(curve.tone(share * averaged + (1 - share) * light), dtype=torch.float32)

@@ -1,0 +1,54 @@
+"""Which of two reconstructions the held-out data like better: a test that needs no truth."""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from novags.methods.nova_plus.data import Exposures
+from novags.methods.tone import ToneCurve
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """How much larger the squared error of one reconstruction is than that of another, in squared tone.
+
+    Attributes:
+        excess: Mean over the held-out data.
+        deviation: Standard error of that mean.
+    """
+
+    excess: float
+    deviation: float
+
+    @property
+    def worse(self) -> bool:
+        """Whether the data say so beyond doubt: by more than two standard errors."""
+        return self.excess > 2 * self.deviation
+
+
+def compare(tones: Tensor, other: Tensor, data: Exposures, curve: ToneCurve) -> Verdict:
+    """What held-out data say of two reconstructions of the training views.
+
+    A datum y that no fit has seen misses mu by v + (mu - truth)**2 on average, so of two the difference is that of
+    their errors, and most of the noise cancels: (y - a)**2 - (y - b)**2 = (b - a) (2 y - a - b).
+
+    Args:
+        tones: Rendered views of the one [C, H, W, 3].
+        other: Of the other.
+        data: The measurements.
+        curve: From tones to light.
+    """
+    there = data.held[..., None] & data.measured
+    first, second, datum = (values[there].double() for values in (curve.light(tones), curve.light(other), data.light))
+    slope = curve.slope((tones + other) / 2)[there].double()
+    difference = (second - first) * (2 * datum - first - second) / slope.square()
+    if len(difference) < 2:
+        return Verdict(0.0, math.inf)
+    return Verdict(float(difference.mean()), float(difference.std() / math.sqrt(len(difference))))
+
+
+def mean_tone(tones: list[Tensor], curve: ToneCurve) -> Tensor:
+    """The tones of the mean light of several reconstructions."""
+    return curve.tone(torch.stack([curve.light(each) for each in tones]).mean(0)).to(tones[0])

@@ -1,0 +1,262 @@
+"""The method as a whole: likelihood, guided averages, structure; several seeds, merged; every step judged by data."""
+
+import dataclasses
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from novags.methods.enhancers import EnhancerConfig, enhanced, enhanced_like, enhanced_view, enhancement_record
+from novags.methods.enhancers.guided import EnhanceConfig
+from novags.methods.gaussian_fit import Progress, fit_for
+from novags.methods.noise import Noise, estimate_noise
+from novags.methods.nova_plus.average import non_local_means
+from novags.methods.nova_plus.bandwidth import choose_bandwidth, guided_targets
+from novags.methods.nova_plus.data import Exposures, exposures
+from novags.methods.nova_plus.judge import compare, mean_tone
+from novags.methods.nova_plus.likelihood import Likelihood
+from novags.methods.nova_plus.merge import merged
+from novags.methods.problem import LacksInput, Pictures, Problem, encode
+from novags.methods.reconstruction import GaussianScene, Reconstruction
+from novags.methods.tone import ToneCurve, tone_curve
+from novags.splats import FitConfig, Gaussians, LearningRates, McmcConfig
+from novags.splats.training.fit import FitResult, fit
+from sensor_model import srgb_to_linear
+
+# Several times those of 3DGS, for short fits, and cooled at the end.
+FAST = LearningRates(means=4e-4, means_final=4e-6, quats=4e-3, log_scales=2e-2, sh_dc=2e-2, sh_rest=1e-3, cool_to=0.1)
+PIXELS_PER_GAUSSIAN = 11  # of all training views: more Gaussians gain little, fewer lose
+PARTS = {"likelihood": 10, "structure": 5, "merged": 2}  # twelfths of `fit.iterations` that each of its fits takes
+GUIDE_BANDWIDTH = 0.7  # of the averages', for the guide's own
+
+
+@dataclass(frozen=True, kw_only=True)
+class NovaPlusConfig:
+    """All choices. What is None follows a rule from the data.
+
+    Attributes:
+        fit: Of every stage; `fit.iterations` is the sum of one seed's and is shared out.
+        init_scale: Of an initial Gaussian, in distances to its nearest neighbours.
+        gaussians: How many each seed has; None: one for every `PIXELS_PER_GAUSSIAN` of all views, at least as many as
+            there are points at the start.
+        seeds: Independent reconstructions that are merged.
+        held_share: Of the pixels that judge.
+        bandwidth: Of the guided averages, in tone; None: chosen by `choose_bandwidth`.
+        averaged_share: Of the guided averages in the targets of stage 2; the rest is the guide.
+        stages: How far to go: "likelihood" alone, or "all".
+        noise: "camera": as known, where it is; "pictures": as estimated from them.
+        pictures: Through whose enhancement the result is shown, and compared with methods that enhance.
+        enhance: That enhancement.
+    """
+
+    fit: FitConfig = FitConfig(iterations=2400, sh_degree=1, sh_every=400, rates=FAST, eps2d=0.1,
+                               mcmc=McmcConfig(refine_start=50, refine_every=50, growth=1.08, noise_lr=2e5))  # fmt: skip
+    init_scale: float = 0.7
+    gaussians: int | None = None
+    seeds: int = 2
+    held_share: float = 0.03
+    bandwidth: float | None = None
+    averaged_share: float = 2 / 3
+    stages: Literal["likelihood", "all"] = "all"
+    noise: Literal["camera", "pictures"] = "camera"
+    pictures: Pictures = "8bit"
+    enhance: EnhancerConfig = field(default_factory=EnhanceConfig)
+
+    def __post_init__(self) -> None:
+        if self.seeds < 1:
+            raise ValueError(f"seeds must be >= 1, got {self.seeds}")
+        if not (0 <= self.held_share < 1 and 0 <= self.averaged_share <= 1):
+            raise ValueError(
+                "held_share must lie in [0, 1) and averaged_share in [0, 1], got "
+                f"{self.held_share} and {self.averaged_share}"
+            )
+        if self.bandwidth is not None and not self.bandwidth > 0:
+            raise ValueError(f"bandwidth must be > 0 or None, got {self.bandwidth}")
+        if self.gaussians is not None and self.gaussians < 1:
+            raise ValueError(f"gaussians must be >= 1 or None, got {self.gaussians}")
+
+    def iterations(self, part: str) -> int:
+        """Of one fit of a part; "merged" comes once."""
+        return max(1, round(self.fit.iterations * PARTS[part] / 24))
+
+
+def parts(config: NovaPlusConfig) -> dict[str, int]:
+    """`Method.parts`: the fits of all seeds, stage by stage."""
+    counts = {"likelihood": config.seeds * config.iterations("likelihood")}
+    if config.stages == "all":
+        counts["structure"] = config.seeds * config.iterations("structure")
+        if config.seeds > 1:
+            counts["merged"] = config.iterations("merged")
+    return counts
+
+
+def train(
+    problem: Problem, config: NovaPlusConfig, *, progress: Progress | None = None, checkpoint: Path | None = None
+) -> Reconstruction:
+    """Reconstruct the light of a scene from noisy dark views.
+
+    Args:
+        problem: The problem; its seed and extent override those of `config.fit`.
+        config: All choices.
+        progress: Called with (iterations done, of how many, losses) of all fits together.
+        checkpoint: Each fit has a checkpoint of its own beside it, named after the stage and seed; a run goes on where
+            the last of them ends.
+
+    Returns:
+        A reconstruction in linear light, in the unit of the linear 16-bit pictures. `targets` are the targets of stage
+        2, enhanced. Seconds: "averages", and "fit" of all stages.
+
+    Raises:
+        LacksInput: If the problem has neither raw frames nor 16-bit linear pictures.
+        ValueError: If there is no light in the pictures, or a checkpoint is damaged or of another run.
+        NotFinite: As `fit` says.
+    """
+    started = time.perf_counter()
+    data = exposures(problem, noise_of(problem, config), config.held_share)
+    curve = tone_curve(data.greens)
+    work = _Work(problem, config, data, curve, progress, checkpoint)
+    firsts = [work.likelihood(seed) for seed in range(config.seeds)]
+    final, targets = (firsts, None) if config.stages == "likelihood" else work.structure(firsts)
+    gaussians = final[0] if len(final) == 1 else work.joined(final, targets)
+    scene = GaussianScene(gaussians, config.fit.eps2d, config.fit.antialiased, curve, data.matrix)
+    total = time.perf_counter() - started
+    return Reconstruction(
+        scene=scene,
+        space="linear",
+        config=config,
+        enhancement=enhancement_record(config.enhance, config.pictures),
+        enhanced=enhanced(problem, config.enhance, config.pictures),
+        targets=None if targets is None else work.shown(targets),
+        losses=work.losses,
+        seconds={"fit": work.seconds, "averages": max(0.0, total - work.seconds)},
+        found=work.found,
+    )
+
+
+def noise_of(problem: Problem, config: NovaPlusConfig) -> Noise:
+    """The noise of the pictures, as known or as estimated."""
+    if problem.noise is not None and config.noise == "camera":
+        return problem.noise
+    if problem.linear16 is None:
+        raise LacksInput("the noise can be estimated from 16-bit linear pictures, and this capture has none")
+    return estimate_noise(problem.linear16)
+
+
+class _Work:
+    """One run: what its stages share, and what it has found."""
+
+    def __init__(
+        self, problem: Problem, config: NovaPlusConfig, data: Exposures, curve: ToneCurve, progress: Progress | None,
+        checkpoint: Path | None,
+    ) -> None:  # fmt: skip
+        self.problem, self.config, self.data, self.curve = problem, config, data, curve
+        self.progress, self.checkpoint = progress, checkpoint
+        self.base = fit_for(problem, config.fit)
+        pixels = len(data) * problem.views.height * problem.views.width
+        self.count = config.gaussians or max(len(problem.start.points), pixels // PIXELS_PER_GAUSSIAN)
+        self.done, self.total = 0, sum(parts(config).values())
+        self.seconds = 0.0
+        self.losses: list[dict[str, float]] = []
+        self.found: dict[str, Any] = {
+            "tone": {"top": curve.top, "k": curve.k}, "gaussians": self.count, "held_out_pixels": int(data.held.sum()),
+        }  # fmt: skip
+
+    def likelihood(self, seed: int) -> Gaussians:
+        """Stage 1 of one seed."""
+        start = self.problem.start
+        light = torch.from_numpy(np.asarray(srgb_to_linear(start.colors.cpu().numpy()), np.float32))
+        if self.data.matrix is not None:
+            light = light @ torch.linalg.inv(self.data.matrix.cpu()).T
+        colors = self.curve.tone(light).clamp(0, 1).to(self.data.light)
+        points = start.points.to(self.data.light)
+        first = Gaussians.from_points(
+            points, colors, sh_degree=self.base.sh_degree, init_scale=self.config.init_scale
+        )  # fmt: skip
+        fitted, loss = self.data.fitted, Likelihood(self.data, self.curve)
+        config = self._config("likelihood", seed)
+        return self._fit("likelihood", seed, first, fitted, config, loss).gaussians
+
+    def structure(self, firsts: list[Gaussians]) -> tuple[list[Gaussians], Tensor | None]:
+        """Stage 2 of all seeds, and its targets; stage 1 itself, and None, if held-out data like that better."""
+        before = [self._tones(each) for each in firsts]
+        guide = mean_tone(before, self.curve)
+        h = self.config.bandwidth
+        if h is None:
+            h, tried = choose_bandwidth(guide, self.data, self.curve)
+            self.found["bandwidths"] = tried
+        self.found["bandwidth"] = h
+        guide = non_local_means(guide, GUIDE_BANDWIDTH * h)
+        targets = guided_targets(guide, self.data, self.curve, h, self.config.averaged_share)
+        seconds = []
+        for seed, first in enumerate(firsts):
+            rates = _scaled(self.base.rates, 0.5)
+            mcmc = None if self.base.mcmc is None else dataclasses.replace(self.base.mcmc, refine_start=0)
+            config = dataclasses.replace(self._config("structure", seed), rates=rates, mcmc=mcmc, sh_every=1)
+            seconds.append(self._fit("structure", seed, first, targets, config).gaussians)
+        verdict = compare(mean_tone([self._tones(each) for each in seconds], self.curve),
+                          mean_tone(before, self.curve), self.data, self.curve)  # fmt: skip
+        self.found["structure"] = dataclasses.asdict(verdict)
+        return (firsts, None) if verdict.worse else (seconds, targets)
+
+    def joined(self, sets: list[Gaussians], targets: Tensor | None) -> Gaussians:
+        """All seeds as one set, trained on a little; the first seed alone, if held-out data like that better."""
+        joined, loss = merged(sets), None
+        if targets is None:
+            targets, loss = self.data.fitted, Likelihood(self.data, self.curve)
+        config = dataclasses.replace(
+            self._config("merged", 0), rates=_scaled(self.base.rates, 0.1), mcmc=None, sh_every=1, cap_max=len(joined)
+        )
+        joined = self._fit("merged", 0, joined, targets, config, loss).gaussians
+        verdict = compare(self._tones(joined), self._tones(sets[0]), self.data, self.curve)
+        self.found["merged"] = dataclasses.asdict(verdict)
+        return sets[0] if verdict.worse else joined
+
+    def shown(self, tones: Tensor) -> Tensor:
+        """Tones of the training views as pictures, each through the enhancement of its own view."""
+        pictures, config = self.config.pictures, self.config.enhance
+        dark, found = self.problem.encoded(pictures), []
+        for i, name in enumerate(self.problem.names):
+            _, params = enhanced_view(self.problem.shared, name, dark[i], config, pictures)
+            light = self.curve.light(tones[i])
+            light = light if self.data.matrix is None else light @ self.data.matrix.T
+            code = torch.from_numpy(encode(light.cpu().numpy())).to(dark)
+            found.append(enhanced_like(code, config, params))
+        return torch.stack(found)
+
+    def _config(self, part: str, seed: int) -> FitConfig:
+        # seeds of one run and those of the next must not be the same
+        return dataclasses.replace(
+            self.base, iterations=self.config.iterations(part), cap_max=self.count, seed=self.base.seed + 1000 * seed
+        )
+
+    def _tones(self, gaussians: Gaussians) -> Tensor:
+        return GaussianScene(gaussians, self.base.eps2d, self.base.antialiased).render(self.problem.views)[0]
+
+    def _fit(
+        self, part: str, seed: int, start: Gaussians, targets: Tensor, config: FitConfig,
+        loss: Likelihood | None = None,
+    ) -> FitResult:  # fmt: skip
+        path = self.checkpoint and self.checkpoint.with_name(f"{self.checkpoint.stem}.{part}-{seed}.safetensors")
+
+        def report(done: int, _: int, entry: dict[str, float]) -> None:
+            if self.progress is not None:
+                self.progress(self.done + done, self.total, entry)
+
+        result = fit(
+            start, self.problem.views, lambda i: targets[i], config, photometric=loss, checkpoint=path, progress=report
+        )
+        self.losses += [{**entry, "iteration": self.done + entry["iteration"]} for entry in result.losses]
+        self.done += config.iterations
+        self.seconds += result.seconds
+        return result
+
+
+def _scaled(rates: LearningRates, factor: float) -> LearningRates:
+    """All rates times a factor, but for the last of the means."""
+    names = ("means", "quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest")
+    scaled = {name: factor * getattr(rates, name) for name in names}
+    return dataclasses.replace(rates, **{**scaled, "means": max(scaled["means"], rates.means_final)})

@@ -1,0 +1,71 @@
+"""The space in which Gaussians hold light: about logarithmic, so that dark and bright parts take their share of them.
+
+    lin(r) = top * expm1(k r) / expm1(k)        r = 0 is black, r = 1 is `top`
+
+k is chosen so that the median of the scene lies where r is about 0.4: where the logarithm's knee, top / expm1(k), is a
+sixth of the median, whatever lamp sets `top`. Linear colours would spend most Gaussians on the brightest parts.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+KNEE = 0.167  # of the median, below which the curve is about straight
+BRIGHTEST = 0.999  # quantile of the pixels that is `top`; what is above is r > 1
+
+
+@dataclass(frozen=True)
+class ToneCurve:
+    """Light as a function of a tone r, both of any shape; smooth, increasing, and defined for all r.
+
+    Attributes:
+        top: Light at r = 1, > 0, unit of the data.
+        k: Curvature, > 0.
+    """
+
+    top: float
+    k: float
+
+    def __post_init__(self) -> None:
+        if not (0 < self.top < math.inf and 0 < self.k < math.inf):
+            raise ValueError(f"top and k must be > 0 and finite, got {self.top} and {self.k}")
+
+    @property
+    def knee(self) -> float:
+        """Light below which the curve is about straight."""
+        return self.top / math.expm1(self.k)
+
+    def light(self, tone: Tensor) -> Tensor:
+        """lin(r)."""
+        return self.knee * torch.expm1(self.k * tone)
+
+    def slope(self, tone: Tensor) -> Tensor:
+        """D lin / d r, > 0."""
+        return self.knee * self.k * torch.exp(self.k * tone)
+
+    def tone(self, light: Tensor) -> Tensor:
+        """R of light that is above -knee; darker light (noise) is taken for the darkest."""
+        # 1e-3 of the knee: at -knee itself the logarithm is -inf
+        return torch.log1p((light / self.knee).clamp_min(-1 + 1e-3)) / self.k
+
+
+def tone_curve(light: Tensor) -> ToneCurve:
+    """The curve for pictures of this light.
+
+    Args:
+        light: Of the training pictures, noise included, unit of the data, any shape; of a mosaic its greens.
+
+    Raises:
+        ValueError: If the median is not above 0, so that there is nothing but noise.
+    """
+    values = light.flatten().double()
+    median = float(values.median())
+    top = float(torch.quantile(values[:: max(1, len(values) // 4_000_000)], BRIGHTEST))
+    if not median > 0:
+        raise ValueError(
+            f"the median of the green pixels must be above black, got {median:.3g}: there is less light than this "
+            "method can use, or the black level of the camera is wrong"
+        )
+    return ToneCurve(top, math.log1p(top / (KNEE * median)))
