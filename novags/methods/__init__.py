@@ -10,6 +10,7 @@ from novags.methods.averaging import trainer as averaging
 from novags.methods.gaussian_fit import EnhancedFitConfig, fit_parts
 from novags.methods.nova import trainer as nova
 from novags.methods.nova.denoiser import FAST_DENOISER
+from novags.methods.nova_plus import trainer as nova_plus
 from novags.methods.variant import Method, Variant, spelled
 from novags.settings import flattened
 from sensor_model.files.reading import brief
@@ -25,6 +26,16 @@ METHODS: dict[str, Method] = {
         parts=nova.parts,
         source="NOVA-GS: Noise-Aware View-Consistent Gaussian Splatting for Low-Light Novel View Synthesis",
         cameras="vggt",
+    ),
+    "nova-plus": Method(
+        title="the light of the scene, fitted to the raw data by their known noise, then to averages of them that the "
+        "first fit guides; two seeds, merged",
+        family="ours",
+        color="#7a3fb0",
+        config=nova_plus.NovaPlusConfig,
+        train=nova_plus.train,
+        parts=nova_plus.parts,
+        source="docs/nova-plus.md",
     ),
     "naive": Method(
         title="enhance, then fit the noisy pictures with the same loss (L1 and D-SSIM)",

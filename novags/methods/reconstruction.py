@@ -73,7 +73,7 @@ class GaussianScene:
         return colors, alphas[..., 0], images[..., 3]
 
     def save(self, folder: Path) -> None:
-        """Write point_cloud.ply in the layout of 3DGS; where colours are tones, other viewers show them as a picture."""
+        """Write point_cloud.ply in the layout of 3DGS; other viewers show colours that are tones as a picture."""
         write_ply(folder / "point_cloud.ply", self.gaussians)
 
     def facts(self) -> dict[str, Any]:

@@ -189,7 +189,7 @@ def run_stage(
         work: Fills the folder (picking up what is there) with what `prepare` read, and returns the record's body.
         console: Where progress goes.
         stale: Files elsewhere that describe an earlier result in `folder`; removed together with it.
-        scrap: Files in `folder` that only unfinished work needs; removed once the record is written, not before.
+        scrap: What in `folder` only unfinished work needs; removed once the record is written, not before.
         overwrite: Replace a finished result of other inputs or another configuration.
 
     Returns:
@@ -309,7 +309,10 @@ class _Stage:
     def _tidy(self) -> None:
         """Remove what only unfinished work needs; what marks it goes last, so that this can be interrupted too."""
         for name in self.scrap:
-            (self.folder / name).unlink(missing_ok=True)
+            if (self.folder / name).is_dir():
+                shutil.rmtree(self.folder / name)
+            else:
+                (self.folder / name).unlink(missing_ok=True)
         self._unfinished.unlink(missing_ok=True)
 
     def _earlier_seconds(self, key: str) -> float | None:

@@ -8,12 +8,13 @@ well-lit render or photograph, for all methods. Of imported photographs clean lo
 noise-free ones, and what was not given is missing.
 """
 
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import torch
 
-from novags.methods.enhancers import enhanced_twin, enhanced_view, recorded
+from novags.methods.enhancers import enhanced_like, enhanced_twin, enhanced_view, recorded
+from novags.methods.problem import encode
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.imported import MISSING
 from novags.testbed.folders.run import Run
@@ -47,12 +48,52 @@ def enhanced_dark(capture: Capture, i: int, enhancement: dict[str, Any]) -> Imag
     return found
 
 
+class Made(Protocol):
+    """What came of a method: a run, or the reconstruction that becomes one."""
+
+    @property
+    def space(self) -> str:
+        """See `Reconstruction.space`."""
+        ...
+
+    @property
+    def enhancement(self) -> dict[str, Any] | None:
+        """See `Reconstruction.enhancement`."""
+        ...
+
+
+def pictured(run: Made, capture: Capture, rendered: Image) -> Image:
+    """A render as a picture in sRGB code, to be looked at and to be compared with `enhanced`.
+
+    Of a run in linear light that states an enhancement: through it, with the parameters that the training views have
+    on average. Nothing of a held-out view goes into it, not even its noisy picture.
+    """
+    if run.space != "linear":
+        return rendered
+    code = encode(rendered)
+    if run.enhancement is None:
+        return code
+    enhancer, config = recorded(run.enhancement)
+    pictures = run.enhancement["pictures"]
+
+    def typical() -> Any:
+        found = []
+        for i in capture.cameras.train_indices:
+            dark = torch.from_numpy(capture.dark(i, pictures).copy())
+            found.append(enhanced_view(capture.memo, capture.names[i], dark, config, pictures, capture.noise)[1])
+        return enhancer.typical(found)
+
+    params = capture.memo.once(("typical", pictures, config), typical)
+    found: Image = enhanced_like(torch.from_numpy(code), config, params).numpy()
+    return found
+
+
 def missing_references(run: Run, capture: Capture, lit: Source) -> dict[str, str]:
     """The references that a run of its kind has elsewhere and here has not, each with the reason."""
-    noise_free = "enhanced" if run.enhancement is not None else "linear" if run.space == "linear" else None
     found = {}
-    if noise_free is not None and not capture.holds("truth"):
-        found[noise_free] = MISSING["truth"]
+    if not capture.holds("truth"):
+        wanted = {"enhanced": run.enhancement is not None, "linear": run.space == "linear"}
+        found = {kind: MISSING["truth"] for kind, holds in wanted.items() if holds}
     if not lit.lit_known:
         found["lit"] = MISSING["lit"]
     return found

@@ -1,7 +1,7 @@
 """A dark picture in, a bright one out: one file per enhancer, one row in `ENHANCERS`."""
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -24,10 +24,12 @@ class Enhancer:
         enhance: (dark [H, W, 3] sRGB-encoded in 0..1, config, params or None, variance of the linear pictures or None)
             -> enhanced [H, W, 3] and params. With the params of the noisy picture, its noise-free twin goes through the
             very same enhancement.
+        typical: The params in the middle of those of several views, for a picture that has no noisy twin.
     """
 
     config: type
     enhance: Callable[[Tensor, Any, Any, Variance | None], tuple[Tensor, Any]]
+    typical: Callable[[Sequence[Any]], Any]
 
 
 EnhancerConfig: TypeAlias = guided.EnhanceConfig | None  # of any enhancer; None leaves the pictures dark
@@ -38,8 +40,8 @@ def _unchanged(dark: Tensor, config: None, params: Any, noise: Variance | None) 
 
 
 ENHANCERS: dict[str, Enhancer] = {
-    "guided": Enhancer(guided.EnhanceConfig, guided.enhance),
-    "none": Enhancer(type(None), _unchanged),
+    "guided": Enhancer(guided.EnhanceConfig, guided.enhance, guided.typical),
+    "none": Enhancer(type(None), _unchanged, lambda params: None),
 }
 
 

@@ -6,6 +6,7 @@ brings the mean of L**gamma to the target exposure, `ratio` (R) the factor every
 own, guided by itself, or all three share that of the luminance.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -57,6 +58,15 @@ class EnhanceParams:
     gamma: Tensor  # [C] or scalar for a single image
     epsilon: Tensor  # same shape; regulariser of the guided filter, squared image units
     radius: int  # px; window = 2 radius + 1
+
+
+def typical(params: Sequence[EnhanceParams]) -> EnhanceParams:
+    """The parameters in the middle of those of several single images: the mean gamma and epsilon."""
+    return EnhanceParams(
+        gamma=torch.stack([each.gamma for each in params]).mean(),
+        epsilon=torch.stack([each.epsilon for each in params]).mean(),
+        radius=params[0].radius,
+    )
 
 
 def box_mean(image: Tensor, radius: int) -> Tensor:

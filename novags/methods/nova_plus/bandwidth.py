@@ -9,6 +9,7 @@ The bias is common to all views; the variance is not, and the fit to the average
 VIEWS times. Too wide a window costs more than a picture by itself would show, so the best h is smaller than for one.
 """
 
+import dataclasses
 import math
 
 import torch
@@ -24,22 +25,26 @@ SMALLEST, LARGEST = 0.007, 0.32  # in tone
 JUDGES = 4  # views that are looked at
 
 
-def choose_bandwidth(guide: Tensor, data: Exposures, curve: ToneCurve) -> tuple[float, list[dict[str, float]]]:
+def choose_bandwidth(
+    guide: Tensor, data: Exposures, curve: ToneCurve, weights: Tensor
+) -> tuple[float, list[dict[str, float]]]:
     """The h of `averages` at which bias**2 + variance / VIEWS is least, between the steps of a grid.
 
     Args:
         guide: Tones of the training views [C, H, W, 3].
         data: The measurements.
         curve: From tones to light.
+        weights: Of each datum [C, H, W, 3].
 
     Returns:
         h, and what was found at each step: "h", "bias2" and "variance", in squared tone.
     """
     views = sorted({round(i * (len(guide) - 1) / (JUDGES - 1)) for i in range(JUDGES)})
+    some = dataclasses.replace(data, light=data.light[views], held=data.held[views])
     found = []
     for step in range(1 + math.floor(math.log(LARGEST / SMALLEST, STEP))):
         h = SMALLEST * STEP**step
-        bias2, variance = errors_of_average(guide[views], data.light[views], data.fitted[views], data, curve, h)
+        bias2, variance = errors_of_average(guide[views], some, curve, weights[views], h)
         found.append({"h": h, "bias2": bias2, "variance": variance})
         if len(found) > 2 and bias2 > 4 * min(_risk(f) for f in found):
             break  # it only grows from here
@@ -49,22 +54,22 @@ def choose_bandwidth(guide: Tensor, data: Exposures, curve: ToneCurve) -> tuple[
 
 
 def errors_of_average(
-    guide: Tensor, light: Tensor, fitted: Tensor, data: Exposures, curve: ToneCurve, h: float
+    guide: Tensor, data: Exposures, curve: ToneCurve, weights: Tensor, h: float
 ) -> tuple[float, float]:
-    """Squared bias and variance of the guided averages, means over the data in squared tone.
+    """Squared bias and variance of the guided averages, weighted means over the data in squared tone.
 
     Args:
         guide: Tones [C, H, W, 3].
-        light: All data [C, H, W, 3].
-        fitted: Those that are averaged; nan elsewhere.
-        data: What knows their noise.
+        data: The measurements.
         curve: From tones to light.
+        weights: Of each datum [C, H, W, 3].
         h: As in `averages`.
     """
+    fitted = data.fitted
     sums = averages(guide, fitted, h=h, patch=1, own=False)
     slope = curve.slope(guide)
     noise = data.noise(curve.light(guide)) / slope.square()
-    residual = ((light - sums.mean(light)) / slope).square()
+    residual = ((data.light - sums.mean(data.light)) / slope).square()
     # with the datum itself among the W others, the average is pulled back towards the truth by W / (W + 1)
     pulled = (sums.weights / (sums.weights + 1)).square()
     bias2 = pulled * (residual - noise * (1 + sums.variance))
@@ -72,7 +77,7 @@ def errors_of_average(
     there = ~fitted.isnan() & (sums.weights > 0.01)
     if not there.any():
         return 0.0, math.inf
-    return float(bias2[there].double().mean()), float(variance[there].double().mean())
+    return float((weights * bias2)[there].double().mean()), float((weights * variance)[there].double().mean())
 
 
 def _risk(found: dict[str, float]) -> float:

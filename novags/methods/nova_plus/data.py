@@ -1,7 +1,6 @@
 """What the camera measured, with the variance of its noise: all that this method is ever fitted to."""
 
 from dataclasses import dataclass, replace
-from typing import cast
 
 import torch
 from torch import Tensor
@@ -10,7 +9,6 @@ from novags.methods.noise import Noise, Variance
 from novags.methods.problem import LacksInput, Problem, RawPictures
 from sensor_model import NoiseCurve
 from sensor_model.mosaic import channel_index
-from sensor_model.params import Cfa
 
 FULL = 0.98  # of white: a datum above it is taken for saturated
 
@@ -91,7 +89,7 @@ def _of_raw(raw: RawPictures, curve: NoiseCurve) -> tuple[Tensor, NoiseCurve]:
     light = (dn - raw.black) / dn.new_tensor(unit)
     if raw.cfa is not None:
         height, width = dn.shape[1:3]
-        index = torch.from_numpy(channel_index((height, width), cast(Cfa, raw.cfa))).long().to(dn.device)
+        index = torch.from_numpy(channel_index((height, width), raw.cfa)).long().to(dn.device)
         light = torch.where(torch.nn.functional.one_hot(index, 3).bool(), light, torch.nan)
     return light, _scaled(curve, raw.black, unit)
 

@@ -12,7 +12,7 @@ from novags.methods.tone import ToneCurve
 
 @dataclass(frozen=True)
 class Verdict:
-    """How much larger the squared error of one reconstruction is than that of another, in squared tone.
+    """How much larger the weighted squared error of one reconstruction is than that of another, in squared tone.
 
     Attributes:
         excess: Mean over the held-out data.
@@ -28,7 +28,7 @@ class Verdict:
         return self.excess > 2 * self.deviation
 
 
-def compare(tones: Tensor, other: Tensor, data: Exposures, curve: ToneCurve) -> Verdict:
+def compare(tones: Tensor, other: Tensor, data: Exposures, curve: ToneCurve, weights: Tensor) -> Verdict:
     """What held-out data say of two reconstructions of the training views.
 
     A datum y that no fit has seen misses mu by v + (mu - truth)**2 on average, so of two the difference is that of
@@ -39,11 +39,12 @@ def compare(tones: Tensor, other: Tensor, data: Exposures, curve: ToneCurve) -> 
         other: Of the other.
         data: The measurements.
         curve: From tones to light.
+        weights: Of each datum [C, H, W, 3].
     """
     there = data.held[..., None] & data.measured
     first, second, datum = (values[there].double() for values in (curve.light(tones), curve.light(other), data.light))
     slope = curve.slope((tones + other) / 2)[there].double()
-    difference = (second - first) * (2 * datum - first - second) / slope.square()
+    difference = (second - first) * (2 * datum - first - second) / slope.square() * weights[there].double()
     if len(difference) < 2:
         return Verdict(0.0, math.inf)
     return Verdict(float(difference.mean()), float(difference.std() / math.sqrt(len(difference))))

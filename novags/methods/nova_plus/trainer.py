@@ -29,8 +29,13 @@ from sensor_model import srgb_to_linear
 
 # Several times those of 3DGS, for short fits, and cooled at the end.
 FAST = LearningRates(means=4e-4, means_final=4e-6, quats=4e-3, log_scales=2e-2, sh_dc=2e-2, sh_rest=1e-3, cool_to=0.1)
+MCMC = McmcConfig(refine_start=50, refine_every=50, growth=1.08, noise_lr=2e5)
+FIT = FitConfig(iterations=2400, sh_degree=1, sh_every=400, rates=FAST, eps2d=0.1, mcmc=MCMC)
 PIXELS_PER_GAUSSIAN = 11  # of all training views: more Gaussians gain little, fewer lose
 PARTS = {"likelihood": 10, "structure": 5, "merged": 2}  # twelfths of `fit.iterations` that each of its fits takes
+CHECKPOINTS = "checkpoints"
+CHANGE = 0.03  # of a tone, about the error of a render: by how much an enhanced picture answers to it
+SMOOTH = 0.02  # bandwidth, in tone, of what that is found from
 GUIDE_BANDWIDTH = 0.7  # of the averages', for the guide's own
 
 
@@ -53,8 +58,7 @@ class NovaPlusConfig:
         enhance: That enhancement.
     """
 
-    fit: FitConfig = FitConfig(iterations=2400, sh_degree=1, sh_every=400, rates=FAST, eps2d=0.1,
-                               mcmc=McmcConfig(refine_start=50, refine_every=50, growth=1.08, noise_lr=2e5))  # fmt: skip
+    fit: FitConfig = FIT
     init_scale: float = 0.7
     gaussians: int | None = None
     seeds: int = 2
@@ -103,8 +107,8 @@ def train(
         problem: The problem; its seed and extent override those of `config.fit`.
         config: All choices.
         progress: Called with (iterations done, of how many, losses) of all fits together.
-        checkpoint: Each fit has a checkpoint of its own beside it, named after the stage and seed; a run goes on where
-            the last of them ends.
+        checkpoint: Each fit has one of its own in the folder `checkpoints` beside it, named after stage and seed; a run
+            goes on where the last of them ends.
 
     Returns:
         A reconstruction in linear light, in the unit of the linear 16-bit pictures. `targets` are the targets of stage
@@ -184,9 +188,10 @@ class _Work:
         """Stage 2 of all seeds, and its targets; stage 1 itself, and None, if held-out data like that better."""
         before = [self._tones(each) for each in firsts]
         guide = mean_tone(before, self.curve)
+        weights = self.weights(non_local_means(guide, SMOOTH))
         h = self.config.bandwidth
         if h is None:
-            h, tried = choose_bandwidth(guide, self.data, self.curve)
+            h, tried = choose_bandwidth(guide, self.data, self.curve, weights)
             self.found["bandwidths"] = tried
         self.found["bandwidth"] = h
         guide = non_local_means(guide, GUIDE_BANDWIDTH * h)
@@ -198,7 +203,7 @@ class _Work:
             config = dataclasses.replace(self._config("structure", seed), rates=rates, mcmc=mcmc, sh_every=1)
             seconds.append(self._fit("structure", seed, first, targets, config).gaussians)
         verdict = compare(mean_tone([self._tones(each) for each in seconds], self.curve),
-                          mean_tone(before, self.curve), self.data, self.curve)  # fmt: skip
+                          mean_tone(before, self.curve), self.data, self.curve, weights)  # fmt: skip
         self.found["structure"] = dataclasses.asdict(verdict)
         return (firsts, None) if verdict.worse else (seconds, targets)
 
@@ -211,16 +216,22 @@ class _Work:
             self._config("merged", 0), rates=_scaled(self.base.rates, 0.1), mcmc=None, sh_every=1, cap_max=len(joined)
         )
         joined = self._fit("merged", 0, joined, targets, config, loss).gaussians
-        verdict = compare(self._tones(joined), self._tones(sets[0]), self.data, self.curve)
+        first = self._tones(sets[0])
+        verdict = compare(self._tones(joined), first, self.data, self.curve, self.weights(first))
         self.found["merged"] = dataclasses.asdict(verdict)
         return sets[0] if verdict.worse else joined
+
+    def weights(self, tones: Tensor) -> Tensor:
+        """How strongly the enhanced pictures answer to a change of a tone, squared; of mean 1."""
+        answer = ((self.shown(tones + CHANGE) - self.shown(tones - CHANGE)) / (2 * CHANGE)).square()
+        return answer / answer.mean()
 
     def shown(self, tones: Tensor) -> Tensor:
         """Tones of the training views as pictures, each through the enhancement of its own view."""
         pictures, config = self.config.pictures, self.config.enhance
         dark, found = self.problem.encoded(pictures), []
         for i, name in enumerate(self.problem.names):
-            _, params = enhanced_view(self.problem.shared, name, dark[i], config, pictures)
+            _, params = enhanced_view(self.problem.shared, name, dark[i], config, pictures, self.problem.noise)
             light = self.curve.light(tones[i])
             light = light if self.data.matrix is None else light @ self.data.matrix.T
             code = torch.from_numpy(encode(light.cpu().numpy())).to(dark)
@@ -240,7 +251,7 @@ class _Work:
         self, part: str, seed: int, start: Gaussians, targets: Tensor, config: FitConfig,
         loss: Likelihood | None = None,
     ) -> FitResult:  # fmt: skip
-        path = self.checkpoint and self.checkpoint.with_name(f"{self.checkpoint.stem}.{part}-{seed}.safetensors")
+        path = self.checkpoint and self.checkpoint.parent / CHECKPOINTS / f"{part}-{seed}.safetensors"
 
         def report(done: int, _: int, entry: dict[str, float]) -> None:
             if self.progress is not None:

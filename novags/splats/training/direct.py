@@ -1,8 +1,8 @@
 """An iteration on the CPU without autograd: the kernels, chained, from the parameters to their Adam step.
 
 For the plain fit alone, whose loss is of the picture, plus regularisers; bit for bit what `iteration` does in general,
-at two thirds of its time. What is out of the ordinary (bad numbers, very large ones) changes nothing here and is left to
-`iteration`, which finds out what it is and says so.
+at two thirds of its time. What is out of the ordinary (bad numbers, very large ones) changes nothing here and is left
+to `iteration`, which finds out what it is and says so.
 """
 
 from collections.abc import Callable

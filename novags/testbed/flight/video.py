@@ -15,7 +15,7 @@ from novags.testbed.flight.path import SAME, fly
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import CAMERAS, SCENE, Run
 from novags.testbed.folders.set import Source
-from novags.testbed.references import references
+from novags.testbed.references import pictured, references
 from novags.testbed.report.pictures import LONG, TRUTHS
 from novags.testbed.viewer.splats import scene_of
 from novags.testbed.viewer.world import own_cameras
@@ -116,7 +116,7 @@ def make_video(run: Run, out: Path, console: Console, *, seconds: float, fps: fl
         for k, viewmat in enumerate(flight.viewmats):
             view = Views(torch.from_numpy(viewmat).float()[None], K, rig.width, rig.height)
             image = scene.render(view)[0][0].cpu().numpy()
-            own = Panel(encode(image) if run.space == "linear" else image, run.name, "reconstruction")
+            own = Panel(pictured(run, capture, image), run.name, "reconstruction")
             made.add(frame([own, *beside.panels(int(flight.nearest[k]), float(flight.distance[k]))]))
             progress(k + 1, len(flight.viewmats), f"frame {k + 1}")
     return len(flight.viewmats)

@@ -30,7 +30,8 @@ from simscenes.sets.pictures.png import read_png
 RECORD = "run.json"
 METRICS = "metrics.json"
 EVENTS = "events.jsonl"
-CHECKPOINTS = ("checkpoint.safetensors", "checkpoint.denoiser.safetensors")  # present while a run is under way
+# Present while a run is under way: of methods of one fit, of their networks, of methods of several fits.
+CHECKPOINTS = ("checkpoint.safetensors", "checkpoint.denoiser.safetensors", "checkpoints")
 SCENE = "point_cloud.ply"
 CAMERAS, VIEWERS = "cameras.json", "viewers"
 RESULT = (

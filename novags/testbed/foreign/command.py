@@ -12,6 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from novags.methods import METHODS, VARIANTS
+from novags.methods.problem import encode
 from novags.methods.variant import Variant
 from novags.settings import converted
 from novags.testbed.cache import folder_digest, run_stage, write_text
@@ -189,20 +190,20 @@ def _reconstruct(capture: Capture, out: Path, config: CommandConfig, console: Co
         with console.progress(f"command {config.name}") as progress:
             spent = run_program(words, config.folder, timeout=config.timeout,
                                 tick=lambda seconds: progress(0, 0, f"{seconds:.0f} s"))  # fmt: skip
-        with_depth = _keep_pictures(capture, made, out)
+        with_depth = _keep_pictures(capture, made, out, config.space)
     finally:
         shutil.rmtree(work, ignore_errors=True)
     return _body(capture, out, config, spent, with_depth)
 
 
-def _keep_pictures(capture: Capture, made: Path, out: Path) -> bool:
-    """Write the program's pictures as those of a run; returns whether they have depth."""
+def _keep_pictures(capture: Capture, made: Path, out: Path, space: str) -> bool:
+    """Write the program's pictures, of this space, as those of a run; returns whether they have depth."""
     rig, cameras = capture.cameras.rig, capture.cameras
     names = [cameras.names[i] for i in cameras.test_indices]
     renders = find_renders(made, names)
     pictures = {name: read_picture(renders.files[name], rig.width, rig.height) for name in names}
     for name, picture in pictures.items():
-        write_png(out / "renders" / f"{name}.png", picture.values)
+        write_png(out / "renders" / f"{name}.png", encode(picture.values) if space == "linear" else picture.values)
         write_exr(out / "exr" / f"{name}.exr", _channels(picture))
     return all(picture.depth is not None for picture in pictures.values())
 

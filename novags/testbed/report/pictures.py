@@ -10,7 +10,7 @@ from novags.methods.problem import encode
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import Run
 from novags.testbed.folders.set import Source
-from novags.testbed.references import LINEAR, enhanced_dark, references
+from novags.testbed.references import LINEAR, enhanced_dark, pictured, references
 from novags.testbed.report.look.album import Album, Picture, Script
 from novags.testbed.report.look.maps import depth_map, error_map, normal_map, normals_of_depth
 from novags.testbed.report.look.probe import probe_of
@@ -104,14 +104,14 @@ def view_tiles(
     renders = {other: made.rendering(name) for other, made in runs.items()}
     for other, image in renders.items():
         note = render_note(metrics["methods"][other]["views"].get(name) if held_out else None, held_out)
-        tiles.add(f"render-{other}", f"Rendered by {other}", note, shown(image, runs[other]))
+        tiles.add(f"render-{other}", f"Rendered by {other}", note, pictured(runs[other], capture, image))
     truths = {other: references(made, capture, lit, i) for other, made in runs.items()}
     for kind, image in truths[main].items():
         label, note = LONG[kind] if capture.imported and kind in LONG else TRUTHS[kind]
-        tiles.add(f"truth-{kind}", label, note, shown(image, kind=kind))
+        tiles.add(f"truth-{kind}", label, note, shown(image, kind))
     for other, image in renders.items():
         if truths[other]:
-            _add_error(tiles, other, shown(image, runs[other]), truths[other])
+            _add_error(tiles, other, pictured(runs[other], capture, image), truths[other])
     _add_geometry(tiles, i, runs, main, capture, lit)
     width, height = capture.cameras.rig.width, capture.cameras.rig.height
     if (probe := probe_of(capture, i)) is None:
@@ -120,10 +120,9 @@ def view_tiles(
     return ViewTiles(name, held_out, width, height, tuple(tiles.made), probe.header, data)
 
 
-def shown(image: np.ndarray, run: Run | None = None, kind: str = "") -> np.ndarray:
-    """A picture for display: linear light as sRGB code."""
-    linear = kind in LINEAR or (run is not None and run.space == "linear")
-    return encode(image) if linear else image
+def shown(image: np.ndarray, kind: str) -> np.ndarray:
+    """A reference for display: linear light as sRGB code."""
+    return encode(image) if kind in LINEAR else image
 
 
 def render_note(scores: Mapping[str, Any] | None, held_out: bool) -> str:
@@ -147,7 +146,7 @@ def render_note(scores: Mapping[str, Any] | None, held_out: bool) -> str:
 def _add_error(tiles: _Tiles, name: str, image: np.ndarray, truths: Mapping[str, np.ndarray]) -> None:
     kind, truth = next(iter(truths.items()))
     note = f"distance to the {WORDS[kind]} truth after affine alignment"
-    tiles.add(f"error-{name}", f"Error of {name}", note, error_map(image, shown(truth, kind=kind)))
+    tiles.add(f"error-{name}", f"Error of {name}", note, error_map(image, shown(truth, kind)))
 
 
 def _add_geometry(

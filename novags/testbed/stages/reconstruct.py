@@ -25,6 +25,7 @@ from novags.testbed.folders.imported import MISSING
 from novags.testbed.folders.run import CAMERAS, CHECKPOINTS, EVENTS
 from novags.testbed.folders.set import Source
 from novags.testbed.machine.devices import chosen_device
+from novags.testbed.references import pictured
 from novags.testbed.stages.camera_source import Frame, cameras_of, true_cameras
 from novags.testbed.stages.paths import keep_apart
 from novags.testbed.stages.viewers import viewer_cameras
@@ -213,7 +214,7 @@ def reconstruct_views(
         mine = [frame.view(i, torch.device("cpu")) for i in prepared.indices]
         write_json(folder / CAMERAS, viewer_cameras(problem.names, mine))
         for i, name in enumerate(capture.names):
-            write_rendering(folder, i in capture.cameras.test_indices, name, result, frame.view(i, prepared.device))
+            write_rendering(folder, capture, i, result, frame.view(i, prepared.device))
             progress(i + 1, len(capture.names), f"view {name}")
     return {
         "name": variant.name,
@@ -223,6 +224,7 @@ def reconstruct_views(
         "capture": os.path.relpath(capture.path.resolve(), folder.resolve()),
         "space": result.space,
         "enhancement": result.enhancement,
+        **({"found": result.found} if result.found else {}),
         "config": asdict(result.config),
         "seed": config.seed,
         "points": config.points,
@@ -255,10 +257,12 @@ def write_images(folder: Path, names: Sequence[str], result: Reconstruction) -> 
             write_png(folder / "denoised" / f"{name}.png", image.cpu().numpy())
 
 
-def write_rendering(folder: Path, held_out: bool, name: str, result: Reconstruction, view: Views) -> None:
+def write_rendering(folder: Path, capture: Capture, i: int, result: Reconstruction, view: Views) -> None:
     """Render one view; write its picture, and colours, depth and alpha as floats."""
     image, alpha, depth = (tensor[0].cpu().numpy().astype(np.float32) for tensor in result.render(view))
-    write_png(folder / ("renders" if held_out else "renders_train") / f"{name}.png", image)
+    name, held_out = capture.names[i], i in capture.cameras.test_indices
+    picture = pictured(result, capture, image)
+    write_png(folder / ("renders" if held_out else "renders_train") / f"{name}.png", picture)
     (folder / "exr").mkdir(exist_ok=True)
     colours = {c: np.ascontiguousarray(image[..., k]) for k, c in enumerate("RGB")}
     write_exr(folder / "exr" / f"{name}.exr", {**colours, "Z": depth, "alpha": alpha})

@@ -27,7 +27,7 @@ from novags.testbed.metrics import (
     mean_scores,
     psnr,
 )
-from novags.testbed.references import LINEAR, missing_references, references, true_depth
+from novags.testbed.references import LINEAR, missing_references, pictured, references, true_depth
 from novags.testbed.stages.noise_scores import noise_scores
 from sensor_model.files.lock import locked
 from simscenes.sets.geometry.correspondence import flow
@@ -104,7 +104,9 @@ def score_test_views(
                 "linear_psnr": None if is_black(reference) or gain is None else linear_psnr(rendered, reference, gain)
             }
             if kind in LINEAR
-            else image_scores(shown(rendered, run, gain), reference, lpips)
+            else image_scores(
+                shown(rendered, run, gain) if kind == "lit" else pictured(run, capture, rendered), reference, lpips
+            )
             for kind, reference in references(run, capture, lit, i).items()
         }
         if run.has_depth and (truth := true_depth(lit, i)) is not None:
@@ -169,9 +171,11 @@ def view_consistency(run: Run, capture: Capture, lit: Source) -> dict[str, float
     for i in capture.cameras.test_indices:
         j = i + 1 if i + 1 < len(capture.names) else i - 1
         moved = flow(lit.views, i, j)
-        rendered = (run.rendering(capture.names[i]), run.rendering(capture.names[j]))
+        rendered = [pictured(run, capture, run.rendering(capture.names[k])) for k in (i, j)]
         first = [next(iter(references(run, capture, lit, k).values())) for k in (i, j)]
-        found.append(consistency_scores(rendered, (first[0], first[1]), moved.displacement, moved.visible))
+        found.append(
+            consistency_scores((rendered[0], rendered[1]), (first[0], first[1]), moved.displacement, moved.visible)
+        )
     return dict(mean_scores(found))
 
 

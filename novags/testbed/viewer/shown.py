@@ -14,7 +14,7 @@ from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import Run
 from novags.testbed.folders.set import Source, scaled_rig
-from novags.testbed.references import enhanced_dark
+from novags.testbed.references import enhanced_dark, pictured
 from novags.testbed.results.comparison import runs_by_capture, title_of
 from novags.testbed.stages.capture import CaptureConfig, measure_light
 from novags.testbed.viewer.light import GREY, Camera
@@ -76,13 +76,15 @@ class Shown:
         return read_png(path) if path.is_file() else None
 
     def on_screen(self, name: str, image: np.ndarray) -> np.ndarray:
-        """A rendering of a run as sRGB code; of one in linear light with its mean green at middle grey."""
-        gain = self._gain(name)
-        return np.clip(image, 0, 1) if gain is None else encode(gain * image)
+        """A rendering of a run as sRGB code; of one in linear light enhanced, or with its mean green at middle grey."""
+        run = self.runs[name]
+        if run.space != "linear" or run.enhancement is not None:
+            return np.clip(pictured(run, self.capture, image), 0, 1)
+        return encode(self._gain(name) * image)
 
-    def _gain(self, name: str) -> float | None:
-        """Of a run in linear light, to the screen; None for others."""
-        return GREY / self.run_green(name) if self.runs[name].space == "linear" else None
+    def _gain(self, name: str) -> float:
+        """Of a run in linear light, to the screen."""
+        return GREY / self.run_green(name)
 
     def scene(self, name: str) -> tuple[GaussianScene, Similarity, Drawn] | None:
         """A run's Gaussians, the way from their frame to the viewer's, and what the browser draws; None without any.
@@ -97,7 +99,8 @@ class Shown:
         if found is None:
             return None
         into = self.world.from_true @ true_from(self.runs[name], self.capture)
-        return found, into, drawn(found.gaussians, into, self._gain(name))
+        light = self.runs[name].space == "linear" and found.tone is None  # tones are drawn as they are
+        return found, into, drawn(found.gaussians, into, self._gain(name) if light else None)
 
     def linear(self, name: str, image: np.ndarray) -> np.ndarray:
         """A rendering of a run as light, in a unit of the run's own.

@@ -10,6 +10,7 @@ from novags.cameras.align import Similarity, to_estimated
 from novags.cameras.estimate import Array
 from novags.methods.problem import encode
 from novags.methods.reconstruction import GaussianScene
+from novags.methods.tone import ToneCurve
 from novags.splats import Gaussians, Views, read_ply
 from novags.splats.raster.raster_torch import quat_to_rotmat
 from novags.splats.sh import sh_to_rgb
@@ -64,7 +65,12 @@ def scene_of(run: Run) -> GaussianScene | None:
     if not path.is_file():
         return None
     dilation = float(run.record.get("eps2d", FitConfig.eps2d))
-    return GaussianScene(read_ply(path), dilation, bool(run.record.get("antialiased", FitConfig.antialiased)))
+    antialiased = bool(run.record.get("antialiased", FitConfig.antialiased))
+    if (tone := run.record.get("tone")) is None:
+        return GaussianScene(read_ply(path), dilation, antialiased)
+    matrix = run.record.get("matrix")
+    curve, rows = ToneCurve(**tone), None if matrix is None else torch.tensor(matrix)
+    return GaussianScene(read_ply(path), dilation, antialiased, curve, rows)
 
 
 def rendered(scene: GaussianScene, into: Similarity, viewmat: Array, fov_y: float, size: tuple[int, int]) -> np.ndarray:

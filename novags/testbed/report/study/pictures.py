@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from novags.methods.problem import encode
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.imported import is_imported
 from novags.testbed.folders.run import Run
@@ -90,12 +89,8 @@ def _add_run(add: Any, method: str, run: Run, name: str, lit: Any, album: Album)
     path = run.path / "renders" / name
     if not path.is_file():
         return
-    if run.space == "linear":
-        image = encode(read_png(path))
-        add(f"render-{method}", f"Rendered by {method}", "held out", album.add(image))
-    else:
-        image = read_png(path)
-        add(f"render-{method}", f"Rendered by {method}", "held out", album.add_file(path))
+    image = read_png(path)
+    add(f"render-{method}", f"Rendered by {method}", "held out", album.add_file(path))
     if lit is not None and image.shape == lit.shape:
         note = "distance to the well-lit truth after affine alignment"
         add(f"error-{method}", f"Error of {method}", note, album.add(error_map(image, lit)))

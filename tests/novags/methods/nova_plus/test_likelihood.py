@@ -1,0 +1,214 @@
+"""The loss of stage 1 and its data, against slow versions written anew."""
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from novags.methods.noise import Noise, Variance, camera_noise
+from novags.methods.nova_plus.data import FULL, Exposures, exposures
+from novags.methods.nova_plus.likelihood import FLOOR, Likelihood
+from novags.methods.problem import LacksInput, Problem, RawPictures
+from novags.methods.tone import ToneCurve
+from novags.splats.views import Views
+from sensor_model import PRESETS, Exposure, develop_linear, expose, mosaic
+from sensor_model.isp import white_balance
+
+CURVE = ToneCurve(top=0.2, k=4.0)
+SIDE = 12
+
+
+def problem_of(sensor: Any, seed: int = 0, **more: Any) -> tuple[Problem, np.ndarray]:
+    """Two views of a camera, and their true photons [2, SIDE, SIDE, 3]."""
+    photons = np.random.default_rng(5).uniform(2, 60, (2, SIDE, SIDE, 3)).astype(np.float32)
+    exposure = Exposure(time=1 / 30)
+    frames = [
+        expose(mosaic(p, sensor.cfa) if sensor.cfa else p, sensor, exposure, seed=seed, view=i).dn
+        for i, p in enumerate(photons)
+    ]
+    dn = torch.from_numpy(np.stack(frames).astype(np.float32))
+    views = Views(torch.eye(4).repeat(2, 1, 1), torch.eye(3).repeat(2, 1, 1), SIDE, SIDE)
+    red, green, blue = white_balance(sensor).tolist()
+    raw = RawPictures(
+        dn=dn, cfa=sensor.cfa, black=float(sensor.black_level), white=sensor.white_dn, balance=(red, green, blue)
+    )
+    start: Any = SimpleNamespace(points=torch.zeros(2, 3), colors=torch.zeros(2, 3), extent=1.0)
+    noise = camera_noise(sensor, exposure, demosaic="bilinear", color_matrix=None)
+    blank = torch.zeros(2, SIDE, SIDE, 3)
+    problem = Problem(views=views, start=start, seed=seed, srgb8=blank, raw=raw, noise=noise, **more)
+    return problem, photons
+
+
+def test_three_chips_give_the_light_of_the_linear_picture() -> None:
+    sensor = PRESETS["a7s2-iso6400-3chip"]
+    problem, _ = problem_of(sensor)
+    assert problem.raw is not None and problem.noise is not None
+    data = exposures(problem, problem.noise, 0.0)
+    for view, dn in zip(data.light.numpy(), problem.raw.dn.numpy(), strict=True):
+        np.testing.assert_allclose(view, develop_linear(dn, sensor), rtol=1e-5, atol=1e-6)
+    assert bool(data.measured.all()) and not bool(data.held.any())
+
+
+def test_behind_a_filter_array_a_pixel_measures_the_channel_of_its_filter_alone() -> None:
+    sensor = PRESETS["a7s2-iso6400"]
+    assert sensor.cfa == "RGGB"
+    problem, _ = problem_of(sensor)
+    assert problem.raw is not None and problem.noise is not None
+    data = exposures(problem, problem.noise, 0.0)
+    want = torch.zeros(SIDE, SIDE, 3, dtype=torch.bool)
+    want[::2, ::2, 0] = want[1::2, ::2, 1] = want[::2, 1::2, 1] = want[1::2, 1::2, 2] = True
+    assert torch.equal(data.measured[0], want) and torch.equal(data.measured[1], want)
+    balance = white_balance(sensor)
+    dn = float(problem.raw.dn[1, 1, 1])  # blue
+    want_light = balance[2] * (dn - sensor.black_level) / (sensor.white_dn - sensor.black_level)
+    assert float(data.light[1, 1, 1, 2]) == pytest.approx(want_light, rel=1e-5)
+
+
+@pytest.mark.parametrize("name", ["a7s2-iso6400-3chip", "a7s2-iso6400"])
+def test_the_variance_is_that_of_the_light_over_many_exposures(name: str) -> None:
+    sensor = replace(PRESETS[name], dsnu=0.0, prnu=0.0)
+    _, photons = problem_of(sensor)
+    found = []
+    for seed in range(300):
+        problem, _ = problem_of(sensor, seed=seed)
+        assert problem.noise is not None
+        found.append(exposures(problem, problem.noise, 0.0).light[0])
+    stack = torch.stack(found).double()
+    mean, variance = stack.mean(0), stack.var(0)
+    claimed = exposures(problem, problem.noise, 0.0).noise(mean.nan_to_num())
+    there = ~mean.isnan()
+    for c in range(3):
+        ratio = (variance[..., c][there[..., c]] / claimed[..., c][there[..., c]]).mean()
+        assert abs(float(ratio) - 1) < 5 * math.sqrt(2 / 300 / int(there[..., c].sum())) + 0.02, c
+
+
+def test_the_held_out_share_is_drawn_by_the_seed_and_no_fit_sees_it() -> None:
+    problem, _ = problem_of(PRESETS["a7s2-iso6400-3chip"])
+    assert problem.noise is not None
+    data = exposures(problem, problem.noise, 0.25)
+    assert float(data.held.float().mean()) == pytest.approx(0.25, abs=5 * math.sqrt(0.25 * 0.75 / data.held.numel()))
+    assert torch.equal(data.fitted.isnan(), data.held[..., None].expand_as(data.light))
+    assert torch.equal(data.held, exposures(problem, problem.noise, 0.25).held)
+    other, _ = problem_of(PRESETS["a7s2-iso6400-3chip"], seed=1)
+    assert not torch.equal(data.held, exposures(other, problem.noise, 0.25).held)
+
+
+def test_a_capture_without_raw_and_linear_pictures_is_refused() -> None:
+    problem, _ = problem_of(PRESETS["a7s2-iso6400-3chip"])
+    assert problem.noise is not None
+    with pytest.raises(LacksInput, match="needs raw frames or 16-bit linear pictures"):
+        exposures(replace(problem, raw=None), problem.noise, 0.0)
+
+
+def slow_loss(tones: np.ndarray, light: np.ndarray, curve: ToneCurve, variance: Variance, white: float) -> float:
+    """The equation of the module, one datum after another, in float64."""
+    total, count = 0.0, 0
+    for (i, j, c), y in np.ndenumerate(light):
+        if math.isnan(y):
+            continue
+        count += 1
+        r = float(tones[i, j, c])
+        mu = curve.top * math.expm1(curve.k * r) / math.expm1(curve.k)
+        g = curve.top * curve.k * math.exp(curve.k * r) / math.expm1(curve.k)
+        if y >= FULL * white and mu > y:
+            continue
+        three = torch.full((3,), mu, dtype=torch.float64)
+        n = float(variance(three)[c]) / g**2
+        total += FLOOR / (n + FLOOR) * ((y - mu) / g) ** 2
+    return total / count
+
+
+def some_data() -> tuple[Exposures, torch.Tensor, torch.Tensor]:
+    problem, _ = problem_of(PRESETS["a7s2-iso6400"])
+    assert problem.noise is not None
+    data = exposures(problem, problem.noise, 0.1)
+    light = data.light.clone()
+    light[:, 3, 3] = torch.where(light[:, 3, 3].isnan(), torch.nan, 3.0)  # saturated
+    data = replace(data, light=light, white=torch.full((3,), 2.5))
+    generator = torch.Generator().manual_seed(3)
+    tones = torch.rand(2, SIDE, SIDE, 3, generator=generator) * 1.2 - 0.1
+    tones[:, 3, 3] = 2.0  # brighter than what the sensor can say
+    return data, data.fitted, tones
+
+
+def test_the_loss_follows_its_equation_on_what_there_is() -> None:
+    data, fitted, tones = some_data()
+    loss = Likelihood(data, CURVE)
+    # the loss is a mean over all data of an average picture: of both together it is that of the data
+    both = np.mean([float(loss.compare(t.numpy(), f.numpy())[0]) for t, f in zip(tones, fitted, strict=True)])
+    want = slow_loss(
+        tones.numpy().reshape(-1, SIDE, 3), fitted.numpy().reshape(-1, SIDE, 3), CURVE, data.noise, 2.5
+    )  # fmt: skip
+    assert both == pytest.approx(want, rel=1e-5)
+
+
+def test_the_gradient_is_that_of_the_squares_with_weight_and_slope_held() -> None:
+    data, fitted, tones = some_data()
+    loss = Likelihood(data, CURVE)
+    _, found = loss.compare(tones[0].numpy(), fitted[0].numpy())
+    r0 = tones[0].double()
+    slope = CURVE.slope(r0)
+    weight = FLOOR / (data.noise(CURVE.light(r0)) / slope.square() + FLOOR)
+
+    def held(r: torch.Tensor) -> torch.Tensor:
+        near = CURVE.light(r0) + slope * (r - r0)
+        gone = fitted[0].isnan() | ((fitted[0] >= FULL * 2.5) & (CURVE.light(r0) > fitted[0]))
+        squares = torch.where(gone, 0.0, weight * ((fitted[0].nan_to_num() - near) / slope).square())
+        return squares.sum() / (~fitted.isnan()).double().mean() / r0.numel()
+
+    variable = r0.clone().requires_grad_()
+    held(variable).backward()
+    assert variable.grad is not None
+    torch.testing.assert_close(torch.from_numpy(found).double(), variable.grad, rtol=1e-4, atol=1e-9)
+
+
+def test_autograd_and_the_kernel_agree() -> None:
+    data, fitted, tones = some_data()
+    loss = Likelihood(data, CURVE)
+    for device_type in ("cpu", "elsewhere"):
+        render = tones[1].clone().requires_grad_()
+        step: Any = SimpleNamespace(render=render)
+        if device_type == "elsewhere":  # what a GPU would run, in float64
+            render = tones[1].double().requires_grad_()
+            step = SimpleNamespace(render=_Elsewhere(render))
+        value = loss(step, fitted[1])
+        value.backward()
+        want, v_image = loss.compare(tones[1].numpy(), fitted[1].numpy())
+        assert float(value.detach()) == pytest.approx(float(want), rel=1e-5)
+        assert render.grad is not None
+        torch.testing.assert_close(render.grad.float(), torch.from_numpy(v_image), rtol=1e-4, atol=1e-9)
+
+
+class _Elsewhere:
+    """A tensor that says it is on another device."""
+
+    device = SimpleNamespace(type="cuda")
+
+    def __init__(self, tensor: torch.Tensor) -> None:
+        self.tensor = tensor
+
+    def detach(self) -> torch.Tensor:
+        return self.tensor.detach()
+
+    def __sub__(self, other: torch.Tensor) -> torch.Tensor:
+        return self.tensor - other
+
+
+def test_noise_weighs_less_where_it_is_larger() -> None:
+    """The same error in tone costs half where its noise variance is FLOOR, and nearly all where there is none."""
+    problem, _ = problem_of(PRESETS["a7s2-iso6400-3chip"])
+    assert problem.noise is not None
+    data = exposures(problem, problem.noise, 0.0)
+    r = torch.full((SIDE, SIDE, 3), 0.5)
+    curve = data.noise.curve
+    at_half = float(CURVE.slope(torch.tensor(0.5))) ** 2 * FLOOR
+    zero, never = (0.0,) * 3, (math.inf,) * 3
+    for offset, share in ((0.0, 1.0), (at_half, 0.5), (3 * at_half, 0.25)):
+        even = replace(curve, offset=(offset,) * 3, slope=zero, quadratic=zero, switch=never, step=zero)
+        loss = Likelihood(replace(data, noise=Variance(even)), CURVE)
+        light = CURVE.light(r) + 0.1 * CURVE.slope(r)
+        assert float(loss.compare(r.numpy(), light.numpy())[0]) == pytest.approx(share * 0.01, rel=1e-3)

@@ -1,0 +1,179 @@
+"""The method as a whole, on a small wall seen dark."""
+
+import dataclasses
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from novags.methods.noise import Noise, Variance
+from novags.methods.nova_plus import trainer
+from novags.methods.nova_plus.judge import Verdict
+from novags.methods.nova_plus.trainer import FIT, NovaPlusConfig, parts, train
+from novags.methods.problem import LacksInput, Problem
+from novags.methods.reconstruction import Reconstruction
+from novags.splats import McmcConfig
+from novags.splats.files.ply import read_ply
+from novags.splats.training import fit as fitting
+from sensor_model import NoiseCurve, srgb_to_linear
+
+SLOPE, OFFSET = 3e-5, 2e-8
+CONFIG = NovaPlusConfig(
+    fit=dataclasses.replace(FIT, iterations=48, sh_every=5, checkpoint_every=7, mcmc=McmcConfig(refine_start=4, refine_every=4)),
+    gaussians=160,
+    held_share=0.1,
+)  # fmt: skip
+
+
+@pytest.fixture
+def dark(problem: Callable[..., Problem]) -> Callable[..., tuple[Problem, torch.Tensor]]:
+    """A problem with linear pictures of known noise, and the noise-free light [C, H, W, 3]."""
+
+    def make(seed: int = 0) -> tuple[Problem, torch.Tensor]:
+        plain = problem(sigma=0.0, seed=seed)
+        assert plain.clean is not None
+        light = torch.from_numpy(np.asarray(srgb_to_linear(plain.clean.double().numpy()))).float()
+        generator = torch.Generator().manual_seed(50 + seed)
+        noisy = light + (OFFSET + SLOPE * light).sqrt() * torch.randn(light.shape, generator=generator)
+        zero, never = (0.0,) * 3, (math.inf,) * 3
+        curve = NoiseCurve(
+            black=zero, white=(1.0,) * 3, offset=(OFFSET,) * 3, slope=(SLOPE,) * 3, quadratic=zero, switch=never,
+            step=zero,
+        )  # fmt: skip
+        noise = Noise(Variance(curve), None, "camera")
+        return dataclasses.replace(plain, clean=None, linear16=noisy, noise=noise), light
+
+    return make
+
+
+def light_of(result: Reconstruction, problem: Problem) -> torch.Tensor:
+    return result.render(problem.views)[0]
+
+
+def test_it_ends_in_the_light_of_the_scene_with_less_noise_than_its_data(dark: Any) -> None:
+    inputs, light = dark()
+    config = dataclasses.replace(CONFIG, fit=dataclasses.replace(CONFIG.fit, iterations=480))
+    result = train(inputs, config)
+    found = light_of(result, inputs)
+    assert result.space == "linear" and result.enhancement is not None
+    assert float(found.mean() / light.mean()) == pytest.approx(1, abs=0.02)
+    inside = (slice(None), slice(4, -4), slice(4, -4))
+    error = float((found - light)[inside].square().mean())
+    assert error < 0.5 * float((inputs.linear16 - light)[inside].square().mean())
+
+
+def test_every_stage_is_counted_and_told(dark: Any) -> None:
+    inputs, _ = dark()
+    seen: list[Any] = []
+    result = train(inputs, CONFIG, progress=lambda *entry: seen.append(entry))
+    assert parts(CONFIG) == {"likelihood": 40, "structure": 20, "merged": 4}
+    assert {entry[1] for entry in seen} == {64}
+    done = [entry[0] for entry in seen]
+    assert done == sorted(done) and done[-1] == 64
+    assert [entry["iteration"] for entry in result.losses] == sorted(entry["iteration"] for entry in result.losses)
+    assert result.losses[-1]["iteration"] == 64
+    assert set(result.found) >= {"tone", "gaussians", "held_out_pixels", "bandwidth", "structure", "merged"}
+    assert result.targets is not None and result.targets.shape == inputs.srgb8.shape
+    assert len(result.scene.gaussians) == 2 * 160  # type: ignore[attr-defined]
+
+
+def test_stage_1_alone_has_no_targets(dark: Any) -> None:
+    inputs, _ = dark()
+    config = dataclasses.replace(CONFIG, stages="likelihood", seeds=1)
+    result = train(inputs, config)
+    assert parts(config) == {"likelihood": 20}
+    assert result.targets is None and "structure" not in result.found
+    assert len(result.scene.gaussians) == 160  # type: ignore[attr-defined]
+
+
+def test_what_the_held_out_data_dislike_is_dropped(dark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    inputs, _ = dark()
+    first = train(inputs, dataclasses.replace(CONFIG, stages="likelihood", seeds=1))
+    verdicts = iter([Verdict(1.0, 0.1), Verdict(1.0, 0.1)])
+    monkeypatch.setattr(trainer, "compare", lambda *_: next(verdicts))
+    result = train(inputs, CONFIG)
+    assert result.targets is None
+    for name, tensor in result.scene.gaussians.tensors().items():  # type: ignore[attr-defined]
+        assert torch.equal(tensor, first.scene.gaussians.tensors()[name]), name  # type: ignore[attr-defined]
+
+
+def test_a_run_stopped_anywhere_ends_as_if_it_had_not_been(
+    dark: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inputs, _ = dark()
+    whole = train(inputs, CONFIG)
+    original = fitting._mcmc_step
+    for stop in (11, 27, 45, 63):
+        left = [stop]
+
+        def step(*args: Any, left: list[int] = left) -> Any:
+            left[0] -= 1
+            if left[0] < 0:
+                raise KeyboardInterrupt
+            return original(*args)
+
+        folder = tmp_path / str(stop)
+        folder.mkdir()
+        monkeypatch.setattr(fitting, "_mcmc_step", step)
+        with pytest.raises(KeyboardInterrupt):
+            train(inputs, CONFIG, checkpoint=folder / "checkpoint.safetensors")
+        monkeypatch.setattr(fitting, "_mcmc_step", original)
+        assert any((folder / trainer.CHECKPOINTS).iterdir())
+        again = train(inputs, CONFIG, checkpoint=folder / "checkpoint.safetensors")
+        for name, tensor in again.scene.gaussians.tensors().items():  # type: ignore[attr-defined]
+            assert torch.equal(tensor, whole.scene.gaussians.tensors()[name]), (stop, name)  # type: ignore[attr-defined]
+
+
+def test_another_seed_gives_other_gaussians_and_other_judges(dark: Any) -> None:
+    config = dataclasses.replace(CONFIG, stages="likelihood", seeds=1)
+    inputs, _ = dark()
+    other = dataclasses.replace(inputs, seed=1)
+    a, b = (train(each, config).scene.gaussians for each in (inputs, other))  # type: ignore[attr-defined]
+    assert not torch.equal(a.means, b.means)
+
+
+def test_the_file_of_gaussians_holds_tones_and_the_record_how_to_read_them(dark: Any, tmp_path: Path) -> None:
+    inputs, _ = dark()
+    result = train(inputs, dataclasses.replace(CONFIG, stages="likelihood", seeds=1))
+    result.save(tmp_path)
+    facts = result.scene.facts()
+    assert facts["tone"] == result.found["tone"] and facts["matrix"] is None
+    read = read_ply(tmp_path / "point_cloud.ply")
+    again = dataclasses.replace(result.scene, gaussians=read)  # type: ignore[type-var]
+    torch.testing.assert_close(again.render(inputs.views)[0], light_of(result, inputs), rtol=1e-4, atol=1e-6)
+
+
+def test_the_number_of_gaussians_follows_the_pixels(dark: Any) -> None:
+    inputs, _ = dark()
+    found = train(inputs, dataclasses.replace(CONFIG, gaussians=None, stages="likelihood", seeds=1)).found
+    assert found["gaussians"] == max(len(inputs.start.points), 5 * 24 * 24 // trainer.PIXELS_PER_GAUSSIAN)
+
+
+def test_noise_can_be_taken_from_the_pictures_and_must_come_from_somewhere(dark: Any) -> None:
+    inputs, _ = dark()
+    config = dataclasses.replace(CONFIG, stages="likelihood", seeds=1)
+    unknown = train(dataclasses.replace(inputs, noise=None), config)
+    asked = train(inputs, dataclasses.replace(config, noise="pictures"))
+    assert torch.equal(light_of(unknown, inputs), light_of(asked, inputs))
+    assert not torch.equal(light_of(asked, inputs), light_of(train(inputs, config), inputs))
+    with pytest.raises(LacksInput, match="noise can be estimated from 16-bit linear pictures"):
+        train(dataclasses.replace(inputs, noise=None, linear16=None), config)
+
+
+@pytest.mark.parametrize(
+    ("setting", "value", "said"),
+    [
+        ("seeds", 0, "seeds must be >= 1, got 0"),
+        ("held_share", 1.0, "held_share must lie in"),
+        ("averaged_share", 1.5, "averaged_share in"),
+        ("bandwidth", 0.0, "bandwidth must be > 0 or None, got 0"),
+        ("gaussians", 0, "gaussians must be >= 1 or None, got 0"),
+    ],
+)
+def test_settings_that_mean_nothing_are_refused(setting: str, value: Any, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        NovaPlusConfig(**{setting: value})
