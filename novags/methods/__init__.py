@@ -7,7 +7,7 @@ from typing import Any
 
 from novags.methods import enhance_then_fit, oracle
 from novags.methods.averaging import trainer as averaging
-from novags.methods.gaussian_fit import EnhancedFitConfig, fit_parts
+from novags.methods.gaussian_fit import ORIGINAL_FIT, EnhancedFitConfig, fit_parts
 from novags.methods.nova import trainer as nova
 from novags.methods.nova.denoiser import FAST_DENOISER
 from novags.methods.nova_plus import trainer as nova_plus
@@ -73,6 +73,12 @@ METHODS: dict[str, Method] = {
 
 _PUBLISHED = flattened(nova.NovaConfig())
 _FAST = {f"denoiser.{name}": value for name, value in flattened(FAST_DENOISER).items()} | {"consistency.every": 16}
+_ORIGINAL = flattened(ORIGINAL_FIT)
+_QUICK = {
+    f"fit.{name}": value
+    for name, value in flattened(nova_plus.FIT).items()
+    if name.startswith(("rates.", "mcmc.")) and value != _ORIGINAL[name]
+}
 
 
 def _variant(name: str, method: str, title: str, settings: Mapping[str, Any]) -> tuple[str, Variant]:
@@ -107,6 +113,18 @@ VARIANTS: dict[str, Variant] = dict(
             "oracle",
             "the same from noise-free mosaics, interpolated as the pictures are: what demosaicing costs by itself",
             {"demosaiced": True},
+        ),
+        _variant(
+            "naive-l1-fast-rates",
+            "naive",
+            "as naive-l1, with the learning rates and the growth of nova-plus",
+            {"fit.dssim_weight": 0.0, **_QUICK},
+        ),
+        _variant(
+            "oracle-fast-rates",
+            "oracle",
+            "the ceiling with the learning rates and the growth of nova-plus",
+            _QUICK,
         ),
         _variant(
             "averaging-clean",

@@ -78,7 +78,7 @@ EXPERIMENTS = {
     "demo": Preset(
         render=RenderConfig(scene="tabletop", n_views=20, width=160, height=160, spp=96),
         capture=CaptureConfig(sensor="a7s2-iso6400-3chip", electrons=20.0),
-        methods=("nova-fast", "naive", "naive-l1", "oracle"),
+        methods=("nova-fast", "naive", "naive-l1", "nova-plus", "oracle"),
         points=20_000,
         settings={
             **_SHORT,

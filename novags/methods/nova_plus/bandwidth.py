@@ -25,16 +25,13 @@ SMALLEST, LARGEST = 0.007, 0.32  # in tone
 JUDGES = 4  # views that are looked at
 
 
-def choose_bandwidth(
-    guide: Tensor, data: Exposures, curve: ToneCurve, weights: Tensor
-) -> tuple[float, list[dict[str, float]]]:
+def choose_bandwidth(guide: Tensor, data: Exposures, curve: ToneCurve) -> tuple[float, list[dict[str, float]]]:
     """The h of `averages` at which bias**2 + variance / VIEWS is least, between the steps of a grid.
 
     Args:
         guide: Tones of the training views [C, H, W, 3].
         data: The measurements.
         curve: From tones to light.
-        weights: Of each datum [C, H, W, 3].
 
     Returns:
         h, and what was found at each step: "h", "bias2" and "variance", in squared tone.
@@ -44,7 +41,7 @@ def choose_bandwidth(
     found = []
     for step in range(1 + math.floor(math.log(LARGEST / SMALLEST, STEP))):
         h = SMALLEST * STEP**step
-        bias2, variance = errors_of_average(guide[views], some, curve, weights[views], h)
+        bias2, variance = errors_of_average(guide[views], some, curve, h)
         found.append({"h": h, "bias2": bias2, "variance": variance})
         if len(found) > 2 and bias2 > 4 * min(_risk(f) for f in found):
             break  # it only grows from here
@@ -53,16 +50,13 @@ def choose_bandwidth(
     return found[best]["h"] * STEP**shift, found
 
 
-def errors_of_average(
-    guide: Tensor, data: Exposures, curve: ToneCurve, weights: Tensor, h: float
-) -> tuple[float, float]:
-    """Squared bias and variance of the guided averages, weighted means over the data in squared tone.
+def errors_of_average(guide: Tensor, data: Exposures, curve: ToneCurve, h: float) -> tuple[float, float]:
+    """Squared bias and variance of the guided averages, means over the data in squared tone.
 
     Args:
         guide: Tones [C, H, W, 3].
         data: The measurements.
         curve: From tones to light.
-        weights: Of each datum [C, H, W, 3].
         h: As in `averages`.
     """
     fitted = data.fitted
@@ -77,7 +71,7 @@ def errors_of_average(
     there = ~fitted.isnan() & (sums.weights > 0.01)
     if not there.any():
         return 0.0, math.inf
-    return float((weights * bias2)[there].double().mean()), float((weights * variance)[there].double().mean())
+    return float(bias2[there].double().mean()), float(variance[there].double().mean())
 
 
 def _risk(found: dict[str, float]) -> float:

@@ -30,7 +30,7 @@ from sensor_model import srgb_to_linear
 # Several times those of 3DGS, for short fits, and cooled at the end.
 FAST = LearningRates(means=4e-4, means_final=4e-6, quats=4e-3, log_scales=2e-2, sh_dc=2e-2, sh_rest=1e-3, cool_to=0.1)
 MCMC = McmcConfig(refine_start=50, refine_every=50, growth=1.08, noise_lr=2e5)
-FIT = FitConfig(iterations=2400, sh_degree=1, sh_every=400, rates=FAST, eps2d=0.1, mcmc=MCMC)
+FIT = FitConfig(rates=FAST, eps2d=0.1, mcmc=MCMC)
 PIXELS_PER_GAUSSIAN = 11  # of all training views: more Gaussians gain little, fewer lose
 PARTS = {"likelihood": 10, "structure": 5, "merged": 2}  # twelfths of `fit.iterations` that each of its fits takes
 CHECKPOINTS = "checkpoints"
@@ -47,7 +47,7 @@ class NovaPlusConfig:
         fit: Of every stage; `fit.iterations` is the sum of one seed's and is shared out.
         init_scale: Of an initial Gaussian, in distances to its nearest neighbours.
         gaussians: How many each seed has; None: one for every `PIXELS_PER_GAUSSIAN` of all views, at least as many as
-            there are points at the start.
+            there are points at the start. `fit.cap_max`, where it is given, is never passed.
         seeds: Independent reconstructions that are merged.
         held_share: Of the pixels that judge.
         bandwidth: Of the guided averages, in tone; None: chosen by `choose_bandwidth`.
@@ -161,7 +161,8 @@ class _Work:
         self.progress, self.checkpoint = progress, checkpoint
         self.base = fit_for(problem, config.fit)
         pixels = len(data) * problem.views.height * problem.views.width
-        self.count = config.gaussians or max(len(problem.start.points), pixels // PIXELS_PER_GAUSSIAN)
+        wanted = config.gaussians or max(len(problem.start.points), pixels // PIXELS_PER_GAUSSIAN)
+        self.count = wanted if config.fit.cap_max is None else min(wanted, config.fit.cap_max)
         self.done, self.total = 0, sum(parts(config).values())
         self.seconds = 0.0
         self.losses: list[dict[str, float]] = []
@@ -191,7 +192,7 @@ class _Work:
         weights = self.weights(non_local_means(guide, SMOOTH))
         h = self.config.bandwidth
         if h is None:
-            h, tried = choose_bandwidth(guide, self.data, self.curve, weights)
+            h, tried = choose_bandwidth(guide, self.data, self.curve)
             self.found["bandwidths"] = tried
         self.found["bandwidth"] = h
         guide = non_local_means(guide, GUIDE_BANDWIDTH * h)

@@ -13,7 +13,7 @@ from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import Run
 from novags.testbed.folders.set import Source
 from novags.testbed.metrics import PSNR_CEILING, Image, centred_noise, noise_share, squared_bias
-from novags.testbed.references import enhanced_dark, enhanced_truth
+from novags.testbed.references import enhanced_dark, enhanced_truth, pictured
 from novags.testbed.stages.capture import expose_view
 from sensor_model import develop, from_linear16
 from sensor_model.planner import Plan
@@ -45,7 +45,7 @@ def noise_scores(run: Run, capture: Capture, lit: Source) -> dict[str, float | N
         kind = "denoised" if (run.path / "denoised").is_dir() else "enhanced"
         targets.append(noise_share(read_png(run.path / kind / f"{name}.png"), noisy, truth))
         if run.shows_training_views:
-            renders.append(noise_share(run.rendering(name), noisy, truth))
+            renders.append(noise_share(pictured(run, capture, run.rendering(name)), noisy, truth))
     return {
         "known": float(np.sqrt(np.mean(squares))) if squares else None,
         "targets": _mean(targets),

@@ -78,7 +78,7 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
         return {"methods": {run.name: method}, "recovered": {}, "unavailable": unavailable}
 
     return run_stage(
-        "score", run_path, METRICS, inputs=inputs, config={"lpips": missing is None, "format": 4}, owns=(METRICS,),
+        "score", run_path, METRICS, inputs=inputs, config={"lpips": missing is None, "format": 5}, owns=(METRICS,),
         prepare=lambda: None, work=work, console=console, overwrite=True,  # scores describe what is there now
     )  # fmt: skip
 

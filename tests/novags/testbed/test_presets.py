@@ -32,6 +32,9 @@ def test_adapting_changes_what_is_named_and_nothing_else() -> None:
     assert adapted(changed, electrons=20.0, iterations=2400, width=demo.render.width) == demo
 
 
+QUICK = ("nova-plus", "naive-l1-fast-rates", "oracle-fast-rates")
+
+
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_presets_compare_with_floor_and_ceiling(name: str) -> None:
     bounds = {METHODS[chosen(method).method].bound for method in EXPERIMENTS[name].methods}
@@ -44,6 +47,9 @@ def test_methods_of_a_preset_share_enhancement_and_fit(name: str) -> None:
     configs = {method: found for method in (*METHODS, *VARIANTS) if hasattr(found := config(preset, method), "fit")}
     assert {"naive", "oracle", "nova", "nova-fast"} <= configs.keys()
     assert len({c.enhance for c in configs.values()}) == 1
+    # as many iterations for all, but some take longer steps
+    assert len({c.fit.iterations for c in configs.values()}) == 1
+    configs = {method: c for method, c in configs.items() if method not in QUICK}
     fits = {replace(c.fit, dssim_weight=0.2) for c in configs.values()}
     assert len(fits) == 1
     assert {method for method, c in configs.items() if c.fit.dssim_weight != 0.2} == {"naive-l1"}
@@ -59,7 +65,9 @@ def test_the_papers_preset_is_the_method_as_published_but_for_its_cap() -> None:
 @pytest.mark.parametrize(("name", "eps2d"), [("demo", 0.1), ("small", 0.1), ("paper", 0.3)])
 def test_small_pictures_have_splats_that_are_dilated_less_than_published(name: str, eps2d: float) -> None:
     """As measured in docs/splat-engine.md; the paper's preset keeps 3DGS's 0.3 px^2."""
-    fits = [c.fit for m in (*METHODS, *VARIANTS) if hasattr(c := config(EXPERIMENTS[name], m), "fit")]
+    fits = [
+        c.fit for m in (*METHODS, *VARIANTS) if m != "nova-plus" and hasattr(c := config(EXPERIMENTS[name], m), "fit")
+    ]
     assert {(fit.eps2d, fit.antialiased) for fit in fits} == {(eps2d, False)}
 
 

@@ -7,7 +7,7 @@ import torch
 
 from novags.methods import enhancers
 from novags.methods.enhancers import Enhancer, enhanced, enhanced_clean, enhancement_record, recorded
-from novags.methods.enhancers.guided import EnhanceConfig, enhance
+from novags.methods.enhancers.guided import EnhanceConfig, enhance, typical
 from novags.methods.problem import Problem
 from novags.splats import Views
 
@@ -53,7 +53,7 @@ def test_a_picture_is_enhanced_once_for_all_who_ask_with_the_same_settings(monke
         calls.append(config)
         return enhance(dark, config, params, noise)
 
-    monkeypatch.setitem(enhancers.ENHANCERS, "guided", Enhancer(EnhanceConfig, counted))
+    monkeypatch.setitem(enhancers.ENHANCERS, "guided", Enhancer(EnhanceConfig, counted, typical))
     inputs = problem()
     for _ in range(2):
         enhanced(inputs, CONFIG, "8bit")

@@ -113,7 +113,7 @@ def test_bias_and_variance_of_the_average_are_found_without_truth() -> None:
     data = exposures_of(truth, sigma, seed=5, views=12)
     guide = torch.from_numpy(truth).float().expand(12, -1, -1, -1).contiguous()
     for h in (0.02, 0.05, 0.1):
-        bias2, variance = errors_of_average(guide, data, CURVE, torch.ones_like(guide), h)
+        bias2, variance = errors_of_average(guide, data, CURVE, h)
         mean = averages(guide, data.light, h=h, patch=1).mean(data.light)
         across = mean.double().mean(0) - torch.from_numpy(truth)  # of twelve views
         true_variance = float(mean.double().var(0).mean())
@@ -132,7 +132,7 @@ def test_the_chosen_bandwidth_is_near_the_best_and_follows_the_noise() -> None:
     for sigma in (0.02, 0.08):
         data = exposures_of(truth, sigma, seed=6, views=4)
         guide = torch.from_numpy(truth).float().expand(4, -1, -1, -1).contiguous()
-        h, found = choose_bandwidth(guide, data, CURVE, torch.ones_like(guide))
+        h, found = choose_bandwidth(guide, data, CURVE)
 
         def risk(width: float, data: Exposures = data, guide: torch.Tensor = guide) -> float:
             mean = averages(guide, data.light, h=width, patch=1).mean(data.light).double()
@@ -142,7 +142,8 @@ def test_the_chosen_bandwidth_is_near_the_best_and_follows_the_noise() -> None:
 
         best = min((risk(h * 2 ** (k / 4)), h * 2 ** (k / 4)) for k in range(-6, 7))
         assert risk(h) < 1.15 * best[0], (sigma, h, best)
-        assert found[0]["h"] == bandwidth.SMALLEST and len(found) > 3
+        assert found[0]["h"] == bandwidth.SMALLEST
+        assert len(found) > 3
         chosen.append(h)
     assert chosen[1] > 1.5 * chosen[0]
 

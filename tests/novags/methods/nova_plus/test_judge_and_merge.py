@@ -39,7 +39,8 @@ def test_the_excess_is_the_difference_of_the_true_errors_within_its_standard_err
     slope = CURVE.slope((far + near) / 2)
     errors = [((CURVE.light(x) - CURVE.light(truth)) / slope).square()[there].mean() for x in (far, near)]
     assert verdict.excess == pytest.approx(float(errors[0] - errors[1]), abs=4 * verdict.deviation)
-    assert verdict.worse and not compare(near, far, data, CURVE, even).worse
+    assert verdict.worse
+    assert not compare(near, far, data, CURVE, even).worse
     assert compare(near, far, data, CURVE, even).excess == pytest.approx(-verdict.excess, rel=1e-6)
     # the scatter of the estimate over many draws is what it says
     found = [compare(far, near, measured(truth, 0.1, 0.5, seed=s), CURVE, even).excess for s in range(3, 43)]

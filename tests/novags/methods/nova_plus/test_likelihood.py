@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods.noise import Noise, Variance, camera_noise
+from novags.methods.noise import Variance, camera_noise
 from novags.methods.nova_plus.data import FULL, Exposures, exposures
 from novags.methods.nova_plus.likelihood import FLOOR, Likelihood
 from novags.methods.problem import LacksInput, Problem, RawPictures
@@ -46,22 +46,26 @@ def problem_of(sensor: Any, seed: int = 0, **more: Any) -> tuple[Problem, np.nda
 def test_three_chips_give_the_light_of_the_linear_picture() -> None:
     sensor = PRESETS["a7s2-iso6400-3chip"]
     problem, _ = problem_of(sensor)
-    assert problem.raw is not None and problem.noise is not None
+    assert problem.raw is not None
+    assert problem.noise is not None
     data = exposures(problem, problem.noise, 0.0)
     for view, dn in zip(data.light.numpy(), problem.raw.dn.numpy(), strict=True):
         np.testing.assert_allclose(view, develop_linear(dn, sensor), rtol=1e-5, atol=1e-6)
-    assert bool(data.measured.all()) and not bool(data.held.any())
+    assert bool(data.measured.all())
+    assert not bool(data.held.any())
 
 
 def test_behind_a_filter_array_a_pixel_measures_the_channel_of_its_filter_alone() -> None:
     sensor = PRESETS["a7s2-iso6400"]
     assert sensor.cfa == "RGGB"
     problem, _ = problem_of(sensor)
-    assert problem.raw is not None and problem.noise is not None
+    assert problem.raw is not None
+    assert problem.noise is not None
     data = exposures(problem, problem.noise, 0.0)
     want = torch.zeros(SIDE, SIDE, 3, dtype=torch.bool)
     want[::2, ::2, 0] = want[1::2, ::2, 1] = want[::2, 1::2, 1] = want[1::2, 1::2, 2] = True
-    assert torch.equal(data.measured[0], want) and torch.equal(data.measured[1], want)
+    assert torch.equal(data.measured[0], want)
+    assert torch.equal(data.measured[1], want)
     balance = white_balance(sensor)
     dn = float(problem.raw.dn[1, 1, 1])  # blue
     want_light = balance[2] * (dn - sensor.black_level) / (sensor.white_dn - sensor.black_level)

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from novags.splats import Gaussians, LearningRates
+from novags.splats import FitConfig, Gaussians, LearningRates, Views, fit
 from novags.splats.training.updates.activate import activate
 from novags.splats.training.updates.adam import Adam
 
@@ -119,3 +119,38 @@ def test_a_tensor_that_could_not_be_updated_in_place_is_refused(name):
     with pytest.raises(ValueError, match=rf"{name} must be contiguous.*call \.contiguous\(\)"):
         Adam(gaussians).step(gaussians, LearningRates(), 1e-3)
     assert torch.equal(gaussians.logit_opacities, before)
+
+
+def test_rates_cool_log_linearly_but_for_those_of_the_means():
+    rates = LearningRates(cool_from=0.6, cool_to=0.01)
+    assert rates.at(0, 100) == rates.at(60, 100) == rates
+    for name in ("quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest"):
+        assert getattr(rates.at(80, 100), name) == pytest.approx(0.1 * getattr(rates, name))
+        assert getattr(rates.at(100, 100), name) == pytest.approx(0.01 * getattr(rates, name))
+    assert rates.at(80, 100).means_at(80, 100, 2.0) == rates.means_at(80, 100, 2.0)
+    assert LearningRates().at(99, 100) == LearningRates()
+
+
+@pytest.mark.parametrize("setting", [{"cool_from": 1.0}, {"cool_from": -0.1}, {"cool_to": 0.0}, {"cool_to": 1.5}])
+def test_coolings_that_mean_nothing_are_refused(setting):
+    with pytest.raises(ValueError, match=r"cool_from must lie in \[0, 1\) and cool_to in \(0, 1\]"):
+        LearningRates(**setting)
+
+
+@pytest.mark.parametrize("direct", [True, False])
+def test_a_fit_takes_cooled_steps(direct):
+    """The first step of Adam is its rate: a run that begins at its end moves by the cooled one."""
+    g = torch.Generator().manual_seed(0)
+    start = Gaussians.from_points(torch.rand(20, 3, generator=g), torch.rand(20, 3, generator=g), sh_degree=0)
+    viewmat, K = torch.eye(4), torch.tensor([[16.0, 0, 8], [0, 16.0, 8], [0, 0, 1]])
+    viewmat[2, 3] = 3.0
+    views, image = Views(viewmat[None], K[None], 16, 16), torch.rand(16, 16, 3, generator=g)
+    moved = {}
+    for cool_to in (1.0, 0.1):
+        rates = LearningRates(cool_from=0.0, cool_to=cool_to)
+        config = FitConfig(iterations=2, rates=rates, mcmc=None, sh_degree=0)
+        extra = [] if direct else [lambda step: None]
+        found = fit(start, views, lambda i: image, config, extra_losses=extra).gaussians
+        once = fit(start, views, lambda i: image, FitConfig(iterations=1, mcmc=None, sh_degree=0), extra_losses=extra)
+        moved[cool_to] = (found.log_scales - once.gaussians.log_scales).abs().median()
+    assert float(moved[0.1] / moved[1.0]) == pytest.approx(0.1**0.5, rel=0.02)

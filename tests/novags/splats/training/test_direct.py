@@ -212,3 +212,32 @@ def test_an_error_in_a_helper_ends_the_chain_and_reaches_the_caller():
             parallel.run_chain(chain, 10_000)
     finally:
         torch.set_num_threads(before)
+
+
+class _Squares:
+    """A loss of the picture that brings its own gradient; counts how it was asked."""
+
+    def __init__(self) -> None:
+        self.by_autograd = self.direct = 0
+
+    def __call__(self, step, target):
+        self.by_autograd += 1
+        return (step.render - target).square().mean()
+
+    def compare(self, image, target):
+        self.direct += 1
+        variable = torch.from_numpy(image).requires_grad_()
+        value = (variable - torch.from_numpy(target)).square().mean()
+        value.backward()
+        return np.float32(value.detach()), variable.grad.numpy()
+
+
+def test_a_loss_with_a_gradient_of_its_own_needs_no_autograd_and_gives_the_same(problem):
+    start, views, images = problem
+    own, plain = _Squares(), _Squares()
+    found = fit(start, views, lambda i: images[i], CONFIG, photometric=own)
+    want = fit(start, views, lambda i: images[i], CONFIG, photometric=plain.__call__)
+    assert (own.direct, own.by_autograd) == (CONFIG.iterations, 0)
+    assert (plain.direct, plain.by_autograd) == (0, CONFIG.iterations)
+    for name, tensor in found.gaussians.tensors().items():
+        assert torch.equal(tensor, want.gaussians.tensors()[name]), name

@@ -87,6 +87,7 @@ def a_run(folder: Path, capture: Capture, *, rendered: float, denoised: float | 
         if denoised is not None:
             write_png(folder / "denoised" / f"{name}.png", truths[name] + denoised * (noisy[name] - truths[name]))
     run = SimpleNamespace(
+        space="enhanced",
         path=folder, enhancement=ENHANCEMENT, shows_training_views=trained,
         rendering=lambda name: truths[name] + rendered * (noisy[name] - truths[name]),
     )  # fmt: skip

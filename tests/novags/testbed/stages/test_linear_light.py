@@ -1,0 +1,134 @@
+"""Runs that end in linear light: how they are shown, scored, and opened again."""
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+import torch
+
+from novags.methods import chosen
+from novags.methods.enhancers import enhancement_record
+from novags.methods.enhancers.guided import EnhanceConfig, EnhanceParams, enhance
+from novags.methods.problem import encode
+from novags.settings import changed
+from novags.splats import Views
+from novags.testbed import stages
+from novags.testbed.console import Console
+from novags.testbed.folders.capture import Capture, open_capture
+from novags.testbed.folders.run import CHECKPOINTS, Run, open_run
+from novags.testbed.metrics import image_scores
+from novags.testbed.references import pictured, references
+from novags.testbed.stages.capture import CaptureConfig
+from novags.testbed.stages.reconstruct import ReconstructConfig
+from novags.testbed.viewer.splats import scene_of
+from simscenes import orbit_rig
+from simscenes.sets.multiview import write_cameras
+from simscenes.sets.pictures.png import read_png
+
+QUIET = Console(quiet=True)
+ENHANCE = EnhanceConfig(window=9)
+SIDE = 32
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Capture:
+    """Nine posed photographs of smooth colours at 30 electrons."""
+    folder = tmp_path_factory.mktemp("linear")
+    names = [f"{i:04d}" for i in range(9)]
+    write_cameras(folder / "set", names, orbit_rig(9, SIDE, SIDE, 50.0, radius=3.0))
+    (folder / "set" / "images").mkdir()
+    rng = np.random.default_rng(0)
+    for name in names:
+        smooth = cv2.resize(rng.integers(20, 250, (5, 5, 3), np.uint8), (SIDE, SIDE), interpolation=cv2.INTER_CUBIC)
+        cv2.imwrite(str(folder / "set" / "images" / f"{name}.png"), smooth)
+    stages.capture(folder / "set", folder / "cap", CaptureConfig(electrons=30, seed=3), QUIET)
+    return open_capture(folder / "cap")
+
+
+@pytest.fixture(scope="module")
+def run(capture: Capture) -> Run:
+    """A short run of a method that ends in linear light and states an enhancement."""
+    variant = chosen("nova-plus")
+    config = changed(variant.config(_default(), {}), {"fit.iterations": 24, "seeds": 1, "enhance.window": 9}, what="x")
+    out = capture.path.parent / "run"
+    stages.reconstruct(capture.path, out, ReconstructConfig(variant=variant, config=config, points=120), QUIET)
+    return open_run(out)
+
+
+def _default() -> Any:
+    from novags.methods import METHODS
+
+    return METHODS["nova-plus"].config()
+
+
+def linear(enhancement: Any) -> Any:
+    return SimpleNamespace(space="linear", enhancement=enhancement)
+
+
+def test_linear_light_goes_through_the_stated_enhancement_with_the_mean_parameters_of_the_training_views(
+    capture: Capture,
+) -> None:
+    light = capture.linear16(0).clip(0)
+    found = pictured(linear(enhancement_record(ENHANCE, "8bit")), capture, light)
+    params = [enhance(torch.from_numpy(capture.srgb8(i).copy()), ENHANCE)[1] for i in capture.cameras.train_indices]
+    middle = EnhanceParams(
+        gamma=sum(p.gamma for p in params) / len(params),  # type: ignore[arg-type]
+        epsilon=sum(p.epsilon for p in params) / len(params),  # type: ignore[arg-type]
+        radius=params[0].radius,
+    )
+    want, _ = enhance(torch.from_numpy(encode(light)), ENHANCE, middle)
+    np.testing.assert_allclose(found, want.numpy(), atol=1e-6)
+    gammas = [float(p.gamma) for p in params]
+    assert max(gammas) - min(gammas) > 1e-3  # or any of them would have done
+
+
+def test_linear_light_without_an_enhancement_is_encoded_and_other_pictures_are_left_alone(capture: Capture) -> None:
+    light = capture.linear16(0)
+    np.testing.assert_array_equal(pictured(linear(None), capture, light), encode(light))
+    made: Any = SimpleNamespace(space="enhanced", enhancement=enhancement_record(ENHANCE, "8bit"))
+    assert pictured(made, capture, light) is light
+
+
+def test_a_run_in_linear_light_is_scored_against_each_of_its_references(capture: Capture, run: Run) -> None:
+    metrics = stages.score(run.path, QUIET)["methods"]["nova-plus"]
+    source = capture.source(QUIET)
+    for i in capture.cameras.test_indices:
+        name = capture.names[i]
+        assert list(metrics["views"][name]) == ["enhanced", "linear", "lit"]
+        truth = references(run, capture, source, i)["enhanced"]
+        want = image_scores(pictured(run, capture, run.rendering(name)), truth, None)
+        assert metrics["views"][name]["enhanced"]["aligned_psnr"] == pytest.approx(want["aligned_psnr"])
+        assert metrics["views"][name]["linear"]["linear_psnr"] > 10
+    assert metrics["training_2d"]["enhanced"] is not None
+
+
+def test_pictures_on_disk_are_as_they_are_shown_and_floats_are_light(capture: Capture, run: Run) -> None:
+    name = capture.names[capture.cameras.test_indices[0]]
+    light = run.rendering(name)
+    shown = read_png(run.path / "renders" / f"{name}.png")
+    np.testing.assert_allclose(shown, np.clip(pictured(run, capture, light), 0, 1), atol=0.5 / 255 + 1e-6)
+    exposure = np.mean([capture.clean_linear(i).mean() for i in capture.cameras.train_indices])
+    assert light.mean() == pytest.approx(exposure, rel=0.2)
+
+
+def test_a_saved_scene_of_tones_gives_the_same_light_again(capture: Capture, run: Run) -> None:
+    scene = scene_of(run)
+    assert scene is not None
+    assert scene.tone is not None
+    i = capture.cameras.test_indices[0]
+    rig = capture.cameras.rig
+    view = Views(
+        torch.from_numpy(np.asarray(rig.viewmats, np.float32))[i : i + 1],
+        torch.from_numpy(np.asarray(rig.Ks, np.float32))[i : i + 1], SIDE, SIDE,
+    )  # fmt: skip
+    again = scene.render(view)[0][0].numpy()
+    np.testing.assert_allclose(again, run.rendering(capture.names[i]), rtol=1e-3, atol=1e-6)
+
+
+def test_nothing_that_only_unfinished_work_needs_is_left(run: Run) -> None:
+    assert not any((run.path / name).exists() for name in CHECKPOINTS)
+    assert run.record["found"]["held_out_pixels"] > 0
+    assert Path(run.path / "point_cloud.ply").is_file()
