@@ -61,7 +61,8 @@ def images_of(method, inputs: Problem) -> torch.Tensor:
 @pytest.mark.parametrize("method", [enhance_then_fit, oracle], ids=["naive", "oracle"])
 def test_the_fit_starts_from_and_aims_at_the_same_pictures(seen, method):
     inputs = problem()
-    result = method.train(inputs, CONFIG)
+    own = CONFIG if method is enhance_then_fit else oracle.OracleConfig(**vars(CONFIG))
+    result = method.train(inputs, own)
     expected = images_of(method, inputs)
     assert torch.equal(torch.stack([seen["target"](view) for view in range(2)]), expected)
     assert torch.equal(result.targets, expected)
