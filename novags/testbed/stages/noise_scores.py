@@ -31,7 +31,8 @@ def noise_scores(run: Run, capture: Capture, lit: Source) -> dict[str, float | N
         `known`: root mean square of the noise in the enhanced pictures, sRGB code. `targets`, `renders`: the share of
         it that is left in what the scene was fitted to, and in its renderings of the same views (None if there are
         none). `bias_floor`: PSNR in dB of the mean of infinitely many exposures, each enhanced, against the noise-free
-        one, which a fit that averages cannot exceed; None of imported photographs, which cannot be taken again.
+        one, which a fit that averages cannot exceed; None of imported photographs, which cannot be taken again. Behind
+        a colour filter array the errors of interpolation are no noise, but part of the bias.
     """
     if run.enhancement is None or not (run.path / "enhanced").is_dir() or not capture.holds("truth"):
         return None
@@ -40,7 +41,8 @@ def noise_scores(run: Run, capture: Capture, lit: Source) -> dict[str, float | N
         name = capture.names[i]
         if not (run.path / "enhanced" / f"{name}.png").exists():
             continue  # a view without a camera
-        noisy, truth = enhanced_dark(capture, i, run.enhancement), enhanced_truth(capture, i, run.enhancement)
+        noisy = enhanced_dark(capture, i, run.enhancement)
+        truth = enhanced_truth(capture, i, run.enhancement, demosaiced=capture.demosaiced)
         squares.append(float(np.square(centred_noise(noisy, truth)).mean()))
         kind = "denoised" if (run.path / "denoised").is_dir() else "enhanced"
         targets.append(noise_share(read_png(run.path / kind / f"{name}.png"), noisy, truth))

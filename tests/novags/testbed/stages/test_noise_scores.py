@@ -82,7 +82,8 @@ def a_run(folder: Path, capture: Capture, *, rendered: float, denoised: float | 
         name = capture.names[i]
         bright, params = enhance(torch.from_numpy(capture.srgb8(i).copy()), CONFIG)
         noisy[name] = bright.numpy()
-        truths[name] = enhance(torch.from_numpy(capture.clean(i).copy()), CONFIG, params)[0].numpy()
+        clean = capture.clean(i, demosaiced=capture.demosaiced)
+        truths[name] = enhance(torch.from_numpy(clean.copy()), CONFIG, params)[0].numpy()
         write_png(folder / "enhanced" / f"{name}.png", noisy[name])
         if denoised is not None:
             write_png(folder / "denoised" / f"{name}.png", truths[name] + denoised * (noisy[name] - truths[name]))
@@ -117,6 +118,16 @@ def test_the_shares_are_of_the_targets_and_of_the_renderings(dark, tmp_path, mon
     assert found["targets"] == pytest.approx(targets, abs=0.005)  # 8-bit pictures
     assert found["known"] == pytest.approx(float(np.sqrt(np.mean(np.square(noise)))))
     assert found["bias_floor"] == 31.5
+
+
+def test_errors_of_demosaicing_are_no_noise(tmp_path, monkeypatch):
+    capture, lit = taken(tmp_path / "bayer", sensor="a7s2-iso6400", electrons=200)
+    monkeypatch.setattr(module, "_FLOORS", Memo())
+    monkeypatch.setattr(module, "bias_floor", lambda *inputs: 0.0)
+    run, noise = a_run(tmp_path / "run", capture, rendered=0.4, denoised=None)
+    found = noise_scores(run, capture, lit)
+    assert found["renders"] == pytest.approx(0.4, abs=1e-4)
+    assert found["known"] == pytest.approx(float(np.sqrt(np.mean(np.square(noise)))))
 
 
 def test_what_a_run_does_not_have_is_not_scored(dark, tmp_path, monkeypatch):
