@@ -9,7 +9,7 @@ from novags.commands.dataset import dataset
 from novags.commands.experiment import run
 from novags.commands.inquiries import doctor, help_, list_
 from novags.commands.pareto import pareto
-from novags.commands.photographs import import_
+from novags.commands.photographs import denoise, import_
 from novags.commands.results import characterise, export_results, report, score
 from novags.commands.stages import capture, plan, poses, reconstruct, render
 from novags.commands.study import study
@@ -30,6 +30,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
         poses,
         capture,
         import_,
+        denoise,
         reconstruct,
         score,
         report,

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from bench_splats_scenes import best, common_scene
+from splats_bench.scenes import best, common_scene
 
 from novags.testbed.pareto.splat_engine.scene import cube_scene
 
@@ -223,9 +223,9 @@ def measure_memory() -> dict[str, Any]:
 
 def measure_fit(**arguments: Any) -> dict[str, Any]:
     """A whole training run."""
-    import bench_splats_fit
+    from splats_bench import fit
 
-    return bench_splats_fit.measure_fit(**arguments)
+    return fit.measure_fit(**arguments)
 
 
 def run_one(out: Path, what: str, **arguments: Any) -> None:

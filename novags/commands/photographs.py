@@ -1,10 +1,10 @@
-"""The commands about photographs of one's own: import."""
+"""The commands about photographs of one's own, and about single pictures: import, denoise."""
 
 from pathlib import Path
 from typing import Literal
 
 from novags.commands.shared import next_, writing
-from novags.options import Folder
+from novags.options import Device, Folder
 
 
 def import_(
@@ -42,3 +42,35 @@ def import_(
         stages.import_photographs(folder, out, config, console, overwrite=overwrite)
     print(out)
     next_(f"novags reconstruct {out} --method nova-fast --out RUN")
+
+
+def denoise(
+    capture: Folder, *, out: Path, adapt: bool = True, turns: int = 8, seed: int = 0, device: Device = "auto",
+    overwrite: bool = False, wait: bool = False,
+) -> None:  # fmt: skip
+    """Take the noise out of the pictures of a capture, one by one: no cameras, no 3D model.
+
+    A network that was trained on simulated cameras works on the raw data, and demosaics them as well. Dark photographs
+    of your own become a capture with `novags import`; their camera has to be known.
+
+    Args:
+        capture: Folder of the capture.
+        out: Folder of the pictures: linear/*.png (16 bits, linear, 65535 is white) and srgb/*.png (8 bits).
+        adapt: Train the network further on these pictures themselves, without truth: half a minute or more.
+        turns: Flips and quarter turns whose estimates are averaged, 1 to 8: time goes with it.
+        seed: Of the adaptation.
+        device: Where the network runs; auto takes a GPU if there is one that can be used.
+        overwrite: Replace a finished result of another request in the same folder.
+        wait: If another process is writing there, wait until it is done instead of refusing.
+    """
+    from novags.methods.denoised.recorrupted import AdaptConfig
+    from novags.methods.denoised.trainer import DenoiseConfig
+    from novags.testbed import stages
+    from novags.testbed.stages.denoise import DenoisePicturesConfig
+
+    how = DenoiseConfig(adapt=AdaptConfig() if adapt else None, turns=turns)
+    config = DenoisePicturesConfig(denoise=how, seed=seed, device=device)
+    with writing(out, wait) as console:
+        stages.denoise(capture, out, config, console, overwrite=overwrite)
+    print(out)
+    next_(f"novags reconstruct {capture} --method nova-fast --out RUN")

@@ -7,6 +7,7 @@ from typing import Any
 
 from novags.methods import enhance_then_fit, oracle
 from novags.methods.averaging import trainer as averaging
+from novags.methods.denoised import trainer as denoised
 from novags.methods.gaussian_fit import ORIGINAL_FIT, EnhancedFitConfig, fit_parts
 from novags.methods.nova import trainer as nova
 from novags.methods.nova.denoiser import FAST_DENOISER
@@ -46,6 +47,16 @@ METHODS: dict[str, Method] = {
         parts=fit_parts,
         source="section 4.2 of the NOVA-GS paper and 3DGS-MCMC (Kheradmand et al. 2024)",
         bound="floor",
+    ),
+    "denoise-gs": Method(
+        title="denoise the raw data with a network that was trained on simulated cameras and adapts to the capture, "
+        "enhance, then fit as naive does",
+        family="2D + GS",
+        color="#7a5195",
+        config=denoised.DenoisedConfig,
+        train=denoised.train,
+        parts=denoised.parts,
+        source="recorrupted-to-recorrupted (Pang et al. 2021) in the generalised Anscombe domain (Murtagh et al. 1995)",
     ),
     "oracle": Method(
         title="enhance the noise-free exposures, then fit: what no real method can see, hence the ceiling",
@@ -125,6 +136,12 @@ VARIANTS: dict[str, Variant] = dict(
             "oracle",
             "the ceiling with the learning rates and the growth of nova-plus",
             _QUICK,
+        ),
+        _variant(
+            "denoise-gs-plain",
+            "denoise-gs",
+            "the same network without being adapted to the capture",
+            {"denoise.adapt": None},
         ),
         _variant(
             "averaging-clean",

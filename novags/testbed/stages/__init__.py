@@ -4,6 +4,7 @@
 """
 
 from novags.testbed.stages.capture import capture as capture
+from novags.testbed.stages.denoise import denoise as denoise
 from novags.testbed.stages.importing import import_photographs as import_photographs
 from novags.testbed.stages.poses import poses as poses
 from novags.testbed.stages.reconstruct import reconstruct as reconstruct

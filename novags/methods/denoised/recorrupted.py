@@ -1,0 +1,150 @@
+"""Adapting a network to one capture without truth: recorrupted-to-recorrupted (Pang, Zheng, Quan, Ji 2021).
+
+With z of the same variance as the noise of y, drawn anew,
+
+    y1 = y + a z        y2 = y - z / a
+
+have independent noise of variance (1 + a**2) and (1 + 1 / a**2) times that of y: independent for Gaussian noise,
+uncorrelated for any. A network that predicts y2 from y1 learns the mean of y, as if y2 were a second exposure. The
+variance of z is the known one at the network's own estimate of the mean before it is adapted; at y itself, z would be
+correlated with the noise of dark pixels, whose variance cannot be negative.
+
+Of a mosaic, y2 says nothing about the channels that were not measured, and a network that is told nothing about them
+forgets how to interpolate: there it is held to that first estimate.
+"""
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from novags.methods.denoised.estimate import estimate, estimate_all
+from novags.methods.denoised.measured import Measured
+from novags.methods.denoised.network import Network
+from novags.methods.denoised.packing import turned
+from novags.methods.gaussian_fit import Progress
+
+LEAST_VARIANCE = 1e-4  # electrons**2
+
+
+@dataclass(frozen=True, kw_only=True)
+class AdaptConfig:
+    """How a network is adapted to a capture."""
+
+    steps: int = 120
+    learning_rate: float = 5e-4  # Adam, falling to zero in half a cosine
+    batch: int = 8  # crops per step
+    crop: int = 64  # px, even
+    strength: float = 0.5  # a
+
+    def __post_init__(self) -> None:
+        if self.steps < 1 or self.batch < 1:
+            raise ValueError(f"need steps and batch >= 1, got {self.steps} and {self.batch}")
+        if self.crop < 2 or self.crop % 2:
+            raise ValueError(f"crop must be even and >= 2 px (a mosaic repeats every 2), got {self.crop}")
+        if not self.learning_rate > 0 or not self.strength > 0:
+            raise ValueError(f"learning_rate and strength must be > 0, got {self.learning_rate} and {self.strength}")
+
+
+def recorrupted(data: Tensor, deviation: Tensor, strength: float, generator: torch.Generator) -> tuple[Tensor, Tensor]:
+    """Two copies of the data with uncorrelated noise.
+
+    Args:
+        data: Any shape.
+        deviation: Standard deviation of its noise, the same shape.
+        strength: a: the larger, the noisier the first copy and the less noisy the second.
+        generator: Of the noise that is added.
+    """
+    z = deviation * torch.randn(data.shape, generator=generator, device=data.device, dtype=data.dtype)
+    return data + strength * z, data - z / strength
+
+
+class Adaptation:
+    """A network in training on the pictures of one capture."""
+
+    def __init__(self, network: Network, pictures: Measured, config: AdaptConfig, seed: int) -> None:
+        self.network, self.pictures, self.config = network, pictures, config
+        self.first = estimate_all(network, pictures.electrons, pictures.mask, pictures.read_variance, turns=1)
+        # Floor: where a camera counts nothing and reads without noise, a weight of 1 / 0.
+        self.variance = pictures.variance(self.first).clamp_min(LEAST_VARIANCE)
+        self.generator = torch.Generator(self.first.device).manual_seed(seed)
+        self.optimizer = torch.optim.Adam(network.parameters(), lr=config.learning_rate)
+        self.step = 0
+
+    def loss(self) -> Tensor:
+        """Squared distance of the estimates for y1 from y2, in units of the noise of y2; see above for gaps in y2."""
+        electrons, variance, held, mask = self._crops()
+        a = self.config.strength
+        first, second = recorrupted(electrons, variance.sqrt(), a, self.generator)
+        more = 1 + a**2
+        # y1 has the noise of an exposure of 1 / more of the light: in its own electrons it is like any other picture.
+        found = more * estimate(self.network, first / more, mask, self.pictures.read_variance / more)
+        wanted = torch.where(mask > 0, second, held)
+        return ((found - wanted).square() / (variance * (1 + 1 / a**2))).sum() / mask.sum()
+
+    def advance(self) -> float:
+        """One step; returns the loss, about 1 plus what the estimate is off.
+
+        Raises:
+            ValueError: If the loss is not finite.
+        """
+        rate = self.config.learning_rate * 0.5 * (1 + math.cos(math.pi * self.step / self.config.steps))
+        for group in self.optimizer.param_groups:
+            group["lr"] = rate
+        loss = self.loss()
+        loss.backward()
+        value = loss.item()
+        if not math.isfinite(value):
+            raise ValueError(
+                f"the denoiser's loss must be finite, got {value} at step {self.step} of its adaptation: lower "
+                "adapt.learning_rate, or set adapt to none"
+            )
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
+        self.optimizer.step()
+        self.optimizer.zero_grad(set_to_none=True)
+        self.step += 1
+        return value
+
+    def _crops(self) -> list[Tensor]:
+        """Random crops of data, variance, first estimate and mask, flipped and turned alike, [batch, 3, crop, crop]."""
+        data, mask = self.pictures.electrons, self.pictures.mask
+        count, _, height, width = data.shape
+        side = min(self.config.crop, height, width)
+        parts = []
+        for _ in range(self.config.batch):
+            view, turn = self._integer(count), self._integer(8)
+            top, left = self._integer(height - side + 1), self._integer(width - side + 1)
+            window = (..., slice(top, top + side), slice(left, left + side))
+            cut = [x[window] for x in (data[view], self.variance[view], self.first[view], mask[0])]
+            parts.append([turned(x[None], turn) for x in cut])
+        return [torch.cat(each) for each in zip(*parts, strict=True)]
+
+    def _integer(self, high: int) -> int:
+        return int(torch.randint(high, (1,), generator=self.generator, device=self.generator.device))
+
+
+def adapt(
+    network: Network,
+    pictures: Measured,
+    config: AdaptConfig,
+    *,
+    seed: int,
+    progress: Progress | None = None,
+    more: int = 0,
+) -> None:
+    """Adapt a network to a capture, in place.
+
+    Args:
+        network: Pre-trained.
+        pictures: Of the capture.
+        config: All choices.
+        seed: Of crops and noise.
+        progress: Called after every step with (steps done, of how many, {"denoiser": loss}).
+        more: Steps that are to follow after these, for `progress`.
+    """
+    training = Adaptation(network, pictures, config, seed)
+    for step in range(config.steps):
+        loss = training.advance()
+        if progress is not None:
+            progress(step + 1, config.steps + more, {"denoiser": loss})

@@ -1,0 +1,156 @@
+"""Denoise the raw data, develop, enhance, then fit Gaussians to the result: what 2D denoising alone can give."""
+
+import dataclasses
+import hashlib
+import json
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from novags.methods.denoised.estimate import TURNS, estimate_all
+from novags.methods.denoised.measured import Measured, measured
+from novags.methods.denoised.recorrupted import AdaptConfig, adapt
+from novags.methods.denoised.weights import PACKAGED, load_weights
+from novags.methods.enhancers import EnhancerConfig, enhanced, enhanced_like, enhanced_view
+from novags.methods.enhancers.guided import EnhanceConfig
+from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, EnhancedFitConfig, Progress, fit_enhanced
+from novags.methods.nova.checkpoint import read
+from novags.methods.problem import Pictures, Problem, encode
+from novags.methods.reconstruction import Reconstruction
+from novags.splats import FitConfig
+from novags.splats.training.checkpoint import digest, write_tensors
+
+
+@dataclass(frozen=True, kw_only=True)
+class DenoiseConfig:
+    """How the pictures are denoised."""
+
+    adapt: AdaptConfig | None = field(default_factory=AdaptConfig)  # to the capture; None: the network as it comes
+    turns: int = TURNS  # flips and quarter turns whose estimates are averaged
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.turns <= TURNS:
+            raise ValueError(f"turns must be 1 to {TURNS}, got {self.turns}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class DenoisedConfig:
+    """Denoising, then enhancement and fit as of the method that fits the noisy pictures.
+
+    What is denoised are the raw data, or linear pictures; `pictures` are those whose enhancement the denoised ones go
+    through, so that they are compared with the same reference as the noisy ones.
+    """
+
+    pictures: Pictures = "8bit"
+    enhance: EnhancerConfig = field(default_factory=EnhanceConfig)
+    denoise: DenoiseConfig = field(default_factory=DenoiseConfig)
+    init_scale: float = ORIGINAL_SCALE
+    fit: FitConfig = ORIGINAL_FIT
+
+
+def parts(config: DenoisedConfig) -> dict[str, int]:
+    """`Method.parts`: adaptation of the network, then the fit."""
+    adapting = 0 if config.denoise.adapt is None else config.denoise.adapt.steps
+    return {"denoiser": adapting, "fit": config.fit.iterations}
+
+
+def denoised(
+    pictures: Measured, config: DenoiseConfig, *, seed: int, progress: Progress | None = None, more: int = 0
+) -> Tensor:
+    """The pictures without noise, in linear light: [C, H, W, 3], not clipped, the unit of `Problem.linear16`.
+
+    Args:
+        pictures: What was measured.
+        config: All choices.
+        seed: Of the adaptation.
+        progress: As for `recorrupted.adapt`.
+        more: As for `recorrupted.adapt`.
+    """
+    network = load_weights().to(pictures.electrons.device)
+    if config.adapt is not None:
+        adapt(network, pictures, config.adapt, seed=seed, progress=progress, more=more)
+    electrons = estimate_all(network, pictures.electrons, pictures.mask, pictures.read_variance, turns=config.turns)
+    return pictures.linear(electrons)
+
+
+def train(
+    problem: Problem, config: DenoisedConfig, *, progress: Progress | None = None, checkpoint: Path | None = None
+) -> Reconstruction:
+    """Reconstruct from denoised pictures.
+
+    Args:
+        problem: The problem; its seed and extent override those of `config.fit`.
+        config: All choices.
+        progress: Called with (steps done, of how many, losses); steps of the adaptation and of the fit count alike.
+        checkpoint: As in `splats.fit`. The denoised pictures are kept beside it, in `<stem>.denoiser.safetensors`.
+
+    Returns:
+        A reconstruction whose targets are the denoised pictures, enhanced with the parameters of the noisy ones.
+        Seconds: "denoise", "enhance" and "fit".
+
+    Raises:
+        LacksInput: If the noise of the data is not known, or not independent.
+        ValueError: If a checkpoint is damaged or belongs to another run.
+    """
+    started = time.perf_counter()
+    linear = _kept(problem, config, progress, checkpoint)
+    denoising = time.perf_counter() - started
+    adapting = parts(config)["denoiser"]
+
+    def targets(problem: Problem, enhancer: EnhancerConfig, pictures: Pictures) -> Tensor:
+        return _enhanced(problem, linear, enhancer, pictures)
+
+    def report(done: int, total: int, entry: dict[str, float]) -> None:
+        if progress is not None:
+            progress(adapting + done, adapting + total, entry)
+
+    fitting = EnhancedFitConfig(
+        pictures=config.pictures, enhance=config.enhance, init_scale=config.init_scale, fit=config.fit
+    )
+    result = fit_enhanced(problem, fitting, targets, progress and report, checkpoint)
+    result.config = dataclasses.replace(config, fit=result.config.fit)
+    result.enhanced = enhanced(problem, config.enhance, config.pictures)
+    result.seconds = {"denoise": denoising, **result.seconds}
+    return result
+
+
+def _enhanced(problem: Problem, linear: Tensor, config: EnhancerConfig, pictures: Pictures) -> Tensor:
+    """Denoised pictures through the enhancement of their noisy twins, [C, H, W, 3]."""
+    found = []
+    for name, dark, light in zip(problem.names, problem.encoded(pictures), linear, strict=True):
+        _, params = enhanced_view(problem.shared, name, dark, config, pictures, problem.noise)
+        code = torch.from_numpy(encode(light.cpu().numpy())).to(dark)
+        found.append(enhanced_like(code, config, params))
+    return torch.stack(found)
+
+
+def _kept(problem: Problem, config: DenoisedConfig, progress: Progress | None, checkpoint: Path | None) -> Tensor:
+    """The denoised pictures, linear [C, H, W, 3]: those of an interrupted run, or made now."""
+    pictures = measured(problem)
+    path = None if checkpoint is None else checkpoint.with_name(f"{checkpoint.stem}.denoiser.safetensors")
+    identity = _identity(pictures, config.denoise, problem.seed)
+    if path is not None and path.exists():
+        tensors = read(path)
+        kept, of = tensors.get("linear"), tensors.get("run", torch.empty(0))
+        if of.dtype != identity.dtype or not torch.equal(of, identity):
+            raise ValueError(f"{path} belongs to a run of other pictures or settings: delete it or restore them")
+        if kept is None or kept.shape != problem.srgb8.shape or not bool(torch.isfinite(kept).all()):
+            raise ValueError(f"{path} is damaged: delete it, the run then starts over")
+        return kept.to(problem.srgb8)
+    made = denoised(pictures, config.denoise, seed=problem.seed, progress=progress, more=config.fit.iterations)
+    if path is not None:
+        write_tensors(path, {"linear": made.contiguous(), "run": identity})
+    return made
+
+
+def _identity(pictures: Measured, config: DenoiseConfig, seed: int) -> Tensor:
+    """Hash of everything that the denoised pictures depend on, uint8."""
+    content = digest(pictures.electrons, pictures.mask, pictures.read_variance, pictures.to_linear)
+    weights = hashlib.blake2b(PACKAGED.read_bytes()).hexdigest()
+    settings = json.dumps([dataclasses.asdict(config), seed])
+    run = hashlib.blake2b((content + weights + settings).encode(), digest_size=16)
+    return torch.from_numpy(np.frombuffer(run.digest(), np.uint8).copy())

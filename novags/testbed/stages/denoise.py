@@ -1,0 +1,86 @@
+"""Denoise: a capture in, its pictures without noise out, in linear light. No cameras, no model."""
+
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from novags.methods.denoised.measured import in_electrons
+from novags.methods.denoised.trainer import DenoiseConfig, denoised
+from novags.methods.denoised.weights import made_by
+from novags.testbed.cache import run_stage
+from novags.testbed.console import Console
+from novags.testbed.folders.capture import Capture, open_capture
+from novags.testbed.machine.devices import chosen_device
+from novags.testbed.stages.paths import keep_apart
+from novags.testbed.stages.reconstruct import raw_pictures, stack
+from sensor_model import to_srgb8
+from simscenes.sets.pictures.png import write_png
+
+RECORD, LINEAR, SHOWN = "denoise.json", "linear", "srgb"
+
+
+@dataclass(frozen=True, kw_only=True)
+class DenoisePicturesConfig:
+    """How the pictures of a capture are denoised."""
+
+    denoise: DenoiseConfig = field(default_factory=DenoiseConfig)
+    seed: int = 0
+    device: str = "auto"  # "auto", "cpu", "cuda": not part of a result's identity
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise ValueError(f"seed must be >= 0, got {self.seed}")
+
+
+def denoise(
+    capture_path: Path, out: Path, config: DenoisePicturesConfig, console: Console, *, overwrite: bool = False
+) -> dict[str, Any]:
+    """Denoise every picture of the capture at `capture_path`; returns denoise.json.
+
+    `linear` holds 16-bit PNGs of linear light, 0 = black and 65535 = white; `srgb` the same as 8-bit sRGB, as dark as
+    they were taken.
+
+    Raises:
+        ValueError: If the capture cannot be read, lacks raw data or known noise, or `out` holds other things.
+        BlockingIOError: If another process is writing to `out`.
+    """
+    keep_apart(out, capture_path)
+    capture = open_capture(capture_path)
+    settings = {"denoise": asdict(config.denoise), "seed": config.seed, "weights": made_by()}
+    return run_stage(
+        "denoise",
+        out,
+        RECORD,
+        inputs={"capture": capture.content},
+        config=settings,
+        owns=(RECORD, LINEAR, SHOWN),
+        prepare=lambda: None,
+        work=lambda _: denoise_views(capture, out, config, console),
+        console=console,
+        overwrite=overwrite,
+    )
+
+
+def denoise_views(capture: Capture, out: Path, config: DenoisePicturesConfig, console: Console) -> dict[str, Any]:
+    """Adapt the network to all views and write each without noise; returns the body of denoise.json."""
+    indices, device = list(range(len(capture.names))), chosen_device(config.device, console)
+    raw = raw_pictures(capture, indices) if capture.holds("raw") else None
+    linear16 = stack([capture.linear16(i) for i in indices]) if capture.holds("images16") else None
+    pictures = in_electrons(noise=capture.noise, raw=raw, linear16=linear16, channels_share=capture.channels_share).to(
+        device
+    )
+    steps = 0 if config.denoise.adapt is None else config.denoise.adapt.steps
+    with console.progress("denoise", {"denoiser": steps, "views": len(indices)}) as progress:
+
+        def step(done: int, total: int, losses: dict[str, float]) -> None:
+            progress(done, total, f"loss {losses['denoiser']:.3f}")
+
+        light = denoised(pictures, config.denoise, seed=config.seed, progress=step, more=len(indices))
+        for i, name in enumerate(capture.names):
+            view = light[i].cpu().numpy()
+            write_png(out / LINEAR / f"{name}.png", np.round(np.clip(view, 0, 1) * 65535).astype(np.uint16))
+            write_png(out / SHOWN / f"{name}.png", to_srgb8(view))
+            progress(steps + i + 1, steps + len(indices), f"view {name}")
+    return {"pictures": list(capture.names), "white": 65535, "device": str(device)}

@@ -1,0 +1,1 @@
+"""The parts of `train_denoiser.py` and `bench_denoiser.py`: clean pictures, simulated pairs, training, rivals."""

@@ -1,0 +1,139 @@
+"""Simulated pairs: a clean picture, photographed by a camera drawn at random, in light drawn at random.
+
+The camera is `sensor_model`'s own. What a network is given are electrons and the read variance that the camera states;
+what it is to find are the electrons that the same light gives without noise, of all channels of all pixels.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+import torch
+from torch import Tensor
+
+from denoising.pictures import Picture, picture
+from novags.methods.denoised.packing import mask_of, spread
+from sensor_model import Exposure, Sensor, expose, mosaic, raw_noise
+from sensor_model.params import CFAS
+from simscenes.sets.multiview import load_set
+
+Rng = np.random.Generator
+EXPOSURE = Exposure(time=1 / 30)
+LEVELS = (1.0, 200.0)  # e-, mean green over a picture
+READ_NOISE = (0.4, 4.0)  # e-
+BAYER_SHARE = 0.5
+RENEWED = 4  # steps after which one picture of the stock is exchanged
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """A batch.
+
+    Attributes:
+        electrons: What was measured, [B, 3, H, W]; 0 where nothing was.
+        mask: 1 where something was, [B, 3, H, W].
+        read_variance: [B, 3], electrons**2.
+        clean: Without noise, [B, 3, H, W], electrons.
+    """
+
+    electrons: Tensor
+    mask: Tensor
+    read_variance: Tensor
+    clean: Tensor
+
+
+def random_camera(rng: Rng, *, bayer: bool) -> Sensor:
+    """Any gain, read noise and filters, a small fixed pattern, some row noise; half of them with heavy tails."""
+    sigma = float(np.exp(rng.uniform(*np.log(READ_NOISE))))
+    bits = int(rng.integers(12, 17))
+    gain = float(np.exp(rng.uniform(np.log(0.5), np.log(12.0))))
+    return Sensor(
+        gain=gain, eta=0.6, mu_e_sat=float(np.exp(rng.uniform(np.log(800), np.log(20_000)))), black_level=256.0,
+        bits=bits, sigma_d=sigma, tukey_lambda=float(rng.uniform(-0.15, 0.14)) if rng.random() < 0.5 else None,
+        sigma_row=float(rng.uniform(0, 0.15)) * sigma, prnu=float(rng.uniform(0, 0.01)),
+        dsnu=float(rng.uniform(0, 0.2)) * sigma, cfa=CFAS[int(rng.integers(4))] if bayer else None,
+        rgb_response=(float(rng.uniform(0.3, 1.0)), 1.0, float(rng.uniform(0.3, 1.0))),
+        serial=int(rng.integers(2**32)),
+    )  # fmt: skip
+
+
+def photograph(clean: Picture, sensor: Sensor, electrons: float, seed: int) -> Pairs:
+    """One picture, linear RGB [H, W, 3], at this mean of its green channel, as a batch of one."""
+    mean = clean.astype(np.float64) * np.asarray(sensor.rgb_response) * (electrons / clean[..., 1].mean())
+    photons = mean / sensor.eta
+    light = photons if sensor.cfa is None else mosaic(photons, sensor.cfa)
+    frame = expose(light, sensor, EXPOSURE, seed=seed, view=0, threads=1)
+    noise = raw_noise(sensor, EXPOSURE)
+    found = torch.from_numpy((frame.dn - sensor.black_level).astype(np.float32) / sensor.gain)
+    mask = mask_of(clean.shape[:2], sensor.cfa)
+    spaced = found.permute(2, 0, 1)[None] if sensor.cfa is None else spread(found[None], mask)
+    variance = torch.tensor(noise.offset, dtype=torch.float32)[None] / sensor.gain**2
+    truth = torch.from_numpy(np.minimum(mean, sensor.capacity_e).astype(np.float32)).permute(2, 0, 1)[None]
+    return Pairs(spaced, mask, variance, truth)
+
+
+class Source:
+    """Clean pictures: the views of rendered sets, and a stock of synthetic ones that is renewed as training goes on."""
+
+    def __init__(self, sets: list[Path], *, size: int, stock: int, rendered_share: float) -> None:
+        self.size, self.stock, self.share = size, stock, rendered_share if sets else 0.0
+        self.rendered = [radiance for folder in sets for radiance in _views(folder)]
+        self.made: dict[int, tuple[int, Picture]] = {}
+
+    def draw(self, rng: Rng, step: int, crop: int) -> Picture:
+        """A crop [crop, crop, 3] with the exposure of its whole picture, flipped and turned, its colours exchanged."""
+        if rng.random() < self.share:
+            whole = self.rendered[int(rng.integers(len(self.rendered)))]
+        else:
+            whole = self._synthetic(int(rng.integers(self.stock)), step)
+        whole = whole / whole[..., 1].mean()
+        top, left = (int(rng.integers(side - crop + 1)) for side in whole.shape[:2])
+        part = whole[top : top + crop, left : left + crop]
+        part = np.rot90(part, int(rng.integers(4)))
+        part = part[:, ::-1] if rng.random() < 0.5 else part
+        return np.ascontiguousarray(part[..., rng.permutation(3)])
+
+    def _synthetic(self, slot: int, step: int) -> Picture:
+        """One slot is renewed at every `RENEWED` steps, in turn; what it holds depends on the step alone."""
+        number = slot + self.stock * ((step // RENEWED - slot) // self.stock + 1)
+        held = self.made.get(slot)
+        if held is None or held[0] != number:
+            held = self.made[slot] = number, picture(number, self.size)
+        return held[1]
+
+
+def _views(folder: Path) -> list[Picture]:
+    """The views of a rendered set without their Monte Carlo noise: see `_smoothed`."""
+    source = load_set(folder)
+    found = []
+    for i in range(len(source.names)):
+        geometry = source.geometry(i)
+        assert geometry is not None, f"{folder} holds no albedo: render it with novags render"
+        radiance = _smoothed(source.radiance(i), geometry["albedo"])
+        found.append((radiance + 2e-3 * np.median(radiance)).astype(np.float32))
+    return found
+
+
+def _smoothed(radiance: Picture, albedo: Picture) -> Picture:
+    """The albedo, which has no noise, times the light that falls on it, as a median and a blur over neighbours.
+
+    A clean picture need not be right, but it must be clean: of noise that is left in it, a network learns to keep some.
+    """
+    reflecting = np.maximum(albedo, 0.02)  # black surfaces and empty space show light of their own alone
+    light = np.maximum(radiance, 0) / reflecting
+    planes = [cv2.medianBlur(np.ascontiguousarray(light[..., c], np.float32), 5) for c in range(3)]
+    return cv2.GaussianBlur(np.stack(planes, -1), (0, 0), 1.5) * reflecting
+
+
+def batch(source: Source, rng: Rng, step: int, *, crop: int, count: int) -> Pairs:
+    """So many pairs of crops."""
+    low, high = np.log(LEVELS)
+    made = []
+    for _ in range(count):
+        camera = random_camera(rng, bayer=rng.random() < BAYER_SHARE)
+        clean = source.draw(rng, step, crop)
+        # The level is that of a whole picture, so that dark corners are seen as well as bright ones.
+        level = float(np.exp(rng.uniform(low, high))) * float(clean[..., 1].mean())
+        made.append(photograph(clean, camera, max(level, 0.02), int(rng.integers(2**31))))
+    return Pairs(*(torch.cat([getattr(one, name) for one in made]) for name in Pairs.__dataclass_fields__))

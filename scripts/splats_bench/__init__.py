@@ -1,0 +1,1 @@
+"""The parts of `bench_splats.py`: its scenes and its whole training run."""

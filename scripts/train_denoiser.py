@@ -1,0 +1,98 @@
+"""Train the network of `novags.methods.denoised` on simulated pairs.
+
+    python scripts/train_denoiser.py --sets SETS/* --steps 20000 --out weights.safetensors
+
+The clean pictures are views of rendered sets (make them with `novags render`, of scenes and seeds that no table
+reports) and synthetic pictures; each is photographed by `sensor_model` with a camera and at a level drawn at random.
+An interrupted run continues from its checkpoint. Every step depends on the seed and its own number alone.
+"""
+
+import argparse
+import os
+import shlex
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import torch
+from denoising.pairs import Pairs, Source, batch
+from denoising.training import Schedule, Training, checked, checks
+
+from novags.methods.denoised.network import Network, NetworkConfig
+from novags.methods.denoised.weights import save_weights
+
+SAID = 30.0  # s between two lines of progress
+CHECKED = 10  # lines between two looks at pairs that are not trained on, which take a second
+SAVED = 120.0  # s between two checkpoints
+
+
+def arguments() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument(
+        "--sets", type=Path, nargs="*", default=[], help="rendered sets; none: synthetic pictures alone"
+    )
+    parser.add_argument("--out", type=Path, required=True, help="the weights; the checkpoint lies beside them")
+    parser.add_argument("--steps", type=int, default=20_000)
+    parser.add_argument("--stop", type=int, help="stop after this step, as if interrupted")
+    parser.add_argument("--rate", type=float, default=1e-3, help="largest learning rate")
+    parser.add_argument("--batch", type=int, default=8, help="crops per step")
+    parser.add_argument("--crop", type=int, default=96, help="px, even")
+    parser.add_argument("--loss", choices=("l1", "l2"), default="l1")
+    parser.add_argument("--widths", type=int, nargs="+", default=list(NetworkConfig.widths))
+    parser.add_argument("--blocks", type=int, nargs="+", default=list(NetworkConfig.blocks))
+    parser.add_argument("--stock", type=int, default=256, help="synthetic pictures that are kept at a time")
+    parser.add_argument("--rendered-share", type=float, default=0.4, help="of the crops")
+    parser.add_argument("--seed", type=int, default=0)
+    return parser.parse_args()
+
+
+def main() -> None:
+    asked = arguments()
+    torch.manual_seed(asked.seed)
+    network = Network(NetworkConfig(widths=tuple(asked.widths), blocks=tuple(asked.blocks)))
+    network.to(memory_format=torch.channels_last)
+    training = Training(network, Schedule(steps=asked.steps, rate=asked.rate), asked.loss)
+    checkpoint = asked.out.with_suffix(".checkpoint.safetensors")
+    before = training.restore(checkpoint) if checkpoint.exists() else 0.0
+    source = Source(sorted(asked.sets), size=128, stock=asked.stock, rendered_share=asked.rendered_share)
+    kept = checks(12, 96)
+    print(f"{sum(p.numel() for p in network.parameters())} parameters, {len(source.rendered)} rendered views, "
+          f"step {training.step} of {asked.steps}", flush=True)  # fmt: skip
+    run(training, source, kept, asked, checkpoint, before)
+
+
+def run(
+    training: Training, source: Source, kept: list[Pairs], asked: argparse.Namespace, checkpoint: Path, before: float
+) -> None:
+    started, cpu = time.perf_counter(), time.process_time() - before
+    first, said, saved, losses, lines = training.step, time.perf_counter(), time.perf_counter(), [], 0
+    last = min(asked.steps, asked.stop or asked.steps)
+    while training.step < last:
+        rng = np.random.default_rng([asked.seed, training.step])
+        losses.append(training.advance(batch(source, rng, training.step, crop=asked.crop, count=asked.batch)))
+        now = time.perf_counter()
+        if now - said > SAID or training.step == last:
+            left = (now - started) / (training.step - first) * (last - training.step)
+            print(f"step {training.step} of {last}, loss {np.mean(losses):.4f}, CPU {time.process_time() - cpu:.0f} s, "
+                  f"about {left / 60:.0f} min left", flush=True)  # fmt: skip
+            if lines % CHECKED == 0 or training.step == last:
+                chips, mosaic = checked(training.network, kept)
+                print(f"squared error on other pictures: three chips {chips:.4f}, mosaic {mosaic:.4f}", flush=True)
+            said, losses, lines = time.perf_counter(), [], lines + 1
+        if now - saved > SAVED or training.step == last:
+            training.save(checkpoint, time.process_time() - cpu)
+            saved = time.perf_counter()
+    named = [path.name for path in sorted(asked.sets)]
+    shown = shlex.join(
+        ["python", "scripts/train_denoiser.py", *(Path(a).name if "/" in a else a for a in sys.argv[1:])]
+    )
+    made = {"command": shown, "seed": asked.seed, "steps": training.step, "cpu_seconds": time.process_time() - cpu,
+            "sets": named, "torch": torch.__version__}  # fmt: skip
+    save_weights(asked.out, training.network, made)
+    print(asked.out)
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "1")))
+    main()

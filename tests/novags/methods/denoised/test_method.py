@@ -1,0 +1,130 @@
+"""The method as a whole: its targets, its checkpoint, what it refuses."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from safetensors.torch import load_file, save_file
+
+from novags.methods.denoised.estimate import estimate_all
+from novags.methods.denoised.measured import measured
+from novags.methods.denoised.recorrupted import AdaptConfig
+from novags.methods.denoised.trainer import DenoiseConfig, DenoisedConfig, parts, train
+from novags.methods.denoised.weights import load_weights
+from novags.methods.enhancers import enhanced, enhanced_like, enhanced_view
+from novags.methods.noise import camera_noise
+from novags.methods.problem import LacksInput, Problem, RawPictures, encode
+from novags.splats import FitConfig, Views
+from sensor_model import PRESETS, Exposure, develop, develop_linear, expose, from_linear16
+
+EXPOSURE = Exposure(time=1 / 30)
+ADAPT = AdaptConfig(steps=3, batch=2, crop=16)
+CONFIG = DenoisedConfig(denoise=DenoiseConfig(adapt=ADAPT, turns=2), fit=FitConfig(iterations=20, checkpoint_every=5))
+
+
+class Points:
+    points = torch.rand(30, 3, generator=torch.Generator().manual_seed(0)) - 0.5 + torch.tensor([0.0, 0.0, 3.0])
+    colors = torch.full((30, 3), 0.2)
+    extent = 1.0
+
+
+@pytest.fixture(scope="module")
+def problem() -> Problem:
+    sensor = PRESETS["a7s2-iso6400-3chip"]
+    y, x = np.mgrid[:24, :32] / 8.0
+    clean = np.stack([12 + 6 * np.sin(x), 20 + 9 * np.sin(y), 14 + 5 * np.cos(x + y)], -1)
+    frames = [expose(clean / sensor.eta, sensor, EXPOSURE, seed=4, view=i) for i in range(3)]
+    developed = [develop(f, sensor) for f in frames]
+    K = torch.tensor([[40.0, 0, 16], [0, 40, 12], [0, 0, 1]]).expand(3, 3, 3)
+    return Problem(
+        views=Views(torch.eye(4).repeat(3, 1, 1), K, 32, 24), start=Points(), seed=5,
+        srgb8=torch.from_numpy(np.stack([d.srgb8 for d in developed]) / 255).float(),
+        linear16=torch.from_numpy(np.stack([from_linear16(d.linear16) for d in developed])),
+        raw=RawPictures(dn=torch.from_numpy(np.stack([f.dn for f in frames]).astype(np.float32)), cfa=None,
+                        black=sensor.black_level, white=sensor.white_dn),
+        noise=camera_noise(sensor, EXPOSURE, demosaic="menon", color_matrix=None),
+        clean=torch.from_numpy(np.stack([encode(develop_linear(f.clean_dn, sensor)) for f in frames])),
+    )  # fmt: skip
+
+
+def test_its_targets_are_the_denoised_data_through_the_enhancement_of_the_noisy_picture(problem: Problem) -> None:
+    config = replace(CONFIG, denoise=DenoiseConfig(adapt=None, turns=2))
+    found = train(problem, config)
+    pictures = measured(problem)
+    electrons = estimate_all(load_weights(), pictures.electrons, pictures.mask, pictures.read_variance, turns=2)
+    light = torch.from_numpy(encode(pictures.linear(electrons).numpy()))
+    assert found.targets is not None
+    assert problem.clean is not None
+    reference = []
+    for i, name in enumerate(problem.names):
+        _, params = enhanced_view(problem.shared, name, problem.srgb8[i], config.enhance, "8bit", problem.noise)
+        torch.testing.assert_close(found.targets[i], enhanced_like(light[i], config.enhance, params))
+        reference.append(enhanced_like(problem.clean[i], config.enhance, params))
+    noisy = enhanced(problem, config.enhance, "8bit")
+    assert found.enhanced is not None
+    assert torch.equal(found.enhanced, noisy)
+    errors = [float((x - torch.stack(reference)).square().mean()) for x in (found.targets, noisy)]
+    assert errors[0] < 0.5 * errors[1]
+    assert found.space == "enhanced"
+
+
+def test_the_adaptation_changes_the_targets_and_counts_in_the_progress(problem: Problem) -> None:
+    seen: list[tuple[int, int, tuple[str, ...]]] = []
+    adapted = train(problem, CONFIG, progress=lambda done, total, losses: seen.append((done, total, tuple(losses))))
+    plain = train(problem, replace(CONFIG, denoise=DenoiseConfig(adapt=None, turns=2)))
+    assert adapted.targets is not None
+    assert plain.targets is not None
+    assert not torch.equal(adapted.targets, plain.targets)
+    assert parts(CONFIG) == {"denoiser": 3, "fit": 20}
+    assert [step[:2] for step in seen] == [(i, 23) for i in (1, 2, 3, 13, 23)]  # a fit reports every ten
+    assert [step[2] for step in seen[:3]] == [("denoiser",)] * 3
+    assert {"denoise", "enhance", "fit"} <= adapted.seconds.keys()
+
+
+def test_an_interrupted_run_takes_its_denoised_pictures_up_again(problem: Problem, tmp_path: Path) -> None:
+    class Interrupted(Exception):
+        pass
+
+    def stop(done: int, total: int, losses: dict[str, float]) -> None:
+        if done == 13:
+            raise Interrupted
+
+    whole = train(problem, CONFIG)
+    with pytest.raises(Interrupted):
+        train(problem, CONFIG, progress=stop, checkpoint=tmp_path / "checkpoint.safetensors")
+    seen: list[int] = []
+    found = train(
+        problem, CONFIG, progress=lambda done, *_: seen.append(done), checkpoint=tmp_path / "checkpoint.safetensors"
+    )
+    assert min(seen) > 3  # the adaptation is not done again
+    assert found.targets is not None
+    assert whole.targets is not None
+    assert torch.equal(found.targets, whole.targets)
+    image = found.render(problem.views)[0]
+    torch.testing.assert_close(image, whole.render(problem.views)[0])
+
+
+def test_the_pictures_of_another_run_are_refused(problem: Problem, tmp_path: Path) -> None:
+    checkpoint = tmp_path / "checkpoint.safetensors"
+    kept = tmp_path / "checkpoint.denoiser.safetensors"
+    train(problem, CONFIG, checkpoint=checkpoint)
+    for other in (replace(problem, seed=6), replace(problem, raw=None)):
+        with pytest.raises(ValueError, match="another run|other pictures"):
+            train(other, CONFIG, checkpoint=checkpoint)
+    tensors = load_file(kept)
+    save_file({**tensors, "linear": tensors["linear"][:, :5].contiguous()}, kept)
+    with pytest.raises(ValueError, match="damaged"):
+        train(problem, CONFIG, checkpoint=checkpoint)
+
+
+def test_without_known_noise_it_says_what_it_lacks(problem: Problem) -> None:
+    with pytest.raises(LacksInput, match="noise"):
+        train(replace(problem, noise=None), CONFIG)
+
+
+@pytest.mark.parametrize("turns", [0, 9])
+def test_there_are_one_to_eight_turns(turns: int) -> None:
+    with pytest.raises(ValueError, match="turns"):
+        DenoiseConfig(turns=turns)

@@ -1,0 +1,135 @@
+"""The two copies have uncorrelated noise, and the loss has its minimum at the mean."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from novags.methods.denoised import recorrupted as module
+from novags.methods.denoised.estimate import estimate, estimate_all
+from novags.methods.denoised.measured import Measured
+from novags.methods.denoised.network import Network, NetworkConfig
+from novags.methods.denoised.packing import mask_of
+from novags.methods.denoised.recorrupted import Adaptation, AdaptConfig, adapt, recorrupted
+from novags.methods.noise import Variance
+from sensor_model import NoiseCurve
+from sensor_model.params import Cfa
+
+SAMPLES = 400_000
+SMALL = NetworkConfig(widths=(8, 16), blocks=(1, 1))
+
+
+def curve(read_variance: float) -> Variance:
+    three = {name: (value,) * 3 for name, value in {
+        "black": 0.0, "white": math.inf, "offset": read_variance, "slope": 1.0, "quadratic": 0.0, "switch": math.inf,
+        "step": 0.0}.items()}  # fmt: skip
+    return Variance(NoiseCurve(**three))
+
+
+def capture(mean: torch.Tensor, read_variance: float, cfa: Cfa | None) -> Measured:
+    """Poisson-Gaussian electrons around means [C, 3, H, W]."""
+    stream = torch.Generator().manual_seed(3)
+    noise = math.sqrt(read_variance) * torch.randn(mean.shape, generator=stream)
+    mask = mask_of(mean.shape[2:], cfa)
+    one = torch.ones(3)
+    return Measured(
+        (torch.poisson(mean, generator=stream) + noise) * mask, mask, curve(read_variance), 0 * one, one, one, None
+    )
+
+
+@pytest.mark.parametrize("strength", [0.5, 1.5])
+def test_the_noise_of_the_two_copies_is_uncorrelated_and_both_keep_the_mean(strength: float) -> None:
+    mean, read_variance = 6.0, 2.0
+    rng = np.random.default_rng(0)
+    data = torch.from_numpy(rng.poisson(mean, SAMPLES) + rng.normal(0, math.sqrt(read_variance), SAMPLES))
+    variance = mean + read_variance
+    deviation = torch.full_like(data, math.sqrt(variance))
+    first, second = recorrupted(data, deviation, strength, torch.Generator().manual_seed(1))
+    for copy, more in ((first, 1 + strength**2), (second, 1 + 1 / strength**2)):
+        assert float(copy.mean()) == pytest.approx(mean, abs=5 * math.sqrt(more * variance / SAMPLES))
+        assert float(copy.var()) == pytest.approx(more * variance, rel=0.02)
+    spread = math.sqrt(float(first.var() * second.var()) / SAMPLES)
+    assert abs(float(((first - first.mean()) * (second - second.mean())).mean())) < 5 * spread
+
+
+def test_the_variance_of_what_is_added_is_the_known_one_at_the_estimate(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not at the data: their own noise would come back in it."""
+    mean = torch.tensor([4.0, 20.0, 90.0])[:, None, None].expand(1, 3, 16, 16)
+    guess = mean + 2.5
+    monkeypatch.setattr(module, "estimate_all", lambda *given, **turns: guess)
+    training = Adaptation(Network(SMALL), capture(mean, 3.0, None), AdaptConfig(crop=8), seed=0)
+    torch.testing.assert_close(training.variance, guess + 3.0)
+
+
+@pytest.mark.parametrize("cfa", [None, "GRBG"])
+def test_the_true_mean_costs_one_and_what_an_estimate_is_off_costs_more(
+    cfa: Cfa | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The squared distance from y2 is its own variance for the mean, and grows by the squared error beside it."""
+    mean = torch.tensor([5.0, 12.0, 30.0])[:, None, None].expand(2, 3, 64, 64)
+    pictures = capture(mean, 1.0, cfa)
+    levels = torch.tensor([5.0, 12.0, 30.0])[:, None, None]
+    off = 0.0
+    config = AdaptConfig(batch=8, crop=64, strength=0.5)
+    training = Adaptation(Network(SMALL), pictures, config, seed=0)
+    training.variance = mean + 1.0
+    training.first = mean + 2.0
+    # what the loss is to compare: an estimate in the units of the noisier copy
+    monkeypatch.setattr(module, "estimate", lambda _, electrons, *rest: (levels + off).expand_as(electrons) / 1.25)
+    count = 8 * 64 * 64 * (3 if cfa is None else 1)
+    weight, unit = pictures.mask.expand(2, -1, -1, -1), 5 * (mean + 1)
+    # where nothing was measured, an estimate is compared with that of the network as it came, which here is 2 more
+    held = float(((1 - weight) * 4 / unit).sum() / weight.sum())
+    assert float(training.loss()) == pytest.approx(1 + held, abs=5 * math.sqrt(2 / count) + 0.01)
+    off = 3.0
+    more = float((weight * 9 / unit + (1 - weight) * 1 / unit).sum() / weight.sum())
+    assert float(training.loss()) == pytest.approx(1 + more, rel=0.02)
+
+
+def test_training_on_copies_brings_an_untrained_network_closer_to_the_truth() -> None:
+    """No truth is used; the same seed gives the same network."""
+    y, x = torch.meshgrid(torch.linspace(0, 3, 48), torch.linspace(0, 3, 48), indexing="ij")
+    mean = (12 + 8 * torch.sin(y + 2 * x)).expand(4, 3, 48, 48).contiguous()
+    pictures = capture(mean, 1.0, None)
+    config = AdaptConfig(steps=40, learning_rate=8e-3, batch=4, crop=24)
+
+    def trained() -> torch.Tensor:
+        torch.manual_seed(0)
+        network = Network(SMALL)
+        adapt(network, pictures, config, seed=0)
+        return estimate_all(network, pictures.electrons, pictures.mask, pictures.read_variance, turns=1)
+
+    found = trained()
+    before, after = (float((e - mean).square().mean()) for e in (pictures.electrons, found))
+    assert after < 0.75 * before
+    assert torch.equal(found, trained())
+
+
+def test_an_estimate_over_all_turns_is_the_mean_of_each_ones_own() -> None:
+    torch.manual_seed(1)
+    network = Network(SMALL)
+    torch.nn.init.normal_(network.leave.weight, std=0.1)
+    picture = torch.rand(1, 3, 16, 12) * 30
+    mask, variance = mask_of((16, 12), "RGGB"), torch.full((3,), 2.0)
+    with torch.no_grad():
+        one = estimate(network, picture * mask, mask, variance)
+    torch.testing.assert_close(estimate_all(network, picture * mask, mask, variance, turns=1), one)
+    eight = estimate_all(network, picture * mask, mask, variance, turns=8)
+    mirrored = estimate_all(network, (picture * mask).flip(3), mask.flip(3), variance, turns=8)
+    torch.testing.assert_close(mirrored.flip(3), eight, rtol=1e-4, atol=1e-3)  # the average does not know up from down
+    assert not torch.allclose(one, eight, rtol=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "word"),
+    [
+        ({"steps": 0}, "steps"),
+        ({"crop": 31}, "crop"),
+        ({"strength": 0.0}, "strength"),
+        ({"learning_rate": -1.0}, "learning_rate"),
+    ],
+)
+def test_settings_that_cannot_work_are_refused(wrong: dict[str, float], word: str) -> None:
+    with pytest.raises(ValueError, match=word):
+        AdaptConfig(**wrong)

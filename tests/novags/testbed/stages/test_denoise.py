@@ -1,0 +1,66 @@
+"""`novags denoise`: a capture in, single pictures without noise out."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from novags.methods.denoised.measured import in_electrons
+from novags.methods.denoised.recorrupted import AdaptConfig
+from novags.methods.denoised.trainer import DenoiseConfig, denoised
+from novags.methods.problem import LacksInput
+from novags.testbed import stages
+from novags.testbed.cache import read_json
+from novags.testbed.console import Console
+from novags.testbed.folders.capture import Capture, open_capture
+from novags.testbed.presets import EXPERIMENTS, adapted
+from novags.testbed.stages.denoise import DenoisePicturesConfig
+from novags.testbed.stages.reconstruct import raw_pictures
+from sensor_model import to_srgb8
+
+QUIET = Console(quiet=True)
+TINY: dict[str, Any] = {"scene": "cornell", "n_views": 3, "width": 24, "height": 24, "spp": 4, "sensor": "a7s2-iso6400"}
+CONFIG = DenoisePicturesConfig(denoise=DenoiseConfig(adapt=AdaptConfig(steps=2, batch=1, crop=16), turns=1), seed=3)
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("denoise")
+    tiny = adapted(EXPERIMENTS["demo"], **TINY)
+    stages.render(folder / "set", replace(tiny.render, variant="scalar"), QUIET)
+    stages.capture(folder / "set", folder / "capture", tiny.capture, QUIET)
+    return folder / "capture"
+
+
+def test_every_picture_comes_out_linear_and_as_srgb(capture: Path, tmp_path: Path) -> None:
+    stages.denoise(capture, tmp_path / "out", CONFIG, QUIET)
+    opened = open_capture(capture)
+    pictures = in_electrons(noise=opened.noise, raw=raw_pictures(opened, [0, 1, 2]), linear16=None, channels_share=())
+    wanted = denoised(pictures, CONFIG.denoise, seed=3).numpy()
+    for i, name in enumerate(opened.names):
+        linear = cv2.imread(str(tmp_path / "out" / "linear" / f"{name}.png"), cv2.IMREAD_UNCHANGED)[..., ::-1]
+        shown = cv2.imread(str(tmp_path / "out" / "srgb" / f"{name}.png"))[..., ::-1]
+        assert linear.dtype == np.uint16
+        np.testing.assert_allclose(linear / 65535, wanted[i].clip(0, 1), atol=0.5001 / 65535)
+        assert np.array_equal(shown, to_srgb8(wanted[i]))
+    record = read_json(tmp_path / "out" / "denoise.json")
+    assert record["pictures"] == list(opened.names)
+    made = (tmp_path / "out" / "linear" / "0000.png").stat().st_mtime_ns
+    stages.denoise(capture, tmp_path / "out", CONFIG, QUIET)
+    assert (tmp_path / "out" / "linear" / "0000.png").stat().st_mtime_ns == made  # done already
+    with pytest.raises(ValueError, match="another request"):
+        stages.denoise(capture, tmp_path / "out", replace(CONFIG, seed=4), QUIET)
+
+
+def test_without_a_known_camera_it_says_so(capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Capture, "noise", None)
+    with pytest.raises(LacksInput, match="name its camera"):
+        stages.denoise(capture, tmp_path / "out", CONFIG, QUIET)
+
+
+def test_a_negative_seed_is_refused() -> None:
+    with pytest.raises(ValueError, match="seed"):
+        DenoisePicturesConfig(seed=-1)
