@@ -1,5 +1,6 @@
 """What the finished runs of a study say about each alternative: differences to the base, who goes on, the table."""
 
+import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -122,13 +123,17 @@ def markdown(found: Sequence[Finding], runs_in_all: int, kept: Iterable[str]) ->
     )
     lines = []
     for f in found:
-        settings = ", ".join(f"`{key} = {value}`" for key, value in f.settings.items())
+        settings = ", ".join(f"`{key} = {_as_typed(value)}`" for key, value in f.settings.items())
         cost = "" if f.cost is None else f"× {f.cost:.2f}"
         own, lit = (_spread(values) for values in (f.own, f.lit))
         own, lit = (own, f"**{lit}**") if f.deciding is f.lit else (f"**{own}**", lit)
         verdict = decision(f, runs_in_all, f.name in on)
         lines.append(f"| {f.choice} | {settings} | {len(f.own)} | {own} | {lit} | {cost} | {verdict} |\n")
     return head + "".join(lines)
+
+
+def _as_typed(value: Any) -> str:
+    return value if isinstance(value, str) else json.dumps(value)
 
 
 def _spread(values: Sequence[float]) -> str:

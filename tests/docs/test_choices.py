@@ -39,7 +39,7 @@ TABLE = {
         "base": {"method": "m"},
         "x.1": {"method": "m", "fit.w": 1},
         "x.2": {"method": "m", "fit.w": 2},
-        "y.1": {"method": "m", "enhance.eta": 0.1},
+        "y.1": {"method": "m", "enhance.eta": 0.1, "joint": False, "kind": "A"},
     },
 }
 ROWS = [
@@ -91,6 +91,7 @@ def test_the_table_says_how_many_runs_and_which_score_decides(settle):
     lines = settle.markdown(found, 4, ["x.1"]).splitlines()[2:]
     assert lines[0] == ("| x | `fit.w = 1` | 2 | **+0.30 (+0.10 to +0.50)** | -1.00 (-1.00 to -1.00) | × 1.00 | open |")
     assert lines[1] == "| x | `fit.w = 2` | 1 | **-1.00** | +1.00 | × 1.00 | failed |"
+    assert "`enhance.eta = 0.1`, `joint = false`, `kind = A`" in lines[2]
     assert "| 2 | -15.00 (-20.00 to -10.00) | **+0.30 (+0.20 to +0.40)** | × 2.00 | dropped (n = 2) |" in lines[2]
 
 

@@ -19,6 +19,7 @@ from novags.testbed.metrics import centred_noise
 from novags.testbed.stages import noise_scores as module
 from novags.testbed.stages.capture import CaptureConfig
 from novags.testbed.stages.noise_scores import bias_floor, exposed_again, noise_scores
+from sensor_model.planner import Plan
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
 from simscenes.sets.pictures.png import write_png
@@ -60,6 +61,15 @@ def test_an_exposure_taken_again_with_its_own_seed_is_the_captures(tmp_path, set
         assert np.array_equal(exposed_again(capture, lit, i, 3, "8bit"), capture.dark(i, "8bit"))
         np.testing.assert_allclose(exposed_again(capture, lit, i, 3, "16bit"), capture.dark(i, "16bit"), atol=1e-7)
         assert not np.array_equal(exposed_again(capture, lit, i, 4, "8bit"), capture.dark(i, "8bit"))
+
+
+def test_effects_that_the_capture_left_out_are_left_out_again(dark, monkeypatch):
+    capture, lit = dark
+    seen, original = [], module.expose_view
+    monkeypatch.setattr(module, "expose_view", lambda *a, **k: seen.append(k["plan"]) or original(*a, **k))
+    exposed_again(capture, lit, 1, 3, "8bit")
+    assert [effect.name for effect in seen[0].effects if not effect.on]
+    assert seen == [Plan.from_dict(capture.record["plan"])]
 
 
 def test_the_bias_floor_is_of_new_exposures_each_with_its_own_enhancement(dark, monkeypatch):
