@@ -8,6 +8,7 @@ sixth of the median, whatever lamp sets `top`. Linear colours would spend most G
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import torch
 from torch import Tensor
@@ -27,6 +28,7 @@ class ToneCurve:
 
     top: float
     k: float
+    STEEPEST: ClassVar[float] = 60.0  # of k r: beyond it, exp overflows float32, and its square float64 before long
 
     def __post_init__(self) -> None:
         if not (0 < self.top < math.inf and 0 < self.k < math.inf):
@@ -39,11 +41,11 @@ class ToneCurve:
 
     def light(self, tone: Tensor) -> Tensor:
         """lin(r)."""
-        return self.knee * torch.expm1(self.k * tone)
+        return self.knee * torch.expm1((self.k * tone).clamp_max(self.STEEPEST))
 
     def slope(self, tone: Tensor) -> Tensor:
         """D lin / d r, > 0."""
-        return self.knee * self.k * torch.exp(self.k * tone)
+        return self.knee * self.k * torch.exp((self.k * tone).clamp_max(self.STEEPEST))
 
     def tone(self, light: Tensor) -> Tensor:
         """R of light that is above -knee; darker light (noise) is taken for the darkest."""

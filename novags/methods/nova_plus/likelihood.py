@@ -56,7 +56,8 @@ class Likelihood:
         v_image = np.empty_like(image)
         scale = 1 / (image.size * self.share)
         total = compare_tones(
-            image.reshape(-1, 3), target.reshape(-1, 3), self.curve.knee, self.curve.k, self.camera, FLOOR, scale,
+            image.reshape(-1, 3), target.reshape(-1, 3), self.curve.knee, self.curve.k, ToneCurve.STEEPEST, self.camera,
+            FLOOR, scale,
             v_image.reshape(-1, 3),
         )  # fmt: skip
         return np.float32(total), v_image
@@ -70,7 +71,7 @@ def table(curve: NoiseCurve, white: Tensor) -> np.ndarray:
 
 
 @kernel
-def compare_tones(tones, light, knee, k, camera, floor, scale, v_tones):
+def compare_tones(tones, light, knee, k, steepest, camera, floor, scale, v_tones):
     """Loss of tones [n, 3] against data [n, 3], and its gradient into v_tones [n, 3]."""
     total = 0.0
     for i in range(len(tones)):
@@ -79,7 +80,7 @@ def compare_tones(tones, light, knee, k, camera, floor, scale, v_tones):
             datum = light[i, c]
             if math.isnan(datum):
                 continue
-            rise = math.exp(k * tones[i, c])
+            rise = math.exp(min(k * tones[i, c], steepest))
             mean, slope = knee * (rise - 1), knee * k * rise
             if datum >= camera[7, c] and mean > datum:
                 continue  # brighter than what the sensor can say

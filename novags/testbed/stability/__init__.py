@@ -7,12 +7,21 @@ from collections.abc import Iterator, Sequence
 
 from novags.testbed.stability.case import Case, Measured, Part, Setting, measured, refusal
 from novags.testbed.stability.parts import cameras, render, score, sensor
-from novags.testbed.stability.parts.methods import blind_spot, consistency, denoiser, enhance, long_runs, raw_denoiser
+from novags.testbed.stability.parts.methods import (
+    blind_spot,
+    consistency,
+    denoiser,
+    enhance,
+    long_runs,
+    nova_plus,
+    raw_denoiser,
+)
 from novags.testbed.stability.parts.splats import harmonics, rasterizer, updates
 from novags.testbed.stability.table import embedded, has_place, markdown
 
 _FILES = (
-    enhance, blind_spot, denoiser, raw_denoiser, consistency, harmonics, rasterizer, updates, sensor, render, score,
+    enhance, blind_spot, denoiser, raw_denoiser, consistency, nova_plus, harmonics, rasterizer, updates, sensor, render,
+    score,
     cameras, long_runs,
 )  # fmt: skip
 PARTS: dict[str, Part] = {file.PART.name: file.PART for file in _FILES}

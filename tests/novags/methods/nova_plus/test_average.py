@@ -126,6 +126,18 @@ def test_bias_and_variance_of_the_average_are_found_without_truth() -> None:
         assert bias2 == pytest.approx(true_bias2, abs=5 * scatter + 0.1 * true_bias2)
 
 
+def test_an_average_of_few_neighbours_without_bias_is_found_to_have_none() -> None:
+    """Each column of the guide is like itself alone: a datum has at most 14 neighbours, all of its own mean."""
+    sigma, columns = 0.06, np.random.default_rng(9).normal(0.5, 0.3, (1, 40, 3))
+    data = exposures_of(np.full((40, 40, 3), 0.5), sigma, seed=8, views=16)
+    guide = torch.from_numpy(columns).float().expand(16, 40, 40, 3).contiguous()
+    bias2, variance = errors_of_average(guide, data, CURVE, 0.02)
+    rows = np.array([min(7, y) + min(7, 39 - y) for y in range(40)])
+    assert variance == pytest.approx(sigma**2 * float(np.mean(1 / (rows + 1))), rel=1e-3)
+    # the squared residuals scatter by sigma^2 sqrt(2 / n), n = 16 * 40^2 * 3
+    assert abs(bias2) < 5 * sigma**2 * math.sqrt(2 / (16 * 1600 * 3))
+
+
 def test_the_chosen_bandwidth_is_near_the_best_and_follows_the_noise() -> None:
     truth = texture()
     chosen = []

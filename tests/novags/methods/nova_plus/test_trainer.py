@@ -1,6 +1,7 @@
 """The method as a whole, on a small wall seen dark."""
 
 import dataclasses
+import importlib
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -12,15 +13,19 @@ import torch
 
 from novags.methods.noise import Noise, Variance
 from novags.methods.nova_plus import trainer
+from novags.methods.nova_plus.average import non_local_means
+from novags.methods.nova_plus.bandwidth import choose_bandwidth, guided_targets
+from novags.methods.nova_plus.data import exposures
 from novags.methods.nova_plus.judge import Verdict
 from novags.methods.nova_plus.trainer import FIT, NovaPlusConfig, parts, train
 from novags.methods.problem import LacksInput, Problem
-from novags.methods.reconstruction import Reconstruction
+from novags.methods.reconstruction import GaussianScene, Reconstruction
+from novags.methods.tone import tone_curve
 from novags.splats import McmcConfig
 from novags.splats.files.ply import read_ply
-from novags.splats.training import fit as fitting
 from sensor_model import NoiseCurve, srgb_to_linear
 
+fitting = importlib.import_module("novags.splats.training.fit")  # the package has a function of that name
 SLOPE, OFFSET = 3e-4, 2e-7
 MCMC = McmcConfig(refine_start=4, refine_every=4)
 CONFIG = NovaPlusConfig(
@@ -183,3 +188,57 @@ def test_noise_can_be_taken_from_the_pictures_and_must_come_from_somewhere(dark:
 def test_settings_that_mean_nothing_are_refused(setting: str, value: Any, said: str) -> None:
     with pytest.raises(ValueError, match=said):
         NovaPlusConfig(**{setting: value})
+
+
+def test_stages_follow_one_another_with_rates_and_seeds_of_their_own(
+    dark: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inputs, _ = dark(seed=7)
+    calls: list[Any] = []
+
+    def spy(start: Any, views: Any, target: Any, config: Any, **options: Any) -> Any:
+        result = fitting.fit(start, views, target, config, **options)
+        calls.append((start, torch.stack([target(i) for i in range(len(views))]), config, options, result.gaussians))
+        return result
+
+    monkeypatch.setattr(trainer, "fit", spy)
+    train(inputs, CONFIG)
+    configs = [config for _, _, config, _, _ in calls]
+    assert [c.iterations for c in configs] == [20, 20, 10, 10, 4]
+    assert [c.seed for c in configs] == [7, 1007, 7, 1007, 7]
+    for config, factor in zip(configs, (1, 1, 0.5, 0.5, 0.1), strict=True):
+        for name in ("quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest"):
+            assert getattr(config.rates, name) == pytest.approx(factor * getattr(FIT.rates, name))
+        assert config.rates.means == pytest.approx(factor * FIT.rates.means)
+        assert config.rates.means_final == FIT.rates.means_final
+    assert [c.mcmc is None for c in configs] == [False, False, False, False, True]
+    assert [options["photometric"] is None for _, _, _, options, _ in calls] == [False, False, True, True, True]
+    # stage 2 goes on from stage 1; its targets are guided by the mean light of both seeds
+    assert calls[2][0] is calls[0][4]
+    assert calls[3][0] is calls[1][4]
+    data = exposures(inputs, inputs.noise, CONFIG.held_share)
+    curve = tone_curve(data.greens)
+    torch.testing.assert_close(calls[0][1], data.fitted, equal_nan=True)
+    renders = [curve.light(GaussianScene(g, 0.1).render(inputs.views)[0]) for g in (calls[0][4], calls[1][4])]
+    guide = curve.tone((renders[0] + renders[1]) / 2)
+    h, _ = choose_bandwidth(guide, data, curve)
+    want = guided_targets(non_local_means(guide, trainer.GUIDE_BANDWIDTH * h), data, curve, h, 2 / 3)
+    torch.testing.assert_close(calls[2][1], want, rtol=1e-4, atol=1e-5)
+
+
+def test_judges_weigh_errors_as_the_enhanced_pictures_show_them(dark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    inputs, light = dark()
+    given: list[torch.Tensor] = []
+
+    def spy(tones: torch.Tensor, other: torch.Tensor, data: Any, curve: Any, weights: torch.Tensor) -> Verdict:
+        given.append(weights)
+        return Verdict(0.0, 1.0)
+
+    monkeypatch.setattr(trainer, "compare", spy)
+    train(inputs, CONFIG)
+    for weights in given:
+        assert float(weights.mean()) == pytest.approx(1, rel=1e-4)
+        assert weights.shape == light.shape
+        # the enhancement lifts dark parts most: there errors show
+        bright = light > light.median()
+        assert float(weights[~bright].mean()) > 1.5 * float(weights[bright].mean())
