@@ -21,8 +21,7 @@ from novags.testbed.stability.table import embedded, has_place, markdown
 
 _FILES = (
     enhance, blind_spot, denoiser, raw_denoiser, consistency, nova_plus, harmonics, rasterizer, updates, sensor, render,
-    score,
-    cameras, long_runs,
+    score, cameras, long_runs,
 )  # fmt: skip
 PARTS: dict[str, Part] = {file.PART.name: file.PART for file in _FILES}
 
