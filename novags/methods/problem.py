@@ -94,7 +94,8 @@ class Problem:
         linear16: The 16-bit pictures, linear RGB, float32 [C, H, W, 3], 0 = black, 1 = white, not clipped at black;
             None without them.
         raw: The raw frames, or None.
-        noise: Variance of each datum as a function of its mean, or None if unknown.
+        noise: Variance of each datum as a function of its mean: from the camera where it is known, else estimated from
+            the pictures (`noise_estimate.noise_of` chooses); None if neither is possible.
         channels_share: Why the noise of a pixel's three channels is not independent ("demosaicing", "JPEG", "colour
             matrix"); empty where it is.
         clean: The exposures without noise, developed like `srgb8`, [C, H, W, 3]; behind a colour filter array of all

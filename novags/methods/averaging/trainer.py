@@ -14,7 +14,7 @@ from novags.methods.averaging.surface import Array, Camera
 from novags.methods.averaging.warp import Kernel, Rules
 from novags.methods.enhancers import EnhancerConfig, enhanced_like, enhanced_view, enhancement_record
 from novags.methods.enhancers.guided import EnhanceConfig
-from novags.methods.noise import estimate_noise
+from novags.methods.noise_estimate import noise_of
 from novags.methods.problem import LacksInput, Pictures, Problem, TrueSurface
 from novags.methods.reconstruction import Reconstruction
 from sensor_model import srgb_to_linear
@@ -108,7 +108,7 @@ def _exposures(problem: Problem, config: AveragingConfig) -> tuple[Array, Array]
         raise LacksInput(f"averaging over views by truth needs {missing}, and this capture has none")
     clean = np.asarray(srgb_to_linear(problem.clean.cpu().double().numpy()), np.float64)
     noisy = problem.linear16.cpu()
-    noise = problem.noise or estimate_noise(noisy)
+    noise = problem.noise or noise_of(problem, "pictures")
     variances = noise.linear16(problem.clean.new_tensor(clean).cpu().double()).numpy()
     # Without the floor a camera without noise would divide by zero.
     variances = np.maximum(variances, LEAST * max(float(variances.max()), LEAST))

@@ -16,10 +16,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from torch import Tensor
 
 from novags.methods.memo import Memo
 from novags.methods.noise import Noise, camera_noise
-from novags.methods.problem import LacksInput, Pictures, encode
+from novags.methods.noise_estimate import PIXELS, SMALLEST, noise_from
+from novags.methods.problem import LacksInput, Pictures, RawPictures, encode
 from novags.testbed.cache import folder_digest, read_json
 from novags.testbed.console import Console
 from novags.testbed.folders import imported, shapes
@@ -268,12 +271,33 @@ class Capture:
 
     @property
     def noise(self) -> Noise | None:
-        """The noise of the camera; None where it is not known, or where pixels were averaged after the exposure."""
+        """The noise of the camera, or what the training pictures say themselves (`Noise.origin`).
+
+        They do where the camera is not known, or where pixels were averaged after the exposure. None where they are too
+        small for that.
+        """
         if self.sensor is None or self.record.get("resampled") is not None:
-            return None
+            return self.memo.once("noise from pictures", self._noise_from_pictures)
         return camera_noise(
             self.sensor, self.exposure, demosaic=self.record["demosaic"], color_matrix=self.record["color_matrix"]
         )
+
+    def _noise_from_pictures(self) -> Noise | None:
+        rig, indices = self.cameras.rig, self.cameras.train_indices
+        if min(rig.width, rig.height) < SMALLEST:
+            return None
+        count = max(1, min(len(indices), PIXELS // (rig.width * rig.height)))
+        chosen = [indices[k] for k in np.linspace(0, len(indices) - 1, count).round().astype(int)]
+
+        def stack(read: Callable[[int], np.ndarray]) -> Tensor:
+            return torch.from_numpy(np.stack([read(i) for i in chosen]).astype(np.float32))
+
+        raw = RawPictures(dn=stack(self.raw), **self._levels()) if self.holds("raw") else None
+        linear16 = stack(self.linear16) if self.holds("images16") else None
+        return noise_from(stack(self.srgb8), linear16, raw, mixed="a colour matrix" in self.channels_share)
+
+    def _levels(self) -> dict[str, Any]:
+        return dict(zip(("cfa", "black", "white"), self.levels, strict=True))
 
     def source(self, console: Console) -> Source:
         """The set this capture was made from; of imported photographs what they themselves and their lit twins tell.

@@ -93,7 +93,8 @@ def photographs_text(material: Material) -> list[str]:
         forms.append("raw")
     name = record["sensor_name"]
     camera = f"The camera is {name}, as the import was told" if name else "The camera is not known"
-    noise = "known" if material.capture.noise is not None else "not known"
+    origins = {"camera": "known", "pictures": "estimated from the pictures"}
+    noise = "not known" if (told := material.capture.noise) is None else origins[told.origin]
     found = [f"Nothing was simulated: these are {join(forms)} photographs. {camera}, and its noise is {noise}."]
     if record["resampled"]:
         found.append(f"Of their pixels {record['resampled']}.")

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods.noise import Variance, camera_noise, estimate_noise
+from novags.methods.noise import Variance, camera_noise
+from novags.methods.noise_estimate import estimate_noise
 from sensor_model import (
     PRESETS,
     Exposure,

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods.noise import Variance, _binned, _line, camera_noise, estimate_noise
+from novags.methods.noise import Variance, camera_noise
+from novags.methods.noise_estimate import _binned, _line, estimate_noise
 from sensor_model import Exposure, NoiseCurve, Sensor, linear_noise, raw_noise
 
 CURVE = NoiseCurve(
@@ -91,7 +92,7 @@ def test_bins_pair_the_mean_of_a_place_with_the_noise_of_that_place():
     rng = np.random.default_rng(0)
     plane = np.where(np.arange(200)[:, None] < 100, 0.1, 0.4) * np.ones((200, 64))
     sigma = np.where(plane < 0.2, 0.01, 0.03)
-    mean, variance = _binned(torch.from_numpy(plane + rng.normal(0, sigma))[None])
+    mean, variance = _binned(torch.from_numpy(plane + rng.normal(0, sigma))[None], 1)
     dark, bright = mean < 0.2, mean > 0.3
     np.testing.assert_allclose(variance[dark][:-1].median(), 1e-4, rtol=0.2)
     np.testing.assert_allclose(variance[bright][1:].median(), 9e-4, rtol=0.2)

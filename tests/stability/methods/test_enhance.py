@@ -5,6 +5,7 @@ import torch
 
 from novags.methods.enhancers import guided
 from novags.testbed.stability import Case, Setting, measured
+from novags.testbed.stability.parts.methods import enhance as cases
 
 Fails = Callable[..., bool]
 
@@ -46,3 +47,17 @@ def test_a_check_that_lets_nan_through_is_noticed(fails: Fails, monkeypatch: pyt
 def test_a_curve_without_its_straight_foot_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch, "where", lambda condition, yes, no: no)
     assert fails("known noise of constant pictures from black to white")
+
+
+def test_a_ratio_without_its_floors_is_noticed_in_the_noise_of_nothing(
+    fails: Fails, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(torch.Tensor, "clamp_min", lambda self, low: self)
+    assert fails("noise of pictures that are black, white, of one code or of two")
+
+
+def test_moments_of_clipped_values_taken_for_those_before_are_noticed(
+    fails: Fails, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cases, "_before_8_bits", lambda mean, variance: (mean, variance))
+    assert fails("a normal before it was clipped at black, its mean from -0.9 to 5.9 deviations")

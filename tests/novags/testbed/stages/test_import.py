@@ -9,6 +9,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+import torch
 
 from novags.testbed import stages
 from novags.testbed.console import Console
@@ -127,6 +128,23 @@ def test_16_bit_pictures_are_read_by_their_levels_and_curve(
     expected = np.round(255 * linear_to_srgb(capture.linear16(5).astype(np.float64).clip(0, 1)))
     assert np.abs(255 * capture.srgb8(5) - expected).max() <= 1
     assert f"code {black} is black, {white} white, {curve} in between" in stream.getvalue()
+
+
+def test_pictures_of_an_unknown_camera_say_their_noise_themselves_by_the_training_views(tmp_path: Path) -> None:
+    """Expectation: variance 1e-5 + 4e-4 mean in the training views; those held out have ten times the noise."""
+    rng, size = np.random.default_rng(2), (48, 40)
+    ramp = np.broadcast_to(np.linspace(0.02, 0.4, size[0])[None, :, None], (*size[::-1], 3))
+    write_cameras(tmp_path / "dark", NAMES, orbit_rig(VIEWS, *size, 50.0, radius=3.0))
+    (tmp_path / "dark" / "images").mkdir()
+    for i, name in enumerate(NAMES):
+        noisy = ramp + rng.normal(0, (10 if i % 8 == 0 else 1) * np.sqrt(1e-5 + 4e-4 * ramp))
+        codes = np.round(4096 + (65535 - 4096) * noisy).clip(0, 65535).astype(np.uint16)
+        cv2.imwrite(str(tmp_path / "dark" / "images" / f"{name}.png"), codes[..., ::-1])
+    noise = brought(tmp_path / "dark", tmp_path / "cap", black=4096).noise
+    assert noise.origin == "pictures"
+    for mean in (0.05, 0.35):
+        found = noise.linear16(torch.full((3,), mean, dtype=torch.float64))
+        np.testing.assert_allclose(found, 1e-5 + 4e-4 * mean, rtol=0.25)
 
 
 def test_scaled_pictures_are_averages_of_light_and_their_noise_is_not_known(

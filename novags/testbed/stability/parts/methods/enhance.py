@@ -16,6 +16,8 @@ from novags.methods.enhancers import guided
 from novags.methods.enhancers.guided import EnhanceConfig, enhance
 from novags.methods.enhancers.noise_level import known_sigma
 from novags.methods.noise import Variance
+from novags.methods.noise_estimate import _before_8_bits, noise_from
+from novags.methods.problem import RawPictures
 from novags.testbed.stability.case import Part, Setting, refusal
 from novags.testbed.stability.errors import relative_error, worst_error
 from sensor_model import NoiseCurve
@@ -187,3 +189,43 @@ def known_noise(setting: Setting) -> float:
         true.append(math.sqrt(1e-9 + 1e-4 * light) * slope)
         found.append(float(known_sigma(torch.full((3, 7, 9), code), Variance(curve))))
     return max(relative_error(np.array(f), np.array(t)) for f, t in zip(found, true, strict=True))
+
+
+@PART.case(
+    "noise of pictures that are black, white, of one code or of two", bound=0, unit="variances that are no number"
+)
+def noise_of_nothing(setting: Setting) -> float:
+    """Where nothing varies there are ratios of 0 and 0 everywhere: what comes out is finite and not negative."""
+    wrong, shape = 0, (2, 34, 37, 3)
+    for low, high in ((0, 0), (255, 255), (7, 7), (0, 1), (254, 255)):
+        codes = torch.full(shape, float(low))
+        codes[:, ::2, ::3] = high
+        dn = codes[..., 0].contiguous()
+        raw = RawPictures(dn=dn, cfa="RGGB", black=0.0, white=255.0)
+        for linear, frames in ((None, None), (codes / 255, raw), (codes / 255, None)):
+            noise = noise_from(codes / 255, linear, frames, mixed=False)
+            at = torch.tensor([[0.0] * 3, [0.5] * 3, [1.0] * 3], dtype=torch.float64)
+            values = [noise.linear16(at), *([] if noise.raw is None else [noise.raw(255 * at)])]
+            wrong += sum(int((~(torch.isfinite(v) & (v >= 0))).sum()) for v in values)
+    return float(wrong)
+
+
+@PART.case(
+    "a normal before it was clipped at black, its mean from -0.9 to 5.9 deviations", bound=2e-4, unit="of the deviation"
+)
+def before_clipping(setting: Setting) -> float:
+    """The table of 701 ratios is read linearly: their curvature times the square of its step of 0.01."""
+    import mpmath
+
+    # So wide that the rounding to 8 bits is nothing beside it
+    mean, variance, at = [], [], np.linspace(-0.9, 5.9, 35) + 0.0037
+    with mpmath.workdps(40):
+        for z in at:
+            density, above = mpmath.npdf(z), mpmath.ncdf(z)
+            first = z * above + density
+            mean.append(float(first))
+            variance.append(float((z * z + 1) * above + z * density - first**2))
+    scale = 1e4
+    m, v = _before_8_bits(scale * torch.tensor(mean, dtype=torch.float64), scale**2 * torch.tensor(variance).double())
+    sigma = v.sqrt().numpy() / scale
+    return float(max(np.abs(m.numpy() / scale - at).max(), np.abs(sigma - 1).max()))

@@ -1,6 +1,6 @@
 """What the light levels look like: histograms and a table from real captures, for docs/light-levels.md.
 
-    python scripts/make_levels.py [--scenes tabletop studio] [--size 128] [--views 12] [--spp 96] [--work DIR]
+    python scripts/light/make_levels.py [--scenes tabletop studio] [--size 128] [--views 12] [--spp 96] [--work DIR]
 
 Writes docs/levels.svg, and the table between the marks of the page. With --work renders and captures are kept there.
 """
@@ -23,7 +23,7 @@ from novags.testbed.stages.capture import CaptureConfig
 from novags.testbed.stages.render import RenderConfig
 from sensor_model.isp import LINEAR16_BLACK, to_linear16
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
+DOCS = Path(__file__).resolve().parents[2] / "docs"
 QUIET = Console(quiet=True)
 EIGHT = np.arange(-0.5, 256)  # edges of the codes
 SIXTEEN = np.concatenate([-np.geomspace(4096, 1, 40), np.geomspace(1, 61440, 60)])  # codes above black
