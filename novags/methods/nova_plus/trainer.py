@@ -13,14 +13,14 @@ from torch import Tensor
 from novags.methods.enhancers import EnhancerConfig, enhanced, enhanced_like, enhanced_view, enhancement_record
 from novags.methods.enhancers.guided import EnhanceConfig
 from novags.methods.gaussian_fit import Progress, fit_for
-from novags.methods.noise import Noise, estimate_noise
+from novags.methods.noise_estimate import noise_of
 from novags.methods.nova_plus.average import non_local_means
 from novags.methods.nova_plus.bandwidth import choose_bandwidth, guided_targets
 from novags.methods.nova_plus.data import Exposures, exposures
 from novags.methods.nova_plus.judge import compare, mean_tone
 from novags.methods.nova_plus.likelihood import Likelihood
 from novags.methods.nova_plus.merge import merged
-from novags.methods.problem import LacksInput, Pictures, Problem, encode
+from novags.methods.problem import Pictures, Problem, encode
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.tone import ToneCurve, tone_curve
 from novags.splats import FitConfig, Gaussians, LearningRates, McmcConfig
@@ -120,7 +120,9 @@ def train(
         NotFinite: As `fit` says.
     """
     started = time.perf_counter()
-    data = exposures(problem, noise_of(problem, config), config.held_share)
+    data = exposures(
+        problem, noise_of(problem, "pictures" if problem.noise is None else config.noise), config.held_share
+    )
     curve = tone_curve(data.greens)
     work = _Work(problem, config, data, curve, progress, checkpoint)
     firsts = [work.likelihood(seed) for seed in range(config.seeds)]
@@ -139,15 +141,6 @@ def train(
         seconds={"fit": work.seconds, "averages": max(0.0, total - work.seconds)},
         found=work.found,
     )
-
-
-def noise_of(problem: Problem, config: NovaPlusConfig) -> Noise:
-    """The noise of the pictures, as known or as estimated."""
-    if problem.noise is not None and config.noise == "camera":
-        return problem.noise
-    if problem.linear16 is None:
-        raise LacksInput("the noise can be estimated from 16-bit linear pictures, and this capture has none")
-    return estimate_noise(problem.linear16)
 
 
 class _Work:
