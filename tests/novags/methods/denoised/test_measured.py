@@ -8,7 +8,8 @@ import pytest
 import torch
 
 from novags.methods.denoised.measured import measured
-from novags.methods.noise import Noise, Variance, camera_noise, estimate_noise
+from novags.methods.noise import Noise, Variance, camera_noise
+from novags.methods.noise_estimate import estimate_noise
 from novags.methods.problem import LacksInput, Problem, RawPictures
 from novags.splats import Views
 from sensor_model import PRESETS, Exposure, Sensor, develop, expose, from_linear16, mosaic

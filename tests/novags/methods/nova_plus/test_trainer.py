@@ -171,7 +171,7 @@ def test_noise_can_be_taken_from_the_pictures_and_must_come_from_somewhere(dark:
     asked = train(inputs, dataclasses.replace(config, noise="pictures"))
     assert torch.equal(light_of(unknown, inputs), light_of(asked, inputs))
     assert not torch.equal(light_of(asked, inputs), light_of(train(inputs, config), inputs))
-    with pytest.raises(LacksInput, match="noise can be estimated from 16-bit linear pictures"):
+    with pytest.raises(LacksInput, match="needs raw frames or 16-bit linear pictures"):
         train(dataclasses.replace(inputs, noise=None, linear16=None), config)
 
 
