@@ -115,8 +115,9 @@ def settle(files: list[Path], out: Path, page: Path | None, rungs: int, workers:
             if not (found := found_in(file.with_suffix(""), table)):
                 continue
             latest[name] |= {f.name: f for f in found if f.own or f.failed}
-            over = all(f.own or f.failed for f in found)
-            contenders[name] = going_on(found) if over else [f.name for f in found]
+            ended = {f.name for f in found if f.own or f.failed}
+            awaited = [v for v in contenders[name] if v in alternatives(table)]
+            contenders[name] = going_on(found) if ended.issuperset(awaited) else awaited
             listed = [latest[name].get(v) or Finding(v, s, (), (), None) for v, s in alternatives(table).items()]
             if page is not None:
                 write_table(page, name, markdown(listed, runs_of(table), contenders[name]))

@@ -1,6 +1,7 @@
 """The table of docs/choices.md: differences, halving and decisions against numbers worked out by hand."""
 
 import importlib.util
+import json
 import sys
 from pathlib import Path
 from types import ModuleType
@@ -130,6 +131,20 @@ def test_each_ablation_leaves_something_out(settle, path):
     study = study_of(path, {**table, "grid": {**one, "method": table["grid"]["method"]}})
     configs = {c.preset.methods[0]: c.preset.reconstruct(c.preset.methods[0]).config for c in study.cells}
     assert [name for name in table["variant"] if name != "base" and configs[name] == configs["base"]] == []
+
+
+@pytest.mark.parametrize(("missing", "dropped"), [(True, 0), (False, 1)])
+def test_nobody_is_dropped_before_all_of_the_rung_have_run(settle, tmp_path, missing, dropped):
+    page, folder = tmp_path / "page.md", tmp_path / "out" / "file-rung1"
+    page.write_text("<!-- table: file -->\n<!-- /table -->\n")
+    (tmp_path / "file.toml").write_text(settle.written(TABLE))
+    rows = [r for r in ROWS if r["scene"] == "a" and not (missing and r["method"] == "y.1")]
+    folder.mkdir(parents=True)
+    (folder / "results.json").write_text(json.dumps({"axes": dict.fromkeys(AXES), "rows": rows}))
+    settle.settle([tmp_path / "file.toml"], tmp_path / "out", page, 1, None, True)
+    assert page.read_text().count("dropped (n = 1)") == dropped
+    assert page.read_text().count("| open |") == 2
+    assert page.read_text().count("| not run |") == missing
 
 
 def test_a_table_replaces_what_stood_in_its_place(settle, tmp_path):
