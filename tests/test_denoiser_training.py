@@ -28,6 +28,8 @@ def test_the_noise_of_a_pair_has_the_variance_that_the_network_is_told() -> None
         count = found.mask.sum((2, 3))
         stated = found.clean[:, :, 0, 0] + found.read_variance
         response = torch.tensor([camera.rgb_response])
+        read = camera.sigma_d**2 + camera.sigma_row**2 + camera.dsnu**2 + 1 / 12 / camera.gain**2
+        torch.testing.assert_close(found.read_variance, torch.full((1, 3), read), rtol=1e-4, atol=0)
         torch.testing.assert_close(found.clean[:, :, 0, 0], 30 * response, rtol=1e-4, atol=0)
         assert float(found.mask.mean()) == pytest.approx(1 / 3 if bayer else 1)
         # a fixed pattern and row noise of up to a fifth are on top; 5 standard errors of a variance, doubled for tails
