@@ -32,7 +32,7 @@ FAST = LearningRates(means=4e-4, means_final=4e-6, quats=4e-3, log_scales=2e-2, 
 MCMC = McmcConfig(refine_start=50, refine_every=50, growth=1.08, noise_lr=2e5)
 FIT = FitConfig(rates=FAST, eps2d=0.1, mcmc=MCMC)
 PIXELS_PER_GAUSSIAN = 11  # of all training views: more Gaussians gain little, fewer lose
-PARTS = {"likelihood": 10, "structure": 5, "merged": 2}  # twelfths of `fit.iterations` that each of its fits takes
+PARTS = {"likelihood": 10, "structure": 5, "merged": 2}  # of 24 parts of `fit.iterations`, what each fit takes
 CHECKPOINTS = "checkpoints"
 CHANGE = 0.03  # of a tone, about the error of a render: by how much an enhanced picture answers to it
 SMOOTH = 0.02  # bandwidth, in tone, of what that is found from

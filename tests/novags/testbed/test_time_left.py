@@ -5,7 +5,9 @@ import io
 import pytest
 
 from novags.methods import METHODS
+from novags.methods.denoised.trainer import DenoisedConfig
 from novags.methods.nova.trainer import NovaConfig
+from novags.methods.nova_plus.trainer import NovaPlusConfig
 from novags.testbed import console
 from novags.testbed.time_left import TimeLeft
 
@@ -84,10 +86,16 @@ def test_the_parts_of_a_method_are_what_its_progress_counts(name: str) -> None:
     method = METHODS[name]
     assert method.parts is not None
     config = method.config()
-    warmup = config.denoiser.warmup_steps if isinstance(config, NovaConfig) else 0
-    assert {k: v for k, v in method.parts(config).items() if v} == {
-        k: v for k, v in {"denoiser": warmup, "fit": config.fit.iterations}.items() if v
-    }
+    iterations = config.fit.iterations
+    expected = {"fit": iterations}
+    if isinstance(config, NovaConfig):
+        expected["denoiser"] = config.denoiser.warmup_steps
+    elif isinstance(config, DenoisedConfig):
+        expected["denoiser"] = config.denoise.adapt.steps
+    elif isinstance(config, NovaPlusConfig):  # 5, 2.5 and 1 twelfths; two seeds
+        expected = {"likelihood": 2 * round(iterations * 5 / 12), "structure": 2 * round(iterations * 2.5 / 12)}
+        expected["merged"] = round(iterations / 12)
+    assert method.parts(config) == expected
 
 
 def test_the_console_extrapolates_the_parts_it_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
