@@ -68,7 +68,7 @@ def errors_of_average(guide: Tensor, data: Exposures, curve: ToneCurve, h: float
     pulled = (sums.weights / (sums.weights + 1)).square()
     bias2 = pulled * (residual - noise * (1 + sums.variance))
     variance = noise * (sums.squares + 1) / (sums.weights + 1).square()
-    there = ~fitted.isnan() & (sums.weights > 0.01)
+    there = ~fitted.isnan()
     if not there.any():
         return 0.0, math.inf
     return float(bias2[there].double().mean()), float(variance[there].double().mean())
