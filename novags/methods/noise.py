@@ -47,7 +47,7 @@ class Noise:
     """What is known about the noise of a capture.
 
     Attributes:
-        linear16: Of the linear 16-bit pictures; where there are none, of the light that the 8-bit ones encode, before
+        linear16: Of the linear 16-bit pictures. Without such pictures: of the light that the 8-bit ones encode, before
             it was clipped and rounded.
         raw: Of the raw frames, in DN; None where only the pictures are known.
         origin: "camera" for the analytic moments of a known camera, "pictures" for an estimate.

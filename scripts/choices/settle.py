@@ -27,6 +27,7 @@ sys.path.insert(0, str(Path(__file__).parent))  # so that it is found where this
 
 from verdict import Finding, findings, going_on, markdown  # noqa: E402
 
+from novags.methods.variant import dotted  # noqa: E402
 from sensor_model.files.toml_file import read_toml  # noqa: E402
 
 BASE = "base"
@@ -67,14 +68,6 @@ def _keys(table: Mapping[str, Any], prefix: str = "") -> list[str]:
     return found
 
 
-def flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """The settings of a variant by dotted name."""
-    found: dict[str, Any] = {}
-    for key, value in table.items():
-        found |= flat(value, f"{prefix}{key}.") if isinstance(value, dict) else {f"{prefix}{key}": value}
-    return found
-
-
 def run(file: Path, table: Mapping[str, Any], workers: int | None) -> None:
     """Do what is missing of a study; runs that fail are rows of its table."""
     file.parent.mkdir(parents=True, exist_ok=True)
@@ -104,7 +97,7 @@ def settle(files: list[Path], out: Path, page: Path | None, rungs: int, workers:
     """Run the rungs, and write the tables after each."""
     studies = {file.stem: read_toml(file) for file in files}
     for table in studies.values():
-        table["variant"] = {name: flat(v) for name, v in table["variant"].items()}
+        table["variant"] = {name: dotted(v) for name, v in table["variant"].items()}
     contenders = {name: list(table["variant"]) for name, table in studies.items()}
     latest: dict[str, dict[str, Finding]] = {name: {} for name in studies}
     for rung in RUNGS[:rungs]:

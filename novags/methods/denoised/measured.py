@@ -48,7 +48,7 @@ class Measured:
     def to(self, device: torch.device | str) -> "Measured":
         """The same on another device."""
         moved = {f.name: value.to(device) for f in fields(self) if isinstance(value := getattr(self, f.name), Tensor)}
-        return replace(self, **moved)  # type: ignore[arg-type]  # one field is no tensor
+        return replace(self, **moved)  # type: ignore[arg-type]  # only tensors are replaced
 
     def variance(self, mean: Tensor) -> Tensor:
         """Variance of every channel at these means, both [..., 3, H, W] in electrons."""

@@ -275,7 +275,8 @@ def suited(config: NovaConfig, problem: Problem) -> NovaConfig:
 
     Raises:
         ValueError: If channels are to be blinded one by one, but their noise is not independent; if mosaics are to be
-            blinded, and the pictures are none, or L_recon is to reach the denoiser through their demosaicing.
+            blinded, but the pictures were not made from mosaics, or L_recon is to reach the denoiser through the
+            demosaicing.
     """
     if config.denoiser is None:
         return config
@@ -307,7 +308,7 @@ def _reason(problem: Problem) -> str:
     """Why the pictures hold no mosaic."""
     if further := [share for share in problem.channels_share if share != "demosaicing"]:
         return f"{' and '.join(further)} changed them"
-    return "there is none" if problem.raw is not None else "there are no raw frames that would tell it"
+    return "the camera has none" if problem.raw is not None else "it is unknown without raw frames"
 
 
 def train(

@@ -33,7 +33,7 @@ class Sums:
 
     def mean(self, fallback: Tensor) -> Tensor:
         """The average; the fallback where hardly anything is like the pixel."""
-        # below a hundredth of one neighbour there is no average to speak of
+        # with less than a hundredth of a neighbour, the average would be that of one very different pixel
         return torch.where(self.weights > 0.01, self.data / self.weights.clamp_min(0.01), fallback)
 
     @property
@@ -47,7 +47,7 @@ def averages(guide: Tensor, data: Tensor, *, h: float, patch: int, own: bool = T
 
     Args:
         guide: [C, H, W, 3], float32.
-        data: [C, H, W, 3], float32; nan where there is none.
+        data: [C, H, W, 3], float32; nan where nothing was measured.
         h: Difference of the guide, RMS over a patch, at which a neighbour counts 1 / e; > 0.
         patch: px, half the side of a patch.
         own: Whether a datum is part of its own average, with weight 1.
@@ -55,14 +55,16 @@ def averages(guide: Tensor, data: Tensor, *, h: float, patch: int, own: bool = T
     if not h > 0:
         raise ValueError(f"h must be > 0, got {h}")
 
+    guides, values = guide.cpu().numpy(), data.cpu().numpy()
+
     def one(view: int) -> list[np.ndarray]:
-        found = [np.zeros(data.shape[1:], np.float32) for _ in range(3)]
-        accumulate(guide[view].numpy(), data[view].numpy(), patch, REACH, 1 / h**2, own, *found)
+        found = [np.zeros(values.shape[1:], np.float32) for _ in range(3)]
+        accumulate(guides[view], values[view], patch, REACH, 1 / h**2, own, *found)
         return found
 
     with ThreadPoolExecutor(min(torch.get_num_threads(), os.cpu_count() or 1)) as pool:
         found = list(pool.map(one, range(len(data))))
-    return Sums(*(torch.from_numpy(np.stack(parts)) for parts in zip(*found, strict=True)))
+    return Sums(*(torch.from_numpy(np.stack(parts)).to(data.device) for parts in zip(*found, strict=True)))
 
 
 def non_local_means(image: Tensor, h: float) -> Tensor:

@@ -27,11 +27,11 @@ FLOOR = 0.01
 
 
 class Likelihood:
-    """The loss of a picture of tones against data; nan are data that there are not. A `PixelLoss`."""
+    """The loss of a picture of tones against data, of which nan are left out. A `PixelLoss`."""
 
     def __init__(self, data: Exposures, curve: ToneCurve) -> None:
         self.data, self.curve = data, curve
-        self.share = float((~data.fitted.isnan()).float().mean())  # of the data of a picture that there are
+        self.share = float((~data.fitted.isnan()).float().mean())  # of a picture's values that are data
         self.camera = table(data.noise.curve, data.white)
 
     def __call__(self, step: Step, target: Tensor) -> Tensor:
@@ -39,7 +39,7 @@ class Likelihood:
 
         Args:
             step: Whose render is a picture of tones.
-            target: Light [H, W, 3], nan where there is no datum.
+            target: Light [H, W, 3]; nan where nothing was measured, or the pixel is held out.
         """
         if step.render.device.type == "cpu":
             return _ByKernel.apply(step.render, target, self)

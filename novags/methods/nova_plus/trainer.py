@@ -116,7 +116,7 @@ def train(
 
     Raises:
         LacksInput: If the problem has neither raw frames nor 16-bit linear pictures.
-        ValueError: If there is no light in the pictures, or a checkpoint is damaged or of another run.
+        ValueError: If the pictures hold no light, or a checkpoint is damaged or belongs to another run.
         NotFinite: As `fit` says.
     """
     started = time.perf_counter()

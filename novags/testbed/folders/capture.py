@@ -183,7 +183,7 @@ class Capture:
         Args:
             i: The view.
             demosaiced: Of a camera with a colour filter array: the noise-free mosaic, interpolated as the pictures are,
-                with the errors of that. Otherwise there is no difference.
+                with the errors of interpolation. Ignored for other cameras and photographs.
 
         Raises:
             LacksInput: If it is not known.

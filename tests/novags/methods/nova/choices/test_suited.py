@@ -51,8 +51,8 @@ def test_left_open_mosaics_are_blinded_where_nothing_but_demosaicing_changed_the
 @pytest.mark.parametrize(
     ("pictures", "reason"),
     [
-        ({"raw": THREE_CHIPS}, "there is none"),
-        ({"channels_share": ("demosaicing",)}, "no raw frames that would tell it"),
+        ({"raw": THREE_CHIPS}, "the camera has none"),
+        ({"channels_share": ("demosaicing",)}, "it is unknown without raw frames"),
         ({"raw": BAYER, "channels_share": ("demosaicing", "JPEG")}, "JPEG changed them"),
     ],
 )
