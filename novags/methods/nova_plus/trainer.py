@@ -30,7 +30,8 @@ from sensor_model import srgb_to_linear
 # Several times those of 3DGS, for short fits, and cooled at the end.
 FAST = LearningRates(means=4e-4, means_final=4e-6, quats=4e-3, log_scales=2e-2, sh_dc=2e-2, sh_rest=1e-3, cool_to=0.1)
 MCMC = McmcConfig(refine_start=50, refine_every=50, growth=1.08, noise_lr=2e5)
-FIT = FitConfig(rates=FAST, eps2d=0.1, mcmc=MCMC)
+# Thin, many-layered surfaces average noise well and have no depth: opacity is regularised early in stage 1, then freed.
+FIT = FitConfig(rates=FAST, eps2d=0.1, mcmc=MCMC, opacity_reg_fall=1.0)
 PIXELS_PER_GAUSSIAN = 11  # of all training views: more Gaussians gain little, fewer lose
 PARTS = {"likelihood": 10, "structure": 5, "merged": 2}  # of 24 parts of `fit.iterations`, what each fit takes
 CHECKPOINTS = "checkpoints"
@@ -44,7 +45,8 @@ class NovaPlusConfig:
     """All choices. What is None follows a rule from the data.
 
     Attributes:
-        fit: Of every stage; `fit.iterations` is the sum of one seed's and is shared out.
+        fit: Of every stage; `fit.iterations` is the sum of one seed's and is shared out. Only stage 1 regularises
+            opacities.
         init_scale: Of an initial Gaussian, in distances to its nearest neighbours.
         gaussians: How many each seed has; None: one for every `PIXELS_PER_GAUSSIAN` of all views, at least as many as
             there are points at the start. `fit.cap_max`, where it is given, is never passed.
@@ -194,7 +196,7 @@ class _Work:
         for seed, first in enumerate(firsts):
             rates = _scaled(self.base.rates, 0.5)
             mcmc = None if self.base.mcmc is None else dataclasses.replace(self.base.mcmc, refine_start=0)
-            config = dataclasses.replace(self._config("structure", seed), rates=rates, mcmc=mcmc, sh_every=1)
+            config = self._config("structure", seed, rates=rates, mcmc=mcmc, sh_every=1, opacity_reg=0.0)
             seconds.append(self._fit("structure", seed, first, targets, config).gaussians)
         verdict = compare(mean_tone([self._tones(each) for each in seconds], self.curve),
                           mean_tone(before, self.curve), self.data, self.curve, weights)  # fmt: skip
@@ -206,9 +208,10 @@ class _Work:
         joined, loss = merged(sets), None
         if targets is None:
             targets, loss = self.data.fitted, Likelihood(self.data, self.curve)
-        config = dataclasses.replace(
-            self._config("merged", 0), rates=_scaled(self.base.rates, 0.1), mcmc=None, sh_every=1, cap_max=len(joined)
-        )
+        config = self._config(
+            "merged", 0, rates=_scaled(self.base.rates, 0.1), mcmc=None, sh_every=1, opacity_reg=0.0,
+            cap_max=len(joined),
+        )  # fmt: skip
         joined = self._fit("merged", 0, joined, targets, config, loss).gaussians
         first = self._tones(sets[0])
         verdict = compare(self._tones(joined), first, self.data, self.curve, self.weights(first))
@@ -232,11 +235,11 @@ class _Work:
             found.append(enhanced_like(code, config, params))
         return torch.stack(found)
 
-    def _config(self, part: str, seed: int) -> FitConfig:
+    def _config(self, part: str, seed: int, **changes: Any) -> FitConfig:
         # seeds of one run and those of the next must not be the same
-        return dataclasses.replace(
-            self.base, iterations=self.config.iterations(part), cap_max=self.count, seed=self.base.seed + 1000 * seed
-        )
+        seed = self.base.seed + 1000 * seed
+        common = {"iterations": self.config.iterations(part), "cap_max": self.count, "seed": seed}
+        return dataclasses.replace(self.base, **{**common, **changes})
 
     def _tones(self, gaussians: Gaussians) -> Tensor:
         return GaussianScene(gaussians, self.base.eps2d, self.base.antialiased).render(self.problem.views)[0]

@@ -23,6 +23,7 @@ class FitConfig:
         sh_every: Iterations between two steps of the degree, from 0.
         dssim_weight: w in (1 - w) L1 + w (1 - SSIM); 0 is L1 alone.
         opacity_reg: Weight of the mean opacity.
+        opacity_reg_fall: p in `opacity_reg` * (1 - t)**p, its weight after the share t of the run; 0 keeps it.
         scale_reg: Weight of the mean scale.
         rates: Learning rates.
         mcmc: When Gaussians move; None keeps the population as it is.
@@ -42,6 +43,7 @@ class FitConfig:
     sh_every: int = 1000
     dssim_weight: float = 0.2
     opacity_reg: float = 0.01
+    opacity_reg_fall: float = 0.0
     scale_reg: float = 0.01
     rates: LearningRates = field(default_factory=LearningRates)
     mcmc: McmcConfig | None = field(default_factory=McmcConfig)
@@ -63,6 +65,8 @@ class FitConfig:
             raise ValueError(f"cap_max must be >= 1 or None, got {self.cap_max}")
         if self.sh_degree not in (0, 1, 2, 3):
             raise ValueError(f"sh_degree must be 0, 1, 2 or 3, got {self.sh_degree}")
+        if not 0 <= self.opacity_reg_fall < math.inf:
+            raise ValueError(f"opacity_reg_fall must be finite and >= 0, got {self.opacity_reg_fall}")
         if not 0 <= self.dssim_weight <= 1 or self.opacity_reg < 0 or self.scale_reg < 0:
             raise ValueError(
                 "dssim_weight must lie in 0..1 and the regularisers be >= 0, got "
@@ -77,6 +81,11 @@ class FitConfig:
     def splatting(self) -> dict[str, Any]:
         """What `rasterize` has to be told to show the Gaussians as they were trained."""
         return {"eps2d": self.eps2d, "rasterize_mode": "antialiased" if self.antialiased else "classic"}
+
+    def opacity_reg_at(self, iteration: int) -> float:
+        """Weight of the mean opacity in an iteration."""
+        left = 1 - iteration / self.iterations
+        return float(self.opacity_reg * left**self.opacity_reg_fall)
 
     def degree_at(self, iteration: int) -> int:
         """Degree of the harmonics that an iteration renders."""

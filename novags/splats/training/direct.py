@@ -31,14 +31,13 @@ class DirectFit:
 
     def __init__(
         self, views: Views, *, compare: Callable[[np.ndarray, np.ndarray], tuple[np.float32, np.ndarray]],
-        opacity_reg: float, scale_reg: float, eps2d: float, antialiased: bool,
+        scale_reg: float, eps2d: float, antialiased: bool,
     ) -> None:  # fmt: skip
         """Check the cameras.
 
         Args:
             views: The training views.
             compare: Loss of a picture and its target, and its gradient for the picture.
-            opacity_reg: As in `FitConfig`.
             scale_reg: As in `FitConfig`.
             eps2d: As in `FitConfig`.
             antialiased: As in `FitConfig`.
@@ -57,7 +56,7 @@ class DirectFit:
         ]  # fmt: skip
         self.image_shape = (views.height, views.width, 3)
         self.compare = compare
-        self.opacity_reg, self.scale_reg = np.float32(opacity_reg), np.float32(scale_reg)
+        self.scale_reg = np.float32(scale_reg)
         self.v_alpha = np.zeros((views.height, views.width), np.float32)
         self.calm = 0  # iterations for which the coefficients are known to be small
 
@@ -74,7 +73,7 @@ class DirectFit:
     @np.errstate(over="ignore", invalid="ignore")  # what is infinite is seen below
     def step(
         self, gaussians: Gaussians, adam: Adam, view: int, target: Tensor, rates: LearningRates, means_rate: float,
-        sh_degree: int,
+        sh_degree: int, opacity_reg: float,
     ) -> tuple[float, float] | None:  # fmt: skip
         """Render a view, compare it, and update the Gaussians and their moments in place.
 
@@ -86,6 +85,7 @@ class DirectFit:
             rates: Learning rates.
             means_rate: Of the means, world units.
             sh_degree: Of the harmonics that are rendered and trained.
+            opacity_reg: Weight of the mean opacity.
 
         Returns:
             Loss and its photometric part, or None, and nothing has changed, if a number was out of the ordinary.
@@ -93,7 +93,8 @@ class DirectFit:
         self.calm -= 1
         n, sh = len(gaussians), _rows(gaussians.sh)
         log_scales, logits = _array(gaussians.log_scales), _array(gaussians.logit_opacities)
-        shape, regularizer = self._activate(gaussians, log_scales, logits)
+        shape, mean_scale, mean_opacity = self._activate(gaussians, log_scales, logits)
+        regularizer = np.float32(opacity_reg) * mean_opacity + self.scale_reg * mean_scale
         frame, image, _ = pipeline.forward(shape, _array(gaussians.sh), self.cameras[view], sh_degree, True, False)
         if frame.splats.suspect:
             return None
@@ -115,7 +116,7 @@ class DirectFit:
         run_chain(
             chains.step, n, shape.arrays, frame.vector, frame.center, sh_degree, v_rows.reshape(-1), slots,
             (v_means, v_quats, v_scales, v_opacities), v_features, np.empty((0, project_backward.V_VIEW), np.float32),
-            self._shares(n), (v_log_scales, v_logits),
+            self._shares(n, opacity_reg), (v_log_scales, v_logits),
             tuple(t.numpy().reshape(-1) for t in trained),
             tuple(adam.first[name].numpy().reshape(-1) for name in names),
             tuple(adam.second[name].numpy().reshape(-1) for name in names),
@@ -127,14 +128,14 @@ class DirectFit:
         adam.count += 1
         return float(loss), float(photometric)
 
-    def _shares(self, n: int) -> tuple[np.float32, np.float32]:
+    def _shares(self, n: int, opacity_reg: float) -> tuple[np.float32, np.float32]:
         """Gradient of each scale and of each opacity from the regularisers of their means."""
-        return np.float32(float(self.scale_reg) / (3 * n)), np.float32(float(self.opacity_reg) / n)
+        return np.float32(float(self.scale_reg) / (3 * n)), np.float32(float(np.float32(opacity_reg)) / n)
 
     def _activate(
         self, gaussians: Gaussians, log_scales: np.ndarray, logits: np.ndarray
-    ) -> tuple[pipeline.Shape, np.float32]:
-        """What is rendered, and the regulariser."""
+    ) -> tuple[pipeline.Shape, np.float32, np.float32]:
+        """What is rendered, and the means of its scales and opacities."""
         n = len(logits)
         scales, opacities = carve(((n, 3), np.float32), (n, np.float32), empty=empty)
         sums = np.empty(-(-3 * n // activations.BLOCK)), np.empty(-(-n // activations.BLOCK))
@@ -143,8 +144,7 @@ class DirectFit:
         shape = pipeline.Shape(
             means=_array(gaussians.means), quats=_array(gaussians.quats), scales=scales, opacities=opacities
         )
-        mean_scale, mean_opacity = np.float32(sums[0].sum() / (3 * n)), np.float32(sums[1].sum() / n)
-        return shape, self.opacity_reg * mean_opacity + self.scale_reg * mean_scale
+        return shape, np.float32(sums[0].sum() / (3 * n)), np.float32(sums[1].sum() / n)
 
 
 def _array(tensor: Tensor) -> np.ndarray:

@@ -226,7 +226,7 @@ def _direct(
     if photometric is not None and not isinstance(photometric, PixelLoss):
         return None
     plain = partial(compare, dssim_weight=config.dssim_weight)
-    names = ("opacity_reg", "scale_reg", "eps2d", "antialiased")
+    names = ("scale_reg", "eps2d", "antialiased")
     return DirectFit(
         views, compare=plain if photometric is None else photometric.compare,
         **{name: getattr(config, name) for name in names},
@@ -247,7 +247,9 @@ def _step_directly(
     if direct.takes(state.gaussians, image, rates):
         view = config.view_at(iteration, len(direct.cameras))
         degree = config.degree_at(iteration)
-        losses = direct.step(state.gaussians, state.adam, view, image, rates, means_rate, degree)
+        losses = direct.step(
+            state.gaussians, state.adam, view, image, rates, means_rate, degree, config.opacity_reg_at(iteration)
+        )
     return losses, lambda _: image
 
 

@@ -49,7 +49,8 @@ def _render(
 ) -> tuple[Step, Tensor]:
     """This iteration's Step, and the regulariser."""
     gaussians, fused = state.gaussians.requires_grad_(), config.backend != "torch"
-    scales, opacities, regularizer = activate(gaussians, config.opacity_reg, config.scale_reg, fused=fused)
+    opacity_reg = config.opacity_reg_at(iteration)
+    scales, opacities, regularizer = activate(gaussians, opacity_reg, config.scale_reg, fused=fused)
     if state.cameras is not None and config.refine_cameras is not None:
         state.cameras.twists.requires_grad_(config.refine_cameras.factor_at(iteration, config.iterations) > 0)
     view = config.view_at(iteration, len(views))

@@ -212,6 +212,7 @@ def test_stages_follow_one_another_with_rates_and_seeds_of_their_own(
         assert config.rates.means == pytest.approx(factor * FIT.rates.means)
         assert config.rates.means_final == FIT.rates.means_final
     assert [c.mcmc is None for c in configs] == [False, False, False, False, True]
+    assert [c.opacity_reg_at(c.iterations // 2) for c in configs] == [0.005, 0.005, 0, 0, 0]
     assert [options["photometric"] is None for _, _, _, options, _ in calls] == [False, False, True, True, True]
     # stage 2 goes on from stage 1; its targets are guided by the mean light of both seeds
     assert calls[2][0] is calls[0][4]

@@ -44,6 +44,7 @@ def by_autograd(problem, config, **options):
         {"dssim_weight": 0.0, "sh_degree": 0},
         {"dssim_weight": 1.0, "eps2d": 0.05, "antialiased": True},
         {"opacity_reg": 0.0, "scale_reg": 0.3, "mcmc": None, "sh_degree": 2},
+        {"opacity_reg": 0.7, "opacity_reg_fall": 1.5},
     ],
 )
 def test_the_plain_fit_gives_the_bits_of_autograd(problem, monkeypatch, changes):

@@ -115,6 +115,20 @@ def test_the_loss_is_photometric_plus_weighted_mean_opacity_and_scale_plus_extra
     assert entry["loss"] == pytest.approx(photometric + rest.item(), rel=1e-5)
 
 
+@pytest.mark.parametrize("options", [{}, {"extra_losses": [lambda step: None]}], ids=["direct", "autograd"])
+@pytest.mark.parametrize("fall", [0.0, 1.0, 2.5])
+def test_the_weight_of_the_opacities_falls_with_what_is_left_of_the_run(fall, options):
+    start, views = scene()
+    views.viewmats[:, 2, 3] = -100.0  # all is behind the cameras: nothing is left but the regularisers
+    still = LearningRates(means=0, means_final=0, quats=0, log_scales=0, logit_opacities=0, sh_dc=0, sh_rest=0)
+    config = one(iterations=20, opacity_reg=0.3, opacity_reg_fall=fall, scale_reg=0.0, rates=still)
+    black = torch.zeros(HEIGHT, WIDTH, 3)
+    middle, last = fit(start, views, lambda i: black, config, **options).losses
+    opacity = 0.3 * start.opacities.mean().item()
+    assert middle["loss"] == pytest.approx(opacity * 0.55**fall, rel=1e-5)  # of the tenth iteration, which is number 9
+    assert last["loss"] == pytest.approx(opacity * 0.05**fall, rel=1e-5)
+
+
 def test_each_view_is_rendered_by_its_own_camera_and_compared_with_its_own_target():
     start, views = scene()
     still = LearningRates(means=0, means_final=0, quats=0, log_scales=0, logit_opacities=0, sh_dc=0, sh_rest=0)
