@@ -43,29 +43,14 @@ def textured() -> np.ndarray:
     return image
 
 
-def window(values: np.ndarray, y: int, x: int, radius: int) -> np.ndarray:
-    return values[max(0, y - radius) : y + radius + 1, max(0, x - radius) : x + radius + 1]
-
-
-def smooth(plane: np.ndarray, radius: int, epsilon: float) -> np.ndarray:
-    a, b, out = np.empty_like(plane), np.empty_like(plane), np.empty_like(plane)
-    for y, x in np.ndindex(plane.shape):
-        near = window(plane, y, x, radius)
-        a[y, x] = near.var() / (near.var() + epsilon)
-        b[y, x] = near.mean() * (1 - a[y, x])
-    for y, x in np.ndindex(plane.shape):
-        out[y, x] = window(a, y, x, radius).mean() * plane[y, x] + window(b, y, x, radius).mean()
-    return out
-
-
-def test_the_luminance_guide_makes_one_brightness_map_for_all_channels():
+def test_the_luminance_guide_makes_one_brightness_map_for_all_channels(smooth_by_hand):
     dark = textured()
     config = EnhanceConfig(guide="luminance", window=7, eta=0.01, bisection_steps=60)
     found, params = enhance(torch.from_numpy(dark), config)
     luminance = dark @ np.array(Y)
     epsilon = float(patch_pca_sigma(torch.from_numpy(luminance)[None])) ** 2
     assert float(params.epsilon) == pytest.approx(epsilon, rel=1e-9)
-    L = smooth(luminance, 3, epsilon)
+    L = smooth_by_hand(luminance, 3, epsilon)
     bounded = np.maximum(L, 0.01)
     gamma = brentq(lambda g: (bounded**g).mean() - 0.5, 0.02, 5.0, xtol=1e-13)
     expected = np.minimum(dark * (bounded**gamma / (L + 0.01))[..., None], 1)
@@ -81,7 +66,7 @@ def test_a_twin_goes_through_the_luminance_map_of_its_own_with_the_same_paramete
 
 
 @pytest.mark.parametrize("weights", [None, Y])
-def test_known_noise_is_the_variance_at_the_light_around_times_the_slope_squared(weights):
+def test_known_noise_is_the_variance_at_the_light_around_times_the_slope_squared(window, weights):
     code, noise = textured(), variance()
     total = []
     for y, x in np.ndindex(code.shape[:2]):

@@ -217,15 +217,19 @@ def candidates_by_hand(views: Views, config: ConsistencyConfig) -> list[list[int
             cosine = float(views.viewmats[i, 2, :3].double() @ views.viewmats[j, 2, :3].double())
             angle = math.degrees(math.acos(max(-1.0, min(1.0, cosine))))
             if angle < config.max_angle and config.min_distance < distance < config.max_distance:
-                near.append((distance, j))
-        found.append([j for _, j in sorted(near)][: config.neighbours])
+                near.append((angle if config.pairs == "angle" else distance, j))
+        best = [j for _, j in sorted(near)]
+        found.append(best if config.pairs == "random" else best[: config.neighbours])
     return found
 
 
 @pytest.mark.parametrize(
     "changes",
-    [{}, {"neighbours": 3}, {"max_angle": 12.0}, {"min_distance": 0.6}, {"max_distance": 0.5}],
-    ids=["default", "few", "narrow", "far", "near"],
+    [
+        {}, {"neighbours": 3}, {"max_angle": 12.0}, {"min_distance": 0.6}, {"max_distance": 0.5}, {"pairs": "angle"},
+        {"pairs": "random"},
+    ],
+    ids=["default", "few", "narrow", "far", "near", "alike", "all"],
 )
 def test_partners_are_those_that_a_double_loop_finds(changes):
     rng = np.random.default_rng(4)

@@ -1,4 +1,4 @@
-"""What the paper leaves open of the geometric loss: which views are paired, what is warped, and a loss without C."""
+"""What the paper leaves open of the geometric loss: what is warped, and a loss without C."""
 
 import math
 from types import SimpleNamespace
@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods.nova.consistency import ConsistencyConfig, ConsistencyLoss, Pinhole, reproject, source_candidates
+from novags.methods.nova.consistency import ConsistencyConfig, ConsistencyLoss, Pinhole, reproject
 from novags.methods.nova.trainer import NovaConfig
 from novags.splats.views import Views
 
@@ -22,33 +22,6 @@ def looking(centres: np.ndarray, yaws: np.ndarray) -> Views:
         viewmats[i, :3, :3], viewmats[i, :3, 3] = torch.from_numpy(R).float(), torch.from_numpy(-R @ centre).float()
     K = torch.tensor([[20.0, 0, 8], [0, 20.0, 6], [0, 0, 1]])
     return Views(viewmats, K.repeat(len(centres), 1, 1), WIDTH, HEIGHT)
-
-
-def ranked(views: Views, pairs: str, neighbours: int, max_angle: float) -> list[list[int]]:
-    """Candidates by a double loop."""
-    found = []
-    for i in range(len(views)):
-        near = []
-        for j in range(len(views)):
-            distance = float((views.centers[i] - views.centers[j]).double().norm()) / views.extent
-            cosine = float(views.viewmats[i, 2, :3].double() @ views.viewmats[j, 2, :3].double())
-            angle = math.degrees(math.acos(max(-1.0, min(1.0, cosine))))
-            if angle < max_angle and 0.002 < distance < 1.5:
-                near.append((angle if pairs == "angle" else distance, j))
-        best = [j for _, j in sorted(near)]
-        found.append(best if pairs == "random" else best[:neighbours])
-    return found
-
-
-@pytest.mark.parametrize("pairs", ["nearest", "angle", "random"])
-def test_candidates_are_the_nearest_or_those_that_look_alike_or_all(pairs):
-    rng = np.random.default_rng(4)
-    views = looking(rng.uniform(-1, 1, (12, 3)), rng.uniform(-25, 25, 12))
-    config = ConsistencyConfig(pairs=pairs, neighbours=3, max_angle=20.0)
-    expected = ranked(views, pairs, 3, 20.0)
-    others = {"nearest", "angle", "random"} - {pairs}
-    assert all(expected != ranked(views, other, 3, 20.0) for other in others)
-    assert source_candidates(views, config) == expected
 
 
 def stage(config: ConsistencyConfig) -> tuple[ConsistencyLoss, SimpleNamespace, torch.Tensor, torch.Tensor]:
