@@ -226,7 +226,12 @@ def candidates_by_hand(views: Views, config: ConsistencyConfig) -> list[list[int
 @pytest.mark.parametrize(
     "changes",
     [
-        {}, {"neighbours": 3}, {"max_angle": 12.0}, {"min_distance": 0.6}, {"max_distance": 0.5}, {"pairs": "angle"},
+        {},
+        {"neighbours": 3},
+        {"max_angle": 12.0},
+        {"min_distance": 0.6},
+        {"max_distance": 0.5},
+        {"pairs": "angle"},
         {"pairs": "random"},
     ],
     ids=["default", "few", "narrow", "far", "near", "alike", "all"],
