@@ -7,16 +7,17 @@ from novags.options import Name
 
 
 def pareto(
-    what: Name, *, out: Path, quick: bool = False, repeats: int | None = None, overwrite: bool = False,
-    wait: bool = False,
+    what: Name, *, out: Path, knobs: tuple[str, ...] = (), quick: bool = False, repeats: int | None = None,
+    overwrite: bool = False, wait: bool = False,
 ) -> None:  # fmt: skip
     """Measure what accuracy costs in time: every knob's error against its seconds, see docs/accuracy-and-time.md.
 
     Each measurement is on disk as soon as it is made: the same command again does only what is missing.
 
     Args:
-        what: render, sensor, splats, nova (whole reconstructions), or all.
+        what: render, sensor, splats, a method that declares knobs (whole reconstructions by it), or all.
         out: Folder of the curves (curves.jsonl), and of a figure and tables for each of these.
+        knobs: Measure these alone, by name; what the folder has of the others stays.
         quick: Small sizes and fewer settings: minutes instead of hours for all. The sizes stand in every line.
         repeats: Measurements of each setting, whose spread gives the error bars; 3 if not given, 2 with --quick.
         overwrite: Drop measurements of other sizes or of another machine that lie in `out`.
@@ -31,7 +32,7 @@ def pareto(
         for make in made:
             subject = make(quick, out / "work", console)
             try:
-                samples = measure(subject, out, count, console, overwrite=overwrite)
+                samples = measure(subject, out, count, console, only=knobs, overwrite=overwrite)
             except KeyboardInterrupt:
                 console.note(f"pareto {subject.name}: stopped; what was measured is kept in {out}")
                 raise

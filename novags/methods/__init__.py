@@ -11,7 +11,9 @@ from novags.methods.denoised import trainer as denoised
 from novags.methods.gaussian_fit import ORIGINAL_FIT, EnhancedFitConfig, fit_parts
 from novags.methods.nova import trainer as nova
 from novags.methods.nova.denoiser import FAST_DENOISER
+from novags.methods.nova.knobs import KNOBS as NOVA_KNOBS
 from novags.methods.nova_plus import trainer as nova_plus
+from novags.methods.nova_plus.knobs import KNOBS as NOVA_PLUS_KNOBS
 from novags.methods.variant import Method, Variant, spelled
 from novags.settings import flattened
 from sensor_model.files.reading import brief
@@ -25,6 +27,7 @@ METHODS: dict[str, Method] = {
         config=nova.NovaConfig,
         train=nova.train,
         parts=nova.parts,
+        knobs=NOVA_KNOBS,
         source="NOVA-GS: Noise-Aware View-Consistent Gaussian Splatting for Low-Light Novel View Synthesis",
         cameras="vggt",
     ),
@@ -36,6 +39,7 @@ METHODS: dict[str, Method] = {
         config=nova_plus.NovaPlusConfig,
         train=nova_plus.train,
         parts=nova_plus.parts,
+        knobs=NOVA_PLUS_KNOBS,
         source="docs/nova-plus.md",
     ),
     "naive": Method(

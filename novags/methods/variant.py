@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from novags.methods.knob import MethodKnob
 from novags.methods.reconstruction import Reconstruction
 from novags.settings import changed, has_setting
 from sensor_model.files.reading import brief, reading
@@ -28,6 +29,7 @@ class Method:
         source: The publication or text that it follows.
         parts: The parts of `train` whose steps its progress counts through, and how many each has, for a configuration;
             None: their steps all take the same time.
+        knobs: Choices of it that trade accuracy for time, by name; `novags pareto METHOD` measures them.
         cameras: The camera source that the publication uses; None if it does not matter.
         sees_clean: Whether it is given the noise-free exposures; a bound, never a rival.
         sees_surface: Whether it is given the true surface and cameras too; it takes no other cameras.
@@ -41,6 +43,7 @@ class Method:
     train: Callable[..., Reconstruction]
     source: str
     parts: Callable[[Any], dict[str, int]] | None = None
+    knobs: Mapping[str, MethodKnob] = field(default_factory=dict)
     cameras: str | None = None
     sees_clean: bool = False
     sees_surface: bool = False

@@ -95,8 +95,8 @@ def parts(config: NovaPlusConfig) -> dict[str, int]:
     counts = {"likelihood": config.seeds * config.iterations("likelihood")}
     if config.stages == "all":
         counts["structure"] = config.seeds * config.iterations("structure")
-        if config.seeds > 1:
-            counts["merged"] = config.iterations("merged")
+    if config.seeds > 1:
+        counts["merged"] = config.iterations("merged")
     return counts
 
 

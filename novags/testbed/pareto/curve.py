@@ -42,8 +42,9 @@ def curve(subject: Subject, knob: Knob, samples: Samples) -> list[Point]:
 
 
 def curves(subject: Subject, samples: Samples) -> list[Point]:
-    """All of a subject."""
-    return [jsonable(point) for knob in subject.knobs for point in curve(subject, knob, samples)]
+    """All of a subject; a knob of which the default alone is measured, for another one's sake, has none."""
+    found = [curve(subject, knob, samples) for knob in subject.knobs]
+    return [jsonable(point) for points in found if not all(point["default"] for point in points) for point in points]
 
 
 def _numbers(rows: list[Mapping[str, Any]], parts: Sequence[str]) -> dict[str, Any]:

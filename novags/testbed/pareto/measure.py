@@ -9,22 +9,35 @@ from novags.testbed.console import Console
 from novags.testbed.pareto.knob import Knob, Setting, Subject
 from novags.testbed.pareto.samples import Samples
 from novags.testbed.study.engines.progress import duration
+from sensor_model.files.reading import brief
 
 Step = tuple[Knob, Setting, int]
 
 
-def steps(subject: Subject, repeats: int) -> list[Step]:
-    """Every measurement once. Seeds come last: what else loads the machine meets all settings alike."""
+def steps(subject: Subject, repeats: int, only: Sequence[str] = ()) -> list[Step]:
+    """Every measurement once. Seeds come last: what else loads the machine meets all settings alike.
+
+    Args:
+        subject: Whose.
+        repeats: Seeds.
+        only: Names of the knobs that are wanted; none: all.
+
+    Raises:
+        ValueError: If the subject has no knob of that name.
+    """
+    names = [knob.name for knob in subject.knobs]
+    if missing := [name for name in only if name not in names]:
+        raise ValueError(f"{subject.name} has no knob {brief(repr(missing[0]), 100)}; its knobs: {', '.join(names)}")
     found: dict[tuple[str, Setting, int], Step] = {}
     for seed in range(repeats):
         for knob in subject.knobs:
-            for setting in knob.settings:
+            for setting in knob.settings if not only or knob.name in only else ():
                 found.setdefault(knob.key(setting, seed), (knob, setting, seed))
     return list(found.values())
 
 
 def measure(
-    subject: Subject, folder: Path, repeats: int, console: Console, *, overwrite: bool = False
+    subject: Subject, folder: Path, repeats: int, console: Console, *, only: Sequence[str] = (), overwrite: bool = False
 ) -> Samples:  # fmt: skip
     """Measure what is missing.
 
@@ -33,15 +46,16 @@ def measure(
         folder: Where `NAME.samples.json` is kept.
         repeats: Seeds, 0 to repeats - 1.
         console: Where progress goes.
+        only: Names of the knobs to measure; none: all.
         overwrite: Drop measurements of another size or machine.
 
     Raises:
-        ValueError: If `repeats` is below 1, or the folder holds measurements of another size or machine.
+        ValueError: If `repeats` is below 1, a knob is unknown, or the folder holds measurements of another size or machine.
     """
     if repeats < 1:
         raise ValueError(f"repeats must be >= 1, got {repeats}")
+    todo = steps(subject, repeats, only)
     samples = Samples(folder / f"{subject.name}.samples.json", subject, overwrite=overwrite)
-    todo = steps(subject, repeats)
     missing = [step for step in todo if samples.find(*step) is None]
     if kept := len(todo) - len(missing):
         console.note(f"pareto {subject.name}: {kept} of {len(todo)} measurements are there already")

@@ -9,10 +9,12 @@ from typing import Any
 import numpy as np
 
 from novags.methods import METHODS
+from novags.methods.knob import MethodKnob
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.variant import Variant
-from novags.settings import flattened
+from novags.settings import changed, flattened, has_setting
 from novags.testbed import stages
+from novags.testbed.budget.settings import values
 from novags.testbed.cache import jsonable, read_json
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_capture
@@ -20,7 +22,7 @@ from novags.testbed.metrics import aligned_psnr
 from novags.testbed.pareto.clock import Clock
 from novags.testbed.pareto.knob import Knob, Measured, Setting
 from novags.testbed.presets import Preset, adapted
-from novags.testbed.references import enhanced_truth
+from novags.testbed.references import enhanced_truth, pictured
 from novags.testbed.stages.camera_source import Frame
 from novags.testbed.stages.reconstruct import Prepared, ReconstructConfig, prepare
 from sensor_model.files.scratch import scratch
@@ -29,25 +31,21 @@ SCENE = "tabletop"
 QUIET = Console(quiet=True)
 _WARM: list[bool] = []  # whether this process has trained before
 RENDERED = ("spp", "size")  # options whose settings need a set of their own
-
-
-@dataclass(frozen=True)
-class Row:
-    """A knob of a reconstruction.
-
-    Attributes:
-        settings: Shares of the preset's own value for an `option`, else values; from the fastest on.
-        why: Of the default.
-        option: A number of the preset: iterations, points, denoiser_steps, spp, or size (width and height).
-        setting: Or one of the method, by dotted name.
-        parts: Whose time it changes: render, and the parts of the method's training.
-    """
-
-    settings: tuple[Setting, ...]
-    why: str
-    option: str | None = None
-    setting: str | None = None
-    parts: tuple[str, ...] = ()
+# Of every method with knobs; `parts` follow from the method.
+ITERATIONS = MethodKnob(
+    option="iterations", shares=(1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 3.0),
+    why="as many as let the whole demonstration take four minutes; the preset has three times as many",
+)  # fmt: skip
+RENDER = {
+    "samples per pixel": MethodKnob(
+        option="spp", shares=(1 / 16, 1 / 4, 1.0), parts=("render",),
+        why="of the rendered truth, which is scored against too",
+    ),
+}  # fmt: skip
+RESOLUTION = MethodKnob(
+    option="size", shares=(1 / 2, 0.71, 1.0),
+    why="width and height of render, pictures and fit; scored at the full size",
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -57,21 +55,34 @@ class Bench:
     base: Preset
     folder: Path
 
-    def knob(self, name: str, row: Row) -> Knob:
+    @property
+    def reconstruct(self) -> ReconstructConfig:
+        """How its method reconstructs."""
+        return self.base.reconstruct(self.base.methods[0])
+
+    def knobs(self) -> tuple[Knob, ...]:
+        """Those that every reconstruction has around those that the method declares."""
+        work = iterated(self.reconstruct)
+        declared = METHODS[self.reconstruct.variant.method].knobs
+        rows = {"iterations": replace(ITERATIONS, parts=work), **declared, **RENDER,
+                "resolution": replace(RESOLUTION, parts=("render", *work))}  # fmt: skip
+        return tuple(self.knob(name, row) for name, row in rows.items())
+
+    def knob(self, name: str, row: MethodKnob) -> Knob:
         """One knob of it."""
-        default, settings = self._default(row), row.settings
-        if row.option is not None:
-            settings = tuple(dict.fromkeys(max(1, round(default * share)) for share in row.settings))
-        renders = row.option in RENDERED
+        if row.option is None:
+            default, settings = row.default(flattened(self.reconstruct.config)), tuple(row.settings)
+        else:
+            default = value = self._value(row.option, name)
+            settings = tuple(dict.fromkeys(max(1, round(value * share)) for share in row.shares))
+        work = "a render and a reconstruction" if row.option in RENDERED else "a reconstruction"
 
         def measured(setting: Setting, seed: int) -> Measured:
             return self.measure(row, setting, seed)
 
         return Knob(
             name=name, settings=settings, default=default, unit="aligned RMSE of held-out views, % of white",
-            of="a render and a reconstruction" if renders else "a reconstruction", why=row.why, measure=measured,
-            shared="a render and a reconstruction" if renders else "a reconstruction", option=row.option,
-            parts=row.parts,
+            of=work, why=row.why, measure=measured, shared=work, option=row.option, parts=row.parts,
         )  # fmt: skip
 
     def _warm(self, prepared: Prepared) -> None:
@@ -80,24 +91,23 @@ class Bench:
             _WARM.append(True)
             timed(prepared, adapted(self.base, iterations=2, denoiser_steps=1).reconstruct(self.base.methods[0]))
 
-    def _default(self, row: Row) -> Any:
-        config = flattened(self.base.reconstruct(self.base.methods[0]).config)
-        places = {
-            "iterations": config.get("fit.iterations"), "denoiser_steps": config.get("denoiser.warmup_steps"),
-            "points": self.base.points, "spp": self.base.render.spp, "size": self.base.render.width,
-        }  # fmt: skip
-        return config[row.setting] if row.setting is not None else places[str(row.option)]
+    def _value(self, option: str, knob: str) -> int:
+        value = values(self.base).get(option)
+        if value is None:
+            raise ValueError(f"{self.base.methods[0]}: the knob {knob} turns {option}, which this method does not have: "
+                             "declare settings of its own instead")  # fmt: skip
+        return value
 
-    def preset(self, row: Row, setting: Setting, seed: int) -> Preset:
-        """The experiment of one measurement: a scene and noise of the seed, one setting changed."""
-        if row.setting is not None:
-            turned = Variant(name="turned", method=self.base.methods[0], settings={row.setting: setting})
-            changed: dict[str, Any] = {"variants": (turned,), "methods": (turned.name,)}
+    def preset(self, row: MethodKnob, setting: Setting, seed: int) -> Preset:
+        """The experiment of one measurement: a scene and noise of the seed, one knob turned."""
+        if row.option is None:
+            turned = Variant(name="turned", method=self.base.methods[0], settings=row.settings[setting])
+            given: dict[str, Any] = {"variants": (turned,), "methods": (turned.name,)}
         else:
-            changed = dict(turned_option(str(row.option), setting))
-        return adapted(self.base, scene=f"{SCENE}:{seed}", seed=seed, **changed)
+            given = dict(turned_option(row.option, setting))
+        return adapted(self.base, scene=f"{SCENE}:{seed}", seed=seed, **given)
 
-    def measure(self, row: Row, setting: Setting, seed: int) -> Measured:
+    def measure(self, row: MethodKnob, setting: Setting, seed: int) -> Measured:
         """One measurement; what is rendered anew for it counts into its seconds."""
         preset, parts = self.preset(row, setting, seed), dict[str, float]()
         kept = self.folder / f"seed-{seed}"
@@ -118,6 +128,16 @@ class Bench:
             seconds, trained, result = timed(prepared, config)
             error = held_out_error(result, prepared, capture, truth)
         return Measured(rendering[0] + seconds[0], rendering[1] + seconds[1], error, {**parts, **trained})
+
+
+def iterated(config: ReconstructConfig) -> tuple[str, ...]:
+    """The parts of a training whose steps the iterations of the fit decide."""
+    method, name = METHODS[config.variant.method], "fit.iterations"
+    if method.parts is None or not has_setting(config.config, name):
+        return ()
+    own = method.parts(config.config)
+    more = method.parts(changed(config.config, {name: 10 * flattened(config.config)[name]}))
+    return tuple(part for part, count in own.items() if more[part] != count)
 
 
 def turned_option(option: str, setting: Any) -> Mapping[str, Any]:
@@ -150,11 +170,13 @@ def timed(
 def parts_of(stamps: Mapping[int, float], parts: Mapping[str, int]) -> dict[str, float]:
     """Seconds of each part from the times at which its steps, counted through, were done.
 
-    What comes before the first step is no part's: a part that begins the work is extrapolated from its other steps.
+    What comes before the first step of a part is no part's: each is extrapolated from its own steps. A part with one
+    stamp only is counted from the last of the part before.
     """
     found, begin = {}, 0
     for name, count in parts.items():
-        steps = [step for step in range(begin, begin + count + 1) if step in stamps]
+        own = [step for step in range(begin + 1, begin + count + 1) if step in stamps]
+        steps = own if len(own) > 1 or begin not in stamps else [begin, *own]
         known = len(steps) > 1
         found[name] = (stamps[steps[-1]] - stamps[steps[0]]) * count / (steps[-1] - steps[0]) if known else 0.0
         begin += count
@@ -167,9 +189,10 @@ def held_out_error(result: Reconstruction, prepared: Prepared, capture: Capture,
     A splat is dilated by as much of the picture there as in training.
 
     Raises:
-        ValueError: If no held-out view has contrast.
+        ValueError: If no held-out view has contrast, or the method works on pictures that are not enhanced.
     """
-    assert result.enhancement is not None  # the preset's method works on enhanced pictures
+    if result.enhancement is None:
+        raise ValueError("the method states no enhancement: its pictures have no noise-free reference in the same space")
     scale = truth.cameras.rig.width / capture.cameras.rig.width
     scene = result.scene
     if isinstance(scene, GaussianScene):
@@ -177,7 +200,8 @@ def held_out_error(result: Reconstruction, prepared: Prepared, capture: Capture,
     frame = Frame.of(truth, prepared.indices, prepared.estimate, result.viewmats)
     found = []
     for i in truth.cameras.test_indices:
-        image = scene.render(frame.view(i, prepared.device))[0][0].cpu().numpy().astype(np.float32)
+        rendered = scene.render(frame.view(i, prepared.device))[0][0].cpu().numpy().astype(np.float32)
+        image = pictured(result, capture, rendered)
         reference = enhanced_truth(truth, i, jsonable(result.enhancement))
         if (score := aligned_psnr(image, reference)) is not None:
             found.append(score)
