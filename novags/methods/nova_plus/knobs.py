@@ -5,10 +5,14 @@ from novags.methods.knob import MethodKnob
 FITS = ("likelihood", "structure", "merged")
 
 KNOBS = {
+    "points": MethodKnob(
+        option="points", shares=(1 / 8, 1 / 4, 1 / 2, 1.0, 2.0, 4.0), parts=FITS,
+        why="at the start, 0.8 for each pixel of a view, as in the preset; a short fit has no time to grow many more",
+    ),
     "Gaussians": MethodKnob.of(
-        "gaussians", (1300, 2600, None, 10400), parts=FITS,
-        why="of each seed; none is the rule, one for every 11 pixels of all training views and no fewer than there are "
-        "points",
+        "gaussians", (1300, 2600, None), parts=FITS,
+        why="of each seed; none is the rule: one for every 11 pixels of all training views, and as many as there are "
+        "points at least",
     ),
     "seeds": MethodKnob.of(
         "seeds", (1, 2, 3, 4), parts=FITS, why="reconstructions that are merged; each takes the time of the first",

@@ -123,15 +123,45 @@ def refined(settings: Sequence[Option]) -> list[Option]:
     found = ordered[:1]
     for low, high in pairwise(ordered):
         for k in range(1, BETWEEN + 1):
-            found.append(_between(low, high, k / (BETWEEN + 1)))
+            found.append(between(low, high, k / (BETWEEN + 1)))
         found.append(high)
     return found
 
 
-def _between(low: Option, high: Option, t: float) -> Option:
+def between(low: Option, high: Option, t: float) -> Option:
+    """The setting a part `t` of the way from one to the other, along the logarithm of the share."""
     parts = low.factors.keys() & high.factors.keys()
     return Option(
         name=low.name, share=low.share ** (1 - t) * high.share**t,
         factors={part: low.factors[part] ** (1 - t) * high.factors[part] ** t for part in sorted(parts)},
         lost=low.lost + t * (high.lost - low.lost), sd=max(low.sd, high.sd),
+    )  # fmt: skip
+
+
+def united(curves: Sequence[Sequence[Option]]) -> list[Option]:
+    """Curves of one option, measured with several methods, as one: for an experiment that compares these methods.
+
+    Each method's parts keep their factors; a part that several have (the render) gets the mean. The loss is the mean of
+    the methods'. Settings are those that all curves reach; between its own settings a curve is interpolated.
+    """
+    least = max(min(option.share for option in curve) for curve in curves)
+    shares = sorted({option.share for curve in curves for option in curve if option.share >= least})
+    return [_mean([_at_share(curve, share) for curve in curves]) for share in shares]
+
+
+def _at_share(curve: Sequence[Option], share: float) -> Option:
+    low = max((option for option in curve if option.share <= share), key=lambda option: option.share)
+    high = min((option for option in curve if option.share >= share), key=lambda option: option.share)
+    if low.share == high.share:
+        return low
+    return between(low, high, math.log(share / low.share) / math.log(high.share / low.share))
+
+
+def _mean(options: Sequence[Option]) -> Option:
+    parts = dict.fromkeys(part for option in options for part in option.factors)
+    own = {part: [option.factors[part] for option in options if part in option.factors] for part in parts}
+    return Option(
+        name=options[0].name, share=options[0].share, factors={part: float(np.mean(own[part])) for part in parts},
+        lost=float(np.mean([option.lost for option in options])),
+        sd=math.hypot(*(option.sd for option in options)) / len(options),
     )  # fmt: skip

@@ -136,7 +136,9 @@ def _planned(request: Request, console: Console) -> Plan:
     Raises:
         ValueError: If the budget is too small.
     """
-    start, facts = time.perf_counter(), known(request.curves)
+    preset = request.preset
+    methods = {preset.reconstruct(name).variant.method for name in preset.methods}
+    start, facts = time.perf_counter(), known(request.curves, methods)
     what = f"a budget of {request.budget:g} s is too small"
     remedy = "give more time, fewer methods, or smaller pictures"
     console.note(f"budget {request.budget:g} s: trying the experiment in small, to see how fast this machine is")

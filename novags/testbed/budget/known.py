@@ -1,10 +1,10 @@
 """What is known of options before an experiment: curves measured earlier, or those that came with novags."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from novags.testbed.budget.choice import Option, refined
+from novags.testbed.budget.choice import Option, refined, united
 from novags.testbed.cache import jsonable
 from novags.testbed.machine.provenance import hardware
 from novags.testbed.pareto.curve import CURVES, Point, read_curves
@@ -28,34 +28,61 @@ class Known:
     source: str
 
 
-def known(folder: Path | None) -> Known:
+def known(folder: Path | None, methods: Collection[str] = ()) -> Known:
     """The curves in a folder; without one those of `USUAL` if this machine made them, else those of novags.
+
+    Args:
+        folder: The folder that is named, if any.
+        methods: The methods of the experiment; see `options_of`. What `USUAL` lacks of them comes from novags.
 
     Raises:
         ValueError: If the folder that is named holds no curves of options.
     """
-    if folder is None and (USUAL / CURVES).exists():
-        points = read_curves(USUAL)
-        if _points_of_options(points) and _hardware(points) == jsonable(hardware()):
-            return Known(known(USUAL).options, f"measured earlier on this machine ({USUAL})")
-    points = read_curves(SHIPPED if folder is None else folder)
-    with reading(SHIPPED if folder is None else folder, "measure it again with novags pareto nova"):
-        found = options_of(points)
+    own = [] if folder is not None else _measured_here()
+    points = [*own, *read_curves(SHIPPED if folder is None else folder)]
+    used = _used(points, methods)
+    here = [name for name in used if name in _subjects(own)]
+    rest = [point for point in points[len(own) :] if _subject(point) not in here]
+    with reading(SHIPPED if folder is None else folder, "measure it again with novags pareto METHOD"):
+        found = options_of([point for point in [*own, *rest] if _subject(point) in used], methods)
     if not found:
         raise ValueError(
-            f"{folder} holds no curves of whole reconstructions: novags pareto nova --out {folder} measures them"
+            f"{folder} holds no curves of whole reconstructions: novags pareto METHOD --out {folder} measures them"
         )
-    first = _points_of_options(points)[0]
-    work, machine = spelled(first["workload"]), first["hardware"].get("processor")
-    where = "that came with novags" if folder is None else f"in {folder}"
-    return Known(found, f"{where} (measured on {machine}: {work})")
+    sources = [f"measured earlier on this machine ({USUAL})"] if here else []
+    if others := [name for name in used if name not in here]:
+        first = next(point for point in _points_of_options(rest) if _subject(point) in others)
+        work, machine = spelled(first["workload"]), first["hardware"].get("processor")
+        where = "that came with novags" if folder is None else f"in {folder}"
+        which = f"{' and '.join(others)}, " if len(used) > 1 else ""
+        sources.append(f"{where} ({which}measured on {machine}: {work})")
+    return Known(found, " and those ".join(sources))
 
 
-def options_of(points: Sequence[Point]) -> dict[str, list[Option]]:
+def _measured_here() -> list[Point]:
+    if not (USUAL / CURVES).exists():
+        return []
+    points = _points_of_options(read_curves(USUAL))
+    return points if points and points[0]["hardware"] == jsonable(hardware()) else []
+
+
+def options_of(points: Sequence[Point], methods: Collection[str] = ()) -> dict[str, list[Option]]:
     """The options of some curves; settings above the default are left out.
 
     What was measured to be better than the default at less time counts as no loss: it may be chance.
+
+    Args:
+        points: Of one method or of several.
+        methods: Whose curves are wanted; together where there are several (`united`). Of none of these, or of no name:
+            the first method that the curves are of.
     """
+    used = _used(points, methods)
+    found = [_options_of([point for point in points if _subject(point) == name]) for name in used]
+    names = dict.fromkeys(option for curves in found for option in curves)
+    return {name: refined(united([curves[name] for curves in found if name in curves])) for name in names}
+
+
+def _options_of(points: Sequence[Point]) -> dict[str, list[Option]]:
     found: dict[str, list[Option]] = {}
     for point in _points_of_options(points):
         default = next((p for p in points if p["knob"] == point["knob"] and p["default"]), None)
@@ -72,7 +99,21 @@ def options_of(points: Sequence[Point]) -> dict[str, list[Option]]:
             lost=max(0.0, point["db_lost"]), sd=point["db_lost_sd"] or 0.0,
         )  # fmt: skip
         found.setdefault(option.name, []).append(option)
-    return {name: refined(settings) for name, settings in found.items()}
+    return found
+
+
+def _subject(point: Point) -> str:
+    name: str = point["knob"].partition(".")[0]
+    return name
+
+
+def _subjects(points: Sequence[Point]) -> list[str]:
+    return list(dict.fromkeys(_subject(point) for point in _points_of_options(points)))
+
+
+def _used(points: Sequence[Point], methods: Collection[str]) -> list[str]:
+    subjects = _subjects(points)
+    return [name for name in subjects if name in methods] or subjects[:1]
 
 
 def _check(point: Point) -> None:
@@ -85,7 +126,3 @@ def _check(point: Point) -> None:
 
 def _points_of_options(points: Sequence[Point]) -> list[Point]:
     return [point for point in points if point["option"] is not None]
-
-
-def _hardware(points: Sequence[Point]) -> object:
-    return _points_of_options(points)[0]["hardware"]

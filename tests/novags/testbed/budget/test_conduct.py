@@ -41,7 +41,7 @@ class Work:
         self.fit_stops = False
         monkeypatch.setattr(conduct.time, "perf_counter", lambda: self.now)
         monkeypatch.setattr(conduct, "forecast", self.forecast)
-        monkeypatch.setattr(conduct, "known", lambda folder: Known(OPTIONS, "made up"))
+        monkeypatch.setattr(conduct, "known", lambda folder, methods: Known(OPTIONS, "made up"))
         monkeypatch.setattr(conduct.experiment, "photograph", self.photograph)
         monkeypatch.setattr(conduct.experiment, "run", self.run)
 

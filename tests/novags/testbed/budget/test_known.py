@@ -66,7 +66,7 @@ def test_curves_measured_here_come_before_those_of_novags(tmp_path: Path, monkey
 
 def test_curves_without_options_are_refused_when_they_are_named(tmp_path: Path) -> None:
     write(tmp_path / "curves.jsonl", [point(1, 0, 1, option=None)])
-    with pytest.raises(ValueError, match="holds no curves of whole reconstructions: novags pareto nova --out"):
+    with pytest.raises(ValueError, match="holds no curves of whole reconstructions: novags pareto METHOD --out"):
         known(tmp_path)
 
 
