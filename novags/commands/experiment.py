@@ -58,8 +58,8 @@ def run(
         budget: Time that everything may take, 120s, 5min, 1h: iterations, Gaussians, denoiser steps, samples and size
             are chosen to lose least against the preset, those that are given here excepted. What that is expected to
             cost is said before; see docs/accuracy-and-time.md.
-        curves: With a budget: folder of what `novags pareto METHOD` measured; if not given, out/pareto if it was measured
-            on this machine, else the curves that came with novags.
+        curves: With a budget: folder of what `novags pareto METHOD` measured; if not given, what out/pareto has of this
+            machine, for other methods the curves that came with novags.
         out: Folder of the experiment; if not given, out/PRESET, with scene, electrons and budget where they are given.
         methods: Methods and variants to compare; `novags list methods` names them.
         variant: A method with settings changed, NAME=METHOD:SETTING=VALUE,SETTING=VALUE, compared as well; may be given

@@ -14,7 +14,7 @@ KNOBS = {
         why="Gaussians; 0.8 for each pixel of a view, as in the preset",
     ),
     "denoiser steps": MethodKnob(
-        option="denoiser_steps", shares=(1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0), parts=("denoiser",),
+        option="denoiser_steps", shares=(1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 3.125), parts=("denoiser",),
         why="before the fit, on small crops; the preset has three times as many, which is a third of the time of its "
         "method",
     ),
@@ -28,8 +28,8 @@ KNOBS = {
             for channels in ((4, 8, 16, 24), (8, 16, 32, 48), (16, 32, 64, 96), (32, 64, 128, 192),
                              (32, 64, 128, 256, 512))
         }, parts=("denoiser",),
-        why="channels of the denoiser's levels and bottleneck; half as many as the paper's and a level less, because its "
-        "steps are most of the time",
+        why="channels of the denoiser's levels and bottleneck; half as many as the paper's and a level less, because "
+        "its steps are most of the time",
     ),
     "precision": MethodKnob.of(
         "denoiser.network.precision", ("bfloat16", "float32"), parts=("denoiser",),

@@ -50,7 +50,8 @@ def measure(
         overwrite: Drop measurements of another size or machine.
 
     Raises:
-        ValueError: If `repeats` is below 1, a knob is unknown, or the folder holds measurements of another size or machine.
+        ValueError: If `repeats` is below 1, a knob is unknown, or the folder holds measurements of another size or
+            machine.
     """
     if repeats < 1:
         raise ValueError(f"repeats must be >= 1, got {repeats}")

@@ -20,7 +20,8 @@ def write(subject: Subject, samples: Samples, folder: Path) -> list[Path]:
     points = curves(subject, samples)
     lines = write_curves(folder, points)
     picture, table = folder / f"{subject.name}.svg", folder / f"{subject.name}.md"
-    write_text(picture, figure(points, TITLES.get(subject.name, "Reconstruction: error of held-out views")))
+    own = f"Reconstruction by {subject.workload.get('method', 'a method')}: error of held-out views"
+    write_text(picture, figure(points, TITLES.get(subject.name, own)))
     write_text(table, f"{heading(points)}\n\n{tables(points)}")
     return [lines, picture, table]
 

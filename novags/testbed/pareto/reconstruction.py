@@ -38,7 +38,7 @@ ITERATIONS = MethodKnob(
 )  # fmt: skip
 RENDER = {
     "samples per pixel": MethodKnob(
-        option="spp", shares=(1 / 16, 1 / 4, 1.0), parts=("render",),
+        option="spp", shares=(1 / 16, 1 / 4, 1.0, 4.0), parts=("render",),
         why="of the rendered truth, which is scored against too",
     ),
 }  # fmt: skip
@@ -94,8 +94,8 @@ class Bench:
     def _value(self, option: str, knob: str) -> int:
         value = values(self.base).get(option)
         if value is None:
-            raise ValueError(f"{self.base.methods[0]}: the knob {knob} turns {option}, which this method does not have: "
-                             "declare settings of its own instead")  # fmt: skip
+            raise ValueError(f"{self.base.methods[0]}: the knob {knob} turns {option}, which this method does not "
+                             "have: declare settings of its own instead")  # fmt: skip
         return value
 
     def preset(self, row: MethodKnob, setting: Setting, seed: int) -> Preset:
@@ -192,7 +192,7 @@ def held_out_error(result: Reconstruction, prepared: Prepared, capture: Capture,
         ValueError: If no held-out view has contrast, or the method works on pictures that are not enhanced.
     """
     if result.enhancement is None:
-        raise ValueError("the method states no enhancement: its pictures have no noise-free reference in the same space")
+        raise ValueError("the method states no enhancement, through which the noise-free exposure would be compared")
     scale = truth.cameras.rig.width / capture.cameras.rig.width
     scene = result.scene
     if isinstance(scene, GaussianScene):

@@ -100,6 +100,15 @@ def test_stage_1_alone_has_no_targets(dark: Any) -> None:
     assert len(result.scene.gaussians) == 160  # type: ignore[attr-defined]
 
 
+def test_stage_1_of_several_seeds_is_merged_and_counted(dark: Any) -> None:
+    inputs, _ = dark()
+    seen: list[Any] = []
+    config = dataclasses.replace(CONFIG, stages="likelihood")
+    train(inputs, config, progress=lambda *entry: seen.append(entry))
+    assert parts(config) == {"likelihood": 40, "merged": 4}
+    assert seen[-1][:2] == (44, 44)
+
+
 def test_what_the_held_out_data_dislike_is_dropped(dark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     inputs, _ = dark()
     first = train(inputs, dataclasses.replace(CONFIG, stages="likelihood", seeds=1))

@@ -6,11 +6,13 @@ from typing import Any
 
 import pytest
 
+from novags.methods import METHODS
 from novags.testbed.budget import known as module
 from novags.testbed.budget.known import SHIPPED, known, options_of
 from novags.testbed.cache import jsonable
 from novags.testbed.machine.provenance import hardware
 from novags.testbed.pareto.curve import read_curves
+from novags.testbed.presets import EXPERIMENTS
 
 HERE = jsonable(hardware())
 
@@ -44,6 +46,48 @@ def test_options_are_shares_of_the_default_and_never_a_gain() -> None:
     assert measured[0.5].factors == {"fit": 0.75}
 
 
+def other(points: list[Any], name: str, part: str) -> list[Any]:
+    """The same points of another method, whose training has another part, twice as long and with half the loss."""
+    return [
+        {**p, "knob": p["knob"].replace("nova.", f"{name}."), "db_lost": p["db_lost"] / 2,
+         "parts": {part: 2 * p["parts"]["fit"]}} for p in points
+    ]  # fmt: skip
+
+
+def test_an_experiment_that_compares_several_methods_has_the_parts_of_all_and_their_mean_loss() -> None:
+    both = [*CURVE, *other(CURVE[:1] + CURVE[2:], "plus", "refit")]  # it lacks the setting 200
+    found = {option.share: option for option in options_of(both, {"nova", "plus", "naive"})["points"]}
+    assert min(found) == 0.125
+    assert found[0.125].factors == {"fit": 0.25, "refit": 0.25}
+    assert found[0.125].lost == pytest.approx((2.0 + 1.0) / 2)
+    assert found[0.125].sd == pytest.approx(0.25 * 2**0.5 / 2)
+    # halfway between 100 and 400 on a logarithmic scale: 1.0 dB and nothing lost, and a factor of sqrt(1/4 * 3/4)
+    assert found[0.25].lost == pytest.approx((0.5 + 0.5) / 2)
+    assert found[0.25].factors == pytest.approx({"fit": 0.5, "refit": (0.25 * 0.75) ** 0.5})
+
+
+def test_curves_of_methods_that_are_not_compared_count_only_if_there_are_no_others() -> None:
+    both = [*CURVE, *other(CURVE, "plus", "refit")]
+    assert options_of(both, {"plus"}) == options_of(other(CURVE, "plus", "refit"))
+    assert options_of(both, {"naive"}) == options_of(CURVE) == options_of(both)
+
+
+def test_what_this_machine_has_not_measured_comes_from_novags(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path / "shipped.jsonl", [*CURVE, *other(CURVE, "plus", "refit")])
+    monkeypatch.setattr(module, "SHIPPED", tmp_path / "shipped.jsonl")
+    here = [{**p, "hardware": HERE, "db_lost": 2 * p["db_lost"]} for p in CURVE]
+    write(tmp_path / "out" / "pareto" / "curves.jsonl", here)
+    found = known(None, {"nova", "plus"})
+    assert found.source == (
+        f"measured earlier on this machine ({Path('out') / 'pareto'}) and those that came with novags (plus, measured "
+        "on abacus: scene mine)"
+    )
+    least = min(found.options["points"], key=lambda option: option.share)
+    assert (least.lost, least.factors) == (pytest.approx((4.0 + 1.0) / 2), {"fit": 0.25, "refit": 0.25})
+    assert known(None, {"nova"}).source == f"measured earlier on this machine ({Path('out') / 'pareto'})"
+
+
 def test_the_curves_that_are_named_come_first(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     write(tmp_path / "mine" / "curves.jsonl", CURVE)
@@ -72,4 +116,15 @@ def test_curves_without_options_are_refused_when_they_are_named(tmp_path: Path) 
 
 def test_novags_ships_curves_of_every_option() -> None:
     assert set(options_of(read_curves(SHIPPED))) == {"iterations", "points", "denoiser_steps", "spp", "size"}
+    preset = EXPERIMENTS["demo"]
+    plans = [preset.reconstruct(name) for name in preset.methods]
+    methods, parts = {plan.variant.method for plan in plans}, set[str]()
+    for plan in plans:
+        counted = METHODS[plan.variant.method].parts
+        parts |= set() if counted is None else set(counted(plan.config))
+    least = min(options_of(read_curves(SHIPPED), methods)["iterations"], key=lambda option: option.share)
+    assert least.share == 1 / 16
+    # every part of every method that the demonstration trains gets shorter, but for that which has its own number
+    assert set(least.factors) == parts - {"denoiser"}
+    assert max(least.factors.values()) < 0.25
     assert module.USUAL == Path("out") / "pareto"

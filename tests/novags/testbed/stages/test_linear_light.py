@@ -20,9 +20,10 @@ from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.run import CHECKPOINTS, Run, open_run
 from novags.testbed.metrics import image_scores
+from novags.testbed.pareto.reconstruction import held_out_error, timed
 from novags.testbed.references import pictured, references
 from novags.testbed.stages.capture import CaptureConfig
-from novags.testbed.stages.reconstruct import ReconstructConfig
+from novags.testbed.stages.reconstruct import ReconstructConfig, prepare
 from novags.testbed.viewer.splats import scene_of
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
@@ -103,6 +104,18 @@ def test_a_run_in_linear_light_is_scored_against_each_of_its_references(capture:
         assert metrics["views"][name]["enhanced"]["aligned_psnr"] == pytest.approx(want["aligned_psnr"])
         assert metrics["views"][name]["linear"]["linear_psnr"] > 10
     assert metrics["training_2d"]["enhanced"] is not None
+
+
+def test_curves_of_accuracy_measure_it_as_it_is_scored(capture: Capture, run: Run) -> None:
+    variant = chosen("nova-plus")
+    config = changed(variant.config(_default(), {}), {"fit.iterations": 24, "seeds": 1, "enhance.window": 9}, what="x")
+    wanted = ReconstructConfig(variant=variant, config=config, points=120)
+    prepared = prepare(capture, capture.source(QUIET), wanted, QUIET)
+    _, parts, result = timed(prepared, wanted)
+    scores = stages.score(run.path, QUIET)["methods"]["nova-plus"]["mean"]["enhanced"]
+    found = held_out_error(result, prepared, capture, capture)
+    assert found == pytest.approx(100 * 10 ** (-scores["aligned_psnr"] / 20), rel=1e-3)
+    assert list(parts) == ["likelihood", "structure"]
 
 
 def test_pictures_on_disk_are_as_they_are_shown_and_floats_are_light(capture: Capture, run: Run) -> None:
