@@ -15,10 +15,12 @@ KNOBS = {
         "points at least",
     ),
     "seeds": MethodKnob.of(
-        "seeds", (1, 2, 3, 4), parts=FITS, why="reconstructions that are merged; each takes the time of the first",
+        "seeds", (1, 2, 3, 4), parts=FITS,
+        why="reconstructions that are merged, each of which takes the time of the first; the second gains little, and "
+        "further ones nothing that could be measured",
     ),
     "stages": MethodKnob.of(
         "stages", ("likelihood", "all"), parts=("structure",),
-        why="all: guided averages and their refit; likelihood fits the raw data and merges its seeds",
+        why="all has guided averages and their refit; likelihood fits the raw data and merges its seeds",
     ),
 }  # fmt: skip

@@ -4,6 +4,7 @@ import io
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,6 +13,7 @@ from novags.methods import METHODS, VARIANTS, chosen
 from novags.methods.gaussian_fit import ORIGINAL_FIT
 from novags.methods.nova.trainer import NovaConfig
 from novags.methods.variant import parse_variant
+from novags.settings import flattened
 from novags.testbed.console import Console, losses_text
 from novags.testbed.presets import EXPERIMENTS, Preset, adapted
 from novags.testbed.stages.capture import CaptureConfig
@@ -156,3 +158,25 @@ def test_impossible_renders_are_refused(values: dict, message: str) -> None:
 def test_settings_that_only_the_last_stage_needs_are_checked_before_the_first() -> None:
     with pytest.raises(ValueError, match="points must be >= 4, got -5"):
         adapted(EXPERIMENTS["demo"], points=-5)
+
+
+def test_the_page_of_curves_states_the_presets_as_they_are() -> None:
+    page = (Path(__file__).resolve().parents[3] / "docs" / "accuracy-and-time.md").read_text(encoding="utf-8")
+    lines = [line.strip("| ").split(" | ") for line in page.splitlines() if line.startswith("| ")]
+    head = next(line for line in lines if line[0] == "setting")
+    stated = {line[0]: dict(zip(head[1:], line[1:], strict=True)) for line in lines if len(line) == len(head)}
+    for name, preset in EXPERIMENTS.items():
+        config, render = flattened(preset.reconstruct(preset.methods[0]).config), preset.render
+        assert render.width == render.height
+        every = config["denoiser.denoise_every"]
+        assert every in (None, 1)
+        channels = (*config["denoiser.network.widths"], config["denoiser.network.bottleneck"])
+        own = {
+            "width and height": render.width, "views": render.n_views, "samples per pixel": render.spp,
+            "iterations": f"{config['fit.iterations']:,}",
+            "Gaussians at the start, for each pixel of a view": f"{preset.points / render.width**2:.2f}",
+            "denoiser: steps before the fit": config["denoiser.warmup_steps"],
+            "denoiser: steps beside the fit": "none" if every is None else "every iteration",
+            "denoiser: width": "-".join(map(str, channels)),
+        }  # fmt: skip
+        assert {setting: stated[setting][f"`{name}`"] for setting in own} == {s: str(v) for s, v in own.items()}
