@@ -33,7 +33,7 @@ METHODS: dict[str, Method] = {
     ),
     "nova-plus": Method(
         title="the light of the scene, fitted to the raw data by their known noise, then to averages of them that the "
-        "first fit guides; two seeds, merged",
+        "first fit guides and to denoised ones; two seeds, merged",
         family="ours",
         color="#7a3fb0",
         config=nova_plus.NovaPlusConfig,

@@ -92,7 +92,7 @@ def in_electrons(
         mask = mask_of(raw.dn.shape[1:3], raw.cfa).to(raw.dn)
         dn = spread(raw.dn, mask) if raw.dn.ndim == 3 else raw.dn.movedim(-1, 1)
         matrix = None if linear.matrix is None else dn.new_tensor(linear.matrix)
-        return _in_electrons(dn, mask, noise.raw, _gain(noise.raw.curve, linear, dn), matrix)
+        return electrons_of(dn, mask, noise.raw, _gain(noise.raw.curve, linear, dn), matrix)
     if linear16 is None:
         raise LacksInput("denoising needs raw frames or 16-bit linear pictures, and this capture has neither")
     if linear.interpolated or channels_share:
@@ -103,7 +103,7 @@ def in_electrons(
         )
     pictures = linear16.movedim(-1, 1)
     mask = mask_of(pictures.shape[2:], None).to(pictures)
-    return _in_electrons(pictures, mask, noise.linear16, pictures.new_ones(3), None)
+    return electrons_of(pictures, mask, noise.linear16, pictures.new_ones(3), None)
 
 
 def _gain(raw: NoiseCurve, linear: NoiseCurve, like: Tensor) -> Tensor:
@@ -113,8 +113,19 @@ def _gain(raw: NoiseCurve, linear: NoiseCurve, like: Tensor) -> Tensor:
     return like.new_tensor([a if a > 0 else b for a, b in zip(shot, read, strict=True)])
 
 
-def _in_electrons(data: Tensor, mask: Tensor, noise: Variance, gain: Tensor, matrix: Tensor | None) -> Measured:
-    """Data [C, 3, H, W] as `Measured`; `gain`: linear light per unit of the data [3], before the matrix."""
+def electrons_of(data: Tensor, mask: Tensor, noise: Variance, gain: Tensor, matrix: Tensor | None) -> Measured:
+    """Data as `Measured`.
+
+    Args:
+        data: [C, 3, H, W], anything where the mask is 0.
+        mask: [1, 3, H, W], 1 where a channel was measured.
+        noise: Variance of the data.
+        gain: Linear light per unit of the data [3], before the matrix.
+        matrix: The colour matrix, or None.
+
+    Raises:
+        LacksInput: For data without noise.
+    """
     curve = noise.curve
     offset, slope, black = (data.new_tensor(values) for values in (curve.offset, curve.slope, curve.black))
     if not bool(((offset > 0) | (slope > 0)).all()) or bool((offset < 0).any()):

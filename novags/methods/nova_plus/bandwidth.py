@@ -12,7 +12,6 @@ VIEWS times. Too wide a window costs more than a picture by itself would show, s
 import dataclasses
 import math
 
-import torch
 from torch import Tensor
 
 from novags.methods.nova_plus.average import averages
@@ -82,21 +81,3 @@ def _vertex(left: float, middle: float, right: float) -> float:
     """Where the parabola through three equally spaced values is least, -1/2..1/2 of a step from the middle one."""
     bend = left - 2 * middle + right
     return 0.0 if bend <= 0 else 0.5 * (left - right) / bend
-
-
-def guided_targets(guide: Tensor, data: Exposures, curve: ToneCurve, h: float, share: float) -> Tensor:
-    """What the views shall show: raw data averaged along the guide, mixed with the guide.
-
-    Args:
-        guide: Tones [C, H, W, 3].
-        data: The measurements.
-        curve: From tones to light and back.
-        h: As in `averages`.
-        share: Of the averages; the rest is the guide.
-
-    Returns:
-        Tones [C, H, W, 3], float32.
-    """
-    light = curve.light(guide)
-    averaged = averages(guide, data.fitted, h=h, patch=1).mean(light)
-    return torch.as_tensor(curve.tone(share * averaged + (1 - share) * light), dtype=torch.float32)

@@ -23,6 +23,7 @@ class Exposures:
         noise: Their variance as a function of the mean, in the square of their unit.
         white: Light at which each channel saturates, [3].
         matrix: [3, 3] from this light to linear sRGB; None: the identity.
+        independent: Whether neither pixels nor channels share noise.
     """
 
     light: Tensor
@@ -30,6 +31,7 @@ class Exposures:
     noise: Variance
     white: Tensor
     matrix: Tensor | None
+    independent: bool = True
 
     def __len__(self) -> int:
         return len(self.light)
@@ -65,10 +67,11 @@ def exposures(problem: Problem, noise: Noise, held_share: float) -> Exposures:
     raw = problem.raw
     if raw is not None and raw.balance is not None and noise.raw is not None:
         light, curve = _of_raw(raw, noise.raw.curve)
-        white, matrix = torch.tensor(raw.balance), raw.matrix
+        white, matrix, independent = torch.tensor(raw.balance), raw.matrix, True
     elif problem.linear16 is not None:
         light, curve = problem.linear16, noise.linear16.curve
         white, matrix = light.new_tensor(curve.white), None
+        independent = not (curve.interpolated or problem.channels_share)
         if curve.matrix is not None:
             curve = _of_grey(noise.linear16)
     else:
@@ -77,7 +80,7 @@ def exposures(problem: Problem, noise: Noise, held_share: float) -> Exposures:
     held = torch.rand(light.shape[:3], generator=generator) < held_share
     return Exposures(
         light=light, held=held.to(light.device), noise=Variance(curve), white=white.to(light),
-        matrix=None if matrix is None else light.new_tensor(matrix),
+        matrix=None if matrix is None else light.new_tensor(matrix), independent=independent,
     )  # fmt: skip
 
 

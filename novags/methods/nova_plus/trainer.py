@@ -1,4 +1,4 @@
-"""The method as a whole: likelihood, guided averages, structure; several seeds, merged; every step judged by data."""
+"""The method as a whole: likelihood, targets, structure; several seeds, merged; every step judged by data."""
 
 import dataclasses
 import time
@@ -10,17 +10,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from novags.methods.denoised.trainer import DenoiseConfig
 from novags.methods.enhancers import EnhancerConfig, enhanced, enhanced_like, enhanced_view, enhancement_record
 from novags.methods.enhancers.guided import EnhanceConfig
 from novags.methods.gaussian_fit import Progress, fit_for
 from novags.methods.noise_estimate import noise_of
 from novags.methods.nova_plus.average import non_local_means
-from novags.methods.nova_plus.bandwidth import choose_bandwidth, guided_targets
+from novags.methods.nova_plus.bandwidth import choose_bandwidth
 from novags.methods.nova_plus.data import Exposures, exposures
 from novags.methods.nova_plus.judge import compare, mean_tone
 from novags.methods.nova_plus.likelihood import Likelihood
 from novags.methods.nova_plus.merge import merged
-from novags.methods.problem import Pictures, Problem, encode
+from novags.methods.nova_plus.targets import denoised_light, guided_light
+from novags.methods.problem import LacksInput, Pictures, Problem, encode
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.tone import ToneCurve, tone_curve
 from novags.splats import FitConfig, Gaussians, LearningRates, McmcConfig
@@ -53,7 +55,9 @@ class NovaPlusConfig:
         seeds: Independent reconstructions that are merged.
         held_share: Of the pixels that judge.
         bandwidth: Of the guided averages, in tone; None: chosen by `choose_bandwidth`.
-        averaged_share: Of the guided averages in the targets of stage 2; the rest is the guide.
+        averaged_share: Of the guided averages beside their guide, in the targets of stage 2.
+        denoise: The trained denoiser, for data whose noise is independent; None: without it.
+        denoised_share: Of its pictures in the targets of stage 2.
         stages: How far to go: "likelihood" alone, or "all".
         noise: "camera": as known, where it is; "pictures": as estimated from them.
         pictures: Through whose enhancement the result is shown, and compared with methods that enhance.
@@ -66,7 +70,9 @@ class NovaPlusConfig:
     seeds: int = 2
     held_share: float = 0.03
     bandwidth: float | None = None
-    averaged_share: float = 2 / 3
+    averaged_share: float = 1 / 2
+    denoise: DenoiseConfig | None = field(default_factory=DenoiseConfig)
+    denoised_share: float = 1 / 3
     stages: Literal["likelihood", "all"] = "all"
     noise: Literal["camera", "pictures"] = "camera"
     pictures: Pictures = "8bit"
@@ -75,10 +81,12 @@ class NovaPlusConfig:
     def __post_init__(self) -> None:
         if self.seeds < 1:
             raise ValueError(f"seeds must be >= 1, got {self.seeds}")
-        if not (0 <= self.held_share < 1 and 0 <= self.averaged_share <= 1):
+        if not 0 <= self.held_share < 1:
+            raise ValueError(f"held_share must lie in [0, 1), got {self.held_share}")
+        if not (0 <= self.averaged_share <= 1 and 0 <= self.denoised_share <= 1):
             raise ValueError(
-                "held_share must lie in [0, 1) and averaged_share in [0, 1], got "
-                f"{self.held_share} and {self.averaged_share}"
+                f"averaged_share and denoised_share must lie in [0, 1], got {self.averaged_share} and "
+                f"{self.denoised_share}"
             )
         if self.bandwidth is not None and not self.bandwidth > 0:
             raise ValueError(f"bandwidth must be > 0 or None, got {self.bandwidth}")
@@ -94,6 +102,8 @@ def parts(config: NovaPlusConfig) -> dict[str, int]:
     """`Method.parts`: the fits of all seeds, stage by stage."""
     counts = {"likelihood": config.seeds * config.iterations("likelihood")}
     if config.stages == "all":
+        adapt = None if config.denoise is None else config.denoise.adapt
+        counts["denoiser"] = 0 if adapt is None else adapt.steps
         counts["structure"] = config.seeds * config.iterations("structure")
     if config.seeds > 1:
         counts["merged"] = config.iterations("merged")
@@ -190,8 +200,7 @@ class _Work:
             h, tried = choose_bandwidth(guide, self.data, self.curve)
             self.found["bandwidths"] = tried
         self.found["bandwidth"] = h
-        guide = non_local_means(guide, GUIDE_BANDWIDTH * h)
-        targets = guided_targets(guide, self.data, self.curve, h, self.config.averaged_share)
+        targets = self.targets(non_local_means(guide, GUIDE_BANDWIDTH * h), h)
         seconds = []
         for seed, first in enumerate(firsts):
             rates = _scaled(self.base.rates, 0.5)
@@ -202,6 +211,33 @@ class _Work:
                           mean_tone(before, self.curve), self.data, self.curve, weights)  # fmt: skip
         self.found["structure"] = dataclasses.asdict(verdict)
         return (firsts, None) if verdict.worse else (seconds, targets)
+
+    def targets(self, guide: Tensor, h: float) -> Tensor:
+        """Tones [C, H, W, 3] that stage 2 fits."""
+        light = guided_light(guide, self.data, self.curve, h, self.config.averaged_share)
+        clean = self.denoised(self.curve.light(guide))
+        if clean is not None:
+            light = light + self.config.denoised_share * (clean - light)
+        self.found["denoised"] = clean is not None
+        return torch.as_tensor(self.curve.tone(light), dtype=torch.float32)
+
+    def denoised(self, expected: Tensor) -> Tensor | None:
+        """The light of denoised data; None where that is not wanted, or there is no independent noise."""
+        before = self.done
+        self.done += parts(self.config)["denoiser"]
+
+        def report(done: int, _: int, entry: dict[str, float]) -> None:
+            if self.progress is not None:
+                self.progress(before + done, self.total, entry)
+
+        if self.config.denoise is None or not self.data.independent:
+            return None
+        try:
+            return denoised_light(
+                self.data, expected, self.config.denoise, seed=self.problem.seed, progress=report
+            )  # fmt: skip
+        except LacksInput:  # there is no noise
+            return None
 
     def joined(self, sets: list[Gaussians], targets: Tensor | None) -> Gaussians:
         """All seeds as one set, trained on a little; the first seed alone, if held-out data like that better."""

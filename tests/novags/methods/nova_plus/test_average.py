@@ -11,7 +11,7 @@ import torch
 from novags.methods.noise import Variance
 from novags.methods.nova_plus import bandwidth
 from novags.methods.nova_plus.average import REACH, averages, non_local_means
-from novags.methods.nova_plus.bandwidth import choose_bandwidth, errors_of_average, guided_targets
+from novags.methods.nova_plus.bandwidth import choose_bandwidth, errors_of_average
 from novags.methods.nova_plus.data import Exposures
 from novags.methods.tone import ToneCurve
 from sensor_model import NoiseCurve
@@ -174,16 +174,3 @@ def test_the_chosen_bandwidth_is_near_the_best_and_follows_the_noise() -> None:
         assert len(found) > 3
         chosen.append(h)
     assert chosen[1] > 1.5 * chosen[0]
-
-
-def test_targets_mix_averages_and_guide_in_light() -> None:
-    curve = ToneCurve(top=1.0, k=4.0)
-    data = exposures_of(texture(), 0.05, seed=7, views=2)
-    held = data.held.clone()
-    held[:, ::3] = True
-    data = replace(data, held=held)
-    guide = curve.tone(data.light * 0 + 0.5) + 0.0
-    found = guided_targets(guide, data, curve, 0.05, 0.25)
-    average = averages(guide, data.fitted, h=0.05, patch=1).mean(curve.light(guide))
-    torch.testing.assert_close(curve.light(found), 0.25 * average + 0.75 * 0.5, rtol=1e-4, atol=1e-5)
-    assert torch.isnan(data.fitted[:, ::3]).all()

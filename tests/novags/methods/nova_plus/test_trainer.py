@@ -11,12 +11,15 @@ import numpy as np
 import pytest
 import torch
 
+from novags.methods.denoised.recorrupted import AdaptConfig
+from novags.methods.denoised.trainer import DenoiseConfig
 from novags.methods.noise import Noise, Variance
 from novags.methods.nova_plus import trainer
 from novags.methods.nova_plus.average import non_local_means
-from novags.methods.nova_plus.bandwidth import choose_bandwidth, guided_targets
+from novags.methods.nova_plus.bandwidth import choose_bandwidth
 from novags.methods.nova_plus.data import exposures
 from novags.methods.nova_plus.judge import Verdict
+from novags.methods.nova_plus.targets import denoised_light, guided_light
 from novags.methods.nova_plus.trainer import FIT, NovaPlusConfig, parts, train
 from novags.methods.problem import LacksInput, Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
@@ -32,6 +35,7 @@ CONFIG = NovaPlusConfig(
     fit=dataclasses.replace(FIT, iterations=48, sh_every=5, checkpoint_every=7, mcmc=MCMC),
     gaussians=160,
     held_share=0.1,
+    denoise=DenoiseConfig(adapt=AdaptConfig(steps=2, batch=1, crop=16), turns=1),
 )  # fmt: skip
 
 
@@ -77,13 +81,14 @@ def test_every_stage_is_counted_and_told(dark: Any) -> None:
     inputs, _ = dark()
     seen: list[Any] = []
     result = train(inputs, CONFIG, progress=lambda *entry: seen.append(entry))
-    assert parts(CONFIG) == {"likelihood": 40, "structure": 20, "merged": 4}
-    assert {entry[1] for entry in seen} == {64}
+    assert parts(CONFIG) == {"likelihood": 40, "denoiser": 2, "structure": 20, "merged": 4}
+    assert {entry[1] for entry in seen} == {66}
     done = [entry[0] for entry in seen]
     assert done == sorted(done)
-    assert done[-1] == 64
+    assert [entry[0] for entry in seen if "denoiser" in entry[2]] == [41, 42]
+    assert done[-1] == 66
     assert [entry["iteration"] for entry in result.losses] == sorted(entry["iteration"] for entry in result.losses)
-    assert result.losses[-1]["iteration"] == 64
+    assert result.losses[-1]["iteration"] == 66
     assert set(result.found) >= {"tone", "gaussians", "held_out_pixels", "bandwidth", "structure", "merged"}
     assert result.targets is not None
     assert result.targets.shape == inputs.srgb8.shape
@@ -189,7 +194,8 @@ def test_noise_can_be_taken_from_the_pictures_and_must_come_from_somewhere(dark:
     [
         ("seeds", 0, "seeds must be >= 1, got 0"),
         ("held_share", 1.0, "held_share must lie in"),
-        ("averaged_share", 1.5, "averaged_share in"),
+        ("averaged_share", 1.5, "averaged_share and denoised_share must lie in"),
+        ("denoised_share", -0.5, "got 0.5 and -0.5"),
         ("bandwidth", 0.0, "bandwidth must be > 0 or None, got 0"),
         ("gaussians", 0, "gaussians must be >= 1 or None, got 0"),
     ],
@@ -232,8 +238,30 @@ def test_stages_follow_one_another_with_rates_and_seeds_of_their_own(
     renders = [curve.light(GaussianScene(g, 0.1).render(inputs.views)[0]) for g in (calls[0][4], calls[1][4])]
     guide = curve.tone((renders[0] + renders[1]) / 2)
     h, _ = choose_bandwidth(guide, data, curve)
-    want = guided_targets(non_local_means(guide, trainer.GUIDE_BANDWIDTH * h), data, curve, h, 2 / 3)
+    guide = non_local_means(guide, trainer.GUIDE_BANDWIDTH * h)
+    assert CONFIG.denoise is not None
+    clean = denoised_light(data, curve.light(guide), CONFIG.denoise, seed=7)
+    want = curve.tone(2 / 3 * guided_light(guide, data, curve, h, 0.5) + 1 / 3 * clean)
     torch.testing.assert_close(calls[2][1], want, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("why", ["not wanted", "noise is shared", "no noise"])
+def test_without_independent_noise_the_targets_are_the_guided_averages(dark: Any, why: str) -> None:
+    inputs, _ = dark()
+    config = CONFIG if why != "not wanted" else dataclasses.replace(CONFIG, denoise=None)
+    if why == "noise is shared":
+        inputs = dataclasses.replace(inputs, channels_share=("JPEG",))
+    if why == "no noise":
+        silent = dataclasses.replace(inputs.noise.linear16.curve, offset=(0.0,) * 3, slope=(0.0,) * 3)
+        inputs = dataclasses.replace(inputs, noise=Noise(Variance(silent), None, "camera"))
+    data = exposures(inputs, inputs.noise, CONFIG.held_share)
+    work = trainer._Work(inputs, config, data, tone_curve(data.greens), None, None)
+    guide = torch.full_like(data.light, 0.5)
+    found = work.targets(guide, 0.05)
+    want = work.curve.tone(guided_light(guide, data, work.curve, 0.05, 0.5))
+    torch.testing.assert_close(found, want, rtol=1e-6, atol=1e-7)
+    assert work.found["denoised"] is False
+    assert work.done == parts(config)["denoiser"]
 
 
 def test_judges_weigh_errors_as_the_enhanced_pictures_show_them(dark: Any, monkeypatch: pytest.MonkeyPatch) -> None:

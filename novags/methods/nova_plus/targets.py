@@ -1,0 +1,51 @@
+"""What the training views shall show in stage 2: estimates of their light that differ in what they go by."""
+
+from torch import Tensor
+
+from novags.methods.denoised.measured import electrons_of
+from novags.methods.denoised.trainer import DenoiseConfig, denoised
+from novags.methods.gaussian_fit import Progress
+from novags.methods.nova_plus.average import averages
+from novags.methods.nova_plus.data import Exposures
+from novags.methods.tone import ToneCurve
+
+
+def guided_light(guide: Tensor, data: Exposures, curve: ToneCurve, h: float, share: float) -> Tensor:
+    """Raw data averaged along the guide, mixed with the guide: by the scene, as far as it is known.
+
+    Args:
+        guide: Tones [C, H, W, 3].
+        data: The measurements.
+        curve: From tones to light.
+        h: As in `averages`.
+        share: Of the averages; the rest is the guide.
+
+    Returns:
+        Light [C, H, W, 3].
+    """
+    light = curve.light(guide)
+    return share * averages(guide, data.fitted, h=h, patch=1).mean(light) + (1 - share) * light
+
+
+def denoised_light(
+    data: Exposures, expected: Tensor, config: DenoiseConfig, *, seed: int, progress: Progress | None = None
+) -> Tensor:
+    """The measurements through the trained denoiser: by other pictures, and each view by itself.
+
+    Args:
+        data: The measurements; their noise is independent from pixel to pixel. What is held out is not seen.
+        expected: Light [C, H, W, 3] that takes the place of what is held out.
+        config: How to denoise.
+        seed: Of the adaptation.
+        progress: As for `denoised`.
+
+    Returns:
+        Light [C, H, W, 3] of all channels, not clipped.
+
+    Raises:
+        LacksInput: For data without noise.
+    """
+    seen = data.light.where(data.measured & ~data.held[..., None], expected).movedim(-1, 1)
+    mask = data.measured[:1].movedim(-1, 1).to(seen)
+    pictures = electrons_of(seen.contiguous(), mask, data.noise, seen.new_ones(3), None)
+    return denoised(pictures, config, seed=seed, progress=progress)
