@@ -63,8 +63,8 @@ def denoise(
         overwrite: Replace a finished result of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
+    from novags.methods.denoised.denoiser import DenoiseConfig
     from novags.methods.denoised.recorrupted import AdaptConfig
-    from novags.methods.denoised.trainer import DenoiseConfig
     from novags.testbed import stages
     from novags.testbed.stages.denoise import DenoisePicturesConfig
 

@@ -11,10 +11,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.methods.denoised.estimate import TURNS, estimate_all
+from novags.methods.denoised.denoiser import DenoiseConfig, denoised
 from novags.methods.denoised.measured import Measured, measured
-from novags.methods.denoised.recorrupted import AdaptConfig, adapt
-from novags.methods.denoised.weights import PACKAGED, load_weights
+from novags.methods.denoised.weights import PACKAGED
 from novags.methods.enhancers import EnhancerConfig, enhanced, enhanced_like, enhanced_view
 from novags.methods.enhancers.guided import EnhanceConfig
 from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, EnhancedFitConfig, Progress, fit_enhanced
@@ -23,18 +22,6 @@ from novags.methods.problem import Pictures, Problem, encode
 from novags.methods.reconstruction import Reconstruction
 from novags.splats import FitConfig
 from novags.splats.training.checkpoint import digest, write_tensors
-
-
-@dataclass(frozen=True, kw_only=True)
-class DenoiseConfig:
-    """How the pictures are denoised."""
-
-    adapt: AdaptConfig | None = field(default_factory=AdaptConfig)  # to the capture; None: the network as it comes
-    turns: int = TURNS  # flips and quarter turns whose estimates are averaged
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.turns <= TURNS:
-            raise ValueError(f"turns must be 1 to {TURNS}, got {self.turns}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,25 +43,6 @@ def parts(config: DenoisedConfig) -> dict[str, int]:
     """`Method.parts`: adaptation of the network, then the fit."""
     adapting = 0 if config.denoise.adapt is None else config.denoise.adapt.steps
     return {"denoiser": adapting, "fit": config.fit.iterations}
-
-
-def denoised(
-    pictures: Measured, config: DenoiseConfig, *, seed: int, progress: Progress | None = None, more: int = 0
-) -> Tensor:
-    """The pictures without noise, in linear light: [C, H, W, 3], not clipped, the unit of `Problem.linear16`.
-
-    Args:
-        pictures: What was measured.
-        config: All choices.
-        seed: Of the adaptation.
-        progress: As for `recorrupted.adapt`.
-        more: As for `recorrupted.adapt`.
-    """
-    network = load_weights().to(pictures.electrons.device)
-    if config.adapt is not None:
-        adapt(network, pictures, config.adapt, seed=seed, progress=progress, more=more)
-    electrons = estimate_all(network, pictures.electrons, pictures.mask, pictures.read_variance, turns=config.turns)
-    return pictures.linear(electrons)
 
 
 def train(

@@ -2,8 +2,8 @@
 
 from torch import Tensor
 
+from novags.methods.denoised.denoiser import DenoiseConfig, denoised
 from novags.methods.denoised.measured import electrons_of
-from novags.methods.denoised.trainer import DenoiseConfig, denoised
 from novags.methods.gaussian_fit import Progress
 from novags.methods.nova_plus.average import averages
 from novags.methods.nova_plus.data import Exposures

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.methods.denoised.trainer import DenoiseConfig
+from novags.methods.denoised.denoiser import DenoiseConfig
 from novags.methods.enhancers import EnhancerConfig, enhanced, enhanced_like, enhanced_view, enhancement_record
 from novags.methods.enhancers.guided import EnhanceConfig
 from novags.methods.gaussian_fit import Progress, fit_for

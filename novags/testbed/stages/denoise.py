@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from novags.methods.denoised.denoiser import DenoiseConfig, denoised
 from novags.methods.denoised.measured import in_electrons
-from novags.methods.denoised.trainer import DenoiseConfig, denoised
 from novags.methods.denoised.weights import made_by
 from novags.testbed.cache import run_stage
 from novags.testbed.console import Console

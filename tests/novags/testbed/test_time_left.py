@@ -94,7 +94,7 @@ def test_the_parts_of_a_method_are_what_its_progress_counts(name: str) -> None:
         expected["denoiser"] = config.denoise.adapt.steps
     elif isinstance(config, NovaPlusConfig):  # 5, 2.5 and 1 twelfths; two seeds
         expected = {"likelihood": 2 * round(iterations * 5 / 12), "structure": 2 * round(iterations * 2.5 / 12)}
-        expected["merged"] = round(iterations / 12)
+        expected |= {"merged": round(iterations / 12), "denoiser": config.denoise.adapt.steps}
     assert method.parts(config) == expected
 
 

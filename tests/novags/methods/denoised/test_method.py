@@ -8,10 +8,11 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
+from novags.methods.denoised.denoiser import DenoiseConfig
 from novags.methods.denoised.estimate import estimate_all
 from novags.methods.denoised.measured import measured
 from novags.methods.denoised.recorrupted import AdaptConfig
-from novags.methods.denoised.trainer import DenoiseConfig, DenoisedConfig, parts, train
+from novags.methods.denoised.trainer import DenoisedConfig, parts, train
 from novags.methods.denoised.weights import load_weights
 from novags.methods.enhancers import enhanced, enhanced_like, enhanced_view
 from novags.methods.noise import camera_noise

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 import torch
 
+from novags.methods.denoised.denoiser import DenoiseConfig
 from novags.methods.denoised.recorrupted import AdaptConfig
-from novags.methods.denoised.trainer import DenoiseConfig
 from novags.methods.noise import Noise, Variance
 from novags.methods.nova_plus import trainer
 from novags.methods.nova_plus.average import non_local_means

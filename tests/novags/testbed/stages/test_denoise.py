@@ -8,9 +8,9 @@ import cv2
 import numpy as np
 import pytest
 
+from novags.methods.denoised.denoiser import DenoiseConfig, denoised
 from novags.methods.denoised.measured import in_electrons
 from novags.methods.denoised.recorrupted import AdaptConfig
-from novags.methods.denoised.trainer import DenoiseConfig, denoised
 from novags.methods.problem import LacksInput
 from novags.testbed import stages
 from novags.testbed.cache import read_json

@@ -1,0 +1,42 @@
+"""The trained denoiser on the pictures of one capture: for single pictures, and for the methods that use it."""
+
+from dataclasses import dataclass, field
+
+from torch import Tensor
+
+from novags.methods.denoised.estimate import TURNS, estimate_all
+from novags.methods.denoised.measured import Measured
+from novags.methods.denoised.recorrupted import AdaptConfig, adapt
+from novags.methods.denoised.weights import load_weights
+from novags.methods.gaussian_fit import Progress
+
+
+@dataclass(frozen=True, kw_only=True)
+class DenoiseConfig:
+    """How the pictures are denoised."""
+
+    adapt: AdaptConfig | None = field(default_factory=AdaptConfig)  # to the capture; None: the network as it comes
+    turns: int = TURNS  # flips and quarter turns whose estimates are averaged
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.turns <= TURNS:
+            raise ValueError(f"turns must be 1 to {TURNS}, got {self.turns}")
+
+
+def denoised(
+    pictures: Measured, config: DenoiseConfig, *, seed: int, progress: Progress | None = None, more: int = 0
+) -> Tensor:
+    """The pictures without noise, in linear light: [C, H, W, 3], not clipped, the unit of `Problem.linear16`.
+
+    Args:
+        pictures: What was measured.
+        config: All choices.
+        seed: Of the adaptation.
+        progress: As for `recorrupted.adapt`.
+        more: As for `recorrupted.adapt`.
+    """
+    network = load_weights().to(pictures.electrons.device)
+    if config.adapt is not None:
+        adapt(network, pictures, config.adapt, seed=seed, progress=progress, more=more)
+    electrons = estimate_all(network, pictures.electrons, pictures.mask, pictures.read_variance, turns=config.turns)
+    return pictures.linear(electrons)
