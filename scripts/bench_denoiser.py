@@ -21,7 +21,7 @@ from torch import Tensor
 
 from novags.methods.denoised.anscombe import Anscombe
 from novags.methods.denoised.estimate import estimate_all
-from novags.methods.denoised.measured import Measured, in_electrons
+from novags.methods.denoised.measured import Measured, of_capture
 from novags.methods.denoised.recorrupted import AdaptConfig, adapt
 from novags.methods.denoised.weights import PACKAGED, load_weights
 from novags.methods.enhancers.guided import EnhanceConfig, enhance
@@ -42,8 +42,8 @@ class Pictures:
         source = load_set(folder)
         chosen = source.train_indices[:: max(1, len(source.train_indices) // views)][:views]
         radiance = [np.maximum(source.radiance(i), 0) for i in chosen]
-        green = float(np.mean([r[..., 1].mean() for r in radiance]))
-        light = [photons_for_electrons(r, electrons=electrons, mean_green=green, sensor=sensor) for r in radiance]
+        mean = float(np.mean([r[..., 1].mean() for r in radiance]))
+        light = [photons_for_electrons(r, electrons=electrons, mean_green=mean, sensor=sensor) for r in radiance]
         seen = light if sensor.cfa is None else [mosaic(p, sensor.cfa) for p in light]
         frames = [expose(p, sensor, EXPOSURE, seed=seed, view=i, threads=1) for i, p in enumerate(seen)]
         self.sensor = sensor
@@ -52,9 +52,12 @@ class Pictures:
         self.truth = torch.from_numpy(means).permute(0, 3, 1, 2)
         linear = np.stack([from_linear16(develop(f, sensor).linear16) for f in frames])
         self.dark = torch.from_numpy(encode(linear))
-        raw = RawPictures(dn=self.dn, cfa=sensor.cfa, black=sensor.black_level, white=sensor.white_dn)
+        red, green, blue = white_balance(sensor).tolist()
+        raw = RawPictures(
+            dn=self.dn, cfa=sensor.cfa, black=sensor.black_level, white=sensor.white_dn, balance=(red, green, blue)
+        )
         noise = camera_noise(sensor, EXPOSURE, demosaic="menon", color_matrix=None)
-        self.pictures: Measured = in_electrons(noise=noise, raw=raw, linear16=None, channels_share=())
+        self.pictures: Measured = of_capture(noise, raw, None, ())
         self.params = [enhance(dark, EnhanceConfig())[1] for dark in self.dark]
         self.reference = self.enhanced(self.truth)
 

@@ -1,15 +1,13 @@
 """What a capture has measured, in electrons: the data that a denoiser works on, whatever camera they come from."""
 
-import math
 from dataclasses import dataclass, fields, replace
 
 import torch
 from torch import Tensor
 
-from novags.methods.denoised.packing import mask_of, spread
+from novags.methods.light import MeasuredLight, measured_light
 from novags.methods.noise import Noise, Variance
 from novags.methods.problem import LacksInput, Problem, RawPictures
-from sensor_model import NoiseCurve
 
 # Data whose noise does not grow with the signal have no electrons. They are taken as so many that the transform is
 # straight over the whole range: the variance of this many electrons is the read variance.
@@ -62,77 +60,45 @@ class Measured:
 
 
 def measured(problem: Problem) -> Measured:
-    """The data of a problem; see `in_electrons`."""
-    return in_electrons(
-        noise=problem.noise, raw=problem.raw, linear16=problem.linear16, channels_share=problem.channels_share
-    )
-
-
-def in_electrons(
-    *, noise: Noise | None, raw: RawPictures | None, linear16: Tensor | None, channels_share: tuple[str, ...]
-) -> Measured:
-    """Raw frames in electrons, or linear pictures where those were measured pixel by pixel.
-
-    Args:
-        noise: As in `Problem`.
-        raw: As in `Problem`.
-        linear16: As in `Problem`.
-        channels_share: As in `Problem`.
+    """The data of a problem in electrons.
 
     Raises:
-        LacksInput: If the noise is not known, or is that of pictures whose pixels share it.
+        LacksInput: If the noise is not known, is shared by neighbouring data, or there is none.
     """
+    return of_capture(problem.noise, problem.raw, problem.linear16, problem.channels_share)
+
+
+def of_capture(
+    noise: Noise | None, raw: RawPictures | None, linear16: Tensor | None, channels_share: tuple[str, ...]
+) -> Measured:
+    """As `measured`, for pictures that are no problem."""
     if noise is None:
         raise LacksInput(
             "denoising needs the noise of the data, and of this capture it is not known: name its camera, or take a "
             "method that works on the pictures alone"
         )
-    linear = noise.linear16.curve
-    if raw is not None and noise.raw is not None and (linear16 is None or raw.dn.shape[:3] == linear16.shape[:3]):
-        mask = mask_of(raw.dn.shape[1:3], raw.cfa).to(raw.dn)
-        dn = spread(raw.dn, mask) if raw.dn.ndim == 3 else raw.dn.movedim(-1, 1)
-        matrix = None if linear.matrix is None else dn.new_tensor(linear.matrix)
-        return electrons_of(dn, mask, noise.raw, _gain(noise.raw.curve, linear, dn), matrix)
-    if linear16 is None:
-        raise LacksInput("denoising needs raw frames or 16-bit linear pictures, and this capture has neither")
-    if linear.interpolated or channels_share:
-        shared = " and ".join(channels_share) or "demosaicing"
-        raise LacksInput(
-            f"denoising needs data whose noise is independent, and without raw frames that of neighbouring pixels is "
-            f"shared through {shared}: take a method that works on the pictures alone"
-        )
-    pictures = linear16.movedim(-1, 1)
-    mask = mask_of(pictures.shape[2:], None).to(pictures)
-    return electrons_of(pictures, mask, noise.linear16, pictures.new_ones(3), None)
+    return in_electrons(measured_light(noise, raw, linear16, channels_share))
 
 
-def _gain(raw: NoiseCurve, linear: NoiseCurve, like: Tensor) -> Tensor:
-    """Linear light per DN [3], white balance included: the two curves describe the same noise in two units."""
-    shot = [b / a if a > 0 else 0.0 for a, b in zip(raw.slope, linear.slope, strict=True)]
-    read = [math.sqrt(b / a) if a > 0 else 0.0 for a, b in zip(raw.offset, linear.offset, strict=True)]
-    return like.new_tensor([a if a > 0 else b for a, b in zip(shot, read, strict=True)])
-
-
-def electrons_of(data: Tensor, mask: Tensor, noise: Variance, gain: Tensor, matrix: Tensor | None) -> Measured:
-    """Data as `Measured`.
-
-    Args:
-        data: [C, 3, H, W], anything where the mask is 0.
-        mask: [1, 3, H, W], 1 where a channel was measured.
-        noise: Variance of the data.
-        gain: Linear light per unit of the data [3], before the matrix.
-        matrix: The colour matrix, or None.
+def in_electrons(data: MeasuredLight) -> Measured:
+    """Measurements in electrons.
 
     Raises:
-        LacksInput: For data without noise.
+        LacksInput: For noise that neighbouring data share, and for data without noise.
     """
-    curve = noise.curve
-    offset, slope, black = (data.new_tensor(values) for values in (curve.offset, curve.slope, curve.black))
+    if data.shared:
+        raise LacksInput(
+            f"denoising needs data whose noise is independent, and without raw frames that of neighbouring pixels is "
+            f"shared through {' and '.join(data.shared)}: take a method that works on the pictures alone"
+        )
+    curve, like = data.noise.curve, data.light
+    offset, slope, black = (like.new_tensor(values) for values in (curve.offset, curve.slope, curve.black))
     if not bool(((offset > 0) | (slope > 0)).all()) or bool((offset < 0).any()):
         raise LacksInput(
             f"denoising needs a variance > 0 in every channel, got {tuple(curve.offset)} at black and a slope of "
             f"{tuple(curve.slope)}: data without noise need no denoiser"
         )
     unit = torch.maximum(slope, (offset / STRAIGHT).sqrt())
-    electrons = (data - black[:, None, None]) / unit[:, None, None] * mask
-    return Measured(electrons, mask, noise, black, unit, gain * unit, matrix)
+    electrons = ((like - black) / unit).nan_to_num(0.0).movedim(-1, 1).contiguous()
+    mask = data.measured[:1].movedim(-1, 1).to(like)
+    return Measured(electrons, mask, data.noise, black, unit, unit, data.matrix)

@@ -1,9 +1,12 @@
 """What the training views shall show in stage 2: estimates of their light that differ in what they go by."""
 
+from dataclasses import replace
+
+import torch
 from torch import Tensor
 
 from novags.methods.denoised.denoiser import DenoiseConfig, denoised
-from novags.methods.denoised.measured import electrons_of
+from novags.methods.denoised.measured import in_electrons
 from novags.methods.gaussian_fit import Progress
 from novags.methods.nova_plus.average import averages
 from novags.methods.nova_plus.data import Exposures
@@ -33,7 +36,7 @@ def denoised_light(
     """The measurements through the trained denoiser: by other pictures, and each view by itself.
 
     Args:
-        data: The measurements; their noise is independent from pixel to pixel. What is held out is not seen.
+        data: The measurements. What is held out is not seen.
         expected: Light [C, H, W, 3] that takes the place of what is held out.
         config: How to denoise.
         seed: Of the adaptation.
@@ -43,9 +46,7 @@ def denoised_light(
         Light [C, H, W, 3] of all channels, not clipped.
 
     Raises:
-        LacksInput: For data without noise.
+        LacksInput: For data whose noise is shared, and for data without noise.
     """
-    seen = data.light.where(data.measured & ~data.held[..., None], expected).movedim(-1, 1)
-    mask = data.measured[:1].movedim(-1, 1).to(seen)
-    pictures = electrons_of(seen.contiguous(), mask, data.noise, seen.new_ones(3), None)
-    return denoised(pictures, config, seed=seed, progress=progress)
+    seen = torch.where(data.measured & data.held[..., None], expected, data.light)
+    return denoised(in_electrons(replace(data, light=seen, matrix=None)), config, seed=seed, progress=progress)

@@ -230,13 +230,13 @@ class _Work:
             if self.progress is not None:
                 self.progress(before + done, self.total, entry)
 
-        if self.config.denoise is None or not self.data.independent:
+        if self.config.denoise is None:
             return None
         try:
             return denoised_light(
                 self.data, expected, self.config.denoise, seed=self.problem.seed, progress=report
             )  # fmt: skip
-        except LacksInput:  # there is no noise
+        except LacksInput:  # data share their noise, or have none
             return None
 
     def joined(self, sets: list[Gaussians], targets: Tensor | None) -> Gaussians:

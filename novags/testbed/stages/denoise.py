@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from novags.methods.denoised.denoiser import DenoiseConfig, denoised
-from novags.methods.denoised.measured import in_electrons
+from novags.methods.denoised.measured import of_capture
 from novags.methods.denoised.weights import made_by
 from novags.testbed.cache import run_stage
 from novags.testbed.console import Console
@@ -68,9 +68,7 @@ def denoise_views(capture: Capture, out: Path, config: DenoisePicturesConfig, co
     indices, device = list(range(len(capture.names))), chosen_device(config.device, console)
     raw = raw_pictures(capture, indices) if capture.holds("raw") else None
     linear16 = stack([capture.linear16(i) for i in indices]) if capture.holds("images16") else None
-    pictures = in_electrons(noise=capture.noise, raw=raw, linear16=linear16, channels_share=capture.channels_share).to(
-        device
-    )
+    pictures = of_capture(capture.noise, raw, linear16, capture.channels_share).to(device)
     steps = 0 if config.denoise.adapt is None else config.denoise.adapt.steps
     with console.progress("denoise", {"denoiser": steps, "views": len(indices)}) as progress:
 

@@ -13,6 +13,7 @@ from novags.methods.noise_estimate import estimate_noise
 from novags.methods.problem import LacksInput, Problem, RawPictures
 from novags.splats import Views
 from sensor_model import PRESETS, Exposure, Sensor, develop, expose, from_linear16, mosaic
+from sensor_model.isp import white_balance
 
 EXPOSURE = Exposure(time=1 / 30)
 MATRIX = [[1.4, -0.3, -0.1], [-0.2, 1.3, -0.1], [0.0, -0.4, 1.4]]
@@ -29,10 +30,14 @@ def problem(sensor: Sensor, *, matrix: list[list[float]] | None = None, level: f
     linear = torch.from_numpy(np.stack([from_linear16(d.linear16) for d in developed]))
     raw = torch.from_numpy(np.stack([f.dn for f in frames]).astype(np.float32))
     views = Views(torch.eye(4).expand(2, 4, 4), torch.eye(3).expand(2, 3, 3), width, height)
+    red, green, blue = white_balance(sensor).tolist()
     settings: dict[str, Any] = {
         "views": views, "start": None, "seed": 0, "linear16": linear,
         "srgb8": torch.from_numpy(np.stack([d.srgb8 for d in developed]) / 255).float(),
-        "raw": RawPictures(dn=raw, cfa=sensor.cfa, black=sensor.black_level, white=sensor.white_dn),
+        "raw": RawPictures(
+            dn=raw, cfa=sensor.cfa, black=sensor.black_level, white=sensor.white_dn, balance=(red, green, blue),
+            matrix=None if matrix is None else tuple(map(tuple, matrix)),
+        ),
         "noise": camera_noise(sensor, EXPOSURE, demosaic="menon", color_matrix=matrix),
     }  # fmt: skip
     return Problem(**settings | more)

@@ -19,6 +19,7 @@ from novags.methods.noise import camera_noise
 from novags.methods.problem import LacksInput, Problem, RawPictures, encode
 from novags.splats import FitConfig, Views
 from sensor_model import PRESETS, Exposure, develop, develop_linear, expose, from_linear16
+from sensor_model.isp import white_balance
 
 EXPOSURE = Exposure(time=1 / 30)
 ADAPT = AdaptConfig(steps=3, batch=2, crop=16)
@@ -39,12 +40,13 @@ def problem() -> Problem:
     frames = [expose(clean / sensor.eta, sensor, EXPOSURE, seed=4, view=i) for i in range(3)]
     developed = [develop(f, sensor) for f in frames]
     K = torch.tensor([[40.0, 0, 16], [0, 40, 12], [0, 0, 1]]).expand(3, 3, 3)
+    red, green, blue = white_balance(sensor).tolist()
     return Problem(
         views=Views(torch.eye(4).repeat(3, 1, 1), K, 32, 24), start=Points(), seed=5,
         srgb8=torch.from_numpy(np.stack([d.srgb8 for d in developed]) / 255).float(),
         linear16=torch.from_numpy(np.stack([from_linear16(d.linear16) for d in developed])),
         raw=RawPictures(dn=torch.from_numpy(np.stack([f.dn for f in frames]).astype(np.float32)), cfa=None,
-                        black=sensor.black_level, white=sensor.white_dn),
+                        black=sensor.black_level, white=sensor.white_dn, balance=(red, green, blue)),
         noise=camera_noise(sensor, EXPOSURE, demosaic="menon", color_matrix=None),
         clean=torch.from_numpy(np.stack([encode(develop_linear(f.clean_dn, sensor)) for f in frames])),
     )  # fmt: skip

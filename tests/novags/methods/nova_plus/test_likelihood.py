@@ -109,6 +109,23 @@ def test_a_capture_without_raw_and_linear_pictures_is_refused() -> None:
         exposures(replace(problem, raw=None), problem.noise, 0.0)
 
 
+def test_raw_frames_of_another_size_than_the_pictures_are_left_alone() -> None:
+    """As of a mosaic whose cells became pixels: cameras and renders have the size of the pictures."""
+    problem, _ = problem_of(PRESETS["a7s2-iso6400"])
+    assert problem.noise is not None
+    half = torch.rand(2, SIDE // 2, SIDE // 2, 3, generator=torch.Generator().manual_seed(0))
+    assert torch.equal(exposures(replace(problem, linear16=half), problem.noise, 0.0).light, half)
+
+
+def test_noise_that_data_share_is_named_and_raw_frames_share_none() -> None:
+    problem, _ = problem_of(PRESETS["a7s2-iso6400"])
+    assert problem.noise is not None
+    problem = replace(problem, linear16=torch.zeros(2, SIDE, SIDE, 3), channels_share=("JPEG",))
+    found = [exposures(p, problem.noise, 0.0).shared for p in
+             (problem, replace(problem, raw=None), replace(problem, raw=None, channels_share=()))]  # fmt: skip
+    assert found == [(), ("JPEG",), ("demosaicing",)]
+
+
 def slow_loss(tones: np.ndarray, light: np.ndarray, curve: ToneCurve, variance: Variance, white: float) -> float:
     """The equation of the module, one datum after another, in float64."""
     total, count = 0.0, 0

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from novags.methods.denoised.denoiser import DenoiseConfig, denoised
-from novags.methods.denoised.measured import in_electrons
+from novags.methods.denoised.measured import of_capture
 from novags.methods.denoised.recorrupted import AdaptConfig
 from novags.methods.problem import LacksInput
 from novags.testbed import stages
@@ -38,7 +38,7 @@ def capture(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_every_picture_comes_out_linear_and_as_srgb(capture: Path, tmp_path: Path) -> None:
     stages.denoise(capture, tmp_path / "out", CONFIG, QUIET)
     opened = open_capture(capture)
-    pictures = in_electrons(noise=opened.noise, raw=raw_pictures(opened, [0, 1, 2]), linear16=None, channels_share=())
+    pictures = of_capture(opened.noise, raw_pictures(opened, [0, 1, 2]), None, ())
     wanted = denoised(pictures, CONFIG.denoise, seed=3).numpy()
     for i, name in enumerate(opened.names):
         linear = cv2.imread(str(tmp_path / "out" / "linear" / f"{name}.png"), cv2.IMREAD_UNCHANGED)[..., ::-1]

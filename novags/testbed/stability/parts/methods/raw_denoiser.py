@@ -10,7 +10,7 @@ from torch import Tensor, nn
 
 from novags.methods.denoised.anscombe import Anscombe
 from novags.methods.denoised.estimate import estimate
-from novags.methods.denoised.measured import Measured, in_electrons
+from novags.methods.denoised.measured import Measured, of_capture
 from novags.methods.denoised.network import Network
 from novags.methods.denoised.packing import mask_of
 from novags.methods.denoised.recorrupted import Adaptation, AdaptConfig
@@ -149,5 +149,4 @@ def adaptation_in_the_dark(setting: Setting) -> float:
 def noise_free(setting: Setting) -> float:
     """There is no unit to bring them to."""
     pictures, noise = torch.full((1, 8, 8, 3), 0.2), Noise(_curve(0.0, 0.0), None, "pictures")
-    given = {"noise": noise, "raw": None, "linear16": pictures, "channels_share": ()}
-    return refusal(lambda: in_electrons(**given), "variance > 0")  # type: ignore[arg-type]
+    return refusal(lambda: of_capture(noise, None, pictures, ()), "variance > 0")

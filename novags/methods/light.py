@@ -1,0 +1,108 @@
+"""What a camera has measured, as light of known variance: for methods that work on data instead of pictures."""
+
+from dataclasses import dataclass, replace
+
+import torch
+from torch import Tensor
+
+from novags.methods.noise import Noise, Variance
+from novags.methods.problem import LacksInput, RawPictures
+from sensor_model import NoiseCurve
+from sensor_model.mosaic import channel_index
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeasuredLight:
+    """Pictures as measurements of white-balanced light, 0 = black, 1 = white, never clipped at black.
+
+    Attributes:
+        light: Measurements, float32 [C, H, W, 3]; nan where nothing was measured.
+        noise: Their variance as a function of the mean, in the square of their unit.
+        white: Light at which each channel saturates, [3].
+        matrix: [3, 3] from this light to linear sRGB; None: the identity.
+        shared: Why noise is not independent from datum to datum; empty if it is.
+    """
+
+    light: Tensor
+    noise: Variance
+    white: Tensor
+    matrix: Tensor | None
+    shared: tuple[str, ...] = ()
+
+    def __len__(self) -> int:
+        return len(self.light)
+
+    @property
+    def measured(self) -> Tensor:
+        """Which data there are, bool [C, H, W, 3]."""
+        return ~self.light.isnan()
+
+
+def measured_light(
+    noise: Noise, raw: RawPictures | None, linear16: Tensor | None, channels_share: tuple[str, ...]
+) -> MeasuredLight:
+    """The measurements of a capture: raw frames, else the linear 16-bit pictures.
+
+    Raw frames of another size than the pictures, and those whose white balance is unknown, are left alone.
+
+    Args:
+        noise: Of its pictures.
+        raw: As in `Problem`.
+        linear16: As in `Problem`.
+        channels_share: As in `Problem`.
+
+    Raises:
+        LacksInput: If there are neither.
+    """
+    fits = raw is not None and (linear16 is None or raw.dn.shape[:3] == linear16.shape[:3])
+    if raw is not None and fits and raw.balance is not None and noise.raw is not None:
+        light, curve = _of_raw(raw, noise.raw.curve)
+        matrix = None if raw.matrix is None else light.new_tensor(raw.matrix)
+        return MeasuredLight(
+            light=light, noise=Variance(curve), white=light.new_tensor(raw.balance), matrix=matrix
+        )  # fmt: skip
+    if linear16 is None:
+        raise LacksInput("this method needs raw frames or 16-bit linear pictures, and this capture has neither")
+    curve = noise.linear16.curve
+    white = linear16.new_tensor(curve.white)
+    shared = channels_share or (("demosaicing",) if curve.interpolated else ())
+    if curve.matrix is not None:
+        curve = _of_grey(noise.linear16)
+    return MeasuredLight(light=linear16, noise=Variance(curve), white=white, matrix=None, shared=shared)
+
+
+def _of_raw(raw: RawPictures, curve: NoiseCurve) -> tuple[Tensor, NoiseCurve]:
+    """Light [C, H, W, 3] of raw frames, nan in the channels that a pixel's filter hides, and its noise."""
+    assert raw.balance is not None
+    unit = [(raw.white - raw.black) / factor for factor in raw.balance]  # DN of light 1
+    dn = raw.dn if raw.dn.ndim == 4 else raw.dn[..., None].expand(*raw.dn.shape, 3)
+    light = (dn - raw.black) / dn.new_tensor(unit)
+    if raw.cfa is not None:
+        height, width = dn.shape[1:3]
+        index = torch.from_numpy(channel_index((height, width), raw.cfa)).long().to(dn.device)
+        light = torch.where(torch.nn.functional.one_hot(index, 3).bool(), light, torch.nan)
+    return light, _scaled(curve, raw.black, unit)
+
+
+def _scaled(curve: NoiseCurve, black: float, unit: list[float]) -> NoiseCurve:
+    """The noise of (datum - black) / unit."""
+
+    def each(values: tuple[float, ...], power: int, shift: float = 0.0) -> tuple[float, ...]:
+        return tuple((value - shift) / u**power for value, u in zip(values, unit, strict=True))
+
+    return replace(
+        curve, black=each(curve.black, 1, black), white=each(curve.white, 1, black),
+        switch=each(curve.switch, 1, black), offset=each(curve.offset, 2), slope=each(curve.slope, 1),
+        step=each(curve.step, 2),
+    )  # fmt: skip
+
+
+def _of_grey(variance: Variance) -> NoiseCurve:
+    """The noise of pictures after a colour matrix as that of a camera without one: right where the light is grey."""
+    ends = torch.tensor([0.0, 0.5]).double()[:, None].expand(2, 3)
+    dark, middle = variance(ends).tolist()
+    slope = tuple(2 * (m - d) for d, m in zip(dark, middle, strict=True))
+    zero, never = (0.0,) * 3, (float("inf"),) * 3
+    return NoiseCurve(
+        black=zero, white=(1.0,) * 3, offset=tuple(dark), slope=slope, quadratic=zero, switch=never, step=zero
+    )
