@@ -112,9 +112,11 @@ def test_a_capture_without_raw_and_linear_pictures_is_refused() -> None:
 def test_raw_frames_of_another_size_than_the_pictures_are_left_alone() -> None:
     """As of a mosaic whose cells became pixels: cameras and renders have the size of the pictures."""
     problem, _ = problem_of(PRESETS["a7s2-iso6400"])
-    assert problem.noise is not None
     half = torch.rand(2, SIDE // 2, SIDE // 2, 3, generator=torch.Generator().manual_seed(0))
-    assert torch.equal(exposures(replace(problem, linear16=half), problem.noise, 0.0).light, half)
+    views = replace(problem.views, width=SIDE // 2, height=SIDE // 2)
+    problem = replace(problem, views=views, srgb8=half, linear16=half)
+    assert problem.noise is not None
+    assert torch.equal(exposures(problem, problem.noise, 0.0).light, half)
 
 
 def test_noise_that_data_share_is_named_and_raw_frames_share_none() -> None:
