@@ -4,6 +4,9 @@ import hashlib
 from collections.abc import Sequence
 
 from novags.testbed.dataset.file import SPLITS, DatasetConfig
+from sensor_model.files.reading import brief
+
+LARGEST = 1e9  # shares are relative to each other; their sums and products with counts stay far from overflow
 
 
 def unit_of(scene: str, by: str) -> str:
@@ -52,8 +55,9 @@ def _order(unit: str, seed: int) -> str:
 def _counts(count: int, shares: dict[str, float]) -> dict[str, int]:
     """Whole numbers in proportion to the shares, of sum `count`: the largest remainders are rounded up."""
     for name, share in shares.items():
-        if isinstance(share, bool) or not isinstance(share, int | float) or not 0 < share < float("inf"):
-            raise ValueError(f"[dataset.split] {name}: it must be a share > 0 or a list of scenes, got {share!r}")
+        if isinstance(share, bool) or not isinstance(share, int | float) or not 0 < share <= LARGEST:
+            raise ValueError(f"[dataset.split] {name}: it must be a share > 0 and at most {LARGEST:g}, or a list of "
+                             f"scenes, got {brief(repr(share))}")  # fmt: skip
     if not shares:
         return {}
     total = sum(shares.values())

@@ -305,6 +305,14 @@ class Capture:
         Raises:
             ValueError: If the set is no longer where it was, or no longer what it was.
         """
+        source = self.unchecked_source(console)
+        if not self.imported and source.digest() != self.record["stage"]["inputs"]["set"]:
+            path = source.views.path
+            raise ValueError(f"{path} has changed since {self.path} was made from it: put it back or capture again")
+        return source
+
+    def unchecked_source(self, console: Console) -> Source:
+        """As `source`, without reading all of the set to see whether it has changed."""
         if self.imported:
             return self._twins(console)
         made_of = self.record["set"]
@@ -314,10 +322,7 @@ class Capture:
                 f"{self.path} was made from the set {made_of['path']} (relative to it), which is not there: put it "
                 "back or capture again"
             )
-        source = open_source(path, console, made_of["max_size"])
-        if source.digest() != self.record["stage"]["inputs"]["set"]:
-            raise ValueError(f"{path} has changed since {self.path} was made from it: put it back or capture again")
-        return source
+        return open_source(path, console, made_of["max_size"])
 
     def _twins(self, console: Console) -> Source:
         lit = self.holds("lit")
@@ -354,6 +359,23 @@ def open_capture(path: Path) -> Capture:
     Raises:
         ValueError: If the folder is missing, is not a capture, or is unfinished.
     """
+    (record, sensor), content = _read_record(path), folder_digest(path, OWNS)
+    known = _OPENED.get(path.resolve())
+    if known is not None and known.content == content:
+        return known
+    capture = Capture(path=path, record=record, cameras=load_set(path), sensor=sensor, content=content)
+    _OPENED.clear()
+    _OPENED[path.resolve()] = capture
+    return capture
+
+
+def open_unchecked(path: Path) -> Capture:
+    """As `open_capture`, without reading all of it: `content` is "", and nothing is shared."""
+    record, sensor = _read_record(path)
+    return Capture(path=path, record=record, cameras=load_set(path), sensor=sensor, content="")
+
+
+def _read_record(path: Path) -> tuple[dict[str, Any], Sensor | None]:
     if not path.is_dir():
         raise ValueError(f"no such capture folder: {path}")
     if not (path / RECORD).exists():
@@ -371,10 +393,4 @@ def open_capture(path: Path) -> Capture:
         sensor, _ = None if record["sensor"] is None else sensor_from_dict(record["sensor"]), exposure_of(record)
         if record["demosaic"] not in DEMOSAIC:
             raise ValueError(f"demosaic must be one of {', '.join(DEMOSAIC)}, got {record['demosaic']!r}")
-    known, content = _OPENED.get(path.resolve()), folder_digest(path, OWNS)
-    if known is not None and known.content == content:
-        return known
-    capture = Capture(path=path, record=record, cameras=load_set(path), sensor=sensor, content=content)
-    _OPENED.clear()
-    _OPENED[path.resolve()] = capture
-    return capture
+    return record, sensor

@@ -4,6 +4,7 @@ import json
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
+from itertools import groupby
 
 WIDTH, HEIGHT = 640, 300
 LEFT, RIGHT, TOP, BOTTOM = 62, 16, 14, 46
@@ -13,7 +14,7 @@ Series = Mapping[str, Sequence[tuple[float, float]]]
 
 
 def line_chart(series: Series, keys: Mapping[str, str], *, x_label: str, y_label: str, title: str) -> str:
-    """Lines of positive y values over x, y logarithmic; the CSS class of a series is `line KEY`.
+    """Lines over x, y logarithmic; the CSS class of a series is `line KEY`. A y that is not positive leaves a gap.
 
     Raises:
         ValueError: If there is nothing to draw.
@@ -41,10 +42,11 @@ def line_chart(series: Series, keys: Mapping[str, str], *, x_label: str, y_label
         x, _ = place(tick, 10**y_low)
         parts.append(f'<text class="tick" x="{x:.1f}" y="{HEIGHT - BOTTOM + 18}" text-anchor="middle">{tick:g}</text>')
     for number, (name, line) in enumerate(series.items()):
-        path = " ".join("{:.1f},{:.1f}".format(*place(x, y)) for x, y in line if y > 0)
+        pieces = [list(piece) for drawn, piece in groupby(line, lambda point: point[1] > 0) if drawn]
+        path = "".join(f"M{'L'.join('{:.1f},{:.1f}'.format(*place(*point)) for point in piece)}" for piece in pieces)
         parts.append(
-            f'<polyline class="line dash{number % DASHES} {escape(keys[name])}" points="{path}">'
-            f"<title>{escape(name)}</title></polyline>"
+            f'<path class="line dash{number % DASHES} {escape(keys[name])}" d="{path}">'
+            f"<title>{escape(name)}</title></path>"
         )
     middle, centre = (LEFT + WIDTH - RIGHT) / 2, (TOP + HEIGHT - BOTTOM) / 2
     parts.append(f'<text class="axis" x="{middle}" y="{HEIGHT - 6}" text-anchor="middle">{escape(x_label)}</text>')

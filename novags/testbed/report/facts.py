@@ -1,47 +1,18 @@
 """What a report states: sentences, tables and a chart, drawn from the records of an experiment or a run."""
 
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
-from functools import cached_property
-from pathlib import Path
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from novags.testbed.cache import read_json
-from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import METRICS, Run
-from novags.testbed.folders.set import Source
 from novags.testbed.report.charts import line_chart
-from novags.testbed.report.rows import Row, deviations, main_row, rows_of
+from novags.testbed.report.material import Material
+from novags.testbed.report.rows import Row, deviations
 from novags.testbed.report.tables import GEOMETRY, NOISE, ranked
 
 EXACT = 1e-4  # degrees or extents; camera files round, and smaller errors are invisible
-
-
-@dataclass(frozen=True)
-class Material:
-    """Everything a report is made of, read from the folders."""
-
-    folder: Path
-    experiment: dict[str, Any]  # {} for a single run
-    runs: dict[str, Run]
-    metrics: dict[str, Any]
-    capture: Capture
-    lit: Source
-
-    @cached_property
-    def rows(self) -> dict[str, Row]:
-        """How each run appears."""
-        return rows_of(self.runs)
-
-    @property
-    def main(self) -> str:
-        """The main run."""
-        return main_row(self.rows.values())
-
-    def bound(self, end: str) -> str | None:
-        """The run at that end of the scale, if there is one."""
-        return next((row.name for row in self.rows.values() if row.bound == end), None)
 
 
 def scene_name(material: Material) -> str:
@@ -165,11 +136,14 @@ def training_table(material: Material) -> list[dict[str, Any]]:
 
 
 def loss_chart(runs: Mapping[str, Run], rows: Mapping[str, Row]) -> dict[str, Any] | None:
-    """Photometric loss over the iterations, one line for each run, and what stands for which; None without a log."""
+    """Photometric loss over the iterations, one line for each run, and what stands for which; None without a log.
+
+    The fits of a run stand one after the other, with a gap between them: each has targets of its own.
+    """
     series = {}
     for name, run in runs.items():
         points = [(e["iteration"], e["photometric"]) for e in run.events() if "photometric" in e]
-        series[name] = smoothed(points)
+        series[name] = [point for fit in fits(points) for point in ((fit[0][0], math.nan), *smoothed(fit))]
     if not any(series.values()):
         return None
     keys = {name: row.key for name, row in rows.items()}
@@ -178,6 +152,18 @@ def loss_chart(runs: Mapping[str, Run], rows: Mapping[str, Row]) -> dict[str, An
         series, keys, x_label="iteration", y_label="photometric loss", title="Photometric loss over iterations"
     )
     return {"chart": chart, "key": [(name, keys[name]) for name in series]}
+
+
+def fits(points: Sequence[tuple[float, float]]) -> list[list[tuple[float, float]]]:
+    """The losses of each fit of a run, over the iterations of all of them: where the count falls back, a fit begins."""
+    found: list[list[tuple[float, float]]] = []
+    before = last = 0.0
+    for iteration, loss in points:
+        if not found or iteration <= last:
+            before, found = before + last, [*found, []]
+        last = iteration
+        found[-1].append((before + iteration, loss))
+    return found
 
 
 def smoothed(points: list[tuple[float, float]], count: int = 50) -> list[tuple[float, float]]:
@@ -272,7 +258,10 @@ def number(value: float | str | None, digits: int = 2) -> str:
     """A number for a table; None becomes 'unavailable'."""
     if value is None:
         return "unavailable"
-    return value if isinstance(value, str) else f"{value:.{digits}f}"
+    if isinstance(value, str):
+        return value
+    shown = f"{value:.{digits}f}"
+    return shown.removeprefix("-") if not float(shown) else shown  # no "-0.00"
 
 
 def signed(value: float) -> str:

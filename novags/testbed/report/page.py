@@ -16,8 +16,8 @@ from novags.testbed.folders import shapes
 from novags.testbed.folders.experiment import EXPERIMENT, REPORT, experiments_in, find_runs
 from novags.testbed.folders.linear_photographs import LinearPhotographs
 from novags.testbed.folders.run import METRICS
+from novags.testbed.report.comparison import comparison_context
 from novags.testbed.report.facts import (
-    Material,
     camera_table,
     configurations,
     costs,
@@ -37,8 +37,8 @@ from novags.testbed.report.facts import (
 )
 from novags.testbed.report.look.album import Album, files_of
 from novags.testbed.report.look.maps import ERROR_CEILING
+from novags.testbed.report.material import Material
 from novags.testbed.report.pictures import pick_views, view_tiles
-from novags.testbed.report.rows import rows_of
 from novags.testbed.report.signal_chart import signal
 from novags.testbed.report.tables import COLUMNS, GEOMETRY, NOISE, per_view, score_table
 from novags.testbed.report.verdict import cards, verdict
@@ -107,7 +107,7 @@ def write_reports(
             group = groups[0]
             material = Material(path.parent, {}, group.runs, group.metrics, group.capture, group.lit)
             return _fill_report(path, material, console, identity)
-        return fill_page("comparison.html", path, comparison_context(groups, path.parent, identity))
+        return _fill_comparison(path, groups, console, identity)
 
 
 def report_path(folders: Sequence[Path]) -> Path:
@@ -135,6 +135,14 @@ def _fill_report(path: Path, material: Material, console: Console, identity: str
         context = report_context(material, album, progress)
     album.settle()
     return fill_page("report.html", path, {**context, "identity": identity})
+
+
+def _fill_comparison(path: Path, groups: Sequence[Group], console: Console, identity: str) -> Path:
+    album = Album(path)
+    with console.progress("report") as progress:
+        context = comparison_context(groups, path.parent, album, progress)
+    album.settle()
+    return fill_page("comparison.html", path, {**context, "identity": identity})
 
 
 def fill_page(template: str, path: Path, context: dict[str, Any]) -> Path:
@@ -165,28 +173,6 @@ def _embedded(value: Any) -> Any:
     return jinja2.utils.htmlsafe_json_dumps(jsonable(value), separators=(",", ":"), allow_nan=False)
 
 
-def comparison_context(groups: Sequence[Group], folder: Path, identity: str) -> dict[str, Any]:
-    """What the page on several captures shows."""
-    shown = []
-    for group in groups:
-        by = {kind: group.deltas(kind) for kind in ("enhanced", "lit")}
-        recovered = {"enhanced": group.metrics["recovered"], "lit": group.metrics["recovered_lit"]}
-        rows = []
-        competes = {name: row.competes for name, row in rows_of(group.runs).items()}
-        for name, run in group.runs.items():
-            scores = group.metrics["methods"][name]
-            row = {kind: {"value": (scores["mean"].get(kind) or {}).get(MAIN[kind]), "delta": by[kind][0].get(name),
-                          "recovered": recovered[kind].get(name)} for kind in by}  # fmt: skip
-            geometry = scores.get("geometry")
-            rows.append({"name": name, **row, "competes": competes[name], "depth": geometry and geometry["abs_rel"],
-                         "seconds": run.record["stage"]["seconds"], "again": score_again(run, folder)})  # fmt: skip
-        base = {kind: found[1] for kind, found in by.items()}
-        shown.append({"title": group.title, "base": base, "rows": rows, "unavailable": group.metrics["unavailable"],
-                      "unregistered": group.lit.views.unregistered})  # fmt: skip
-    count = sum(len(group.runs) for group in groups)
-    return {"title": f"{count} runs of {len(groups)} captures", "groups": shown, "count": count, "identity": identity}
-
-
 def commands(material: Material) -> dict[str, str]:
     """What makes the results again in the folder of the report: one command of an experiment, else one of each run."""
     if (command := material.experiment.get("command")) is not None:
@@ -200,7 +186,7 @@ def report_context(material: Material, album: Album, progress: Update) -> dict[s
     picked = pick_views(material.capture)
     views = []
     for done, i in enumerate(picked):
-        shown = view_tiles(i, material.runs, material.main, material.capture, material.lit, material.metrics, album)
+        shown = view_tiles(i, material, album)
         views.append(shown)
         progress(done + 1, len(picked), f"view {shown.name}")
     left, right = material.bound("floor") or material.main, material.main
@@ -253,6 +239,7 @@ def score_context(material: Material) -> dict[str, Any]:
         "cameras": camera_table(material),
         "recovered": {**dict.fromkeys(COLUMNS, {}), **recovered},
         "bounds": [material.bound("floor"), material.bound("ceiling")],
+        "in_linear_light": list(material.exposures),
         "training_2d": training_table(material),
         "commands_of": {name: score_again(run, material.folder) for name, run in material.runs.items()},
         "deltas": {kind: deltas_of(material.metrics, methods, kind) if kind in MAIN else ({}, "") for kind in COLUMNS},

@@ -8,25 +8,24 @@ import numpy as np
 
 from novags.methods.problem import encode
 from novags.testbed.folders.capture import Capture
-from novags.testbed.folders.run import Run
-from novags.testbed.folders.set import Source
 from novags.testbed.references import LINEAR, enhanced_dark, pictured, references
 from novags.testbed.report.look.album import Album, Picture, Script
 from novags.testbed.report.look.maps import depth_map, error_map, normal_map, normals_of_depth
 from novags.testbed.report.look.probe import probe_of
+from novags.testbed.report.material import Material
 from simscenes.sets.pictures.png import read_png
 
 VIEWS_OF_EACH_KIND = 4  # held-out and training views shown: enough to judge, small enough to mail
 TRUTHS = {
     "enhanced": ("Truth: noise-free", "the same exposure without noise, enhanced alike"),
     "enhanced_demosaiced": ("Truth: noise-free, demosaiced", "the noise-free mosaic, interpolated and enhanced alike"),
-    "linear": ("Truth: noise-free", "the same exposure without noise, in linear light"),
-    "linear_demosaiced": ("Truth: noise-free, demosaiced", "the noise-free mosaic, interpolated, in linear light"),
+    "linear": ("Truth: noise-free, dark", "the same exposure without noise, not enhanced"),
+    "linear_demosaiced": ("Truth: noise-free, dark, demosaiced", "the noise-free mosaic, interpolated, not enhanced"),
     "lit": ("Truth: well lit", "the scene in good light"),
 }
 LONG = {  # of imported photographs
     "enhanced": ("Truth: long exposure", "brought to the light of the dark one, enhanced alike"),
-    "linear": ("Truth: long exposure", "brought to the light of the dark one"),
+    "linear": ("Truth: long exposure, dark", "brought to the light of the dark one, not enhanced"),
 }
 WORDS = {"enhanced": "noise-free", "linear": "noise-free", "lit": "well-lit"}
 
@@ -64,6 +63,11 @@ class ViewTiles:
     probe: dict[str, Any] | None = None
     data: Script | None = None
 
+    @property
+    def has_depth(self) -> bool:
+        """Whether there is a map of depth among its pictures."""
+        return any(tile.key.startswith("depth-") for tile in self.tiles)
+
 
 @dataclass
 class _Tiles:
@@ -75,7 +79,7 @@ class _Tiles:
 
     def add(self, key: str, label: str, note: str, image: np.ndarray) -> None:
         picture = self.album.add(image)
-        self.made.append(Tile(key, label, note, f"{label}, view {self.view}: {note}", picture))
+        self.made.append(Tile(key, label, note, f"{label}, {self.view}: {note}", picture))
 
 
 def pick_views(capture: Capture) -> list[int]:
@@ -89,35 +93,57 @@ def spread(indices: Sequence[int], count: int = VIEWS_OF_EACH_KIND) -> list[int]
     return [indices[round(place)] for place in places]
 
 
-def view_tiles(
-    i: int, runs: Mapping[str, Run], main: str, capture: Capture, lit: Source, metrics: Mapping[str, Any], album: Album
-) -> ViewTiles:
-    """Everything there is to see of view `i`; `main` names the run whose denoised images are shown."""
+def view_tiles(i: int, material: Material, album: Album, place: str = "") -> ViewTiles:
+    """Everything there is to see of view `i`; its pictures go into `album`.
+
+    Args:
+        i: The view.
+        material: Capture and runs. The main run is the one whose denoised images are shown, and whose depth sets the
+            scale of all.
+        album: Of the page.
+        place: Which capture it is, on a page that shows several.
+    """
+    capture, runs, main = material.capture, material.runs, material.main
     name, held_out = capture.names[i], i in capture.cameras.test_indices
-    run, tiles = runs[main], _Tiles(album, name)
+    title = f"{place}, view {name}" if place else name
+    run, tiles = runs[main], _Tiles(album, title if place else f"view {name}")
     tiles.add("dark", "Dark input", "what the camera delivers, 8-bit sRGB", capture.srgb8(i))
     if run.enhancement is not None:
         noisy = enhanced_dark(capture, i, run.enhancement)
         tiles.add("enhanced", "Enhanced", "the dark input made bright, noise included", noisy)
     if (denoised := run.path / "denoised" / f"{name}.png").exists():
         tiles.add("denoised", f"Denoised by {main}", "what the scene is fitted to", read_png(denoised))
-    renders = {other: made.rendering(name) for other, made in runs.items()}
-    for other, image in renders.items():
-        note = render_note(metrics["methods"][other]["views"].get(name) if held_out else None, held_out)
-        tiles.add(f"render-{other}", f"Rendered by {other}", note, pictured(runs[other], capture, image))
-    truths = {other: references(made, capture, lit, i) for other, made in runs.items()}
-    for kind, image in truths[main].items():
-        label, note = LONG[kind] if capture.imported and kind in LONG else TRUTHS[kind]
-        tiles.add(f"truth-{kind}", label, note, shown(image, kind))
-    for other, image in renders.items():
-        if truths[other]:
-            _add_error(tiles, other, pictured(runs[other], capture, image), truths[other])
-    _add_geometry(tiles, i, runs, main, capture, lit)
+    _add_renders(tiles, i, material, held_out)
+    _add_geometry(tiles, i, material)
     width, height = capture.cameras.rig.width, capture.cameras.rig.height
     if (probe := probe_of(capture, i)) is None:
-        return ViewTiles(name, held_out, width, height, tuple(tiles.made))
-    data = album.add_data(f"probe-{name}", probe.data)
-    return ViewTiles(name, held_out, width, height, tuple(tiles.made), probe.header, data)
+        return ViewTiles(title, held_out, width, height, tuple(tiles.made))
+    data = album.add_data(f"probe-{title}", probe.data)
+    return ViewTiles(title, held_out, width, height, tuple(tiles.made), probe.header, data)
+
+
+def _add_renders(tiles: _Tiles, i: int, material: Material, held_out: bool) -> None:
+    """What every run renders, what it is compared with, and how far it is from that."""
+    capture, name, shows = material.capture, material.capture.names[i], dict[str, np.ndarray]()
+    light = {other: run.rendering(name) for other, run in material.runs.items()}
+    for other, run in material.runs.items():
+        scores = material.metrics["methods"][other]["views"].get(name) if held_out else None
+        shows[other] = pictured(run, capture, light[other])
+        tiles.add(f"render-{other}", f"Rendered by {other}", render_note(scores, held_out), shows[other])
+    for other, exposures in material.exposures.items():
+        of = {"dark": (exposures.dark, "dark input"), "lit": (exposures.lit, "well-lit truth")}
+        for kind, (gain, what) in of.items():
+            if gain is not None:
+                note = f"its linear light at the exposure of the {what}, not enhanced"
+                label = f"{other}, {'dark' if kind == 'dark' else 'well lit'}"
+                tiles.add(f"{kind}-{other}", label, note, encode(gain * light[other]))
+    truths = {other: references(run, capture, material.lit, i) for other, run in material.runs.items()}
+    for kind, image in truths[material.main].items():
+        label, note = LONG[kind] if capture.imported and kind in LONG else TRUTHS[kind]
+        tiles.add(f"truth-{kind}", label, note, shown(image, kind))
+    for other, image in shows.items():
+        if truths[other]:
+            _add_error(tiles, other, image, truths[other])
 
 
 def shown(image: np.ndarray, kind: str) -> np.ndarray:
@@ -149,19 +175,17 @@ def _add_error(tiles: _Tiles, name: str, image: np.ndarray, truths: Mapping[str,
     tiles.add(f"error-{name}", f"Error of {name}", note, error_map(image, shown(truth, kind)))
 
 
-def _add_geometry(
-    tiles: _Tiles, i: int, runs: Mapping[str, Run], main: str, capture: Capture, lit: Source
-) -> None:  # fmt: skip
+def _add_geometry(tiles: _Tiles, i: int, material: Material) -> None:
     """Depth and normals of every run and of the truth, all depths on the scale of the main run's."""
+    capture, lit, found = material.capture, material.lit, dict[str, tuple[np.ndarray, np.ndarray]]()
     geometry = None if lit.scaled else lit.views.geometry(i)
-    found = {}
-    for name, run in runs.items():
-        depth, alpha = run.depth(tiles.view)
+    for name, run in material.runs.items():
+        depth, alpha = run.depth(capture.names[i])
         if (alpha > 0.5).any():
             found[name] = (depth * run.depth_scale, alpha > 0.5)
     if geometry is not None:
         found[""] = (geometry["z"], np.isfinite(geometry["z"]))
-    scale = next((found[name] for name in (main, "", *found) if name in found and found[name][1].any()), None)
+    scale = next((found[name] for name in (material.main, "", *found) if name in found and found[name][1].any()), None)
     if scale is None:
         return
     near, far = (float(v) for v in np.percentile(scale[0][scale[1]], (1, 99)))

@@ -1,6 +1,7 @@
 """The outcome in a sentence and in numbers: which run comes first, by how much, and which scores disagree."""
 
-from novags.testbed.report.facts import Material, costs, duration, join, leading, signed
+from novags.testbed.report.facts import costs, duration, join, leading, signed
+from novags.testbed.report.material import Material
 from novags.testbed.report.tables import COLUMNS, score_table
 
 

@@ -3,6 +3,7 @@
 import base64
 import hashlib
 import io
+import json
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -85,20 +86,6 @@ class Album:
             return self.add_encoded(_encoded(codes, "jpeg", 92), "jpeg")
         return self.add_encoded(_with_palette(codes) or _encoded(codes, "png", 0), "png")
 
-    def add_file(self, path: Path) -> Picture:
-        """An 8-bit PNG file: as it is while small, else as JPEG.
-
-        Raises:
-            ValueError: If the file is not a picture.
-        """
-        data = path.read_bytes()
-        codes = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-        if codes is None:
-            raise ValueError(f"{path} is not a picture: make it again")
-        if codes.shape[0] * codes.shape[1] > PNG_PIXELS:
-            return self.add_encoded(_encoded(codes, "jpeg", 92), "jpeg")
-        return self.add_encoded(data, "png")
-
     def add_encoded(self, data: bytes, kind: str) -> Picture:
         """A picture that is encoded already, "png" or "jpeg"."""
         self._pictures.append(Picture(data, kind))
@@ -130,7 +117,7 @@ class Album:
         for script in self._scripts:
             script.inside = used + data <= self.inside
             if not script.inside:
-                call = f'novags.probe.receive("{script.name}", "{script.text}");\n'
+                call = f"novags.probe.receive({json.dumps(script.name)}, {json.dumps(script.text)});\n"
                 script.file = self._write(call.encode(), "js", written)
         self._forget(written)
 

@@ -1,4 +1,5 @@
 // A number of a table says how it was made: a click, or Enter, shows the command. Arrow keys move between numbers.
+// Where a row has pictures, they are a click away: on what stands in front of the numbers, or on a button at the command.
 novags.cells = {
   tell(table, cell) {
     this.shut(table);
@@ -8,11 +9,13 @@ novags.cells = {
     const place = cell.dataset.rank ? `, place ${cell.dataset.rank} of ${rivals}` : "";
     const box = document.createElement("div");
     box.className = "told";
-    box.innerHTML = '<strong></strong> <span class="muted">Make it again, in the folder of this page:</span><pre></pre><div><button type="button">Copy</button><button type="button">Close</button></div>';
+    box.innerHTML = '<strong></strong> <span class="muted">Make it again, in the folder of this page:</span><pre></pre><div><button type="button">Copy</button><button type="button">Show its pictures</button><button type="button">Close</button></div>';
     box.querySelector("strong").textContent = `${name}, ${what}: ${cell.dataset.value || "no value"}${place}.`;
     box.querySelector("pre").textContent = row.dataset.command;
-    const [copy, close] = box.querySelectorAll("button");
+    const [copy, look, close] = box.querySelectorAll("button");
     copy.addEventListener("click", () => this.copy(row.dataset.command, copy));
+    look.hidden = !("view" in row.dataset);
+    look.addEventListener("click", () => novags.look.open(row.dataset.view, row.dataset.picture));
     close.addEventListener("click", () => {
       this.shut(table);
       cell.focus();
@@ -49,6 +52,10 @@ novags.parts.push({
     for (const table of root.querySelectorAll("table[data-name]")) this.table(table);
   },
   table(table) {
+    table.tBodies[0].addEventListener("click", (event) => {
+      const row = event.target.closest("tr[data-view] :is(th, td:not(.num))")?.parentElement;
+      if (row) novags.look.open(row.dataset.view, row.dataset.picture);
+    });
     const first = table.querySelector("tr[data-command] td.num");
     if (!first) return;
     first.tabIndex = 0;

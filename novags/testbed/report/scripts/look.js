@@ -77,6 +77,16 @@ novags.look = {
     novags.byId(side).value = figure.dataset.key;
     this.show();
     this.keep();
+    this.reveal();
+  },
+  // A view by its name, with that picture on the right.
+  open(name, key) {
+    novags.byId("view").value = Math.max(0, this.grids.findIndex((grid) => grid.dataset.name === name));
+    this.change("", key);
+    this.keep();
+    this.reveal();
+  },
+  reveal() {
     const frame = novags.stage.box.getBoundingClientRect();
     if (frame.bottom < 80 || frame.top > innerHeight - 80) novags.stage.box.scrollIntoView({ block: "center", behavior: "smooth" });
   },

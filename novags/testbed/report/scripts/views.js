@@ -19,7 +19,7 @@ novags.views = {
     const known = score.values.flat().filter((value) => typeof value === "number");
     box.replaceChildren();
     if (!known.length) return;
-    const svg = novags.plots.svg, width = Math.max(280, box.clientWidth), left = Math.min(150, 0.3 * width), line = 26, height = methods.length * line + 34;
+    const svg = novags.plots.svg, width = Math.max(280, box.clientWidth), left = Math.min(0.5 * width, 24 + 7 * Math.max(...methods.map((name) => name.length + 1))), line = 26, height = methods.length * line + 34;
     let low = Math.min(...known), high = Math.max(...known);
     const pad = 0.04 * (high - low) || 0.5;
     [low, high] = [low - pad, high + pad];

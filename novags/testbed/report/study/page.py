@@ -10,9 +10,10 @@ from novags.testbed.folders.experiment import REPORT
 from novags.testbed.report.look.album import Album
 from novags.testbed.report.look.maps import ERROR_CEILING
 from novags.testbed.report.page import fill_page
+from novags.testbed.report.pictures import ViewTiles
 from novags.testbed.report.study.grid import COLUMNS, SCALES, Line, lines_of, main_column, shown_columns, verdict
 from novags.testbed.report.study.light import Look, light_report, looks_of
-from novags.testbed.report.study.pictures import study_views
+from novags.testbed.report.study.pictures import place_of, study_views
 from novags.testbed.report.study.records import Records, read_records, signals
 from novags.testbed.study.conduct import STUDY
 from novags.testbed.study.light import MEASURES, METHOD
@@ -59,10 +60,10 @@ def write_study(folder: Path, out: Path | None = None) -> Path:
     album.settle()
     light = light_report(path.parent, rows, axes, looks)
     context = {
-        **_tables(lines, rows, axes, records, path),
+        **_tables(lines, rows, axes, records, path, views),
         "title": f"{study['file']}: {len(rows)} runs",
         "verdict": verdict(lines, competes), "states": counted(rows), "light": light, "looks": looks,
-        "views": views, "unseen": unseen, "signals": signals(lines, records),
+        "views": list(views.values()), "unseen": unseen, "signals": signals(lines, records),
         "error_ceiling": ERROR_CEILING, "data": _data(lines, looks),
         "failed": [row for row in rows if row["state"] == "failed"], "costs": records.costs(),
         "effects": records.effects(), "departures": records.departures(), "lost": len(records.lost),
@@ -92,8 +93,9 @@ def _data(lines: Sequence[Line], looks: Mapping[str, Look]) -> dict[str, Any]:
 
 
 def _tables(
-    lines: Sequence[Line], rows: Sequence[Mapping[str, Any]], axes: Mapping[str, Any], records: Records, path: Path
-) -> dict[str, Any]:
+    lines: Sequence[Line], rows: Sequence[Mapping[str, Any]], axes: Mapping[str, Any], records: Records, path: Path,
+    views: Mapping[str, ViewTiles],
+) -> dict[str, Any]:  # fmt: skip
     """The tables of combinations and of single runs."""
     columns, commands = shown_columns(lines), records.commands(path)
     varied = [name for name in axes if name != METHOD and len({str(row[name]) for row in rows}) > 1]
@@ -103,7 +105,10 @@ def _tables(
                  for column, _, _, _, digits in columns]  # fmt: skip
         found = [commands[int(row["run"])] for row in line.runs if int(row["run"]) in commands]
         done = sum(row["state"] == "done" for row in line.runs)
-        combined.append({"line": line, "cells": cells, "command": "\n".join(found), "done": done})
+        shown = views.get(place_of(line))
+        seen = shown is not None and any(tile.key == f"render-{line.method}" for tile in shown.tiles)
+        combined.append({"line": line, "cells": cells, "command": "\n".join(found), "done": done,
+                         "view": shown.name if shown is not None and seen else None})  # fmt: skip
     main = main_column(lines)
     return {
         "columns": columns, "scales": SCALES, "combined": combined, "rows": rows, "varied": varied,

@@ -59,8 +59,13 @@ WRONG_SPLITS = {
     "twice": ({"train": ["hall"], "val": ["hall:2"]}, r"\[dataset.split\] val: hall lies in train already"),
     "unknown": ({"train": 1, "test": ["attic"]}, r"test: \[grid\] has no scene 'attic' \(it has tabletop, cornell"),
     "left over": ({"test": ["hall"]}, "lie in no split: name them in a list, or give a share"),
-    "share": ({"train": -1}, "train: it must be a share > 0 or a list of scenes, got -1"),
-    "text": ({"train": "most"}, "train: it must be a share > 0 or a list of scenes, got 'most'"),
+    "share": ({"train": -1}, "train: it must be a share > 0 and at most 1e.09, or a list of scenes, got -1"),
+    "huge": (
+        {"train": 1e308, "val": 1e308},
+        "train: it must be a share > 0 and at most 1e.09, or a list of scenes, got 1e",
+    ),
+    "digits": ({"train": 10**400}, "train: it must be a share > 0 and at most 1e.09, or a list of scenes, got 100"),
+    "text": ({"train": "most"}, "train: it must be a share > 0 and at most 1e.09, or a list of scenes, got 'most'"),
 }
 
 

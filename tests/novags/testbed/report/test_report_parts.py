@@ -1,10 +1,13 @@
 """Claims about what a report is made of: places in tables, spreads, maps, pictures, the numbers under the probe."""
 
+import json
 import math
 import re
 import sys
 import zlib
+from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -18,11 +21,13 @@ from novags.testbed import stages  # noqa: E402
 from novags.testbed.console import Console  # noqa: E402
 from novags.testbed.folders.capture import Capture, open_capture  # noqa: E402
 from novags.testbed.report.look.album import Album, files_of  # noqa: E402
+from novags.testbed.report.look.exposures import exposures_of  # noqa: E402
 from novags.testbed.report.look.maps import colour_map, normal_map, normals_of_depth  # noqa: E402
 from novags.testbed.report.look.probe import probe_of  # noqa: E402
 from novags.testbed.report.signal_chart import by_filter, signal  # noqa: E402
 from novags.testbed.report.tables import per_view, ranks, score_table  # noqa: E402
 from novags.testbed.stages.capture import CaptureConfig  # noqa: E402
+from sensor_model import srgb_to_linear  # noqa: E402
 from simscenes.sets.pictures.exr import read_exr  # noqa: E402
 from tests.fuzz.readers.records import make_set  # noqa: E402
 
@@ -133,6 +138,16 @@ def test_small_pictures_keep_every_code_and_maps_are_small(tmp_path: Path, kind:
     if kind == "map":
         plain = cv2.imencode(".png", np.round(255 * image[..., ::-1]).astype(np.uint8))[1]
         assert len(picture.data) < 0.6 * len(plain)
+
+
+def test_a_name_with_quotes_hands_its_data_over(tmp_path: Path) -> None:
+    album = Album(tmp_path / "page.html", inside=0)
+    script = album.add_data('probe-a "b" \\ c', b"data")
+    album.settle()
+    assert script.file is not None
+    call = (tmp_path / script.file).read_text()
+    name, text = json.loads(f"[{call[call.index('(') + 1 : call.rindex(')')]}]")
+    assert (name, text) == (script.name, script.text)
 
 
 def test_large_pictures_are_jpeg_at_their_own_size(tmp_path: Path) -> None:
@@ -261,8 +276,26 @@ def test_pixels_of_a_mosaic_count_for_the_colour_of_their_filter() -> None:
 
 def plot(chart: str) -> Any:
     import html
-    import json
 
     found = re.search(r'data-plot="([^"]*)"', chart)
     assert found is not None
     return json.loads(html.unescape(found[1]))
+
+
+def test_light_is_shown_at_the_exposures_of_the_dark_and_of_the_well_lit_pictures(captures: dict[str, Capture]) -> None:
+    capture, rng = captures["chips"], np.random.default_rng(0)
+    index = {name: i for i, name in enumerate(capture.names)}
+    codes = np.minimum(rng.random((3, 24, 32, 3), np.float32) * 1.25, 1)
+    codes[0] = 0  # a black view says nothing, and does no harm
+
+    def of(rendering: Any, *, known: bool = True) -> Any:
+        run: Any = SimpleNamespace(space="linear", enhancement=None, rendering=lambda name: rendering(index[name]))
+        lit: Any = SimpleNamespace(lit_known=known, lit=lambda i: codes[i])
+        return exposures_of(run, replace(capture, cameras=replace(capture.cameras, held_out=(0, 1, 2))), lit)
+
+    assert of(lambda i: 0.25 * capture.clean_linear(i)).dark == pytest.approx(4)
+    assert of(lambda i: 0.25 * capture.clean_linear(i), known=False).lit is None
+    light = np.where(codes < 1, 0.125 * srgb_to_linear(codes), 9.0).astype(np.float32)
+    assert of(lambda i: light[i]).lit == pytest.approx(8)  # whatever stands where the picture is white
+    codes[:] = 1
+    assert of(lambda i: light[i]).lit is None

@@ -1,5 +1,7 @@
 """Claims about merging scores, recovered fractions, and the parts of a report."""
 
+import math
+import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable
 from typing import Any
@@ -8,7 +10,7 @@ import numpy as np
 import pytest
 
 from novags.testbed.report.charts import line_chart, linear_ticks, log_ticks
-from novags.testbed.report.facts import duration, join, number, signed, size, smoothed
+from novags.testbed.report.facts import duration, fits, join, number, signed, size, smoothed
 from novags.testbed.report.look.maps import ERROR_CEILING, depth_map, error_map
 from novags.testbed.report.tables import score_table
 from novags.testbed.stages.score import merge, recovered_fractions
@@ -108,13 +110,26 @@ def test_a_chart_is_well_formed_and_draws_every_series() -> None:
         title="t",
     )
     root = ElementTree.fromstring(svg)
-    lines = [element for element in root.iter() if element.tag == "polyline"]
+    lines = [element for element in root.iter() if element.tag == "path"]
     assert [line.get("class") for line in lines] == ["line dash0 m0", "line dash1 m1"]
     for line in lines:
-        for point in (line.get("points") or "").split():
+        for point in re.split("[ML]", line.get("d") or "")[1:]:
             x, y = map(float, point.split(","))
             assert 0 <= x <= 640
             assert 0 <= y <= 300
+
+
+def test_a_line_has_a_gap_where_a_value_is_not_positive() -> None:
+    points = [(10, 0.5), (20, 0.1), (20, math.nan), (30, 0.2), (40, 0.0), (50, 0.3), (60, 0.4)]
+    svg = line_chart({"a": points}, {"a": "m0"}, x_label="x", y_label="y", title="t")
+    (line,) = [element for element in ElementTree.fromstring(svg).iter() if element.tag == "path"]
+    assert re.sub(r"[\d.,]+", "p", line.get("d") or "") == "MpLpMpMpLp"
+
+
+def test_fits_of_one_run_stand_one_after_the_other() -> None:
+    counted = [(10, 5.0), (20, 4.0), (10, 3.0), (10, 2.0), (40, 1.0)]
+    assert fits(counted) == [[(10, 5.0), (20, 4.0)], [(30, 3.0)], [(40, 2.0), (70, 1.0)]]
+    assert fits([]) == []
 
 
 @pytest.mark.parametrize(("low", "high"), [(-3.0, 1.0), (-1.2, -1.0), (0.0, 0.3), (-2.0, -1.99)])

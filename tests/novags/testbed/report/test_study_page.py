@@ -3,14 +3,19 @@
 import csv
 import json
 import os
+import re
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from novags.testbed.report.look.album import Album
+from novags.testbed.report.study import light
 from novags.testbed.report.study.grid import first_places, lines_of, verdict
 from novags.testbed.report.study.page import write_study
+from novags.testbed.report.study.pictures import chosen, study_views
 from novags.testbed.report.study.records import read_records
 from simscenes.sets.pictures.exr import read_exr
 
@@ -90,18 +95,21 @@ def test_shared_stages_count_once(study: Path) -> None:
     assert costs["reconstruct: naive"]["seconds"] == 2.0
 
 
-def test_a_damaged_picture_costs_its_place_and_not_the_page(study: Path, tmp_path: Path, experiment: Path) -> None:
-    import shutil
-
-    (tmp_path / "study").mkdir()
-    shutil.copytree(experiment, tmp_path / "runs")
+def copied(study: Path, experiment: Path, folder: Path) -> None:
+    """A study with its runs beside it, in folders of its own."""
+    (folder / "study").mkdir()
+    shutil.copytree(experiment, folder / "runs")
     for name in ("results.json", "study.json"):
         text = (study / name).read_text().replace(os.path.relpath(experiment, study), "../runs")
-        (tmp_path / "study" / name).write_text(text)
+        (folder / "study" / name).write_text(text)
+
+
+def test_a_damaged_picture_costs_its_place_and_not_the_page(study: Path, tmp_path: Path, experiment: Path) -> None:
+    copied(study, experiment, tmp_path)
     (tmp_path / "runs" / "capture" / "images" / "0000.png").write_bytes(b"no picture")
     page = write_study(tmp_path / "study").read_text(encoding="utf-8")
     assert "Pictures that cannot be shown: electrons 5" in page.replace("scene a, ", "")
-    assert "0000.png is not a picture: make it again" in page
+    assert "0000.png is not a readable image" in page
     assert 'data-name="combinations"' in page
 
 
@@ -141,13 +149,70 @@ def test_a_study_is_narrowed_sorted_compared_and_downloaded(visit: Callable[...,
     assert texts(again, "combinations", 1) == ["naive", "better", "oracle†"]
 
 
+def pictures(page: Path, view: int = 0) -> dict[str, str]:
+    """What a view of a page shows, by key."""
+    grid = page.read_text(encoding="utf-8").split('<div class="grid"')[view + 1]
+    return dict(re.findall(r'<figure data-key="([^"]+)"><img src="([^"]+)"', grid))
+
+
+def test_a_place_shows_the_pictures_and_maps_that_the_page_of_its_runs_shows(study: Path, experiment: Path) -> None:
+    for view in (0, 1):  # both places are of one capture
+        found, single = pictures(study / "report.html", view), pictures(experiment / "report.html")
+        assert found == single
+        for name in ("naive", "better", "oracle"):
+            assert {f"{kind}-{name}" for kind in ("render", "error", "depth", "normal")} <= set(found)
+        assert {"depth-true", "normal-true", "truth-lit", "truth-enhanced"} <= set(found)
+
+
+def test_where_the_set_is_gone_the_truth_that_the_capture_holds_is_shown(
+    study: Path, tmp_path: Path, experiment: Path
+) -> None:
+    copied(study, experiment, tmp_path)
+    shutil.rmtree(tmp_path / "runs" / "set")
+    found = set(pictures(write_study(tmp_path / "study")))
+    assert {"dark", "truth-enhanced", "error-naive", "depth-better"} <= found
+    assert not {"truth-lit", "depth-true", "normal-true"} & found
+
+
+def test_the_runs_shown_of_a_place_are_of_one_capture_and_the_rest_is_told(study: Path) -> None:
+    found = read_records(study, json.loads((study / "results.json").read_text())["rows"])
+    found.captures[2] = found.captures[5] = (Path("elsewhere"), {})  # naive, second seed; better, first seed
+    found.runs.pop(9)  # oracle, first seed
+    lines = [line for line in lines_of(rows(), AXES, COMPETES) if line.place["electrons"] == 5]
+    capture, runs = chosen(lines, found)
+    assert capture == found.captures[1][0]
+    assert sorted(runs) == ["better", "naive", "oracle"]
+    assert [runs["naive"], runs["better"], runs["oracle"]] == [found.runs[1], found.runs[6], found.runs[10]]
+    assert runs["better"] is found.runs[6]
+    assert runs["oracle"] is found.runs[10]
+    found.captures[6] = (Path("elsewhere"), {})
+    shown, lost = study_views(lines, found, Album(study / "other.html"))
+    (place,) = shown
+    assert lost == {f"{place}, better": "no finished run of it is from the same capture as the others"}
+
+
+@pytest.mark.parametrize("width", [390, 1300])
+def test_a_click_on_a_place_or_its_command_shows_its_pictures(
+    visit: Callable[..., Any], study: Path, width: int
+) -> None:
+    tab = visit(study / "report.html", width=width)
+    row = tab.locator('table[data-name="combinations"] tbody tr', has_text="naive").nth(1)
+    row.locator("td.axis").click()
+    shown = "['view', 'right'].map(id => novags.byId(id).selectedOptions[0].textContent)"
+    assert tab.evaluate(shown) == ["scene a, electrons 50, view 0000 · held out", "Rendered by naive"]
+    tab.wait_for_function("document.getElementById('compare').getBoundingClientRect().top < innerHeight")
+    tab.locator(".grid.shown figure[data-key='depth-better'] img").click()
+    assert tab.evaluate(shown)[1] == "Depth of better"
+    cell = tab.locator('table[data-name="combinations"] tbody tr', has_text="better").first.locator("td.num").nth(1)
+    cell.click()
+    tab.get_by_role("button", name="Show its pictures").press("Enter")
+    assert tab.evaluate(shown) == ["scene a, electrons 5, view 0000 · held out", "Rendered by better"]
+
+
 def test_pictures_and_commands_of_a_study_are_those_of_its_runs(
     visit: Callable[..., Any], study: Path, experiment: Path
 ) -> None:
     tab = visit(study / "report.html")
-    keys = tab.eval_on_selector_all(".grid.shown figure", "figures => figures.map(figure => figure.dataset.key)")
-    assert keys == ["dark", "truth-lit", "render-oracle", "error-oracle", "render-better", "error-better",
-                    "render-naive", "error-naive"]  # fmt: skip
     tab.locator("#view").select_option(index=1)
     assert "electrons 50" in tab.locator("#view option:checked").text_content()
     tab.evaluate("novags.stage.probe({x: 10.5 / 32, y: 7.5 / 24}, true)")
@@ -161,3 +226,11 @@ def test_pictures_and_commands_of_a_study_are_those_of_its_runs(
     commands = tab.locator(".told pre").text_content().splitlines()
     assert len(commands) == 2  # one a seed
     assert all("novags reconstruct ../page0/capture --variant" in command for command in commands)
+
+
+def test_a_study_of_curves_that_cannot_break_has_a_page(
+    study: Path, experiment: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    copied(study, experiment, tmp_path)
+    monkeypatch.setattr(light, "knee_rows", lambda curves: [])
+    assert "No curve breaks" in write_study(tmp_path / "study").read_text(encoding="utf-8")

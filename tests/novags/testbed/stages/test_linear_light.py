@@ -1,5 +1,7 @@
 """Runs that end in linear light: how they are shown, scored, and opened again."""
 
+import base64
+import re
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -23,6 +25,8 @@ from novags.testbed.folders.run import CHECKPOINTS, Run, open_run
 from novags.testbed.metrics import aligned_psnr, image_scores
 from novags.testbed.pareto.reconstruction import held_out_error
 from novags.testbed.references import enhanced_truth, pictured, references
+from novags.testbed.report.look.exposures import exposures_of
+from novags.testbed.report.page import write_report
 from novags.testbed.stages.capture import CaptureConfig
 from novags.testbed.stages.reconstruct import ReconstructConfig, prepare
 from novags.testbed.viewer.splats import scene_of
@@ -146,6 +150,27 @@ def test_a_saved_scene_of_tones_gives_the_same_light_again(capture: Capture, run
     )  # fmt: skip
     again = scene.render(view)[0][0].numpy()
     np.testing.assert_allclose(again, run.rendering(capture.names[i]), rtol=1e-3, atol=1e-6)
+
+
+def test_the_report_shows_the_light_at_the_exposures_of_both_truths(capture: Capture, run: Run) -> None:
+    stages.score(run.path, QUIET)
+    page = write_report(run.path, QUIET).read_text(encoding="utf-8")
+    (first, *_) = re.findall(r'<div class="grid".*?</div>', page, re.S)
+    tiles = dict(re.findall(r'<figure data-key="([^"]+)"><img src="([^"]+)"', first))
+    labels = re.findall("<figcaption><strong>(.*?)</strong>", first)
+    assert len(set(labels)) == len(labels) == len(tiles)  # or no list could tell which is which
+    name, source = capture.names[capture.cameras.test_indices[0]], capture.source(QUIET)
+    light = run.rendering(name)
+    gains = exposures_of(run, capture, source)
+    for kind, gain in (("dark", gains.dark), ("lit", gains.lit)):
+        assert gain is not None
+        codes = cv2.imdecode(np.frombuffer(base64.b64decode(tiles[f"{kind}-nova-plus"].partition(",")[2]), np.uint8), 1)
+        assert codes is not None
+        assert np.abs(codes[..., ::-1] - 255 * encode(gain * light).clip(0, 1)).max() <= 0.51
+    assert gains.lit is not None
+    assert gains.dark is not None
+    assert gains.lit > 3 * gains.dark  # the well-lit picture is brighter
+    assert "nova-plus: linear light, compared at the exposure of the capture" in page
 
 
 def test_nothing_that_only_unfinished_work_needs_is_left(run: Run) -> None:
