@@ -66,6 +66,12 @@ def test_an_experiment_that_compares_several_methods_has_the_parts_of_all_and_th
     assert found[0.25].factors == pytest.approx({"fit": 0.5, "refit": (0.25 * 0.75) ** 0.5})
 
 
+def test_settings_that_one_of_the_methods_was_not_measured_at_are_left_out() -> None:
+    both = [*CURVE, *other(CURVE[2:], "plus", "refit")]  # from 400 on
+    found = options_of(both, {"nova", "plus"})["points"]
+    assert min(option.share for option in found) == 0.5
+
+
 def test_curves_of_methods_that_are_not_compared_count_only_if_there_are_no_others() -> None:
     both = [*CURVE, *other(CURVE, "plus", "refit")]
     assert options_of(both, {"plus"}) == options_of(other(CURVE, "plus", "refit"))
@@ -76,7 +82,7 @@ def test_what_this_machine_has_not_measured_comes_from_novags(tmp_path: Path, mo
     monkeypatch.chdir(tmp_path)
     write(tmp_path / "shipped.jsonl", [*CURVE, *other(CURVE, "plus", "refit")])
     monkeypatch.setattr(module, "SHIPPED", tmp_path / "shipped.jsonl")
-    here = [{**p, "hardware": HERE, "db_lost": 2 * p["db_lost"]} for p in CURVE]
+    here = [{**p, "hardware": HERE, "db_lost": 2 * p["db_lost"]} for p in CURVE if p["setting"] != 200]
     write(tmp_path / "out" / "pareto" / "curves.jsonl", here)
     found = known(None, {"nova", "plus"})
     assert found.source == (
@@ -85,6 +91,8 @@ def test_what_this_machine_has_not_measured_comes_from_novags(tmp_path: Path, mo
     )
     least = min(found.options["points"], key=lambda option: option.share)
     assert (least.lost, least.factors) == (pytest.approx((4.0 + 1.0) / 2), {"fit": 0.25, "refit": 0.25})
+    quarter = next(option for option in found.options["points"] if option.share == 0.25)
+    assert quarter.lost == pytest.approx((2.0 + 0.25) / 2)  # between 4.0 and nothing; never the 0.5 of novags
     assert known(None, {"nova"}).source == f"measured earlier on this machine ({Path('out') / 'pareto'})"
 
 
