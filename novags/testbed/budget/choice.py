@@ -146,7 +146,7 @@ def united(curves: Sequence[Sequence[Option]]) -> list[Option]:
     """
     least = max(min(option.share for option in curve) for curve in curves)
     shares = sorted({option.share for curve in curves for option in curve if option.share >= least})
-    return [_mean([_at_share(curve, share) for curve in curves]) for share in shares]
+    return [_mean(share, [_at_share(curve, share) for curve in curves]) for share in shares]
 
 
 def _at_share(curve: Sequence[Option], share: float) -> Option:
@@ -157,11 +157,11 @@ def _at_share(curve: Sequence[Option], share: float) -> Option:
     return between(low, high, math.log(share / low.share) / math.log(high.share / low.share))
 
 
-def _mean(options: Sequence[Option]) -> Option:
+def _mean(share: float, options: Sequence[Option]) -> Option:
     parts = dict.fromkeys(part for option in options for part in option.factors)
     own = {part: [option.factors[part] for option in options if part in option.factors] for part in parts}
     return Option(
-        name=options[0].name, share=options[0].share, factors={part: float(np.mean(own[part])) for part in parts},
+        name=options[0].name, share=share, factors={part: float(np.mean(own[part])) for part in parts},
         lost=float(np.mean([option.lost for option in options])),
         sd=math.hypot(*(option.sd for option in options)) / len(options),
     )  # fmt: skip
