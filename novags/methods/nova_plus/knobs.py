@@ -20,7 +20,7 @@ KNOBS = {
         "further ones nothing that could be measured",
     ),
     "stages": MethodKnob.of(
-        "stages", ("likelihood", "all"), parts=("structure",),
-        why="all has guided averages and their refit; likelihood fits the raw data and merges its seeds",
+        "stages", ("likelihood", "all"), parts=("denoiser", "structure"),
+        why="all has averages, denoised data and their refit; likelihood fits the raw data and merges its seeds",
     ),
 }  # fmt: skip

@@ -170,7 +170,10 @@ def test_curves_that_came_with_novags_are_of_knobs_that_are_there() -> None:
         subject = make(False, Path("nowhere"), QUIET)
         own = [point for point in points if point["knob"].startswith(f"{name}.")]
         assert own
-        assert all(point["workload"] == dict(subject.workload) for point in own)
+        work = ("method", "scene", "views", "size", "samples per pixel", "sensor", "electrons", "points")
+        # what the method's parts are, and how many steps each has, may have changed since
+        assert all({key: point["workload"][key] for key in work} == {key: subject.workload[key] for key in work}
+                   for point in own)  # fmt: skip
         settings = {f"{name}.{knob.name}": knob.settings for knob in subject.knobs}
         assert all(point["setting"] in settings[point["knob"]] for point in own)
 
