@@ -3,10 +3,10 @@
     python scripts/make_docs.py [PAGE ...] [--cheap]      (all pages, if none is named)
 
 A command stands in a block of the language `console`, on a line that begins with "$ "; the lines below it are its
-output. The blocks of a page run in their order in one empty folder, `novags` being the one of this checkout. A comment
-in front of a block says more: `<!-- cheap -->`: takes a few seconds, always prints the same, and a test compares it;
-`<!-- first=8 -->`: only so many lines are kept; `<!-- stop -->`: a server, which is interrupted once it has printed its
-address; `<!-- exit=2 -->`: it must fail with this code.
+output. The blocks of a page run in their order in one empty folder, with `novags` and `python` of this checkout.
+A comment in front of a block says more: `<!-- cheap -->`: takes a few seconds, always prints the same, and a test
+compares it; `<!-- first=8 -->`: only so many lines are kept; `<!-- stop -->`: a server, which is interrupted once it
+has printed its address; `<!-- exit=2 -->`: it must fail with this code.
 
 `<!-- file NAME -->` before a block: the page's block of code with that title is written to a file of that name first.
 
@@ -62,8 +62,8 @@ def printed(command: str, folder: Path, wishes: Wishes) -> str:
         RuntimeError: If it ends with another code than is said.
     """
     words = shlex.split(command)
-    if words[0] == "novags":
-        words[:1] = [sys.executable, "-m", "novags"]
+    if words[0] in ("novags", "python"):
+        words[:1] = [sys.executable, *(["-m", "novags"] if words[0] == "novags" else [])]
     environment = {**os.environ, "COLUMNS": str(WIDTH), "PYTHONPATH": str(ROOT), "NO_COLOR": "1"}
     lines = []
     with subprocess.Popen(

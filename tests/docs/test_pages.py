@@ -136,6 +136,13 @@ def test_outputs_replace_what_is_there_and_nothing_else_changes(make_docs: Modul
     assert cheap == PAGE.replace("$ printf 'a\\nb\\n'\n", "$ printf 'a\\nb\\n'\na\n...\n")
 
 
+def test_python_is_the_one_that_runs_the_script(make_docs: ModuleType, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PATH", "")
+    assert make_docs.made("```console\n$ python -c 'print(6 * 7)'\n```\n") == (
+        "```console\n$ python -c 'print(6 * 7)'\n42\n```\n"
+    )
+
+
 def test_a_command_that_fails_where_it_should_not_is_an_error(make_docs: ModuleType) -> None:
     with pytest.raises(RuntimeError, match="ended with 3"):
         make_docs.made("```console\n$ sh -c 'exit 3'\n```\n")
