@@ -21,6 +21,7 @@ import numpy as np
 
 from novags.testbed.cache import read_json, write_json
 from novags.testbed.console import Console
+from novags.testbed.exposures import as_compared, exposures_of
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.experiment import gather
 from novags.testbed.folders.run import Run, open_run
@@ -28,7 +29,6 @@ from novags.testbed.folders.set import Source
 from novags.testbed.machine.provenance import package_version
 from novags.testbed.metrics import PerceptualDistance, psnr, ssim
 from novags.testbed.references import references
-from novags.testbed.stages.score import exposure, shown
 from novags.testbed.study.conduct import STUDY
 from novags.testbed.study.results import JSON
 from novags.testbed.study.session import ROWS, SHAPE
@@ -124,12 +124,15 @@ def _results_of(
     shutil.rmtree(place / PREDICTIONS, ignore_errors=True)
     found: dict[str, list[float]] = {}
     indices = capture.cameras.test_indices
-    gain = exposure(run, capture, lit, indices) if run.space == "linear" else 1.0
+    exposures = exposures_of(run, capture, lit) if run.space == "linear" else None
     for i in indices:
         known = references(run, capture, lit, i)
         if reference not in known:
             raise ValueError(f"{run.path} has no reference {reference}: it has {', '.join(known) or 'none'}")
-        pictures = {"color": shown(run.rendering(capture.names[i]), run, gain), "gt-color": known[reference]}
+        rendered = run.rendering(capture.names[i])
+        pictures = {
+            "color": as_compared(rendered, run, capture, reference, exposures), "gt-color": known[reference],
+        }  # fmt: skip
         codes = {kind: np.round(np.clip(image, 0, 1) * 255).astype(np.uint8) for kind, image in pictures.items()}
         for kind, picture in codes.items():
             write_png(place / PREDICTIONS / kind / f"{capture.names[i]}.png", picture)

@@ -5,10 +5,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from novags.testbed.exposures import Exposures, exposures_of
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import Run
 from novags.testbed.folders.set import Source
-from novags.testbed.report.look.exposures import Exposures, exposures_of
 from novags.testbed.report.rows import Row, main_row, rows_of
 
 

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from novags.methods import METHODS
-from novags.methods.problem import encode
 from novags.testbed.cache import run_stage
 from novags.testbed.console import Console, Update
+from novags.testbed.exposures import as_compared, exposures_of
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import METRICS, Run, open_run
 from novags.testbed.folders.set import Source
@@ -18,7 +18,6 @@ from novags.testbed.metrics import (
     PerceptualDistance,
     aligned_psnr,
     consistency_scores,
-    exposure_gain,
     gaussian_blur,
     geometry_scores,
     image_scores,
@@ -95,7 +94,8 @@ def score_test_views(
     views: dict[str, Any] = {}
     depths = []
     indices = capture.cameras.test_indices
-    gain = exposure(run, capture, lit, indices) if run.space == "linear" else 1.0
+    exposures = exposures_of(run, capture, lit) if run.space == "linear" else None
+    gain = None if exposures is None else exposures.dark
     for done, i in enumerate(indices):
         name = capture.names[i]
         rendered = run.rendering(name)
@@ -104,9 +104,7 @@ def score_test_views(
                 "linear_psnr": None if is_black(reference) or gain is None else linear_psnr(rendered, reference, gain)
             }
             if kind in LINEAR
-            else image_scores(
-                shown(rendered, run, gain) if kind == "lit" else pictured(run, capture, rendered), reference, lpips
-            )
+            else image_scores(as_compared(rendered, run, capture, kind, exposures), reference, lpips)
             for kind, reference in references(run, capture, lit, i).items()
         }
         if run.has_depth and (truth := true_depth(lit, i)) is not None:
@@ -138,26 +136,6 @@ def shows_nothing(views: dict[str, Any]) -> dict[str, str]:
                 "use more light (--electrons)"
             )
     return found
-
-
-def exposure(run: Run, capture: Capture, lit: Source, indices: list[int]) -> float | None:
-    """The one factor that brings the renders of a method in linear light to the exposure of the capture.
-
-    Where the noise-free exposures are not known, the dark pictures themselves take their place: over so many pixels
-    their noise hardly counts. None if every exposure is black: there is nothing to bring them to.
-    """
-
-    def exposed(i: int) -> Image:
-        return references(run, capture, lit, i).get("linear", capture.linear(i))
-
-    if all(is_black(exposed(i)) for i in indices):
-        return None
-    return exposure_gain((run.rendering(capture.names[i]), exposed(i)) for i in indices)
-
-
-def shown(rendered: Image, run: Run, gain: float | None) -> Image:
-    """A render as a picture in sRGB code; for a method in linear light, at the exposure of the capture if known."""
-    return encode((1.0 if gain is None else gain) * rendered) if run.space == "linear" else rendered
 
 
 def view_consistency(run: Run, capture: Capture, lit: Source) -> dict[str, float | None]:

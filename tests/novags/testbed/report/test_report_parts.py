@@ -19,9 +19,9 @@ sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a 
 
 from novags.testbed import stages  # noqa: E402
 from novags.testbed.console import Console  # noqa: E402
+from novags.testbed.exposures import exposures_of  # noqa: E402
 from novags.testbed.folders.capture import Capture, open_capture  # noqa: E402
 from novags.testbed.report.look.album import Album, files_of  # noqa: E402
-from novags.testbed.report.look.exposures import exposures_of  # noqa: E402
 from novags.testbed.report.look.maps import colour_map, normal_map, normals_of_depth  # noqa: E402
 from novags.testbed.report.look.probe import probe_of  # noqa: E402
 from novags.testbed.report.signal_chart import by_filter, signal  # noqa: E402

@@ -20,12 +20,12 @@ from novags.settings import changed
 from novags.splats import Views
 from novags.testbed import stages
 from novags.testbed.console import Console
+from novags.testbed.exposures import exposures_of
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.run import CHECKPOINTS, Run, open_run
 from novags.testbed.metrics import aligned_psnr, image_scores
 from novags.testbed.pareto.reconstruction import held_out_error
 from novags.testbed.references import enhanced_truth, pictured, references
-from novags.testbed.report.look.exposures import exposures_of
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.capture import CaptureConfig
 from novags.testbed.stages.reconstruct import ReconstructConfig, prepare
@@ -108,7 +108,23 @@ def test_a_run_in_linear_light_is_scored_against_each_of_its_references(capture:
         want = image_scores(pictured(run, capture, run.rendering(name)), truth, None)
         assert metrics["views"][name]["enhanced"]["aligned_psnr"] == pytest.approx(want["aligned_psnr"])
         assert metrics["views"][name]["linear"]["linear_psnr"] > 10
+        lit = source.lit(i)
+        brought = encode(_gain_to_lit(capture, run, source) * run.rendering(name))
+        assert metrics["views"][name]["lit"]["psnr"] == pytest.approx(
+            image_scores(brought, lit, None)["psnr"], abs=1e-3
+        )
     assert metrics["training_2d"]["enhanced"] is not None
+
+
+def _gain_to_lit(capture: Capture, run: Run, source: Any) -> float:
+    """The factor on all views that brings them nearest to the lit pictures in linear light, where these do not clip."""
+    cross = energy = 0.0
+    for i in capture.cameras.test_indices:
+        light, code = run.rendering(capture.names[i]).astype(np.float64), source.lit(i)
+        target = np.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+        cross += float((light * target)[code < 1].sum())
+        energy += float((light**2)[code < 1].sum())
+    return cross / energy
 
 
 def test_curves_of_accuracy_take_linear_light_through_the_enhancement_too(capture: Capture) -> None:
