@@ -48,7 +48,7 @@ class NovaPlusConfig:
 
     Attributes:
         fit: Of every stage; `fit.iterations` is the sum of one seed's and is shared out. Only stage 1 regularises
-            opacities.
+            opacities: `fit.opacity_reg` is its weight where every pixel measures all channels.
         init_scale: Of an initial Gaussian, in distances to its nearest neighbours.
         gaussians: How many each seed has; None: one for every `PIXELS_PER_GAUSSIAN` of all views, at least as many as
             there are points at the start. `fit.cap_max`, where it is given, is never passed.
@@ -187,7 +187,9 @@ class _Work:
             points, colors, sh_degree=self.base.sh_degree, init_scale=self.config.init_scale
         )  # fmt: skip
         fitted, loss = self.data.fitted, Likelihood(self.data, self.curve)
-        config = self._config("likelihood", seed)
+        # the loss is a mean: beside a third of the data, as of a mosaic, a prior weighs three times as much
+        share = float(self.data.measured.float().mean())
+        config = self._config("likelihood", seed, opacity_reg=self.base.opacity_reg / share)
         return self._fit("likelihood", seed, first, fitted, config, loss).gaussians
 
     def structure(self, firsts: list[Gaussians]) -> tuple[list[Gaussians], Tensor | None]:

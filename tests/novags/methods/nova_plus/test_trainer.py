@@ -245,6 +245,22 @@ def test_stages_follow_one_another_with_rates_and_seeds_of_their_own(
     torch.testing.assert_close(calls[2][1], want, rtol=1e-4, atol=1e-5)
 
 
+def test_a_third_of_the_data_has_three_times_the_regulariser(dark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    inputs, _ = dark()
+    data = exposures(inputs, inputs.noise, CONFIG.held_share)
+    some = data.light.clone()
+    some[..., 1:] = math.nan
+    weights: list[float] = []
+    monkeypatch.setattr(trainer, "fit", lambda start, views, target, config, **_: weights.append(config.opacity_reg))
+    for light in (data.light, some):
+        work = trainer._Work(
+            inputs, CONFIG, dataclasses.replace(data, light=light), tone_curve(data.greens), None, None
+        )  # fmt: skip
+        with pytest.raises(AttributeError):  # what the fit gives back is not looked at
+            work.likelihood(0)
+    assert weights == pytest.approx([FIT.opacity_reg, 3 * FIT.opacity_reg])
+
+
 @pytest.mark.parametrize("why", ["not wanted", "noise is shared", "no noise"])
 def test_without_independent_noise_the_targets_are_the_guided_averages(dark: Any, why: str) -> None:
     inputs, _ = dark()
