@@ -18,7 +18,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-METHODS = ("naive", "nova-fast", "naive-l1", "oracle")
+METHODS = ("naive", "nova-fast", "naive-l1", "nova-plus", "oracle")
 
 
 def run(out: Path, scene: str, seed: int, iterations: int, methods: list[str]) -> dict[str, Any]:
