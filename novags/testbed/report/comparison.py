@@ -29,12 +29,16 @@ def comparison_context(groups: Sequence[Group], folder: Path, album: Album, prog
         progress: Told of every capture.
     """
     shown, views, left, right = [], list[ViewTiles](), list[str](), list[str]()
+    unseen = dict[str, str]()
     for done, (group, place) in enumerate(zip(groups, places(groups, folder), strict=True), 1):
         # Of its own memory, so that what was computed for the pictures of one capture goes before the next.
         capture = replace(group.capture, memo=Memo())
         material = Material(folder, {}, group.runs, group.metrics, capture, group.lit)
         picked = spread(capture.cameras.test_indices, max(1, VIEWS // len(groups)))
-        mine = [view_tiles(i, material, album, place) for i in picked]
+        try:
+            mine = [view_tiles(i, material, album, place) for i in picked]
+        except (ValueError, OSError) as error:  # one damaged or old run must not cost the tables
+            mine, unseen[place] = [], str(error)
         views += mine
         left.append(f"render-{material.bound('floor') or material.main}")
         right.append(f"render-{material.main}")
@@ -45,7 +49,7 @@ def comparison_context(groups: Sequence[Group], folder: Path, album: Album, prog
     count = sum(len(group.runs) for group in groups)
     data = {"left": [*left, "enhanced"], "right": [*right, "truth-lit"]}
     return {"title": f"{count} runs of {len(groups)} captures", "groups": shown, "count": count, "views": views,
-            "error_ceiling": ERROR_CEILING, "data": data}  # fmt: skip
+            "unseen": unseen, "error_ceiling": ERROR_CEILING, "data": data}  # fmt: skip
 
 
 def places(groups: Sequence[Group], folder: Path) -> list[str]:
@@ -67,5 +71,5 @@ def _rows(group: Group, material: Material, views: Sequence[ViewTiles]) -> list[
         geometry = scores.get("geometry")
         rows.append({"name": name, **row, "competes": material.rows[name].competes,
                      "depth": geometry and geometry["abs_rel"], "seconds": run.record["stage"]["seconds"],
-                     "again": score_again(run, material.folder), "view": views[0].name})  # fmt: skip
+                     "again": score_again(run, material.folder), "view": views[0].name if views else None})  # fmt: skip
     return rows
