@@ -52,7 +52,7 @@ def measured_light(
         channels_share: As in `Problem`.
 
     Raises:
-        LacksInput: If there are neither.
+        LacksInput: If the capture has neither, or raw frames alone that cannot be used.
     """
     fits = raw is not None and (linear16 is None or raw.dn.shape[:3] == linear16.shape[:3])
     if raw is not None and fits and raw.balance is not None and noise.raw is not None:
@@ -62,7 +62,8 @@ def measured_light(
             light=light, noise=Variance(curve), white=light.new_tensor(raw.balance), matrix=matrix
         )  # fmt: skip
     if linear16 is None:
-        raise LacksInput("this method needs raw frames or 16-bit linear pictures, and this capture has neither")
+        lacking = "this capture has neither" if raw is None else "its raw frames have no known white balance or noise"
+        raise LacksInput(f"this method needs raw frames or 16-bit linear pictures, and {lacking}")
     curve = noise.linear16.curve
     white = linear16.new_tensor(curve.white)
     shared = channels_share or (("demosaicing",) if curve.interpolated else ())

@@ -78,7 +78,7 @@ def level_named(name: str) -> Level:
     """A level by name.
 
     Raises:
-        ValueError: If there is none of this name.
+        ValueError: If no level has this name.
     """
     if name not in LEVELS:
         near = get_close_matches(name, LEVELS, 1)

@@ -63,7 +63,7 @@ def measured(problem: Problem) -> Measured:
     """The data of a problem in electrons.
 
     Raises:
-        LacksInput: If the noise is not known, is shared by neighbouring data, or there is none.
+        LacksInput: If the data have no noise, their noise is unknown, or neighbouring data share it.
     """
     return of_capture(problem.noise, problem.raw, problem.linear16, problem.channels_share)
 
@@ -71,7 +71,7 @@ def measured(problem: Problem) -> Measured:
 def of_capture(
     noise: Noise | None, raw: RawPictures | None, linear16: Tensor | None, channels_share: tuple[str, ...]
 ) -> Measured:
-    """As `measured`, for pictures that are no problem."""
+    """The data of a capture in electrons, from what a `Problem` would hold of it; see `measured`."""
     if noise is None:
         raise LacksInput(
             "denoising needs the noise of the data, and of this capture it is not known: name its camera, or take a "

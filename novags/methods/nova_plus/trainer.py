@@ -224,7 +224,7 @@ class _Work:
         return torch.as_tensor(self.curve.tone(light), dtype=torch.float32)
 
     def denoised(self, expected: Tensor) -> Tensor | None:
-        """The light of denoised data; None where that is not wanted, or there is no independent noise."""
+        """The light of denoised data; None if denoising is off, or the data have no independent noise."""
         before = self.done
         self.done += parts(self.config)["denoiser"]
 

@@ -61,7 +61,7 @@ def export_results(
         overwrite: Replace results that are there.
 
     Raises:
-        ValueError: If there is no run, one cannot be read or lacks the reference, or `out` holds results already.
+        ValueError: If no run is found, a run cannot be read or lacks the reference, or `out` already holds results.
     """
     if (out / RESULTS).exists() and not overwrite:
         raise ValueError(f"{out} holds {RESULTS} already: choose another --out, or add --overwrite")

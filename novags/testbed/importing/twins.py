@@ -43,7 +43,7 @@ def pictures_in(folder: Path) -> dict[str, Path]:
     """The pictures of a folder by the names of their views: those that its cameras list, else those in it or images/.
 
     Raises:
-        ValueError: If there are none, or the camera file is broken.
+        ValueError: If the folder has no pictures, or its camera file is damaged.
     """
     if (folder / "transforms.json").is_file() or find_colmap(folder):
         views = load_linear_set(folder) or load_set(folder)

@@ -84,7 +84,7 @@ def _check(depth: NDArray, alpha: NDArray, truth: NDArray) -> None:
         raise ValueError(f"depth, alpha and true depth must all be [h, w] of one size, got {shapes}")
     for name, value in (("depth", depth), ("true depth", truth)):
         if (value < 0).any():
-            raise ValueError(f"{name} must be >= 0 (0, inf or nan where there is no surface), got {np.nanmin(value):g}")
+            raise ValueError(f"{name} must be >= 0 (0, inf or nan in front of empty space), got {np.nanmin(value):g}")
     # 1e-3: the float32 sum of many blending weights exceeds 1 by rounding.
     if not ((alpha >= 0) & (alpha <= 1 + 1e-3)).all():
         raise ValueError(f"alpha must lie in 0..1, got values from {np.min(alpha):g} to {np.max(alpha):g}")

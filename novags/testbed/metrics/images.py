@@ -129,7 +129,7 @@ def image_scores(image: Image, reference: Image, lpips: PerceptualDistance | Non
 def _over(
     channels: NDArray[np.bool_], score: Callable[[Image, Image], float], image: Image, reference: Image
 ) -> float | None:
-    """The score over these channels; None if there are none."""
+    """The score over the selected channels; None if no channel is selected."""
     if channels.all():
         return score(image, reference)
     return score(image[..., channels], reference[..., channels]) if channels.any() else None

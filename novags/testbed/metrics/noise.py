@@ -22,7 +22,7 @@ def noise_share(image: Image, noisy: Image, reference: Image) -> float | None:
     and the noise of other exposures do not follow this noise, and so count nothing.
 
     Returns:
-        The share; None where there is no noise.
+        The share; None if `noisy` equals the reference, apart from its mean at each brightness.
 
     Raises:
         ValueError: If shapes differ or are not [h,w,3], or a value is not finite.
@@ -55,7 +55,7 @@ def squared_bias(exposures: Sequence[Image], references: Sequence[Image]) -> flo
     """Mean squared difference between the mean of infinitely many exposures and the reference, estimated from a few.
 
     The square of the mean difference of K exposures, less their variance / K, over all pixels and channels. It scatters
-    about the true value, and may come out below 0 where there is no bias.
+    about the true value, so that for unbiased exposures it is below 0 about half the time.
 
     Args:
         exposures: K >= 2 pictures of one view that differ by noise.

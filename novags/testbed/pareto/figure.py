@@ -34,7 +34,7 @@ def figure(points: Sequence[Point], title: str) -> str:
         title: Above the panels.
 
     Raises:
-        ValueError: If there are none.
+        ValueError: If `points` is empty.
     """
     if not points:
         raise ValueError("there are no points to draw: measure some first")

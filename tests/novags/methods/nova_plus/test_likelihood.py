@@ -107,6 +107,10 @@ def test_a_capture_without_raw_and_linear_pictures_is_refused() -> None:
     assert problem.noise is not None
     with pytest.raises(LacksInput, match="needs raw frames or 16-bit linear pictures"):
         exposures(replace(problem, raw=None), problem.noise, 0.0)
+    assert problem.raw is not None
+    unbalanced = replace(problem, raw=replace(problem.raw, balance=None))
+    with pytest.raises(LacksInput, match="its raw frames have no known white balance or noise"):
+        exposures(unbalanced, problem.noise, 0.0)
 
 
 def test_raw_frames_of_another_size_than_the_pictures_are_left_alone() -> None:
