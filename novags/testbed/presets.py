@@ -71,7 +71,7 @@ _SHORT: dict[str, Any] = {
     "fit.rates.schedule": "gsplat",
     "fit.mcmc.refine_stop": None,
     "fit.checkpoint_every": 250,
-    "denoiser.warmup_steps": 400,
+    "denoiser.warmup_steps": 128,
 }
 
 EXPERIMENTS = {

@@ -15,8 +15,7 @@ KNOBS = {
     ),
     "denoiser steps": MethodKnob(
         option="denoiser_steps", shares=(1 / 16, 1 / 8, 1 / 4, 1 / 2, 1.0, 3.125), parts=("denoiser",),
-        why="before the fit, on small crops; the preset has three times as many, which is a third of the time of its "
-        "method",
+        why="before the fit, on small crops; the presets demo and small have as many",
     ),
     "denoiser cadence": MethodKnob.of(
         "denoiser.denoise_every", (None, 64, 16), parts=("fit",),

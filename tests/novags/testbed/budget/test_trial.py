@@ -32,7 +32,7 @@ def test_a_pace_is_taken_after_the_first_steps() -> None:
 
 
 def test_a_forecast_scales_views_samples_and_steps_and_nothing_else(tmp_path: Path) -> None:
-    """By hand: 4 views of 20, 6 samples of 96, 10 denoiser steps of 400, 60 iterations of 2400."""
+    """By hand: 4 views of 20, 6 samples of 96, 10 denoiser steps of 128, 60 iterations of 2400."""
     large = preset()
     small = in_small(large)
     assert (small.render.n_views, small.render.spp, values(small)["iterations"]) == (4, 6, 60)
@@ -57,7 +57,7 @@ def test_a_forecast_scales_views_samples_and_steps_and_nothing_else(tmp_path: Pa
     found = scaled(large, small, tmp_path, stamps, 25.0)
     assert found.before["render"] == pytest.approx(1.5 * 5 * 16)
     assert found.before["fixed"] == pytest.approx(2 + 3 + 0.2 * 5 + 0.3 * 5 + 0.4 * 5)
-    assert found.after["denoiser"] == pytest.approx(0.2 * 400)
+    assert found.after["denoiser"] == pytest.approx(0.2 * 128)
     assert found.after["fit"] == pytest.approx((0.05 + 0.03) * 2400)
     # outside training, with 16 more views to enhance and to show, and three views to score instead of one
     first_fixed = 9.0 - (0.2 * 10 + 0.05 * 60) + 4 * (0.4 + 0.5) + 3 * 1.0
@@ -83,7 +83,7 @@ def test_shares_are_taken_of_the_presets_own_values() -> None:
     own = preset(width=160, height=80)
     assert turned(own, {"iterations": 1.0, "points": 1.0}) == own
     found = turned(own, {"iterations": 0.25, "denoiser_steps": 0.5, "points": 0.1, "spp": 0.5, "size": 0.5})
-    assert values(found) == {"iterations": 600, "denoiser_steps": 200, "points": 2000, "spp": 48, "size": 80}
+    assert values(found) == {"iterations": 600, "denoiser_steps": 64, "points": 2000, "spp": 48, "size": 80}
     assert (found.render.width, found.render.height) == (80, 40)
     for name in METHODS:
         assert found.reconstruct(name).config.fit.iterations == 600
