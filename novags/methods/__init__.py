@@ -3,11 +3,13 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from difflib import get_close_matches
+from functools import partial
 from typing import Any
 
 from novags.methods import enhance_then_fit, oracle
 from novags.methods.averaging import trainer as averaging
 from novags.methods.denoised import trainer as denoised
+from novags.methods.enhancers import EnhancerConfig, tone_curves
 from novags.methods.gaussian_fit import ORIGINAL_FIT, EnhancedFitConfig, fit_parts
 from novags.methods.nova import trainer as nova
 from novags.methods.nova.denoiser import FAST_DENOISER
@@ -17,6 +19,15 @@ from novags.methods.nova_plus.knobs import KNOBS as NOVA_PLUS_KNOBS
 from novags.methods.variant import Method, Variant, spelled
 from novags.settings import flattened
 from sensor_model.files.reading import brief
+
+
+def _enhanced(enhance: EnhancerConfig, title: str, color: str, source: str) -> Method:
+    """What "naive" is, with another enhancement."""
+    return Method(
+        title=f"{title}, then fit as naive does", family="2D + GS", color=color, source=source,
+        config=partial(EnhancedFitConfig, enhance=enhance), train=enhance_then_fit.train, parts=fit_parts,
+    )  # fmt: skip
+
 
 METHODS: dict[str, Method] = {
     "nova": Method(
@@ -51,6 +62,30 @@ METHODS: dict[str, Method] = {
         parts=fit_parts,
         source="section 4.2 of the NOVA-GS paper and 3DGS-MCMC (Kheradmand et al. 2024)",
         bound="floor",
+    ),
+    "gamma-gs": _enhanced(
+        tone_curves.GammaConfig(),
+        "raise every code to the power 0.2",
+        "#b8860b",
+        "section 5 of the NOVA-GS paper, which names the exponent",
+    ),
+    "gain-gs": _enhanced(
+        tone_curves.GainConfig(),
+        "multiply the light of each picture until its mean code is 0.5",
+        "#a0522d",
+        "a longer exposure, as far as a factor can replace it",
+    ),
+    "drago-gs": _enhanced(
+        tone_curves.DragoConfig(),
+        "map the luminance of each picture by an adaptive logarithm",
+        "#8b6f47",
+        "Adaptive Logarithmic Mapping For Displaying High Contrast Scenes (Drago et al. 2003)",
+    ),
+    "equalise-gs": _enhanced(
+        tone_curves.EqualiseConfig(),
+        "equalise the histogram of each picture's luma",
+        "#cd853f",
+        "histogram equalisation (Gonzalez and Woods, Digital Image Processing)",
     ),
     "denoise-gs": Method(
         title="denoise the raw data with a network that was trained on simulated cameras and adapts to the capture, "
@@ -122,6 +157,12 @@ VARIANTS: dict[str, Variant] = dict(
             "naive",
             "enhance, then fit the noisy pictures with L1 alone, which averages noise over the views",
             {"fit.dssim_weight": 0.0},
+        ),
+        _variant(
+            "gamma-auto-gs",
+            "gamma-gs",
+            "raise every code to the power that brings the mean of the picture to 0.5, then fit as naive does",
+            {"enhance.gamma": None},
         ),
         _variant(
             "oracle-demosaiced",

@@ -24,7 +24,7 @@ class Method:
         title: What it does, in a sentence.
         family: Where it belongs in a table.
         color: Of its lines and dots, "#rrggbb".
-        config: Its configuration, a frozen dataclass whose defaults are the method as published.
+        config: Makes its configuration as published, a frozen dataclass: the class, or a function of its own.
         train: (problem, config, *, progress, checkpoint) -> Reconstruction.
         source: The publication or text that it follows.
         parts: The parts of `train` whose steps its progress counts through, and how many each has, for a configuration;
@@ -39,7 +39,7 @@ class Method:
     title: str
     family: Family
     color: str
-    config: type
+    config: Callable[[], Any]
     train: Callable[..., Reconstruction]
     source: str
     parts: Callable[[Any], dict[str, int]] | None = None

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import torch
 from torch import Tensor
 
-from novags.methods.enhancers import guided
+from novags.methods.enhancers import guided, tone_curves
 from novags.methods.memo import Memo
 from novags.methods.noise import Noise, Variance
 from novags.methods.problem import LacksInput, Pictures, Problem
@@ -32,7 +32,15 @@ class Enhancer:
     typical: Callable[[Sequence[Any]], Any]
 
 
-EnhancerConfig: TypeAlias = guided.EnhanceConfig | None  # of any enhancer; None leaves the pictures dark
+# Of any enhancer; None leaves the pictures dark
+EnhancerConfig: TypeAlias = (
+    guided.EnhanceConfig
+    | tone_curves.GammaConfig
+    | tone_curves.GainConfig
+    | tone_curves.DragoConfig
+    | tone_curves.EqualiseConfig
+    | None
+)
 
 
 def _unchanged(dark: Tensor, config: None, params: Any, noise: Variance | None) -> tuple[Tensor, None]:
@@ -41,6 +49,10 @@ def _unchanged(dark: Tensor, config: None, params: Any, noise: Variance | None) 
 
 ENHANCERS: dict[str, Enhancer] = {
     "guided": Enhancer(guided.EnhanceConfig, guided.enhance, guided.typical),
+    "gamma": Enhancer(tone_curves.GammaConfig, tone_curves.gamma, tone_curves.mean_params),
+    "gain": Enhancer(tone_curves.GainConfig, tone_curves.gain, tone_curves.geometric_mean_params),
+    "drago": Enhancer(tone_curves.DragoConfig, tone_curves.drago, tone_curves.geometric_mean_params),
+    "equalise": Enhancer(tone_curves.EqualiseConfig, tone_curves.equalise, tone_curves.mean_curve),
     "none": Enhancer(type(None), _unchanged, lambda params: None),
 }
 

@@ -112,7 +112,8 @@ def solve_gamma(brightness: Tensor, config: EnhanceConfig) -> Tensor:
     return ((low + high) / 2).squeeze(1)
 
 
-def _check(dark: Tensor) -> None:
+def check_picture(dark: Tensor) -> None:
+    """Refuse what is no float image [H, W, 3] or [C, H, W, 3] in 0..1 (ValueError)."""
     if dark.ndim not in (3, 4) or dark.shape[-1] != 3 or 0 in dark.shape or not dark.is_floating_point():
         raise ValueError(
             f"dark must be a float image [H, W, 3] or [C, H, W, 3], got {dark.dtype} {tuple(dark.shape)}; "
@@ -177,7 +178,7 @@ def enhance(
         LacksInput: If the noise of the camera is to be used, and is not known.
     """
     config = config or EnhanceConfig()
-    _check(dark)
+    check_picture(dark)
     images = (dark if dark.ndim == 4 else dark[None]).movedim(-1, 1)
     if params is None:
         epsilon, radius = _new_params(images, config, noise)

@@ -151,7 +151,7 @@ def test_every_name_gives_a_configuration_of_its_method(name: str) -> None:
     variant = chosen(name)
     method = METHODS[variant.method]
     config = variant.config(method.config(), {})
-    assert isinstance(config, method.config)
+    assert type(config) is type(method.config())
     changes = {key for key, value in flattened(config).items() if flattened(method.config()).get(key, ...) != value}
     assert bool(changes) == (name not in METHODS)
 

@@ -40,7 +40,7 @@ def test_a_gamma_that_stops_early_is_noticed(fails: Fails, monkeypatch: pytest.M
 
 
 def test_a_check_that_lets_nan_through_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(guided, "_check", lambda dark: None)
+    monkeypatch.setattr(guided, "check_picture", lambda dark: None)
     assert fails("a pixel that is NaN, infinite, negative or above 1")
 
 

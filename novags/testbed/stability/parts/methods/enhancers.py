@@ -1,0 +1,160 @@
+"""Hard cases of the rivals' enhancements: black, flat and white pictures, one bright pixel, pictures of few pixels.
+
+The references go through the pixels one by one with Python's own numbers.
+"""
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from novags.methods.enhancers import ENHANCERS, EnhancerConfig
+from novags.methods.enhancers.tone_curves import DARKEST, DragoConfig, EqualiseConfig, GainConfig, GammaConfig
+from novags.testbed.stability.case import Part, Setting, refusal
+from novags.testbed.stability.errors import relative_error
+
+PART = Part("enhancers")
+
+EPS = float(torch.finfo(torch.float32).eps)
+LARGEST = "of the largest value"
+CURVES: tuple[EnhancerConfig, ...] = (
+    GammaConfig(), GammaConfig(gamma=None), GainConfig(), DragoConfig(), EqualiseConfig(),
+)  # fmt: skip
+WEIGHTS = (0.2126, 0.7152, 0.0722)
+Pixel = list[float]
+
+
+def _curve(config: EnhancerConfig, dark: Tensor) -> Tensor:
+    enhancer = next(each for each in ENHANCERS.values() if isinstance(config, each.config))
+    return enhancer.enhance(dark, config, None, None)[0]
+
+
+def _light(code: float) -> float:
+    return code / 12.92 if code <= 0.04045 else math.exp(2.4 * math.log((code + 0.055) / 1.055))
+
+
+def _code(light: float) -> float:
+    light = min(light, 1.0)
+    return 12.92 * light if light <= 0.0031308 else 1.055 * math.exp(math.log(light) / 2.4) - 0.055
+
+
+def _luma(pixel: Pixel) -> float:
+    return math.fsum(w * v for w, v in zip(WEIGHTS, pixel, strict=True))
+
+
+def _drago(pixels: list[Pixel], bias: float) -> list[Pixel]:
+    light = [[_light(v) for v in pixel] for pixel in pixels]
+    top = max(map(_luma, light))
+    if top == 0:
+        return pixels
+    average = math.exp(math.fsum(math.log(max(_luma(p), DARKEST * top)) for p in light) / len(light))
+    shown = []
+    for pixel in light:
+        x = _luma(pixel) / average
+        if x == 0:
+            shown.append([0.0] * 3)
+            continue
+        bend = math.log(2 + 8 * (x * average / top) ** (math.log(bias) / math.log(0.5)))
+        level = math.log1p(x) / bend / math.log10(1 + top / average)
+        shown.append([_code(v * level / _luma(pixel)) for v in pixel])
+    return shown
+
+
+def _equalised(pixels: list[Pixel]) -> list[Pixel]:
+    lumas = [_luma(pixel) for pixel in pixels]
+    low, same = min(lumas), 1e-12  # of one luma, whatever the order in which it was added up
+    darkest = sum(v <= low + same for v in lumas)
+    if darkest == len(lumas):
+        return pixels
+    shown = []
+    for pixel, luma in zip(pixels, lumas, strict=True):
+        share = (sum(v <= luma + same for v in lumas) - darkest) / (len(lumas) - darkest)
+        shown.append([min(v * share / luma, 1.0) if luma > 0 else 0.0 for v in pixel])
+    return shown
+
+
+def _slow(config: EnhancerConfig, pixels: list[Pixel]) -> list[Pixel]:
+    if isinstance(config, GammaConfig):
+        exponent = config.gamma or _root(
+            lambda g: math.fsum(v**g for p in pixels for v in p) / (3 * len(pixels)) - config.target, 0.02, 5.0
+        )
+        return [[v**exponent for v in pixel] for pixel in pixels]
+    if isinstance(config, GainConfig):
+        light = [[_light(v) for v in pixel] for pixel in pixels]
+        gain = math.exp(_root(
+            lambda k: config.target - math.fsum(_code(math.exp(k) * v) for p in light for v in p) / (3 * len(pixels)),
+            math.log(1e-3), math.log(1e5),
+        ))  # fmt: skip
+        return [[_code(gain * v) for v in pixel] for pixel in light]
+    return _drago(pixels, config.bias) if isinstance(config, DragoConfig) else _equalised(pixels)
+
+
+def _root(falls: Callable[[float], float], low: float, high: float) -> float:
+    """Where a falling function is 0; of one without a zero, the end that is nearer to it."""
+    for _ in range(200):
+        middle = (low + high) / 2
+        low, high = (middle, high) if falls(middle) > 0 else (low, middle)
+    return (low + high) / 2
+
+
+def _error(dark: Tensor) -> float:
+    """Of all curves; the result is rounded to float32 once."""
+    worst = 0.0
+    for config in CURVES:
+        wanted = np.array(_slow(config, dark.double().reshape(-1, 3).tolist()))
+        worst = max(worst, relative_error(_curve(config, dark).reshape(-1, 3), wanted))
+    return worst
+
+
+def _random(height: int, width: int, seed: int = 0) -> Tensor:
+    return torch.rand(height, width, 3, generator=torch.Generator().manual_seed(seed))
+
+
+@PART.case("tone curves: all black", bound=0, unit=LARGEST)
+def black(setting: Setting) -> float:
+    """No logarithm, no luma, no exposure: black stays black."""
+    return max(float(_curve(config, torch.zeros(5, 6, 3)).abs().max()) for config in CURVES)
+
+
+@PART.case("tone curves: flat pictures of every level", bound=2 * EPS, unit=LARGEST)
+def flat(setting: Setting) -> float:
+    """One luma has no histogram, and its own luminance as average and as maximum."""
+    return max(_error(torch.full((4, 3, 3), level / 65535)) for level in (1, 7, 257, 20_000, 65_534, 65_535))
+
+
+@PART.case("tone curves: one bright pixel, a faint one, the rest black", bound=2 * EPS, unit=LARGEST)
+def one_bright_pixel(setting: Setting) -> float:
+    """No gain and no exponent reaches the target."""
+    dark = torch.zeros(6, 7, 3)
+    dark[3, 2] = torch.tensor([0.9, 0.5, 0.1])
+    dark[1, 1] = 0.01
+    return _error(dark)
+
+
+@PART.case("tone curves: pictures of one to nine pixels", bound=2 * EPS, unit=LARGEST)
+def few_pixels(setting: Setting) -> float:
+    """And one pixel wide."""
+    return max(_error(0.3 * _random(*size, seed=i)) for i, size in enumerate([(1, 1), (1, 2), (3, 3), (9, 1)]))
+
+
+@PART.case("tone curves: 16-bit codes of 0 to 3 and of the whole range", bound=2 * EPS, unit=LARGEST)
+def codes(setting: Setting) -> float:
+    """The darkest picture that 16 bits can hold needs a gain of 3e4; lumas are the same or differ by a step."""
+    lowest = torch.randint(0, 4, (9, 8, 3), generator=torch.Generator().manual_seed(3)) / 65535
+    return max(_error(lowest), _error(_random(8, 9, 5)))
+
+
+@PART.case("tone curves: a pixel that is NaN, negative or above 1", bound=0, unit="refused")
+def no_picture(setting: Setting) -> float:
+    """Refused with value and place."""
+    worst = 0.0
+    for bad in (math.nan, math.inf, -1e-9, 1.0001):
+        dark = 0.1 * _random(4, 5)
+        dark[2, 3, 1] = bad
+        for config in CURVES:
+            worst = max(
+                worst, refusal(lambda c=config, d=dark: _curve(c, d), "must be finite and in 0..1", "(2, 3, 1)")
+            )
+    return worst

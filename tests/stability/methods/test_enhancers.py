@@ -1,0 +1,36 @@
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from novags.methods.enhancers import tone_curves
+from novags.testbed.stability import Case, Setting, measured
+
+Fails = Callable[..., bool]
+
+
+def test_the_error_stays_within_its_bound(case: Case, setting: Setting) -> None:
+    found = measured(case, setting)
+    assert found.holds, str(found)
+
+
+def test_a_logarithm_over_its_argument_without_its_limit_is_noticed(
+    fails: Fails, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(np, "where", lambda condition, yes, no: yes)
+    assert fails("tone curves: one bright pixel, a faint one, the rest black")
+
+
+def test_a_log_average_in_which_black_ends_the_sum_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tone_curves, "DARKEST", 1e-300)
+    assert fails("tone curves: one bright pixel, a faint one, the rest black")
+
+
+def test_a_gain_sought_in_too_small_a_range_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tone_curves, "GAINS", (1.0, 1e3))
+    assert fails("tone curves: 16-bit codes of 0 to 3 and of the whole range")
+
+
+def test_a_bisection_that_stops_early_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tone_curves, "STEPS", 12)
+    assert fails("tone curves: pictures of one to nine pixels")
