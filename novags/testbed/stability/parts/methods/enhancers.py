@@ -5,6 +5,7 @@ The references go through the pixels one by one with Python's own numbers.
 
 import math
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 import torch
@@ -154,7 +155,6 @@ def no_picture(setting: Setting) -> float:
         dark = 0.1 * _random(4, 5)
         dark[2, 3, 1] = bad
         for config in CURVES:
-            worst = max(
-                worst, refusal(lambda c=config, d=dark: _curve(c, d), "must be finite and in 0..1", "(2, 3, 1)")
-            )
+            refused = refusal(partial(_curve, config, dark), "must be finite and in 0..1", "(2, 3, 1)")
+            worst = max(worst, refused)
     return worst
