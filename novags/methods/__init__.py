@@ -16,6 +16,7 @@ from novags.methods.nova.denoiser import FAST_DENOISER
 from novags.methods.nova.knobs import KNOBS as NOVA_KNOBS
 from novags.methods.nova_plus import trainer as nova_plus
 from novags.methods.nova_plus.knobs import KNOBS as NOVA_PLUS_KNOBS
+from novags.methods.rivals import raw_gs
 from novags.methods.variant import Method, Variant, spelled
 from novags.settings import flattened
 from sensor_model.files.reading import brief
@@ -96,6 +97,15 @@ METHODS: dict[str, Method] = {
         train=denoised.train,
         parts=denoised.parts,
         source="recorrupted-to-recorrupted (Pang et al. 2021) in the generalised Anscombe domain (Murtagh et al. 1995)",
+    ),
+    "raw-gs": Method(
+        title="the light of the scene, fitted to the raw data by the loss of RawNeRF",
+        family="3DGS",
+        color="#a6761d",
+        config=raw_gs.RawGsConfig,
+        train=raw_gs.train,
+        parts=fit_parts,
+        source="RawNeRF (Mildenhall et al. 2022) and LE3D (Jin et al. 2024)",
     ),
     "oracle": Method(
         title="enhance the noise-free exposures, then fit: what no real method can see, hence the ceiling",

@@ -42,7 +42,7 @@ class GaussianScene:
         eps2d: As in `FitConfig`.
         antialiased: As in `FitConfig`.
         tone: Their colours are tones of this curve, and renders are light; None: renders are what they hold.
-        matrix: [3, 3] from that light to the light that is rendered; None: the identity.
+        matrix: [3, 3] from that light, or from what they hold, to the light that is rendered; None: the identity.
     """
 
     gaussians: Gaussians
@@ -81,7 +81,8 @@ class GaussianScene:
         facts: dict[str, Any] = {"gaussians": len(self.gaussians), "eps2d": self.eps2d, "antialiased": self.antialiased}
         if self.tone is not None:
             facts["tone"] = {"top": self.tone.top, "k": self.tone.k}
-            facts["matrix"] = None if self.matrix is None else self.matrix.tolist()
+        if self.matrix is not None:
+            facts["matrix"] = self.matrix.tolist()
         return facts
 
 

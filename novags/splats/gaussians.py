@@ -19,6 +19,8 @@ class Gaussians:
         log_scales: Natural logs of the standard deviations along the principal axes [N, 3].
         logit_opacities: Logits of the opacities [N].
         sh: Spherical-harmonics coefficients [N, K, 3], K = (degree + 1)^2.
+        features: Whatever else a method trains for each of them [N, F]; None: nothing. They go wherever their Gaussian
+            goes; only the method's own losses know what they mean.
     """
 
     means: Tensor
@@ -26,6 +28,7 @@ class Gaussians:
     log_scales: Tensor
     logit_opacities: Tensor
     sh: Tensor
+    features: Tensor | None = None
 
     def __post_init__(self) -> None:
         n = len(self.means)
@@ -35,6 +38,8 @@ class Gaussians:
                 raise ValueError(f"{name} must have shape {list(shape)}, got {list(getattr(self, name).shape)}")
         if self.sh.shape not in [(n, n_coefficients(degree), 3) for degree in range(4)]:
             raise ValueError(f"sh must be [N={n}, 1, 4, 9 or 16, 3], got {list(self.sh.shape)}")
+        if self.features is not None and (self.features.ndim != 2 or len(self.features) != n):
+            raise ValueError(f"features must be [N={n}, F] or None, got {list(self.features.shape)}")
 
     def __len__(self) -> int:
         return len(self.means)
@@ -55,11 +60,12 @@ class Gaussians:
         return torch.sigmoid(self.logit_opacities)
 
     def tensors(self) -> dict[str, Tensor]:
-        """The five parameter tensors by name."""
-        return {field.name: getattr(self, field.name) for field in fields(self)}
+        """The parameter tensors by name: five, and the features where there are any."""
+        named = {field.name: getattr(self, field.name) for field in fields(self)}
+        return {name: tensor for name, tensor in named.items() if tensor is not None}
 
     def requires_grad_(self, requires_grad: bool = True) -> "Gaussians":
-        """Switch gradients of all five tensors; returns self."""
+        """Switch gradients of all tensors; returns self."""
         for tensor in self.tensors().values():
             tensor.requires_grad_(requires_grad)
         return self

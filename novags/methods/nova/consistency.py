@@ -13,7 +13,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from novags.methods.nova.checkpoint import pack, unpack
+from novags.splats.training.companion import pack, unpack
 from novags.splats.training.fit import Step
 from novags.splats.training.guard import require_finite
 from novags.splats.views import Views

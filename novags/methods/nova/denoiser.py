@@ -14,9 +14,9 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from novags.methods.nova.blindspot import BlindSpotConfig, n2v_loss, replace_masked, sample_mask
-from novags.methods.nova.checkpoint import pack, unpack
 from novags.methods.nova.packed import demosaiced, packed, turned
 from novags.methods.nova.resunet import ResUNet, ResUNetConfig
+from novags.splats.training.companion import pack, unpack
 from novags.splats.training.guard import NotFinite, all_finite, require_finite
 from sensor_model.params import Cfa
 

@@ -16,6 +16,7 @@ from sensor_model.files.reading import brief
 from sensor_model.files.records import check_shape
 
 from ..gaussians import Gaussians
+from .companion import PREFIX, Companion
 from .updates.adam import Adam
 from .updates.camera_refinement import CameraState
 
@@ -30,6 +31,7 @@ class TrainingState:
         gaussians: Current Gaussians.
         adam: Their optimiser.
         cameras: Refinement of the training cameras; None where they stay as given.
+        companion: What is trained beside them; None: nothing.
         iteration: Iterations done.
         losses: Log entries.
         seconds: Wall time spent before this process took over.
@@ -38,6 +40,7 @@ class TrainingState:
     gaussians: Gaussians
     adam: Adam
     cameras: CameraState | None = None
+    companion: Companion | None = None
     iteration: int = 0
     losses: list[dict[str, float]] = field(default_factory=list)
     seconds: float = 0.0
@@ -78,6 +81,8 @@ def save_checkpoint(path: Path, state: TrainingState, settings: dict[str, object
     tensors |= {f"second.{name}": t for name, t in state.adam.second.items()}
     if state.cameras is not None:
         tensors |= {f"cameras.{name}": t.detach() for name, t in vars(state.cameras).items()}
+    if state.companion is not None:
+        tensors |= state.companion.state()
     rest = {
         "iteration": state.iteration, "adam": state.adam.count, "losses": state.losses, "seconds": state.seconds,
         "settings": settings,
@@ -85,8 +90,16 @@ def save_checkpoint(path: Path, state: TrainingState, settings: dict[str, object
     write_tensors(path, tensors, metadata={"state": json.dumps(rest)})
 
 
-def load_checkpoint(path: Path, settings: dict[str, object], device: torch.device) -> TrainingState:
+def load_checkpoint(
+    path: Path, settings: dict[str, object], device: torch.device, companion: Companion | None = None
+) -> TrainingState:
     """Read what `save_checkpoint` wrote.
+
+    Args:
+        path: File to read.
+        settings: What the run is started with now.
+        device: Where its tensors shall be.
+        companion: Takes the state of the one that was trained in that run.
 
     Raises:
         ValueError: If the file is not a training checkpoint, or belongs to a run with other settings.
@@ -110,7 +123,13 @@ def load_checkpoint(path: Path, settings: dict[str, object], device: torch.devic
             f"checkpoint {path} belongs to a run with other settings ({changes}); delete it or restore them"
         )
     try:
-        return _assembled(rest, tensors, saved)
+        state = _assembled(rest, tensors, saved)
+        if (companion is not None) != any(name.startswith(f"{PREFIX}.") for name in tensors):
+            raise ValueError("something was trained beside its Gaussians, and nothing is now, or the other way round")
+        if companion is not None:
+            companion.restore(tensors)
+            state.companion = companion
+        return state
     except (TypeError, ValueError) as error:  # TypeError: tensors missing or too many
         raise ValueError(f"{path} is damaged ({brief(error)}): delete it to start again") from error
 

@@ -16,6 +16,7 @@ from torch import Tensor
 from ..gaussians import Gaussians
 from ..views import Views
 from .checkpoint import TrainingState, digest, load_checkpoint, save_checkpoint
+from .companion import Companion
 from .config import FitConfig
 from .direct import DirectFit
 from .guard import NotFinite, norms
@@ -57,6 +58,7 @@ def fit(
     *,
     photometric: Callable[[Step, Tensor], Tensor] | None = None,
     extra_losses: Sequence[Callable[[Step], Tensor | None]] = (),
+    companion: Companion | None = None,
     before_step: Callable[[int], None] | None = None,
     needs_depth: bool | Callable[[int], bool] = False,
     progress: Callable[[int, int, dict[str, float]], None] | None = None,
@@ -72,6 +74,7 @@ def fit(
         photometric: Scalar loss of the Step and its target, which may then be of any shape; None is
             (1 - w) L1 + w (1 - SSIM) with `config.dssim_weight`. A `PixelLoss` spares the CPU autograd.
         extra_losses: Called with the Step after rendering; each returns a scalar to add, or None.
+        companion: What the losses use and train beside the Gaussians; changed in place.
         before_step: Called with the iteration number before it starts.
         needs_depth: Render expected depth too; a function is asked in every iteration, by its number.
         progress: Called every LOG_EVERY iterations with (iterations done, of how many, log entry).
@@ -93,10 +96,11 @@ def fit(
     extent = config.extent if config.extent is not None else views.extent
     settings = {} if checkpoint is None else _identity(gaussians, views, config, extent)
     if checkpoint is not None and checkpoint.exists():
-        state = load_checkpoint(checkpoint, settings, gaussians.means.device)
+        state = load_checkpoint(checkpoint, settings, gaussians.means.device, companion)
         started -= state.seconds
     else:
         state = _initial_state(gaussians, views, config)
+        state.companion = companion
     cap = config.cap_max if config.cap_max is not None else len(gaussians)
     loss = photometric or partial(default_photometric, config.dssim_weight)
     direct = None if extra_losses else _direct(state, views, config, photometric)
@@ -120,6 +124,8 @@ def fit(
                 # extra losses may reach harmonics that are not rendered yet
                 degree = 3 if extra_losses else config.degree_at(iteration)
                 state.adam.step(state.gaussians, rates, means_rate, degree)
+                if companion is not None:
+                    companion.step(iteration, config.iterations)
             _move(state, iteration, config, cap, means_rate)
             state.iteration = done = iteration + 1
             saving = done % config.checkpoint_every == 0 or done == config.iterations

@@ -89,6 +89,8 @@ def _gradients(state: TrainingState) -> dict[str, Tensor]:
     leaves = state.gaussians.tensors()
     if state.cameras is not None:
         leaves = {**leaves, "camera twists": state.cameras.twists}
+    if state.companion is not None:
+        leaves = {**leaves, **state.companion.named_parameters()}
     return {name: tensor.grad for name, tensor in leaves.items() if tensor.grad is not None}
 
 
@@ -97,6 +99,8 @@ def check_parameters(state: TrainingState, where: str) -> None:
     tensors = state.gaussians.tensors()
     if state.cameras is not None:
         tensors = {**tensors, "camera twists": state.cameras.twists}
+    if state.companion is not None:
+        tensors = {**tensors, **state.companion.named_parameters()}
     require_finite("parameter", tensors, where, resumable=False)
 
 

@@ -40,6 +40,8 @@ class Step:
         alpha: [H, W].
         info: Of `rasterize`, not packed, for this one view: "means2d" [1, N, 2], "radii" [1, N, 2], "depths" [1, N].
         views: All training views as they are now; where cameras are refined, `views.viewmats` is differentiable too.
+        splat: Renders other values of the same Gaussians from this view: [N, D] -> [H, W, D], or spherical harmonics
+            [N, K, 3] -> [H, W, 3] of the degree that `render` shows; differentiable in the values and the Gaussians.
         rasterize_view: Renders view j now: (render [H, W, 3], depth [H, W], alpha [H, W], info).
         expected_depth: [H, W], or None where `needs_depth` did not ask for it.
     """
@@ -52,6 +54,7 @@ class Step:
     alpha: Tensor
     info: Info
     views: Views
+    splat: Callable[[Tensor], Tensor]
     rasterize_view: Callable[[int], tuple[Tensor, Tensor, Tensor, Info]]
     expected_depth: Tensor | None
 
@@ -100,13 +103,17 @@ def render_step(
         backend: As in `rasterize`.
     """
 
-    def render(j: int, mode: str) -> tuple[Tensor, Tensor, Info]:
+    def render(j: int, mode: str, colors: Tensor = gaussians.sh) -> tuple[Tensor, Tensor, Info]:
+        degree = sh_degree if colors.ndim == 3 else None
         renders, alphas, info = rasterize(
-            gaussians.means, gaussians.quats, scales, opacities, gaussians.sh, views.viewmats[j : j + 1],
-            views.Ks[j : j + 1], views.width, views.height, sh_degree=sh_degree, render_mode=mode, backend=backend,
+            gaussians.means, gaussians.quats, scales, opacities, colors, views.viewmats[j : j + 1],
+            views.Ks[j : j + 1], views.width, views.height, sh_degree=degree, render_mode=mode, backend=backend,
             packed=False, **splatting,
         )  # fmt: skip
         return renders[0], alphas[0, ..., 0], info
+
+    def splat(values: Tensor) -> Tensor:
+        return render(view, "RGB", values)[0]
 
     def rasterize_view(j: int) -> tuple[Tensor, Tensor, Tensor, Info]:
         image, alpha, info = render(j, "RGB+ED")
@@ -115,6 +122,6 @@ def render_step(
     image, alpha, info = render(view, "RGB+ED" if with_depth else "RGB")
     return Step(
         iteration=iteration, iterations=iterations, view=view, gaussians=gaussians, render=image[..., :3],
-        alpha=alpha, info=info, views=views, rasterize_view=rasterize_view,
+        alpha=alpha, info=info, views=views, splat=splat, rasterize_view=rasterize_view,
         expected_depth=image[..., 3] if with_depth else None,
     )  # fmt: skip

@@ -35,7 +35,9 @@ class Drawn:
     opacities: np.ndarray
 
 
-def drawn(gaussians: Gaussians, into: Similarity, gain: float | None = None) -> Drawn:
+def drawn(
+    gaussians: Gaussians, into: Similarity, gain: float | None = None, matrix: torch.Tensor | None = None
+) -> Drawn:  # fmt: skip
     """Gaussians in the frame that `into` leads to, in the constant part of their colours.
 
     Args:
@@ -43,10 +45,13 @@ def drawn(gaussians: Gaussians, into: Similarity, gain: float | None = None) -> 
         into: From that frame.
         gain: Of Gaussians in linear light: to what is encoded for the screen. Blending in code is not quite blending
             in light.
+        matrix: Of Gaussians in linear light: [3, 3] from what they hold to that light; None: the identity.
     """
     g = gaussians.detach()
     axes = into.scale * (into.rotation @ quat_to_rotmat(g.quats.double())) * g.scales.double()[:, None]
     colors = sh_to_rgb(g.sh[:, 0]).float().numpy()
+    if gain is not None and matrix is not None:
+        colors = colors @ matrix.numpy().T
     return Drawn(
         into.apply(g.means).float().numpy(),
         (axes @ axes.mT).float().numpy(),
@@ -66,10 +71,8 @@ def scene_of(run: Run) -> GaussianScene | None:
         return None
     dilation = float(run.record.get("eps2d", FitConfig.eps2d))
     antialiased = bool(run.record.get("antialiased", FitConfig.antialiased))
-    if (tone := run.record.get("tone")) is None:
-        return GaussianScene(read_ply(path), dilation, antialiased)
-    matrix = run.record.get("matrix")
-    curve, rows = ToneCurve(**tone), None if matrix is None else torch.tensor(matrix)
+    tone, matrix = run.record.get("tone"), run.record.get("matrix")
+    curve, rows = None if tone is None else ToneCurve(**tone), None if matrix is None else torch.tensor(matrix)
     return GaussianScene(read_ply(path), dilation, antialiased, curve, rows)
 
 

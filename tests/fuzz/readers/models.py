@@ -89,8 +89,8 @@ def _network():  # noqa: ANN202
 def make_network(folder: Path) -> None:
     import torch
 
-    from novags.methods.nova.checkpoint import pack
     from novags.splats.training.checkpoint import write_tensors
+    from novags.splats.training.companion import pack
 
     network, adam = _network()
     network(torch.rand(1, 1, 5, 5)).sum().backward()
@@ -99,7 +99,8 @@ def make_network(folder: Path) -> None:
 
 
 def read_network(folder: Path, file: Path) -> None:
-    from novags.methods.nova.checkpoint import read, unpack
+    from novags.methods.nova.checkpoint import read
+    from novags.splats.training.companion import unpack
 
     unpack("denoiser", read(file), *_network())
 

@@ -1,4 +1,4 @@
-"""Adam over the five tensors of a set of Gaussians, with a learning rate per tensor (and one for the SH rest)."""
+"""Adam over the tensors of a set of Gaussians, with a learning rate per tensor (and one for the SH rest)."""
 
 import math
 from dataclasses import dataclass, replace
@@ -15,6 +15,7 @@ from ...sh import n_coefficients
 
 BETA1, BETA2 = 0.9, 0.999
 EPS = 1e-15  # 3DGS: gradients are tiny, torch's 1e-8 would damp them; without any, 0 / 0 for a Gaussian never seen
+COOLED = ("quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest", "features")  # by `cool_to`
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +32,7 @@ class LearningRates:
         logit_opacities: Logit opacity.
         sh_dc: Constant colour.
         sh_rest: Higher spherical harmonics.
+        features: `Gaussians.features`.
         cool_from: Share of the run after which all rates but that of the means fall, log-linearly.
         cool_to: What they fall to at its end, as a share of themselves; 1: they do not.
     """
@@ -43,13 +45,14 @@ class LearningRates:
     logit_opacities: float = 5e-2
     sh_dc: float = 2.5e-3
     sh_rest: float = 1.25e-4
+    features: float = 2.5e-3
     cool_from: float = 0.6
     cool_to: float = 1.0
 
     def __post_init__(self) -> None:
         if self.schedule not in ("original", "gsplat"):
             raise ValueError(f"schedule must be 'original' or 'gsplat', got {self.schedule!r}")
-        for name in ("means", "means_final", "quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest"):
+        for name in ("means", "means_final", *COOLED):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"learning rate {name} must be >= 0, got {getattr(self, name)}")
         if not (0 <= self.cool_from < 1 and 0 < self.cool_to <= 1):
@@ -63,8 +66,7 @@ class LearningRates:
         if self.cool_to == 1 or iteration <= begin:
             return self
         factor = self.cool_to ** ((iteration - begin) / (iterations - begin))
-        cooled = ("quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest")
-        return replace(self, **{name: factor * getattr(self, name) for name in cooled})
+        return replace(self, **{name: factor * getattr(self, name) for name in COOLED})
 
     def means_at(self, iteration: int, iterations: int, extent: float) -> float:
         """Learning rate of the means, world units, at `iteration` of a run of `iterations`."""

@@ -6,13 +6,14 @@ import pytest
 import torch
 from torch import Tensor
 
-from novags.methods.nova.checkpoint import pack, read, unpack
+from novags.methods.nova.checkpoint import read
 from novags.methods.nova.consistency import ConsistencyConfig
 from novags.methods.nova.denoiser import DenoiserConfig
 from novags.methods.nova.resunet import ResUNetConfig
 from novags.methods.nova.trainer import NovaConfig, train
 from novags.splats import FitConfig
 from novags.splats.training.checkpoint import write_tensors
+from novags.splats.training.companion import pack, unpack
 
 NETWORK = ResUNetConfig(widths=(4,), bottleneck=4, normalization="none")
 CONFIG = NovaConfig(

@@ -318,7 +318,7 @@ def test_the_photometric_loss_equals_its_definition_in_numpy(weight, dtype):
 def test_defaults_are_those_of_3dgs_mcmc():
     mcmc, rates, config = McmcConfig(), LearningRates(), FitConfig()
     assert dataclasses.astuple(mcmc) == (500, None, 100, 1.05, 5e5)
-    assert dataclasses.astuple(rates) == (1.6e-4, 1.6e-6, "gsplat", 1e-3, 5e-3, 5e-2, 2.5e-3, 1.25e-4, 0.6, 1.0)
+    assert dataclasses.astuple(rates) == (1.6e-4, 1.6e-6, "gsplat", 1e-3, 5e-3, 5e-2, 2.5e-3, 1.25e-4, 2.5e-3, 0.6, 1.0)
     assert (config.dssim_weight, config.opacity_reg, config.scale_reg, config.sh_every) == (0.2, 0.01, 0.01, 1000)
     assert config.refine_cameras is None
 

@@ -1,0 +1,161 @@
+"""Gaussians in linear light, fitted to raw data by the loss of RawNeRF, as LE3D does.
+
+    loss = mean of  ((min(render, white) - datum) / (sg(render) + EPSILON))**2
+
+of Mildenhall et al. 2022, section 4.1; sg holds its argument fixed. Divided by the render, an error counts as the tone
+curve log(y + EPSILON) would show it. The derivative of that curve weighs the residual, instead of the curve bending the
+noise, so that noise of mean zero averages out. Data are never clipped at black. Behind a colour filter array only what
+was measured is compared.
+
+What differs from the publications: RawNeRF is a field, and LE3D makes colours with a small network from features of
+each Gaussian; here they are spherical harmonics of the light, as in 3DGS, in a unit that brings bright light to 1.
+LE3D's start from a cone of random points and its two regularisers of distances are left out; the fit is 3DGS-MCMC, as
+for all methods.
+"""
+
+import dataclasses
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from novags.methods.enhancers import EnhancerConfig, enhanced, enhancement_record
+from novags.methods.enhancers.guided import EnhanceConfig
+from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, Progress, fit_for
+from novags.methods.light import MeasuredLight, measured_light
+from novags.methods.noise_estimate import noise_of
+from novags.methods.problem import Pictures, Problem
+from novags.methods.reconstruction import GaussianScene, Reconstruction
+from novags.splats import FitConfig, Gaussians, Step
+from novags.splats.training.fit import fit
+from sensor_model import srgb_to_linear
+
+BRIGHT = 0.99  # quantile of the green data that becomes a colour of 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class RawGsConfig:
+    """All choices.
+
+    Attributes:
+        fit: Of the Gaussians; `fit.dssim_weight` has no effect.
+        epsilon: Of the loss, in units of white. Without it the darkest pixels, where noise is all there is, would weigh
+            without bound.
+        init_scale: Of an initial Gaussian, in distances to its nearest neighbours.
+        pictures: Through whose enhancement the result is shown, and compared with methods that enhance.
+        enhance: That enhancement.
+    """
+
+    fit: FitConfig = ORIGINAL_FIT
+    epsilon: float = 1e-3
+    init_scale: float = ORIGINAL_SCALE
+    pictures: Pictures = "8bit"
+    enhance: EnhancerConfig = field(default_factory=EnhanceConfig)
+
+    def __post_init__(self) -> None:
+        if not self.epsilon > 0:
+            raise ValueError(f"epsilon must be > 0 (black renders would be divided by zero), got {self.epsilon}")
+
+
+class RawLoss:
+    """The loss of a render against data, of which nan are left out. A `PixelLoss`.
+
+    Attributes:
+        white: Where each channel saturates, [3], unit of the render.
+        epsilon: In the same unit.
+    """
+
+    def __init__(self, white: Tensor, epsilon: float) -> None:
+        self.white, self.epsilon = white, epsilon
+        self._white = white.cpu().numpy().astype(np.float32)
+
+    def __call__(self, step: Step, target: Tensor) -> Tensor:
+        """The loss by autograd, on any device."""
+        there = ~target.isnan()
+        residual = torch.where(there, torch.minimum(step.render, self.white.to(step.render)) - target, 0.0)
+        return (residual / (step.render.detach() + self.epsilon)).square().sum() / there.sum().clamp_min(1)
+
+    def compare(self, image: np.ndarray, target: np.ndarray) -> tuple[np.float32, np.ndarray]:
+        """The loss of float32 arrays [H, W, 3], and its gradient for the image."""
+        there = ~np.isnan(target)
+        count = max(1, int(there.sum()))
+        scale = 1 / (image + np.float32(self.epsilon))
+        residual = np.where(there, np.minimum(image, self._white) - target, np.float32(0)) * scale
+        gradient = residual * scale * np.float32(2 / count)
+        gradient[image > self._white] = 0
+        return np.float32(np.square(residual, dtype=np.float64).sum() / count), gradient
+
+
+def train(
+    problem: Problem, config: RawGsConfig, *, progress: Progress | None = None, checkpoint: Path | None = None
+) -> Reconstruction:
+    """Reconstruct the light of a scene from raw frames, or from linear 16-bit pictures.
+
+    Args:
+        problem: The problem; its seed and extent override those of `config.fit`.
+        config: All choices.
+        progress: As in `splats.fit`.
+        checkpoint: As in `splats.fit`.
+
+    Returns:
+        A reconstruction in linear light, in the unit of the linear 16-bit pictures. Seconds: "fit".
+
+    Raises:
+        LacksInput: If the problem has neither raw frames nor 16-bit linear pictures.
+        ValueError: If there is no light in the pictures, or a checkpoint is damaged or belongs to another run.
+        NotFinite: As `fit` says.
+    """
+    started = time.perf_counter()
+    config = dataclasses.replace(config, fit=fit_for(problem, config.fit))
+    data = measured_light(noise_of(problem), problem.raw, problem.linear16, problem.channels_share)
+    unit = brightness(data)
+    start = _start(problem, data, unit, config)
+    targets = data.light / unit
+    loss = RawLoss(data.white / unit, config.epsilon / unit)
+    result = fit(
+        start, problem.views, lambda i: targets[i], config.fit, photometric=loss, checkpoint=checkpoint,
+        progress=progress,
+    )  # fmt: skip
+    matrix = torch.eye(3) if data.matrix is None else data.matrix.cpu()
+    scene = dataclasses.replace(GaussianScene.of(result.gaussians, config.fit), matrix=unit * matrix)
+    return Reconstruction(
+        scene=scene,
+        space="linear",
+        config=config,
+        enhancement=enhancement_record(config.enhance, config.pictures),
+        enhanced=enhanced(problem, config.enhance, config.pictures),
+        viewmats=None if config.fit.refine_cameras is None else result.viewmats,
+        losses=result.losses,
+        seconds={"fit": result.seconds, "other": max(0.0, time.perf_counter() - started - result.seconds)},
+        found={"unit": unit},
+    )
+
+
+def brightness(data: MeasuredLight) -> float:
+    """Light that becomes a colour of 1.
+
+    Raises:
+        ValueError: If it is not above black.
+    """
+    green = data.light[..., 1]
+    green = green[~green.isnan()].double()
+    unit = float(torch.quantile(green[:: max(1, len(green) // 4_000_000)], BRIGHT))
+    if not unit > 0:
+        raise ValueError(
+            f"the {BRIGHT:.0%} quantile of the green pixels must be above black, got {unit:.3g}: there is no light in "
+            "these pictures, or the black level of the camera is wrong"
+        )
+    return unit
+
+
+def _start(problem: Problem, data: MeasuredLight, unit: float, config: RawGsConfig) -> Gaussians:
+    """Gaussians at the first points, in the light that the dark pictures show there."""
+    light = torch.from_numpy(np.asarray(srgb_to_linear(problem.start.colors.cpu().numpy()), np.float32))
+    if data.matrix is not None:
+        light = light @ torch.linalg.inv(data.matrix.cpu()).T
+    colors = (light / unit).clamp(0, 1).to(data.light)
+    points = problem.start.points.to(data.light)
+    return Gaussians.from_points(points, colors, sh_degree=config.fit.sh_degree, init_scale=config.init_scale)
