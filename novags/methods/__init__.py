@@ -16,7 +16,7 @@ from novags.methods.nova.denoiser import FAST_DENOISER
 from novags.methods.nova.knobs import KNOBS as NOVA_KNOBS
 from novags.methods.nova_plus import trainer as nova_plus
 from novags.methods.nova_plus.knobs import KNOBS as NOVA_PLUS_KNOBS
-from novags.methods.rivals import raw_gs
+from novags.methods.rivals import luminance_gs, raw_gs
 from novags.methods.variant import Method, Variant, spelled
 from novags.settings import flattened
 from sensor_model.files.reading import brief
@@ -97,6 +97,15 @@ METHODS: dict[str, Method] = {
         train=denoised.train,
         parts=denoised.parts,
         source="recorrupted-to-recorrupted (Pang et al. 2021) in the generalised Anscombe domain (Murtagh et al. 1995)",
+    ),
+    "luminance-gs": Method(
+        title="dark and lit colours for each Gaussian; the lit ones follow curves that are learned with them",
+        family="3DGS",
+        color="#66a61e",
+        config=luminance_gs.LuminanceGsConfig,
+        train=luminance_gs.train,
+        parts=fit_parts,
+        source="Luminance-GS (Cui et al. 2025)",
     ),
     "raw-gs": Method(
         title="the light of the scene, fitted to the raw data by the loss of RawNeRF",
