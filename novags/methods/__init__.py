@@ -10,6 +10,8 @@ from novags.methods import enhance_then_fit, oracle
 from novags.methods.averaging import trainer as averaging
 from novags.methods.denoised import trainer as denoised
 from novags.methods.enhancers import EnhancerConfig, tone_curves
+from novags.methods.enhancers.sci import SciConfig
+from novags.methods.enhancers.zero_dce import ZeroDceConfig
 from novags.methods.gaussian_fit import ORIGINAL_FIT, EnhancedFitConfig, fit_parts
 from novags.methods.nova import trainer as nova
 from novags.methods.nova.denoiser import FAST_DENOISER
@@ -26,7 +28,8 @@ def _enhanced(enhance: EnhancerConfig, title: str, color: str, source: str) -> M
     """What "naive" is, with another enhancement."""
     return Method(
         title=f"{title}, then fit as naive does", family="2D + GS", color=color, source=source,
-        config=partial(EnhancedFitConfig, enhance=enhance), train=enhance_then_fit.train, parts=fit_parts,
+        config=partial(EnhancedFitConfig, enhance=enhance), train=enhance_then_fit.train,
+        parts=enhance_then_fit.parts,
     )  # fmt: skip
 
 
@@ -60,7 +63,7 @@ METHODS: dict[str, Method] = {
         color="#c8590a",
         config=EnhancedFitConfig,
         train=enhance_then_fit.train,
-        parts=fit_parts,
+        parts=enhance_then_fit.parts,
         source="section 4.2 of the NOVA-GS paper and 3DGS-MCMC (Kheradmand et al. 2024)",
         bound="floor",
     ),
@@ -87,6 +90,19 @@ METHODS: dict[str, Method] = {
         "equalise the histogram of each picture's luma",
         "#cd853f",
         "histogram equalisation (Gonzalez and Woods, Digital Image Processing)",
+    ),
+    "zero-dce-gs": _enhanced(
+        ZeroDceConfig(),
+        "enhance with the curves of Zero-DCE, learned from the scene without references, or from the authors' file",
+        "#6b8e23",
+        "Zero-Reference Deep Curve Estimation for Low-Light Image Enhancement (Guo et al. 2020)",
+    ),
+    "sci-gs": _enhanced(
+        SciConfig(),
+        "divide by the illumination that SCI estimates, learned from the scene without references, or from the "
+        "authors' file",
+        "#2e8b57",
+        "Toward Fast, Flexible, and Robust Low-Light Image Enhancement (Ma et al. 2022)",
     ),
     "denoise-gs": Method(
         title="denoise the raw data with a network that was trained on simulated cameras and adapts to the capture, "
@@ -182,6 +198,13 @@ VARIANTS: dict[str, Variant] = dict(
             "gamma-gs",
             "raise every code to the power that brings the mean of the picture to 0.5, then fit as naive does",
             {"enhance.gamma": None},
+        ),
+        _variant(
+            "sci-plus-gs",
+            "sci-gs",
+            "SCI with this project's reading of the additivity condition of SCI++ (Ma et al. 2025), then fit as naive "
+            "does",
+            {"enhance.additivity": 1.0},
         ),
         _variant(
             "oracle-demosaiced",

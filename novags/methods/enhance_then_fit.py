@@ -1,15 +1,90 @@
-"""Enhance every view, then fit Gaussians to the result, noise and all."""
+"""Enhance every view, then fit Gaussians to the result, noise and all.
 
+This is the published baseline (`naive`), and with the enhancers of others every "2D enhancer + GS" of the paper: the
+same pictures, cameras, loss, iterations and number of Gaussians, so that the enhancement alone makes the difference.
+"""
+
+import time
 from pathlib import Path
 
-from novags.methods.enhancers import enhanced
-from novags.methods.gaussian_fit import EnhancedFitConfig, Progress, fit_enhanced
-from novags.methods.problem import Problem
-from novags.methods.reconstruction import Reconstruction
+import torch
+from torch import Tensor, nn
+
+from novags.methods.enhancers import NETWORKS, EnhancerConfig, enhanced, enhancement_record
+from novags.methods.enhancers.networks import Kind, described
+from novags.methods.enhancers.rehearsal import learned
+from novags.methods.gaussian_fit import EnhancedFitConfig, Progress, fit_enhanced, fit_parts
+from novags.methods.problem import Pictures, Problem
+from novags.methods.reconstruction import NETWORK, Reconstruction
+
+
+def parts(config: EnhancedFitConfig) -> dict[str, int]:
+    """`Method.parts`: what the enhancer learns from the scene, if it does, then the fit."""
+    kind = NETWORKS.get(type(config.enhance))
+    steps = 0 if kind is None else _steps(kind, config)
+    return {"enhancer": steps, **fit_parts(config)} if steps else fit_parts(config)
+
+
+def _weights(config: EnhancedFitConfig) -> tuple[Path, ...]:
+    return getattr(config.enhance, "weights", None) or ()
+
+
+def _steps(kind: Kind, config: EnhancedFitConfig) -> int:
+    return 0 if kind.rehearsal is None or _weights(config) else kind.rehearsal.steps(config.enhance)
 
 
 def train(
     problem: Problem, config: EnhancedFitConfig, *, progress: Progress | None = None, checkpoint: Path | None = None
 ) -> Reconstruction:
-    """Reconstruct from the enhanced noisy pictures; see `fit_enhanced`."""
-    return fit_enhanced(problem, config, enhanced, progress, checkpoint)
+    """Reconstruct from the enhanced noisy pictures; see `fit_enhanced`.
+
+    An enhancing network comes from the files that the configuration names; without, it learns from the noisy pictures
+    of the problem, and its state is kept beside the checkpoint, in `<stem>.enhancer.safetensors`.
+
+    Returns:
+        A reconstruction whose targets are the enhanced pictures. Seconds: "learn" of a network, "enhance" and "fit".
+
+    Raises:
+        LacksInput: If the network needs weights and none are named.
+        ValueError: If weights or a checkpoint are damaged, or belong to something else.
+    """
+    kind = NETWORKS.get(type(config.enhance))
+    if kind is None:
+        return fit_enhanced(problem, config, enhanced, progress, checkpoint)
+    return _with_network(kind, problem, config, progress, checkpoint)
+
+
+def _with_network(
+    kind: Kind, problem: Problem, config: EnhancedFitConfig, progress: Progress | None, checkpoint: Path | None
+) -> Reconstruction:
+    started, steps, files = time.perf_counter(), _steps(kind, config), _weights(config)
+    network = _network(kind, problem, config, progress, checkpoint)
+    learning = time.perf_counter() - started
+
+    def through(problem: Problem, enhance: EnhancerConfig, pictures: Pictures) -> Tensor:
+        return torch.stack([kind.picture(network, dark, enhance) for dark in problem.encoded(pictures)])
+
+    def report(done: int, total: int, entry: dict[str, float]) -> None:
+        if progress is not None:
+            progress(steps + done, steps + total, entry)
+
+    result = fit_enhanced(problem, config, through, progress and report, checkpoint)
+    record = enhancement_record(config.enhance, config.pictures)
+    result.enhancement = {**record, "config": {**record["config"], "weights": [NETWORK]}}
+    # Cloned: a block that is applied several times is one tensor under several names, which no file may hold.
+    result.network = {name: value.cpu().clone() for name, value in network.state_dict().items()}
+    result.found = {"enhancer": {"learned_steps": steps} if kind.rehearsal and not files else described(files)}
+    result.seconds = {"learn": learning, **result.seconds}
+    return result
+
+
+def _network(
+    kind: Kind, problem: Problem, config: EnhancedFitConfig, progress: Progress | None, checkpoint: Path | None
+) -> nn.Module:
+    if kind.rehearsal is None or _weights(config):
+        return kind.load(config.enhance)
+    path = None if checkpoint is None else checkpoint.with_name(f"{checkpoint.stem}.enhancer.safetensors")
+    return learned(
+        kind, config.enhance, problem.encoded(config.pictures), problem.seed,
+        progress=progress, more=config.fit.iterations, checkpoint=path,
+    )  # fmt: skip

@@ -11,10 +11,12 @@ from novags.methods.tone import ToneCurve
 from novags.splats.files.ply import write_ply
 from novags.splats.gaussians import Gaussians
 from novags.splats.raster.rasterize import rasterize
+from novags.splats.training.checkpoint import write_tensors
 from novags.splats.training.config import FitConfig
 from novags.splats.views import Views
 
 Space = Literal["enhanced", "linear", "lit"]
+NETWORK = "enhancer.safetensors"  # beside a saved scene: the weights of the network that enhanced its pictures
 
 
 class Scene(Protocol):
@@ -105,6 +107,8 @@ class Reconstruction:
         losses: Log entries of the training.
         seconds: Wall time by part.
         found: What it measured and decided on the way, for the record; plain values.
+        network: Weights of the network that enhanced the pictures, by name, for methods with one. `save` writes them
+            too, to `NETWORK`, which the configuration of the enhancement names.
     """
 
     scene: Scene
@@ -117,6 +121,7 @@ class Reconstruction:
     losses: list[dict[str, float]] = field(default_factory=list)
     seconds: dict[str, float] = field(default_factory=dict)
     found: dict[str, Any] = field(default_factory=dict)
+    network: dict[str, Tensor] | None = None
 
     def __post_init__(self) -> None:
         if (self.space == "enhanced" and self.enhancement is None) or (self.space == "lit" and self.enhancement):
@@ -132,3 +137,5 @@ class Reconstruction:
     def save(self, folder: Path) -> None:
         """See `Scene.save`."""
         self.scene.save(folder)
+        if self.network is not None:
+            write_tensors(folder / NETWORK, self.network)

@@ -1,17 +1,22 @@
-"""A dark picture in, a bright one out: one file per enhancer, one row in `ENHANCERS`."""
+"""A dark picture in, a bright one out: one file per enhancer, one row in `ENHANCERS`; networks also in `NETWORKS`."""
 
 import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import torch
 from torch import Tensor
 
 from novags.methods.enhancers import guided, tone_curves
+from novags.methods.enhancers.networks import Kind, no_params, stamps
+from novags.methods.enhancers.sci import SCI, SciConfig
+from novags.methods.enhancers.zero_dce import ZERO_DCE, ZeroDceConfig
 from novags.methods.memo import Memo
 from novags.methods.noise import Noise, Variance
 from novags.methods.problem import LacksInput, Pictures, Problem
+from novags.settings import changed
 from sensor_model.files.reading import brief
 
 
@@ -39,6 +44,8 @@ EnhancerConfig: TypeAlias = (
     | tone_curves.GainConfig
     | tone_curves.DragoConfig
     | tone_curves.EqualiseConfig
+    | ZeroDceConfig
+    | SciConfig
     | None
 )
 
@@ -47,12 +54,16 @@ def _unchanged(dark: Tensor, config: None, params: Any, noise: Variance | None) 
     return dark, None
 
 
+NETWORKS: dict[type, Kind] = {ZeroDceConfig: ZERO_DCE, SciConfig: SCI}
+
 ENHANCERS: dict[str, Enhancer] = {
     "guided": Enhancer(guided.EnhanceConfig, guided.enhance, guided.typical),
     "gamma": Enhancer(tone_curves.GammaConfig, tone_curves.gamma, tone_curves.mean_params),
     "gain": Enhancer(tone_curves.GainConfig, tone_curves.gain, tone_curves.geometric_mean_params),
     "drago": Enhancer(tone_curves.DragoConfig, tone_curves.drago, tone_curves.geometric_mean_params),
     "equalise": Enhancer(tone_curves.EqualiseConfig, tone_curves.equalise, tone_curves.mean_curve),
+    "zero-dce": Enhancer(ZeroDceConfig, ZERO_DCE.enhance, no_params),
+    "sci": Enhancer(SciConfig, SCI.enhance, no_params),
     "none": Enhancer(type(None), _unchanged, lambda params: None),
 }
 
@@ -79,10 +90,22 @@ def recorded(enhancement: dict[str, Any]) -> tuple[Enhancer, Any]:
     name = enhancement["enhancer"]
     if name not in ENHANCERS:
         raise ValueError(f"unknown enhancer {brief(repr(name), 100)}; available: {', '.join(ENHANCERS)}")
+    config = ENHANCERS[name].config()
+    if config is None:
+        return ENHANCERS[name], None
     try:
-        return ENHANCERS[name], ENHANCERS[name].config(**enhancement["config"])
-    except TypeError as error:
+        return ENHANCERS[name], changed(config, enhancement["config"])
+    except ValueError as error:
         raise ValueError(f"the recorded settings of {name} do not fit this version ({error}): run it again") from error
+
+
+def located(enhancement: dict[str, Any], folder: Path) -> dict[str, Any]:
+    """The enhancement that a run in a folder has recorded, with its files of weights where they are."""
+    config = enhancement["config"]
+    weights = config.get("weights")
+    if not isinstance(weights, list):
+        return enhancement
+    return {**enhancement, "config": {**config, "weights": [str(folder / str(name)) for name in weights]}}
 
 
 def enhanced(problem: Problem, config: EnhancerConfig, pictures: Pictures) -> Tensor:
@@ -134,7 +157,7 @@ def enhanced_twin(
         demosaiced: Whether `clean` was interpolated from a mosaic.
     """
     _, params = enhanced_view(shared, name, dark, config, pictures, noise)
-    key = ("enhanced clean", name, pictures, config, demosaiced)
+    key = ("enhanced clean", name, pictures, config, stamps(config), demosaiced)
     return shared.once(key, lambda: _enhance(clean, config, params)[0])
 
 
@@ -142,7 +165,8 @@ def enhanced_view(
     shared: Memo, name: str, dark: Tensor, config: EnhancerConfig, pictures: Pictures, noise: Noise | None
 ) -> tuple[Tensor, Any]:
     """One view enhanced [H, W, 3], and the parameters of its enhancement; arguments as for `enhanced_twin`."""
-    return shared.once(("enhanced", name, pictures, config), lambda: _enhance(dark, config, None, noise))
+    key = ("enhanced", name, pictures, config, stamps(config))
+    return shared.once(key, lambda: _enhance(dark, config, None, noise))
 
 
 def enhanced_like(dark: Tensor, config: EnhancerConfig, params: Any) -> Tensor:

@@ -4,6 +4,7 @@ run.json              method, resolved configuration, capture, cameras, seconds;
 point_cloud.ply       the scene (of a method that fits Gaussians: the standard 3DGS layout)
 cameras.json          the training cameras in its frame, as viewers of 3DGS read them
 viewers/              the scene in further formats, on request
+enhancer.safetensors  weights of the network that made the pictures bright, of methods with one
 events.jsonl          losses, one line per step
 enhanced/NNNN.png     training pictures after the enhancement     denoised/NNNN.png   and what was fitted, if different
 renders/NNNN.png      held-out views                              renders_train/NNNN.png    training views
@@ -17,6 +18,8 @@ from typing import Any
 
 import numpy as np
 
+from novags.methods.enhancers import located
+from novags.methods.reconstruction import NETWORK
 from novags.testbed.cache import folder_digest, read_json
 from novags.testbed.console import Console
 from novags.testbed.folders import shapes
@@ -31,7 +34,9 @@ RECORD = "run.json"
 METRICS = "metrics.json"
 EVENTS = "events.jsonl"
 # Present while a run is under way: of methods of one fit, of their networks, of methods of several fits.
-CHECKPOINTS = ("checkpoint.safetensors", "checkpoint.denoiser.safetensors", "checkpoints")
+CHECKPOINTS = (
+    "checkpoint.safetensors", "checkpoint.denoiser.safetensors", "checkpoint.enhancer.safetensors", "checkpoints",
+)  # fmt: skip
 SCENE = "point_cloud.ply"
 CAMERAS, VIEWERS = "cameras.json", "viewers"
 RESULT = (
@@ -40,6 +45,7 @@ RESULT = (
     CAMERAS,
     VIEWERS,
     "scene",
+    NETWORK,
     EVENTS,
     "enhanced",
     "denoised",
@@ -77,7 +83,7 @@ class Run:
     def enhancement(self) -> dict[str, Any] | None:
         """The enhancement of its training pictures, which the references need too; None for methods without one."""
         found: dict[str, Any] | None = self.record["enhancement"]
-        return found
+        return found and located(found, self.path)
 
     @property
     def depth_scale(self) -> float:
@@ -129,7 +135,8 @@ class Run:
             )
         capture = open_capture(path)
         source = capture.source(console)
-        if {"capture": capture.content, "set": source.digest()} != self.record["stage"]["inputs"]:
+        made_from = self.record["stage"]["inputs"]
+        if (capture.content, source.digest()) != (made_from["capture"], made_from["set"]):
             raise ValueError(f"{path} has changed since {self.path} was made from it: put it back or reconstruct again")
         return capture, source
 

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 
 from novags.methods.enhancers import enhanced_twin, enhanced_view, recorded
+from novags.methods.enhancers.networks import stamps
 from novags.methods.memo import Memo
 from novags.methods.problem import encode
 from novags.testbed.folders.capture import Capture
@@ -62,7 +63,7 @@ def _mean(values: list[float | None]) -> float | None:
 
 
 def _floor_of(capture: Capture, lit: Source, enhancement: dict[str, Any]) -> float:
-    key = (capture.content, json.dumps(enhancement, sort_keys=True))
+    key = (capture.content, json.dumps(enhancement, sort_keys=True), stamps(recorded(enhancement)[1]))
     return _FLOORS.once(key, lambda: bias_floor(capture, lit, enhancement))
 
 

@@ -15,8 +15,9 @@ from novags.methods import METHODS
 from novags.methods.problem import LacksInput, Problem, RawPictures, TrueSurface
 from novags.methods.reconstruction import Reconstruction
 from novags.methods.variant import Variant
+from novags.settings import flattened
 from novags.splats import Views
-from novags.testbed.cache import run_stage
+from novags.testbed.cache import folder_digest, run_stage
 from novags.testbed.console import Console, losses_text
 from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import Capture, open_capture
@@ -100,7 +101,7 @@ def reconstruct(
         f"reconstruct {config.variant.name}",
         out,
         run_folder.RECORD,
-        inputs={"capture": capture.content, "set": source.digest()},
+        inputs={"capture": capture.content, "set": source.digest(), **files_of(config.config)},
         config=config.resolved(),
         owns=run_folder.OWNS,
         prepare=lambda: prepare(capture, source, config, console),
@@ -110,6 +111,22 @@ def reconstruct(
         scrap=CHECKPOINTS,
         overwrite=overwrite,
     )
+
+
+def files_of(config: Any) -> dict[str, str]:
+    """Content hash of every file that a configuration names, by setting and name of the file.
+
+    Raises:
+        ValueError: If one is not there.
+    """
+    found = {}
+    for setting, value in flattened(config).items():
+        for path in value if isinstance(value, tuple) else (value,):
+            if isinstance(path, Path):
+                if not path.is_file():
+                    raise ValueError(f"{setting} = {path}: there is no such file; name the one that is meant")
+                found[f"{setting}: {path.name}"] = folder_digest(path.parent, (), beside={path.name: path})
+    return found
 
 
 def prepare(capture: Capture, source: Source, config: ReconstructConfig, console: Console) -> Prepared:

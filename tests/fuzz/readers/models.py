@@ -135,11 +135,39 @@ def read_weights(folder: Path, file: Path) -> None:
     _load(file, "cpu")
 
 
+def make_enhancer(folder: Path) -> None:
+    """In every layout that official files have: of torch since 1.6, of torch before, and safetensors."""
+    import argparse
+
+    import torch
+    from safetensors.torch import save_file
+
+    weights = {"a.weight": torch.rand(2, 3), "a.bias": torch.rand(2)}
+    wrapped = {"epoch": 3, "state_dict": {"model_R": weights}, "opts": argparse.Namespace(rate=0.1, name="x")}
+    torch.save(wrapped, folder / "w.pth")
+    torch.save(wrapped, folder / "old.pth", _use_new_zipfile_serialization=False)
+    save_file(weights, folder / "w.safetensors")
+
+
+def read_enhancer(folder: Path, file: Path) -> None:
+    from novags.methods.enhancers.weights import read_weights
+
+    read_weights((file,))
+
+
 def _torch() -> None:
     import torch
 
     import novags.methods.nova.checkpoint
     import novags.splats.files.ply  # noqa: F401
+
+    torch.set_num_threads(1)
+
+
+def _enhancers() -> None:
+    import torch
+
+    import novags.methods.enhancers.weights  # noqa: F401
 
     torch.set_num_threads(1)
 
@@ -160,5 +188,6 @@ READERS = [
         "checkpoint of a fit", make_checkpoint, read_checkpoint, ("*.safetensors",), cut=("*",), share=8, prepare=_torch
     ),
     Reader("checkpoint of a network", make_network, read_network, ("*.safetensors",), share=2, prepare=_torch),
+    Reader("weights of enhancers", make_enhancer, read_enhancer, ("*.*",), cut=("*",), share=6, prepare=_enhancers),
     Reader("VGGT weights", make_weights, read_weights, ("w.*",), cut=("w.safetensors",), share=6, prepare=_stand_in),
 ]

@@ -1,0 +1,97 @@
+"""A network learns from the dark pictures of a scene alone, step by step; it can be interrupted and goes on."""
+
+import dataclasses
+import hashlib
+import json
+import math
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from novags.methods.enhancers.networks import Kind, crops
+from novags.methods.nova.checkpoint import read
+from novags.splats.training.checkpoint import digest, write_tensors
+from novags.splats.training.companion import pack, unpack
+
+Progress = Callable[[int, int, dict[str, float]], None]
+SAVED = 60.0  # s between two checkpoints
+
+
+def learned(
+    kind: Kind,
+    config: Any,
+    pictures: Tensor,
+    seed: int,
+    *,
+    progress: Progress | None = None,
+    more: int = 0,
+    checkpoint: Path | None = None,
+) -> nn.Module:
+    """A network that has learned from these pictures, ready to enhance.
+
+    Args:
+        kind: Of the network; one that can learn so.
+        config: Of the enhancer.
+        pictures: [C, H, W, 3], sRGB-encoded in 0..1.
+        seed: Of the first weights and of the crops; what a step draws depends on it and on the step's number alone.
+        progress: Called after every step with (steps done, of how many, {"enhancer": loss}).
+        more: Steps that are to follow after these, for `progress`.
+        checkpoint: Where the state is kept, and continued from. It stays when the training is over.
+
+    Raises:
+        ValueError: If the loss is not finite, or the checkpoint is damaged or belongs to another run.
+    """
+    rehearsal = kind.rehearsal
+    assert rehearsal is not None
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        network = kind.make(config).to(pictures.device)
+    adam = rehearsal.optimizer(network, config)
+    steps, step, run = rehearsal.steps(config), 0, _identity(kind, config, pictures, seed)
+    if checkpoint is not None and checkpoint.exists():
+        step = _restored(checkpoint, network, adam, run)
+    network.train()
+    saved = time.perf_counter()
+    while step < steps:
+        batch = crops(pictures, *rehearsal.batch(config), np.random.default_rng([seed, step]))
+        adam.zero_grad()
+        loss = rehearsal.loss(network, batch, config)
+        value = loss.item()
+        if not math.isfinite(value):
+            raise ValueError(f"the loss of {kind.name} must be finite, got {value} at step {step}: lower enhance.rate")
+        loss.backward()
+        torch.nn.utils.clip_grad_norm_(network.parameters(), rehearsal.clip)
+        adam.step()
+        step += 1
+        if checkpoint is not None and (step == steps or time.perf_counter() - saved > SAVED):
+            adam.zero_grad()
+            state = {name: value.clone() for name, value in pack("enhancer", network, adam).items()}  # none shared
+            write_tensors(checkpoint, state | {"run": run, "step": torch.tensor(step)})
+            saved = time.perf_counter()
+        if progress is not None:
+            progress(step, steps + more, {"enhancer": value})
+    return network.eval().requires_grad_(False)
+
+
+def _identity(kind: Kind, config: Any, pictures: Tensor, seed: int) -> Tensor:
+    """Hash of everything that a training depends on, uint8."""
+    settings = json.dumps([kind.name, dataclasses.asdict(config), seed, digest(pictures)], default=str)
+    run = hashlib.blake2b(settings.encode(), digest_size=16)
+    return torch.from_numpy(np.frombuffer(run.digest(), np.uint8).copy())
+
+
+def _restored(path: Path, network: nn.Module, adam: torch.optim.Adam, run: Tensor) -> int:
+    """Continue from a checkpoint; the steps that were done."""
+    tensors = read(path)
+    of, step = tensors.get("run"), tensors.get("step")
+    if of is None or of.dtype != run.dtype or not torch.equal(of, run):
+        raise ValueError(f"{path} belongs to a run of other pictures or settings: delete it or restore them")
+    if step is None or step.shape != () or step.dtype != torch.int64 or int(step) < 0:
+        raise ValueError(f"{path} is damaged: delete it, the run then starts over")
+    unpack("enhancer", tensors, network, adam)
+    return int(step)

@@ -1,0 +1,132 @@
+"""Zero-DCE (Guo et al. 2020, "Zero-Reference Deep Curve Estimation for Low-Light Image Enhancement").
+
+A network of seven convolutions gives eight maps A of every pixel's colours; the picture goes through eight curves
+x <- x + A (x² - x), which keep 0 and 1. With A in -1..0 a curve brightens. It learns without references, from four
+losses on its own result.
+
+Stated in the authors' code and different from the paper, taken from the code: the weights of the losses, the squared
+distance of the exposure loss, the sign of the slopes in the spatial loss, and A (x² - x) where the paper has
+A x (1 - x), which is the same curve of -A.
+
+Deviations: it learns from random crops of the scene's own pictures instead of 2422 pictures of the SICE set, in fewer
+steps; patches shrink to fit small pictures; the spatial loss has no slopes over the border, where the code pads with 0.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor, nn
+from torch.optim import Adam
+
+from novags.methods.enhancers.networks import Kind, Rehearsal
+
+CURVES = 8
+EXPOSURE, PATCH = 0.6, 16  # mean that a patch of so many px is to have
+REGION = 4  # px, of the spatial loss
+SMOOTH, COLOR, EXPOSED = 200.0, 5.0, 10.0  # weights beside the spatial loss
+
+
+@dataclass(frozen=True, kw_only=True)
+class ZeroDceConfig:
+    """Where the weights come from, and how they are learned where no file names them."""
+
+    weights: tuple[Path, ...] | None = None  # the official Epoch99.pth, say; None: learned from the scene
+    steps: int = 200  # published: 200 epochs of 2422 pictures in batches of 8, 60,000 steps
+    rate: float = 1e-4
+    decay: float = 1e-4
+    batch: int = 8
+    crop: int = 64  # px; published: whole pictures of 256 px
+
+    def __post_init__(self) -> None:
+        check_training(self.steps, self.rate, self.decay, self.batch, self.crop)
+
+
+def check_training(steps: int, rate: float, decay: float, batch: int, crop: int) -> None:
+    """Refuse settings of a training that cannot be (ValueError)."""
+    if steps < 0 or batch < 1 or crop < 1:
+        raise ValueError(f"steps must be >= 0, batch and crop >= 1, got {steps}, {batch} and {crop}")
+    if not (0 < rate < 1 and 0 <= decay < 1):
+        raise ValueError(f"rate must lie in (0, 1) and decay in [0, 1), got {rate} and {decay}")
+
+
+class ZeroDce(nn.Module):
+    """The network DCE-Net; names of its layers as in the official file."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        inputs = (3, 32, 32, 32, 64, 64, 64)
+        for i, width in enumerate(inputs, 1):
+            layer = nn.Conv2d(width, 32 if i < 7 else 3 * CURVES, 3, padding=1)
+            nn.init.normal_(layer.weight, 0.0, 0.02)
+            self.add_module(f"e_conv{i}", layer)
+
+    def forward(self, x: Tensor) -> tuple[Tensor, Tensor]:
+        """x: [B, 3, H, W] in 0..1 -> the enhanced pictures, the same shape, and the maps A [B, 24, H, W]."""
+        layers = [self.get_submodule(f"e_conv{i}") for i in range(1, 8)]
+        seen = [x]
+        for layer in layers[:4]:
+            seen.append(F.relu(layer(seen[-1])))
+        fifth = F.relu(layers[4](torch.cat([seen[3], seen[4]], 1)))
+        sixth = F.relu(layers[5](torch.cat([seen[2], fifth], 1)))
+        maps = torch.tanh(layers[6](torch.cat([seen[1], sixth], 1)))
+        for curve in maps.split(3, 1):
+            x = x + curve * (x * x - x)
+        return x, maps
+
+
+def smoothness(maps: Tensor) -> Tensor:
+    """Of maps [B, D, H, W]: twice the mean square of the differences along rows and columns, summed over D."""
+    rows, columns = (maps.diff(dim=d).square() for d in (2, 3))
+    per_map = [2 * part.sum() / max(1, part[0, 0].numel()) for part in (rows, columns)]
+    return (per_map[0] + per_map[1]) / len(maps)
+
+
+def constancy(bright: Tensor) -> Tensor:
+    """The mean colours of a picture shall be grey: root of the sum of the fourth powers of their differences."""
+    red, green, blue = bright.mean((2, 3)).unbind(1)
+    powers = (red - green) ** 4 + (red - blue) ** 4 + (green - blue) ** 4
+    # Without the floor the root of a grey picture has an infinite slope, and 0 times that is NaN.
+    return powers.clamp_min(1e-24).sqrt().mean()
+
+
+def exposure(bright: Tensor) -> Tensor:
+    """The mean square by which grey patches are off `EXPOSURE`."""
+    return (_pooled(bright, PATCH) - EXPOSURE).square().mean()
+
+
+def spatial(dark: Tensor, bright: Tensor) -> Tensor:
+    """Slopes between neighbouring regions shall stay: mean over regions of the sum over four neighbours."""
+    change = _pooled(bright, REGION) - _pooled(dark, REGION)
+    # Each slope has two regions, and counts in both.
+    steps = [2 * change.diff(dim=d).square().sum() for d in (2, 3)]
+    return (steps[0] + steps[1]) / change.numel()
+
+
+def _pooled(pictures: Tensor, size: int) -> Tensor:
+    """Mean grey of whole patches, [B, 1, h, w]."""
+    grey = pictures.mean(1, keepdim=True)
+    return F.avg_pool2d(grey, (min(size, grey.shape[2]), min(size, grey.shape[3])))
+
+
+def loss(network: nn.Module, dark: Tensor, config: ZeroDceConfig) -> Tensor:
+    """The four losses, weighted as published."""
+    bright, maps = network(dark)
+    return SMOOTH * smoothness(maps) + spatial(dark, bright) + COLOR * constancy(bright) + EXPOSED * exposure(bright)
+
+
+def _optimizer(network: nn.Module, config: ZeroDceConfig) -> Adam:
+    return Adam(network.parameters(), lr=config.rate, weight_decay=config.decay)
+
+
+ZERO_DCE = Kind(
+    name="Zero-DCE",
+    make=lambda config: ZeroDce(),
+    run=lambda network, picture, config: network(picture)[0],
+    rehearsal=Rehearsal(
+        loss=loss, steps=lambda config: config.steps, optimizer=_optimizer, clip=0.1,
+        batch=lambda config: (config.batch, config.crop),
+    ),
+    where="the authors' Epoch99.pth",
+)  # fmt: skip

@@ -1,0 +1,204 @@
+"""Where the weights of enhancing networks come from, where they go, and a training that is interrupted."""
+
+import argparse
+import pickle
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import torch
+from safetensors.torch import save_file
+
+from novags.methods.enhance_then_fit import parts, train
+from novags.methods.enhancers import enhanced, enhanced_like, located, recorded
+from novags.methods.enhancers.rehearsal import learned
+from novags.methods.enhancers.sci import SCI, Sci, SciConfig
+from novags.methods.enhancers.weights import digest_of, read_weights
+from novags.methods.enhancers.zero_dce import ZERO_DCE, ZeroDce, ZeroDceConfig
+from novags.methods.gaussian_fit import EnhancedFitConfig
+from novags.methods.problem import LacksInput, Problem
+from novags.splats import FitConfig, Views
+from novags.testbed.cache import jsonable
+
+TINY = ZeroDceConfig(steps=6, batch=1, crop=8, rate=1e-2)
+
+
+def dark(views: int = 3) -> torch.Tensor:
+    return 0.3 * torch.rand(views, 16, 18, 3, generator=torch.Generator().manual_seed(0))
+
+
+def problem() -> Problem:
+    points = torch.rand(30, 3, generator=torch.Generator().manual_seed(1)) + torch.tensor([-0.5, -0.5, 2.0])
+    start = SimpleNamespace(points=points, colors=torch.rand(30, 3), extent=1.0)
+    K = torch.tensor([[16.0, 0, 9], [0, 16, 8], [0, 0, 1]])
+    views = Views(torch.eye(4).repeat(3, 1, 1), K.repeat(3, 1, 1), 18, 16)
+    return Problem(views=views, start=start, seed=3, srgb8=dark())
+
+
+def fitted(enhance: object) -> EnhancedFitConfig:
+    return EnhancedFitConfig(enhance=enhance, fit=FitConfig(iterations=2))
+
+
+def saved(path: Path, network: torch.nn.Module) -> Path:
+    torch.save(network.state_dict(), path)
+    return path
+
+
+class Stop(Exception):
+    pass
+
+
+@pytest.mark.parametrize("config", [TINY, SciConfig(steps=6, batch=1, crop=8)], ids=["zero-dce", "sci"])
+def test_a_training_that_is_interrupted_goes_on_to_the_same_bits(tmp_path, monkeypatch, config):
+    monkeypatch.setattr("novags.methods.enhancers.rehearsal.SAVED", 0.0)
+    kind, seen = ZERO_DCE if config is TINY else SCI, []
+
+    def stop(done, total, losses):
+        seen.append((done, total))
+        if done == 3:
+            raise Stop
+
+    whole = learned(kind, config, dark(), 5)
+    with pytest.raises(Stop):
+        learned(kind, config, dark(), 5, progress=stop, more=4, checkpoint=tmp_path / "c.safetensors")
+    assert seen == [(1, 10), (2, 10), (3, 10)]
+    resumed = learned(kind, config, dark(), 5, checkpoint=tmp_path / "c.safetensors")
+    for name, value in whole.state_dict().items():
+        assert torch.equal(value, resumed.state_dict()[name]), name
+    other = learned(kind, config, dark(), 6)
+    assert not all(torch.equal(v, other.state_dict()[n]) for n, v in whole.state_dict().items())
+
+
+def test_a_checkpoint_of_another_run_or_a_damaged_one_is_one_line(tmp_path):
+    path = tmp_path / "c.safetensors"
+    learned(ZERO_DCE, TINY, dark(), 5, checkpoint=path)
+    with pytest.raises(ValueError, match="another run|other pictures"):
+        learned(ZERO_DCE, TINY, dark() / 2, 5, checkpoint=path)
+    path.write_bytes(path.read_bytes()[:1000])
+    with pytest.raises(ValueError, match="damaged"):
+        learned(ZERO_DCE, TINY, dark(), 5, checkpoint=path)
+
+
+def test_a_loss_that_is_not_finite_stops_with_a_line():
+    with pytest.raises(ValueError, match="Zero-DCE must be finite.*lower enhance.rate"):
+        learned(ZERO_DCE, TINY, torch.full((1, 8, 8, 3), float("nan")), 0)
+
+
+def test_weights_are_read_from_every_layout_by_name(tmp_path):
+    state = ZeroDce().state_dict()
+    save_file(state, tmp_path / "a.safetensors")
+    torch.save(state, tmp_path / "b.pth")
+    torch.save({"epoch": 3, "state_dict": state, "opts": argparse.Namespace(a=1)}, tmp_path / "c.pth")
+    torch.save({"params": {f"module.{n}": v for n, v in state.items()}}, tmp_path / "d.pth")
+    for file in sorted(tmp_path.iterdir()):
+        found = read_weights((file,))
+        assert found.keys() == state.keys(), file
+        assert all(torch.equal(found[name], state[name]) for name in state)
+    nested = {"state_dict": {"model_R": {"x": torch.ones(2)}, "model_L": {"x": torch.zeros(3)}}}
+    torch.save(nested, tmp_path / "e.pth")
+    assert {n: len(v) for n, v in read_weights((tmp_path / "e.pth",)).items()} == {"model_R.x": 2, "model_L.x": 3}
+
+
+class Runs:
+    """What a hostile file does when it is unpickled freely."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self):
+        return Path.write_text, (self.path, "run")
+
+
+def test_a_file_that_would_run_code_is_refused_and_does_not_run(tmp_path):
+    told = tmp_path / "told"
+    torch.save({"a": Runs(told)}, tmp_path / "hostile.pth")
+    (tmp_path / "bare.pth").write_bytes(pickle.dumps(Runs(told)))
+    for name in ("hostile.pth", "bare.pth"):
+        with pytest.raises(ValueError, match=name):
+            read_weights((tmp_path / name,))
+    assert not told.exists()
+
+
+def test_what_holds_no_weights_of_the_network_is_one_line(tmp_path):
+    (tmp_path / "text.pth").write_text("no weights")
+    torch.save(torch.ones(3), tmp_path / "tensor.pth")
+    torch.save({"a": 1}, tmp_path / "none.pth")
+    torch.save({"a": torch.tensor([float("nan")])}, tmp_path / "nan.pth")
+    saved(tmp_path / "sci.pt", Sci())
+    for name, words in [("gone.pth", "no weights at"), ("text.pth", "text.pth"), ("tensor.pth", "not tensors by name"),
+                        ("none.pth", "no tensors"), ("nan.pth", "a is not finite"),
+                        ("sci.pt", "e_conv1.weight of .* another network")]:  # fmt: skip
+        with pytest.raises(ValueError, match=words) as refused:
+            ZERO_DCE.load(ZeroDceConfig(weights=(tmp_path / name,)))
+        assert "\n" not in str(refused.value)
+    with pytest.raises(LacksInput, match="Zero-DCE has no weights: set enhance.weights"):
+        enhanced(problem(), ZeroDceConfig(), "8bit")
+
+
+def test_a_file_that_changes_is_read_again(tmp_path):
+    config = ZeroDceConfig(weights=(saved(tmp_path / "a.pth", ZeroDce()),))
+    first = ZERO_DCE.load(config)
+    assert ZERO_DCE.load(config) is first
+    (tmp_path / "a.pth").unlink()
+    saved(tmp_path / "a.pth", ZeroDce())
+    assert ZERO_DCE.load(config) is not first
+
+
+def test_a_method_learns_from_the_scene_and_its_run_holds_the_network(tmp_path):
+    """Rationale: what is scored later is compared with the noise-free exposure through the very same network."""
+    config, reports = fitted(TINY), []
+    assert parts(config) == {"enhancer": 6, "fit": 2}
+    result = train(problem(), config, progress=lambda done, total, entry: reports.append((done, total)))
+    assert reports[-1][1] == 8
+    assert [done for done, _ in reports] == sorted(done for done, _ in reports)
+    wanted = learned(ZERO_DCE, TINY, dark(), 3)
+    pictures = torch.stack([ZERO_DCE.picture(wanted, each, TINY) for each in dark()])
+    assert torch.equal(result.targets, pictures)
+    result.save(tmp_path)
+    enhancer, again = recorded(located(jsonable(result.enhancement), tmp_path))
+    assert again.weights == (tmp_path / "enhancer.safetensors",)
+    assert torch.equal(enhancer.enhance(dark()[1], again, None, None)[0], pictures[1])
+    clean = dark()[1] * 0.9
+    assert torch.equal(enhanced_like(clean, again, None), ZERO_DCE.picture(wanted, clean, TINY))
+    assert result.found == {"enhancer": {"learned_steps": 6}}
+
+
+def test_a_method_with_given_weights_learns_nothing_and_records_their_digest(tmp_path):
+    path = saved(tmp_path / "mine.pt", Sci())
+    config = fitted(SciConfig(weights=(path,)))
+    assert parts(config) == {"fit": 2}
+    result = train(problem(), config)
+    assert result.found == {"enhancer": {"files": ["mine.pt"], "digest": digest_of((path,))}}
+    (tmp_path / "run").mkdir()
+    result.save(tmp_path / "run")
+    path.unlink()  # the run needs it no more
+    _, again = recorded(located(jsonable(result.enhancement), tmp_path / "run"))
+    assert torch.equal(enhanced_like(dark()[0], again, None), result.targets[0])
+
+
+@pytest.mark.parametrize(
+    "change", [{"steps": -1}, {"rate": 0.0}, {"batch": 0}, {"crop": 0}, {"decay": 1.0}, {"rate": float("nan")}]
+)
+def test_trainings_that_cannot_be_are_refused(change):
+    for kind in (ZeroDceConfig, SciConfig):
+        with pytest.raises(ValueError, match="must"):
+            kind(**change)
+    with pytest.raises(ValueError, match="additivity"):
+        SciConfig(additivity=-1.0)
+
+
+def test_the_seed_chooses_the_first_weights_and_every_step_draws_crops_of_its_own():
+    seen = []
+
+    def watched(network, pictures, config):
+        seen.append(pictures)
+        return ZERO_DCE.rehearsal.loss(network, pictures, config)
+
+    kind = replace(ZERO_DCE, rehearsal=replace(ZERO_DCE.rehearsal, loss=watched))
+    learned(kind, replace(TINY, steps=3), dark(), 0)
+    assert [tuple(batch.shape) for batch in seen] == [(1, 3, 8, 8)] * 3
+    assert not any(torch.equal(seen[0], other) for other in seen[1:])
+    first = [learned(ZERO_DCE, replace(TINY, steps=0), dark(), seed).e_conv1.weight for seed in (0, 0, 1)]
+    assert torch.equal(first[0], first[1])
+    assert not torch.equal(first[0], first[2])
