@@ -74,8 +74,11 @@ class RawLoss:
 
     def __call__(self, step: Step, target: Tensor) -> Tensor:
         """The loss by autograd, on any device."""
-        there = ~target.isnan()
-        residual = torch.where(there, torch.minimum(step.render, self.white.to(step.render)) - target, 0.0)
+        there, white = ~target.isnan(), self.white.to(step.render)
+        bounded = torch.where(
+            step.render > white, white, step.render
+        )  # torch.minimum halves the slope where both are equal
+        residual = torch.where(there, bounded - target, 0.0)
         return (residual / (step.render.detach() + self.epsilon)).square().sum() / there.sum().clamp_min(1)
 
     def compare(self, image: np.ndarray, target: np.ndarray) -> tuple[np.float32, np.ndarray]:

@@ -16,13 +16,14 @@ from novags.testbed.stability.parts.methods import (
     long_runs,
     nova_plus,
     raw_denoiser,
+    rivals,
 )
 from novags.testbed.stability.parts.splats import harmonics, rasterizer, updates
 from novags.testbed.stability.table import embedded, has_place, markdown
 
 _FILES = (
-    enhance, enhancers, blind_spot, denoiser, raw_denoiser, consistency, nova_plus, harmonics, rasterizer, updates,
-    sensor, render, score, cameras, long_runs,
+    enhance, enhancers, blind_spot, denoiser, raw_denoiser, consistency, nova_plus, rivals, harmonics, rasterizer,
+    updates, sensor, render, score, cameras, long_runs,
 )  # fmt: skip
 PARTS: dict[str, Part] = {file.PART.name: file.PART for file in _FILES}
 
