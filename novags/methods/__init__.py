@@ -18,7 +18,7 @@ from novags.methods.nova.denoiser import FAST_DENOISER
 from novags.methods.nova.knobs import KNOBS as NOVA_KNOBS
 from novags.methods.nova_plus import trainer as nova_plus
 from novags.methods.nova_plus.knobs import KNOBS as NOVA_PLUS_KNOBS
-from novags.methods.rivals import luminance_gs, raw_gs
+from novags.methods.rivals import gaussian_dk, luminance_gs, raw_gs
 from novags.methods.variant import Method, Variant, spelled
 from novags.settings import flattened
 from sensor_model.files.reading import brief
@@ -122,6 +122,15 @@ METHODS: dict[str, Method] = {
         train=luminance_gs.train,
         parts=fit_parts,
         source="Luminance-GS (Cui et al. 2025)",
+    ),
+    "gaussian-dk": Method(
+        title="radiance, and a camera response that is learned with it; shown at a larger exposure",
+        family="3DGS",
+        color="#b07aa1",
+        config=gaussian_dk.GaussianDkConfig,
+        train=gaussian_dk.train,
+        parts=fit_parts,
+        source="Gaussian-DK (Ye et al. 2024)",
     ),
     "raw-gs": Method(
         title="the light of the scene, fitted to the raw data by the loss of RawNeRF",

@@ -1,5 +1,6 @@
 """What a method gives back: a scene that can be rendered and saved, and how it came about."""
 
+import dataclasses
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Protocol
@@ -7,7 +8,7 @@ from typing import Any, Literal, Protocol
 import torch
 from torch import Tensor
 
-from novags.methods.tone import ToneCurve
+from novags.methods.tone import ResponseTable, ToneCurve
 from novags.splats.files.ply import write_ply
 from novags.splats.gaussians import Gaussians
 from novags.splats.raster.rasterize import rasterize
@@ -45,6 +46,7 @@ class GaussianScene:
         antialiased: As in `FitConfig`.
         tone: Their colours are tones of this curve, and renders are light; None: renders are what they hold.
         matrix: [3, 3] from that light, or from what they hold, to the light that is rendered; None: the identity.
+        response: Their colours are radiance, and renders are what this camera makes of it; None: there is none between.
     """
 
     gaussians: Gaussians
@@ -52,6 +54,7 @@ class GaussianScene:
     antialiased: bool = FitConfig.antialiased
     tone: ToneCurve | None = None
     matrix: Tensor | None = None
+    response: ResponseTable | None = None
 
     @staticmethod
     def of(gaussians: Gaussians, config: FitConfig) -> "GaussianScene":
@@ -72,6 +75,8 @@ class GaussianScene:
             colors = self.tone.light(colors)
         if self.matrix is not None:
             colors = colors @ self.matrix.to(colors).T
+        if self.response is not None:
+            colors = self.response.codes(colors)
         return colors, alphas[..., 0], images[..., 3]
 
     def save(self, folder: Path) -> None:
@@ -85,6 +90,8 @@ class GaussianScene:
             facts["tone"] = {"top": self.tone.top, "k": self.tone.k}
         if self.matrix is not None:
             facts["matrix"] = self.matrix.tolist()
+        if self.response is not None:
+            facts["response"] = dataclasses.asdict(self.response)
         return facts
 
 

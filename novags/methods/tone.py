@@ -1,4 +1,6 @@
-"""The space in which Gaussians hold light: about logarithmic, so that dark and bright parts take their share of them.
+"""What colours of Gaussians stand for where they are no picture: tones of light, or radiance that a camera responds to.
+
+Tones are about logarithmic, so that dark and bright parts take their share of the Gaussians:
 
     lin(r) = top * expm1(k r) / expm1(k)        r = 0 is black, r = 1 is `top`
 
@@ -71,3 +73,36 @@ def tone_curve(light: Tensor) -> ToneCurve:
             "method can use, or the black level of the camera is wrong"
         )
     return ToneCurve(top, math.log1p(top / (KNEE * median)))
+
+
+@dataclass(frozen=True, kw_only=True)
+class ResponseTable:
+    """A camera's response: codes over the logarithm of radiance, in steps of equal width, straight between them.
+
+    Attributes:
+        faint: Added to radiance before the logarithm, > 0, which is finite for black then.
+        low: Ln(radiance + faint) of the first code; what is darker has it too.
+        high: Of the last one; what is brighter has it too.
+        values: The codes, at least 2.
+    """
+
+    faint: float
+    low: float
+    high: float
+    values: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if not (self.faint > 0 and self.low < self.high and len(self.values) >= 2):
+            raise ValueError(
+                "a response needs faint > 0, low < high and two values at least, got "
+                f"{self.faint}, {self.low}, {self.high} and {len(self.values)} values"
+            )
+
+    def codes(self, radiance: Tensor) -> Tensor:
+        """What a picture shows of radiance of any shape; negative radiance counts as black."""
+        logs = torch.log(radiance.clamp_min(0) + self.faint)
+        table, last = radiance.new_tensor(self.values), len(self.values) - 1
+        place = ((logs - self.low) / (self.high - self.low)).clamp(0, 1) * last
+        below = place.detach().floor().clamp_max(last - 1)
+        index, share = below.long(), place - below
+        return (1 - share) * table[index] + share * table[index + 1]

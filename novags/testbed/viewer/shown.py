@@ -100,7 +100,7 @@ class Shown:
             return None
         into = self.world.from_true @ true_from(self.runs[name], self.capture)
         light = self.runs[name].space == "linear" and found.tone is None  # tones are drawn as they are
-        return found, into, drawn(found.gaussians, into, self._gain(name) if light else None, found.matrix)
+        return found, into, drawn(found, into, self._gain(name) if light else None)
 
     def linear(self, name: str, image: np.ndarray) -> np.ndarray:
         """A rendering of a run as light, in a unit of the run's own.

@@ -10,8 +10,8 @@ from novags.cameras.align import Similarity, to_estimated
 from novags.cameras.estimate import Array
 from novags.methods.problem import encode
 from novags.methods.reconstruction import GaussianScene
-from novags.methods.tone import ToneCurve
-from novags.splats import Gaussians, Views, read_ply
+from novags.methods.tone import ResponseTable, ToneCurve
+from novags.splats import Views, read_ply
 from novags.splats.raster.raster_torch import quat_to_rotmat
 from novags.splats.sh import sh_to_rgb
 from novags.splats.training.config import FitConfig
@@ -35,23 +35,21 @@ class Drawn:
     opacities: np.ndarray
 
 
-def drawn(
-    gaussians: Gaussians, into: Similarity, gain: float | None = None, matrix: torch.Tensor | None = None
-) -> Drawn:  # fmt: skip
+def drawn(scene: GaussianScene, into: Similarity, gain: float | None = None) -> Drawn:
     """Gaussians in the frame that `into` leads to, in the constant part of their colours.
 
     Args:
-        gaussians: In a frame of their own.
+        scene: In a frame of its own.
         into: From that frame.
         gain: Of Gaussians in linear light: to what is encoded for the screen. Blending in code is not quite blending
             in light.
-        matrix: Of Gaussians in linear light: [3, 3] from what they hold to that light; None: the identity.
     """
-    g = gaussians.detach()
+    g = scene.gaussians.detach()
     axes = into.scale * (into.rotation @ quat_to_rotmat(g.quats.double())) * g.scales.double()[:, None]
-    colors = sh_to_rgb(g.sh[:, 0]).float().numpy()
-    if gain is not None and matrix is not None:
-        colors = colors @ matrix.numpy().T
+    base = sh_to_rgb(g.sh[:, 0]).float()
+    colors = (base if scene.response is None else scene.response.codes(base)).numpy()
+    if gain is not None and scene.matrix is not None:
+        colors = colors @ scene.matrix.numpy().T
     return Drawn(
         into.apply(g.means).float().numpy(),
         (axes @ axes.mT).float().numpy(),
@@ -73,7 +71,9 @@ def scene_of(run: Run) -> GaussianScene | None:
     antialiased = bool(run.record.get("antialiased", FitConfig.antialiased))
     tone, matrix = run.record.get("tone"), run.record.get("matrix")
     curve, rows = None if tone is None else ToneCurve(**tone), None if matrix is None else torch.tensor(matrix)
-    return GaussianScene(read_ply(path), dilation, antialiased, curve, rows)
+    found = run.record.get("response")
+    response = None if found is None else ResponseTable(**{**found, "values": tuple(found["values"])})
+    return GaussianScene(read_ply(path), dilation, antialiased, curve, rows, response)
 
 
 def rendered(scene: GaussianScene, into: Similarity, viewmat: Array, fov_y: float, size: tuple[int, int]) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods import chosen
+from novags.methods import METHODS, chosen
 from novags.methods.enhancers import enhancement_record
 from novags.methods.enhancers.guided import EnhanceConfig, EnhanceParams, enhance
 from novags.methods.problem import encode
@@ -65,8 +65,6 @@ def run(capture: Capture) -> Run:
 
 
 def _default() -> Any:
-    from novags.methods import METHODS
-
     return METHODS["nova-plus"].config()
 
 
@@ -154,10 +152,16 @@ def test_pictures_on_disk_are_as_they_are_shown_and_floats_are_light(capture: Ca
     assert light.mean() == pytest.approx(exposure, rel=0.2)
 
 
-def test_a_saved_scene_of_tones_gives_the_same_light_again(capture: Capture, run: Run) -> None:
+@pytest.mark.parametrize(("name", "kept"), [("nova-plus", "tone"), ("raw-gs", "matrix"), ("gaussian-dk", "response")])
+def test_a_saved_scene_gives_the_same_light_again(capture: Capture, run: Run, name: str, kept: str) -> None:
+    if name != "nova-plus":
+        variant, out = chosen(name), capture.path.parent / name
+        config = changed(variant.config(METHODS[name].config(), {}), {"fit.iterations": 12}, what="x")
+        stages.reconstruct(capture.path, out, ReconstructConfig(variant=variant, config=config, points=120), QUIET)
+        run = open_run(out)
     scene = scene_of(run)
     assert scene is not None
-    assert scene.tone is not None
+    assert getattr(scene, kept) is not None
     i = capture.cameras.test_indices[0]
     rig = capture.cameras.rig
     view = Views(

@@ -9,6 +9,8 @@ import pytest
 import torch
 
 from novags.cameras.align import Similarity
+from novags.methods.reconstruction import GaussianScene
+from novags.methods.tone import ResponseTable
 from novags.splats import Gaussians, read_ply, write_ply
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import open_capture
@@ -97,7 +99,7 @@ def test_what_the_browser_draws_are_the_gaussians_moved_axis_by_axis() -> None:
     g = Gaussians(means, 4 * quats, scales, torch.randn(5, generator=rng), torch.rand(5, 4, 3, generator=rng))
     turn = turned(33, (0, 1, 3))
     into = Similarity(0.2, torch.from_numpy(turn), torch.tensor([1.0, 2.0, 3.0], dtype=torch.float64))
-    found = drawn(g, into)
+    found = drawn(GaussianScene(g), into)
     for k in range(5):
         w, x, y, z = (g.quats[k] / g.quats[k].norm()).double().numpy()
         vector, cross = np.array([x, y, z]), np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
@@ -110,6 +112,21 @@ def test_what_the_browser_draws_are_the_gaussians_moved_axis_by_axis() -> None:
         assert np.allclose(found.centers[k], 0.2 * turn @ g.means[k].double().numpy() + [1, 2, 3], atol=1e-5)
     assert np.allclose(found.colors, np.clip(0.28209479 * g.sh[:, 0].numpy() + 0.5, 0, 1), atol=1e-6)
     assert np.allclose(found.opacities[:, 0], 1 / (1 + np.exp(-g.logit_opacities.numpy())), atol=1e-6)
+
+
+def test_the_browser_draws_what_the_colours_stand_for() -> None:
+    """Light of another unit, and radiance under a camera's response."""
+    rng = torch.Generator().manual_seed(5)
+    means, scales = (torch.randn(6, 3, generator=rng) for _ in range(2))
+    g = Gaussians(means, torch.ones(6, 4), scales, torch.zeros(6), torch.rand(6, 1, 3, generator=rng))
+    base, here = 0.28209479 * g.sh[:, 0].numpy() + 0.5, Similarity(1.0, torch.eye(3).double(), torch.zeros(3).double())
+    light = 2.0 * 0.1 * base
+    code = np.where(light <= 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+    found = drawn(GaussianScene(g, matrix=0.1 * torch.eye(3)), here, gain=2.0).colors
+    assert np.allclose(found, code, atol=1e-5)
+    table = ResponseTable(faint=1e-3, low=-7.0, high=0.0, values=(0.0, 0.7))
+    found = drawn(GaussianScene(g, response=table), here).colors
+    assert np.allclose(found, 0.1 * (np.log(base + 1e-3) + 7), atol=1e-5)
 
 
 @pytest.mark.parametrize("size", [1e-3, 1.0, 1e4])
