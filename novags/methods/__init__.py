@@ -18,7 +18,7 @@ from novags.methods.nova.denoiser import FAST_DENOISER
 from novags.methods.nova.knobs import KNOBS as NOVA_KNOBS
 from novags.methods.nova_plus import trainer as nova_plus
 from novags.methods.nova_plus.knobs import KNOBS as NOVA_PLUS_KNOBS
-from novags.methods.rivals import gaussian_dk, luminance_gs, raw_gs
+from novags.methods.rivals import gaussian_dk, ll_gaussian, luminance_gs, raw_gs
 from novags.methods.variant import Method, Variant, spelled
 from novags.settings import flattened
 from sensor_model.files.reading import brief
@@ -131,6 +131,15 @@ METHODS: dict[str, Method] = {
         train=gaussian_dk.train,
         parts=fit_parts,
         source="Gaussian-DK (Ye et al. 2024)",
+    ),
+    "ll-gaussian": Method(
+        title="reflectance, illumination and interference of each Gaussian; shown with the illumination raised",
+        family="3DGS",
+        color="#9c755f",
+        config=ll_gaussian.LlGaussianConfig,
+        train=ll_gaussian.train,
+        parts=fit_parts,
+        source="the decomposition of LL-Gaussian (Sun et al. 2025)",
     ),
     "raw-gs": Method(
         title="the light of the scene, fitted to the raw data by the loss of RawNeRF",

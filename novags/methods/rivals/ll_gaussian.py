@@ -1,0 +1,177 @@
+"""The decomposition of LL-Gaussian (Sun et al. 2025): reflectance, illumination and interference of Gaussians.
+
+    dark picture = R S + N,      lit colour of a Gaussian = its reflectance x its illumination**gamma
+
+R, S and N are rendered reflectance, illumination and interference: harmonics, one number and three numbers of each
+Gaussian. With |N| the rendered size of the interference and G = (1 - w) L1 + w (1 - SSIM),
+
+    loss = G(R S + N, dark) + a |grad S| exp(-EDGE |grad R|) + b |S - max over channels of dark| + c |N|
+
+R and S are multiplied pixel by pixel. Multiplied for each Gaussian, some of those that overlap would hold the light
+and others the paint, which no loss of a picture can tell from both together; measured, the light then stays in R.
+
+The publication has its parts from networks at the anchors of Scaffold-GS, two sets of Gaussians (what is there, and
+what interferes), a start from DUSt3R, and a diffusion model and a depth network as priors, which need weights that
+are not here. Only the decomposition is taken from it; the terms above are those that Retinex methods have in
+common, their weights were chosen by us, once, and gamma is what brings the mean of the lit training views to
+`target`.
+"""
+
+import dataclasses
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, Progress, fit_for
+from novags.methods.problem import Pictures, Problem
+from novags.methods.reconstruction import GaussianScene, Reconstruction
+from novags.splats import FitConfig, Gaussians, Step, Views, photometric_loss
+from novags.splats.sh import C0
+from novags.splats.training.fit import fit
+
+EDGE = 10.0  # how much an edge of the reflectance allows one of the illumination
+DIMMEST = 1e-3  # a quarter of a code of 8 bits: black would have no logarithm
+GAMMAS = (0.01, 1.0)  # between which gamma is looked for
+
+
+@dataclass(frozen=True, kw_only=True)
+class LlGaussianConfig:
+    """All choices.
+
+    Attributes:
+        pictures: Which pictures it sees.
+        fit: Of the Gaussians; `fit.dssim_weight` is w.
+        init_scale: Of an initial Gaussian, in distances to its nearest neighbours.
+        smooth_weight: Of the slopes of the illumination.
+        bright_weight: Of the illumination against the brightest channel.
+        sparse_weight: Of the interference.
+        target: Mean of the lit training views, sRGB code.
+    """
+
+    pictures: Pictures = "8bit"
+    fit: FitConfig = ORIGINAL_FIT
+    init_scale: float = ORIGINAL_SCALE
+    smooth_weight: float = 0.1
+    bright_weight: float = 0.1
+    sparse_weight: float = 0.1
+    target: float = 0.5
+
+    def __post_init__(self) -> None:
+        weights = self.smooth_weight, self.bright_weight, self.sparse_weight
+        if min(weights) < 0:
+            raise ValueError(f"weights must be >= 0, got {weights}")
+        if not 0 < self.target < 1:
+            raise ValueError(f"target must lie in (0, 1), got {self.target}")
+
+
+def parts_of(gaussians: Gaussians) -> tuple[Tensor, Tensor]:
+    """Illumination [N, 1] and interference [N, 3]."""
+    assert gaussians.features is not None
+    return gaussians.features[:, :1].exp(), gaussians.features[:, 1:]
+
+
+def shaded(sh: Tensor, factor: Tensor) -> Tensor:
+    """Harmonics [N, K, 3] of factor [N, 1] x colour."""
+    scaled = factor[..., None] * sh
+    base = 0.5 * (factor - 1) / C0  # colours are 0.5 above what the harmonics say
+    return torch.cat([scaled[:, :1] + base[..., None], scaled[:, 1:]], 1)
+
+
+def slopes(image: Tensor) -> tuple[Tensor, Tensor]:
+    """Absolute differences to the right and downward neighbour, mean over channels: [H, W - 1] and [H - 1, W]."""
+    return image.diff(dim=1).abs().mean(-1), image.diff(dim=0).abs().mean(-1)
+
+
+def smoothness(illumination: Tensor, reflectance: Tensor) -> Tensor:
+    """Mean slope of the illumination [H, W, 1], where the reflectance [H, W, 3] has no edge; it only says where."""
+    edges = slopes(reflectance.detach())
+    terms = [(s * torch.exp(-EDGE * e)).sum() for s, e in zip(slopes(illumination), edges, strict=True)]
+    return torch.stack(terms).sum() / illumination[..., 0].numel()
+
+
+class DecompositionLoss:
+    """The photometric loss of a Step whose render is the reflectance and whose target is dark."""
+
+    def __init__(self, config: LlGaussianConfig) -> None:
+        self.config = config
+
+    def __call__(self, step: Step, target: Tensor) -> Tensor:
+        """The loss."""
+        light, noise = parts_of(step.gaussians)
+        maps = step.splat(torch.cat([light, noise, noise.abs()], 1))
+        dark = step.render * maps[..., :1] + maps[..., 1:4]
+        return (
+            photometric_loss(dark, target, self.config.fit.dssim_weight)
+            + self.config.smooth_weight * smoothness(maps[..., :1], step.render)
+            + self.config.bright_weight * (maps[..., 0] - target.amax(-1)).abs().mean()
+            + self.config.sparse_weight * maps[..., 4:].mean()
+        )
+
+
+def first(problem: Problem, dark: Tensor, config: LlGaussianConfig) -> Gaussians:
+    """Gaussians at the first points, lit by the brightest channel of their colours."""
+    colors = problem.start.colors.to(dark)
+    light = colors.amax(-1, keepdim=True).clamp_min(DIMMEST)
+    start = Gaussians.from_points(
+        problem.start.points.to(dark), colors / light, sh_degree=config.fit.sh_degree, init_scale=config.init_scale
+    )
+    start.features = torch.cat([light.log(), torch.zeros_like(colors)], 1)
+    return start
+
+
+def lit(gaussians: Gaussians, gamma: float) -> Gaussians:
+    """The Gaussians in their lit colours, without features."""
+    light, _ = parts_of(gaussians)
+    return dataclasses.replace(gaussians, sh=shaded(gaussians.sh, light**gamma), features=None)
+
+
+def chosen_gamma(scene: GaussianScene, views: Views, target: float) -> float:
+    """The gamma that brings the mean of the lit views to the target; of those that are looked at, the nearest."""
+    low, high = GAMMAS
+    for _ in range(20):
+        middle = (low + high) / 2
+        shown = dataclasses.replace(scene, gaussians=lit(scene.gaussians, middle)).render(views)[0].clamp(0, 1)
+        low, high = (middle, high) if float(shown.mean()) > target else (low, middle)
+    return (low + high) / 2
+
+
+def train(
+    problem: Problem, config: LlGaussianConfig, *, progress: Progress | None = None, checkpoint: Path | None = None
+) -> Reconstruction:
+    """Reconstruct reflectance and illumination from dark pictures.
+
+    Args:
+        problem: The problem; its seed and extent override those of `config.fit`.
+        config: All choices.
+        progress: As in `splats.fit`.
+        checkpoint: As in `splats.fit`.
+
+    Returns:
+        A reconstruction in lit colours; `found` has gamma.
+
+    Raises:
+        LacksInput: If 16-bit pictures are asked for and there are none.
+        ValueError: If a checkpoint is damaged or belongs to another run.
+        NotFinite: As `fit` says.
+    """
+    started = time.perf_counter()
+    config = dataclasses.replace(config, fit=fit_for(problem, config.fit))
+    dark = problem.encoded(config.pictures)
+    result = fit(
+        first(problem, dark, config), problem.views, lambda i: dark[i], config.fit,
+        photometric=DecompositionLoss(config), progress=progress, checkpoint=checkpoint,
+    )  # fmt: skip
+    scene = GaussianScene.of(result.gaussians, config.fit)
+    gamma = chosen_gamma(scene, dataclasses.replace(problem.views, viewmats=result.viewmats), config.target)
+    return Reconstruction(
+        scene=dataclasses.replace(scene, gaussians=lit(result.gaussians, gamma)),
+        space="lit",
+        config=config,
+        viewmats=None if config.fit.refine_cameras is None else result.viewmats,
+        losses=result.losses,
+        seconds={"fit": result.seconds, "other": max(0.0, time.perf_counter() - started - result.seconds)},
+        found={"gamma": gamma},
+    )
