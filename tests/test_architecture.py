@@ -30,6 +30,7 @@ LAYERS: dict[str, tuple[tuple[str, ...], ...]] = {
     ),
     "novags": (
         ("settings", "splats"),
+        ("fields",),
         ("cameras",),
         ("methods",),
         ("testbed",),

@@ -23,7 +23,8 @@ def cache_folder() -> Path:
     machine code would then run.
     """
     here = Path(__file__).parent
-    sources = [*sorted(here.rglob("*.py")), here.parent / "sh.py"]
+    fields = here.parents[1] / "fields" / "cpu"  # whose kernels inline those of here
+    sources = [*sorted(here.rglob("*.py")), here.parent / "sh.py", *sorted(fields.glob("*.py"))]
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
     if config.CACHE_DIR:
         base = Path(config.CACHE_DIR)

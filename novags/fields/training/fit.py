@@ -1,0 +1,176 @@
+"""The training loop of fields: views and a loss in, a field out."""
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from novags.fields.box import Box
+from novags.fields.evaluate import basis_of, evaluate, gradients
+from novags.fields.layout import SIDE, first_field
+from novags.fields.march import Proposal, cells_near, rays_of, sampled, weights_of
+from novags.fields.training.batch import Batch, chosen_pixels, distortion
+from novags.fields.training.checkpoint import FieldState, load_state, save_state
+from novags.fields.training.config import FieldFitConfig
+from novags.splats.cpu.parallel import run
+from novags.splats.cpu.training import optimizer
+from novags.splats.training.checkpoint import digest
+from novags.splats.training.guard import NotFinite, norms
+from novags.splats.training.updates.adam import Adam
+from novags.splats.views import Views
+
+LOG_EVERY = 10
+REFRESH = 8  # steps between two looks at cells of the map that no ray need have met
+KEPT = np.float32(0.5)  # of a cell's density when it is looked at again: what was fog must not be sampled for ever
+POINT_DENSITY = 10.0  # of the map at first points: opaque within a few cells
+
+Loss = Callable[[Batch], Tensor]
+Progress = Callable[[int, int, dict[str, float]], None]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FieldFit:
+    """A trained field: see `FieldState`, and the wall time, of stopped runs before this one too."""
+
+    state: FieldState
+    seconds: float
+
+
+def fit_field(
+    views: Views,
+    points: Tensor,
+    box: Box,
+    loss: Loss,
+    config: FieldFitConfig,
+    *,
+    extra: Mapping[str, Tensor] | None = None,
+    progress: Progress | None = None,
+    checkpoint: Path | None = None,
+) -> FieldFit:
+    """Fit a field, on the CPU.
+
+    Args:
+        views: Training cameras, on the CPU.
+        points: First points of the scene [P, 3].
+        box: Where the field is; see `box_of`.
+        loss: Scalar loss of a Batch, to which the distortion is added.
+        config: How to train.
+        extra: Further tensors to be trained, by name, at their start; the loss reads what `fit_field` has trained from
+            these same tensors, which it changes in place.
+        progress: Called every LOG_EVERY steps with (steps done, of how many, log entry).
+        checkpoint: File of the training state; see `splats.fit`.
+
+    Raises:
+        ValueError: For no views, views on another device, or a checkpoint of another run.
+        NotFinite: For a loss or a gradient that is not finite; `checkpoint` then holds the state before that step.
+    """
+    if not len(views) or views.viewmats.device.type != "cpu":
+        raise ValueError(f"a field is fitted to at least one view on the CPU, got {len(views)} on {views.viewmats.device}")
+    started, more = time.perf_counter(), dict(extra or {})
+    settings = _identity(views, points, box, config, more)
+    if checkpoint is not None and checkpoint.exists():
+        state = load_state(checkpoint, settings, config.layout, more)
+        started -= state.seconds
+    else:
+        state = _first_state(points, box, config, more)
+    for iteration in range(state.iteration, config.iterations):
+        try:
+            value = _step(state, views, box, loss, config, iteration)
+        except NotFinite as stop:
+            if checkpoint is None:
+                raise
+            state.seconds = time.perf_counter() - started
+            save_state(checkpoint, state, settings)
+            raise NotFinite(f"{stop}; {checkpoint} leads there again") from None
+        state.iteration = done = iteration + 1
+        if done % LOG_EVERY == 0 or done == config.iterations:
+            state.losses.append({"iteration": float(done), "loss": value, **norms(state.tensors())})
+            if progress is not None:
+                progress(done, config.iterations, state.losses[-1])
+        if checkpoint is not None and (done % config.checkpoint_every == 0 or done == config.iterations):
+            state.seconds = time.perf_counter() - started
+            save_state(checkpoint, state, settings)
+    return FieldFit(state=state, seconds=time.perf_counter() - started)
+
+
+def _identity(
+    views: Views, points: Tensor, box: Box, config: FieldFitConfig, extra: Mapping[str, Tensor]
+) -> dict[str, object]:
+    size = torch.tensor([views.width, views.height])
+    return {
+        **dataclasses.asdict(config), "box": box.record(), "points": digest(points),
+        "cameras": digest(views.viewmats, views.Ks, size), "extra": digest(*extra.values()),
+    }  # fmt: skip
+
+
+def _first_state(points: Tensor, box: Box, config: FieldFitConfig, extra: dict[str, Tensor]) -> FieldState:
+    near, proposal = cells_near(points, box) if config.points else None, Proposal()
+    if near is not None:
+        proposal.density[near] = POINT_DENSITY
+    return FieldState.of(first_field(config.layout, config.seed, near), proposal, extra)
+
+
+def _step(
+    state: FieldState, views: Views, box: Box, loss: Loss, config: FieldFitConfig, iteration: int
+) -> float:
+    rng = np.random.default_rng([config.seed, iteration, 0xBA7C4])
+    if iteration % REFRESH == 0:
+        refresh(state, rng, config.rays * config.samples // 2)
+    view, x, y = chosen_pixels(views, config.rays, config.patch, rng)
+    rays = rays_of(views, view, x, y)
+    jitter = rng.random((config.rays, config.samples + 1), np.float32)
+    samples = sampled(rays, box, state.proposal, jitter, config.even)
+    basis = basis_of(rays.directions)
+    flat, encoded = evaluate(state.field, samples.positions, basis)
+    state.proposal.raise_to(samples.positions, flat[:, 0])
+    raw = torch.from_numpy(flat).reshape(config.rays, config.samples, -1).requires_grad_()
+    for tensor in state.extra.values():
+        tensor.requires_grad_().grad = None
+    weights = weights_of(raw[..., 0], samples.widths)
+    value = loss(Batch(iteration, view, x, y, config.patch, rays, samples, raw, weights))
+    if config.distortion:
+        # distances beyond the box count as its end: the sky may be anywhere there
+        along = samples.distances.clamp_max(box.middle) / box.middle
+        value = value + config.distortion * distortion(weights, along, samples.widths * (box.unit / box.middle))
+    found = float(value.detach())
+    if not math.isfinite(found):
+        raise NotFinite(f"the loss must be finite, got {found} in step {iteration}: lower the learning rate")
+    value.backward()
+    assert raw.grad is not None
+    if config.near_scale:
+        raw.grad *= (samples.distances / (config.near_scale * box.middle)).square().clamp_max(1)[..., None]
+    slopes = gradients(state.field, samples.positions, basis, encoded, raw.grad.reshape(len(flat), -1).contiguous().numpy())
+    slopes |= {name: t.grad.numpy() for name, t in state.extra.items() if t.grad is not None}
+    if not math.isfinite(sum(float(np.abs(slope).sum()) for name, slope in slopes.items() if name != "table")):
+        raise NotFinite(f"the gradient must be finite, and is not in step {iteration}: lower the learning rate")
+    _update(state, slopes, config.rate_at(iteration))
+    return found
+
+
+def _update(state: FieldState, slopes: Mapping[str, np.ndarray], rate: float) -> None:
+    """One step of Adam for all tensors."""
+    state.steps += 1
+    numbers = Adam.numbers(state.steps)
+    for name, tensor in state.tensors().items():
+        if name in slopes:
+            arrays = (tensor.detach().numpy(), slopes[name], state.first[name].numpy(), state.second[name].numpy())
+            run(optimizer.adam, tensor.numel(), 4096, *(a.reshape(-1) for a in arrays), np.float32(rate), *numbers)
+
+
+def refresh(state: FieldState, rng: np.random.Generator, count: int) -> None:
+    """Look again at `count` cells of the map, each at a random place; what was there before counts half."""
+    cells = SIDE**3
+    begin = state.looked % cells
+    chosen = np.arange(begin, begin + min(count, cells)) % cells
+    state.looked = int((begin + len(chosen)) % cells)
+    corner = np.stack([chosen % SIDE, chosen // SIDE % SIDE, chosen // SIDE**2], -1)
+    places = ((corner + rng.random((len(chosen), 3))) / SIDE).astype(np.float32)
+    raw, _ = evaluate(state.field, places, np.array([[1, 0, 0, 0]], np.float32))
+    state.proposal.density[chosen] *= KEPT
+    state.proposal.raise_to(places, raw[:, 0])

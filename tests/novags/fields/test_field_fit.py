@@ -1,0 +1,185 @@
+"""A field learns what it is shown, to the same bits however often it is stopped, and says where it cannot."""
+
+import dataclasses
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from torch import Tensor
+
+from novags.fields.box import Box, box_of
+from novags.fields.layout import Layout
+from novags.fields.render import render_field
+from novags.fields.training.batch import Batch
+from novags.fields.training.config import FieldFitConfig
+from novags.fields.training.fit import FieldFit, fit_field
+from novags.splats.training.guard import NotFinite
+from novags.splats.views import Views
+
+SIZE = 24
+TINY = FieldFitConfig(
+    iterations=150, rays=256, samples=16, warm=10, rate=0.01, layout=Layout(finest=64, log2_rows=12), checkpoint_every=20
+)
+
+
+def shading(raw: Tensor, weights: Tensor) -> Tensor:
+    return (weights[..., None] * torch.sigmoid(raw[..., 1:4])).sum(1)
+
+
+def sphere_views(n: int) -> Views:
+    """Cameras around the origin at a distance of 3, that look at it."""
+    viewmats = []
+    for i in range(n):
+        angle = 2 * np.pi * i / n
+        forward = -np.array([np.cos(angle), np.sin(angle), 0.4 * (-1) ** i])
+        forward /= np.linalg.norm(forward)
+        right = np.cross(forward, [0, 0, 1.0])
+        right /= np.linalg.norm(right)
+        viewmat = np.eye(4)
+        viewmat[:3, :3] = np.stack([right, np.cross(forward, right), forward])
+        viewmat[2, 3] = 3.0
+        viewmats.append(viewmat)
+    K = torch.tensor([[SIZE * 1.2, 0, SIZE / 2], [0, SIZE * 1.2, SIZE / 2], [0, 0, 1]])
+    return Views(torch.tensor(np.stack(viewmats), dtype=torch.float32), K.expand(n, 3, 3).contiguous(), SIZE, SIZE)
+
+
+@cache
+def ball(n: int = 8) -> tuple[Views, Tensor, Tensor, Tensor]:
+    """A ball of radius 1 coloured by its normal before black: views, images, z-depths (0: nothing), points."""
+    views = sphere_views(n)
+    y, x = np.mgrid[:SIZE, :SIZE] + 0.5
+    images, depths = [], []
+    for viewmat, K in zip(views.viewmats.double().numpy(), views.Ks.double().numpy(), strict=True):
+        local = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(K).T
+        b, length = local @ viewmat[:3, 3], (local**2).sum(-1)
+        inside = b**2 - length * (viewmat[:3, 3] @ viewmat[:3, 3] - 1)
+        z = np.where(inside > 0, (b - np.sqrt(np.maximum(inside, 0))) / length, 0)
+        normals = (local * z[..., None] - viewmat[:3, 3]) @ viewmat[:3, :3]
+        images.append(np.where(z[..., None] > 0, 0.5 + 0.4 * normals, 0))
+        depths.append(z)
+    points = np.random.default_rng(0).normal(size=(500, 3))
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    return (views, *(torch.tensor(np.array(a), dtype=torch.float32) for a in (images, depths)), torch.tensor(points))
+
+
+def mse(images: Tensor) -> Callable[[Batch], Tensor]:
+    return lambda batch: ((shading(batch.raw, batch.weights) - batch.of(images)) ** 2).mean()
+
+
+def fitted(config: FieldFitConfig, n: int = 8, checkpoint: Path | None = None) -> tuple[FieldFit, Box]:
+    views, images, _, points = ball(n)
+    box = box_of(views.centers, points)
+    return fit_field(views, points, box, mse(images), config, checkpoint=checkpoint), box
+
+
+def test_a_ball_is_learnt_with_its_shape_from_fog_and_from_first_points() -> None:
+    views, images, depths, _ = ball()
+    for points, iterations, least in ((True, 150, 24.0), (False, 250, 20.0)):
+        fit, box = fitted(dataclasses.replace(TINY, iterations=iterations, points=points))
+        image, alpha, depth = render_field(fit.state.field, box, fit.state.proposal, views, shading, 24)
+        assert -10 * float(((image - images) ** 2).mean().log10()) > least
+        seen = (depths > 0) & (alpha > 0.9)
+        assert float(seen.sum() / (depths > 0).sum()) > 0.8
+        assert float(((depth - depths).abs()[seen] / depths[seen]).median()) < 0.05
+        assert float(alpha[:, 0, 0].max()) < 0.3
+
+
+def test_a_stopped_run_goes_on_to_the_same_bits(tmp_path: Path) -> None:
+    whole, _ = fitted(dataclasses.replace(TINY, iterations=60))
+    path = tmp_path / "checkpoint.safetensors"
+    views, images, _, points = ball()
+    box, loss = box_of(views.centers, points), mse(images)
+
+    def stopping(batch: Batch) -> Tensor:
+        if batch.iteration == 45:
+            raise KeyboardInterrupt
+        return loss(batch)
+
+    config = dataclasses.replace(TINY, iterations=60)
+    with pytest.raises(KeyboardInterrupt):
+        fit_field(views, points, box, stopping, config, checkpoint=path)
+    asked = []
+
+    def counting(batch: Batch) -> Tensor:
+        asked.append(batch.iteration)
+        return loss(batch)
+
+    resumed = fit_field(views, points, box, counting, config, checkpoint=path)
+    assert asked == list(range(40, 60))
+    for name, tensor in whole.state.tensors().items():
+        assert torch.equal(tensor, resumed.state.tensors()[name]), name
+    np.testing.assert_array_equal(whole.state.proposal.density, resumed.state.proposal.density)
+    assert [e["loss"] for e in whole.state.losses] == [e["loss"] for e in resumed.state.losses]
+    with pytest.raises(ValueError, match=r"belongs to a run with other settings \(rate: 0.01 there, 0.02 now\)"):
+        fit_field(views, points, box, loss, dataclasses.replace(config, rate=0.02), checkpoint=path)
+
+
+def test_a_damaged_checkpoint_is_refused_in_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "checkpoint.safetensors"
+    path.write_bytes(b"no tensors")
+    with pytest.raises(ValueError, match="is not a training checkpoint of a field .* delete it to start again"):
+        fitted(TINY, checkpoint=path)
+
+
+def test_extra_tensors_are_trained_and_kept(tmp_path: Path) -> None:
+    views, images, _, points = ball()
+    config, box = dataclasses.replace(TINY, iterations=20), box_of(views.centers, points)
+
+    def trained(iterations: int, path: Path | None) -> Tensor:
+        gain = torch.zeros(1)
+
+        def loss(batch: Batch) -> Tensor:
+            if batch.iteration == iterations:
+                raise KeyboardInterrupt
+            return (gain - 3).square().sum() + 0 * batch.raw.sum()
+
+        try:
+            fit_field(views, points, box, loss, config, extra={"gain": gain}, checkpoint=path)
+        except KeyboardInterrupt:
+            trained(99, path)
+        return gain.detach()
+
+    whole = trained(99, None)
+    assert float(whole) > 0.02
+    path = tmp_path / "c.safetensors"
+    gain = torch.zeros(1)
+    fit_field(
+        views, points, box, lambda b: (gain - 3).square().sum() + 0 * b.raw.sum(), config, extra={"gain": gain},
+        checkpoint=path,
+    )  # fmt: skip
+    again = torch.zeros(1)
+    fit_field(views, points, box, mse(images), config, extra={"gain": again}, checkpoint=path)
+    assert torch.equal(gain.detach(), whole)
+    assert torch.equal(again.detach(), whole)
+
+
+def test_one_view_and_a_camera_inside_the_box_are_fitted() -> None:
+    fit, _ = fitted(dataclasses.replace(TINY, iterations=30), n=1)
+    assert fit.state.losses[-1]["loss"] < fit.state.losses[0]["loss"]
+    views, images, _, points = ball()
+    box = box_of(views.centers, 10 * points)  # all cameras are in it
+    fit = fit_field(views, 10 * points, box, mse(images), dataclasses.replace(TINY, iterations=30))
+    assert fit.state.losses[-1]["loss"] < fit.state.losses[0]["loss"]
+
+
+def test_a_loss_that_is_not_finite_stops_the_run_and_says_where(tmp_path: Path) -> None:
+    views, images, _, points = ball()
+    box, path = box_of(views.centers, points), tmp_path / "checkpoint.safetensors"
+
+    def diverging(batch: Batch) -> Tensor:
+        return mse(images)(batch) * (float("nan") if batch.iteration == 7 else 1.0)
+
+    with pytest.raises(NotFinite, match=r"the loss must be finite, got nan in step 7: .*leads there again"):
+        fit_field(views, points, box, diverging, TINY, checkpoint=path)
+    with pytest.raises(NotFinite, match="step 7"):
+        fit_field(views, points, box, diverging, TINY, checkpoint=path)
+
+
+def test_a_field_without_views_is_refused() -> None:
+    views, images, _, points = ball()
+    none = Views(views.viewmats[:0], views.Ks[:0], SIZE, SIZE)
+    with pytest.raises(ValueError, match="at least one view on the CPU, got 0"):
+        fit_field(none, points, box_of(views.centers, points), mse(images), TINY)
