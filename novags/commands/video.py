@@ -16,7 +16,7 @@ def video(
     film says so.
 
     Args:
-        run: Folder of a run that holds Gaussians.
+        run: Folder of a run that holds Gaussians or a radiance field.
         out: The film: .mp4 (MPEG-4), or .webp, which every browser plays; if not given, RUN.mp4 beside the run.
         seconds: How long it takes, about.
         fps: Frames a second.

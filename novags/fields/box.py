@@ -65,8 +65,8 @@ def box_of(centers: Tensor, points: Tensor) -> Box:
     """
     points, centers = points.detach().double().cpu(), centers.detach().double().cpu()
     if not len(points) or not torch.isfinite(points).all() or not torch.isfinite(centers).all():
-        raise ValueError(f"a field needs finite first points and cameras for its bounds, got {len(points)} points: check "
-                         "the camera source")  # fmt: skip
+        raise ValueError(f"a field needs finite first points and cameras for its bounds, got {len(points)} points: "
+                         "check the camera source")  # fmt: skip
     low, high = (_quantile(points, q) for q in (OUTLIERS, 1 - OUTLIERS))
     half = MARGIN * (high - low) / 2
     longest = float(half.max())
@@ -76,7 +76,9 @@ def box_of(centers: Tensor, points: Tensor) -> Box:
     some = points[:: max(1, len(points) // 5000)]
     distances = (some[None] - centers[:, None]).norm(dim=-1).flatten()[:, None]
     middle = MARGIN * float(_quantile(distances, 1 - OUTLIERS)) or longest
-    near = max(CLOSEST * float(_quantile(distances, OUTLIERS / 5)), 1e-3 * middle)  # 0: a camera on a point divides by 0
+    near = max(
+        CLOSEST * float(_quantile(distances, OUTLIERS / 5)), 1e-3 * middle
+    )  # 0: a camera on a point divides by 0
     x, y, z = ((low + high) / 2).tolist()
     a, b, c = half.tolist()
     return Box(center=(x, y, z), half=(a, b, c), near=min(near, 0.5 * middle), middle=middle, far=FARTHEST * middle)

@@ -29,7 +29,9 @@ def evaluate(field: Field, positions: np.ndarray, basis: np.ndarray) -> tuple[np
     samples = max(1, n // max(1, len(basis)))
     encoded = empty((n, ENCODED))
     raw = empty((n, layout.outputs))
-    run(encode.forward, n, GRAIN, positions, field.table.numpy().reshape(-1), layout.resolutions, layout.starts, encoded)
+    run(
+        encode.forward, n, GRAIN, positions, field.table.numpy().reshape(-1), layout.resolutions, layout.starts, encoded
+    )
     w1, b1, w2, b2 = (getattr(field, name).numpy().reshape(-1) for name in ("w1", "b1", "w2", "b2"))
     run(heads.forward, n, GRAIN, encoded.reshape(-1), basis, samples, w1, b1, w2, b2, layout.static, layout.viewed, raw)
     run(encode.add_seeded, n, GRAIN, positions, field.seeded.numpy(), SIDE, np.float32(SEEDED), raw)

@@ -6,8 +6,8 @@
     raw      [S, K]    K = 1 + static + viewed: lanes, those that depend on the view summed over (1, x, y, z) of its
                        direction, which are harmonics of degree 0 and 1 up to factors
 
-Levels whose grid has more corners than a table has rows share rows by a hash (Mueller et al. 2022, section 3). Source of
-the encoding: "Instant neural graphics primitives with a multiresolution hash encoding"; the network is smaller.
+Levels whose grid has more corners than a table has rows share rows by a hash (Mueller et al. 2022, section 3). Source
+of the encoding: "Instant neural graphics primitives with a multiresolution hash encoding"; the network is smaller.
 """
 
 import math
@@ -52,8 +52,8 @@ class Layout:
             raise ValueError(f"log2_rows must lie in 8..22, got {self.log2_rows}")
         lanes = 1 + self.static + BASIS * self.viewed
         if self.static < 0 or self.viewed < 0 or lanes > LANES:
-            raise ValueError(f"a field has room for {LANES - 1} lanes beside the density, a viewed output taking {BASIS}, "
-                             f"got {self.static} static and {self.viewed} viewed outputs")  # fmt: skip
+            raise ValueError(f"a field has room for {LANES - 1} lanes beside the density, a viewed output taking "
+                             f"{BASIS}, got {self.static} static and {self.viewed} viewed outputs")  # fmt: skip
 
     @property
     def outputs(self) -> int:

@@ -78,10 +78,10 @@ class Proposal:
 
     density: np.ndarray = field(default_factory=lambda: np.full(SIDE**3, FIRST, np.float32))
 
-    def raise_to(self, positions: np.ndarray, log_density: np.ndarray) -> None:
-        """Make cells at least as dense as samples in them."""
+    def learn(self, positions: np.ndarray, log_density: np.ndarray, kept: float) -> None:
+        """Take in what samples have found; see `sample.learn`."""
         found = np.exp(np.minimum(log_density, np.float32(DENSITY_MAX))).astype(np.float32)
-        sample.raise_to(positions, found, SIDE, self.density)
+        sample.learn(positions, found, SIDE, np.float32(kept), self.density)
 
 
 def cells_near(points: Tensor, box: Box) -> np.ndarray:
@@ -133,5 +133,3 @@ def weights_of(log_density: Tensor, widths: Tensor) -> Tensor:
 def without_jitter(rays: int, samples: int) -> np.ndarray:
     """The `jitter` of pictures."""
     return np.full((rays, samples + 1), 0.5, np.float32)
-
-

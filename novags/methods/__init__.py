@@ -13,6 +13,9 @@ from novags.methods.enhancers import EnhancerConfig, tone_curves
 from novags.methods.enhancers.sci import SciConfig
 from novags.methods.enhancers.zero_dce import ZeroDceConfig
 from novags.methods.gaussian_fit import ORIGINAL_FIT, EnhancedFitConfig, fit_parts
+from novags.methods.nerf import clean as clean_nerf
+from novags.methods.nerf import fitting as nerf
+from novags.methods.nerf import plain as plain_nerf
 from novags.methods.nova import trainer as nova
 from novags.methods.nova.denoiser import FAST_DENOISER
 from novags.methods.nova.knobs import KNOBS as NOVA_KNOBS
@@ -160,6 +163,25 @@ METHODS: dict[str, Method] = {
         source="3DGS-MCMC (Kheradmand et al. 2024) on simulated exposures without noise",
         sees_clean=True,
         bound="ceiling",
+    ),
+    "nerf": Method(
+        title="enhance, then fit a radiance field on grids to the noisy pictures",
+        family="NeRF",
+        color="#4d7d1f",
+        config=nerf.NerfConfig,
+        train=plain_nerf.train,
+        parts=nerf.fit_parts,
+        source="NeRF (Mildenhall et al. 2020) with the encoding of Instant-NGP (Mueller et al. 2022)",
+    ),
+    "nerf-oracle": Method(
+        title="enhance the noise-free exposures, then fit a radiance field: the ceiling of fields",
+        family="bound",
+        color="#2f6b5e",
+        config=nerf.NerfConfig,
+        train=clean_nerf.train,
+        parts=nerf.fit_parts,
+        source="NeRF (Mildenhall et al. 2020) on simulated exposures without noise",
+        sees_clean=True,
     ),
     "averaging": Method(
         title="bring the training exposures to the view by the true surface and average them by inverse variance: what "

@@ -30,7 +30,7 @@ def _hidden(encoded, s, w1, b1, hidden):
 
 @kernel
 def forward(begin, end, encoded, basis, samples, w1, b1, w2, b2, static, viewed, raw):
-    """raw [S, 1 + static + viewed] for the samples begin..end-1.
+    """Raw [S, 1 + static + viewed] for the samples begin..end-1.
 
     encoded [S * 32]; basis [R, 4] of the rays' directions; samples: of a ray.
     """

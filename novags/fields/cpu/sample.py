@@ -13,6 +13,7 @@ from novags.splats.cpu.compiler import inline, kernel
 ZERO, ONE, HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 SHELL, INNER = np.float32(0.5), np.float32(0.75)  # as in box.py
 BINS = 224  # in which the map is looked at along a ray: a wall of one cell must not fall between two
+SPREAD = 4  # bins to either side that a bin's weight is spread over: the map is coarse, and late
 TINY = np.float32(1e-12)  # of a sum of weights: 0 / 0 where the map is empty and no share is spread evenly
 
 
@@ -87,8 +88,10 @@ def _cumulate(weights, sums, even):
     sums[0] = ZERO
     for i in range(BINS):
         here = weights[i]
-        left, right = weights[max(i - 1, 0)], weights[min(i + 1, BINS - 1)]
-        total += HALF * (max(left, here) + max(here, right))
+        left, right = here, here
+        for k in range(1, SPREAD + 1):
+            left, right = max(left, weights[max(i - k, 0)]), max(right, weights[min(i + k, BINS - 1)])
+        total += HALF * (left + right)
         sums[i + 1] = total
     share = (ONE - even) / max(total, TINY)
     rest = even if total > TINY else ONE
@@ -97,8 +100,12 @@ def _cumulate(weights, sums, even):
 
 
 @kernel
-def raise_to(positions, found, side, density):
-    """The map's cells at positions [S, 3] become at least the densities found [S]; in order, by one thread."""
+def learn(positions, found, side, kept, density):
+    """Tell the map [side^3] the densities found [S] at positions [S, 3]; in order, by one thread.
+
+    A cell becomes at least as dense as what was found in it, and otherwise keeps the share `kept` of what it had beyond
+    that: what was fog once must not be sampled for ever.
+    """
     for s in range(len(positions)):
         at = cell_index(positions, s, side)
-        density[at] = max(density[at], found[s])
+        density[at] = found[s] + max(density[at] - found[s], ZERO) * kept

@@ -2,7 +2,8 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from dataclasses import field as default
 from pathlib import Path
 
 import torch
@@ -43,7 +44,7 @@ class FieldState:
     steps: int = 0
     looked: int = 0
     iteration: int = 0
-    losses: list[dict[str, float]] = field(default_factory=list)
+    losses: list[dict[str, float]] = default(default_factory=list)
     seconds: float = 0.0
 
     @staticmethod
@@ -71,9 +72,7 @@ def save_state(path: Path, state: FieldState, settings: dict[str, object]) -> No
     write_tensors(path, tensors, metadata={"state": json.dumps({**rest, "settings": settings})})
 
 
-def load_state(
-    path: Path, settings: dict[str, object], layout: Layout, extra: Mapping[str, Tensor]
-) -> FieldState:
+def load_state(path: Path, settings: dict[str, object], layout: Layout, extra: Mapping[str, Tensor]) -> FieldState:
     """Read what `save_state` wrote; `extra` tensors are changed in place.
 
     Raises:

@@ -29,14 +29,14 @@ class FieldFitConfig:
         checkpoint_every: Steps between checkpoints.
     """
 
-    iterations: int = 2000
-    rays: int = 4096
+    iterations: int = 7000
+    rays: int = 1024
     patch: int = 1
     samples: int = 24
     rate: float = 1e-2
     rate_end: float = 0.03
     warm: int = 50
-    even: float = 0.1
+    even: float = 0.25
     distortion: float = 1e-4
     near_scale: float = 1.0
     points: bool = True

@@ -27,7 +27,7 @@ from novags.splats.views import Views
 
 LOG_EVERY = 10
 REFRESH = 8  # steps between two looks at cells of the map that no ray need have met
-KEPT = np.float32(0.5)  # of a cell's density when it is looked at again: what was fog must not be sampled for ever
+KEPT_WHEN_MET, KEPT_WHEN_LOOKED_AT = 0.9, 0.5  # of what a cell of the map had beyond the density that is found in it
 POINT_DENSITY = 10.0  # of the map at first points: opaque within a few cells
 
 Loss = Callable[[Batch], Tensor]
@@ -71,7 +71,9 @@ def fit_field(
         NotFinite: For a loss or a gradient that is not finite; `checkpoint` then holds the state before that step.
     """
     if not len(views) or views.viewmats.device.type != "cpu":
-        raise ValueError(f"a field is fitted to at least one view on the CPU, got {len(views)} on {views.viewmats.device}")
+        raise ValueError(
+            f"a field is fitted to at least one view on the CPU, got {len(views)} on {views.viewmats.device}"
+        )
     started, more = time.perf_counter(), dict(extra or {})
     settings = _identity(views, points, box, config, more)
     if checkpoint is not None and checkpoint.exists():
@@ -116,9 +118,7 @@ def _first_state(points: Tensor, box: Box, config: FieldFitConfig, extra: dict[s
     return FieldState.of(first_field(config.layout, config.seed, near), proposal, extra)
 
 
-def _step(
-    state: FieldState, views: Views, box: Box, loss: Loss, config: FieldFitConfig, iteration: int
-) -> float:
+def _step(state: FieldState, views: Views, box: Box, loss: Loss, config: FieldFitConfig, iteration: int) -> float:
     rng = np.random.default_rng([config.seed, iteration, 0xBA7C4])
     if iteration % REFRESH == 0:
         refresh(state, rng, config.rays * config.samples // 2)
@@ -128,7 +128,7 @@ def _step(
     samples = sampled(rays, box, state.proposal, jitter, config.even)
     basis = basis_of(rays.directions)
     flat, encoded = evaluate(state.field, samples.positions, basis)
-    state.proposal.raise_to(samples.positions, flat[:, 0])
+    state.proposal.learn(samples.positions, flat[:, 0], KEPT_WHEN_MET)
     raw = torch.from_numpy(flat).reshape(config.rays, config.samples, -1).requires_grad_()
     for tensor in state.extra.values():
         tensor.requires_grad_().grad = None
@@ -145,7 +145,9 @@ def _step(
     assert raw.grad is not None
     if config.near_scale:
         raw.grad *= (samples.distances / (config.near_scale * box.middle)).square().clamp_max(1)[..., None]
-    slopes = gradients(state.field, samples.positions, basis, encoded, raw.grad.reshape(len(flat), -1).contiguous().numpy())
+    slopes = gradients(
+        state.field, samples.positions, basis, encoded, raw.grad.reshape(len(flat), -1).contiguous().numpy()
+    )
     slopes |= {name: t.grad.numpy() for name, t in state.extra.items() if t.grad is not None}
     if not math.isfinite(sum(float(np.abs(slope).sum()) for name, slope in slopes.items() if name != "table")):
         raise NotFinite(f"the gradient must be finite, and is not in step {iteration}: lower the learning rate")
@@ -164,7 +166,7 @@ def _update(state: FieldState, slopes: Mapping[str, np.ndarray], rate: float) ->
 
 
 def refresh(state: FieldState, rng: np.random.Generator, count: int) -> None:
-    """Look again at `count` cells of the map, each at a random place; what was there before counts half."""
+    """Look again at `count` cells of the map, each at a random place."""
     cells = SIDE**3
     begin = state.looked % cells
     chosen = np.arange(begin, begin + min(count, cells)) % cells
@@ -172,5 +174,4 @@ def refresh(state: FieldState, rng: np.random.Generator, count: int) -> None:
     corner = np.stack([chosen % SIDE, chosen // SIDE % SIDE, chosen // SIDE**2], -1)
     places = ((corner + rng.random((len(chosen), 3))) / SIDE).astype(np.float32)
     raw, _ = evaluate(state.field, places, np.array([[1, 0, 0, 0]], np.float32))
-    state.proposal.density[chosen] *= KEPT
-    state.proposal.raise_to(places, raw[:, 0])
+    state.proposal.learn(places, raw[:, 0], KEPT_WHEN_LOOKED_AT)

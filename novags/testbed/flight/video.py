@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from novags.methods.nerf.scene import FILE
 from novags.methods.problem import encode
 from novags.splats import Views
 from novags.testbed.console import Console
@@ -97,7 +98,8 @@ def make_video(run: Run, out: Path, console: Console, *, seconds: float, fps: fl
     """Film the flight; returns the number of frames.
 
     Raises:
-        ValueError: If the run holds no Gaussians, its cameras or its capture cannot be read, or a number is refused.
+        ValueError: If the run holds neither Gaussians nor a field, its cameras or its capture cannot be read, or a
+            number is refused.
         OSError: If the file cannot be written.
     """
     check_suffix(out)
@@ -105,8 +107,8 @@ def make_video(run: Run, out: Path, console: Console, *, seconds: float, fps: fl
         raise ValueError(f"a film takes > 0 s at up to 240 frames a second, and at most {LONGEST} frames, got "
                          f"{seconds:g} s at {fps:g} frames a second")  # fmt: skip
     if (scene := scene_of(run)) is None:
-        raise ValueError(f"{run.path} has no {SCENE}: only Gaussians can be rendered from new places, and {run.method} "
-                         "has made none")  # fmt: skip
+        raise ValueError(f"{run.path} has neither {SCENE} nor {FILE}: only Gaussians and fields can be rendered from "
+                         f"new places, and {run.method} has made neither")  # fmt: skip
     capture, lit = run.inputs(console)
     course = Course.of(run, capture)
     flight = fly(course.viewmats, max(2, round(seconds * fps)))

@@ -2,6 +2,7 @@
 
 run.json              method, resolved configuration, capture, cameras, seconds; written last
 point_cloud.ply       the scene (of a method that fits Gaussians: the standard 3DGS layout)
+scene/                or of other kinds (a radiance field: scene/field.safetensors)
 cameras.json          the training cameras in its frame, as viewers of 3DGS read them
 viewers/              the scene in further formats, on request
 enhancer.safetensors  weights of the network that made the pictures bright, of methods with one

@@ -88,13 +88,15 @@ class Session:
     def _show_splats(self) -> None:
         with self.computing:
             found = self.shown.scene(self.panel.method.value)
-        self.has_gaussians = found is not None
+        self.has_gaussians = found is not None and found[2] is not None
         for node in self.nodes:
             node.remove()
         self.nodes = []
         if found is None or not self.panel.splats.value:
             return
         _, into, drawn = found
+        if drawn is None:  # a field: browsers draw Gaussians alone, and its pictures and light are shown all the same
+            return
         add = self.client.scene.add_gaussian_splats
         self.nodes.append(add("/gaussians", drawn.centers, drawn.covariances, drawn.colors, drawn.opacities))
         own = own_cameras(self.shown.runs[self.panel.method.value])

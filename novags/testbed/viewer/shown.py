@@ -9,7 +9,7 @@ import numpy as np
 from novags.cameras.align import Similarity
 from novags.methods.memo import Memo
 from novags.methods.problem import encode
-from novags.methods.reconstruction import GaussianScene
+from novags.methods.reconstruction import GaussianScene, Scene
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import Run
@@ -86,19 +86,21 @@ class Shown:
         """Of a run in linear light, to the screen."""
         return GREY / self.run_green(name)
 
-    def scene(self, name: str) -> tuple[GaussianScene, Similarity, Drawn] | None:
-        """A run's Gaussians, the way from their frame to the viewer's, and what the browser draws; None without any.
+    def scene(self, name: str) -> tuple[Scene, Similarity, Drawn | None] | None:
+        """A run's scene, the way from its frame to the viewer's, and what the browser draws, if Gaussians; else None.
 
         Raises:
             ValueError: If a file is damaged.
         """
         return self.memo.once(("scene", name), lambda: self._scene(name))
 
-    def _scene(self, name: str) -> tuple[GaussianScene, Similarity, Drawn] | None:
+    def _scene(self, name: str) -> tuple[Scene, Similarity, Drawn | None] | None:
         found = scene_of(self.runs[name])
         if found is None:
             return None
         into = self.world.from_true @ true_from(self.runs[name], self.capture)
+        if not isinstance(found, GaussianScene):
+            return found, into, None
         light = self.runs[name].space == "linear" and found.tone is None  # tones are drawn as they are
         return found, into, drawn(found, into, self._gain(name) if light else None)
 

@@ -1,4 +1,4 @@
-"""A run's Gaussians: as the browser draws them, and as seen from any camera of the viewer."""
+"""A run's scene: its Gaussians as the browser draws them, and any kind as seen from any camera of the viewer."""
 
 import math
 from dataclasses import dataclass
@@ -8,10 +8,17 @@ import torch
 
 from novags.cameras.align import Similarity, to_estimated
 from novags.cameras.estimate import Array
+from novags.methods.nerf.scene import load_field
 from novags.methods.problem import encode
+<<<<<<< HEAD
 from novags.methods.reconstruction import GaussianScene
 from novags.methods.tone import ResponseTable, ToneCurve
 from novags.splats import Views, read_ply
+=======
+from novags.methods.reconstruction import GaussianScene, Scene
+from novags.methods.tone import ToneCurve
+from novags.splats import Gaussians, Views, read_ply
+>>>>>>> 59b3e83 (nerf and nerf-oracle: the field as an engine of methods; its scene is filmed and viewed like Gaussians)
 from novags.splats.raster.raster_torch import quat_to_rotmat
 from novags.splats.sh import sh_to_rgb
 from novags.splats.training.config import FitConfig
@@ -58,7 +65,16 @@ def drawn(scene: GaussianScene, into: Similarity, gain: float | None = None) -> 
     )
 
 
-def scene_of(run: Run) -> GaussianScene | None:
+def scene_of(run: Run) -> Scene | None:
+    """The scene of a run as it rendered it, Gaussians or a field; None where it is of another kind.
+
+    Raises:
+        ValueError: If its file is damaged.
+    """
+    return gaussians_of(run) or load_field(run.path)
+
+
+def gaussians_of(run: Run) -> GaussianScene | None:
     """The Gaussians of a run, to be splatted as it did; None for methods that made none.
 
     Raises:
@@ -76,7 +92,7 @@ def scene_of(run: Run) -> GaussianScene | None:
     return GaussianScene(read_ply(path), dilation, antialiased, curve, rows, response)
 
 
-def rendered(scene: GaussianScene, into: Similarity, viewmat: Array, fov_y: float, size: tuple[int, int]) -> np.ndarray:
+def rendered(scene: Scene, into: Similarity, viewmat: Array, fov_y: float, size: tuple[int, int]) -> np.ndarray:
     """A picture of a scene.
 
     Args:

@@ -34,8 +34,7 @@ def slow_edges(ray: int, rays: Rays, density: np.ndarray, jitter: np.ndarray, ev
         alpha = 1 - math.exp(-float(density[(z * SIDE + y) * SIDE + x]) * (edges[i + 1] - edges[i]) / BOX.unit)
         weights.append(through * alpha)
         through *= 1 - alpha
-    padded = [weights[0], *weights, weights[-1]]
-    spread = [0.5 * (max(padded[i], padded[i + 1]) + max(padded[i + 1], padded[i + 2])) for i in range(bins)]
+    spread = [0.5 * (max(weights[max(i - 4, 0) : i + 1]) + max(weights[i : i + 5])) for i in range(bins)]
     shares = [(1 - even) * w / sum(spread) + even / bins for w in spread]
     sums = np.concatenate([[0], np.cumsum(shares)])
     found = []
@@ -73,7 +72,7 @@ def test_an_empty_map_spreads_samples_evenly_and_a_wall_draws_them() -> None:
     wall = np.zeros((SIDE, SIDE, SIDE), np.float32)
     wall[SIDE // 2] = 1e4  # z = -0.5, at a distance of 2.5
     found = sampled(rays, BOX, Proposal(wall.reshape(-1)), jitter, 0.0).distances[0]
-    assert (found - 2.5).abs().max() < 0.1
+    assert (found - 2.5).abs().max() < 0.15
 
 
 def test_weights_are_those_of_front_to_back_compositing() -> None:

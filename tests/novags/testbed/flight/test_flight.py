@@ -184,6 +184,6 @@ def test_a_run_without_gaussians_and_files_that_are_there_are_refused_in_one_lin
     assert "must not lie inside its input" in said("--out", str(run / "f.mp4"))
     assert "got -1 s at 24 frames a second" in said("--out", str(tmp_path / "g.mp4"), "--seconds", "-1")
     monkeypatch.setattr(video, "scene_of", lambda opened: None)
-    assert "only Gaussians can be rendered from new places, and naive has made none" in said(
+    assert "only Gaussians and fields can be rendered from new places, and naive has made neither" in said(
         "--out", str(tmp_path / "g.mp4"))  # fmt: skip
     assert [path.name for path in tmp_path.iterdir()] == ["f.mp4"]

@@ -1,0 +1,20 @@
+"""The ceiling of fields: fit the noise-free dark exposures, enhanced exactly as their noisy twins."""
+
+from pathlib import Path
+
+from novags.methods.enhancers import enhanced_clean
+from novags.methods.gaussian_fit import Progress
+from novags.methods.nerf.fitting import NerfConfig, fit_enhanced_field
+from novags.methods.problem import Problem
+from novags.methods.reconstruction import Reconstruction
+
+
+def train(
+    problem: Problem, config: NerfConfig, *, progress: Progress | None = None, checkpoint: Path | None = None
+) -> Reconstruction:
+    """Reconstruct from exposures that no real method can see; see `fit_enhanced_field`.
+
+    Raises:
+        ValueError: If the problem has no noise-free exposures.
+    """
+    return fit_enhanced_field(problem, config, enhanced_clean, progress, checkpoint)

@@ -1,0 +1,113 @@
+"""Pictures in, a field out: the part that all methods with a field share."""
+
+import dataclasses
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from torch import Tensor
+
+from novags.fields.box import box_of
+from novags.fields.layout import Layout
+from novags.fields.training.batch import Batch
+from novags.fields.training.config import FieldFitConfig
+from novags.fields.training.fit import FieldFit, fit_field
+from novags.methods.enhancers import EnhancerConfig, enhancement_record
+from novags.methods.enhancers.guided import EnhanceConfig
+from novags.methods.gaussian_fit import Progress
+from novags.methods.nerf.scene import FieldScene
+from novags.methods.nerf.shading import display
+from novags.methods.problem import Pictures, Problem
+from novags.methods.reconstruction import Reconstruction
+
+RENDERED = 2  # samples of a picture's ray, for each that trained: a sample too few shows in every pixel
+
+
+@dataclass(frozen=True, kw_only=True)
+class NerfConfig:
+    """Which pictures, how they are enhanced, how a field is fitted to them."""
+
+    pictures: Pictures = "8bit"
+    enhance: EnhancerConfig = field(default_factory=EnhanceConfig)
+    fit: FieldFitConfig = field(default_factory=FieldFitConfig)
+
+
+def fit_parts(config: NerfConfig) -> dict[str, int]:
+    """`Method.parts`: the fit alone."""
+    return {"fit": config.fit.iterations}
+
+
+def with_outputs(fit: FieldFitConfig, problem: Problem, *, static: int, viewed: int) -> FieldFitConfig:
+    """The configuration with the seed of the problem, and room for a method's outputs."""
+    layout: Layout = dataclasses.replace(fit.layout, static=static, viewed=viewed)
+    return dataclasses.replace(fit, seed=problem.seed, layout=layout)
+
+
+def fitted_scene(
+    problem: Problem,
+    loss: Callable[[Batch], Tensor],
+    fit: FieldFitConfig,
+    shading: str,
+    *,
+    numbers: Mapping[str, float] | None = None,
+    extra: Mapping[str, Tensor] | None = None,
+    progress: Progress | None = None,
+    checkpoint: Path | None = None,
+) -> tuple[FieldScene, FieldFit]:
+    """Fit a field to a problem; arguments as for `fit_field` and of the FieldScene. The problem is on the CPU."""
+    points = problem.start.points.detach().cpu()
+    box = box_of(problem.views.centers, points)
+    found = fit_field(
+        problem.views, points, box, loss, fit, extra=extra, progress=progress, checkpoint=checkpoint
+    )  # fmt: skip
+    state = found.state
+    return FieldScene(state.field, box, state.proposal, RENDERED * fit.samples, shading, dict(numbers or {})), found
+
+
+def fit_enhanced_field(
+    problem: Problem,
+    config: NerfConfig,
+    enhance: Callable[[Problem, EnhancerConfig, Pictures], Tensor],
+    progress: Progress | None,
+    checkpoint: Path | None,
+) -> Reconstruction:
+    """Fit a field to the pictures that `enhance` returns for the problem, by their mean squared error.
+
+    Args:
+        problem: The problem; its seed overrides that of `config.fit`.
+        config: All choices.
+        enhance: (problem, configuration, pictures) -> [C, H, W, 3].
+        progress: As in `fit_field`.
+        checkpoint: As in `fit_field`.
+
+    Returns:
+        A reconstruction whose targets are the enhanced pictures. Seconds: "enhance" and "fit".
+    """
+    config = dataclasses.replace(config, fit=with_outputs(config.fit, problem, static=0, viewed=3))
+    started = time.perf_counter()
+    images = enhance(problem, config.enhance, config.pictures).cpu()
+    seconds = time.perf_counter() - started
+
+    def loss(batch: Batch) -> Tensor:
+        return (display(batch.raw, batch.weights, {}) - batch.of(images)).square().mean()
+
+    scene, found = fitted_scene(
+        problem.to("cpu"), loss, config.fit, "display", progress=progress, checkpoint=checkpoint
+    )
+    return Reconstruction(
+        scene=scene,
+        space="enhanced",
+        config=config,
+        enhancement=enhancement_record(config.enhance, config.pictures),
+        enhanced=images,
+        targets=images,
+        losses=found.state.losses,
+        seconds={"enhance": seconds, "fit": found.seconds},
+    )
+
+
+def mean_of(values: Tensor, weights: Tensor) -> Tensor:
+    """Mean of [R, N, D] over all samples by their weights [R, N], without a gradient through these; [D]."""
+    held = weights.detach()[..., None]
+    return (values * held).sum((0, 1)) / held.sum().clamp_min(1e-6)  # rays through nothing alone have no mean

@@ -1,0 +1,20 @@
+"""Enhance every view, then fit a radiance field to the result, noise and all: `naive` with the other engine.
+
+Mildenhall et al. 2020 (NeRF) with the encoding of Mueller et al. 2022 (Instant-NGP); what differs from them is said in
+docs/fields.md.
+"""
+
+from pathlib import Path
+
+from novags.methods.enhancers import enhanced
+from novags.methods.gaussian_fit import Progress
+from novags.methods.nerf.fitting import NerfConfig, fit_enhanced_field
+from novags.methods.problem import Problem
+from novags.methods.reconstruction import Reconstruction
+
+
+def train(
+    problem: Problem, config: NerfConfig, *, progress: Progress | None = None, checkpoint: Path | None = None
+) -> Reconstruction:
+    """Reconstruct from the enhanced noisy pictures; see `fit_enhanced_field`."""
+    return fit_enhanced_field(problem, config, enhanced, progress, checkpoint)
