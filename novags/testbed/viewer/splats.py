@@ -10,15 +10,9 @@ from novags.cameras.align import Similarity, to_estimated
 from novags.cameras.estimate import Array
 from novags.methods.nerf.scene import load_field
 from novags.methods.problem import encode
-<<<<<<< HEAD
-from novags.methods.reconstruction import GaussianScene
+from novags.methods.reconstruction import GaussianScene, Scene
 from novags.methods.tone import ResponseTable, ToneCurve
 from novags.splats import Views, read_ply
-=======
-from novags.methods.reconstruction import GaussianScene, Scene
-from novags.methods.tone import ToneCurve
-from novags.splats import Gaussians, Views, read_ply
->>>>>>> 59b3e83 (nerf and nerf-oracle: the field as an engine of methods; its scene is filmed and viewed like Gaussians)
 from novags.splats.raster.raster_torch import quat_to_rotmat
 from novags.splats.sh import sh_to_rgb
 from novags.splats.training.config import FitConfig
