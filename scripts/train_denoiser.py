@@ -12,12 +12,13 @@ import os
 import shlex
 import sys
 import time
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 from denoising.pairs import Pairs, Source, batch
-from denoising.training import Schedule, Training, checked, checks
+from denoising.training import Schedule, Training, checked, checks, loss_of
 
 from novags.methods.denoised.network import Network, NetworkConfig
 from novags.methods.denoised.weights import save_weights
@@ -52,7 +53,7 @@ def main() -> None:
     torch.manual_seed(asked.seed)
     network = Network(NetworkConfig(widths=tuple(asked.widths), blocks=tuple(asked.blocks)))
     network.to(memory_format=torch.channels_last)
-    training = Training(network, Schedule(steps=asked.steps, rate=asked.rate), asked.loss)
+    training = Training(network, Schedule(steps=asked.steps, rate=asked.rate), partial(loss_of, kind=asked.loss))
     checkpoint = asked.out.with_suffix(".checkpoint.safetensors")
     before = training.restore(checkpoint) if checkpoint.exists() else 0.0
     source = Source(sorted(asked.sets), size=128, stock=asked.stock, rendered_share=asked.rendered_share)

@@ -10,7 +10,10 @@ from novags.methods import enhance_then_fit, oracle
 from novags.methods.averaging import trainer as averaging
 from novags.methods.denoised import trainer as denoised
 from novags.methods.enhancers import EnhancerConfig, tone_curves
+from novags.methods.enhancers.mbllen import MbllenConfig
+from novags.methods.enhancers.retinexformer import RetinexformerConfig
 from novags.methods.enhancers.sci import SciConfig
+from novags.methods.enhancers.uretinex import URetinexConfig
 from novags.methods.enhancers.zero_dce import ZeroDceConfig
 from novags.methods.gaussian_fit import ORIGINAL_FIT, EnhancedFitConfig, fit_parts
 from novags.methods.nerf import clean as clean_nerf
@@ -106,6 +109,24 @@ METHODS: dict[str, Method] = {
         "authors' file",
         "#2e8b57",
         "Toward Fast, Flexible, and Robust Low-Light Image Enhancement (Ma et al. 2022)",
+    ),
+    "mbllen-gs": _enhanced(
+        MbllenConfig(),
+        "enhance with MBLLEN, whose weights have to be given",
+        "#4682b4",
+        "MBLLEN: Low-light Image/Video Enhancement Using CNNs (Lv et al. 2018)",
+    ),
+    "uretinex-gs": _enhanced(
+        URetinexConfig(),
+        "enhance with URetinex-Net, whose weights have to be given",
+        "#5f6caf",
+        "URetinex-Net: Retinex-Based Deep Unfolding Network for Low-Light Image Enhancement (Wu et al. 2022)",
+    ),
+    "retinexformer-gs": _enhanced(
+        RetinexformerConfig(),
+        "enhance with Retinexformer, whose weights have to be given",
+        "#8a5fa8",
+        "Retinexformer: One-stage Retinex-based Transformer for Low-light Image Enhancement (Cai et al. 2023)",
     ),
     "denoise-gs": Method(
         title="denoise the raw data with a network that was trained on simulated cameras and adapts to the capture, "

@@ -62,7 +62,7 @@ def _with_network(
     learning = time.perf_counter() - started
 
     def through(problem: Problem, enhance: EnhancerConfig, pictures: Pictures) -> Tensor:
-        return torch.stack([kind.picture(network, dark, enhance) for dark in problem.encoded(pictures)])
+        return torch.stack([kind.picture(network, dark, enhance)[0] for dark in problem.encoded(pictures)])
 
     def report(done: int, total: int, entry: dict[str, float]) -> None:
         if progress is not None:

@@ -1,20 +1,23 @@
 """The training loop: one step, the rate over the steps, checkpoints, and a look at pairs that are not trained on."""
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
 import torch.nn.functional as F
-from torch import Tensor
+from torch import Tensor, nn
 
 from denoising.pairs import Pairs, photograph, random_camera
 from denoising.pictures import picture
 from novags.methods.denoised.anscombe import Anscombe
 from novags.methods.denoised.network import Network
-from novags.methods.nova.checkpoint import pack, read, unpack
+from novags.methods.nova.checkpoint import read
 from novags.splats.training.checkpoint import write_tensors
+from novags.splats.training.companion import pack, unpack
 
 WARM_UP = 100  # steps
 DECAY = 0.3  # of all steps, at the end
@@ -52,15 +55,15 @@ def loss_of(network: Network, pairs: Pairs, kind: str) -> Tensor:
 class Training:
     """A network and its optimiser."""
 
-    def __init__(self, network: Network, schedule: Schedule, kind: str) -> None:
-        self.network, self.schedule, self.kind, self.step = network, schedule, kind, 0
+    def __init__(self, network: nn.Module, schedule: Schedule, loss: Callable[[Any, Any], Tensor]) -> None:
+        self.network, self.schedule, self.loss, self.step = network, schedule, loss, 0
         self.optimizer = torch.optim.Adam(network.parameters(), lr=schedule.rate, betas=(0.9, 0.99))
 
-    def advance(self, pairs: Pairs) -> float:
+    def advance(self, pairs: Any) -> float:
         """One step; returns the loss."""
         for group in self.optimizer.param_groups:
             group["lr"] = self.schedule.at(self.step)
-        loss = loss_of(self.network, pairs, self.kind)
+        loss = self.loss(self.network, pairs)
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), LARGEST_GRADIENT)
         self.optimizer.step()

@@ -12,6 +12,7 @@ import pytest
 
 from novags.cameras import parse_cameras
 from novags.methods import METHODS, chosen, names
+from novags.methods.enhancers import NETWORKS
 from novags.methods.reconstruction import GaussianScene
 from novags.testbed import stages
 from novags.testbed.cache import read_json
@@ -24,9 +25,16 @@ QUIET = Console(quiet=True)
 
 # They take the true cameras alone, which not every row has.
 FOLLOW_TRUTH = tuple(name for name in names() if METHODS[chosen(name).method].sees_surface)
+# Their networks have no weights that come with the project.
+NEED_FILES = tuple(
+    name
+    for name in names()
+    if (kind := NETWORKS.get(type(getattr(METHODS[chosen(name).method].config(), "enhance", None)))) is not None
+    and kind.rehearsal is None
+)
 COLUMNS: dict[str, Sequence[Any]] = {
     "scene": tuple(SCENES),
-    "method": tuple(name for name in names() if name not in FOLLOW_TRUTH),
+    "method": tuple(name for name in names() if name not in (*FOLLOW_TRUTH, *NEED_FILES)),
     # no noise; the noisiest and the cleanest of a family; one, two and four colours per filter; three chips and mosaics
     "sensor": (
         "ideal", "ideal-3chip", "a7s2-iso100", "a7s2-iso25600-3chip", "imx385-iso25600", "imx686-iso800",

@@ -10,8 +10,11 @@ import torch
 from torch import Tensor
 
 from novags.methods.enhancers import guided, tone_curves
+from novags.methods.enhancers.mbllen import MBLLEN, MbllenConfig, typical
 from novags.methods.enhancers.networks import Kind, no_params, stamps
+from novags.methods.enhancers.retinexformer import RETINEXFORMER, RetinexformerConfig
 from novags.methods.enhancers.sci import SCI, SciConfig
+from novags.methods.enhancers.uretinex import URETINEX, URetinexConfig
 from novags.methods.enhancers.zero_dce import ZERO_DCE, ZeroDceConfig
 from novags.methods.memo import Memo
 from novags.methods.noise import Noise, Variance
@@ -46,6 +49,9 @@ EnhancerConfig: TypeAlias = (
     | tone_curves.EqualiseConfig
     | ZeroDceConfig
     | SciConfig
+    | MbllenConfig
+    | URetinexConfig
+    | RetinexformerConfig
     | None
 )
 
@@ -54,7 +60,13 @@ def _unchanged(dark: Tensor, config: None, params: Any, noise: Variance | None) 
     return dark, None
 
 
-NETWORKS: dict[type, Kind] = {ZeroDceConfig: ZERO_DCE, SciConfig: SCI}
+NETWORKS: dict[type, Kind] = {
+    ZeroDceConfig: ZERO_DCE,
+    SciConfig: SCI,
+    MbllenConfig: MBLLEN,
+    URetinexConfig: URETINEX,
+    RetinexformerConfig: RETINEXFORMER,
+}
 
 ENHANCERS: dict[str, Enhancer] = {
     "guided": Enhancer(guided.EnhanceConfig, guided.enhance, guided.typical),
@@ -64,6 +76,9 @@ ENHANCERS: dict[str, Enhancer] = {
     "equalise": Enhancer(tone_curves.EqualiseConfig, tone_curves.equalise, tone_curves.mean_curve),
     "zero-dce": Enhancer(ZeroDceConfig, ZERO_DCE.enhance, no_params),
     "sci": Enhancer(SciConfig, SCI.enhance, no_params),
+    "mbllen": Enhancer(MbllenConfig, MBLLEN.enhance, typical),
+    "uretinex": Enhancer(URetinexConfig, URETINEX.enhance, no_params),
+    "retinexformer": Enhancer(RetinexformerConfig, RETINEXFORMER.enhance, no_params),
     "none": Enhancer(type(None), _unchanged, lambda params: None),
 }
 

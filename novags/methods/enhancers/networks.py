@@ -4,7 +4,7 @@ The configuration of each is a frozen dataclass with `weights`, files or None.
 
 A network is the same function for every picture. It is not parametrised by one, and so a noise-free exposure goes
 through it as it is: what differs then from its noisy twin's result is what the noise has changed, wherever in the
-network.
+network. Only what a method does to the result afterwards may have parameters of a picture.
 """
 
 from collections import OrderedDict
@@ -53,6 +53,7 @@ class Kind:
         name: For people.
         make: (config) -> a network, its weights as at the start of a training.
         run: (network, picture [1, 3, H, W], config) -> enhanced picture, the same shape.
+        finish: (that, config, params or None) -> the picture after what the method does to it then, and its parameters.
         renamed: Names of official tensors -> names of the network's own.
         rehearsal: How it learns from a scene; None: it cannot.
         where: Where weights come from, for those who have none.
@@ -62,6 +63,7 @@ class Kind:
     make: Callable[[Any], nn.Module]
     run: Callable[[nn.Module, Tensor, Any], Tensor]
     renamed: Callable[[Mapping[str, Tensor]], Mapping[str, Tensor]] = lambda tensors: tensors
+    finish: Callable[[Tensor, Any, Any], tuple[Tensor, Any]] = lambda bright, config, params: (bright, None)
     rehearsal: Rehearsal | None = None
     where: str = "the authors' file, or one that scripts/train_enhancer.py has made"
 
@@ -85,17 +87,18 @@ class Kind:
         _HELD.move_to_end(key)
         return _HELD[key]
 
-    def picture(self, network: nn.Module, dark: Tensor, config: Any) -> Tensor:
-        """One picture [H, W, 3] through the network, in 0..1."""
+    def picture(self, network: nn.Module, dark: Tensor, config: Any, params: Any = None) -> tuple[Tensor, Any]:
+        """One picture [H, W, 3] through the network, in 0..1, and the parameters of what follows."""
         check_picture(dark)
         network.to(dark.device)
         with torch.no_grad():
             bright = self.run(network, dark.float().movedim(-1, 0)[None], config)
-        return bright[0].movedim(0, -1).clamp(0, 1).to(dark.dtype).contiguous()
+            bright, params = self.finish(bright, config, params)
+        return bright[0].movedim(0, -1).clamp(0, 1).to(dark.dtype).contiguous(), params
 
-    def enhance(self, dark: Tensor, config: Any, params: None, noise: Any) -> tuple[Tensor, None]:
-        """As `Enhancer.enhance`; there are no parameters."""
-        return self.picture(self.load(config), dark, config), None
+    def enhance(self, dark: Tensor, config: Any, params: Any, noise: Any) -> tuple[Tensor, Any]:
+        """As `Enhancer.enhance`."""
+        return self.picture(self.load(config), dark, config, params)
 
 
 def stamps(config: Any) -> tuple[tuple[int, ...], ...]:

@@ -11,10 +11,12 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
+from novags.methods.enhancers.keras_file import read_keras
 from sensor_model.files.reading import brief, reading
 
 REMEDY = "fetch or make it anew"
 LARGEST = 200_000_000  # bytes of a file; the largest network here has 20 MB
+KERAS = (".h5", ".hdf5")
 WRAPPERS = ("state_dict", "params")  # what official files keep their weights under
 
 
@@ -48,6 +50,8 @@ def read_weights(paths: Sequence[Path]) -> dict[str, Tensor]:
 def _read(path: Path) -> dict[str, Tensor]:
     if path.suffix == ".safetensors":
         return load_file(path)
+    if path.suffix in KERAS:
+        return read_keras(path.read_bytes())
     with torch.serialization.safe_globals([argparse.Namespace]):
         # From memory: of a file, a damaged length would be reserved before it is found to be too long.
         value: Any = torch.load(io.BytesIO(path.read_bytes()), map_location="cpu", weights_only=True)

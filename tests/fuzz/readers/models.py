@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from tests.fuzz.case import Reader
+from tests.fuzz.readers.keras import keras_bytes
 from tests.fuzz.readers.text import pictures, read_transforms, some_rig
 
 
@@ -147,6 +148,8 @@ def make_enhancer(folder: Path) -> None:
     torch.save(wrapped, folder / "w.pth")
     torch.save(wrapped, folder / "old.pth", _use_new_zipfile_serialization=False)
     save_file(weights, folder / "w.safetensors")
+    arrays = {f"conv2d_1/conv2d_1/{name}": value.numpy() for name, value in weights.items()}
+    (folder / "w.h5").write_bytes(keras_bytes(arrays))
 
 
 def read_enhancer(folder: Path, file: Path) -> None:

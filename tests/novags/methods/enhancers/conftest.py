@@ -76,7 +76,7 @@ def dark_fox(fox: Path) -> list[tuple[np.ndarray, np.ndarray]]:
     pairs = []
     for path in sorted((fox / "images").iterdir())[::25]:
         whole = cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)
-        bright = cv2.resize(whole, (72, 128), interpolation=cv2.INTER_AREA) / 255.0
+        bright = cv2.resize(whole, (45, 80), interpolation=cv2.INTER_AREA) / 255.0
         light = srgb_to_linear(bright) / 12
         noisy = light + rng.normal(0, 1, light.shape) * np.sqrt(1e-4 * light + 1e-7)
         pairs.append((linear_to_srgb(noisy.clip(0, 1)), bright))

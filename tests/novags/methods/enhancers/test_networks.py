@@ -6,12 +6,14 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import torch
 from safetensors.torch import save_file
 
 from novags.methods.enhance_then_fit import parts, train
-from novags.methods.enhancers import enhanced, enhanced_like, located, recorded
+from novags.methods.enhancers import ENHANCERS, enhanced, enhanced_like, located, recorded
+from novags.methods.enhancers.keras_file import read_keras
 from novags.methods.enhancers.rehearsal import learned
 from novags.methods.enhancers.sci import SCI, Sci, SciConfig
 from novags.methods.enhancers.weights import digest_of, read_weights
@@ -20,6 +22,7 @@ from novags.methods.gaussian_fit import EnhancedFitConfig
 from novags.methods.problem import LacksInput, Problem
 from novags.splats import FitConfig, Views
 from novags.testbed.cache import jsonable
+from tests.fuzz.readers.keras import keras_bytes
 
 TINY = ZeroDceConfig(steps=6, batch=1, crop=8, rate=1e-2)
 
@@ -100,6 +103,37 @@ def test_weights_are_read_from_every_layout_by_name(tmp_path):
     assert {n: len(v) for n, v in read_weights((tmp_path / "e.pth",)).items()} == {"model_R.x": 2, "model_L.x": 3}
 
 
+def test_keras_files_are_read_by_path(tmp_path):
+    rng = np.random.default_rng(0)
+    arrays = {"a/a/kernel:0": rng.random((3, 3, 2, 4)), "a/a/bias:0": rng.random(4), "b": rng.random((2, 5))}
+    (tmp_path / "w.h5").write_bytes(keras_bytes(arrays))
+    found = read_weights((tmp_path / "w.h5",))
+    assert found.keys() == arrays.keys()
+    for name, value in arrays.items():
+        np.testing.assert_array_equal(found[name], value.astype(np.float32))
+
+
+def test_every_cut_of_a_keras_file_and_a_group_in_itself_is_one_line(tmp_path):
+    whole = bytearray(keras_bytes({"a/kernel:0": np.ones((2, 3)), "b": np.ones(2)}))
+    needed = whole.rindex(b"TREE")  # the root's; what follows it are its header's two numbers
+    for end in range(0, needed + 24, 7):
+        with pytest.raises(ValueError, match="ends too early|points to byte|not an HDF5|no |bytes at byte|version"):
+            read_keras(bytes(whole[:end]))
+    root = int.from_bytes(whole[64:72], "little")
+    leaf = whole.rindex(b"SNOD")
+    whole[leaf + 16 : leaf + 24] = root.to_bytes(8, "little")
+    with pytest.raises(ValueError, match="contain one another"):
+        read_keras(bytes(whole))
+
+
+@pytest.mark.parametrize("name", ["mbllen", "uretinex", "retinexformer"])
+def test_networks_that_need_pairs_say_where_weights_come_from(name):
+    config = ENHANCERS[name].config()
+    assert parts(fitted(config)) == {"fit": 2}
+    with pytest.raises(LacksInput, match="set enhance.weights to .*scripts/train_enhancer.py"):
+        train(problem(), fitted(config))
+
+
 class Runs:
     """What a hostile file does when it is unpickled freely."""
 
@@ -153,14 +187,14 @@ def test_a_method_learns_from_the_scene_and_its_run_holds_the_network(tmp_path):
     assert reports[-1][1] == 8
     assert [done for done, _ in reports] == sorted(done for done, _ in reports)
     wanted = learned(ZERO_DCE, TINY, dark(), 3)
-    pictures = torch.stack([ZERO_DCE.picture(wanted, each, TINY) for each in dark()])
+    pictures = torch.stack([ZERO_DCE.picture(wanted, each, TINY)[0] for each in dark()])
     assert torch.equal(result.targets, pictures)
     result.save(tmp_path)
     enhancer, again = recorded(located(jsonable(result.enhancement), tmp_path))
     assert again.weights == (tmp_path / "enhancer.safetensors",)
     assert torch.equal(enhancer.enhance(dark()[1], again, None, None)[0], pictures[1])
     clean = dark()[1] * 0.9
-    assert torch.equal(enhanced_like(clean, again, None), ZERO_DCE.picture(wanted, clean, TINY))
+    assert torch.equal(enhanced_like(clean, again, None), ZERO_DCE.picture(wanted, clean, TINY)[0])
     assert result.found == {"enhancer": {"learned_steps": 6}}
 
 

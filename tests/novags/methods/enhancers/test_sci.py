@@ -103,7 +103,7 @@ def test_a_training_brightens_until_the_illumination_follows_the_picture():
     config = SciConfig(steps=30, rate=4e-2, crop=6, batch=1)
     made = learned(SCI, config, dark, 0)
     before = learned(SCI, SciConfig(steps=0), dark, 0)
-    levels = [float(SCI.picture(each, dark[0], config).mean()) for each in (before, made)]
+    levels = [float(SCI.picture(each, dark[0], config)[0].mean()) for each in (before, made)]
     assert 1.4 * levels[0] < levels[1] <= 1
 
 

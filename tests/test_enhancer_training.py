@@ -1,0 +1,77 @@
+"""The training of enhancers on simulated pairs: the pairs, the loss, and weights that the methods can use."""
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from novags.methods.enhancers.mbllen import MBLLEN, MbllenConfig
+from novags.methods.enhancers.weights import read_weights
+from sensor_model import Sensor, linear_to_srgb, srgb_to_linear
+
+SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
+
+
+@pytest.fixture(autouse=True)
+def on_path(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+
+
+def test_a_pair_is_the_same_picture_dark_with_noise_and_well_exposed_without() -> None:
+    from denoising.bright import WELL_EXPOSED, dark_and_bright
+
+    camera = Sensor(cfa=None, gain=2.0, eta=0.6, mu_e_sat=10_000, black_level=256.0, bits=16, sigma_d=1.0,
+                    rgb_response=(0.5, 1.0, 0.7))  # fmt: skip
+    clean = np.ones((64, 64, 3), np.float32) * np.array([1.5, 1.0, 0.5], np.float32)
+    pair = dark_and_bright(clean, camera, 0.05, seed=3)
+    light = srgb_to_linear(pair.dark[0].double().numpy())
+    np.testing.assert_allclose(light.mean((1, 2)), 0.05 * clean[0, 0], rtol=0.02)
+    electrons = 0.05 * 10_000 * clean[0, 0] * np.array([0.5, 1.0, 0.7])
+    wanted = np.sqrt(electrons + 1) / electrons  # relative noise: shot and read; 8 bits add a little
+    np.testing.assert_allclose(light.std((1, 2)) / light.mean((1, 2)), wanted, rtol=0.1)
+    np.testing.assert_allclose(pair.bright[0, :, 0, 0], linear_to_srgb(WELL_EXPOSED * clean[0, 0]), rtol=1e-5)
+    assert float(pair.bright.std((2, 3)).max()) < 1e-6
+
+
+def test_the_loss_is_l1_and_half_of_what_ssim_lacks() -> None:
+    from dataclasses import replace
+
+    from denoising.bright import BrightPairs
+    from train_enhancer import loss_of
+
+    generator = torch.Generator().manual_seed(0)
+    dark, bright = (torch.rand(2, 3, 16, 16, generator=generator) for _ in range(2))
+    kind = replace(MBLLEN, run=lambda network, picture, config: picture)
+    same = loss_of(torch.nn.Identity(), BrightPairs(bright, bright), kind=kind, config=None)
+    assert float(same) == pytest.approx(0, abs=1e-6)
+    from novags.splats.training.losses import ssim
+
+    alike = [float(ssim(a.movedim(0, -1), b.movedim(0, -1))) for a, b in zip(dark, bright, strict=True)]
+    wanted = float((dark - bright).abs().mean()) + 0.5 * (1 - np.mean(alike))
+    found = loss_of(torch.nn.Identity(), BrightPairs(dark, bright), kind=kind, config=None)
+    assert float(found) == pytest.approx(wanted, rel=1e-5)
+
+
+@pytest.mark.slow
+def test_a_training_that_was_stopped_ends_with_the_same_weights_which_the_method_reads(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import train_enhancer
+
+    def train(out: Path, *more: str) -> None:
+        size = ["--steps", "2", "--batch", "1", "--crop", "16", "--checks", "1"]
+        monkeypatch.setattr(sys, "argv", ["train_enhancer.py", "mbllen", *size, "--out", str(out), *more])
+        train_enhancer.main()
+
+    train(tmp_path / "whole.safetensors")
+    train(tmp_path / "cut.safetensors", "--stop", "1")
+    halfway = read_weights((tmp_path / "cut.safetensors",))
+    train(tmp_path / "cut.safetensors")
+    whole, cut = (read_weights((tmp_path / f"{name}.safetensors",)) for name in ("whole", "cut"))
+    assert all(torch.equal(value, cut[name]) for name, value in whole.items())
+    assert not all(torch.equal(value, halfway[name]) for name, value in whole.items())
+    loaded = MBLLEN.load(MbllenConfig(weights=(tmp_path / "cut.safetensors",))).state_dict()
+    assert all(torch.equal(value, cut[name]) for name, value in loaded.items())
+    assert '"factor_psnr"' in capsys.readouterr().out
