@@ -16,9 +16,11 @@ from novags.methods.enhancers.sci import SciConfig
 from novags.methods.enhancers.uretinex import URetinexConfig
 from novags.methods.enhancers.zero_dce import ZeroDceConfig
 from novags.methods.gaussian_fit import ORIGINAL_FIT, EnhancedFitConfig, fit_parts
+from novags.methods.nerf import aleth, i2, llnerf
 from novags.methods.nerf import clean as clean_nerf
 from novags.methods.nerf import fitting as nerf
 from novags.methods.nerf import plain as plain_nerf
+from novags.methods.nerf import raw as raw_nerf
 from novags.methods.nova import trainer as nova
 from novags.methods.nova.denoiser import FAST_DENOISER
 from novags.methods.nova.knobs import KNOBS as NOVA_KNOBS
@@ -194,6 +196,42 @@ METHODS: dict[str, Method] = {
         parts=nerf.fit_parts,
         source="NeRF (Mildenhall et al. 2020) with the encoding of Instant-NGP (Mueller et al. 2022)",
     ),
+    "raw-nerf": Method(
+        title="a radiance field of linear light, fitted to the raw data by the loss of RawNeRF",
+        family="NeRF",
+        color="#8a6d1d",
+        config=raw_nerf.RawNerfConfig,
+        train=raw_nerf.train,
+        parts=nerf.fit_parts,
+        source="RawNeRF (Mildenhall et al. 2022)",
+    ),
+    "aleth-nerf": Method(
+        title="a radiance field whose dark views are seen through a learned concealing field, which is then left away",
+        family="NeRF",
+        color="#a0483c",
+        config=aleth.AlethConfig,
+        train=aleth.train,
+        parts=nerf.fit_parts,
+        source="Aleth-NeRF (Cui et al. 2024)",
+    ),
+    "llnerf": Method(
+        title="a radiance field of reflectance times illumination, of which the illumination is then brightened",
+        family="NeRF",
+        color="#5a63b8",
+        config=llnerf.LlnerfConfig,
+        train=llnerf.train,
+        parts=nerf.fit_parts,
+        source="LLNeRF (Wang et al. 2023)",
+    ),
+    "i2-nerf": Method(
+        title="a radiance field in a medium that absorbs light, which is then left away",
+        family="NeRF",
+        color="#2a8a8f",
+        config=i2.I2Config,
+        train=i2.train,
+        parts=nerf.fit_parts,
+        source="I2-NeRF (Liu et al. 2025)",
+    ),
     "nerf-oracle": Method(
         title="enhance the noise-free exposures, then fit a radiance field: the ceiling of fields",
         family="bound",
@@ -284,6 +322,12 @@ VARIANTS: dict[str, Variant] = dict(
             "oracle",
             "the ceiling with the learning rates and the growth of nova-plus",
             _QUICK,
+        ),
+        _variant(
+            "i2-nerf-truth",
+            "i2-nerf",
+            "I2-NeRF as published: the brightness that it aims at comes from well-lit pictures of the scene",
+            {"truth_statistics": True},
         ),
         _variant(
             "denoise-gs-plain",

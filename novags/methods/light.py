@@ -10,6 +10,8 @@ from novags.methods.problem import LacksInput, RawPictures
 from sensor_model import NoiseCurve
 from sensor_model.mosaic import channel_index
 
+BRIGHT = 0.99  # quantile of the green data that becomes a colour of 1
+
 
 @dataclass(frozen=True, kw_only=True)
 class MeasuredLight:
@@ -107,3 +109,20 @@ def _of_grey(variance: Variance) -> NoiseCurve:
     return NoiseCurve(
         black=zero, white=(1.0,) * 3, offset=tuple(dark), slope=slope, quadratic=zero, switch=never, step=zero
     )
+
+
+def brightness(data: MeasuredLight) -> float:
+    """Light that becomes a colour of 1.
+
+    Raises:
+        ValueError: If it is not above black.
+    """
+    green = data.light[..., 1]
+    green = green[~green.isnan()].double()
+    unit = float(torch.quantile(green[:: max(1, len(green) // 4_000_000)], BRIGHT))
+    if not unit > 0:
+        raise ValueError(
+            f"the {BRIGHT:.0%} quantile of the green pixels must be above black, got {unit:.3g}: there is no light in "
+            "these pictures, or the black level of the camera is wrong"
+        )
+    return unit

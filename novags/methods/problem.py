@@ -103,6 +103,8 @@ class Problem:
         clean_demosaiced: Behind a colour filter array: the noise-free mosaics, interpolated as the pictures are; None
             elsewhere. Only methods with `sees_clean` get it.
         surface: The true surface. Only methods with `sees_surface` get it.
+        lit_mean: Mean luminance of well-lit pictures of the training views, sRGB code in 0..1. Only methods that are
+            set to use statistics of the truth (`truth_statistics` of their configuration) get it.
         n_gaussians: How many Gaussians were asked for; None: as many as there are points at the start.
         names: One name per view; the keys of shared results.
         shared: Results that several methods have in common.
@@ -119,6 +121,7 @@ class Problem:
     clean: Tensor | None = None
     clean_demosaiced: Tensor | None = None
     surface: TrueSurface | None = None
+    lit_mean: float | None = None
     n_gaussians: int | None = None
     names: tuple[str, ...] = ()
     shared: Memo = field(default_factory=Memo, repr=False, compare=False)

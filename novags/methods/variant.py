@@ -50,6 +50,12 @@ class Method:
     bound: Literal["floor", "ceiling"] | None = None
 
 
+def sees_statistics(config: Any) -> bool:
+    """Whether a method with this configuration, or its record, uses statistics of well-lit pictures: never a rival."""
+    value = config.get("truth_statistics") if isinstance(config, Mapping) else getattr(config, "truth_statistics", None)
+    return value is True
+
+
 @dataclass(frozen=True, kw_only=True)
 class Variant:
     """A method under a name, with settings changed.

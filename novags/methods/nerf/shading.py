@@ -41,6 +41,12 @@ def retinex(raw: Tensor, weights: Tensor, numbers: Numbers) -> Tensor:
     return (weights[..., None] * reflectance * brightened(illumination, level, gamma)).sum(1)
 
 
+def product(raw: Tensor, weights: Tensor, numbers: Numbers) -> Tensor:
+    """Reflectance times illumination as they are: the dark picture again."""
+    reflectance, illumination, _, _ = split(raw)
+    return (weights[..., None] * reflectance * illumination).sum(1)
+
+
 def split(raw: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Reflectance R [..., 3], illumination L [..., 1], and the numbers a [..., 1] and g [..., 3] of its enhancement.
 
@@ -65,6 +71,7 @@ SHADINGS: dict[str, Callable[[Tensor, Tensor, Numbers], Tensor]] = {
     "display": display,
     "light": light,
     "retinex": retinex,
+    "product": product,
 }
 
 

@@ -25,15 +25,13 @@ from torch import Tensor
 from novags.methods.enhancers import EnhancerConfig, enhanced, enhancement_record
 from novags.methods.enhancers.guided import EnhanceConfig
 from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, Progress, fit_for
-from novags.methods.light import MeasuredLight, measured_light
+from novags.methods.light import MeasuredLight, brightness, measured_light
 from novags.methods.noise_estimate import noise_of
 from novags.methods.problem import Pictures, Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.splats import FitConfig, Gaussians, Step
 from novags.splats.training.fit import fit
 from sensor_model import srgb_to_linear
-
-BRIGHT = 0.99  # quantile of the green data that becomes a colour of 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,23 +133,6 @@ def train(
         seconds={"fit": result.seconds, "other": max(0.0, time.perf_counter() - started - result.seconds)},
         found={"unit": unit},
     )
-
-
-def brightness(data: MeasuredLight) -> float:
-    """Light that becomes a colour of 1.
-
-    Raises:
-        ValueError: If it is not above black.
-    """
-    green = data.light[..., 1]
-    green = green[~green.isnan()].double()
-    unit = float(torch.quantile(green[:: max(1, len(green) // 4_000_000)], BRIGHT))
-    if not unit > 0:
-        raise ValueError(
-            f"the {BRIGHT:.0%} quantile of the green pixels must be above black, got {unit:.3g}: there is no light in "
-            "these pictures, or the black level of the camera is wrong"
-        )
-    return unit
 
 
 def _start(problem: Problem, data: MeasuredLight, unit: float, config: RawGsConfig) -> Gaussians:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from novags.methods import METHODS
+from novags.methods.variant import sees_statistics
 from novags.settings import flattened
 from novags.testbed.cache import jsonable
 from novags.testbed.folders.run import Run
@@ -51,7 +52,8 @@ def rows_of(runs: Mapping[str, Run]) -> dict[str, Row]:
         rows[name] = Row(
             name=name, key=f"m{k}", method=run.method, title=title, family="" if method is None else method.family,
             color=color, bound=method.bound if method is not None and run.name == run.method else None,
-            competes=method is None or not (method.sees_clean or method.sees_surface),
+            competes=method is None
+            or not (method.sees_clean or method.sees_surface or sees_statistics(run.record.get("config"))),
         )  # fmt: skip
     return rows
 

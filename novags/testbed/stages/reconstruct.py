@@ -14,7 +14,7 @@ from novags.cameras import CameraConfig, CameraEstimate, KnownConfig, spell_came
 from novags.methods import METHODS
 from novags.methods.problem import LacksInput, Problem, RawPictures, TrueSurface
 from novags.methods.reconstruction import Reconstruction
-from novags.methods.variant import Variant
+from novags.methods.variant import Variant, sees_statistics
 from novags.settings import flattened
 from novags.splats import Views
 from novags.testbed.cache import folder_digest, run_stage
@@ -169,11 +169,19 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
             else None
         ),
         surface=true_surface(capture, source, indices, config.variant.name) if method.sees_surface else None,
+        lit_mean=lit_mean(source, indices) if sees_statistics(config.config) else None,
         n_gaussians=config.points,
         names=tuple(capture.names[i] for i in indices),
         shared=capture.memo,
     )  # fmt: skip
     return Prepared(problem.to(device), estimate, indices, device)
+
+
+def lit_mean(source: Source, indices: list[int]) -> float | None:
+    """Mean luminance of the well-lit pictures of some views, sRGB code; None where they are not known."""
+    if not source.lit_known:
+        return None
+    return float(np.mean([source.lit(i) @ np.array([0.299, 0.587, 0.114]) for i in indices]))
 
 
 def true_surface(capture: Capture, source: Source, indices: list[int], name: str) -> TrueSurface:

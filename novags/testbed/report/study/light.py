@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from novags.methods import METHODS, chosen, with_variants
-from novags.methods.variant import Variant
+from novags.methods.variant import Variant, sees_statistics
 from novags.testbed.cache import write_json, write_text
 from novags.testbed.report.level_chart import Line, alone, level_chart
 from novags.testbed.report.rows import OTHER, distinct
@@ -94,9 +94,11 @@ def looks_of(names: Iterable[str], study: Mapping[str, Any]) -> dict[str, Look]:
     variants = with_variants(Variant(name=name, method=str(table["method"])) for name, table in own.items())
     found: dict[str, Look] = {}
     for name in names:
-        method = None if name in programs else METHODS[chosen(name, variants).method]
+        variant = None if name in programs else chosen(name, variants)
+        method = None if variant is None else METHODS[variant.method]
         color = distinct(OTHER if method is None else method.color, [look.color for look in found.values()])
         sees = method is not None and (method.sees_clean or method.sees_surface)
+        sees |= variant is not None and sees_statistics(variant.settings)
         found[name] = Look(f"m{len(found)}", color, sees)
     return found
 

@@ -25,7 +25,7 @@ QUICK = FieldFitConfig(iterations=90, rays=256, samples=12, rate=0.03, layout=La
 
 def some_scene(shading: str, numbers: dict[str, float]) -> FieldScene:
     rng = np.random.default_rng(0)
-    static = 7 if shading == "retinex" else 0
+    static = 7 if shading in ("retinex", "product") else 0
     field = first_field(Layout(finest=32, log2_rows=10, static=static, viewed=1 if static else 3), 0)
     field.table.uniform_(-1, 1, generator=torch.Generator().manual_seed(1))
     box = box_of(torch.tensor([[0.0, 0.0, -3.0]]), torch.from_numpy(rng.normal(size=(50, 3))))

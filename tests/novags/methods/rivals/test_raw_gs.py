@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import torch
 
+from novags.methods.light import BRIGHT
 from novags.methods.problem import LacksInput
 from novags.methods.reconstruction import GaussianScene
-from novags.methods.rivals.raw_gs import BRIGHT, RawGsConfig, RawLoss, train
+from novags.methods.rivals.raw_gs import RawGsConfig, RawLoss, train
 from novags.splats import FitConfig, McmcConfig
 from novags.splats.files.ply import read_ply
 from sensor_model import linear_to_srgb, srgb_to_linear

@@ -1,0 +1,124 @@
+"""Aleth-NeRF: a field whose dark views are seen through a concealing field; leaving that away lights the scene up.
+
+    dark colour   C  = sum_i  w_i g_i O_i c_i        w: weights of the samples      g: one number per place along a ray
+    lit colour    C* = sum_i  w_i c_i                O: local concealing, sigmoid of an output of the field, smoothed by
+                                                        a filter of seven samples along the ray
+    loss = MSE(f(C), f(y)) + 1e-3 (mean(C*) - ETA)^2 + 1e-3 structure + 1e-8 grey world
+    f(x) = 1/2 - sin(asin(1 - 2 x) / 3)
+    structure: mean of (D C* - ETA CONTRAST D y)^2 over neighbouring pixels, D their difference in grey
+
+Cui et al. 2024, "Aleth-NeRF: illumination adaptive NeRF with concealing field assumption", and its published code's
+constants for low light, the same for all scenes (ETA 0.45, CONTRAST 12). No statistic of a well-lit picture is used.
+
+What differs from it: the field is that of docs/fields.md, which starts dense at the first points; steps and rays per
+step are those of all fields here, instead of 50,000 of 4,096 rays; pixels come in squares of four, because structure
+compares neighbours; O comes from an output of the field's one network, where the original has a network of its own.
+"""
+
+import dataclasses
+import math
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from novags.fields.training.batch import Batch
+from novags.fields.training.config import FieldFitConfig
+from novags.methods.gaussian_fit import Progress
+from novags.methods.nerf.fitting import fitted_scene, with_outputs
+from novags.methods.nerf.losses import differences, grey_of
+from novags.methods.problem import Pictures, Problem
+from novags.methods.reconstruction import Reconstruction
+
+TAPS = 7  # of the filter along a ray
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlethConfig:
+    """All choices.
+
+    Attributes:
+        pictures: Which dark pictures.
+        target: Mean of the lit colours (ETA).
+        contrast: By which, and ETA, differences between neighbours grow.
+        control: Weight of the mean.
+        structure: Weight of the differences.
+        grey: Weight of grey on average.
+        fit: Of the field.
+    """
+
+    pictures: Pictures = "8bit"
+    target: float = 0.45
+    contrast: float = 12.0
+    control: float = 1e-3
+    structure: float = 1e-3
+    grey: float = 1e-8
+    fit: FieldFitConfig = field(default_factory=lambda: FieldFitConfig(patch=4))
+
+    def __post_init__(self) -> None:
+        if not (0 < self.target < 1 and self.contrast > 0):
+            raise ValueError(f"target must lie in (0, 1) and contrast be > 0, got {self.target} and {self.contrast}")
+        if min(self.control, self.structure, self.grey) < 0 or self.fit.patch < 2:
+            raise ValueError("weights must be >= 0 and fit.patch >= 2 (neighbours are compared), got "
+                             f"{self.control}, {self.structure}, {self.grey} and {self.fit.patch}")  # fmt: skip
+
+
+def tone(x: Tensor) -> Tensor:
+    """1/2 - sin(asin(1 - 2 x) / 3) of x in 0..1: the inverse of 3 x^2 - 2 x^3, steep where it is dark."""
+    # at 0 and 1 themselves the slope of the arc sine is infinite
+    return 0.5 - torch.sin(torch.asin((1 - 2 * x).clamp(-1 + 1e-5, 1 - 1e-5)) / 3)
+
+
+def concealed(batch: Batch, along: Tensor, filter_: Tensor) -> tuple[Tensor, Tensor]:
+    """Dark and lit colours [R, 3]; along: g [N]; filter_: of O, [7]."""
+    colors = torch.sigmoid(batch.raw[..., -3:])
+    local = torch.nn.functional.conv1d(batch.raw[:, None, :, 1], filter_[None, None], padding=TAPS // 2)[:, 0]
+    conceal = (along.clamp_min(0) * torch.sigmoid(local))[..., None]
+    return batch.rendered(conceal * colors), batch.rendered(colors)
+
+
+def loss_of(dark: Tensor, lit: Tensor, target: Tensor, patch: int, config: AlethConfig) -> Tensor:
+    """The loss of dark and lit colours [R, 3] for the pixels `target` [R, 3], squares of `patch` in a row."""
+    steps = [differences(grey_of(image).reshape(-1, patch, patch)) for image in (lit, target)]
+    means = lit.mean(0)
+    pairs = (means - means.roll(1)).square().sum()
+    return (
+        (tone(dark) - tone(target)).square().mean()
+        + config.control * (lit.mean() - config.target).square()
+        + config.structure * (steps[0] - config.target * config.contrast * steps[1]).square().mean()
+        + config.grey * pairs
+    )
+
+
+def train(
+    problem: Problem, config: AlethConfig, *, progress: Progress | None = None, checkpoint: Path | None = None
+) -> Reconstruction:
+    """Reconstruct a scene as it would look lit, from dark pictures alone; arguments as for `fit_field`.
+
+    Returns:
+        A reconstruction in the space "lit". `found`: the share of light that is let through, on average over the
+        training views' last rays.
+    """
+    started = time.perf_counter()
+    config = dataclasses.replace(config, fit=with_outputs(config.fit, problem, static=1, viewed=3))
+    problem = problem.to("cpu")
+    images = problem.encoded(config.pictures)
+    extra = {"along": torch.full((config.fit.samples,), 0.5), "filter": torch.full((TAPS,), 1 / math.sqrt(TAPS))}
+    through = [math.nan]
+
+    def loss(batch: Batch) -> Tensor:
+        dark, lit = concealed(batch, extra["along"], extra["filter"])
+        through[0] = float(dark.detach().sum() / lit.detach().sum().clamp_min(1e-6))  # of black there is no share
+        return loss_of(dark, lit, batch.of(images), config.fit.patch, config)
+
+    scene, found = fitted_scene(
+        problem, loss, config.fit, "display", extra=extra, progress=progress, checkpoint=checkpoint
+    )
+    other = max(0.0, time.perf_counter() - started - found.seconds)
+    last = None if math.isnan(through[0]) else through[0]
+    return Reconstruction(
+        scene=scene, space="lit", config=config, losses=found.state.losses,
+        seconds={"fit": found.seconds, "other": other}, found={"let_through": last},
+    )  # fmt: skip

@@ -1,0 +1,144 @@
+"""LLNeRF: a field whose colour is reflectance times illumination, of which the illumination is brightened.
+
+    c    = R L                                 R: [3], of the place;  L: of the place and the direction
+    c_e  = R (L / (a + 1e-4))^(1 / (g + 2.2))  a, g [3]: of the place, sigmoids
+    loss = RawNeRF's(C, y)
+           + 0.1 (mean(C_e) - 0.55)^2                           exposure
+           + 0.1 grey: mean over rays of the spread of C_e between its channels / (var R + 0.5)
+           + 0.1 smoothness of each of a and g: mean of 1.5 D^2 / ((D log L)^2 + 1e-4), D between neighbouring pixels
+           + 0.01 mean(g^2)
+
+of which the terms of the enhancement come in when the colours are learnt. Wang et al. 2023, "Lighting up NeRF via
+unsupervised decomposition and enhancement", and the constants of its published code. It uses no statistic of a well-lit
+picture.
+
+What differs from it: the field is that of docs/fields.md, which starts dense at the first points, with its steps and
+rays; the enhancement comes in for the last quarter of the steps, not for the last 5,000 of 105,000, which is a
+twentieth: of as few steps as ours, at rates that have fallen, that would be too short to move a and g; pixels come in
+squares of four. Exponents, sigmoids and weights are as published.
+"""
+
+import dataclasses
+import math
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from novags.fields.training.batch import Batch
+from novags.fields.training.config import FieldFitConfig
+from novags.methods.gaussian_fit import Progress
+from novags.methods.nerf.fitting import fitted_scene, with_outputs
+from novags.methods.nerf.losses import differences, raw_loss
+from novags.methods.nerf.shading import brightened, split
+from novags.methods.problem import Pictures, Problem
+from novags.methods.reconstruction import Reconstruction
+
+EPSILON = 1e-3  # of RawNeRF's loss, for pictures in 0..1
+SMOOTH, LEAST_STEP, LEAST_SPREAD = 1.5, 1e-4, 0.5  # of the smoothness and of the grey term, as published
+DARKEST = 1e-6  # of an illumination whose logarithm is taken
+
+
+@dataclass(frozen=True, kw_only=True)
+class LlnerfConfig:
+    """All choices.
+
+    Attributes:
+        pictures: Which dark pictures.
+        mean: Of the enhanced colours.
+        exposure: Weight of that mean.
+        grey: Weight of the grey term.
+        smooth: Weight of the smoothness of a, and of g.
+        gamma: Weight of mean(g^2).
+        learnt: Share of the steps after which the enhancement comes in.
+        fit: Of the field.
+    """
+
+    pictures: Pictures = "8bit"
+    mean: float = 0.55
+    exposure: float = 0.1
+    grey: float = 0.1
+    smooth: float = 0.1
+    gamma: float = 0.01
+    learnt: float = 0.75
+    fit: FieldFitConfig = field(default_factory=lambda: FieldFitConfig(patch=4))
+
+    def __post_init__(self) -> None:
+        if not (0 < self.mean < 1 and 0 <= self.learnt <= 1):
+            raise ValueError(f"mean must lie in (0, 1) and learnt in 0..1, got {self.mean} and {self.learnt}")
+        if min(self.exposure, self.grey, self.smooth, self.gamma) < 0 or self.fit.patch < 2:
+            raise ValueError("weights must be >= 0 and fit.patch >= 2 (neighbours are compared), got "
+                             f"{self.exposure}, {self.grey}, {self.smooth}, {self.gamma} and {self.fit.patch}"
+                             )  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Decomposed:
+    """Colours of rays: dark and enhanced [R, 3], R [R, 3], L [R, 1], a [R, 1], g [R, 3]."""
+
+    dark: Tensor
+    lit: Tensor
+    reflectance: Tensor
+    illumination: Tensor
+    level: Tensor
+    gamma: Tensor
+
+
+def decomposed(batch: Batch) -> Decomposed:
+    """What the rays of a batch show."""
+    reflectance, illumination, level, gamma = split(batch.raw)
+    values = (
+        reflectance * illumination, reflectance * brightened(illumination, level, gamma), reflectance, illumination,
+        level, gamma,
+    )  # fmt: skip
+    return Decomposed(*(batch.rendered(value) for value in values))
+
+
+def enhancement_loss(seen: Decomposed, patch: int, config: LlnerfConfig) -> Tensor:
+    """The terms of the enhancement, for squares of `patch` pixels in a row."""
+
+    def steps(values: Tensor) -> Tensor:
+        squares = values.reshape(-1, patch, patch, values.shape[1])
+        return torch.stack([differences(squares[..., i]) for i in range(values.shape[1])], -1)
+
+    edges = steps(torch.log(seen.illumination + DARKEST)).square() + LEAST_STEP
+    smooth = [(SMOOTH * steps(values).square() / edges).mean() for values in (seen.level, seen.gamma)]
+    spread = seen.lit.var(1, unbiased=False) / (seen.reflectance.var(1, unbiased=False) + LEAST_SPREAD)
+    return (
+        config.exposure * (seen.lit.mean() - config.mean).square()
+        + config.grey * spread.mean()
+        + config.smooth * (smooth[0] + smooth[1])
+        + config.gamma * seen.gamma.square().mean()
+    )
+
+
+def train(
+    problem: Problem, config: LlnerfConfig, *, progress: Progress | None = None, checkpoint: Path | None = None
+) -> Reconstruction:
+    """Reconstruct a scene as it would look lit, from dark pictures alone; arguments as for `fit_field`.
+
+    Returns:
+        A reconstruction in the space "lit". `found`: mean illumination of the last rays.
+    """
+    started = time.perf_counter()
+    config = dataclasses.replace(config, fit=with_outputs(config.fit, problem, static=7, viewed=1))
+    problem = problem.to("cpu")
+    images, seen_last = problem.encoded(config.pictures), [math.nan]
+
+    def loss(batch: Batch) -> Tensor:
+        seen = decomposed(batch)
+        seen_last[0] = float(seen.illumination.detach().mean())
+        value = raw_loss(seen.dark, batch.of(images), EPSILON)
+        if batch.iteration >= config.learnt * config.fit.iterations:
+            value = value + enhancement_loss(seen, config.fit.patch, config)
+        return value
+
+    scene, found = fitted_scene(problem, loss, config.fit, "retinex", progress=progress, checkpoint=checkpoint)
+    other = max(0.0, time.perf_counter() - started - found.seconds)
+    last = None if math.isnan(seen_last[0]) else seen_last[0]
+    return Reconstruction(
+        scene=scene, space="lit", config=config, losses=found.state.losses,
+        seconds={"fit": found.seconds, "other": other}, found={"illumination": last},
+    )  # fmt: skip

@@ -1,0 +1,94 @@
+"""RawNeRF: a field of linear light, fitted to raw data by a loss that weighs as a tone curve would.
+
+    loss = mean of  ((min(render, white) - datum) / (sg(render) + EPSILON))^2
+
+of Mildenhall et al. 2022, section 4.1; sg holds its argument fixed. Colours are exponentials of the field's outputs.
+Data are never clipped at black. Behind a colour filter array only what was measured is compared.
+
+What differs from it: the field is that of docs/fields.md, which starts dense at the first points, with its steps and
+rays per step; there is no camera with several exposures, hence no correction of these; EPSILON is in units of white as
+there, though pictures here may be darker than its own.
+"""
+
+import dataclasses
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from torch import Tensor
+
+from novags.fields.training.batch import Batch
+from novags.fields.training.config import FieldFitConfig
+from novags.methods.enhancers import EnhancerConfig, enhanced, enhancement_record
+from novags.methods.enhancers.guided import EnhanceConfig
+from novags.methods.gaussian_fit import Progress
+from novags.methods.light import MeasuredLight, brightness, measured_light
+from novags.methods.nerf.fitting import fitted_scene, with_outputs
+from novags.methods.nerf.losses import raw_loss
+from novags.methods.nerf.shading import light_of
+from novags.methods.noise_estimate import noise_of
+from novags.methods.problem import Pictures, Problem
+from novags.methods.reconstruction import Reconstruction
+
+
+@dataclass(frozen=True, kw_only=True)
+class RawNerfConfig:
+    """All choices.
+
+    Attributes:
+        fit: Of the field.
+        epsilon: Of the loss, in units of white. Without it the darkest pixels, where noise is all there is, would weigh
+            without bound.
+        pictures: Through whose enhancement the result is shown, and compared with methods that enhance.
+        enhance: That enhancement.
+    """
+
+    fit: FieldFitConfig = field(default_factory=FieldFitConfig)
+    epsilon: float = 1e-3
+    pictures: Pictures = "8bit"
+    enhance: EnhancerConfig = field(default_factory=EnhanceConfig)
+
+    def __post_init__(self) -> None:
+        if not self.epsilon > 0:
+            raise ValueError(f"epsilon must be > 0 (black renders would be divided by zero), got {self.epsilon}")
+
+
+def train(
+    problem: Problem, config: RawNerfConfig, *, progress: Progress | None = None, checkpoint: Path | None = None
+) -> Reconstruction:
+    """Reconstruct the light of a scene from raw frames or linear 16-bit pictures; arguments as for `fit_field`.
+
+    Returns:
+        A reconstruction in linear light, in the unit of the linear 16-bit pictures.
+
+    Raises:
+        LacksInput: If the problem has neither raw frames nor 16-bit linear pictures.
+        ValueError: If there is no light in the pictures.
+    """
+    started = time.perf_counter()
+    config = dataclasses.replace(config, fit=with_outputs(config.fit, problem, static=0, viewed=3))
+    shown = enhanced(problem, config.enhance, config.pictures)
+    problem = problem.to("cpu")
+    data = measured_light(noise_of(problem), problem.raw, problem.linear16, problem.channels_share)
+    unit = brightness(data)
+    light, white = data.light / unit, data.white / unit
+
+    def loss(batch: Batch) -> Tensor:
+        return raw_loss(light_of(batch.raw, batch.weights), batch.of(light), config.epsilon / unit, white)
+
+    scene, found = fitted_scene(
+        problem, loss, config.fit, "light", numbers=numbers_of(data, unit), progress=progress, checkpoint=checkpoint
+    )
+    other = max(0.0, time.perf_counter() - started - found.seconds)
+    return Reconstruction(
+        scene=scene, space="linear", config=config, enhanced=shown, losses=found.state.losses,
+        enhancement=enhancement_record(config.enhance, config.pictures),
+        seconds={"fit": found.seconds, "other": other}, found={"unit": unit},
+    )  # fmt: skip
+
+
+def numbers_of(data: MeasuredLight, unit: float) -> dict[str, float]:
+    """What the shading `light` needs to show this light in linear sRGB."""
+    if data.matrix is None:
+        return {"unit": unit}
+    return {"unit": unit, **{f"m{i}{j}": float(data.matrix[i, j]) for i in range(3) for j in range(3)}}

@@ -1,0 +1,167 @@
+"""The losses of the methods with a field, against slow versions written from their equations."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from novags.fields.march import Rays, Samples
+from novags.fields.training.batch import Batch
+from novags.fields.training.config import FieldFitConfig
+from novags.methods.nerf import aleth, i2, llnerf
+from novags.methods.nerf.losses import differences, raw_loss
+from novags.methods.nerf.shading import brightened
+
+PATCH, RAYS, N = 2, 16, 5
+GREY = np.array([0.299, 0.587, 0.114])
+
+
+def rng() -> np.random.Generator:
+    return np.random.default_rng(11)
+
+
+def some_batch(outputs: int) -> Batch:
+    r = rng()
+    raw, widths = torch.from_numpy(r.normal(size=(RAYS, N, outputs))), torch.from_numpy(r.random((RAYS, N)))
+    weights = torch.from_numpy(r.dirichlet(np.ones(N + 1), RAYS)[:, :N])
+    rays = Rays(torch.zeros(RAYS, 3), torch.ones(RAYS, 3), torch.ones(RAYS))
+    samples = Samples(torch.cumsum(widths, 1), widths, np.zeros((RAYS * N, 3), np.float32))
+    index = torch.zeros(RAYS, dtype=torch.int64)
+    return Batch(3, index, index, index, PATCH, rays, samples, raw, weights)
+
+
+def sigmoid(x: Any) -> Any:
+    return 1 / (1 + np.exp(-x))
+
+
+def neighbours() -> list[tuple[int, int]]:
+    """Pairs of rays that are neighbours in squares of two."""
+    pairs = []
+    for square in range(RAYS // 4):
+        a, b, c, d = (4 * square + i for i in range(4))
+        pairs += [(a, b), (c, d), (a, c), (b, d)]
+    return pairs
+
+
+def test_raw_loss_divides_by_the_render_and_leaves_out_what_was_not_measured() -> None:
+    render, data = rng().random((7, 3)), rng().random((7, 3)) * 1.5
+    data[2, 1] = np.nan
+    white, total, count = np.array([0.5, 1.0, 0.8]), 0.0, 0
+    for y, d in zip(render, data, strict=True):
+        for c in range(3):
+            if not math.isnan(d[c]):
+                total += (min(y[c], white[c]) - d[c]) ** 2 / (y[c] + 0.01) ** 2
+                count += 1
+    x = torch.from_numpy(render).requires_grad_()
+    loss = raw_loss(x, torch.from_numpy(data), 0.01, torch.from_numpy(white))
+    assert float(loss.detach()) == pytest.approx(total / count, rel=1e-12)
+    loss.backward()
+    held = [(2 * (y[0] - d[0]) / (y[0] + 0.01) ** 2 / count) if y[0] < 0.5 else 0.0
+            for y, d in zip(render, data, strict=True)]  # fmt: skip
+    np.testing.assert_allclose(x.grad[:, 0].numpy(), held, rtol=1e-9)
+
+
+def test_the_tone_curve_of_aleth_is_the_inverse_of_the_smooth_step() -> None:
+    x = torch.linspace(0.001, 0.999, 50, dtype=torch.float64)
+    y = aleth.tone(x)
+    np.testing.assert_allclose((3 * y**2 - 2 * y**3).numpy(), x.numpy(), atol=1e-9)
+
+
+def test_concealed_colours_and_the_loss_of_aleth_are_those_of_the_equations() -> None:
+    batch, config = some_batch(5), aleth.AlethConfig(fit=FieldFitConfig(patch=PATCH), grey=0.1)
+    along, taps = rng().random(N), rng().normal(size=7)
+    dark, lit = aleth.concealed(batch, torch.from_numpy(along), torch.from_numpy(taps))
+    raw, w = batch.raw.numpy(), batch.weights.numpy()
+    slow_dark, slow_lit = np.zeros((RAYS, 3)), np.zeros((RAYS, 3))
+    for r in range(RAYS):
+        for i in range(N):
+            local = sum(taps[k] * raw[r, i + k - 3, 1] for k in range(7) if 0 <= i + k - 3 < N)
+            color = sigmoid(raw[r, i, 2:])
+            slow_dark[r] += w[r, i] * along[i] * sigmoid(local) * color
+            slow_lit[r] += w[r, i] * color
+    np.testing.assert_allclose(dark.numpy(), slow_dark, rtol=1e-10)
+    np.testing.assert_allclose(lit.numpy(), slow_lit, rtol=1e-10)
+    target = rng().random((RAYS, 3)) * 0.2
+
+    def f(x: float) -> float:
+        return 0.5 - math.sin(math.asin(1 - 2 * x) / 3)
+
+    photometric = np.mean([(f(a) - f(b)) ** 2 for a, b in zip(slow_dark.flat, target.flat, strict=True)])
+    grey = [image @ GREY for image in (slow_lit, target)]
+    structure = np.mean([((grey[0][b] - grey[0][a]) - 0.45 * 12 * (grey[1][b] - grey[1][a])) ** 2
+                         for a, b in neighbours()])  # fmt: skip
+    means = slow_lit.mean(0)
+    world = sum((means[a] - means[b]) ** 2 for a, b in ((0, 1), (1, 2), (2, 0)))
+    expected = photometric + 1e-3 * (slow_lit.mean() - 0.45) ** 2 + 1e-3 * structure + 0.1 * world
+    assert float(aleth.loss_of(dark, lit, torch.from_numpy(target), PATCH, config)) == pytest.approx(expected, rel=1e-8)
+
+
+def test_the_decomposition_and_the_enhancement_of_llnerf_are_those_of_the_equations() -> None:
+    batch, config = some_batch(9), llnerf.LlnerfConfig(fit=FieldFitConfig(patch=PATCH))
+    seen = llnerf.decomposed(batch)
+    values, w = sigmoid(batch.raw.numpy()), batch.weights.numpy()
+    r_, a_, g_, l_ = values[..., 1:4], values[..., 4:5], values[..., 5:8], values[..., 8:9]
+    lit = (w[..., None] * r_ * ((l_ + 1e-6) / (a_ + 1e-4)) ** (1 / (g_ + 2.2))).sum(1)
+    np.testing.assert_allclose(seen.dark.numpy(), (w[..., None] * r_ * l_).sum(1), rtol=1e-10)
+    np.testing.assert_allclose(seen.lit.numpy(), lit, rtol=1e-10)
+    level, gamma, light, colour = ((w[..., None] * v).sum(1) for v in (a_, g_, l_, r_))
+    smooth = 0.0
+    for image in (level, gamma):
+        terms = [1.5 * (image[b, c] - image[a, c]) ** 2
+                 / ((math.log(light[b, 0] + 1e-6) - math.log(light[a, 0] + 1e-6)) ** 2 + 1e-4)
+                 for a, b in neighbours() for c in range(image.shape[1])]  # fmt: skip
+        smooth += np.mean(terms)
+    spread = np.mean([np.var(lit[r]) / (np.var(colour[r]) + 0.5) for r in range(RAYS)])
+    expected = 0.1 * (lit.mean() - 0.55) ** 2 + 0.1 * spread + 0.1 * smooth + 0.01 * np.mean(gamma**2)
+    assert float(llnerf.enhancement_loss(seen, PATCH, config)) == pytest.approx(expected, rel=1e-8)
+    assert float(brightened(torch.tensor(0.2), torch.tensor(0.1), torch.tensor(0.3))) == pytest.approx(
+        (0.2 / 0.1001) ** (1 / 2.5), rel=1e-5
+    )
+
+
+def test_light_through_the_medium_and_the_loss_of_i2_are_those_of_the_equations() -> None:
+    batch, config = some_batch(5), i2.I2Config(fit=FieldFitConfig(patch=PATCH))
+    dark, lit, medium = i2.seen_through(batch)
+    raw, w, d = batch.raw.numpy(), batch.weights.numpy(), batch.samples.widths.numpy()
+    s, slow = np.exp(raw[..., 1] - 3), np.zeros((RAYS, 3))
+    for r in range(RAYS):
+        for i in range(N):
+            slow[r] += w[r, i] * math.exp(-sum(s[r, j] * d[r, j] for j in range(i + 1))) * sigmoid(raw[r, i, 2:])
+    np.testing.assert_allclose(dark.numpy(), slow, rtol=1e-10)
+    np.testing.assert_allclose(lit.numpy(), (w[..., None] * sigmoid(raw[..., 2:])).sum(1), rtol=1e-10)
+    target, aim = (torch.from_numpy(rng().random((RAYS, 3))) for _ in range(2))
+    found = {}
+    weights = ("dark", "structure", "bright", "overlap", "variation")
+    for name in weights:  # one term at a time
+        one = i2.I2Config(**{other: float(other == name) for other in weights}, fit=config.fit)
+        found[name] = float(i2.loss_of(dark, lit, medium, batch, target, aim, one))
+    assert found["dark"] == pytest.approx(float(raw_loss(dark, target, 1e-3)), rel=1e-9)
+    bright = np.mean([(1 - lit.numpy().reshape(-1, 12)[k].max()) ** 2 for k in range(RAYS // 4)])
+    assert found["bright"] == pytest.approx(bright, rel=1e-9)
+    overlap = np.mean([sum(w[r, i] * (1 - math.exp(-s[r, i] * d[r, i])) for i in range(N)) for r in range(RAYS)])
+    assert found["overlap"] == pytest.approx(overlap, rel=1e-9)
+    assert found["variation"] == pytest.approx(np.abs(np.diff(s, axis=1)).mean(), rel=1e-9)
+    assert 0 < found["structure"] < 2
+    exact = i2.I2Config(dark=0, structure=1, bright=0, overlap=0, variation=0, fit=config.fit)
+    assert float(i2.loss_of(dark, lit, medium, batch, target, lit, exact)) == pytest.approx(0, abs=1e-9)
+
+
+def test_differences_are_those_to_the_right_and_below() -> None:
+    square = torch.tensor([[[1.0, 2.0], [4.0, 8.0]]])
+    assert differences(square).tolist() == [1.0, 4.0, 3.0, 6.0]
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: aleth.AlethConfig(target=1.5), "target must lie in"),
+        (lambda: aleth.AlethConfig(fit=FieldFitConfig(patch=1)), "fit.patch >= 2"),
+        (lambda: llnerf.LlnerfConfig(mean=0.0), "mean must lie in"),
+        (lambda: i2.I2Config(contrast=0.0), "contrast be > 0"),
+    ],
+)
+def test_settings_that_make_no_sense_are_refused(make: Any, said: str) -> None:
+    with pytest.raises(ValueError, match=said):
+        make()

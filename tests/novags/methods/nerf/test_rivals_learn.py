@@ -1,0 +1,85 @@
+"""The methods with a field find what they claim to find where it is known: a wall of which an eighth of the light is
+left, for a concealing field, an illumination or a medium to account for.
+"""  # noqa: D205
+
+import dataclasses
+from collections.abc import Callable
+
+import pytest
+import torch
+from torch import Tensor
+
+from novags.fields.layout import Layout
+from novags.fields.training.config import FieldFitConfig
+from novags.methods.nerf import aleth, i2, llnerf, raw
+from novags.methods.problem import LacksInput, Problem
+
+DIM = 0.12  # what the fixture `problem` leaves of the light
+QUICK = FieldFitConfig(
+    iterations=220, rays=256, samples=12, rate=0.03, patch=2, near_scale=0.0, layout=Layout(finest=64, log2_rows=12)
+)
+SeenDark = Callable[..., tuple[Problem, Tensor]]
+
+
+def correlation(one: Tensor, other: Tensor) -> float:
+    return float(torch.corrcoef(torch.stack([one.flatten(), other.flatten()]))[0, 1])
+
+
+def test_raw_nerf_finds_the_light_behind_noise_without_bias(dark: SeenDark) -> None:
+    problem, light = dark()
+    result = raw.train(problem, raw.RawNerfConfig(fit=QUICK))
+    image = result.render(problem.views)[0]
+    assert result.space == "linear"
+    assert float(image.mean() / light.mean()) == pytest.approx(1, abs=0.1)
+    assert correlation(image, light) > 0.8
+
+
+def test_aleth_finds_how_much_light_is_concealed(problem: Callable[..., Problem]) -> None:
+    seen = problem(sigma=0.0)
+    lit = seen.clean / DIM
+    # mean and contrast of the lit wall are known here, and strong weights make few steps enough
+    mean = float(lit.mean())
+    config = aleth.AlethConfig(fit=QUICK, target=mean, contrast=1 / DIM / mean, control=0.3, structure=1.0)
+    result = aleth.train(seen, config)
+    image = result.render(seen.views)[0]
+    assert result.space == "lit"
+    assert result.found["let_through"] == pytest.approx(DIM, rel=0.25)
+    assert float(image.mean()) == pytest.approx(float(lit.mean()), rel=0.15)
+    assert correlation(image, lit) > 0.7
+
+
+def test_llnerf_keeps_the_dark_picture_as_its_product_and_lights_the_illumination(
+    problem: Callable[..., Problem],
+) -> None:
+    seen = problem(sigma=0.0)
+    config = llnerf.LlnerfConfig(fit=dataclasses.replace(QUICK, iterations=300), learnt=0.4, exposure=10.0)
+    result = llnerf.train(seen, config)
+    image = result.render(seen.views)[0]
+    assert result.space == "lit"
+    assert float(image.mean()) == pytest.approx(0.55, abs=0.06)
+    assert correlation(image, seen.clean) > 0.7
+    shown = dataclasses.replace(result.scene, shading="product").render(seen.views)[0]
+    assert float(shown.mean() / seen.clean.mean()) == pytest.approx(1, abs=0.15)
+
+
+def test_i2_finds_how_much_light_the_medium_absorbs(problem: Callable[..., Problem]) -> None:
+    seen = problem(sigma=0.0)
+    lit = seen.clean / DIM
+    luminance = float((lit @ torch.tensor([0.299, 0.587, 0.114])).mean())
+    config = i2.I2Config(fit=QUICK, mean=luminance, contrast=1 / DIM)  # the mapping that gives the lit wall
+    result = i2.train(seen, config)
+    image = result.render(seen.views)[0]
+    assert result.space == "lit"
+    assert float(image.mean()) == pytest.approx(float(lit.mean()), rel=0.15)
+    assert correlation(image, lit) > 0.7
+    assert result.found["through"] == pytest.approx(DIM, rel=0.3)
+
+
+def test_i2_takes_statistics_of_the_truth_only_where_it_is_told_to(problem: Callable[..., Problem]) -> None:
+    seen = problem()
+    config = i2.I2Config(fit=dataclasses.replace(QUICK, iterations=1), truth_statistics=True)
+    with pytest.raises(LacksInput, match="truth_statistics needs well-lit pictures"):
+        i2.train(seen, config)
+    told = dataclasses.replace(seen, lit_mean=0.3)
+    assert i2.train(told, config).found["mean"] == 0.3
+    assert i2.train(told, dataclasses.replace(config, truth_statistics=False)).found["mean"] == 0.45
