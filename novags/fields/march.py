@@ -127,7 +127,9 @@ def weights_of(log_density: Tensor, widths: Tensor) -> Tensor:
         widths: Of the intervals, units [R, N].
     """
     depth = torch.exp(log_density.clamp_max(DENSITY_MAX)) * widths
-    return torch.exp(-(torch.cumsum(depth, 1) - depth)) * -torch.expm1(-depth)
+    # shifted, not the sum minus its own term: behind a dense sample that difference would have lost what came before
+    before = torch.nn.functional.pad(torch.cumsum(depth, 1)[:, :-1], (1, 0))
+    return torch.exp(-before) * -torch.expm1(-depth)
 
 
 def without_jitter(rays: int, samples: int) -> np.ndarray:
