@@ -2,6 +2,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+import torch
 
 from novags.methods.enhancers import tone_curves
 from novags.testbed.stability import Case, Setting, measured
@@ -34,3 +35,13 @@ def test_a_gain_sought_in_too_small_a_range_is_noticed(fails: Fails, monkeypatch
 def test_a_bisection_that_stops_early_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tone_curves, "STEPS", 12)
     assert fails("tone curves: pictures of one to nine pixels")
+
+
+def test_a_root_without_its_floor_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.Tensor, "clamp_min", lambda self, low: self)
+    assert fails("losses without references: slopes on the same pictures")
+
+
+def test_a_saturation_of_grey_that_is_raised_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch, "where", lambda condition, yes, no: yes)
+    assert fails("adjustment of a result: black, white, grey, one bright pixel")

@@ -6,14 +6,17 @@ The references go through the pixels one by one with Python's own numbers.
 import math
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from novags.methods.enhancers import ENHANCERS, EnhancerConfig
+from novags.methods.enhancers import ENHANCERS, NETWORKS, EnhancerConfig
+from novags.methods.enhancers.mbllen import MbllenConfig, adjust
+from novags.methods.enhancers.networks import Kind
 from novags.methods.enhancers.tone_curves import DARKEST, DragoConfig, EqualiseConfig, GainConfig, GammaConfig
-from novags.testbed.stability.case import Part, Setting, refusal
+from novags.testbed.stability.case import Part, Setting, refusal, worse
 from novags.testbed.stability.errors import relative_error
 
 PART = Part("enhancers")
@@ -157,4 +160,66 @@ def no_picture(setting: Setting) -> float:
         for config in CURVES:
             refused = refusal(partial(_curve, config, dark), "must be finite and in 0..1", "(2, 3, 1)")
             worst = max(worst, refused)
+    return worst
+
+
+def _pictures() -> list[Tensor]:
+    """Black, white, one bright pixel, and pictures of one to nine pixels, [1, 3, H, W]."""
+    spot = torch.zeros(1, 3, 14, 15)
+    spot[0, :, 6, 7] = torch.tensor([0.9, 0.5, 0.1])
+    few = [0.3 * _random(*size).movedim(-1, 0)[None] for size in ((1, 1), (1, 2), (3, 3), (9, 1))]
+    return [torch.zeros(1, 3, 13, 16), torch.ones(1, 3, 13, 16), spot, *few]
+
+
+def _networks() -> list[tuple[Kind, nn.Module, Any]]:
+    """Every kind of network with the weights that a training begins with."""
+    found = []
+    for config, kind in NETWORKS.items():
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(0)
+            found.append((kind, kind.make(config()).eval(), config()))
+    return found
+
+
+@PART.case("networks: black, white, one bright pixel, one to nine pixels", bound=500 * EPS, unit=LARGEST, slow=True)
+def networks(setting: Setting) -> float:
+    """Against float64. At most some forty layers, each with sums of some hundred products, of both signs."""
+    worst = 0.0
+    for kind, network, config in _networks():
+        for picture in _pictures():
+            with torch.no_grad():
+                found = kind.run(network.float(), picture, config)
+                wanted = kind.run(network.double(), picture.double(), config)
+            worst = worse(worst, relative_error(found, wanted))
+    return worst
+
+
+@PART.case("losses without references: slopes on the same pictures", bound=5000 * EPS, unit=LARGEST, slow=True)
+def slopes(setting: Setting) -> float:
+    """Against float64. Colours without difference have no slope under a root; batches without spread are normalised."""
+    worst = 0.0
+    for kind, network, config in _networks():
+        if kind.rehearsal is None:
+            continue
+        for picture in _pictures():
+            found = []
+            for each in (network.float(), network.double()):
+                each.zero_grad()
+                kind.rehearsal.loss(each, picture.to(next(each.parameters()).dtype), config).backward()
+                found.append([p.grad.clone() for p in each.parameters() if p.grad is not None])
+            largest = max(float(g.abs().max()) for g in found[1])
+            for a, b in zip(*found, strict=True):
+                worst = worse(worst, float((a.double() - b).abs().max()) / max(largest, 1e-30))
+    return worst
+
+
+@PART.case("adjustment of a result: black, white, grey, one bright pixel", bound=20 * EPS, unit="of white")
+def adjusted(setting: Setting) -> float:
+    """MBLLEN's percentiles and saturation against float64; nothing is divided by a saturation or a percentile of 0."""
+    worst = 0.0
+    for picture in (*_pictures(), torch.full((1, 3, 5, 5), 0.4)):
+        found, params = adjust(picture, MbllenConfig(), None)
+        wanted, _ = adjust(picture.double(), MbllenConfig(), params)
+        off = float((found.double() - wanted).abs().max()) if np.isfinite(params).all() else math.inf
+        worst = worse(worst, off)
     return worst
