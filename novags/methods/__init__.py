@@ -214,7 +214,7 @@ METHODS: dict[str, Method] = {
         parts=nerf.fit_parts,
         source="Aleth-NeRF (Cui et al. 2024)",
     ),
-    "llnerf": Method(
+    "ll-nerf": Method(
         title="a radiance field of reflectance times illumination, of which the illumination is then brightened",
         family="NeRF",
         color="#5a63b8",

@@ -116,7 +116,7 @@ def tone_ends(setting: Setting) -> float:
     return relative_error(found.detach(), np.array(wanted))
 
 
-@PART.case("llnerf: an illumination of zero, and a level of zero", bound=64 * EPS, unit=LARGEST)
+@PART.case("ll-nerf: an illumination of zero, and a level of zero", bound=64 * EPS, unit=LARGEST)
 def no_illumination(setting: Setting) -> float:
     """The power's slope at 0 has no end, and a level of 0 would divide by it."""
     light = torch.tensor([0.0, 1e-9, 1.0, 0.5], requires_grad=True)
