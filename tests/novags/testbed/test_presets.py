@@ -10,10 +10,12 @@ from typing import Any
 import pytest
 
 from novags.methods import METHODS, VARIANTS, chosen
+from novags.methods.enhancers.guided import EnhanceConfig
 from novags.methods.gaussian_fit import ORIGINAL_FIT
 from novags.methods.nova.trainer import NovaConfig
 from novags.methods.variant import parse_variant
 from novags.settings import flattened
+from novags.splats import FitConfig
 from novags.testbed.console import Console, losses_text
 from novags.testbed.presets import EXPERIMENTS, Preset, adapted
 from novags.testbed.stages.capture import CaptureConfig
@@ -46,9 +48,10 @@ def test_presets_compare_with_floor_and_ceiling(name: str) -> None:
 @pytest.mark.parametrize("name", EXPERIMENTS)
 def test_methods_of_a_preset_share_enhancement_and_fit(name: str) -> None:
     preset = EXPERIMENTS[name]
-    configs = {method: found for method in (*METHODS, *VARIANTS) if hasattr(found := config(preset, method), "fit")}
-    assert {"naive", "oracle", "nova", "nova-fast"} <= configs.keys()
-    assert len({c.enhance for c in configs.values()}) == 1
+    configs = {method: found for method in (*METHODS, *VARIANTS) if of_gaussians(found := config(preset, method))}
+    assert {"naive", "oracle", "nova", "nova-fast", "raw-gs", "luminance-gs"} <= configs.keys()
+    enhancers = [getattr(c, "enhance", None) for c in configs.values()]
+    assert len({e for e in enhancers if isinstance(e, EnhanceConfig)}) == 1  # rivals bring others
     # as many iterations for all, but some take longer steps
     assert len({c.fit.iterations for c in configs.values()}) == 1
     configs = {method: c for method, c in configs.items() if method not in QUICK}
@@ -64,12 +67,17 @@ def test_the_papers_preset_is_the_method_as_published_but_for_its_cap() -> None:
     assert found.denoiser.blind_spots.fraction(800 * 800) * 800 * 800 == 60_000
 
 
+def of_gaussians(found: Any) -> bool:
+    """Whether a configuration is of a method that fits Gaussians."""
+    return isinstance(getattr(found, "fit", None), FitConfig)
+
+
 @pytest.mark.parametrize(("name", "eps2d"), [("demo", 0.1), ("small", 0.1), ("paper", 0.3)])
 def test_small_pictures_have_splats_that_are_dilated_less_than_published(name: str, eps2d: float) -> None:
     """As measured in docs/splat-engine.md; the paper's preset keeps 3DGS's 0.3 px^2."""
-    fits = [
-        c.fit for m in (*METHODS, *VARIANTS) if m != "nova-plus" and hasattr(c := config(EXPERIMENTS[name], m), "fit")
-    ]
+    found = [config(EXPERIMENTS[name], method) for method in (*METHODS, *VARIANTS) if method != "nova-plus"]
+    fits = [c.fit for c in found if of_gaussians(c)]
+    assert len(fits) > 10
     assert {(fit.eps2d, fit.antialiased) for fit in fits} == {(eps2d, False)}
 
 
