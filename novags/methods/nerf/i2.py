@@ -12,11 +12,12 @@ The mapping of y brings its mean to `mean` and its contrast to `contrast` times 
 learning neural radiance fields under physically-grounded media interactions", and the published code's weights.
 
 The original takes `mean` and `contrast` for each scene from a REFERENCE IMAGE of it in good light (0.364 to 0.544, and
-3.57 to 10): a statistic of the truth. Here they are one number for all scenes, the middle of those ranges;
-`truth_statistics` takes the mean from well-lit pictures of the training views as the original does, is off by default,
+3.57 to 10): a statistic of the truth. Here they are one number for all scenes, from the middle of those ranges;
+`truth_statistics` takes the mean, not the contrast, from well-lit pictures of the training views, is off by default,
 and such runs are marked as seeing truth.
 
-What differs from it besides: the field is that of docs/fields.md, which starts dense at the first points; the loss of
+What differs from it besides: the forms of S3IM, of the bright channel and of the overlap are our reading of short
+descriptions; the field is that of docs/fields.md, which starts dense at the first points; the loss of
 depth (weight 0.1) is left out, for it wants a network for depth from one picture that is not here; the squares of S3IM
 are made of rays at random, as there, of 64 x 64 pixels or fewer.
 """
