@@ -41,7 +41,7 @@ def render_field(
         weights = weights_of(raw[..., 0], found.widths)
         alpha = weights.sum(1)
         depth = (weights * found.distances).sum(1) * rays.forward
-        depth = torch.where(alpha > 1e-6, depth / alpha.clamp_min(1e-6), 0.0)  # of nothing there is no mean
+        depth = torch.where(alpha > 1e-6, depth / alpha.clamp_min(1e-6), 0.0)  # an empty ray has no mean depth
         parts.append(torch.cat([shading(raw, weights), alpha.clamp_max(1)[:, None], depth[:, None]], 1))
     image = torch.cat(parts).reshape(c, h, w, 5).to(device)
     return image[..., :3], image[..., 3], image[..., 4]

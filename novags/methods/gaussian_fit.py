@@ -5,16 +5,17 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from torch import Tensor
 
 from novags.methods.enhancers import EnhancerConfig, enhancement_record
 from novags.methods.enhancers.guided import EnhanceConfig
 from novags.methods.problem import Pictures, Problem
-from novags.methods.reconstruction import GaussianScene, Reconstruction
+from novags.methods.reconstruction import GaussianScene, Reconstruction, Space
 from novags.methods.start import start_gaussians
 from novags.splats import FitConfig, LearningRates, McmcConfig
-from novags.splats.training.fit import fit
+from novags.splats.training.fit import FitResult, fit
 
 Progress = Callable[[int, int, dict[str, float]], None]
 
@@ -48,6 +49,31 @@ def fit_for(problem: Problem, config: FitConfig) -> FitConfig:
     if cap is None and wanted is not None and wanted > len(problem.start.points):
         cap = wanted
     return dataclasses.replace(config, seed=problem.seed, extent=problem.start.extent, cap_max=cap)
+
+
+def reconstructed(
+    result: FitResult, config: Any, scene: GaussianScene, space: Space, started: float, **more: Any
+) -> Reconstruction:
+    """What a method gives back whose work is one fit.
+
+    Args:
+        result: Of the fit.
+        config: The method's, with the `fit` that was done.
+        scene: What the fit has trained, as it is shown.
+        space: As in `Reconstruction`.
+        started: `time.perf_counter()` at the beginning of the method.
+        more: Further attributes of the `Reconstruction`.
+    """
+    other = max(0.0, time.perf_counter() - started - result.seconds)
+    return Reconstruction(
+        scene=scene,
+        space=space,
+        config=config,
+        viewmats=None if config.fit.refine_cameras is None else result.viewmats,
+        losses=result.losses,
+        seconds={"fit": result.seconds, "other": other},
+        **more,
+    )
 
 
 def fit_enhanced(

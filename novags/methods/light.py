@@ -2,12 +2,13 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from novags.methods.noise import Noise, Variance
-from novags.methods.problem import LacksInput, RawPictures
-from sensor_model import NoiseCurve
+from novags.methods.problem import LacksInput, RawPictures, Start
+from sensor_model import NoiseCurve, srgb_to_linear
 from sensor_model.mosaic import channel_index
 
 BRIGHT = 0.99  # quantile of the green data that becomes a colour of 1
@@ -122,7 +123,31 @@ def brightness(data: MeasuredLight) -> float:
     unit = float(torch.quantile(green[:: max(1, len(green) // 4_000_000)], BRIGHT))
     if not unit > 0:
         raise ValueError(
-            f"the {BRIGHT:.0%} quantile of the green pixels must be above black, got {unit:.3g}: there is no light in "
-            "these pictures, or the black level of the camera is wrong"
+            f"the {BRIGHT:.0%} quantile of the green pixels must be above black, got {unit:.3g}: these pictures "
+            "hold no light, or the black level of the camera is wrong"
         )
     return unit
+
+
+def first_light(start: Start, data: MeasuredLight) -> Tensor:
+    """The light that the dark pictures show at the first points, in the unit and the space of the data: [P, 3]."""
+    light = torch.from_numpy(np.asarray(srgb_to_linear(start.colors.cpu().numpy()), np.float32))
+    return light if data.matrix is None else light @ torch.linalg.inv(data.matrix.cpu()).T
+
+
+def raw_loss(render: Tensor, data: Tensor, epsilon: float, white: Tensor | None = None) -> Tensor:
+    """Mean of ((min(render, white) - data) / (sg(render) + epsilon))^2, where sg holds its argument fixed.
+
+    Mildenhall et al. 2022 (RawNeRF), section 4.1.
+
+    Args:
+        render: [..., 3].
+        data: The same shape; nan is left out.
+        epsilon: Without it, black renders would be divided by zero.
+        white: Where each channel saturates, [3]; None: nowhere.
+    """
+    there = ~data.isnan()
+    # torch.minimum would halve the slope where both are equal
+    shown = render if white is None else torch.where(render > white, white, render)
+    residual = torch.where(there, shown - data, 0.0) / (render.detach() + epsilon)
+    return residual.square().sum() / there.sum().clamp_min(1)

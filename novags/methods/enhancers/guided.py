@@ -113,7 +113,7 @@ def solve_gamma(brightness: Tensor, config: EnhanceConfig) -> Tensor:
 
 
 def check_picture(dark: Tensor) -> None:
-    """Refuse what is no float image [H, W, 3] or [C, H, W, 3] in 0..1 (ValueError)."""
+    """Raise ValueError unless `dark` is a float image [H, W, 3] or [C, H, W, 3] in 0..1."""
     if dark.ndim not in (3, 4) or dark.shape[-1] != 3 or 0 in dark.shape or not dark.is_floating_point():
         raise ValueError(
             f"dark must be a float image [H, W, 3] or [C, H, W, 3], got {dark.dtype} {tuple(dark.shape)}; "

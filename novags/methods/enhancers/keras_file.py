@@ -55,7 +55,7 @@ class _File:
         if GROUP in messages:
             tree, heap = self.at("<QQ", messages[GROUP])
             if self.content[heap : heap + 4] != b"HEAP":
-                raise ValueError(f"there is no heap at byte {heap}")
+                raise ValueError(f"byte {heap} must begin a heap of names, and does not")
             names = self.at("<24xQ", heap)[0]
             found: dict[str, Tensor] = {}
             for name, child in self.entries(tree, names, 0):
@@ -88,7 +88,7 @@ class _File:
             return [self.entry(place + 8 + 40 * i, names) for i in range(self.at("<6xH", place)[0])]
         kind, used = self.at("<4xBxH", place)
         if self.content[place : place + 4] != b"TREE" or kind != 0 or depth > DEEPEST:
-            raise ValueError(f"there is no group at byte {place}")
+            raise ValueError(f"byte {place} must begin a group, and does not")
         children = [self.at("<Q", place + 32 + 16 * i)[0] for i in range(used)]
         found = [entry for child in children for entry in self.entries(child, names, depth + 1)]
         if len(found) > MOST:

@@ -62,7 +62,7 @@ def _read(path: Path) -> dict[str, Tensor]:
 
 
 def _flat(value: Mapping[Any, Any], prefix: str = "", depth: int = 0) -> dict[str, Tensor]:
-    """Tensors of nested mappings; what is no tensor is left out."""
+    """The tensors in nested mappings; other values are ignored."""
     if depth > 3:
         raise ValueError("it is nested too deeply")
     found: dict[str, Tensor] = {}

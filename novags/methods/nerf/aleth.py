@@ -110,7 +110,7 @@ def train(
 
     def loss(batch: Batch) -> Tensor:
         dark, lit = concealed(batch, extra["along"], extra["filter"])
-        through[0] = float(dark.detach().sum() / lit.detach().sum().clamp_min(1e-6))  # of black there is no share
+        through[0] = float(dark.detach().sum() / lit.detach().sum().clamp_min(1e-6))  # a black batch has no share
         return loss_of(dark, lit, batch.of(images), config.fit.patch, config)
 
     scene, found = fitted_scene(

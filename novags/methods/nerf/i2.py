@@ -35,8 +35,9 @@ from novags.fields.layout import DENSITY_MAX
 from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
 from novags.methods.gaussian_fit import Progress
+from novags.methods.light import raw_loss
 from novags.methods.nerf.fitting import fitted_scene, with_outputs
-from novags.methods.nerf.losses import grey_of, raw_loss
+from novags.methods.nerf.losses import grey_of
 from novags.methods.problem import LacksInput, Pictures, Problem
 from novags.methods.reconstruction import Reconstruction
 from novags.splats.training.losses import ssim
@@ -147,7 +148,7 @@ def train(
 
     def loss(batch: Batch) -> Tensor:
         dark, lit, medium = seen_through(batch)
-        last["through"] = float(dark.detach().sum() / lit.detach().sum().clamp_min(1e-6))  # of black there is no share
+        last["through"] = float(dark.detach().sum() / lit.detach().sum().clamp_min(1e-6))  # a black batch has no share
         return loss_of(dark, lit, medium, batch, batch.of(images), batch.of(aims), config)
 
     scene, found = fitted_scene(problem, loss, config.fit, "display", progress=progress, checkpoint=checkpoint)

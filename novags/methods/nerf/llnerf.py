@@ -30,8 +30,9 @@ from torch import Tensor
 from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
 from novags.methods.gaussian_fit import Progress
+from novags.methods.light import raw_loss
 from novags.methods.nerf.fitting import fitted_scene, with_outputs
-from novags.methods.nerf.losses import differences, raw_loss
+from novags.methods.nerf.losses import differences
 from novags.methods.nerf.shading import brightened, split
 from novags.methods.problem import Pictures, Problem
 from novags.methods.reconstruction import Reconstruction

@@ -6,8 +6,8 @@ of Mildenhall et al. 2022, section 4.1; sg holds its argument fixed. Colours are
 Data are never clipped at black. Behind a colour filter array only what was measured is compared.
 
 What differs from it: the field is that of docs/fields.md, which starts dense at the first points, with its steps and
-rays per step; there is no camera with several exposures, hence no correction of these; EPSILON is in units of white as
-there, though pictures here may be darker than its own.
+rays per step. All views have one exposure, so exposures need no correction. EPSILON is in units of white as there,
+though pictures here may be darker than its own.
 """
 
 import dataclasses
@@ -22,9 +22,8 @@ from novags.fields.training.config import FieldFitConfig
 from novags.methods.enhancers import EnhancerConfig, enhanced, enhancement_record
 from novags.methods.enhancers.guided import EnhanceConfig
 from novags.methods.gaussian_fit import Progress
-from novags.methods.light import MeasuredLight, brightness, measured_light
+from novags.methods.light import MeasuredLight, brightness, measured_light, raw_loss
 from novags.methods.nerf.fitting import fitted_scene, with_outputs
-from novags.methods.nerf.losses import raw_loss
 from novags.methods.nerf.shading import light_of
 from novags.methods.noise_estimate import noise_of
 from novags.methods.problem import Pictures, Problem
@@ -63,7 +62,7 @@ def train(
 
     Raises:
         LacksInput: If the problem has neither raw frames nor 16-bit linear pictures.
-        ValueError: If there is no light in the pictures.
+        ValueError: If the pictures hold no light.
     """
     started = time.perf_counter()
     config = dataclasses.replace(config, fit=with_outputs(config.fit, problem, static=0, viewed=3))

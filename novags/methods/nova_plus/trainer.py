@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
 import torch
 from torch import Tensor
 
@@ -14,6 +13,7 @@ from novags.methods.denoised.denoiser import DenoiseConfig
 from novags.methods.enhancers import EnhancerConfig, enhanced, enhanced_like, enhanced_view, enhancement_record
 from novags.methods.enhancers.guided import EnhanceConfig
 from novags.methods.gaussian_fit import Progress, fit_for
+from novags.methods.light import first_light
 from novags.methods.noise_estimate import noise_of
 from novags.methods.nova_plus.average import non_local_means
 from novags.methods.nova_plus.bandwidth import choose_bandwidth
@@ -27,7 +27,6 @@ from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.tone import ToneCurve, tone_curve
 from novags.splats import FitConfig, Gaussians, LearningRates, McmcConfig
 from novags.splats.training.fit import FitResult, fit
-from sensor_model import srgb_to_linear
 
 # Several times those of 3DGS, for short fits, and cooled at the end.
 FAST = LearningRates(means=4e-4, means_final=4e-6, quats=4e-3, log_scales=2e-2, sh_dc=2e-2, sh_rest=1e-3, cool_to=0.1)
@@ -178,10 +177,7 @@ class _Work:
     def likelihood(self, seed: int) -> Gaussians:
         """Stage 1 of one seed."""
         start = self.problem.start
-        light = torch.from_numpy(np.asarray(srgb_to_linear(start.colors.cpu().numpy()), np.float32))
-        if self.data.matrix is not None:
-            light = light @ torch.linalg.inv(self.data.matrix.cpu()).T
-        colors = self.curve.tone(light).clamp(0, 1).to(self.data.light)
+        colors = self.curve.tone(first_light(start, self.data)).clamp(0, 1).to(self.data.light)
         points = start.points.to(self.data.light)
         first = Gaussians.from_points(
             points, colors, sh_degree=self.base.sh_degree, init_scale=self.config.init_scale

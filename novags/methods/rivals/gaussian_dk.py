@@ -21,7 +21,7 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, Progress, fit_for
+from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, Progress, fit_for, reconstructed
 from novags.methods.problem import Pictures, Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.tone import ResponseTable
@@ -162,12 +162,5 @@ def train(
     scene = GaussianScene.of(result.gaussians, config.fit)
     views = dataclasses.replace(problem.views, viewmats=result.viewmats)
     exposure = lit_exposure(response, scene.render(views)[0], config.target)
-    return Reconstruction(
-        scene=dataclasses.replace(scene, response=table_of(response, exposure)),
-        space="lit",
-        config=config,
-        viewmats=None if config.fit.refine_cameras is None else result.viewmats,
-        losses=result.losses,
-        seconds={"fit": result.seconds, "other": max(0.0, time.perf_counter() - started - result.seconds)},
-        found={"exposure": exposure},
-    )
+    shown = dataclasses.replace(scene, response=table_of(response, exposure))
+    return reconstructed(result, config, shown, "lit", started, found={"exposure": exposure})

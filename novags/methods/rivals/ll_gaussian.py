@@ -25,7 +25,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, Progress, fit_for
+from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, Progress, fit_for, reconstructed
 from novags.methods.problem import Pictures, Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.splats import FitConfig, Gaussians, Step, Views, photometric_loss
@@ -166,12 +166,5 @@ def train(
     )  # fmt: skip
     scene = GaussianScene.of(result.gaussians, config.fit)
     gamma = chosen_gamma(scene, dataclasses.replace(problem.views, viewmats=result.viewmats), config.target)
-    return Reconstruction(
-        scene=dataclasses.replace(scene, gaussians=lit(result.gaussians, gamma)),
-        space="lit",
-        config=config,
-        viewmats=None if config.fit.refine_cameras is None else result.viewmats,
-        losses=result.losses,
-        seconds={"fit": result.seconds, "other": max(0.0, time.perf_counter() - started - result.seconds)},
-        found={"gamma": gamma},
-    )
+    shown = dataclasses.replace(scene, gaussians=lit(result.gaussians, gamma))
+    return reconstructed(result, config, shown, "lit", started, found={"gamma": gamma})

@@ -21,7 +21,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, Progress, fit_for
+from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, Progress, fit_for, reconstructed
 from novags.methods.problem import Pictures, Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.rivals.luminance_curve import ViewCurves, equalising_curve
@@ -169,12 +169,5 @@ def train(
     )  # fmt: skip
     with torch.no_grad():
         bright = torch.stack([curves.brightened(i, curves.curves(i)[0]) for i in range(len(dark))])
-    return Reconstruction(
-        scene=GaussianScene.of(result.gaussians, config.fit),
-        space="lit",
-        config=config,
-        targets=bright.clamp(0, 1),
-        viewmats=None if config.fit.refine_cameras is None else result.viewmats,
-        losses=result.losses,
-        seconds={"fit": result.seconds, "other": max(0.0, time.perf_counter() - started - result.seconds)},
-    )
+    scene = GaussianScene.of(result.gaussians, config.fit)
+    return reconstructed(result, config, scene, "lit", started, targets=bright.clamp(0, 1))

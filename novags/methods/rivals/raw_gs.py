@@ -24,14 +24,13 @@ from torch import Tensor
 
 from novags.methods.enhancers import EnhancerConfig, enhanced, enhancement_record
 from novags.methods.enhancers.guided import EnhanceConfig
-from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, Progress, fit_for
-from novags.methods.light import MeasuredLight, brightness, measured_light
+from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, Progress, fit_for, reconstructed
+from novags.methods.light import MeasuredLight, brightness, first_light, measured_light, raw_loss
 from novags.methods.noise_estimate import noise_of
 from novags.methods.problem import Pictures, Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.splats import FitConfig, Gaussians, Step
 from novags.splats.training.fit import fit
-from sensor_model import srgb_to_linear
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,12 +71,7 @@ class RawLoss:
 
     def __call__(self, step: Step, target: Tensor) -> Tensor:
         """The loss by autograd, on any device."""
-        there, white = ~target.isnan(), self.white.to(step.render)
-        bounded = torch.where(
-            step.render > white, white, step.render
-        )  # torch.minimum halves the slope where both are equal
-        residual = torch.where(there, bounded - target, 0.0)
-        return (residual / (step.render.detach() + self.epsilon)).square().sum() / there.sum().clamp_min(1)
+        return raw_loss(step.render, target, self.epsilon, self.white.to(step.render))
 
     def compare(self, image: np.ndarray, target: np.ndarray) -> tuple[np.float32, np.ndarray]:
         """The loss of float32 arrays [H, W, 3], and its gradient for the image."""
@@ -106,7 +100,7 @@ def train(
 
     Raises:
         LacksInput: If the problem has neither raw frames nor 16-bit linear pictures.
-        ValueError: If there is no light in the pictures, or a checkpoint is damaged or belongs to another run.
+        ValueError: If the pictures hold no light, or a checkpoint is damaged or belongs to another run.
         NotFinite: As `fit` says.
     """
     started = time.perf_counter()
@@ -122,24 +116,15 @@ def train(
     )  # fmt: skip
     matrix = torch.eye(3) if data.matrix is None else data.matrix.cpu()
     scene = dataclasses.replace(GaussianScene.of(result.gaussians, config.fit), matrix=unit * matrix)
-    return Reconstruction(
-        scene=scene,
-        space="linear",
-        config=config,
+    return reconstructed(
+        result, config, scene, "linear", started, found={"unit": unit},
         enhancement=enhancement_record(config.enhance, config.pictures),
         enhanced=enhanced(problem, config.enhance, config.pictures),
-        viewmats=None if config.fit.refine_cameras is None else result.viewmats,
-        losses=result.losses,
-        seconds={"fit": result.seconds, "other": max(0.0, time.perf_counter() - started - result.seconds)},
-        found={"unit": unit},
-    )
+    )  # fmt: skip
 
 
 def _start(problem: Problem, data: MeasuredLight, unit: float, config: RawGsConfig) -> Gaussians:
     """Gaussians at the first points, in the light that the dark pictures show there."""
-    light = torch.from_numpy(np.asarray(srgb_to_linear(problem.start.colors.cpu().numpy()), np.float32))
-    if data.matrix is not None:
-        light = light @ torch.linalg.inv(data.matrix.cpu()).T
-    colors = (light / unit).clamp(0, 1).to(data.light)
+    colors = (first_light(problem.start, data) / unit).clamp(0, 1).to(data.light)
     points = problem.start.points.to(data.light)
     return Gaussians.from_points(points, colors, sh_degree=config.fit.sh_degree, init_scale=config.init_scale)

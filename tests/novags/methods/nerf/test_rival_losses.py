@@ -10,8 +10,9 @@ import torch
 from novags.fields.march import Rays, Samples
 from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
+from novags.methods.light import raw_loss
 from novags.methods.nerf import aleth, i2, llnerf
-from novags.methods.nerf.losses import differences, raw_loss
+from novags.methods.nerf.losses import differences
 from novags.methods.nerf.shading import brightened
 
 PATCH, RAYS, N = 2, 16, 5

@@ -1,6 +1,7 @@
-"""The methods with a field find what they claim to find where it is known: a wall of which an eighth of the light is
-left, for a concealing field, an illumination or a medium to account for.
-"""  # noqa: D205
+"""The methods with a field find what they claim to find, where it is known.
+
+Of the light of a wall an eighth is left, for a concealing field, an illumination or a medium to account for.
+"""
 
 import dataclasses
 from collections.abc import Callable

@@ -24,13 +24,11 @@ from novags.methods.rivals.gaussian_dk import (
     train,
 )  # fmt: skip
 from novags.methods.tone import ResponseTable
-from novags.splats import FitConfig, LearningRates, McmcConfig
+from novags.splats import FitConfig, LearningRates
 from novags.splats.training.losses import ssim
+from tests.novags.methods.rivals.short import SHORT
 
-CONFIG = GaussianDkConfig(
-    fit=FitConfig(iterations=60, sh_degree=1, sh_every=20, checkpoint_every=25, mcmc=McmcConfig(refine_start=10)),
-    init_scale=0.7,
-)
+CONFIG = GaussianDkConfig(fit=SHORT, init_scale=0.7)
 
 
 def taught() -> Response:
@@ -142,21 +140,6 @@ def test_the_response_learns_what_gaussians_that_stand_still_cannot(problem: Cal
     table = dataclasses.replace(scene.response, low=scene.response.low + shift, high=scene.response.high + shift)
     seen = dataclasses.replace(scene, response=table).render(inputs.views)[0][:, 6:-6, 6:-6]
     assert float(seen.median() / inputs.srgb8.mean()) == pytest.approx(1, abs=0.1)
-
-
-def test_a_stopped_run_ends_as_if_it_had_not_been(problem: Callable[..., Problem], tmp_path: Path) -> None:
-    inputs, path = problem(), tmp_path / "fit.safetensors"
-    whole = train(inputs, CONFIG)
-
-    def stop(done: int, _: int, __: Any) -> None:
-        if done == 40:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        train(inputs, CONFIG, progress=stop, checkpoint=path)
-    resumed = train(inputs, CONFIG, checkpoint=path)
-    assert torch.equal(whole.render(inputs.views)[0], resumed.render(inputs.views)[0])
-    assert whole.found == resumed.found
 
 
 def test_wrong_settings_are_refused() -> None:

@@ -3,7 +3,6 @@
 import dataclasses
 import math
 from collections.abc import Callable
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -24,14 +23,12 @@ from novags.methods.rivals.ll_gaussian import (
     smoothness,
     train,
 )  # fmt: skip
-from novags.splats import FitConfig, Gaussians, LearningRates, McmcConfig
+from novags.splats import FitConfig, Gaussians, LearningRates
 from novags.splats.sh import sh_basis
 from novags.splats.training.losses import ssim
+from tests.novags.methods.rivals.short import SHORT
 
-CONFIG = LlGaussianConfig(
-    fit=FitConfig(iterations=60, sh_degree=1, sh_every=20, checkpoint_every=25, mcmc=McmcConfig(refine_start=10)),
-    init_scale=0.7,
-)
+CONFIG = LlGaussianConfig(fit=SHORT, init_scale=0.7)
 
 
 def test_shaded_harmonics_show_the_colour_times_the_light_from_every_side() -> None:
@@ -131,21 +128,6 @@ def test_on_a_wall_in_known_light_the_light_is_found_and_the_paint_is_lit_evenly
     assert of_light > 0.3
     # what is left of the fall of the light is its power of gamma; the paint is as it was
     assert fall(bright) - fall(evenly) == pytest.approx(result.found["gamma"] * of_light, abs=0.15 * of_light)
-
-
-def test_a_stopped_run_ends_as_if_it_had_not_been(problem: Callable[..., Problem], tmp_path: Path) -> None:
-    inputs, path = problem(), tmp_path / "fit.safetensors"
-    whole = train(inputs, CONFIG)
-
-    def stop(done: int, _: int, __: Any) -> None:
-        if done == 40:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        train(inputs, CONFIG, progress=stop, checkpoint=path)
-    resumed = train(inputs, CONFIG, checkpoint=path)
-    assert torch.equal(whole.render(inputs.views)[0], resumed.render(inputs.views)[0])
-    assert whole.found == resumed.found
 
 
 def test_wrong_settings_are_refused() -> None:

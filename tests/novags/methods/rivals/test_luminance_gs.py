@@ -2,7 +2,6 @@
 
 import dataclasses
 from collections.abc import Callable
-from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -21,14 +20,11 @@ from novags.methods.rivals.luminance_gs import (
     histogram_loss,
     train,
 )  # fmt: skip
-from novags.splats import FitConfig, LearningRates, McmcConfig
+from novags.splats import LearningRates
 from novags.splats.training.losses import ssim
+from tests.novags.methods.rivals.short import SHORT
 
-CONFIG = LuminanceGsConfig(
-    fit=FitConfig(iterations=60, sh_degree=1, sh_every=20, checkpoint_every=25, mcmc=McmcConfig(refine_start=10)),
-    init_scale=0.7,
-    seen=16,
-)
+CONFIG = LuminanceGsConfig(fit=SHORT, init_scale=0.7, seen=16)
 
 
 def test_contrasts_count_cell_by_cell_and_neighbour_by_neighbour() -> None:
@@ -125,26 +121,6 @@ def test_a_dark_wall_is_shown_as_dark_as_it_was_seen_and_as_bright_as_its_curves
     assert float((low[inside] - dark).abs().mean()) < 0.1 * float(dark.mean())
     # in the end an equalising curve, of mean 1/2, and a nearly straight one draw it equally hard
     assert float(result.targets.mean()) == pytest.approx((0.5 + float(inputs.srgb8.mean())) / 2, abs=0.04)
-
-
-def test_a_stopped_run_ends_as_if_it_had_not_been(problem: Callable[..., Problem], tmp_path: Path) -> None:
-    inputs, path = problem(), tmp_path / "fit.safetensors"
-    whole = train(inputs, CONFIG)
-
-    def stop(done: int, _: int, __: Any) -> None:
-        if done == 40:
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        train(inputs, CONFIG, progress=stop, checkpoint=path)
-    resumed = train(inputs, CONFIG, checkpoint=path)
-    assert whole.targets is not None
-    assert resumed.targets is not None
-    assert torch.equal(whole.targets, resumed.targets)
-    assert torch.equal(whole.render(inputs.views)[0], resumed.render(inputs.views)[0])
-    other = train(dataclasses.replace(inputs, seed=1), CONFIG)
-    assert other.targets is not None
-    assert not torch.equal(whole.targets, other.targets)
 
 
 def test_black_pictures_ask_for_no_contrast(problem: Callable[..., Problem]) -> None:

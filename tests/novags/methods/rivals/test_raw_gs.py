@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods.light import BRIGHT
+from novags.methods.light import BRIGHT, MeasuredLight, first_light
 from novags.methods.problem import LacksInput
 from novags.methods.reconstruction import GaussianScene
 from novags.methods.rivals.raw_gs import RawGsConfig, RawLoss, train
@@ -54,6 +54,18 @@ def test_the_loss_and_its_gradient_are_those_of_the_definition() -> None:
     assert float(by_autograd.detach()) == pytest.approx(want, rel=1e-5)
     assert render.grad is not None
     np.testing.assert_allclose(render.grad.numpy(), slope, rtol=1e-4, atol=1e-8)
+
+
+@pytest.mark.parametrize("own_space", [False, True])
+def test_first_points_have_the_light_that_pictures_show_there(own_space: bool) -> None:
+    light = np.random.default_rng(2).uniform(0.02, 0.3, (6, 3))  # of the sensor, white-balanced
+    matrix = np.array([[1.6, -0.4, -0.2], [-0.2, 1.5, -0.3], [0.1, -0.6, 1.5]]) if own_space else np.eye(3)
+    shown = linear_to_srgb(light @ matrix.T)
+    start: Any = SimpleNamespace(colors=torch.tensor(shown, dtype=torch.float32))
+    own: Any = torch.tensor(matrix, dtype=torch.float32) if own_space else None
+    noise: Any = None
+    data = MeasuredLight(light=torch.zeros(1, 2, 2, 3), noise=noise, white=torch.ones(3), matrix=own)
+    np.testing.assert_allclose(first_light(start, data).numpy(), light, rtol=1e-4)
 
 
 def test_it_ends_in_the_light_of_the_scene_with_less_noise_than_its_data(dark: Any, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ import dataclasses
 import math
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -13,6 +14,7 @@ from novags.methods import METHODS, chosen
 from novags.methods.noise import camera_noise
 from novags.methods.problem import Problem, RawPictures
 from novags.splats import Gaussians, Views, rasterize
+from novags.splats.training.fit import LOG_EVERY
 from novags.testbed.presets import EXPERIMENTS
 from novags.testbed.stability.case import Part, Setting
 from sensor_model import PRESETS, Exposure, develop, expose
@@ -68,14 +70,15 @@ def _largest_ratio(name: str) -> float:
     config = variant.config(METHODS[variant.method].config(), {"init_scale": 0.7, "fit.rates.schedule": "gsplat"})
     config = dataclasses.replace(config, fit=dataclasses.replace(config.fit, iterations=ITERATIONS, sh_degree=1))
     counts = {"means": 3, "quats": 4, "log_scales": 3, "logit_opacities": 1, "sh": 12}
-    records: list[dict[str, float]] = []
-    method = METHODS[variant.method]
-    assert method.parts is not None
-    result = method.train(problem(), config, progress=lambda done, n, entry: records.append(entry))
-    entries = [entry for entry in records if "loss" in entry]
-    fitted = sum(steps for part, steps in method.parts(config).items() if part != "denoiser")
-    if len(entries) < fitted // 10 or not all(math.isfinite(v) for entry in records for v in entry.values()):
+    records: list[tuple[int, int, dict[str, float]]] = []
+    result = METHODS[variant.method].train(problem(), config, progress=lambda *record: records.append(record))
+    done, total = [0, *(record[0] for record in records)], {record[1] for record in records}
+    steps = [after - before for before, after in pairwise(done)]
+    if {done[-1]} != total or not all(0 < step <= LOG_EVERY for step in steps):  # part of it is not on record
         return math.inf
+    if not all(math.isfinite(value) for _, _, entry in records for value in entry.values()):
+        return math.inf
+    entries = [entry for _, _, entry in records if "loss" in entry]
     worst = 0.0
     for group, largest in LARGEST.items():
         sizes = [entry[f"norm_{group}"] / math.sqrt(entry["n_gaussians"] * counts[group]) for entry in entries]
