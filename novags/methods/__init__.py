@@ -1,6 +1,6 @@
 """What is compared. `METHODS` is the only place that names methods; `VARIANTS` names useful settings of them."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from difflib import get_close_matches
 from functools import partial
@@ -26,7 +26,7 @@ from novags.methods.nova.denoiser import FAST_DENOISER
 from novags.methods.nova.knobs import KNOBS as NOVA_KNOBS
 from novags.methods.nova_plus import trainer as nova_plus
 from novags.methods.nova_plus.knobs import KNOBS as NOVA_PLUS_KNOBS
-from novags.methods.rivals import gaussian_dk, ll_gaussian, luminance_gs, raw_gs
+from novags.methods.rivals import gaussian_dk, lita_gs, ll_gaussian, luminance_gs, raw_gs
 from novags.methods.variant import Method, Variant, spelled
 from novags.settings import flattened
 from sensor_model.files.reading import brief
@@ -39,6 +39,11 @@ def _enhanced(enhance: EnhancerConfig, title: str, color: str, source: str) -> M
         config=partial(EnhancedFitConfig, enhance=enhance), train=enhance_then_fit.train,
         parts=enhance_then_fit.parts,
     )  # fmt: skip
+
+
+def _rival(config: Callable[[], Any], train: Any, *, title: str, color: str, source: str) -> Method:
+    """A method of other people whose work is one fit of Gaussians."""
+    return Method(title=title, family="3DGS", color=color, source=source, config=config, train=train, parts=fit_parts)
 
 
 METHODS: dict[str, Method] = {
@@ -140,40 +145,40 @@ METHODS: dict[str, Method] = {
         parts=denoised.parts,
         source="recorrupted-to-recorrupted (Pang et al. 2021) in the generalised Anscombe domain (Murtagh et al. 1995)",
     ),
-    "luminance-gs": Method(
+    "luminance-gs": _rival(
+        luminance_gs.LuminanceGsConfig,
+        luminance_gs.train,
         title="dark and lit colours for each Gaussian; the lit ones follow curves that are learned with them",
-        family="3DGS",
         color="#66a61e",
-        config=luminance_gs.LuminanceGsConfig,
-        train=luminance_gs.train,
-        parts=fit_parts,
         source="Luminance-GS (Cui et al. 2025)",
     ),
-    "gaussian-dk": Method(
+    "lita-gs": _rival(
+        lita_gs.LitaGsConfig,
+        lita_gs.train,
+        title="lit colours, illumination and noise of each Gaussian, held to a structure that light does not change; "
+        "shown denoised",
+        color="#d37295",
+        source="LITA-GS (Zhou et al. 2025)",
+    ),
+    "gaussian-dk": _rival(
+        gaussian_dk.GaussianDkConfig,
+        gaussian_dk.train,
         title="radiance, and a camera response that is learned with it; shown at a larger exposure",
-        family="3DGS",
         color="#b07aa1",
-        config=gaussian_dk.GaussianDkConfig,
-        train=gaussian_dk.train,
-        parts=fit_parts,
         source="Gaussian-DK (Ye et al. 2024)",
     ),
-    "ll-gaussian": Method(
+    "ll-gaussian": _rival(
+        ll_gaussian.LlGaussianConfig,
+        ll_gaussian.train,
         title="reflectance, illumination and interference of each Gaussian; shown with the illumination raised",
-        family="3DGS",
         color="#9c755f",
-        config=ll_gaussian.LlGaussianConfig,
-        train=ll_gaussian.train,
-        parts=fit_parts,
         source="the decomposition of LL-Gaussian (Sun et al. 2025)",
     ),
-    "raw-gs": Method(
+    "raw-gs": _rival(
+        raw_gs.RawGsConfig,
+        raw_gs.train,
         title="the light of the scene, fitted to the raw data by the loss of RawNeRF",
-        family="3DGS",
         color="#a6761d",
-        config=raw_gs.RawGsConfig,
-        train=raw_gs.train,
-        parts=fit_parts,
         source="RawNeRF (Mildenhall et al. 2022) and LE3D (Jin et al. 2024)",
     ),
     "oracle": Method(

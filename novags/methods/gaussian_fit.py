@@ -12,7 +12,7 @@ from torch import Tensor
 from novags.methods.enhancers import EnhancerConfig, enhancement_record
 from novags.methods.enhancers.guided import EnhanceConfig
 from novags.methods.problem import Pictures, Problem
-from novags.methods.reconstruction import GaussianScene, Reconstruction, Space
+from novags.methods.reconstruction import GaussianScene, Reconstruction, Scene, Space
 from novags.methods.start import start_gaussians
 from novags.splats import FitConfig, LearningRates, McmcConfig
 from novags.splats.training.fit import FitResult, fit
@@ -52,7 +52,7 @@ def fit_for(problem: Problem, config: FitConfig) -> FitConfig:
 
 
 def reconstructed(
-    result: FitResult, config: Any, scene: GaussianScene, space: Space, started: float, **more: Any
+    result: FitResult, config: Any, scene: Scene, space: Space, started: float, **more: Any
 ) -> Reconstruction:
     """What a method gives back whose work is one fit.
 

@@ -91,9 +91,9 @@ def constancy(bright: Tensor) -> Tensor:
     return powers.clamp_min(1e-24).sqrt().mean()
 
 
-def exposure(bright: Tensor) -> Tensor:
-    """The mean square by which grey patches are off `EXPOSURE`."""
-    return (_pooled(bright, PATCH) - EXPOSURE).square().mean()
+def exposure(bright: Tensor, target: float = EXPOSURE) -> Tensor:
+    """The mean square by which grey patches of pictures [B, 3, H, W] are off the target."""
+    return (_pooled(bright, PATCH) - target).square().mean()
 
 
 def spatial(dark: Tensor, bright: Tensor) -> Tensor:

@@ -28,12 +28,11 @@ from torch import Tensor
 from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, Progress, fit_for, reconstructed
 from novags.methods.problem import Pictures, Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
+from novags.methods.rivals.retinex import DIMMEST, smoothness
 from novags.splats import FitConfig, Gaussians, Step, Views, photometric_loss
 from novags.splats.sh import C0
 from novags.splats.training.fit import fit
 
-EDGE = 10.0  # how much an edge of the reflectance allows one of the illumination
-DIMMEST = 1e-3  # a quarter of a code of 8 bits: black would have no logarithm
 GAMMAS = (0.01, 1.0)  # between which gamma is looked for
 
 
@@ -78,18 +77,6 @@ def shaded(sh: Tensor, factor: Tensor) -> Tensor:
     scaled = factor[..., None] * sh
     base = 0.5 * (factor - 1) / C0  # colours are 0.5 above what the harmonics say
     return torch.cat([scaled[:, :1] + base[..., None], scaled[:, 1:]], 1)
-
-
-def slopes(image: Tensor) -> tuple[Tensor, Tensor]:
-    """Absolute differences to the right and downward neighbour, mean over channels: [H, W - 1] and [H - 1, W]."""
-    return image.diff(dim=1).abs().mean(-1), image.diff(dim=0).abs().mean(-1)
-
-
-def smoothness(illumination: Tensor, reflectance: Tensor) -> Tensor:
-    """Mean slope of the illumination [H, W, 1], where the reflectance [H, W, 3] has no edge; it only says where."""
-    edges = slopes(reflectance.detach())
-    terms = [(s * torch.exp(-EDGE * e)).sum() for s, e in zip(slopes(illumination), edges, strict=True)]
-    return torch.stack(terms).sum() / illumination[..., 0].numel()
 
 
 class DecompositionLoss:

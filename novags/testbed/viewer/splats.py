@@ -11,6 +11,7 @@ from novags.cameras.estimate import Array
 from novags.methods.nerf.scene import load_field
 from novags.methods.problem import encode
 from novags.methods.reconstruction import GaussianScene, Scene
+from novags.methods.rivals.denoised_scene import with_denoiser
 from novags.methods.tone import ResponseTable, ToneCurve
 from novags.splats import Views, read_ply
 from novags.splats.raster.raster_torch import quat_to_rotmat
@@ -65,7 +66,8 @@ def scene_of(run: Run) -> Scene | None:
     Raises:
         ValueError: If its file is damaged.
     """
-    return gaussians_of(run) or load_field(run.path)
+    gaussians = gaussians_of(run)
+    return load_field(run.path) if gaussians is None else with_denoiser(gaussians, run.path)
 
 
 def gaussians_of(run: Run) -> GaussianScene | None:

@@ -14,7 +14,7 @@ from novags.settings import changed
 from novags.splats import CameraRefinement
 from tests.novags.methods.rivals.short import SHORT
 
-RIVALS = ("luminance-gs", "gaussian-dk", "ll-gaussian", "raw-gs")
+RIVALS = ("luminance-gs", "gaussian-dk", "ll-gaussian", "lita-gs", "raw-gs")
 
 
 @pytest.mark.parametrize("name", RIVALS)

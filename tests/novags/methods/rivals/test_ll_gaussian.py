@@ -20,9 +20,9 @@ from novags.methods.rivals.ll_gaussian import (
     lit,
     parts_of,
     shaded,
-    smoothness,
     train,
 )  # fmt: skip
+from novags.methods.rivals.retinex import smoothness
 from novags.splats import FitConfig, Gaussians, LearningRates
 from novags.splats.sh import sh_basis
 from novags.splats.training.losses import ssim

@@ -152,7 +152,10 @@ def test_pictures_on_disk_are_as_they_are_shown_and_floats_are_light(capture: Ca
     assert light.mean() == pytest.approx(exposure, rel=0.2)
 
 
-@pytest.mark.parametrize(("name", "kept"), [("nova-plus", "tone"), ("raw-gs", "matrix"), ("gaussian-dk", "response")])
+@pytest.mark.parametrize(
+    ("name", "kept"),
+    [("nova-plus", "tone"), ("raw-gs", "matrix"), ("gaussian-dk", "response"), ("lita-gs", "denoiser")],
+)
 def test_a_saved_scene_gives_the_same_light_again(capture: Capture, run: Run, name: str, kept: str) -> None:
     if name != "nova-plus":
         variant, out = chosen(name), capture.path.parent / name

@@ -9,8 +9,11 @@ from typing import Any
 
 import numpy as np
 import torch
+from scipy import ndimage
 from torch import Tensor
 
+from novags.methods.rivals.invariant import COLOUR_MODEL, SCALE, invariant
+from novags.methods.rivals.lita_gs import LitaGsConfig, LitaLoss, Networks, structures_of
 from novags.methods.rivals.luminance_curve import BINS, ViewCurves, mapped, orthogonal_axes, power_then_s
 from novags.methods.rivals.luminance_gs import LuminanceGsConfig, LuminanceLoss, contrast_loss
 from novags.methods.rivals.raw_gs import RawLoss
@@ -145,3 +148,56 @@ def dark_contrasts(setting: Setting) -> float:
             total += (value - (cells[j, i] if 0 <= j < 3 and 0 <= i < 2 else 0.0)) ** 2
     found: Tensor = contrast_loss(dark, lit + noise, 1024.0)
     return relative_error(found, total / cells.size)
+
+
+@PART.case("lita-gs: structure of pictures from a lamp to a millionth of it", bound=256 * EPS, unit=LARGEST)
+def structure_in_the_dark(setting: Setting) -> float:
+    """Ratios of differences that are small beside what they are of, over twenty powers of two of light."""
+    rng = np.random.default_rng(6)
+    light = rng.uniform(0.5, 1, (20, 24, 3)).astype(np.float32)
+    light[:, 12:] *= np.float32(2.0**-10)
+    worst = 0.0
+    for power in (0, -20):
+        dimmed = light * np.float32(2.0**power)
+        worst = max(worst, relative_error(invariant(torch.from_numpy(dimmed)), _invariant(dimmed.astype(np.float64))))
+    return worst
+
+
+def _invariant(light: np.ndarray) -> np.ndarray:
+    """The invariant in float64, by the filters of another library."""
+    offsets = np.arange(-4, 5)
+    smooth = np.exp(-0.5 * (offsets / SCALE) ** 2)
+    slope = offsets * smooth
+    smooth, slope = smooth / smooth.sum(), slope / (slope * offsets).sum()
+    spectral = np.moveaxis(light @ np.array(COLOUR_MODEL).T, -1, 0)
+
+    def filtered(planes: np.ndarray, down: np.ndarray, across: np.ndarray) -> np.ndarray:
+        rows = ndimage.correlate1d(planes, down, axis=1, mode="nearest")
+        out: np.ndarray = ndimage.correlate1d(rows, across, axis=2, mode="nearest")
+        return out
+
+    strength = filtered(spectral[:1], smooth, smooth)
+    slopes = filtered(spectral, smooth, slope) / strength, filtered(spectral, slope, smooth) / strength
+    length: np.ndarray = np.sqrt((np.concatenate(slopes) ** 2).sum(0))
+    return length
+
+
+@PART.case("lita-gs: black, white and tiny pictures, loss and gradients", bound=0, unit="not finite")
+def blank_lita(setting: Setting) -> float:
+    """No structure, fewer pixels than a patch, and a lit picture that is clipped at both ends."""
+    wrong = 0
+    for height, width in ((1, 1), (3, 5), (18, 16)):
+        for level in (0.0, 1.0):
+            pictures = torch.full((1, height, width, 3), level)
+            render = torch.full((height, width, 3), 3 * level - 1, requires_grad=True)
+            features = torch.zeros(1, 7, requires_grad=True)
+            step: Any = SimpleNamespace(
+                view=0, render=render, gaussians=SimpleNamespace(features=features),
+                splat=lambda values, h=height, w=width: values.expand(h * w, -1).reshape(h, w, -1),
+            )  # fmt: skip
+            networks = Networks(2)
+            loss = LitaLoss(networks, structures_of(pictures), LitaGsConfig())(step, pictures[0])
+            loss.backward()
+            grads = [p.grad for p in (render, features, *networks.parameters()) if p.grad is not None]
+            wrong += sum(not bool(torch.isfinite(t).all()) for t in (loss.detach(), *grads))
+    return float(wrong)
