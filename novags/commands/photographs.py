@@ -11,13 +11,16 @@ def import_(
     folder: Folder, *, out: Path, lit: Path | None = None, clean: Path | None = None, sensor: str | None = None,
     time: float | None = None, black: float = 0.0, white: float = 65535.0, curve: Literal["linear", "srgb"] = "linear",
     demosaic: Literal["menon", "malvar", "bilinear"] = "menon", max_size: int | None = None,
+    split: Literal["own", "every8"] = "own",
+    dataset: Literal["auto", "none", "LOM", "LLNeRF", "LLRS", "MVTV"] = "auto",
     overwrite: bool = False, wait: bool = False,
 ) -> None:  # fmt: skip
     """Make a capture of photographs that were taken in the dark, with what truth there is about them.
 
     Args:
         folder: Dark photographs with cameras: a nerfstudio or instant-ngp folder (transforms.json) or a COLMAP folder
-            (sparse/0, images) with 8-bit or 16-bit pictures or camera raw files; raw files of the pictures in raw/.
+            (sparse/0, images) with 8-bit or 16-bit pictures or camera raw files; raw files of the pictures in raw/. Or
+            a scene of a published data set (docs/real-data.md), whose lit pictures are found too.
         out: Folder of the capture.
         lit: Folder of the same views in good light: pictures of the same names, or as many in the same order.
         clean: Folder of long exposures of the same views in the same light: the noise-free exposures.
@@ -28,6 +31,9 @@ def import_(
         curve: Of the codes of 16-bit pictures.
         demosaic: Interpolation of the colour filter array of raw files.
         max_size: Scale larger images down to this longest side, in pixels.
+        split: Which views are held out: own, those of the folder or the data set, every 8th where it says nothing; or
+            every8, every 8th of all.
+        dataset: The published data set that the folder is a scene of; auto takes what it looks like, none leaves it.
         overwrite: Replace a finished result of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
@@ -36,7 +42,7 @@ def import_(
 
     config = ImportConfig(
         lit=lit, clean=clean, sensor=sensor, time=time, black=black, white=white, curve=curve, demosaic=demosaic,
-        max_size=max_size,
+        max_size=max_size, split=split, dataset=dataset,
     )  # fmt: skip
     with writing(out, wait) as console:
         stages.import_photographs(folder, out, config, console, overwrite=overwrite)

@@ -21,8 +21,10 @@ from simscenes.sets.pictures.exr import read_exr
 from simscenes.sets.pictures.image_file import WITH_ALPHA, has_alpha, read_rgb
 from simscenes.sets.readers.bare import picture_files
 from simscenes.sets.readers.colmap import find_colmap, read_colmap, read_points
+from simscenes.sets.readers.llff import is_llff, read_llff
 from simscenes.sets.readers.nerf_synthetic import is_nerf_synthetic, read_nerf_synthetic
 from simscenes.sets.readers.photographs import DistortedPinhole, Photographs, read_transforms
+from simscenes.sets.readers.resized import picture_folder
 from simscenes.sets.writers.camera_files import is_test_view, write_cameras
 
 __all__ = ["MultiviewSet", "load_set", "write_cameras"]
@@ -145,14 +147,19 @@ class MultiviewSet:
 
     def points(self) -> SparsePoints | None:
         """Sparse points with their tracks through the views; None if there are none in the views' frame."""
+        if (model := self.model()) is None:
+            return None
+        x, y, z = self.origin
+        found = read_points(*model, self.files, self.rig.about((-x, -y, -z)))
+        return None if found is None else found.about(self.origin)
+
+    def model(self) -> tuple[Path, Path] | None:
+        """The folder of the images of a COLMAP model in the views' frame, and of the model; None if there is none."""
         # Beside a foreign transforms.json a COLMAP model may be in another frame (nerfstudio re-orients), so only our
         # own folders, which name it in nb-info.json, and pure COLMAP folders give points.
         ours = (self.path / "nb-info.json").is_file() or not (self.path / "transforms.json").is_file()
-        if (model := find_colmap(self.path) if ours else None) is None:
-            return None
-        x, y, z = self.origin
-        found = read_points(self.path, model, self.files, self.rig.about((-x, -y, -z)))
-        return None if found is None else found.about(self.origin)
+        model = find_colmap(self.path) if ours else None
+        return None if model is None else (picture_folder(self.path), model)
 
     def _truth(self, i: int, *names: str) -> dict[str, NDArray[Any]]:
         """Channels of view `i`, all of them, each as large as the camera says."""
@@ -175,11 +182,11 @@ def is_rendered(folder: Path) -> bool:
 
 
 def load_set(path: str | Path) -> MultiviewSet:
-    """Open a folder of posed images: our sets and captures, nerfstudio, instant-ngp, NeRF-synthetic or COLMAP data.
+    """Open a folder of posed images: our sets and captures, nerfstudio, instant-ngp, NeRF-synthetic, COLMAP or LLFF.
 
     Args:
         path: The folder. It holds set.json (rendered here), or transforms.json, or sparse/0 and images/, or
-            transforms_train.json.
+            transforms_train.json, or poses_bounds.npy and images/.
 
     Raises:
         ValueError: If the folder is of another kind, a render in it is unfinished, a camera file is broken or no image
@@ -192,20 +199,32 @@ def load_set(path: str | Path) -> MultiviewSet:
         raise ValueError(
             f"load_set: {path} holds an unfinished render (gt/ without set.json); run the render again, it resumes"
         )
-    meta = _read_meta(path)
+    return _as_set(path, _read(path), _read_meta(path), "rendered" if is_rendered(path) else "photographs")
+
+
+def load_photographs(path: Path) -> MultiviewSet:
+    """Open a folder of photographs with cameras; errors as `load_set`. What lies in gt/ beside them is not looked at.
+
+    Some data sets call well-lit pictures so.
+    """
+    return _as_set(path, _read(path), {}, "photographs")
+
+
+def _read(path: Path) -> Photographs:
     if (path / "transforms.json").is_file():
-        found = read_transforms(path)
-    elif model := find_colmap(path):
-        found = read_colmap(path, model)
-    elif is_nerf_synthetic(path):
-        found = read_nerf_synthetic(path)
-    else:
-        raise ValueError(_no_set(path))
-    return _as_set(path, found, meta)
+        return read_transforms(path)
+    if model := find_colmap(path):
+        return read_colmap(path, model)
+    if is_nerf_synthetic(path):
+        return read_nerf_synthetic(path)
+    if is_llff(path):
+        return read_llff(path)
+    raise ValueError(_no_set(path))
 
 
-def _as_set(path: Path, found: Photographs, meta: dict[str, Any]) -> MultiviewSet:
-    kind: Literal["rendered", "photographs"] = "rendered" if is_rendered(path) else "photographs"
+def _as_set(
+    path: Path, found: Photographs, meta: dict[str, Any], kind: Literal["rendered", "photographs"]
+) -> MultiviewSet:
     distorted = any(any(lens.distortion) for lens in found.lenses)
     lenses = found.lenses if distorted else None
     return MultiviewSet(
@@ -233,8 +252,8 @@ def _no_set(path: Path) -> str:
     if pictures := picture_files(path):
         return (f"{path} holds {len(pictures)} pictures without camera poses: find the poses first, with "
                 f"novags poses {path} --out SET")  # fmt: skip
-    return (f"load_set: {path} holds no set.json, no transforms.json (or transforms_train.json) and no COLMAP model "
-            "(sparse/0)")  # fmt: skip
+    return (f"load_set: {path} holds no set.json, no transforms.json (or transforms_train.json), no COLMAP model "
+            "(sparse/0) and no poses_bounds.npy")  # fmt: skip
 
 
 # What is read of set.json, where it is there; a capture.json is its own writer's business.

@@ -20,11 +20,13 @@ from simscenes.rigs import Rig
 from simscenes.sets.geometry.plausible import with_tested_tracks
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.multiview import MultiviewSet, load_set
+from simscenes.sets.readers.llff import POSES
 from simscenes.sets.readers.nerf_synthetic import PARTS
 
 # What a set is read from beside its images: our own record and truth, and the cameras in every supported form.
 MODEL = tuple(f"{part}.{suffix}" for part in ("cameras", "images", "points3D") for suffix in ("bin", "txt"))
-READ_FROM = ("set.json", "capture.json", "transforms.json", *PARTS, "nb-info.json", "sparse", "sparse/0", "gt", *MODEL)
+READ_FROM = ("set.json", "capture.json", "transforms.json", *PARTS, POSES, "nb-info.json", "sparse", "sparse/0",
+             "colmap_sparse", "gt", *MODEL)  # fmt: skip
 
 EXPOSURES = 1e30  # more would make NaN of a black pixel in float32
 NOISE = 0.01  # of a photograph's bright light: values further below 0 are not noise
@@ -154,6 +156,12 @@ def open_source(path: Path, console: Console, max_size: int | None = None) -> So
     """
     with warnings_as_notes(console):
         views = load_linear_set(path) or load_set(path)
+    return source_of(views, console, max_size)
+
+
+def source_of(views: MultiviewSet, console: Console, max_size: int | None = None) -> Source:
+    """What `open_source` gives of the views of a folder that was opened already; arguments and errors as there."""
+    path = views.path
     if views.renamed and views.kind == "photographs" and not (path / "capture.json").is_file():
         name, file = next(iter(views.renamed.items()))
         console.warn(f"{len(views.renamed)} of {len(views)} files and their views cannot have one name ({file!r}: view "

@@ -23,7 +23,7 @@ IMPORT = {  # a capture.json of kind "imported"
     "raw": ({"cfa": (str, None), "black": float, "white": float}, None), "sensor_name": (str, None),
     "sensor": (dict, None), "exposure": {"time": float, "temperature?": (float, None), "origin": [int],
     "line_time?": float}, "demosaic": str, "color_matrix": (Numbers(3, 3), None), "resampled": (str, None),
-    "lit": ({"folder": str, "paired": str}, None),
+    "lit": ({"folder": str, "paired": str, "resampled?": int}, None), "dataset?": (str, None), "split?": str,
     "clean": ({"folder": str, "paired": str, "gain": float, "white_share": float}, None),
     "views": int, "width": int, "height": int, "stage": {**STAGE, "inputs": {"*": str}},
 }  # fmt: skip

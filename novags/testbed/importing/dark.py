@@ -1,16 +1,20 @@
 """A folder of dark photographs with their cameras, and the raw files that lie beside them."""
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import NoReturn
 
 from novags.testbed.cache import folder_digest
 from novags.testbed.console import Console
 from novags.testbed.folders import raw_files
 from novags.testbed.folders.linear_photographs import find_linear
-from novags.testbed.folders.set import READ_FROM, Source, open_source
+from novags.testbed.folders.set import READ_FROM, Source, open_source, source_of, warnings_as_notes
+from novags.testbed.importing.published.datasets import Dataset, scene_names, scenes_below
+from novags.testbed.importing.published.posed import has_cameras
+from novags.testbed.importing.split import Split, divided
 from novags.testbed.importing.stored import PICTURES, Depth, depth_of
-from simscenes.sets.readers.colmap import find_colmap
+from simscenes.sets.readers.nerf_synthetic import is_nerf_synthetic
 
 
 @dataclass(frozen=True)
@@ -40,17 +44,30 @@ class Dark:
         return folder_digest(views.path, READ_FROM, beside=pictures | raws)
 
 
-def open_dark(folder: Path, max_size: int | None, console: Console) -> Dark:
+def open_dark(
+    folder: Path, dataset: Dataset | None, split: Split, max_size: int | None, console: Console
+) -> Dark:  # fmt: skip
     """Open dark photographs with their cameras: any folder that can be captured, with or without raw files in raw/.
+
+    Args:
+        folder: Of the photographs.
+        dataset: The published data set that it is a scene of.
+        split: Which views are held out.
+        max_size: As for `open_source`.
+        console: Where notes go.
 
     Raises:
         ValueError: If there are no pictures or no cameras (and then how to get them), or a raw file is missing.
     """
-    if not folder.is_dir():
-        raise ValueError(f"no such folder: {folder}")
-    if not (folder / "transforms.json").is_file() and find_colmap(folder) is None:
+    if dataset is not None:
+        with warnings_as_notes(console):
+            views = dataset.open_scene(folder, split)
+        source = source_of(views, console, max_size)
+    elif has_cameras(folder) or is_nerf_synthetic(folder):
+        source = open_source(folder, console, max_size)
+    else:
         _without_cameras(folder)
-    source = open_source(folder, console, max_size)
+    source = replace(source, views=divided(source.views, split))
     files = source.views.files
     if bad := [file for file in files if file.suffix.lower() not in PICTURES]:
         raise ValueError(f"{bad[0]} is neither a photograph nor camera raw ({', '.join(PICTURES)}): convert it to "
@@ -59,7 +76,10 @@ def open_dark(folder: Path, max_size: int | None, console: Console) -> Dark:
     return Dark(source, depth, files if depth == "raw" else _raws_beside(folder, source))
 
 
-def _without_cameras(folder: Path) -> None:
+def _without_cameras(folder: Path) -> NoReturn:
+    if scenes := scenes_below(folder):
+        raise ValueError(f"{folder} is no scene but holds scenes ({scene_names(scenes)}): import one of them, or all "
+                         "with novags study FILE --data")  # fmt: skip
     found = [file for place in (folder, folder / "images") for file in place.glob("*")]
     count = sum(file.suffix.lower() in PICTURES for file in found)
     raise ValueError(

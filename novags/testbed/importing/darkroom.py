@@ -41,8 +41,8 @@ class Darkroom:
     def _scaled(self) -> bool:
         return (self.rig.width, self.rig.height) != (self.views.rig.width, self.views.rig.height)
 
-    def check(self, file: Path, *, lit: bool = False) -> Depth:
-        """What the file holds.
+    def check(self, file: Path, *, lit: bool = False) -> tuple[Depth, bool]:
+        """What the file holds, and whether it has to be brought to the size of its view (well-lit pictures alone).
 
         Raises:
             ValueError: If it cannot be read, has another size than its camera, or, being raw and not `lit`, is of
@@ -50,14 +50,14 @@ class Darkroom:
         """
         if not is_raw(file):
             stored = read_stored(file)
-            self._cut(stored, file)
-            return "8bit" if stored.dtype == np.uint8 else "16bit"
+            (self._level if lit else self._cut)(stored, file)
+            return "8bit" if stored.dtype == np.uint8 else "16bit", lit and self._pixel_off(stored)
         if lit or self.camera is None:
             width, height = size(file)
             self._cut(np.empty((height, width, 0)), file)
         else:
             self._cut(self.camera.codes(file), file)
-        return "raw"
+        return "raw", False
 
     def linear(self, file: Path, i: int) -> np.ndarray:
         """Linear light of view `i` from one of its files, float32 [h,w,3], 0 = black, 1 = white.
@@ -68,8 +68,7 @@ class Darkroom:
         if is_raw(file):
             assert self.camera is not None
             return self._fit(self._undistort(self._cut(self.camera.develop(self.camera.codes(file)), file), i))
-        # Codes are undistorted before they are decoded, as for every other set of photographs.
-        return self._fit(self.codes.linear(self._undistort(self._cut(read_stored(file), file), i)))
+        return self._decoded(self._cut(read_stored(file), file), i)
 
     def srgb8(self, file: Path, i: int) -> np.ndarray:
         """The 8-bit sRGB picture of view `i`, uint8 [h,w,3]: as stored, as far as it is and nothing is scaled.
@@ -77,11 +76,9 @@ class Darkroom:
         Raises:
             ValueError: As `linear`.
         """
-        if not is_raw(file) and not self._scaled:
-            stored = read_stored(file)
-            if stored.dtype == np.uint8:
-                return self._undistort(self._cut(stored, file), i)
-        return np.asarray(to_srgb8(self.linear(file, i)))
+        if is_raw(file):
+            return np.asarray(to_srgb8(self.linear(file, i)))
+        return self._shown(self._cut(read_stored(file), file), i)
 
     def lit8(self, file: Path, i: int) -> np.ndarray:
         """A well-lit picture of view `i`, uint8 [h,w,3]; a raw file as LibRaw develops it, with its own balance.
@@ -90,7 +87,7 @@ class Darkroom:
             ValueError: As `linear`.
         """
         if not is_raw(file):
-            return self.srgb8(file, i)
+            return self._shown(self._level(read_stored(file), file), i)
         return np.asarray(to_srgb8(self._fit(self._undistort(self._cut(read_radiance(file), file), i))))
 
     def frame(self, file: Path) -> tuple[np.ndarray, Sensor]:
@@ -100,6 +97,31 @@ class Darkroom:
         part = self._cut(whole, file)
         top, left = ((a - b) // 2 for a, b in zip(whole.shape[:2], part.shape[:2], strict=True))
         return np.ascontiguousarray(part), self.camera.cut_sensor(top, left)
+
+    def _decoded(self, stored: np.ndarray, i: int) -> np.ndarray:
+        # Codes are undistorted before they are decoded, as for every other set of photographs.
+        return self._fit(self.codes.linear(self._undistort(stored, i)))
+
+    def _shown(self, stored: np.ndarray, i: int) -> np.ndarray:
+        if stored.dtype == np.uint8 and not self._scaled:
+            return self._undistort(stored, i)
+        return np.asarray(to_srgb8(self._decoded(stored, i)))
+
+    def _pixel_off(self, image: np.ndarray) -> bool:
+        rig = self.views.rig
+        return max(abs(image.shape[1] - rig.width), abs(image.shape[0] - rig.height)) == 1
+
+    def _level(self, image: np.ndarray, file: Path) -> np.ndarray:
+        """A well-lit picture at the size of its view; one pixel more or less is resampled.
+
+        The lit pictures of LLNeRF are 1155 px wide and the dark ones 1156, because they were scaled down in two ways;
+        its authors advise to resample them bilinearly (github.com/onpix/LLNeRF, issue 14).
+        """
+        if not self._pixel_off(image):
+            return self._cut(image, file)
+        import cv2
+
+        return cv2.resize(image, (self.views.rig.width, self.views.rig.height), interpolation=cv2.INTER_LINEAR)
 
     def _cut(self, image: np.ndarray, file: Path) -> np.ndarray:
         rig = self.views.rig

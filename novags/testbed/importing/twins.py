@@ -48,11 +48,19 @@ def pictures_in(folder: Path) -> dict[str, Path]:
     if (folder / "transforms.json").is_file() or find_colmap(folder):
         views = load_linear_set(folder) or load_set(folder)
         return dict(zip(views.names, views.files, strict=True))
+    files = plain_pictures(folder)
+    return dict(sorted(zip(view_names(files), files, strict=True), key=lambda pair: file_of(pair[0])))
+
+
+def plain_pictures(folder: Path) -> list[Path]:
+    """The pictures in images/ of a folder, else those in it, in the order of their names, whatever cameras list.
+
+    Raises:
+        ValueError: If there are none.
+    """
     for place in (folder / "images", folder):
-        files = sorted(file for file in place.glob("*") if file.suffix.lower() in PICTURES and file.is_file())
-        if files:
-            named = zip(view_names(files), files, strict=True)
-            return dict(sorted(named, key=lambda pair: file_of(pair[0])))
+        if files := sorted(file for file in place.glob("*") if file.suffix.lower() in PICTURES and file.is_file()):
+            return files
     raise ValueError(f"{folder} holds no pictures ({', '.join(PICTURES)})")
 
 
@@ -91,6 +99,29 @@ def twins_of(dark: MultiviewSet, folder: Path, option: str, console: Console) ->
     first = f"{dark.names[0]} with {next(iter(found.values())).name}"
     console.warn(f"the pictures of {folder} have other names than the dark ones: paired by order, {first} and so on")
     return Twins(folder, tuple(found.values()), "order")
+
+
+def twins_by_order(dark: MultiviewSet, folder: Path) -> Twins:
+    """The picture in `folder` of each dark view where a data set pairs them by the order of their names alone.
+
+    All dark pictures count, those that have no camera too: without them the order would shift.
+
+    Args:
+        dark: The dark set.
+        folder: Of the twins.
+
+    Raises:
+        ValueError: If there are not as many as dark pictures.
+    """
+    places = {file: i for i, file in enumerate(plain_pictures(dark.files[0].parent))}
+    found = plain_pictures(folder)
+    if len(found) != len(places):
+        first, last = next(iter(places)).name, list(places)[-1].name
+        raise ValueError(
+            f"{folder} has {len(found)} pictures ({found[0].name} to {found[-1].name}), {dark.files[0].parent} "
+            f"{len(places)} ({first} to {last}): this data set pairs them by order alone, so there must be as many"
+        )
+    return Twins(folder, tuple(found[places[file]] for file in dark.files), "order")
 
 
 def _some(names: list[str]) -> str:

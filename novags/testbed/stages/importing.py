@@ -14,9 +14,11 @@ from novags.testbed.folders.imported import write_clean
 from novags.testbed.importing.clean import Match, match_clean
 from novags.testbed.importing.dark import Dark, open_dark
 from novags.testbed.importing.darkroom import Darkroom
+from novags.testbed.importing.published.datasets import DATASETS, Dataset, dataset_of
 from novags.testbed.importing.raw_camera import raw_camera
+from novags.testbed.importing.split import Split
 from novags.testbed.importing.stored import Codes16, Curve
-from novags.testbed.importing.twins import Twins, twins_of
+from novags.testbed.importing.twins import Twins, twins_by_order, twins_of
 from novags.testbed.stages.capture import FULL_SIZE, camera_named, files_of
 from novags.testbed.stages.paths import keep_apart
 from sensor_model import PRESETS, Exposure, Sensor, write_dng
@@ -39,6 +41,8 @@ class ImportConfig:
     curve: Curve = "linear"  # of their codes in between
     demosaic: Demosaic = "menon"  # for raw files with a colour filter array
     max_size: int | None = None  # px; scale larger pictures down to this longest side
+    split: Split = "own"  # which views are held out
+    dataset: str = "auto"  # the published data set that the folder is a scene of; auto: what it looks like; or none
     camera: Sensor | None = field(init=False)  # what `sensor` stands for
 
     def __post_init__(self) -> None:
@@ -49,6 +53,10 @@ class ImportConfig:
             raise ValueError(f"demosaic must be one of {', '.join(FULL_SIZE)}, got {self.demosaic!r}")
         if self.curve not in get_args(Curve):
             raise ValueError(f"curve must be one of {', '.join(get_args(Curve))}, got {self.curve!r}")
+        if self.split not in get_args(Split):
+            raise ValueError(f"split must be one of {', '.join(get_args(Split))}, got {self.split!r}")
+        if self.dataset not in ("auto", "none", *DATASETS):
+            raise ValueError(f"dataset must be auto, none or one of {', '.join(DATASETS)}, got {self.dataset!r}")
         self.codes  # noqa: B018 - it checks the levels
 
     @property
@@ -66,6 +74,7 @@ class ImportConfig:
         return {
             "sensor": self.sensor_name, "camera": self.camera, "time": self.time, "black": self.black,
             "white": self.white, "curve": self.curve, "demosaic": self.demosaic, "max_size": self.max_size,
+            "split": self.split,
         }  # fmt: skip
 
 
@@ -76,6 +85,12 @@ class Material:
     dark: Dark
     lit: Twins | None
     clean: Twins | None
+    dataset: Dataset | None
+
+    def inputs(self) -> dict[str, str]:
+        """Hashes of all that is read, and what it was taken for."""
+        digests = {name: twins.digest() if twins else "" for name, twins in (("lit", self.lit), ("clean", self.clean))}
+        return {"dark": self.dark.digest(), **digests, "dataset": self.dataset.name if self.dataset else ""}
 
 
 @dataclass(frozen=True)
@@ -84,6 +99,7 @@ class Prepared:
 
     darkroom: Darkroom
     match: Match | None
+    resampled: int  # well-lit pictures that are brought to the size of the dark ones
 
 
 def import_photographs(
@@ -99,18 +115,12 @@ def import_photographs(
     for given in (folder, config.lit, config.clean):
         if given is not None:
             keep_apart(out, given)
-    dark = open_dark(folder, config.max_size, console)
-    lit, clean = (
-        None if path is None else twins_of(dark.source.views, path, option, console)
-        for path, option in ((config.lit, "--lit"), (config.clean, "--clean"))
-    )
-    material = Material(dark, lit, clean)
-    inputs = {"dark": dark.digest(), "lit": lit.digest() if lit else "", "clean": clean.digest() if clean else ""}
+    material = material_of(folder, config, console)
     return run_stage(
         "import",
         out,
         capture_folder.RECORD,
-        inputs=inputs,
+        inputs=material.inputs(),
         config=config.resolved(),
         owns=capture_folder.OWNS,
         prepare=lambda: prepare(material, config, console),
@@ -118,6 +128,36 @@ def import_photographs(
         console=console,
         overwrite=overwrite,
     )
+
+
+def material_of(folder: Path, config: ImportConfig, console: Console) -> Material:
+    """Find everything that an import reads; only the headers of pictures are read.
+
+    Raises:
+        ValueError: As `import_photographs`.
+    """
+    if not folder.is_dir():
+        raise ValueError(f"no such folder: {folder}")
+    dataset = _dataset(folder, config.dataset)
+    if dataset is not None:
+        console.note(f"import: {folder} is taken for a scene of {dataset.name} (--dataset)")
+    dark = open_dark(folder, dataset, config.split, config.max_size, console)
+    views = dark.source.views
+    lit, clean = (
+        None if path is None else twins_of(views, path, option, console)
+        for path, option in ((config.lit, "--lit"), (config.clean, "--clean"))
+    )
+    if lit is None and dataset is not None and (place := dataset.lit(folder)) is not None:
+        lit = twins_by_order(views, place) if dataset.by_order else twins_of(views, place, "its", console)
+    return Material(dark, lit, clean, dataset)
+
+
+def _dataset(folder: Path, named: str) -> Dataset | None:
+    if named in ("auto", "none"):
+        return dataset_of(folder) if named == "auto" else None
+    if not DATASETS[named].fits(folder):
+        raise ValueError(f"{folder} must hold what a scene of {named} does: {DATASETS[named].layout}")
+    return DATASETS[named]
 
 
 def prepare(material: Material, config: ImportConfig, console: Console) -> Prepared:
@@ -133,17 +173,21 @@ def prepare(material: Material, config: ImportConfig, console: Console) -> Prepa
     given = [twins for twins in (material.lit, material.clean) if twins is not None]
     files += [(file, twins is material.lit) for twins in given for file in twins.files]
     total = len(files) + (len(dark.files) if material.clean else 0)
-    match = None
+    match, resampled = None, 0
     with console.progress("import: files") as progress:
         for done, (file, lit) in enumerate(files):
-            depth = darkroom.check(file, lit=lit)
+            depth, off = darkroom.check(file, lit=lit)
+            resampled += off
             if done < len(dark.files) and depth != dark.depth:
                 raise ValueError(f"{file} is {depth}, {dark.files[0].name} {dark.depth}: import files of one kind")
             progress(done + 1, total, file.name)
         if material.clean is not None:
             match = match_clean(dark, material.clean.files, darkroom, progress, len(files), total)
+    if resampled:
+        console.warn(f"{resampled} of {len(dark.files)} lit pictures are a pixel larger or smaller than the dark ones: "
+                     "resampled to their size")  # fmt: skip
     _say(dark, darkroom, config, match, console)
-    return Prepared(darkroom, match)
+    return Prepared(darkroom, match, resampled)
 
 
 def _say(dark: Dark, darkroom: Darkroom, config: ImportConfig, match: Match | None, console: Console) -> None:
@@ -240,7 +284,9 @@ def record_of(material: Material, prepared: Prepared, config: ImportConfig) -> d
         "demosaic": config.demosaic,
         "color_matrix": None if camera is None else camera.format.color_matrix,
         "resampled": darkroom.resampled,
-        "lit": None if material.lit is None else material.lit.record(),
+        "lit": None if material.lit is None else material.lit.record() | {"resampled": prepared.resampled},
+        "dataset": None if material.dataset is None else material.dataset.name,
+        "split": config.split,
         "clean": None if material.clean is None or match is None else material.clean.record() | asdict(match),
         "views": len(dark.source.views),
         "width": darkroom.rig.width,

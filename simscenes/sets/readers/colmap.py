@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from simscenes.rigs import Rig
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.readers.colmap_check import check_model
-from simscenes.sets.readers.photographs import DistortedPinhole, Photographs, check_pose, collect, find_file, rescaled
+from simscenes.sets.readers.photographs import DistortedPinhole, Photographs, check_pose, collect, rescaled
+from simscenes.sets.readers.resized import named_pictures, picture_folder
 
 
 def find_colmap(folder: Path) -> Path | None:
@@ -23,13 +24,15 @@ def find_colmap(folder: Path) -> Path | None:
 
 
 def read_colmap(folder: Path, model: Path) -> Photographs:
-    """Read a COLMAP model and the photographs in `folder/images`.
+    """Read a COLMAP model and the photographs in `folder/images`, or `images_N` where that is missing.
 
     Raises:
         ValueError: If the model cannot be read, a lens is not a pinhole with OpenCV distortion, no image exists, or
             sizes differ.
     """
-    entries = [(find_file(folder / "images", name), viewmat, camera) for name, viewmat, camera in colmap_views(model)]
+    views = colmap_views(model)
+    files = named_pictures(picture_folder(folder), [name for name, _, _ in views])
+    entries = [(file, viewmat, camera) for file, (_, viewmat, camera) in zip(files, views, strict=True)]
     return collect(entries, model, lambda c, w, h: colmap_lens(c, w, h, model))
 
 
@@ -51,14 +54,14 @@ def colmap_views(model: Path) -> list[tuple[str, NDArray[np.float64], Any]]:
     return found
 
 
-def read_points(folder: Path, model: Path, files: Sequence[Path], rig: Rig) -> SparsePoints | None:
+def read_points(pictures: Path, model: Path, files: Sequence[Path], rig: Rig) -> SparsePoints | None:
     """The points of a COLMAP model and their tracks through some of its images; None if it has no points.
 
     Observations move with the pixels they were made in: through the model's own lens to the ray, and to the pixel that
     the pinhole `rig` has there. Errors are those in the pixels of `rig`, where the model states any.
 
     Args:
-        folder: With `images/`.
+        pictures: Where the images of the model lie.
         model: The model.
         files: Images of the views; others of the model are left out, and so are views that it does not have.
         rig: One camera for each of `files`, in the frame of the model.
@@ -75,8 +78,9 @@ def read_points(folder: Path, model: Path, files: Sequence[Path], rig: Rig) -> S
     found = replace(found, error=np.array([p.error for p in points], np.float64))
     views = {file.resolve(): i for i, file in enumerate(files)}
     seen = [(np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros((0, 2)))]
-    for number, image in reconstruction.images.items():
-        file = find_file(folder / "images", names[number])
+    posed = {number: image for number, image in reconstruction.images.items() if image.has_pose}
+    there = named_pictures(pictures, [names[number] for number in posed])
+    for image, file in zip(posed.values(), there, strict=True):
         if file is None or (i := views.get(file.resolve())) is None:
             continue
         observed = [p for p in image.points2D if p.has_point3D()]

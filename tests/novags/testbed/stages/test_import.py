@@ -247,7 +247,7 @@ def test_twins_are_paired_by_name_and_else_by_order(renamed: bool, line: Path, s
     capture = brought(strangers, tmp_path / "cap", Console(stream=stream), lit=twins)
     for i in (0, 5, 8):
         np.testing.assert_array_equal(np.round(255 * capture.source(QUIET).lit(i)), lit_picture(i))
-    assert capture.record["lit"] == {"folder": "twins", "paired": "order" if renamed else "names"}
+    assert capture.record["lit"] == {"folder": "twins", "paired": "order" if renamed else "names", "resampled": 0}
     said = "paired by order, 0000 with IMG_000.png" if renamed else "1 of 10 pictures of"
     assert said in stream.getvalue()
 

@@ -1,0 +1,1 @@
+"""Published low-light data sets: where their dark pictures, lit twins, cameras and splits lie. `datasets.DATASETS`."""

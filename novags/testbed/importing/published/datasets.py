@@ -1,0 +1,123 @@
+"""The published data sets, one row each, and which of them a folder is of. What is known of each: docs/real-data.md.
+
+A scene is a folder. LOM is known by what its scenes hold; the others hold what many folders hold, so that a folder
+above has to bear the name of the data set, in upper or lower case.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from novags.testbed.importing.published import lom, posed
+from novags.testbed.importing.split import Split
+from simscenes.sets.multiview import MultiviewSet
+
+DEPTH = 4  # folders below the one that is searched
+NEAR = 3  # folders above a scene whose names count: farther up a name says where somebody works, not on what
+SHOWN = 8  # scenes in a message
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dataset:
+    """A published data set.
+
+    Attributes:
+        name: As its authors write it.
+        home: Where it is to be had.
+        layout: A scene in a few words.
+        named: Whether a folder above a scene bears the name; else what the scene holds is enough.
+        fits: Whether a folder holds what a scene does.
+        open_scene: The dark pictures of a scene with their cameras.
+        lit: The folder of a scene's well-lit pictures; None if it has none.
+        by_order: Lit and dark pictures pair by the order of their names, not by their names.
+    """
+
+    name: str
+    home: str
+    layout: str
+    named: bool
+    fits: Callable[[Path], bool]
+    open_scene: Callable[[Path, Split], MultiviewSet]
+    lit: Callable[[Path], Path | None]
+    by_order: bool = False
+
+    def holds(self, folder: Path) -> bool:
+        """Whether a folder is a scene of this data set."""
+        return self.fits(folder) and (not self.named or _owner(folder) == self.name)
+
+
+_ROWS = (
+    Dataset(
+        name="LOM", home="https://github.com/cuiziteng/Aleth-NeRF",
+        layout="low/, high/, transforms_train.json, transforms_test.json, colmap_sparse/", named=False,
+        fits=lom.is_scene, open_scene=lom.open_scene, lit=lambda folder: folder / lom.LIT,
+    ),
+    Dataset(
+        name="LLNeRF", home="https://github.com/onpix/LLNeRF",
+        layout="images/, sparse/0 or poses_bounds.npy; lit pictures in normal-light-scenes/SCENE beside it", named=True,
+        fits=posed.has_cameras, open_scene=posed.open_scene, lit=posed.lit_beside, by_order=True,
+    ),
+    Dataset(
+        name="LLRS", home="https://github.com/sunhao242/LL-Gaussian",
+        layout="images/, sparse/0 or poses_bounds.npy, lit pictures in gt/images/", named=True,
+        fits=posed.has_cameras, open_scene=posed.open_scene, lit=posed.lit_inside,
+    ),
+    Dataset(
+        name="MVTV", home="https://github.com/XuJiacong/Thermal-NeRF",
+        layout="images/ (visible light, 16-bit PNG or TIFF, or raw), sparse/0 or transforms.json", named=True,
+        fits=posed.has_cameras, open_scene=posed.open_scene, lit=posed.lit_inside,
+    ),
+)  # fmt: skip
+DATASETS: dict[str, Dataset] = {row.name: row for row in _ROWS}
+
+
+def dataset_of(folder: Path) -> Dataset | None:
+    """The data set that a folder is a scene of; None if it is of none."""
+    if posed.LIT_BESIDE in folder.resolve().parts:  # lit pictures, with cameras of their own perhaps
+        return None
+    return next((dataset for dataset in _ROWS if dataset.holds(folder)), None)
+
+
+def scenes_below(root: Path) -> dict[str, dict[str, Path]]:
+    """The scenes of each data set that lie in a folder or at most `DEPTH` folders below, by name, in its order.
+
+    Raises:
+        ValueError: If there is no such folder, or two scenes of a data set have one name.
+    """
+    if not root.is_dir():
+        raise ValueError(f"no such folder: {root}")
+    found: dict[str, dict[str, Path]] = {}
+    for dataset, folder in _walk(root, DEPTH):
+        scenes, name = found.setdefault(dataset.name, {}), folder.resolve().name
+        if name in scenes:
+            raise ValueError(f"{scenes[name]} and {folder} are both the scene {name} of {dataset.name}: move one away")
+        scenes[name] = folder
+    return {name: dict(sorted(found[name].items())) for name in DATASETS if name in found}
+
+
+def _walk(folder: Path, depth: int) -> Iterator[tuple[Dataset, Path]]:
+    if (dataset := dataset_of(folder)) is not None:
+        yield dataset, folder
+    elif depth:
+        for below in sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")):
+            yield from _walk(below, depth - 1)
+
+
+def _owner(folder: Path) -> str | None:
+    """The data set whose name the nearest folder above bears."""
+    for above in list(folder.resolve().parents)[:NEAR]:
+        for dataset in _ROWS:
+            if dataset.named and dataset.name.lower() in above.name.lower():
+                return dataset.name
+    return None
+
+
+def expected() -> str:
+    """Where each data set is to be had, and what a scene of it holds; for messages."""
+    return "; ".join(f"{row.name}: {row.layout} ({row.home})" for row in _ROWS)
+
+
+def scene_names(scenes: dict[str, dict[str, Path]]) -> str:
+    """Some scenes, for messages."""
+    names = [f"{dataset}/{scene}" for dataset, found in scenes.items() for scene in found]
+    return f"{', '.join(names[:SHOWN])}{', ...' if len(names) > SHOWN else ''}"

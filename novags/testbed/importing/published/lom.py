@@ -1,0 +1,118 @@
+"""LOM, the data set of Aleth-NeRF: low/ and high/ of the same names, cameras and split in transforms_*.json.
+
+A scene, as the README of github.com/cuiziteng/Aleth-NeRF lists it: low/ (dark), high/ (lit), over_exp/, colmap_sparse/,
+transforms_train.json (frames in low/), transforms_val.json and transforms_test.json (frames in high/). The cameras of
+both files were found in the lit pictures. Poses of the JSON files are camera-to-world in OpenGL axes; the model in
+colmap_sparse/ has another frame, lenses with distortion and sparse points, and counts where it has every view, as in
+the loader of Luminance-GS.
+"""
+
+import warnings
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from novags.testbed.importing.split import Split
+from simscenes.rigs import opengl_to_opencv
+from simscenes.sets.multiview import MultiviewSet
+from simscenes.sets.readers.colmap import colmap_lens, colmap_views
+from simscenes.sets.readers.nerf_synthetic import PARTS
+from simscenes.sets.readers.photographs import Frame, Photographs, collect, transforms_frames, transforms_lens
+from simscenes.sets.readers.resized import sorted_pictures
+
+DARK, LIT, MODEL = "low", "high", "colmap_sparse"
+SAME_POSE = 1e-6  # entries of a pose that two files list; they are copies, in decimal digits
+SHOWN = 4  # names in a message
+
+
+@dataclass(frozen=True, kw_only=True)
+class LomScene(MultiviewSet):
+    """The dark pictures of a scene; `colmap` is the model that its cameras are from."""
+
+    colmap: Path | None = None
+
+    def model(self) -> tuple[Path, Path] | None:
+        """As `MultiviewSet.model`."""
+        return None if self.colmap is None else (self.path / DARK, self.colmap)
+
+
+@dataclass
+class _View:
+    """What the JSON files list of one picture."""
+
+    frame: Frame
+    source: Path
+    parts: set[str] = field(default_factory=set)
+
+
+def is_scene(folder: Path) -> bool:
+    """Whether a folder is a scene of LOM."""
+    return (folder / PARTS[0]).is_file() and (folder / DARK).is_dir() and (folder / LIT).is_dir()
+
+
+def open_scene(folder: Path, split: Split) -> MultiviewSet:
+    """The dark pictures of a scene with their cameras.
+
+    Of the published split, views that are for validation alone are left out, as in the loaders of both programs; a
+    scene without a test file is tested on them.
+
+    Raises:
+        ValueError: If a file is damaged, two files list different poses of a picture, no listed picture exists, or
+            nothing is left to train on.
+    """
+    views, dark = _listed(folder), {file.stem: file for file in sorted_pictures(folder / DARK)}
+    tested_part = next((part for part in PARTS[1:] if any(part in view.parts for view in views.values())), "")
+    tested = {stem for stem, view in views.items() if tested_part in view.parts}
+    if twice := sorted(stem for stem in tested if split == "own" and PARTS[0] in views[stem].parts):
+        warnings.warn(f"{folder} lists {len(twice)} pictures for training and for testing ({_some(twice)}): they are "
+                      "held out", stacklevel=2)  # fmt: skip
+    if split == "own":
+        views = {stem: view for stem, view in views.items() if stem in tested or PARTS[0] in view.parts}
+    found, model = _photographs(folder, views, dark)
+    if split == "own":
+        found = found.holding_out({dark[stem] for stem in tested if stem in dark}, folder)
+    lenses = found.lenses if any(any(lens.distortion) for lens in found.lenses) else None
+    return LomScene(
+        path=folder, names=found.names, rig=found.rig, kind="photographs", meta={}, files=found.files, lenses=lenses,
+        held_out=found.held_out, colmap=model,
+    )  # fmt: skip
+
+
+def _listed(folder: Path) -> dict[str, _View]:
+    """Every picture that the JSON files list, by its stem."""
+    views: dict[str, _View] = {}
+    for part in PARTS:
+        if not (source := folder / part).is_file():
+            continue
+        for frame in transforms_frames(source):
+            stem = Path(frame.file_path).stem
+            view = views.setdefault(stem, _View(frame, source))
+            if np.abs(view.frame.pose - frame.pose).max() > SAME_POSE:
+                raise ValueError(f"{view.source} and {source} list different poses of {stem}: download the scene again")
+            view.parts.add(part)
+    return views
+
+
+def _photographs(folder: Path, views: dict[str, _View], dark: dict[str, Path]) -> tuple[Photographs, Path | None]:
+    """The listed views with the cameras of the model, if it has all of them, else with those of the JSON files."""
+    model = next((path for path in (folder / MODEL / "0", folder / MODEL) if _holds_model(path)), None)
+    if model is not None:
+        posed = {Path(name).stem: (viewmat, camera) for name, viewmat, camera in colmap_views(model)}
+        if not (lacking := sorted(views.keys() - posed.keys())):
+            entries: list[Any] = [(dark.get(stem), *posed[stem]) for stem in views]
+            return collect(entries, model, lambda c, w, h: colmap_lens(c, w, h, model)), model
+        warnings.warn(f"{model} lacks {len(lacking)} of {len(views)} listed views ({_some(lacking)}): cameras are "
+                      f"taken from {PARTS[0]}, and there are no first points", stacklevel=2)  # fmt: skip
+    entries = [(dark.get(stem), opengl_to_opencv(view.frame.pose), view.frame.camera) for stem, view in views.items()]
+    source = folder / PARTS[0]
+    return collect(entries, source, lambda c, w, h: transforms_lens(c, w, h, source)), None
+
+
+def _holds_model(path: Path) -> bool:
+    return any((path / f"cameras.{suffix}").is_file() for suffix in ("bin", "txt"))
+
+
+def _some(names: list[str]) -> str:
+    return f"{', '.join(names[:SHOWN])}{', ...' if len(names) > SHOWN else ''}"
