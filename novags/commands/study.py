@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 def study(
     file: Folder, *, out: Path, store: str | None = None, engine: Literal["local", "ray"] = "local",
     workers: int | None = None, cluster: Cluster = CLUSTER, dry_run: bool = False, nodes: tuple[int, ...] = (),
-    retry_failed: bool = False, overwrite: bool = False, wait: bool = False,
+    data: Path | None = None, retry_failed: bool = False, overwrite: bool = False, wait: bool = False,
 ) -> None:  # fmt: skip
     """Run a grid of scenes, cameras, light levels, methods and seeds from one file; see docs/studies.md.
 
@@ -34,6 +34,7 @@ def study(
         cluster: Of --engine ray.
         dry_run: Only show the runs, and what they will take: time, memory, disk. Nothing is written.
         nodes: With --dry-run: how long it would take on so many machines like this one; several numbers.
+        data: Folder below which the published data sets are whose scenes the file names (docs/real-data.md).
         retry_failed: Try again the runs that failed before.
         overwrite: Replace tables of another study.
         wait: If another process is writing to `out`, wait until it is done instead of refusing.
@@ -43,7 +44,11 @@ def study(
 
     url = store if store is not None and "://" in store else None
     folder = out / "fetched" if url else out.parent / "store" if store is None else Path(store)
-    plan = plan_of(read_study(file), folder, shared.console(), here=engine == "local")
+    console = shared.console()
+    grid = read_study(file, data)
+    for name in grid.absent:
+        console.warn(f"{name} is not below {data}: no runs of it")
+    plan = plan_of(grid, folder, console, here=engine == "local")
     if url and (found := next((task.source for task in plan.tasks.values() if task.source), None)):
         raise ValueError(f"store {url}: the set {found} lies outside it: captures refer to their set by its place, so "
                          "give --store a folder that all nodes see")  # fmt: skip

@@ -12,6 +12,7 @@ from novags.settings import has_setting
 from novags.testbed.foreign.command import CommandConfig
 from novags.testbed.levels import level_named
 from novags.testbed.stages.capture import CaptureConfig
+from novags.testbed.stages.importing import ImportConfig
 from novags.testbed.stages.poses import PosesConfig
 from novags.testbed.stages.reconstruct import ReconstructConfig
 from novags.testbed.stages.render import RenderConfig
@@ -30,6 +31,8 @@ class Preset:
     render: RenderConfig
     folder: Path | None = None  # a set folder to photograph instead of a render
     photos: PosesConfig | None = None  # or photographs, of which a set is made first
+    dark: Path | None = None  # or dark photographs, of a study: imported as they are, nothing is captured
+    imported: ImportConfig = field(default_factory=ImportConfig)  # how
     capture: CaptureConfig
     methods: tuple[str, ...]  # names of methods or variants
     variants: tuple[Variant, ...] = ()  # of this experiment alone
@@ -112,6 +115,7 @@ def adapted(
     scene: str | None = None,
     photos: Path | None = None,
     fps: float | None = None,
+    dark: Path | None = None,
     max_size: int | None = None,
     level: str | None = None,
     sensor: str | None = None,
@@ -136,7 +140,8 @@ def adapted(
 
     The caller's own variants are compared with the preset's methods, unless `methods` lists everything. A `scene` that
     is a folder is photographed as it is, and of `photos` (a folder or a video, with its `fps`) a set is made first;
-    photographs are scaled to the preset's size unless `max_size` says another. A `level` names camera, electrons and
+    photographs are scaled to the preset's size unless `max_size` says another. Photographs that are `dark` already are
+    imported as they are, in their own size unless `max_size` says another. A `level` names camera, electrons and
     pictures (`levels.LEVELS`), of which each can be given by itself as well.
 
     Raises:
@@ -153,6 +158,7 @@ def adapted(
     bare = _bare(photos, fps, seed, also=None if folder is None and scene is None else "--scene")
     if bare is not None:
         _refuse_of_render(f"what --photos names ({photos})", views=n_views, width=width, height=height, spp=spp)
+    imported = _changed(preset.imported, max_size=max_size)
     if max_size is None and (bare is not None or (folder is not None and not is_rendered(folder))):
         max_size = max(preset.render.width, preset.render.height)
     settings = {"fit.iterations": iterations, "denoiser.warmup_steps": denoiser_steps, "pictures": pictures}
@@ -175,6 +181,8 @@ def adapted(
         ),
         folder=folder,
         photos=bare,
+        dark=dark,
+        imported=imported,
         capture=_changed(preset.capture, sensor=sensor, electrons=electrons, max_size=max_size, seed=seed),
         methods=methods,
         variants=variants,

@@ -91,7 +91,7 @@ def read_dataset(path: Path) -> tuple[Study, DatasetConfig]:
         raise ValueError(f"{path}: {error}") from error
     study = study_of(path, table, "capture")
     for cell in study.cells:
-        if cell.preset.folder is not None or cell.preset.photos is not None:
+        if cell.preset.folder or cell.preset.photos or cell.preset.dark:
             raise ValueError(f"{path}: {cell.label}: a data set is of rendered scenes, and this one was photographed: "
                              "leave it out")  # fmt: skip
     return study, config

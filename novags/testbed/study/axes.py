@@ -11,14 +11,16 @@ from novags.cameras import parse_cameras
 from novags.methods import METHODS
 from novags.methods.variant import Variant
 from novags.settings import changed, converted, flattened, has_setting
+from novags.testbed.importing.published.named import DATA
 from novags.testbed.levels import level_named
 from novags.testbed.presets import Preset, adapted
 from sensor_model import PRESETS as SENSORS
 
 RENAMED = {"views": "n_views"}  # as the command line calls them -> as `adapted` does
-NOT_AXES = ("preset", "return", "methods", "variants", "n_views")
-STAGES = ("render", "capture")  # their settings by dotted name: render.max_depth, capture.jpeg_quality
+NOT_AXES = ("preset", "return", "methods", "variants", "n_views", "dark")
+STAGES = {"render": "render", "capture": "capture", "import": "imported"}  # render.max_depth -> of `Changes`, `Preset`
 OF_RENDER = ("views", "width", "height", "spp")  # of no use to a set that is there already
+OF_CAPTURE = ("sensor", "electrons")  # of no use to photographs that are dark already
 
 
 @dataclass(frozen=True)
@@ -29,12 +31,14 @@ class Changes:
         adapted: Keywords of `presets.adapted`.
         render: Settings of the render by dotted name.
         capture: Settings of the capture by dotted name.
+        imported: Settings of the import of dark photographs by dotted name.
         settings: Settings of methods by dotted name.
     """
 
     adapted: dict[str, Any] = field(default_factory=dict)
     render: dict[str, Any] = field(default_factory=dict)
     capture: dict[str, Any] = field(default_factory=dict)
+    imported: dict[str, Any] = field(default_factory=dict)
     settings: dict[str, Any] = field(default_factory=dict)
 
     def and_(self, other: "Changes") -> "Changes":
@@ -51,6 +55,15 @@ class Changes:
         kept = {name: value for name, value in self.adapted.items() if name not in map(_keyword, OF_RENDER)}
         return replace(self, adapted=kept, render={})
 
+    def of_capture(self) -> list[str]:
+        """Which of them only a simulated exposure can obey."""
+        return [key for key in OF_CAPTURE if key in self.adapted] + [f"capture.{key}" for key in self.capture]
+
+    def without_capture(self) -> "Changes":
+        """What is left of them for photographs that are dark already."""
+        kept = {name: value for name, value in self.adapted.items() if name not in OF_CAPTURE}
+        return replace(self, adapted=kept, capture={})
+
 
 @cache
 def _hints() -> dict[str, Any]:
@@ -64,13 +77,14 @@ def known_keys() -> tuple[str, ...]:
     return ("rig", "method", *RENAMED, *names)
 
 
-def changes_of(key: str, value: Any, folder: Path) -> Changes:
+def changes_of(key: str, value: Any, folder: Path, data: Mapping[str, Path] | None = None) -> Changes:
     """What one key with one value changes.
 
     Args:
         key: Of [grid] (but "rig", which stands for several keys), [override] or [rig.NAME].
         value: As TOML holds it.
         folder: Where relative paths start: that of the study file.
+        data: The scenes of data sets that are there: "LOM/buu" and its folder.
 
     Raises:
         ValueError: If there is no such key, or the value has the wrong type.
@@ -79,7 +93,11 @@ def changes_of(key: str, value: Any, folder: Path) -> Changes:
     if key == "capture.seed":
         raise ValueError("the seed of the noise is that of the run: write seed")
     if dot and stage in STAGES:
-        return Changes(**{stage: {name: value}})
+        return Changes(**{STAGES[stage]: {name: value}})
+    if key == "scene" and (name := _text(value)).startswith(DATA):
+        if (path := (data or {}).get(name.removeprefix(DATA))) is None:
+            raise ValueError(f"there is no {name}: say with --data where the data sets are")
+        return Changes(adapted={"dark": path})
     if key in known_keys():
         return Changes(adapted=_keywords(key, value, folder))
     if any(has_setting(method.config(), key) for method in METHODS.values()):
@@ -87,7 +105,7 @@ def changes_of(key: str, value: Any, folder: Path) -> Changes:
     known = (*known_keys(), *(name for method in METHODS.values() for name in flattened(method.config())))
     near = get_close_matches(key, known, 1)
     hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known_keys())}, settings of methods, "
-    hint += "" if near else "and those of stages as render.NAME and capture.NAME"
+    hint += "" if near else "and those of stages as render.NAME, capture.NAME and import.NAME"
     raise ValueError(f"there is no such key; {hint}")
 
 
@@ -141,9 +159,11 @@ def applied(base: Preset, changes: Changes, variants: tuple[Variant, ...] = ()) 
     preset = adapted(base, **keywords, variants=variants or None)
     capture = changed(preset.capture, _with_seed(changes.capture, seed), what="capture")
     render = changed(preset.render, changes.render, what="render")
-    if preset.folder is None:
+    imported = changed(preset.imported, changes.imported, what="import")
+    if preset.folder is None and preset.dark is None:
         _ = render.source  # refuses a scene that there is not
-    return replace(preset, render=render, capture=capture, settings={**preset.settings, **changes.settings})
+    settings = {**preset.settings, **changes.settings}
+    return replace(preset, render=render, capture=capture, imported=imported, settings=settings)
 
 
 def _with_seed(settings: Mapping[str, Any], seed: int | None) -> dict[str, Any]:

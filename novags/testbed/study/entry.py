@@ -22,9 +22,9 @@ class Task:
         kind: "set", "capture" or "run", which is scored too.
         key: Of the entry.
         name: Of its folder.
-        config: Of its stage: `RenderConfig`, `CaptureConfig`, `ReconstructConfig`, `CommandConfig`.
+        config: Of its stage: `RenderConfig`, `CaptureConfig`, `ImportConfig`, `ReconstructConfig`, `CommandConfig`.
         needs: Keys of the tasks it is made from.
-        source: Where the set is that a capture photographs, if no task makes it.
+        source: Where the set is that a capture photographs, or the photographs that it imports, if no task makes it.
         group: What its cost is compared with: the scene, the camera, the method.
         work: What its cost grows with, in `costs.UNITS`.
         pixels: Of all its views.

@@ -22,8 +22,9 @@ from typing import Any, Literal
 from novags.methods import with_variants
 from novags.methods.variant import Variant, dotted, read_variants
 from novags.testbed.foreign.command import read_commands
+from novags.testbed.importing.published.named import DataFolder
 from novags.testbed.presets import EXPERIMENTS, Preset
-from novags.testbed.study.axes import Changes, applied, changes_of
+from novags.testbed.study.axes import STAGES, Changes, applied, changes_of
 from sensor_model.files.reading import brief
 from sensor_model.files.toml_file import read_toml
 
@@ -56,6 +57,7 @@ class Study:
         excluded: How many are.
         table: The content of the file.
         ends: What each combination is: a "run" or, of a data set, a "capture".
+        absent: The published data sets that it names and that are not there.
     """
 
     path: Path
@@ -64,6 +66,7 @@ class Study:
     excluded: int
     table: dict[str, Any]
     ends: Literal["run", "capture"] = "run"
+    absent: tuple[str, ...] = ()
 
 
 def spelled(values: Mapping[str, Value]) -> str:
@@ -72,17 +75,23 @@ def spelled(values: Mapping[str, Value]) -> str:
                      for name, value in values.items())  # fmt: skip
 
 
-def read_study(path: Path) -> Study:
+def read_study(path: Path, data: Path | None = None) -> Study:
     """Read and check a study file.
+
+    Args:
+        path: The file.
+        data: Where the published data sets are whose scenes it names.
 
     Raises:
         ValueError: If the file cannot be read, a name is unknown, a value is refused, values do not go together, or
             nothing is left to run; one line that names the file and the key.
     """
-    return study_of(path, read_toml(path))
+    return study_of(path, read_toml(path), data=DataFolder.of(data))
 
 
-def study_of(path: Path, table: dict[str, Any], ends: Literal["run", "capture"] = "run") -> Study:
+def study_of(
+    path: Path, table: dict[str, Any], ends: Literal["run", "capture"] = "run", data: DataFolder | None = None
+) -> Study:
     """The study of a table; arguments as attributes of `Study`, errors as `read_study`."""
     with _at(path, ""):
         _known(table, TABLES, "table or key")
@@ -97,13 +106,16 @@ def study_of(path: Path, table: dict[str, Any], ends: Literal["run", "capture"] 
         base = replace(base, commands=read_commands(table.get("method", {}), path.parent))
         if both := {command.name for command in base.commands} & {variant.name for variant in variants}:
             raise ValueError(f"[method.{min(both)}]: a variant is called {min(both)} too: rename one of them")
-    reader = _Reader(path, base, variants, table.get("rig", {}), ends)
+    data = data or DataFolder()
+    reader = _Reader(path, base, variants, table.get("rig", {}), ends, data)
     shared = reader.table(table.get("override", {}), "[override]")
+    with _at(path, "[grid] scene"):
+        absent = data.absent(_listed(table.get("grid", {}).get("scene", [])))
     axes = reader.axes(table.get("grid", {}), base, shared)
     combinations = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
-    kept = _without_excluded(path, table.get("exclude", []), axes, combinations)
+    kept = _without_excluded(path, table.get("exclude", []), axes, combinations, data)
     cells = tuple(Cell(values, reader.preset(values, shared)) for values in kept)
-    return Study(path, axes, cells, len(combinations) - len(cells), table, ends)
+    return Study(path, axes, cells, len(combinations) - len(cells), table, ends, tuple(absent))
 
 
 def _preset(name: Any) -> Preset:
@@ -139,6 +151,7 @@ class _Reader:
     variants: tuple[Variant, ...]
     rigs: dict[str, Any]
     ends: Literal["run", "capture"]
+    data: DataFolder
 
     def table(self, table: Any, place: str) -> Changes:
         """All keys of [override] or [rig.NAME], each checked by itself."""
@@ -159,7 +172,7 @@ class _Reader:
             raise ValueError(f"{self.path}: [grid]: {count} combinations, more than {MOST}: split the study")
         for key, listed in dotted(grid).items():
             with _at(self.path, f"[grid] {key}"):
-                values = _variations(listed if isinstance(listed, list) else [listed])
+                values = _expanded(_listed(listed), self.data)
                 if not values:
                     raise ValueError("it has no values: give one, or leave the axis out")
                 for value in values:
@@ -190,7 +203,7 @@ class _Reader:
         return self.table(self.rigs[name], f"[rig.{name}]")
 
     def _checked(self, key: str, value: Value) -> Changes:
-        found = changes_of(key, value, self.path.parent)
+        found = self._changes(key, value)
         applied(self.base, found, self.variants)
         return found
 
@@ -211,22 +224,39 @@ class _Reader:
             if key == "rig":
                 yield "[grid] rig", set().union(*(_names(self._rig(name)) for name in values))
             else:
-                yield f"[grid] {key}", _names(changes_of(key, values[0], self.path.parent))
+                yield f"[grid] {key}", _names(self._changes(key, values[0]))
+
+    def _changes(self, key: str, value: Value) -> Changes:
+        return changes_of(key, value, self.path.parent, self.data.scenes)
 
     def preset(self, values: Mapping[str, Value], shared: Changes) -> Preset:
         """The preset of one combination."""
         own = Changes()
         for key, value in values.items():
-            own = own.and_(self._rig(value) if key == "rig" else changes_of(key, value, self.path.parent))
+            own = own.and_(self._rig(value) if key == "rig" else self._changes(key, value))
         given = {**shared.adapted, **own.adapted}
-        scene = given.get("photos") or given.get("scene")
-        if scene is not None and ("photos" in given or Path(scene).is_dir()):
+        scene = given.get("photos") or given.get("dark") or given.get("scene")
+        if scene is not None and (given.keys() & {"photos", "dark"} or Path(scene).is_dir()):
             shared = shared.without_render()  # it is for the scenes that are rendered
             if named := own.of_render():
                 raise ValueError(f"{self.path}: [grid]: {', '.join(named)} belong to a render, and {scene} is "
                                  "photographed as it is: put it into a study of its own")  # fmt: skip
+        if "dark" in given:
+            shared = shared.without_capture()  # it is for the scenes that are photographed here
+            if named := own.of_capture():
+                raise ValueError(f"{self.path}: [grid]: {', '.join(named)} belong to a simulated exposure, and {scene} "
+                                 "is dark as it is: put it into a study of its own")  # fmt: skip
         with _at(self.path, spelled(values)):
             return applied(self.base, shared.and_(own), self.variants)
+
+
+def _listed(value: Any) -> list[Any]:
+    return value if isinstance(value, list) else [value]
+
+
+def _expanded(values: list[Value], data: DataFolder) -> list[Value]:
+    """Values of an axis, with everything that some stand for."""
+    return _variations([found for value in values for found in data.matching(value)])
 
 
 def _variations(values: list[Value]) -> list[Value]:
@@ -247,12 +277,17 @@ def _variations(values: list[Value]) -> list[Value]:
 
 def _names(changes: Changes) -> set[str]:
     """What they set, by one name each."""
-    return {f"{place}.{name}" if place in ("render", "capture") else name
+    stages = {place: stage for stage, place in STAGES.items()}
+    return {f"{stages[place]}.{name}" if place in stages else name
             for place, settings in vars(changes).items() for name in settings}  # fmt: skip
 
 
 def _without_excluded(
-    path: Path, rules: Any, axes: Mapping[str, tuple[Value, ...]], combinations: list[dict[str, Value]]
+    path: Path,
+    rules: Any,
+    axes: Mapping[str, tuple[Value, ...]],
+    combinations: list[dict[str, Value]],
+    data: DataFolder,
 ) -> list[dict[str, Value]]:
     with _at(path, "[[exclude]]"):
         if not isinstance(rules, list) or not all(isinstance(rule, dict) and rule for rule in rules):
@@ -260,7 +295,7 @@ def _without_excluded(
     kept = combinations
     for number, rule in enumerate(rules, 1):
         with _at(path, f"[[exclude]] {number}"):
-            wanted = {key: value if isinstance(value, list) else [value] for key, value in dotted(rule).items()}
+            wanted = {key: _expanded(_listed(value), data) for key, value in dotted(rule).items()}
             _known(wanted, tuple(axes), "axis")
             for key, listed in wanted.items():
                 if missing := [value for value in listed if value not in axes[key]]:

@@ -9,12 +9,13 @@ from typing import Any
 
 from novags.cameras import KnownConfig, check_cameras
 from novags.settings import flattened
-from novags.testbed.cache import folder_digest
+from novags.testbed.cache import digest, folder_digest
 from novags.testbed.console import Console
 from novags.testbed.folders.set import open_source
 from novags.testbed.foreign.command import CommandConfig
 from novags.testbed.machine.devices import chosen_device
 from novags.testbed.presets import Preset
+from novags.testbed.stages.importing import ImportConfig, material_of
 from novags.testbed.stages.poses import PosesConfig, photographs_of
 from novags.testbed.stages.render import RenderConfig, scene_digest
 from novags.testbed.study.entry import Task
@@ -87,7 +88,8 @@ def check(preset: Preset, console: Console, here: bool = True) -> None:
                          "pictures: leave the others out with [[exclude]]")  # fmt: skip
     if here:
         chosen_device(preset.device, console)
-    if preset.folder is None and preset.photos is None and min(preset.render.width, preset.render.height) < SMALLEST:
+    rendered = preset.folder is None and preset.photos is None and preset.dark is None
+    if rendered and min(preset.render.width, preset.render.height) < SMALLEST:
         size = f"{preset.render.width} x {preset.render.height}"
         raise ValueError(
             f"width and height must be >= {SMALLEST} px for runs, whose raw files LibRaw reads; got {size}"
@@ -140,6 +142,8 @@ class Planner:
 
     def capture(self, preset: Preset) -> str:
         """The key of a capture, which is planned with the set that it photographs."""
+        if preset.dark is not None:
+            return self._imported(preset.dark, preset.imported)
         config = preset.capture
         if preset.folder is None:
             made_of, source = self._posed(preset.photos) if preset.photos else self._set(preset.render), None
@@ -155,6 +159,25 @@ class Planner:
         return self._task(Task(
             kind="capture", key=key, name=named("-".join(parts), key), config=config, source=source,
             needs=() if source is not None else (made_of,), group=config.sensor_name, work=pixels, pixels=pixels,
+        ))  # fmt: skip
+
+    def _imported(self, folder: Path, config: ImportConfig) -> str:
+        """The key of a capture of photographs that are dark already; it holds all that it is made of."""
+        place = (folder, digest(config.resolved()))
+        if place not in self.contents:
+            material = material_of(folder, config, self.console)
+            source = material.dark.source
+            count = len(source.views)
+            inputs, scene = material.inputs(), folder.resolve().name
+            name = f"{inputs['dataset']}-{scene}" if inputs["dataset"] else scene
+            self.contents[place] = (inputs, name, count, float(count * source.rig.width * source.rig.height))
+        inputs, name, views, pixels = self.contents[place]
+        key = key_of("capture", {"config": config.resolved(), "inputs": inputs, "scene": folder.resolve().name},
+                     code="import")  # fmt: skip
+        self.contents[key] = views
+        return self._task(Task(
+            kind="capture", key=key, name=named(name, key), config=config, source=folder.resolve(), group="import",
+            work=pixels, pixels=pixels,
         ))  # fmt: skip
 
     def _folder(self, path: Path, max_size: int | None) -> tuple[dict[str, Any], int, float]:

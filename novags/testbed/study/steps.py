@@ -10,6 +10,7 @@ from novags.testbed.folders import capture as captures
 from novags.testbed.folders import run as runs
 from novags.testbed.foreign.command import CommandConfig, run_command
 from novags.testbed.metrics import PerceptualDistance
+from novags.testbed.stages.importing import ImportConfig
 from novags.testbed.stages.poses import PosesConfig
 from novags.testbed.stages.render import RECORD as SET
 from novags.testbed.stages.render import RenderConfig
@@ -36,6 +37,9 @@ def steps(task: Task, folder: Path, source: Path | None, console: Console) -> St
         name = "poses" if isinstance(config, PosesConfig) else "render"
         return {name: Step(lambda: make_set(folder, config, console, overwrite=again), SET)}
     assert source is not None
+    if isinstance(config, ImportConfig):
+        imported = lambda: stages.import_photographs(source, folder, config, console, overwrite=again)  # noqa: E731
+        return {"import": Step(imported, captures.RECORD)}
     if task.kind == "capture":
         return {
             "capture": Step(lambda: stages.capture(source, folder, config, console, overwrite=again), captures.RECORD)

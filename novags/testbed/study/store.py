@@ -32,6 +32,7 @@ CODE = {
     "set": ("simscenes", "sensor_model", "novags/testbed/stages/render.py"),
     "poses": (*_SETS, "novags/cameras", "novags/testbed/stages/poses.py", "novags/testbed/folders"),
     "capture": (*_SETS, "novags/testbed/stages/capture.py", "novags/testbed/folders"),
+    "import": (*_SETS, "novags/testbed/stages/importing.py", "novags/testbed/importing", "novags/testbed/folders"),
     "run": (*_SETS, "novags/splats", "novags/cameras", "novags/methods", "novags/testbed/stages",
             "novags/testbed/folders", "novags/testbed/metrics", "novags/testbed/references.py"),
 }  # fmt: skip

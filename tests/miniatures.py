@@ -1,0 +1,121 @@
+"""Scenes of a few tiny pictures in the layouts of published data sets, of cameras and pictures that are known."""
+
+import json
+import shutil
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from simscenes import orbit_rig
+from simscenes.rigs import Rig, invert_rigid, opencv_to_opengl
+from simscenes.sets.geometry.tracks import SparsePoints
+from simscenes.sets.pictures.png import write_png
+from simscenes.sets.writers.camera_files import write_cameras
+
+VIEWS, WIDTH, HEIGHT, FOV = 9, 32, 24, 50.0
+RIG = orbit_rig(VIEWS, WIDTH, HEIGHT, FOV, radius=3.0)
+TRAIN, VAL, TEST = (0, 1, 3, 4, 6, 8), (7,), (2, 5)  # of LOM
+
+
+def lit_picture(i: int, width: int = WIDTH, height: int = HEIGHT) -> np.ndarray:
+    """A smooth pattern of view `i`, uint8 [h,w,3], unlike that of every other."""
+    x, y = np.meshgrid(np.linspace(0, 1, width), np.linspace(0, 1, height))
+    waves = [np.sin((3 + i) * x + 2 * y + c) + np.cos((2 + c) * y - i) for c in range(3)]
+    return (120 + 50 * np.stack(waves, -1)).clip(0, 255).astype(np.uint8)
+
+
+def dark_picture(i: int) -> np.ndarray:
+    """Its dark twin, uint8 [h,w,3]."""
+    return lit_picture(i) // 8
+
+
+def codes16(i: int) -> np.ndarray:
+    """Codes of a dark picture that need all 16 bits, uint16 [h,w,3]."""
+    return (dark_picture(i).astype(np.uint16) << 6) + np.uint16(i) + 1
+
+
+def write16(path: Path, codes: np.ndarray) -> None:
+    """A 16-bit PNG or TIFF."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    assert cv2.imwrite(str(path), codes[..., ::-1])
+
+
+def colmap(folder: Path, names: Sequence[str], rig: Rig) -> Path:
+    """A COLMAP model of these pictures with three points, in `folder`."""
+    points = SparsePoints.untracked(np.eye(3) / 10, np.full((3, 3), 0.5))
+    scratch = folder.with_name(f"{folder.name}-scratch")
+    write_cameras(scratch, [Path(name).stem for name in names], rig, points=points)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    shutil.move(scratch / "sparse" / "0", folder)
+    shutil.rmtree(scratch)
+    return folder
+
+
+def moved(rig: Rig) -> Rig:
+    """The same cameras in another world: turned, shifted and twice as large."""
+    turn = cv2.Rodrigues(np.array([0.3, -0.2, 0.5]))[0]
+    poses = invert_rigid(rig.viewmats)
+    poses[:, :3, :3] = turn @ poses[:, :3, :3]
+    poses[:, :3, 3] = 2 * poses[:, :3, 3] @ turn.T + [1.0, 2.0, 3.0]
+    return replace(rig, viewmats=invert_rigid(poses))
+
+
+def lom(folder: Path, *, model: Rig | None = None) -> Path:
+    """A scene of LOM; `model`: with colmap_sparse/0 of these cameras."""
+    names = [f"IMG_{20 + i}.png" for i in range(VIEWS)]
+    for i, name in enumerate(names):
+        write_png(folder / "low" / name, dark_picture(i))
+        write_png(folder / "high" / name, lit_picture(i))
+        write_png(folder / "over_exp" / name, np.full((HEIGHT, WIDTH, 3), 255, np.uint8))
+    poses = opencv_to_opengl(RIG.viewmats)
+    for part, views, place in (("train", TRAIN, "low"), ("val", VAL, "high"), ("test", TEST, "high")):
+        frames = [{"file_path": f"{place}/{names[i]}", "transform_matrix": poses[i].tolist()} for i in views]
+        content: dict[str, Any] = {"camera_angle_x": np.radians(FOV), "w": WIDTH, "h": HEIGHT, "frames": frames}
+        (folder / f"transforms_{part}.json").write_text(json.dumps(content))
+    if model is not None:
+        colmap(folder / "colmap_sparse" / "0", names, model)
+    return folder
+
+
+def poses_bounds(path: Path, rig: Rig, scale: float = 1.0) -> None:
+    """The cameras of an LLFF scene, for pictures `scale` times as large as those of `rig`."""
+    rows = []
+    for viewmat, K in zip(rig.viewmats, rig.Ks, strict=True):
+        (right, down, forward), centre = viewmat[:3, :3], -viewmat[:3, :3].T @ viewmat[:3, 3]
+        size = scale * np.array([rig.height, rig.width, K[0, 0]])
+        rows.append([*np.stack([down, right, -forward, centre, size], 1).ravel(), 1.0, 5.0])
+    path.parent.mkdir(parents=True, exist_ok=True)
+    np.save(path, np.array(rows))
+
+
+def llnerf(root: Path, *, scene: str = "still2", lit_width: int = WIDTH, pictures: str = "images") -> Path:
+    """A scene of LLNeRF below `root`, with its lit pictures, whose names say nothing; an LLFF scene."""
+    folder = root / "llnerf-dataset" / scene
+    for i in range(VIEWS):
+        write_png(folder / pictures / f"DSC{1650 + 2 * i:05d}.png", dark_picture(i))
+        write_png(root / "normal-light-scenes" / scene / f"DSC{1701 + 2 * i:05d}.png", lit_picture(i, lit_width))
+    poses_bounds(folder / "poses_bounds.npy", RIG)
+    return folder
+
+
+def llrs(root: Path, scene: str = "chair") -> Path:
+    """A scene of LLRS below `root`."""
+    folder, names = root / "LLRS-sRGB" / scene, [f"{i:03d}.png" for i in range(VIEWS)]
+    for i, name in enumerate(names):
+        write_png(folder / "images" / name, dark_picture(i))
+        write_png(folder / "gt" / "images" / name, lit_picture(i))
+    colmap(folder / "sparse" / "0", names, RIG)
+    return folder
+
+
+def mvtv(root: Path, scene: str = "hall") -> Path:
+    """A scene of MVTV below `root`: 16-bit pictures and no lit ones."""
+    folder, names = root / "mvtv" / scene, [f"{i:03d}.png" for i in range(VIEWS)]
+    for i, name in enumerate(names):
+        write16(folder / "images" / name, codes16(i))
+    colmap(folder / "sparse" / "0", names, RIG)
+    return folder
