@@ -110,7 +110,11 @@ def study_of(
     reader = _Reader(path, base, variants, table.get("rig", {}), ends, data)
     shared = reader.table(table.get("override", {}), "[override]")
     with _at(path, "[grid] scene"):
-        absent = data.absent(_listed(table.get("grid", {}).get("scene", [])))
+        scenes = _listed(table.get("grid", {}).get("scene", []))
+        absent = data.absent(scenes)
+        there = any(data.matching(scene) for scene in scenes)
+    if absent and not there:
+        raise ValueError(f"{path}: {data.nothing(absent)}")
     axes = reader.axes(table.get("grid", {}), base, shared)
     combinations = [dict(zip(axes, values, strict=True)) for values in itertools.product(*axes.values())]
     kept = _without_excluded(path, table.get("exclude", []), axes, combinations, data)

@@ -4,7 +4,7 @@ A scene is a folder. LOM is known by what its scenes hold; the others hold what 
 above has to bear the name of the data set, in upper or lower case.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -112,9 +112,9 @@ def _owner(folder: Path) -> str | None:
     return None
 
 
-def expected() -> str:
-    """Where each data set is to be had, and what a scene of it holds; for messages."""
-    return "; ".join(f"{row.name}: {row.layout} ({row.home})" for row in _ROWS)
+def expected(names: Iterable[str]) -> str:
+    """Where these data sets are to be had, and what a scene of each holds; for messages."""
+    return "; ".join(f"{name}: {DATASETS[name].layout} ({DATASETS[name].home})" for name in names)
 
 
 def scene_names(scenes: dict[str, dict[str, Path]]) -> str:

@@ -63,14 +63,15 @@ class DataFolder:
         """The data sets that values of the axis `scene` name and that are not there.
 
         Raises:
-            ValueError: If none of them is there, and no other scene is named.
+            ValueError: If there is a folder of data sets, and none is named.
         """
         named = {value.removeprefix(DATA).partition("/")[0].lower() for value in values if str(value).startswith(DATA)}
         if self.root is not None and not named:
             raise ValueError(f"--data {self.root}: no scene begins with {DATA!r}, so that nothing is read there")
-        sets = [name for name in DATASETS if name.lower() in named]
-        missing = [name for name in sets if not any(scene.startswith(f"{name}/") for scene in self.scenes)]
-        if missing and not any(self.matching(value) for value in values):
-            raise ValueError(f"{self.root} holds none of {', '.join(missing)}: download them into folders of their "
-                             f"names. Expected in the folder of a scene: {expected()}")  # fmt: skip
-        return missing
+        there = {scene.partition("/")[0] for scene in self.scenes}
+        return [name for name in DATASETS if name.lower() in named and name not in there]
+
+    def nothing(self, absent: list[str]) -> str:
+        """What to say where nothing but these is named."""
+        return (f"{self.root} holds none of {', '.join(absent)}: download them into folders of their names. Expected "
+                f"for each scene: {expected(absent)}")  # fmt: skip
