@@ -59,11 +59,6 @@ class Changes:
         """Which of them only a simulated exposure can obey."""
         return [key for key in OF_CAPTURE if key in self.adapted] + [f"capture.{key}" for key in self.capture]
 
-    def without_capture(self) -> "Changes":
-        """What is left of them for photographs that are dark already."""
-        kept = {name: value for name, value in self.adapted.items() if name not in OF_CAPTURE}
-        return replace(self, adapted=kept, capture={})
-
 
 @cache
 def _hints() -> dict[str, Any]:

@@ -245,8 +245,7 @@ class _Reader:
             if named := own.of_render():
                 raise ValueError(f"{self.path}: [grid]: {', '.join(named)} belong to a render, and {scene} is "
                                  "photographed as it is: put it into a study of its own")  # fmt: skip
-        if "dark" in given:
-            shared = shared.without_capture()  # it is for the scenes that are photographed here
+        if "dark" in given:  # what [override] says of the capture is for the other scenes
             if named := own.of_capture():
                 raise ValueError(f"{self.path}: [grid]: {', '.join(named)} belong to a simulated exposure, and {scene} "
                                  "is dark as it is: put it into a study of its own")  # fmt: skip

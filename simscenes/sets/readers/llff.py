@@ -47,7 +47,8 @@ def llff_cameras(source: Path) -> tuple[NDArray[np.float64], list[tuple[float, f
         ValueError: If it is not such a file, or a pose or a size is out of range.
     """
     with reading(source):
-        rows = np.load(source, allow_pickle=False)
+        # Mapped, so that a damaged header, which may claim any size, is compared with the file before memory is taken.
+        rows = np.load(source, allow_pickle=False, mmap_mode="r")
     if rows.ndim != 2 or rows.shape[1] != 17 or rows.dtype.kind != "f":
         raise ValueError(f"{source} must hold 17 numbers for each camera, got {rows.dtype} {list(rows.shape)}")
     parts = rows[:, :15].astype(np.float64).reshape(-1, 3, 5)

@@ -29,6 +29,17 @@ def make_layout(folder: Path) -> None:
         (folder / f"transforms_{part}.json").write_text(json.dumps(content))
 
 
+def make_llff(folder: Path) -> None:
+    from PIL import Image
+
+    from tests.miniatures import RIG, VIEWS, dark_picture, poses_bounds
+
+    (folder / "images").mkdir()
+    for i in range(VIEWS):
+        Image.fromarray(dark_picture(i)).save(folder / "images" / f"{i}.png")
+    poses_bounds(folder / "poses_bounds.npy", RIG)
+
+
 def make_bare(folder: Path) -> None:
     from PIL import Image
 
@@ -86,6 +97,7 @@ def _pictures() -> None:
 
 READERS = [
     Reader("NeRF-synthetic layout", make_layout, read_transforms, ("transforms_*.json",), share=4, prepare=_sets),
+    Reader("LLFF layout", make_llff, read_transforms, ("poses_bounds.npy",), share=4, prepare=_sets),
     Reader("photographs without poses", make_bare, read_bare, ("*.jpg", "*.png"), share=4, prepare=_pictures),
     Reader("video", make_video, read_video, ("walk.*",), share=2, prepare=_pictures),
 ]

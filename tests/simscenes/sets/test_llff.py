@@ -83,7 +83,10 @@ def test_what_cannot_be_cameras_of_these_pictures_is_refused(spoil, message: str
 def test_a_damaged_file_is_refused_by_name(tmp_path: Path) -> None:
     path = scene(tmp_path) / "poses_bounds.npy"
     whole = path.read_bytes()
-    for content in (b"", whole[:40], whole[:-100], b"no array"):
+    absurd = whole.replace(b"(9, 17), }" + 9 * b" ", b"(9000000000, 17), }")
+    assert len(absurd) == len(whole)
+    assert absurd != whole
+    for content in (b"", whole[:40], whole[:-100], b"no array", absurd):
         path.write_bytes(content)
         with pytest.raises(ValueError, match="poses_bounds.npy"):
             load_set(tmp_path)

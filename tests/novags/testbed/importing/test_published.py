@@ -218,6 +218,17 @@ def test_the_dataset_can_be_said_and_is_refused_where_it_does_not_fit(tmp_path: 
     assert capture.record["dataset"] is None
 
 
+def test_every_8th_view_replaces_the_split_of_any_folder(tmp_path: Path) -> None:
+    folder, poses = tmp_path / "mine", opencv_to_opengl(RIG.viewmats)
+    for i in range(VIEWS):
+        write_png(folder / "images" / f"{i}.png", dark_picture(i))
+    frames = [{"file_path": f"images/{i}.png", "transform_matrix": poses[i].tolist()} for i in range(VIEWS)]
+    content = {"camera_angle_x": np.radians(FOV), "frames": frames, "test_filenames": ["images/3.png"]}
+    (folder / "transforms.json").write_text(json.dumps(content))
+    assert brought(folder, tmp_path / "own").cameras.test_indices == [3]
+    assert brought(folder, tmp_path / "every8", split="every8").cameras.test_indices == [0, 8]
+
+
 def test_a_given_folder_of_lit_pictures_counts_before_that_of_the_data_set(tmp_path: Path) -> None:
     folder = llrs(tmp_path)
     for i in range(VIEWS):
