@@ -16,10 +16,32 @@ EVEN = 0.25  # share of the samples spread evenly, as in training: with less, wh
 Shading = Callable[[Tensor, Tensor], Tensor]  # raw [R, N, K] and weights [R, N] -> colour [R, 3]
 
 
+def median_distance(weights: Tensor, distances: Tensor) -> Tensor:
+    """Distance in front of which half of a ray's weight lies, [R]; 0 for rays through nothing.
+
+    The mean, which suits Gaussians, means nothing here: rays end at many times the size of a scene, and a hundredth
+    of the weight that got through a surface moves it by as much as the scene is deep.
+
+    Args:
+        weights: Of the samples [R, N]; each lies evenly between the middles of the distances to its neighbours.
+        distances: Of the samples, increasing [R, N].
+    """
+    middles = (distances[:, 1:] + distances[:, :-1]) / 2
+    edges = torch.cat([2 * distances[:, :1] - middles[:, :1], middles, 2 * distances[:, -1:] - middles[:, -1:]], 1)
+    total = torch.cumsum(weights, 1)
+    half = total[:, -1:] / 2
+    place = torch.searchsorted(total, half).clamp_max(weights.shape[1] - 1)
+    own = weights.gather(1, place)
+    share = (half - total.gather(1, place) + own) / own.clamp_min(1e-12)  # an empty ray has 0 / 0
+    begin, end = edges.gather(1, place), edges.gather(1, place + 1)
+    found = (begin + share.clamp(0, 1) * (end - begin))[:, 0]
+    return torch.where(total[:, -1] > 1e-6, found, 0.0)
+
+
 def render_field(
     field: Field, box: Box, proposal: Proposal, views: Views, shading: Shading, samples: int
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Image [C, H, W, 3], alpha [C, H, W] in 0..1 and expected z-depth [C, H, W], 0 where there is nothing.
+    """Image [C, H, W, 3], alpha [C, H, W] in 0..1 and median z-depth [C, H, W], 0 where there is nothing.
 
     Args:
         field: The field.
@@ -40,8 +62,7 @@ def render_field(
         raw = raw.reshape(len(rays), samples, -1)
         weights = weights_of(raw[..., 0], found.widths)
         alpha = weights.sum(1)
-        depth = (weights * found.distances).sum(1) * rays.forward
-        depth = torch.where(alpha > 1e-6, depth / alpha.clamp_min(1e-6), 0.0)  # an empty ray has no mean depth
+        depth = median_distance(weights, found.distances) * rays.forward
         parts.append(torch.cat([shading(raw, weights), alpha.clamp_max(1)[:, None], depth[:, None]], 1))
     image = torch.cat(parts).reshape(c, h, w, 5).to(device)
     return image[..., :3], image[..., 3], image[..., 4]

@@ -24,7 +24,10 @@ class Scene(Protocol):
     """A reconstructed scene of any kind."""
 
     def render(self, views: Views) -> tuple[Tensor, Tensor, Tensor]:
-        """Image [C, H, W, 3], alpha [C, H, W] in 0..1, expected z-depth [C, H, W] (0 where there is nothing)."""
+        """Image [C, H, W, 3], alpha [C, H, W] in 0..1, z-depth [C, H, W] (0 where there is nothing).
+
+        The depth is what the primitives of a pixel have on average (Gaussians), or what halves them (fields).
+        """
         ...
 
     def save(self, folder: Path) -> None:

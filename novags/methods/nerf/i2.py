@@ -17,12 +17,14 @@ The original takes `mean` and `contrast` for each scene from a REFERENCE IMAGE o
 and such runs are marked as seeing truth.
 
 What differs from it besides: the forms of S3IM, of the bright channel and of the overlap are our reading of short
-descriptions; the field is that of docs/fields.md, which starts dense at the first points; the loss of
-depth (weight 0.1) is left out, for it wants a network for depth from one picture that is not here; the squares of S3IM
-are made of rays at random, as there, of 64 x 64 pixels or fewer.
+descriptions; the field is that of docs/fields.md, which starts dense at the first points, in a
+medium that already makes pictures as dark as they are; the loss of depth (weight 0.1) is left out, for it wants a
+network for depth from one picture that is not here; the squares of S3IM are made of rays at random, as there, of
+64 x 64 pixels or fewer.
 """
 
 import dataclasses
+import math
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,6 +33,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from novags.fields.box import Box, box_of
 from novags.fields.layout import DENSITY_MAX
 from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
@@ -44,7 +47,7 @@ from novags.splats.training.losses import ssim
 
 EPSILON = 1e-3  # of RawNeRF's loss, for pictures in 0..1
 LARGEST = 64  # px; side of the squares of S3IM
-FIRST = -3.0  # of the logarithm of the absorption per unit of the box: about clear air, before anything is learnt
+DARKEST, LIGHTEST = 1e-3, 0.45  # mean of dark pictures that the first absorption is made for
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,14 +87,24 @@ class I2Config:
                              )  # fmt: skip
 
 
-def absorption(raw: Tensor) -> Tensor:
-    """S, per unit of the box [R, N]."""
-    return torch.exp((raw[..., 1] + FIRST).clamp_max(DENSITY_MAX))
+def first_absorption(images: Tensor, box: Box) -> float:
+    """S that makes dark pictures of this mean out of the field's first colours, 1/2, halfway through the scene.
+
+    In clear air, a field that begins brighter than the pictures becomes darker by becoming thinner, and loses the
+    first surfaces.
+    """
+    mean = min(max(float(images.mean()), DARKEST), LIGHTEST)
+    return math.log(0.5 / mean) / (0.5 * box.middle / box.unit)
 
 
-def seen_through(batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
-    """Dark colours I and lit colours J [R, 3], and s [R, N]."""
-    colors, medium = torch.sigmoid(batch.raw[..., -3:]), absorption(batch.raw)
+def absorption(raw: Tensor, first: float) -> Tensor:
+    """S, per unit of the box [R, N]; first: where the output of the field is 0."""
+    return torch.exp((raw[..., 1] + math.log(first)).clamp_max(DENSITY_MAX))
+
+
+def seen_through(batch: Batch, first: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Dark colours I and lit colours J [R, 3], and s [R, N]; first: as for `absorption`."""
+    colors, medium = torch.sigmoid(batch.raw[..., -3:]), absorption(batch.raw, first)
     through = torch.exp(-torch.cumsum(medium * batch.samples.widths, 1))
     return batch.rendered(through[..., None] * colors), batch.rendered(colors), medium
 
@@ -144,10 +157,11 @@ def train(
     problem = problem.to("cpu")
     images = problem.encoded(config.pictures)
     aims = mapped(images, float(grey_of(images).mean()), mean, config.contrast)
+    first = first_absorption(images, box_of(problem.views.centers, problem.start.points))
     last: dict[str, float] = {"mean": mean}
 
     def loss(batch: Batch) -> Tensor:
-        dark, lit, medium = seen_through(batch)
+        dark, lit, medium = seen_through(batch, first)
         last["through"] = float(dark.detach().sum() / lit.detach().sum().clamp_min(1e-6))  # a black batch has no share
         return loss_of(dark, lit, medium, batch, batch.of(images), batch.of(aims), config)
 

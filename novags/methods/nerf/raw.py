@@ -6,8 +6,8 @@ of Mildenhall et al. 2022, section 4.1; sg holds its argument fixed. Colours are
 Data are never clipped at black. Behind a colour filter array only what was measured is compared.
 
 What differs from it: the field is that of docs/fields.md, which starts dense at the first points, with its steps and
-rays per step. All views have one exposure, so exposures need no correction. EPSILON is in units of white as there,
-though pictures here may be darker than its own.
+rays per step, and its colours begin at the mean of the data. All views have one exposure, so exposures need no
+correction. EPSILON is in units of white as there, though pictures here may be darker than its own.
 """
 
 import dataclasses
@@ -28,6 +28,8 @@ from novags.methods.nerf.shading import light_of
 from novags.methods.noise_estimate import noise_of
 from novags.methods.problem import Pictures, Problem
 from novags.methods.reconstruction import Reconstruction
+
+DIMMEST = 0.01  # share of the brightest light that the mean is taken for at least: noise can bring it to 0 and below
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,7 +71,7 @@ def train(
     shown = enhanced(problem, config.enhance, config.pictures)
     problem = problem.to("cpu")
     data = measured_light(noise_of(problem), problem.raw, problem.linear16, problem.channels_share)
-    unit = brightness(data)
+    unit = first_unit(data)
     light, white = data.light / unit, data.white / unit
 
     def loss(batch: Batch) -> Tensor:
@@ -84,6 +86,14 @@ def train(
         enhancement=enhancement_record(config.enhance, config.pictures),
         seconds={"fit": found.seconds, "other": other}, found={"unit": unit},
     )  # fmt: skip
+
+
+def first_unit(data: MeasuredLight) -> float:
+    """Light of an output of 0, which is what the field says at first: the mean of the data.
+
+    Where it begins brighter than the pictures, it becomes darker by becoming thinner, and loses the first surfaces.
+    """
+    return max(float(data.light[data.measured].mean()), DIMMEST * brightness(data))
 
 
 def numbers_of(data: MeasuredLight, unit: float) -> dict[str, float]:

@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 import torch
 
+from novags.fields.box import Box
 from novags.fields.march import Rays, Samples
 from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
-from novags.methods.light import raw_loss
-from novags.methods.nerf import aleth, i2, llnerf
+from novags.methods.light import MeasuredLight, raw_loss
+from novags.methods.nerf import aleth, i2, llnerf, raw
 from novags.methods.nerf.losses import differences
 from novags.methods.nerf.shading import brightened
 
@@ -62,6 +63,16 @@ def test_raw_loss_divides_by_the_render_and_leaves_out_what_was_not_measured() -
     held = [(2 * (y[0] - d[0]) / (y[0] + 0.01) ** 2 / count) if y[0] < 0.5 else 0.0
             for y, d in zip(render, data, strict=True)]  # fmt: skip
     np.testing.assert_allclose(x.grad[:, 0].numpy(), held, rtol=1e-9)
+
+
+def test_a_field_of_light_begins_at_the_mean_of_what_was_measured() -> None:
+    """A hundredth of the brightest light at least: noise around black has a mean of either sign."""
+    light = torch.from_numpy(rng().uniform(0, 1, (2, 30, 40, 3))).float()
+    light[..., 0][rng().random((2, 30, 40)) < 0.5] = torch.nan
+    noise: Any = None
+    for shift, want in ((0.0, float(light.nanmean())), (-0.6, 0.01 * float(np.nanquantile(light[..., 1] - 0.6, 0.99)))):
+        data = MeasuredLight(light=light + shift, noise=noise, white=torch.ones(3), matrix=None)
+        assert raw.first_unit(data) == pytest.approx(want, rel=1e-3)
 
 
 def test_the_tone_curve_of_aleth_is_the_inverse_of_the_smooth_step() -> None:
@@ -122,9 +133,21 @@ def test_the_decomposition_and_the_enhancement_of_llnerf_are_those_of_the_equati
     )
 
 
+def test_the_first_medium_makes_first_colours_as_dark_as_the_pictures_halfway_through_the_scene() -> None:
+    box = Box(center=(0, 0, 0), half=(2, 1, 1), near=0.5, middle=6, far=50)
+    images = torch.full((2, 4, 5, 3), 0.1)
+    first = i2.first_absorption(images, box)
+    assert 0.5 * math.exp(-first * 3 / 2) == pytest.approx(0.1)  # 3 of 6 world units, in units of half of the box
+    batch = some_batch(5)
+    at_first = Batch(**{**vars(batch), "raw": torch.zeros_like(batch.raw)})
+    assert i2.seen_through(at_first, first)[2].numpy() == pytest.approx(first)
+    brightest, black = (i2.first_absorption(torch.full((1, 2, 2, 3), level), box) for level in (1.0, 0.0))
+    assert 0 < brightest < first < black < 5
+
+
 def test_light_through_the_medium_and_the_loss_of_i2_are_those_of_the_equations() -> None:
     batch, config = some_batch(5), i2.I2Config(fit=FieldFitConfig(patch=PATCH))
-    dark, lit, medium = i2.seen_through(batch)
+    dark, lit, medium = i2.seen_through(batch, math.exp(-3))
     raw, w, d = batch.raw.numpy(), batch.weights.numpy(), batch.samples.widths.numpy()
     s, slow = np.exp(raw[..., 1] - 3), np.zeros((RAYS, 3))
     for r in range(RAYS):
