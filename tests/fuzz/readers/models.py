@@ -118,7 +118,7 @@ def _stand_in() -> None:
     for name in ("vggt", "vggt.models", "vggt.models.vggt"):
         sys.modules.setdefault(name, types.ModuleType(name))
     sys.modules["vggt.models.vggt"].VGGT = VGGT  # type: ignore[attr-defined]
-    import novags.cameras.vggt  # noqa: F401
+    import novags.cameras.networks.vggt  # noqa: F401
 
 
 def make_weights(folder: Path) -> None:
@@ -131,7 +131,7 @@ def make_weights(folder: Path) -> None:
 
 
 def read_weights(folder: Path, file: Path) -> None:
-    from novags.cameras.vggt import _load
+    from novags.cameras.networks.vggt import _load
 
     _load(file, "cpu")
 

@@ -11,7 +11,7 @@ from PIL import Image
 from safetensors.torch import save_file
 from scipy.spatial.transform import Rotation
 
-from novags.cameras.vggt import VggtConfig, prepare, vggt_cameras
+from novags.cameras.networks.vggt import VggtConfig, as_its_loader, vggt_cameras
 
 SIZES = [(40, 30), (40, 60), (96, 96), (560, 420)]  # wide, tall (its middle is kept), square, larger than the network's
 
@@ -178,15 +178,15 @@ def test_weights_in_safetensors_are_read_and_other_weights_are_refused(shown, tm
 def test_pictures_are_prepared_as_the_loader_of_the_package_does(corner, width, height):
     """Pillow's bicubic filter, then the middle of a tall picture."""
     pictures = corner(1, width, height).pictures
-    prepared, scale, offset = prepare(pictures)
+    prepared, window = as_its_loader(pictures)
     tall = round(height * (518 / width) / 14) * 14
     want = np.asarray(Image.fromarray(pictures[0]).resize((518, tall), Image.Resampling.BICUBIC), np.float32) / 255
     start = max(0, (tall - 518) // 2)
     got = prepared[0].movedim(0, -1).numpy()
     assert prepared.dtype == torch.float32
-    assert offset == start
-    np.testing.assert_allclose(got, want[start : start + 518], atol=1.01 / 255)
-    np.testing.assert_allclose(scale, [518 / width, tall / height])
+    np.testing.assert_array_equal(window.offset, [0, start])
+    np.testing.assert_allclose(got, want[start : start + 518], atol=1e-6)
+    np.testing.assert_allclose(window.scale, [518 / width, tall / height])
 
 
 def test_without_package_or_weights_one_line_says_what_to_do(corner, package, tmp_path, monkeypatch):

@@ -1,0 +1,174 @@
+"""Pictures as a network expects them, and cameras and points of what it then says of every pixel.
+
+Positions have pixel centres at +0.5. A position p of a picture is at p * scale - offset in the prepared one.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from PIL import Image
+from torch import Tensor
+
+from novags.cameras.estimate import Array, CameraEstimate, as_estimate
+from novags.cameras.points import averaged, project, subset
+
+Index = NDArray[np.intp]
+LARGEST_MISS = 2.0  # px of a prepared picture, twice what conventions of half a pixel and rounding make of it
+
+
+@dataclass(frozen=True)
+class Window:
+    """The part of the pictures that a network sees.
+
+    Attributes:
+        scale: Factors (x, y) by which pictures were scaled.
+        offset: Columns and rows (x, y) of the scaled pictures that were then cut off on the left and at the top.
+        width: Of what was kept, px.
+        height: Of what was kept, px.
+    """
+
+    scale: Array
+    offset: Array
+    width: int
+    height: int
+
+    def original(self, pixels: Array) -> Array:
+        """Positions [..., 2] in the prepared pictures -> in the original ones."""
+        result: Array = (pixels + self.offset) / self.scale
+        return result
+
+    def original_Ks(self, Ks: Array) -> Array:
+        """Intrinsics [C, 3, 3] of prepared pictures -> those of the original ones."""
+        result = Ks.copy()
+        result[:, :2, 2] += self.offset
+        # Scaling keeps pixel edges in place, not centres, so with centres at +0.5 whole rows of K scale.
+        result[:, :2] /= self.scale[:, None]
+        return result
+
+
+def check_drop(source: str, drop_percent: float) -> None:
+    """Raise a ValueError if this share of pixels cannot be left out."""
+    if not 0 <= drop_percent < 100:
+        raise ValueError(f"drop_percent of {source} must lie in [0, 100), got {drop_percent}")
+
+
+def prepare(
+    pictures: NDArray[np.uint8], scaled: tuple[int, int], kept: tuple[int, int], offset: tuple[int, int], resample: int
+) -> tuple[Tensor, Window]:
+    """Pictures scaled with Pillow, as the loaders of these packages do, and cropped.
+
+    Args:
+        pictures: [C, h, w, 3] uint8.
+        scaled: Width and height that they are scaled to.
+        kept: Width and height of the part that is kept.
+        offset: Columns and rows before that part.
+        resample: Filter of Pillow.
+
+    Returns:
+        float32 [C, 3, H, W] in 0..1, and which part of the pictures that is.
+    """
+    (width, height), (x, y) = kept, offset
+    images = [np.asarray(Image.fromarray(p).resize(scaled, resample))[y : y + height, x : x + width] for p in pictures]
+    scale = np.array(scaled) / [pictures.shape[2], pictures.shape[1]]
+    prepared = torch.from_numpy(np.stack(images)).movedim(-1, 1).float() / 255
+    return prepared, Window(scale, np.array(offset, np.float64), width, height)
+
+
+def as_matrices(rotations: Array, translations: Array) -> Array:
+    """World-to-camera matrices [C, 4, 4] of [C, 3, 3] and [C, 3]."""
+    matrices = np.tile(np.eye(4), (len(rotations), 1, 1))
+    matrices[:, :3, :3], matrices[:, :3, 3] = rotations, translations
+    return matrices
+
+
+def inverted(cam2world: Array) -> Array:
+    """World-to-camera matrices of camera-to-world ones [C, 4, 4], with a rotation in each."""
+    rotations = cam2world[:, :3, :3].transpose(0, 2, 1)
+    return as_matrices(rotations, -np.einsum("cij,cj->ci", rotations, cam2world[:, :3, 3]))
+
+
+def with_lens(focals: Array, centres: Array) -> Array:
+    """Intrinsics [C, 3, 3] of packages that count pixel centres from 0: focal lengths [C], principal points [C, 2]."""
+    Ks = np.tile(np.eye(3), (len(focals), 1, 1))
+    Ks[:, 0, 0] = Ks[:, 1, 1] = focals
+    Ks[:, :2, 2] = centres + 0.5
+    return Ks
+
+
+def numbers(value: Any) -> Array:
+    """A tensor, or a list of tensors of one shape, as a float64 array."""
+    parts = [v.detach().double().cpu().numpy() if isinstance(v, Tensor) else np.asarray(v, np.float64) for v in value]
+    return np.stack(parts)
+
+
+def choose(source: str, confidence: Array, usable: NDArray[Any], drop_percent: float, count: int, seed: int) -> Index:
+    """View, row and column [P, 3] of at most `count` pixels that are usable and not among the least confident.
+
+    Args:
+        source: The camera source, for messages.
+        confidence: [C, H, W].
+        usable: [C, H, W].
+        drop_percent: Of all pixels, the share of the least confident that are left out.
+        count: How many pixels.
+        seed: Of their choice.
+
+    Raises:
+        ValueError: If there is no such pixel.
+    """
+    good = np.argwhere((confidence >= np.percentile(confidence, drop_percent)) & usable)
+    if not len(good):
+        raise ValueError(f"{source} returned no positive depth: the pictures may be too dark, try pictures=enhanced")
+    return subset(good, count, np.random.default_rng(seed))
+
+
+def from_pixels(
+    source: str, chosen: Index, points: Array, viewmats: Array, Ks: Array, window: Window, colors_from: Tensor
+) -> CameraEstimate:
+    """The estimate of a network that places every view and the point behind every pixel.
+
+    Args:
+        source: The camera source, for messages.
+        chosen: View, row and column [P, 3] of the points' pixels in the prepared pictures.
+        points: [P, 3], in the network's frame.
+        viewmats: [C, 4, 4], in the same frame.
+        Ks: [C, 3, 3], of the prepared pictures.
+        window: Which part of the pictures those are.
+        colors_from: [C, h, w, 3] dark images, 0..1.
+
+    Raises:
+        ValueError: If cameras are not finite, or if points are not seen at their pixels: then this version of the
+            package has other conventions, and its cameras would be silently wrong.
+    """
+    if not (np.isfinite(viewmats).all() and np.isfinite(Ks).all()):
+        raise ValueError(
+            f"{source} returned cameras that are not finite: check the weights, or run it with --device cpu"
+        )
+    view, row, column = chosen.T
+    pixels = np.stack([column, row], -1) + 0.5
+    miss = _miss(points, pixels, view, viewmats, Ks)
+    if not miss <= LARGEST_MISS:
+        raise ValueError(
+            f"{source} returned points that its own cameras see {miss:.3g} px from their pixels (median, at most "
+            f"{LARGEST_MISS:g}): this version of the package has other conventions than novags.cameras.networks"
+        )
+    # The same place in the original pictures; at their very edge, rounding may end just outside.
+    sizes = np.array(colors_from.shape[2:0:-1])
+    x, y = np.minimum(window.original(pixels).astype(int), sizes - 1).T
+    colors = colors_from.detach().cpu().double().numpy()[view, y, x]
+    return as_estimate(
+        tuple(range(len(viewmats))), viewmats, window.original_Ks(Ks), points, averaged(points, colors),
+        made_of={"of the network's depths": len(points)},
+    )  # fmt: skip
+
+
+def _miss(points: Array, pixels: Array, view: Index, viewmats: Array, Ks: Array) -> float:
+    """Median distance between pixels and where their views see the points, px; infinite for those behind the camera."""
+    distances = np.full(len(points), np.inf)
+    for i in np.unique(view):
+        of_view = view == i
+        seen, _ = project(points[of_view], viewmats[i], Ks[i])
+        distances[of_view] = np.linalg.norm(seen - pixels[of_view], axis=1)
+    return float(np.median(np.where(np.isnan(distances), np.inf, distances)))
