@@ -65,8 +65,8 @@ def check_installed(config: HlocConfig) -> None:
         raise ValueError(
             "cameras hloc need the package hloc, which is not installed: clone "
             "https://github.com/cvg/Hierarchical-Localization with --recursive and pip install it into this "
-            "environment (Apache-2; it fetches the weights of features and matchers at their first use; those of SuperPoint "
-            "and SuperGlue are for non-commercial research)"
+            "environment (Apache-2; it fetches weights at their first use, and those of SuperPoint and SuperGlue are "
+            "for non-commercial research)"
         )
     check_mapper(config.mapper)
     _confs(config)

@@ -87,12 +87,13 @@ def dust3r_cameras(
     check_views(pictures, colors_from, n_points)
     check_installed(config)
     views, window = as_its_loader(pictures)
-    model = load(part("dust3r", "dust3r.model").AsymmetricCroCo3DStereo, config.checkpoint, device)
+    model_class = part("dust3r", "dust3r.model").AsymmetricCroCo3DStereo
     make_pairs = part("dust3r", "dust3r.image_pairs").make_pairs
     infer = part("dust3r", "dust3r.inference").inference
     cloud = part("dust3r", "dust3r.cloud_opt")
     with torch.random.fork_rng():
         torch.manual_seed(seed)
+        model = load(model_class, config.checkpoint, device)
         pairs = make_pairs(views, scene_graph=config.pairs, prefilter=None, symmetrize=True)
         output = infer(pairs, model, device, batch_size=1, verbose=False)
         # Also for two views, for which its other mode would keep the cameras of one of the two passes.

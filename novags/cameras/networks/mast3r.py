@@ -83,11 +83,12 @@ def mast3r_cameras(
     check_installed(config)
     views, window = as_its_loader(pictures)
     # First: importing this package is what makes the DUSt3R that comes with it importable.
-    model = load(part("mast3r", "mast3r.model").AsymmetricMASt3R, config.checkpoint, device)
+    model_class = part("mast3r", "mast3r.model").AsymmetricMASt3R
     align = part("mast3r", "mast3r.cloud_opt.sparse_ga").sparse_global_alignment
     make_pairs = part("mast3r", "dust3r.image_pairs").make_pairs
     with scratch("mast3r") as root, torch.random.fork_rng():
         torch.manual_seed(seed)
+        model = load(model_class, config.checkpoint, device)
         files = [str(root / name) for name in write_pictures(root, pictures)]  # it names views by their files
         pairs = make_pairs(views, scene_graph=config.pairs, prefilter=None, symmetrize=True)
         scene = align(

@@ -33,7 +33,7 @@ class VggsfmConfig:
 
     checkpoint: Path  # vggsfm_v2_0_0.bin
     home: Path  # the folder of the clone, with demo.py
-    python: str = "python"  # the interpreter of its environment: a path, or a name on PATH
+    python: str = "python"  # the interpreter of its environment: a whole path, or a name on PATH
     pictures: Pictures = "raw"  # which pictures are used; the caller provides them
     query_frames: int = 3  # views whose points are tracked through all others
     query_points: int = 2048  # points of each, at most
@@ -56,10 +56,11 @@ def check_installed(config: VggsfmConfig) -> None:
             "https://github.com/facebookresearch/vggsfm, install it by its install.sh into an environment of its own "
             "(CC BY-NC 4.0: non-commercial use only), and give vggsfm:home=FOLDER,python=FILE,checkpoint=FILE"
         )
-    if shutil.which(config.python) is None:
+    # Of a relative path, it would depend on the folder of the moment which interpreter that is.
+    if shutil.which(config.python) is None or (os.sep in config.python and not os.path.isabs(config.python)):
         raise ValueError(
-            f"there is no program {config.python} to run VGGSfM with: give the interpreter of its environment as "
-            "vggsfm:python=FILE"
+            f"there is no program {config.python} to run VGGSfM with: give the interpreter of its environment, by its "
+            "whole path, as vggsfm:python=FILE"
         )
     require_weights("vggsfm", config.checkpoint, "vggsfm_v2_0_0.bin (Hugging Face: facebook/VGGSfM)")
 
@@ -110,11 +111,10 @@ def vggsfm_cameras(
 
 
 def _run(config: VggsfmConfig, root: Path, seed: int, device: torch.device) -> None:
-    python = Path(shutil.which(config.python) or config.python).absolute()  # found from here, not from its folder
     command = [
-        str(python), "demo.py", f"SCENE_DIR={root}", f"resume_ckpt={root / 'weights.bin'}", "auto_download_ckpt=False",
-        "camera_type=SIMPLE_PINHOLE", f"shared_camera={config.shared_lens}", f"query_frame_num={config.query_frames}",
-        f"max_query_pts={config.query_points}", f"seed={seed}",
+        config.python, "demo.py", f"SCENE_DIR={root}", f"resume_ckpt={root / 'weights.bin'}",
+        "auto_download_ckpt=False", "camera_type=SIMPLE_PINHOLE", f"shared_camera={config.shared_lens}",
+        f"query_frame_num={config.query_frames}", f"max_query_pts={config.query_points}", f"seed={seed}",
     ]  # fmt: skip
     unseen = {"CUDA_VISIBLE_DEVICES": ""} if device.type == "cpu" else {}
     # Not this environment's modules: its own interpreter has other versions of them.

@@ -78,7 +78,9 @@ def vggt_cameras(
     check_views(pictures, colors_from, n_points, fewest=1)
     check_installed(config)
     prepared, window = as_its_loader(pictures)
-    viewmats, Ks, depths, confidence = _infer(_load(config.checkpoint, device), prepared.to(device))
+    with torch.random.fork_rng():  # its class draws first weights, which are then replaced
+        model = _load(config.checkpoint, device)
+    viewmats, Ks, depths, confidence = _infer(model, prepared.to(device))
     chosen = choose("vggt", confidence, np.isfinite(depths) & (depths > 0), config.drop_percent, n_points, seed)
     view, y, x = chosen.T
     points = unproject(np.stack([x, y], -1) + 0.5, depths[view, y, x], viewmats[view], Ks[view])

@@ -44,7 +44,7 @@ def relative_command(words: Sequence[str], folder: Path) -> str:
 def _moved(value: str, option: str, folder: Path) -> str:
     """A value with the path that it is, or holds, made relative to the folder."""
     if option == "--cameras":
-        return re.sub(r"(checkpoint=)([^,]+)", lambda m: m[1] + _path(m[2], folder), value)
+        return re.sub(r"((?:checkpoint|home)=)([^,]+)", lambda m: m[1] + _path(m[2], folder), value)
     return _path(value, folder) if option in PATHS and Path(value).exists() else value
 
 

@@ -1,13 +1,13 @@
 """What a key of a study file changes in a preset: scene, rig, camera, method, or any setting of a stage or a method."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
 from functools import cache
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from novags.cameras import parse_cameras
+from novags.cameras import CameraConfig, parse_cameras
 from novags.methods import METHODS
 from novags.methods.variant import Variant
 from novags.settings import changed, converted, flattened, has_setting
@@ -108,7 +108,7 @@ def _keywords(key: str, value: Any, folder: Path) -> dict[str, Any]:
     if key == "method":
         return {"methods": (_text(value),)}
     if key == "cameras":
-        return {"cameras": parse_cameras(_text(value))}
+        return {"cameras": _cameras(_text(value), folder)}
     if key == "scene":
         return {"scene": _scene(_text(value), folder)}
     if key == "photos":
@@ -125,6 +125,14 @@ def _keywords(key: str, value: Any, folder: Path) -> dict[str, Any]:
 
 def _keyword(key: str) -> str:
     return RENAMED.get(key, key)
+
+
+def _cameras(value: str, folder: Path) -> CameraConfig:
+    """A camera source by name and settings; files and folders among these by their whole path."""
+    config = parse_cameras(value)
+    given = {f.name: getattr(config, f.name) for f in fields(config)}
+    paths: dict[str, Any] = {name: folder / path for name, path in given.items() if isinstance(path, Path)}
+    return replace(config, **paths)
 
 
 def _scene(value: str, folder: Path) -> str:
