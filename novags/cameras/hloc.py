@@ -33,8 +33,7 @@ from novags.cameras.mapping import (
 from novags.cameras.pictures import Pictures, check_kind, check_views
 
 ADVICE = (
-    "try pictures=enhanced or pictures=denoised, other features (features=superpoint_max doubles small pictures), the "
-    "other mapper, more light, or --cameras known"
+    "other features (features=superpoint_max enlarges small pictures), the other mapper, more light, or --cameras known"
 )
 
 

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from novags.cameras.colmap import Progress, largest, quiet
 from novags.cameras.estimate import Array, CameraEstimate, as_estimate
-from novags.cameras.pictures import place_of, write_pictures
+from novags.cameras.pictures import Pictures, place_of, write_pictures
 from novags.cameras.points import averaged, fill, seen_colors
 from sensor_model.files.scratch import scratch
 
@@ -158,7 +158,7 @@ def from_reconstruction(
         seed: Of the choice of points.
         what: Made the reconstruction, for messages.
         kind: Of pictures, for messages.
-        advice: What to do where too few views have a pose.
+        advice: What to try where too few views have a pose, beside other pictures.
 
     Raises:
         ValueError: If fewer than 2 views have a pose, or if a lens is not a pinhole.
@@ -167,7 +167,7 @@ def from_reconstruction(
     if len(images) < 2:
         raise ValueError(
             f"{what} registered {len(images)} of {len(colors_from)} views of the {kind} pictures, at least 2 are "
-            f"needed: {advice}"
+            f"needed: try {' or '.join(f'pictures={other}' for other in get_args(Pictures) if other != kind)}, {advice}"
         )
     registered = tuple(place_of(image.name) for image in images)
     viewmats = np.stack([np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]]) for image in images])

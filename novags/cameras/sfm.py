@@ -21,10 +21,7 @@ from novags.cameras.mapping import (
 )
 from novags.cameras.pictures import Pictures, check_kind, check_views
 
-ADVICE = (
-    "try pictures=enhanced or pictures=denoised, the other mapper, a lower peak_threshold, larger pictures, more "
-    "light, or --cameras known"
-)
+ADVICE = "the other mapper, a lower peak_threshold, larger pictures, more light, or --cameras known"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -63,3 +63,22 @@ def test_a_study_makes_what_the_stages_make_and_repeats_or_believes_nothing_wron
     assert set(changed) == {run / METRICS, run / ".sealed.json"}  # nothing else was done twice
     log = next((out / "logs").glob("run-*5e*.log")).read_text()
     assert "metrics.json not as written (checksum)" in log
+
+
+def test_where_no_cameras_are_found_there_is_a_row_that_says_so_and_the_study_goes_on(
+    tmp_path: Path, call: Callable[..., int], ball_xml: str, smallest: str
+) -> None:
+    """A single grey ball of a few pixels has no features that structure from motion could match."""
+    axes = STUDY.replace("[5, 20]", "20").replace(
+        '"naive"', '"naive"\ncameras = ["sfm", "known", "sfm:pictures=enhanced"]'
+    )
+    (tmp_path / "study.toml").write_text(axes + smallest)
+    (tmp_path / "ball.xml").write_text(ball_xml)
+    assert call("study", str(tmp_path / "study.toml"), "--out", str(tmp_path / "out" / "x"), "--workers", "1") == 1
+    rows = json.loads((tmp_path / "out" / "x" / "results.json").read_text())["rows"]
+    assert [(row["cameras"], row["state"]) for row in rows] == [
+        ("sfm", "failed"), ("known", "done"), ("sfm:pictures=enhanced", "failed"),
+    ]  # fmt: skip
+    for row, kind, other in ((rows[0], "raw", "enhanced"), (rows[2], "enhanced", "raw")):
+        assert row["stage"] == "cameras"  # of which the light charts make a share of 0
+        assert f"views of the {kind} pictures, at least 2 are needed: try pictures={other}" in row["reason"]

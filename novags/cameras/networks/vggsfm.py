@@ -24,7 +24,7 @@ from novags.cameras.networks.package import read_checkpoint, require_weights
 from novags.cameras.pictures import Pictures, check_kind, check_views, write_pictures
 from sensor_model.files.scratch import scratch
 
-ADVICE = "try pictures=enhanced or pictures=denoised, more query_frames, more light, or --cameras known"
+ADVICE = "more query_frames, more light, or --cameras known"
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,6 +18,7 @@ from novags.splats import Views
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.set import Source
+from novags.testbed.stages.failing import failing_in
 
 DENOISER_STEPS = 300  # for the pictures in which features are detected; the method trains its own
 
@@ -39,9 +40,12 @@ def cameras_of(
     Raises:
         ValueError: If the source cannot place at least two views, or is not installed.
     """
-    check_cameras(config)
-    asked = ("cameras", config, source.digest(), tuple(indices), points, seed, device)
-    found = capture.memo.once(asked, lambda: _found(config, capture, source, indices, points, seed, device, console))
+    with failing_in("cameras"):
+        check_cameras(config)
+        asked = ("cameras", config, source.digest(), tuple(indices), points, seed, device)
+        found = capture.memo.once(
+            asked, lambda: _found(config, capture, source, indices, points, seed, device, console)
+        )  # fmt: skip
     return copy.deepcopy(found)
 
 

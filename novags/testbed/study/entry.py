@@ -1,14 +1,14 @@
 """One entry of the store: kept if it is as it was sealed, else made by its stages, which resume what is unfinished."""
 
 import os
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from novags.testbed.cache import read_json
 from novags.testbed.console import Console
+from novags.testbed.stages.failing import failing_in
 from novags.testbed.study.engines.worker import MachineError
 from novags.testbed.study.store import SEAL, Seal, clear, damaged, read_seal, version, write_seal
 from sensor_model.files.lock import locked
@@ -113,7 +113,7 @@ def ensure(order: Order, steps: Steps, console: Console, depends: dict[str, Any]
         if made:
             (order.folder / SEAL).unlink(missing_ok=True)
             for name, step in steps.items():
-                with _stage(name):
+                with failing_in(name):
                     step.do()
             seal = write_seal(order.folder, order.task.key, made_of, _cost(order, steps))
     assert seal is not None
@@ -153,13 +153,3 @@ def _cost(order: Order, steps: Steps) -> dict[str, Any]:
         "peak_bytes": max(peaks),
         "group": task.group, "work": task.work, "pixels": task.pixels, "threads": order.threads,
     }  # fmt: skip
-
-
-@contextmanager
-def _stage(name: str) -> Iterator[None]:
-    """Say in an exception which stage raised it."""
-    try:
-        yield
-    except BaseException as error:
-        error.stage = name  # type: ignore[attr-defined]
-        raise

@@ -1,4 +1,4 @@
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -8,11 +8,14 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from novags import cameras
 from novags.cameras import (
     SOURCES,
+    Dust3rConfig,
+    HlocConfig,
     KnownConfig,
+    Mast3rConfig,
     SfmConfig,
+    VggsfmConfig,
     VggtConfig,
     check_cameras,
     estimate_cameras,
@@ -21,6 +24,7 @@ from novags.cameras import (
 )
 from novags.cameras.estimate import CameraEstimate
 
+paths = st.sampled_from([Path("w.pt"), Path("a b/c=d:e.pt")])
 configs = st.one_of(
     st.builds(KnownConfig, **{f.name: st.floats(0, 90) for f in fields(KnownConfig)}),
     st.builds(
@@ -31,9 +35,11 @@ configs = st.one_of(
         peak_threshold=st.floats(1e-9, 1),
         first_octave=st.sampled_from([-1, 0, 1]),
     ),
-    st.builds(
-        VggtConfig, checkpoint=st.sampled_from([Path("w.pt"), Path("a b/c=d:e.pt")]), drop_percent=st.floats(0, 99)
-    ),
+    st.builds(VggtConfig, checkpoint=paths, drop_percent=st.floats(0, 99)),
+    st.builds(Dust3rConfig, checkpoint=paths, pairs=st.sampled_from(["complete", "swin-5"])),
+    st.builds(Mast3rConfig, checkpoint=paths, shared_lens=st.booleans(), iterations=st.integers(1, 900)),
+    st.builds(VggsfmConfig, checkpoint=paths, home=paths, python=st.sampled_from(["python", "/opt/x=y/bin/python"])),
+    st.builds(HlocConfig, features=st.sampled_from(["disk", "sift"]), matcher=st.sampled_from(["auto", "NN-ratio"])),
 )
 
 
@@ -50,6 +56,20 @@ configs = st.one_of(
         (
             "vggt:checkpoint=some/where.pt,drop_percent=5",
             VggtConfig(checkpoint=Path("some/where.pt"), drop_percent=5.0),
+        ),
+        ("dust3r:checkpoint=w.pth,pairs=swin-5", Dust3rConfig(checkpoint=Path("w.pth"), pairs="swin-5")),
+        (
+            "mast3r:checkpoint=w.pth,pictures=enhanced,shared_lens=true",
+            Mast3rConfig(checkpoint=Path("w.pth"), pictures="enhanced", shared_lens=True),
+        ),
+        (
+            "vggsfm:home=clone,checkpoint=w.bin,python=/envs/vggsfm/bin/python",
+            VggsfmConfig(home=Path("clone"), checkpoint=Path("w.bin"), python="/envs/vggsfm/bin/python"),
+        ),
+        ("hloc", HlocConfig()),
+        (
+            "hloc:features=superpoint_aachen,matcher=superpoint+lightglue",
+            HlocConfig(features="superpoint_aachen", matcher="superpoint+lightglue"),
         ),
     ],
 )
@@ -71,7 +91,7 @@ def test_defaults_are_not_spelled():
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("knwn", r"unknown cameras 'knwn' \(did you mean known\?\); available: known, sfm, vggt"),
+        ("knwn", r"unknown cameras 'knwn' \(did you mean known\?\); available: known, sfm, hloc, vggt, dust3r, mast3r"),
         ("sfm:maper=global", r"cameras sfm has no setting 'maper' \(did you mean mapper\?\); it has pictures, mapper"),
         ("known:translation", "cameras known: write translation=VALUE"),
         ("known:translation=", "cameras known: write translation=VALUE"),
@@ -81,6 +101,9 @@ def test_defaults_are_not_spelled():
         ("sfm:mapper=globl", r"mapper must be one of incremental, global, got 'globl' \(did you mean global\?\)"),
         ("known:rotation_deg=-1", "rotation_deg of known cameras must be finite and >= 0"),
         ("vggt", "cameras vggt needs checkpoint: write vggt:checkpoint=VALUE"),
+        ("dust3r", "cameras dust3r needs checkpoint: write dust3r:checkpoint=VALUE"),
+        ("mast3r:pairs=complete", "cameras mast3r needs checkpoint: write mast3r:checkpoint=VALUE"),
+        ("vggsfm:checkpoint=w.bin", "cameras vggsfm needs home: write vggsfm:home=VALUE"),
     ],
 )
 def test_what_cannot_be_read_says_why(text, message):
@@ -89,8 +112,8 @@ def test_what_cannot_be_read_says_why(text, message):
 
 
 def test_every_source_has_a_line_and_a_configuration_of_its_own():
-    assert list(SOURCES) == ["known", "sfm", "vggt"]
-    assert len({source.config for source in SOURCES.values()}) == 3
+    assert list(SOURCES) == ["known", "sfm", "hloc", "vggt", "dust3r", "mast3r", "vggsfm"]
+    assert len({source.config for source in SOURCES.values()}) == 7
     assert all(0 < len(source.description) < 90 and "\n" not in source.description for source in SOURCES.values())
 
 
@@ -99,8 +122,16 @@ def test_sources_are_checked_before_they_are_used(monkeypatch):
 
     check_cameras(KnownConfig())
     check_cameras(SfmConfig(mapper="global"))
-    with pytest.raises(ValueError, match="vggt"):
-        check_cameras(VggtConfig(checkpoint=Path("nowhere.pt")))
+    nowhere = Path("nowhere.pt")
+    for config, needed in (
+        (VggtConfig(checkpoint=nowhere), "package vggt"),
+        (Dust3rConfig(checkpoint=nowhere), "package dust3r"),
+        (Mast3rConfig(checkpoint=nowhere), "package mast3r"),
+        (VggsfmConfig(checkpoint=nowhere, home=nowhere), "program VGGSfM"),
+        (HlocConfig(), "package hloc"),
+    ):
+        with pytest.raises(ValueError, match=f"need the {needed}"):
+            check_cameras(config)
     monkeypatch.delattr(pycolmap, "global_mapping")
     check_cameras(SfmConfig())
     with pytest.raises(ValueError, match="no global mapper"):
@@ -109,29 +140,36 @@ def test_sources_are_checked_before_they_are_used(monkeypatch):
 
 def test_each_configuration_runs_its_source_on_the_views_that_are_asked_for(monkeypatch):
     calls = []
-    for name in ("known_cameras", "structure_from_motion", "vggt_cameras"):
-        monkeypatch.setattr(cameras, name, lambda *a, name=name, **k: calls.append((name, a, k)))
+    for name, source in SOURCES.items():
+        record = replace(source, estimate=lambda *a, name=name, **k: calls.append((name, a, k)))
+        monkeypatch.setitem(SOURCES, name, record)
     multiview = SimpleNamespace(rig=SimpleNamespace(Ks=np.arange(5.0)[:, None, None] * np.ones((5, 3, 3))))
     dark = torch.tensor([0.0, 1 / 255, 0.5, 1.0]).reshape(1, 2, 2, 1).repeat(2, 1, 1, 3)
-    shared = {"n_points": 7, "seed": 3}
-    configs = KnownConfig(), SfmConfig(), VggtConfig(checkpoint=Path("w.pt"))
+    shared, file = {"n_points": 7, "seed": 3}, Path("w.pt")
+    networks = VggtConfig(checkpoint=file), Dust3rConfig(checkpoint=file), Mast3rConfig(checkpoint=file)
+    configs = KnownConfig(), SfmConfig(), HlocConfig(), *networks, VggsfmConfig(checkpoint=file, home=file)
     for config in configs:
         estimate_cameras(config, multiview, [1, 4], dark, device="meta", **shared)
-    (known, known_args, known_how), (sfm, sfm_args, sfm_how), (vggt, vggt_args, vggt_how) = calls
-    assert (known, sfm, vggt) == ("known_cameras", "structure_from_motion", "vggt_cameras")
+    assert [call[0] for call in calls] == list(SOURCES)
+    (_, known_args, known_how), *others = calls
     assert known_args == (multiview, [1, 4], dark)
     assert known_how == {**shared, "config": configs[0]}
-    assert sfm_how == {**shared, "config": configs[1], "progress": None}
-    assert vggt_how == {**shared, "config": configs[2], "device": "meta"}
-    np.testing.assert_array_equal(sfm_args[1][:, 0, 0], [1.0, 4.0])
-    for args in (sfm_args, vggt_args):
+    for (name, args, how), config in zip(others, configs[1:], strict=True):
         np.testing.assert_array_equal(args[0][1, ..., 0], [[0, 1], [128, 255]])
         assert args[0].dtype == np.uint8
+        assert args[-1] is dark
+        if name in ("sfm", "hloc"):
+            np.testing.assert_array_equal(args[1][:, 0, 0], [1.0, 4.0])
+            assert how == {**shared, "config": config, "progress": None}
+        else:
+            assert len(args) == 2
+            assert how == {**shared, "config": config, "device": "meta"}
     with pytest.raises(ValueError, match="cameras from denoised pictures need these pictures"):
         estimate_cameras(SfmConfig(pictures="denoised"), multiview, [1, 4], dark, **shared)
     given = np.zeros((2, 2, 2, 3), np.uint8)
-    estimate_cameras(SfmConfig(pictures="denoised"), multiview, [1, 4], dark, pictures=given, **shared)
-    assert calls[-1][1][0] is given
+    for config in (SfmConfig(pictures="denoised"), Dust3rConfig(checkpoint=file, pictures="enhanced")):
+        estimate_cameras(config, multiview, [1, 4], dark, pictures=given, **shared)
+        assert calls[-1][1][0] is given
 
 
 @pytest.mark.parametrize(

@@ -86,3 +86,9 @@ def test_a_typed_command_is_made_relative_to_the_folder_of_its_result(tmp_path: 
         "--electrons", "5", "--cameras", "vggt:checkpoint=../../w.pt,drop_percent=20", "--scene", "tabletop", "--out",
         "again",
     ]  # fmt: skip
+
+
+def test_every_path_among_the_settings_of_a_camera_source_is_made_relative(tmp_path: Path) -> None:
+    typed = f"run --cameras vggsfm:home={tmp_path}/clone,checkpoint={tmp_path}/w.bin,python=/envs/x/bin/python"
+    command = relative_command(shlex.split(typed), tmp_path / "out" / "x")
+    assert shlex.split(command)[3] == "vggsfm:home=../../clone,checkpoint=../../w.bin,python=/envs/x/bin/python"

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import pytest
 
+from novags.cameras import SfmConfig, VggsfmConfig
 from novags.testbed.presets import EXPERIMENTS
 from novags.testbed.study.grid import Study, read_study
 
@@ -108,6 +109,12 @@ def test_paths_start_at_the_folder_of_the_file(tmp_path: Path) -> None:
     cells = read(tmp_path, "[grid]\nscene = ['photos', 'cornell']\nmethod = 'naive'\n[override]\nviews = 7").cells
     assert [cell.preset.folder for cell in cells] == [tmp_path / "photos", None]
     assert cells[1].preset.render.n_views == 7
+    sources = "['vggsfm:home=clone,checkpoint=/w.bin', 'sfm:mapper=global']"
+    cells = read(tmp_path, f"[grid]\ncameras = {sources}\nmethod = 'naive'").cells
+    config = cells[0].preset.cameras
+    assert isinstance(config, VggsfmConfig)
+    assert (config.home, config.checkpoint, config.python) == (tmp_path / "clone", Path("/w.bin"), "python")
+    assert cells[1].preset.cameras == SfmConfig(mapper="global")
 
 
 WRONG: dict[str, tuple[str, str]] = {
