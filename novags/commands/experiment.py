@@ -64,7 +64,7 @@ def run(
         methods: Methods and variants to compare; `novags list methods` names them.
         variant: A method with settings changed, NAME=METHOD:SETTING=VALUE,SETTING=VALUE, compared as well; may be given
             several times. Or a TOML file with tables [variant.NAME].
-        cameras: Where cameras come from: known, known:rotation_deg=1, sfm, vggt:checkpoint=FILE; see `novags help
+        cameras: Where cameras come from: known, known:rotation_deg=1, sfm, dust3r:checkpoint=FILE; see `novags help
             cameras`.
         refine_cameras: Let every fit correct its training cameras.
         views: Number of views.

@@ -174,7 +174,7 @@ def reconstruct(
         variant: Instead of a method: a method with settings changed, NAME=METHOD:SETTING=VALUE,SETTING=VALUE.
         preset: Source of every setting of the method that is not given here.
         pictures: Which pictures the method sees: 8-bit sRGB, or 16-bit linear ones; its own choice if not given.
-        cameras: Where cameras come from: known, known:rotation_deg=1, sfm, vggt:checkpoint=FILE; see `novags help
+        cameras: Where cameras come from: known, known:rotation_deg=1, sfm, dust3r:checkpoint=FILE; see `novags help
             cameras`.
         refine_cameras: Let the fit correct its training cameras.
         points: Gaussians at the start.
