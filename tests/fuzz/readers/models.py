@@ -158,6 +158,57 @@ def read_enhancer(folder: Path, file: Path) -> None:
     read_weights((file,))
 
 
+def make_field(folder: Path) -> None:
+    from novags.fields.box import Box
+    from novags.fields.layout import Layout, first_field
+    from novags.fields.march import Proposal
+    from novags.methods.nerf.scene import FieldScene
+
+    field = first_field(Layout(coarsest=2, finest=4, log2_rows=8, static=0, viewed=3), 0)
+    box = Box(center=(0.0, 0.0, 0.0), half=(1.0, 1.0, 1.0), near=0.1, middle=3.0, far=50.0)
+    FieldScene(field, box, Proposal(), 4, "light", {"unit": 0.5}).save(folder)
+
+
+def read_field(folder: Path, file: Path) -> None:
+    from novags.methods.nerf.scene import load_field
+
+    found = load_field(folder)
+    if found is not None:
+        found.render(_view())
+
+
+def _view():  # noqa: ANN202
+    import torch
+
+    from novags.splats import Views
+
+    return Views(torch.eye(4)[None], torch.tensor([[[4.0, 0, 1], [0, 4, 1], [0, 0, 1]]]), 2, 2)
+
+
+def _wall():  # noqa: ANN202
+    import torch
+
+    from novags.methods.reconstruction import GaussianScene
+    from novags.splats.gaussians import Gaussians
+
+    torch.manual_seed(0)
+    return GaussianScene(Gaussians.from_points(torch.rand(5, 3) + 1, torch.rand(5, 3), sh_degree=0))
+
+
+def make_denoiser(folder: Path) -> None:
+    import torch
+
+    from novags.methods.rivals.denoised_scene import DenoisedScene, Denoiser
+
+    DenoisedScene(_wall(), torch.rand(5, 3), Denoiser(2)).save(folder)
+
+
+def read_denoiser(folder: Path, file: Path) -> None:
+    from novags.methods.rivals.denoised_scene import with_denoiser
+
+    with_denoiser(_wall(), folder).render(_view())
+
+
 def _torch() -> None:
     import torch
 
@@ -171,6 +222,15 @@ def _enhancers() -> None:
     import torch
 
     import novags.methods.enhancers.weights  # noqa: F401
+
+    torch.set_num_threads(1)
+
+
+def _scenes() -> None:
+    import torch
+
+    import novags.methods.nerf.scene
+    import novags.methods.rivals.denoised_scene  # noqa: F401
 
     torch.set_num_threads(1)
 
@@ -192,5 +252,9 @@ READERS = [
     ),
     Reader("checkpoint of a network", make_network, read_network, ("*.safetensors",), share=2, prepare=_torch),
     Reader("weights of enhancers", make_enhancer, read_enhancer, ("*.*",), cut=("*",), share=6, prepare=_enhancers),
+    Reader("field", make_field, read_field, ("scene/*",), cut=("scene/*",), share=6, prepare=_scenes),
+    Reader(
+        "denoiser of a scene", make_denoiser, read_denoiser, ("scene/*",), cut=("scene/*",), share=4, prepare=_scenes
+    ),
     Reader("VGGT weights", make_weights, read_weights, ("w.*",), cut=("w.safetensors",), share=6, prepare=_stand_in),
 ]
