@@ -38,7 +38,7 @@ class FieldFitConfig:
     warm: int = 50
     even: float = 0.25
     distortion: float = 1e-4
-    near_scale: float = 1.0
+    near_scale: float = 0.5
     points: bool = True
     layout: Layout = field(default_factory=Layout)
     seed: int = 0

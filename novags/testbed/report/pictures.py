@@ -192,7 +192,7 @@ def _add_geometry(tiles: _Tiles, i: int, material: Material) -> None:
     for name, (z, seen) in found.items():
         picture = depth_map(z, seen, near, far)
         if name:
-            tiles.add(f"depth-{name}", f"Depth of {name}", f"expected depth, {near:.3g} to {far:.3g}", picture)
+            tiles.add(f"depth-{name}", f"Depth of {name}", f"depth, {near:.3g} to {far:.3g}", picture)
         else:
             tiles.add("depth-true", "True depth", "of the scene, on the same scale", picture)
     rig = capture.cameras.rig
