@@ -49,7 +49,7 @@ class GaussianScene:
         antialiased: As in `FitConfig`.
         tone: Their colours are tones of this curve, and renders are light; None: renders are what they hold.
         matrix: [3, 3] from that light, or from what they hold, to the light that is rendered; None: the identity.
-        response: Their colours are radiance, and renders are what this camera makes of it; None: there is none between.
+        response: Their colours are radiance, and renders show it through this camera response; None: as it is.
     """
 
     gaussians: Gaussians
@@ -66,13 +66,9 @@ class GaussianScene:
 
     def render(self, views: Views) -> tuple[Tensor, Tensor, Tensor]:
         """As `Scene` says."""
-        g = self.gaussians
-        with torch.no_grad():
-            images, alphas, _ = rasterize(
-                g.means, g.quats, g.scales, g.opacities, g.sh, views.viewmats, views.Ks, views.width, views.height,
-                sh_degree=g.sh_degree, render_mode="RGB+ED", eps2d=self.eps2d,
-                rasterize_mode="antialiased" if self.antialiased else "classic",
-            )  # fmt: skip
+        images, alphas = self.splatted(
+            self.gaussians.sh, views, sh_degree=self.gaussians.sh_degree, render_mode="RGB+ED"
+        )
         colors = images[..., :3]
         if self.tone is not None:
             colors = self.tone.light(colors)
@@ -81,6 +77,16 @@ class GaussianScene:
         if self.response is not None:
             colors = self.response.codes(colors)
         return colors, alphas[..., 0], images[..., 3]
+
+    def splatted(self, values: Tensor, views: Views, **more: Any) -> tuple[Tensor, Tensor]:
+        """Rendered values of the Gaussians [N, D], or their harmonics [N, K, 3], and alphas; more: of `rasterize`."""
+        g = self.gaussians
+        with torch.no_grad():
+            images, alphas, _ = rasterize(
+                g.means, g.quats, g.scales, g.opacities, values, views.viewmats, views.Ks, views.width, views.height,
+                eps2d=self.eps2d, rasterize_mode="antialiased" if self.antialiased else "classic", **more,
+            )  # fmt: skip
+        return images, alphas
 
     def save(self, folder: Path) -> None:
         """Write point_cloud.ply in the layout of 3DGS; other viewers show colours that are tones as a picture."""

@@ -89,8 +89,8 @@ def differences(rows: Sequence[Row], axes: Sequence[str], score: str, foreign: S
             def keep(row: Row, value: Any = value) -> bool:
                 return bool(row[axis] == value)
 
-            base = mean_of(rows, BASE, score, keep)
             if method == BASE:
+                base = mean_of(rows, BASE, score, keep)
                 cells.append("–" if base is None else f"{base:.2f} dB")
             else:
                 cells.append("–" if method in foreign else spread(compared(rows, axes, method, score, keep)))

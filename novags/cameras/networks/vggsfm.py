@@ -52,15 +52,15 @@ def check_installed(config: VggsfmConfig) -> None:
     """Raise a ValueError that says what to do if program, interpreter or weights are missing."""
     if not (config.home / "demo.py").is_file():
         raise ValueError(
-            f"cameras vggsfm need the program VGGSfM, and there is no demo.py in {config.home}: clone "
+            f"cameras vggsfm need the program VGGSfM, but {config.home} has no demo.py: clone "
             "https://github.com/facebookresearch/vggsfm, install it by its install.sh into an environment of its own "
             "(CC BY-NC 4.0: non-commercial use only), and give vggsfm:home=FOLDER,python=FILE,checkpoint=FILE"
         )
     # Of a relative path, it would depend on the folder of the moment which interpreter that is.
     if shutil.which(config.python) is None or (os.sep in config.python and not os.path.isabs(config.python)):
         raise ValueError(
-            f"there is no program {config.python} to run VGGSfM with: give the interpreter of its environment, by its "
-            "whole path, as vggsfm:python=FILE"
+            f"VGGSfM runs in its own Python, and {config.python} cannot be run: give the absolute path of the "
+            "interpreter in its environment as vggsfm:python=FILE"
         )
     require_weights("vggsfm", config.checkpoint, "vggsfm_v2_0_0.bin (Hugging Face: facebook/VGGSfM)")
 

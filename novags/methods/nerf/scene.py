@@ -72,7 +72,7 @@ class FieldScene:
 
 
 def load_field(folder: Path) -> FieldScene | None:
-    """The field of a run's folder; None if there is none.
+    """Load the field that a run has saved in its folder; None if the run has no field.
 
     Raises:
         ValueError: If its file is damaged.

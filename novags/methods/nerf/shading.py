@@ -76,10 +76,10 @@ SHADINGS: dict[str, Callable[[Tensor, Tensor, Numbers], Tensor]] = {
 
 
 def shading_of(name: str, numbers: Numbers) -> Callable[[Tensor, Tensor], Tensor]:
-    """The function of a name with its numbers.
+    """The shading function of this name, with its numbers bound.
 
     Raises:
-        ValueError: If there is none.
+        ValueError: If no shading has this name.
     """
     if name not in SHADINGS:
         raise ValueError(f"unknown shading {name!r} of a field; available: {', '.join(SHADINGS)}")

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
+from safetensors import SafetensorError
+from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from novags.methods.reconstruction import GaussianScene
-from novags.splats.raster.rasterize import rasterize
 from novags.splats.training.checkpoint import write_tensors
 from novags.splats.views import Views
 from sensor_model.files.reading import brief
@@ -50,13 +50,6 @@ class Denoiser(nn.Module):
         super().__init__()
         self.stages = nn.ModuleList(Stage(width) for _ in range(STAGES))
 
-    @property
-    def width(self) -> int:
-        """Channels of a stage."""
-        first = self.stages[0]
-        assert isinstance(first, Stage)
-        return first.inner.out_channels
-
     def forward(self, noise: Tensor) -> Tensor:
         """Refined noise of the rendered noise [H, W, 3]."""
         planes = noise.permute(2, 0, 1)[None]
@@ -82,13 +75,8 @@ class DenoisedScene:
     def render(self, views: Views) -> tuple[Tensor, Tensor, Tensor]:
         """As `Scene` says."""
         colors, alpha, depth = self.base.render(views)
-        g = self.base.gaussians
+        noise, _ = self.base.splatted(self.noise, views)
         with torch.no_grad():
-            noise, _, _ = rasterize(
-                g.means, g.quats, g.scales, g.opacities, self.noise, views.viewmats, views.Ks, views.width,
-                views.height, eps2d=self.base.eps2d,
-                rasterize_mode="antialiased" if self.base.antialiased else "classic",
-            )  # fmt: skip
             shown = torch.stack([(c - self.denoiser(n)).clamp(0, 1) for c, n in zip(colors, noise, strict=True)])
         return shown, alpha, depth
 
@@ -113,8 +101,7 @@ def with_denoiser(base: GaussianScene, folder: Path) -> "GaussianScene | Denoise
     if not path.is_file():
         return base
     try:
-        with safe_open(path, framework="pt") as file:
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+        tensors = load_file(path)
         noise = tensors.pop(NOISE)
         denoiser = Denoiser(tensors["stages.0.inner.weight"].shape[0])
         denoiser.load_state_dict(tensors)

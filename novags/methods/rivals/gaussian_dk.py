@@ -141,7 +141,7 @@ def train(
         A reconstruction that is shown under the lit exposure; `found` has it.
 
     Raises:
-        LacksInput: If 16-bit pictures are asked for and there are none.
+        LacksInput: If `config.pictures` is "16bit" and the problem has no 16-bit pictures.
         ValueError: If a checkpoint is damaged or belongs to another run.
         NotFinite: As `fit` says.
     """

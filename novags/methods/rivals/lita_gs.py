@@ -55,7 +55,7 @@ class LitaGsConfig:
         exposure: Mean code of lit patches.
         exposure_weight: Of what patches are off it.
         light_weight: Of the slopes of the illumination, where the colours have no edge.
-        smooth_weight: Of the slopes of the lit picture, where the structure says that there is none.
+        smooth_weight: Of the slopes of the lit picture in places where the structure has no edge.
         noise_weight: Of the size of the noise.
         denoiser_rate: Learning rate of the denoising networks.
         tone_rate: Of h.
@@ -186,7 +186,7 @@ def train(
         A reconstruction whose pictures are lit and denoised.
 
     Raises:
-        LacksInput: If 16-bit pictures are asked for and there are none.
+        LacksInput: If `config.pictures` is "16bit" and the problem has no 16-bit pictures.
         ValueError: If a checkpoint is damaged or belongs to another run.
         NotFinite: As `fit` says.
     """

@@ -151,7 +151,7 @@ def train(
         A reconstruction whose colours are the lit ones; `targets` are the dark pictures through their curves.
 
     Raises:
-        LacksInput: If 16-bit pictures are asked for and there are none.
+        LacksInput: If `config.pictures` is "16bit" and the problem has no 16-bit pictures.
         ValueError: If a checkpoint is damaged or belongs to another run.
         NotFinite: As `fit` says.
     """

@@ -170,11 +170,11 @@ def test_weights_that_would_run_code_never_reach_the_program(shown, tmp_path):
     [
         (
             {"home": Path("nowhere")},
-            r"no demo.py in nowhere: clone https://github.com/facebookresearch/vggsfm.*CC BY-NC",
+            r"nowhere has no demo.py: clone https://github.com/facebookresearch/vggsfm.*CC BY-NC",
         ),
         ({"checkpoint": Path("none.bin")}, "no VGGSFM weights at none.bin: download .*vggsfm:checkpoint=FILE"),
-        ({"python": "no-such-python"}, "there is no program no-such-python .*vggsfm:python=FILE"),
-        ({"python": "bin/python"}, "there is no program bin/python .*by its whole path"),
+        ({"python": "no-such-python"}, "no-such-python cannot be run: .*vggsfm:python=FILE"),
+        ({"python": "bin/python"}, "bin/python cannot be run: give the absolute path"),
     ],
 )
 def test_what_is_missing_is_said_with_what_to_do(shown, wrong, message, monkeypatch, tmp_path):

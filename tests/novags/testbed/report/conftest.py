@@ -76,6 +76,8 @@ def experiment(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def browser() -> Iterator[Any]:
     found = shutil.which("chromium")
     if found is None:
+        # Playwright cannot download one everywhere, and a user of the library needs none. What the pages contain is
+        # tested without a browser beside this.
         pytest.skip("no chromium on this machine (Debian: apt-get install chromium)")
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed (scripts/setup dev)")
     with playwright.sync_playwright() as driver:
