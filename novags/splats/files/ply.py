@@ -22,6 +22,7 @@ _DTYPES = {
     "uint": "<u4", "uint32": "<u4",
 }  # fmt: skip
 HEADER_LINES = 1000  # of them 3DGS needs about 70
+OPAQUE = 16.0  # logit of an opacity that is 1 but for 1e-7; an infinite one has no gradient
 LEAST = {"format": 3, "element": 3, "property": 3}  # words of a line
 
 
@@ -95,6 +96,8 @@ def _count(word: str, path: Path) -> int:
 def read_ply(path: str | Path) -> Gaussians:
     """Read a 3DGS PLY, binary little-endian; extra properties are ignored, any order is accepted.
 
+    Infinite logits of opacity are those of 0 and 1, as converters of 8-bit formats write them; they become minus and plus `OPAQUE`.
+
     Raises:
         ValueError: If the file is not such a PLY, is cut short, or lacks a property.
     """
@@ -121,9 +124,10 @@ def read_ply(path: str | Path) -> Gaussians:
     if missing:
         raise ValueError(f"{path} lacks the vertex properties {', '.join(missing)}: not a 3DGS PLY")
 
-    def columns(*names: str) -> torch.Tensor:
+    def columns(*names: str, infinite: float = np.inf) -> torch.Tensor:
         with np.errstate(over="ignore"):  # a double beyond float32 becomes inf
             values = np.stack([table[name].astype(np.float32) for name in names], axis=-1)
+        values = np.where(np.isinf(values), np.copysign(np.float32(infinite), values), values)
         if not np.isfinite(values).all():
             first = int(np.argwhere(~np.isfinite(values))[0, 0])
             raise ValueError(f"{path} must hold finite numbers in {', '.join(names)}, got {values[first]} at {first}")
@@ -137,6 +141,6 @@ def read_ply(path: str | Path) -> Gaussians:
         means=columns("x", "y", "z"),
         quats=columns("rot_0", "rot_1", "rot_2", "rot_3"),
         log_scales=columns("scale_0", "scale_1", "scale_2"),
-        logit_opacities=columns("opacity")[:, 0],
+        logit_opacities=columns("opacity", infinite=OPAQUE)[:, 0],
         sh=sh.contiguous(),
     )

@@ -77,6 +77,17 @@ def test_other_orders_types_and_extra_properties_are_read(tmp_path):
         assert torch.equal(again.tensors()[name], tensor), name
 
 
+def test_opacities_of_zero_and_one_are_taken_from_files_of_converters(tmp_path):
+    """Niantic's spz_to_ply writes the logits of the bytes 0 and 255, which are infinite."""
+    gaussians = cloud(4, 1)
+    gaussians.logit_opacities[:] = torch.tensor([-torch.inf, torch.inf, 40.0, 0.5])
+    write_ply(tmp_path / "a.ply", gaussians)
+    again = read_ply(tmp_path / "a.ply")
+    assert again.opacities.tolist() == pytest.approx([0, 1, 1, torch.tensor(0.5).sigmoid().item()], abs=2e-7)
+    assert again.logit_opacities[2:].tolist() == [40.0, 0.5]  # finite ones stay as they are
+    assert again.logit_opacities.isfinite().all()
+
+
 @pytest.mark.parametrize(
     ("damage", "message"),
     [
@@ -95,6 +106,8 @@ def test_other_orders_types_and_extra_properties_are_read(tmp_path):
         (lambda raw: raw.replace(b"vertex 3", b"vertex -3"), "number of vertices must be a whole number"),
         (lambda raw: raw.replace(b"end_header\n", b"comment\n" * 2000), "its header ends early"),
         (lambda raw: raw[:-4] + b"\0\0\xc0\x7f", "must hold finite numbers in rot_0, rot_1, rot_2, rot_3, got .* at 2"),
+        (lambda raw: raw[:-32] + b"\0\0\xc0\x7f" + raw[-28:], "must hold finite numbers in opacity, got .* at 2"),
+        (lambda raw: raw[:-4] + b"\0\0\x80\x7f", "must hold finite numbers in rot_0, rot_1, rot_2, rot_3, got .* at 2"),
     ],
 )
 def test_damaged_files_are_refused(tmp_path, damage, message):
