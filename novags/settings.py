@@ -29,6 +29,36 @@ def flattened(config: Any, prefix: str = "") -> dict[str, Any]:
     return found
 
 
+def files_among(config: Any) -> dict[str, tuple[Path, ...]]:
+    """The files and folders that a configuration names, by dotted name."""
+    listed = {name: value if isinstance(value, tuple) else (value,) for name, value in flattened(config).items()}
+    return {name: value for name, value in listed.items() if value and all(isinstance(path, Path) for path in value)}
+
+
+def refuse_lost_files(config: Any, what: str) -> None:
+    """Refuse a configuration that names a file or a folder that is not there.
+
+    Raises:
+        ValueError: Of one line that begins with `what`.
+    """
+    for name, paths in files_among(config).items():
+        if lost := [path for path in paths if not path.exists()]:
+            raise ValueError(f"{what}: there is no file {lost[0]}, which {name} names: correct the path")
+
+
+def starting_at(folder: Path, settings: Mapping[str, Any], config: Any) -> dict[str, Any]:
+    """Settings with files by their whole path, as text; relative ones start at a folder.
+
+    Args:
+        folder: That of the file in which the settings stand.
+        settings: By dotted name.
+        config: The configuration that they make.
+    """
+    whole = {name: [str(folder / path) for path in paths]
+             for name, paths in files_among(config).items() if name in settings}  # fmt: skip
+    return {**settings, **{name: paths[0] if len(paths) == 1 else paths for name, paths in whole.items()}}
+
+
 def has_setting(config: Any, name: str) -> bool:
     """Whether a configuration has a field of this dotted name, and no part above it is switched off."""
     head, _, rest = name.partition(".")

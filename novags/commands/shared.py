@@ -14,9 +14,10 @@ if TYPE_CHECKING:  # heavy: torch and its friends load when a command runs, so t
 
 def variants_of(texts: tuple[str, ...]) -> "tuple[Variant, ...]":
     """The variants that `--variant` names: spelled out, or those of a TOML file."""
-    from novags.methods.variant import parse_variant, read_variants
+    from novags.methods.variant import parse_variant
+    from novags.testbed.presets import variants_in
 
-    found = [read_variants(Path(text)) if text.endswith(".toml") else [parse_variant(text)] for text in texts]
+    found = [variants_in(Path(text)) if text.endswith(".toml") else (parse_variant(text),) for text in texts]
     return tuple(variant for variants in found for variant in variants)
 
 

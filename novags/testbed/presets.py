@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from novags.cameras import CameraConfig, KnownConfig
 from novags.methods import METHODS, chosen, with_variants
-from novags.methods.variant import Variant
-from novags.settings import has_setting
+from novags.methods.variant import Variant, read_variants
+from novags.settings import changed, has_setting, refuse_lost_files, starting_at
 from novags.testbed.foreign.command import CommandConfig
 from novags.testbed.levels import level_named
 from novags.testbed.stages.capture import CaptureConfig
@@ -47,6 +47,8 @@ class Preset:
             raise ValueError(f"methods must be named once each, got {', '.join(self.methods) or 'none'}")
         own = [name for name in self.methods if self.command(name) is None]
         configs = [self.reconstruct(name).config for name in own]  # which checks the rest
+        for name, config in zip(own, configs, strict=True):
+            refuse_lost_files(config, name)
         for key in self.settings:
             if not any(has_setting(config, key) for config in (*configs, *(m.config() for m in METHODS.values()))):
                 raise ValueError(f"no method has a setting {key!r}")
@@ -107,6 +109,23 @@ EXPERIMENTS = {
         settings={"fit.cap_max": 1_000_000, "fit.checkpoint_every": 250},
     ),
 }
+
+
+def variants_in(path: Path) -> tuple[Variant, ...]:
+    """The variants of a TOML file; files among their settings start at its folder.
+
+    Raises:
+        ValueError: As `read_variants`; or if a method, a setting or a file does not exist, or a value is refused.
+    """
+    variants = {variant.name: variant for variant in read_variants(path)}
+    found = []
+    for name, variant in variants.items():
+        whole = chosen(name, variants)
+        config = whole.config(METHODS[whole.method].config(), {})
+        settings = starting_at(path.parent, variant.settings, config)
+        refuse_lost_files(changed(config, settings, what=name), name)
+        found.append(replace(variant, settings=settings))
+    return tuple(found)
 
 
 def adapted(

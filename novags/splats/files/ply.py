@@ -96,7 +96,8 @@ def _count(word: str, path: Path) -> int:
 def read_ply(path: str | Path) -> Gaussians:
     """Read a 3DGS PLY, binary little-endian; extra properties are ignored, any order is accepted.
 
-    Infinite logits of opacity are those of 0 and 1, as converters of 8-bit formats write them; they become minus and plus `OPAQUE`.
+    Infinite logits of opacity, those of 0 and 1, are what converters of 8-bit formats write. They become -`OPAQUE` and
+    `OPAQUE`.
 
     Raises:
         ValueError: If the file is not such a PLY, is cut short, or lacks a property.

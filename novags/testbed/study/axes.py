@@ -10,7 +10,7 @@ from typing import Any, get_type_hints
 from novags.cameras import CameraConfig, parse_cameras
 from novags.methods import METHODS
 from novags.methods.variant import Variant
-from novags.settings import changed, converted, flattened, has_setting
+from novags.settings import changed, converted, flattened, has_setting, starting_at
 from novags.testbed.importing.published.named import DATA
 from novags.testbed.levels import level_named
 from novags.testbed.presets import Preset, adapted
@@ -95,8 +95,9 @@ def changes_of(key: str, value: Any, folder: Path, data: Mapping[str, Path] | No
         return Changes(adapted={"dark": path})
     if key in known_keys():
         return Changes(adapted=_keywords(key, value, folder))
-    if any(has_setting(method.config(), key) for method in METHODS.values()):
-        return Changes(settings={key: value})
+    for method in METHODS.values():
+        if has_setting(config := method.config(), key):
+            return Changes(settings=_whole_paths(config, key, value, folder))
     known = (*known_keys(), *(name for method in METHODS.values() for name in flattened(method.config())))
     near = get_close_matches(key, known, 1)
     hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known_keys())}, settings of methods, "
@@ -121,6 +122,14 @@ def _keywords(key: str, value: Any, folder: Path) -> dict[str, Any]:
         return {"sensor": str(folder / value)}
     hint = _hints()[_keyword(key)]
     return {_keyword(key): converted(value, hint, "it")}
+
+
+def _whole_paths(config: Any, key: str, value: Any, folder: Path) -> dict[str, Any]:
+    """A setting of methods; files by their whole path."""
+    try:
+        return starting_at(folder, {key: value}, changed(config, {key: value}))
+    except ValueError:  # which says so where it is known whose setting it is
+        return {key: value}
 
 
 def _keyword(key: str) -> str:

@@ -20,10 +20,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from novags.methods import with_variants
-from novags.methods.variant import Variant, dotted, read_variants
+from novags.methods.variant import Variant, dotted
 from novags.testbed.foreign.command import read_commands
 from novags.testbed.importing.published.named import DataFolder
-from novags.testbed.presets import EXPERIMENTS, Preset
+from novags.testbed.presets import EXPERIMENTS, Preset, variants_in
 from novags.testbed.study.axes import STAGES, Changes, applied, changes_of
 from sensor_model.files.reading import brief
 from sensor_model.files.toml_file import read_toml
@@ -99,8 +99,8 @@ def study_of(
         for name in ("grid", "override", "rig", "variant", "method"):
             if not isinstance(table.get(name, {}), dict):
                 raise ValueError(f"[{name}] must be a table")
-    variants = tuple(read_variants(path)) if table.get("variant") else ()
     with _at(path, "[variant]"):
+        variants = variants_in(path) if table.get("variant") else ()
         with_variants(variants)
     with _at(path, ""):
         base = replace(base, commands=read_commands(table.get("method", {}), path.parent))

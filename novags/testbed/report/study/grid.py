@@ -13,6 +13,10 @@ Row = Mapping[str, Any]
 COLUMNS = (
     ("enhanced.aligned_psnr", "PSNR aligned, noise-free", "dB", True, 2),
     ("lit.tone_aligned_psnr", "PSNR tone-aligned, lit", "dB", True, 2),
+    ("lit.psnr", "PSNR, lit", "dB", True, 2),
+    ("lit.ssim", "SSIM, lit", "", True, 3),
+    ("lit.lpips", "LPIPS, lit", "", False, 3),
+    ("lit.flip", "FLIP, lit", "", False, 3),
     ("linear.linear_psnr", "PSNR linear", "dB", True, 2),
     ("enhanced.flip", "FLIP, noise-free", "", False, 3),
     ("recovered", "Recovered", "", True, 2),

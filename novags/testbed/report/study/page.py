@@ -21,6 +21,7 @@ from novags.testbed.study.results import CSV, JSON, counted
 from sensor_model.files.records import check_shape, read_record
 
 AGAIN = "run the study again: what is done is kept"
+LPIPS = "lit.lpips"
 VALUE = (str, float, bool)  # of an axis
 RESULTS: Any = {"axes": {"*": [VALUE]}, "rows": list}
 TABLE: Any = {"file": str, "table": {"variant?": {"*": {"method": str}}, "method?": dict}}
@@ -62,6 +63,7 @@ def write_study(folder: Path, out: Path | None = None) -> Path:
     context = {
         **_tables(lines, rows, axes, records, path, views),
         "title": f"{study['file']}: {len(rows)} runs",
+        "no_lpips": not any(LPIPS in line.spread for line in lines),
         "verdict": verdict(lines, competes), "states": counted(rows), "light": light, "looks": looks,
         "views": list(views.values()), "unseen": unseen, "signals": signals(lines, records),
         "error_ceiling": ERROR_CEILING, "data": _data(lines, looks),

@@ -115,6 +115,21 @@ def test_paths_start_at_the_folder_of_the_file(tmp_path: Path) -> None:
     assert isinstance(config, VggsfmConfig)
     assert (config.home, config.checkpoint, config.python) == (tmp_path / "clone", Path("/w.bin"), "python")
     assert cells[1].preset.cameras == SfmConfig(mapper="global")
+    for name in ("a.pth", "b.pth"):
+        (tmp_path / name).touch()
+    variants = """
+    [variant.one]
+    method = "uretinex-gs"
+    enhance.weights = ["a.pth"]
+    [variant.two]
+    method = "one"
+    enhance.weights = ["a.pth", "b.pth"]
+    """
+    cells = read(tmp_path, f"[grid]\nmethod = ['one', 'two']\n{variants}").cells
+    found = [cell.preset.reconstruct(cell.values["method"]).config.enhance.weights for cell in cells]
+    assert found == [(tmp_path / "a.pth",), (tmp_path / "a.pth", tmp_path / "b.pth")]
+    (cell,) = read(tmp_path, "[grid]\nmethod = 'sci-gs'\n[override]\nenhance.weights = 'b.pth'").cells
+    assert cell.preset.reconstruct("sci-gs").config.enhance.weights == (tmp_path / "b.pth",)
 
 
 WRONG: dict[str, tuple[str, str]] = {
@@ -148,7 +163,9 @@ WRONG: dict[str, tuple[str, str]] = {
     "rig's key": ("[grid]\nrig = 'a'\n[rig.a]\nviewz=9", "[rig.a] viewz: there is no such key; did you mean 'views'"),
     "unused rig": ("[rig.a]\nviews=9", "[rig.a]: no value of [grid] rig names it"),
     "variant": ("[variant.a]\nmethod='navie'", "[variant]: unknown method 'navie'"),
-    "variant's setting": ("[grid]\nmethod='a'\n[variant.a]\nmethod='naive'\nfit.x=1", "[grid] method: a"),
+    "variant's setting": ("[grid]\nmethod='a'\n[variant.a]\nmethod='naive'\nfit.x=1", "[variant]: a: FitConfig has no"),
+    "variant's file": ("[variant.a]\nmethod='sci-gs'\nenhance.weights='w.pt'", "[variant]: a: there is no file"),
+    "method's file": ("[grid]\nmethod='sci-gs'\n[override]\nenhance.weights='w.pt'", "sci-gs: there is no file"),
     "exclude axis": ("[[exclude]]\nscnee='cornell'", "[[exclude]] 1: unknown axis 'scnee'"),
     "exclude value": (
         "[grid]\nelectrons=[5]\n[[exclude]]\nelectrons=6", "1: electrons: 6 is not among its values in [grid] (5)"

@@ -1,0 +1,155 @@
+"""The paper's Table 1 in this bed: a page with one table for each light level, and its rows as CSV.
+
+    novags study docs/studies/table1.toml --out out/table1
+    novags study docs/studies/table1-weights.toml --out out/table1-weights  # where the weights are
+    python scripts/choices/table1.py out/table1* --page docs/table1.md --rows docs/table1.csv
+
+Sources are folders of studies and CSV files that an earlier call wrote, so that seeds can be measured one at a time.
+The page has the tables between <!-- table: LEVEL --> and <!-- /table -->, and the one of all levels at `levels`.
+"""
+
+import argparse
+import csv
+import json
+import sys
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parent))  # so that it is found where this file is loaded by its path
+
+from settle import write_table  # noqa: E402
+
+from novags.methods import METHODS, chosen, with_variants  # noqa: E402
+from novags.methods.variant import Variant  # noqa: E402
+from novags.testbed.report.study.grid import Line, by_place, lines_of  # noqa: E402
+from novags.testbed.report.study.light import looks_of  # noqa: E402
+from sensor_model.files.toml_file import read_toml  # noqa: E402
+
+Row = Mapping[str, Any]
+STUDIES = [Path(__file__).resolve().parents[2] / "docs" / "studies" / f"table1{end}.toml" for end in ("", "-weights")]
+PLACE = ("scene", "level", "method", "seed")
+MAIN = "lit.tone_aligned_psnr"
+# column of the study -> heading, factor, digits, whether the first three are coloured
+SCORES = {
+    MAIN: ("tone-aligned PSNR, dB", 1, 2, True),
+    "lit.psnr": ("PSNR, dB", 1, 2, True),
+    "lit.ssim": ("SSIM", 1, 3, True),
+    "lit.lpips": ("LPIPS", 1, 3, True),
+    "lit.flip": ("FLIP", 1, 3, True),
+    "geometry.abs_rel": ("depth error, %", 100, 1, True),
+    "seconds.reconstruct": ("seconds", 1, 0, False),
+    "peak_bytes": ("memory, MB", 1, 0, False),
+}
+FAMILIES = {
+    "2D + GS": "Enhanced one by one, then Gaussians", "NeRF": "Radiance fields", "3DGS": "Gaussians",
+    "ours": "NOVA-GS and `nova-plus`", "bound": "Bounds, which see truth (†) or use no reconstruction",
+}  # fmt: skip
+MEDALS = {1: " 🟩", 2: " 🟨", 3: " 🟥"}
+
+
+def read_source(source: Path) -> list[dict[str, Any]]:
+    """The rows of a study's folder, or of a CSV file that `write_rows` wrote."""
+    if source.is_dir():
+        return list(json.loads((source / "results.json").read_text(encoding="utf-8"))["rows"])
+    with source.open(encoding="utf-8", newline="") as file:
+        return [{key: _value(key, text) for key, text in row.items()} for row in csv.DictReader(file)]
+
+
+def _value(key: str, text: str) -> Any:
+    if key in ("scene", "level", "method", "state", "reason"):
+        return text or None
+    return int(text) if key == "seed" else float(text) if text else None
+
+
+def merged(sources: Sequence[Sequence[Row]]) -> list[Row]:
+    """All rows, a later source in the place of an earlier one; what was not run is left out."""
+    found = {tuple(row[name] for name in PLACE): row for rows in sources for row in rows
+             if row["state"] in ("done", "failed")}  # fmt: skip
+    return list(found.values())
+
+
+def write_rows(path: Path, rows: Sequence[Row]) -> None:
+    """Write what the page is made of."""
+    names = [*PLACE, "state", "reason", *SCORES]
+    lines = [[("" if row.get(name) is None else row[name]) for name in names] for row in rows]
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([names, *lines])
+
+
+def families(names: Sequence[str], study: Mapping[str, Any]) -> dict[str, str]:
+    """Where each method or variant belongs."""
+    own = [Variant(name=name, method=str(table["method"])) for name, table in study.get("variant", {}).items()]
+    variants = with_variants(own)
+    return {name: METHODS[chosen(name, variants).method].family for name in names}
+
+
+def cell(line: Line, score: str) -> str:
+    """A score with its spread over the seeds and its colour."""
+    if score not in line.spread:
+        return "–"
+    _, factor, digits, colored = SCORES[score]
+    mean, sd = line.spread[score]
+    text = f"{factor * mean:.{digits}f}" + ("" if sd is None else f" ± {factor * sd:.{digits}f}")
+    rank = line.places.get(score) if colored else None
+    return (f"**{text}**" if rank == 1 else text) + (MEDALS.get(rank, "") if rank else "")
+
+
+def level_table(lines: Sequence[Line], family: Mapping[str, str], competes: Mapping[str, bool]) -> str:
+    """The table of one level, by family, in each the best first."""
+    scores = [score for score in SCORES if score != "lit.lpips" or any(score in line.spread for line in lines)]
+    done = sum(row["state"] == "done" for line in lines for row in line.runs)
+    lpips = "" if "lit.lpips" in scores else " LPIPS: unavailable."
+    text = [f"{done} of {sum(len(line.runs) for line in lines)} runs.{lpips}", ""]
+    text += ["| | " + " | ".join(SCORES[score][0] for score in scores) + " |", "|---" * (len(scores) + 1) + "|"]
+    for name, title in FAMILIES.items():
+        members = [line for line in lines if family[line.method] == name]
+        if members:
+            text.append(f"| *{title}* |" + " |" * len(scores))
+        for line in members:
+            mark = "" if competes[line.method] else " †"
+            text.append(f"| `{line.method}`{mark} | " + " | ".join(cell(line, score) for score in scores) + " |")
+    failed = [f"`{row['method']}`, seed {row['seed']}: {row['reason']}" for line in lines for row in line.runs
+              if row["state"] == "failed"]  # fmt: skip
+    return "\n".join([*text, *(["", "Failed: " + "; ".join(failed)] if failed else [])])
+
+
+def all_levels(lines: Sequence[Line], family: Mapping[str, str], competes: Mapping[str, bool]) -> str:
+    """Tone-aligned PSNR of every method at every level."""
+    levels = list(dict.fromkeys(line.place["level"] for line in lines))
+    text = ["| tone-aligned PSNR, dB | " + " | ".join(levels) + " |", "|---" * (len(levels) + 1) + "|"]
+    for name in sorted(dict.fromkeys(line.method for line in lines), key=lambda m: list(FAMILIES).index(family[m])):
+        at = {line.place["level"]: line for line in lines if line.method == name}
+        cells = [cell(at[level], MAIN) if level in at else "–" for level in levels]
+        text.append(f"| `{name}`{'' if competes[name] else ' †'} | " + " | ".join(cells) + " |")
+    return "\n".join(text)
+
+
+def tables(rows: Sequence[Row], study: Mapping[str, Any]) -> dict[str, str]:
+    """All tables, by the name of their place on the page."""
+    names = list(dict.fromkeys(str(row["method"]) for row in rows))
+    competes = {name: look.competes for name, look in looks_of(names, study).items()}
+    family = families(names, study)
+    lines = lines_of(rows, dict.fromkeys(PLACE), competes)
+    found = {str(members[0].place["level"]): level_table(members, family, competes)
+             for members in by_place(lines).values()}  # fmt: skip
+    return {**found, "levels": all_levels(lines, family, competes)}
+
+
+def main() -> None:
+    """Run it from the command line."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sources", nargs="+", type=Path)
+    parser.add_argument("--page", type=Path, required=True)
+    parser.add_argument("--rows", type=Path, help="CSV file to write the rows of all sources into")
+    options = parser.parse_args()
+    rows = merged([read_source(source) for source in options.sources])
+    if options.rows:
+        write_rows(options.rows, rows)
+    variants = {name: table for path in STUDIES for name, table in read_toml(path)["variant"].items()}
+    for name, table in tables(rows, {"variant": variants}).items():
+        write_table(options.page, name, table)
+
+
+if __name__ == "__main__":
+    main()
