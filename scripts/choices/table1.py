@@ -1,11 +1,13 @@
-"""The paper's Table 1 in this bed: a page with one table for each light level, and its rows as CSV.
+r"""The paper's Table 1 in this bed: a page with one table for each light level, and its rows as CSV.
 
     novags study docs/studies/table1.toml --out out/table1
     novags study docs/studies/table1-weights.toml --out out/table1-weights  # where the weights are
-    python scripts/choices/table1.py out/table1* --page docs/table1.md --rows docs/table1.csv
+    python scripts/choices/table1.py out/table1* --page docs/table1.md --summary docs/results.md \
+        --rows docs/table1.csv
 
 Sources are folders of studies and CSV files that an earlier call wrote, so that seeds can be measured one at a time.
-The page has the tables between <!-- table: LEVEL --> and <!-- /table -->, and the one of all levels at `levels`.
+The page has the tables between <!-- table: LEVEL --> and <!-- /table -->; the summary has the one of all levels, at
+`levels`.
 """
 
 import argparse
@@ -141,6 +143,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("sources", nargs="+", type=Path)
     parser.add_argument("--page", type=Path, required=True)
+    parser.add_argument("--summary", type=Path, required=True)
     parser.add_argument("--rows", type=Path, help="CSV file to write the rows of all sources into")
     options = parser.parse_args()
     rows = merged([read_source(source) for source in options.sources])
@@ -148,7 +151,7 @@ def main() -> None:
         write_rows(options.rows, rows)
     variants = {name: table for path in STUDIES for name, table in read_toml(path)["variant"].items()}
     for name, table in tables(rows, {"variant": variants}).items():
-        write_table(options.page, name, table)
+        write_table(options.summary if name == "levels" else options.page, name, table)
 
 
 if __name__ == "__main__":
