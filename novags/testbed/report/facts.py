@@ -80,14 +80,16 @@ def photographs_text(material: Material) -> list[str]:
 
 
 def leading(material: Material) -> tuple[str, str, str] | None:
-    """The reference that isolates noise where all runs have it, else the lit one; its score; how to describe that.
+    """The reference that isolates noise where all runs have the same, else the lit one; its score; how to describe it.
 
     None where no reference is known that all runs have.
     """
     means = [method["mean"] for method in material.metrics["methods"].values()]
-    if all((mean.get("enhanced") or {}).get("aligned_psnr") is not None for mean in means):
+    own = all((mean.get("enhanced") or {}).get("aligned_psnr") is not None for mean in means)
+    lit = all(mean.get("lit") is not None for mean in means)
+    if own and (material.one_reference or not lit):
         return "enhanced", "aligned_psnr", "aligned PSNR against the noise-free exposure"
-    if all(mean.get("lit") is not None for mean in means):
+    if lit:
         return "lit", "tone_aligned_psnr", "tone-aligned PSNR against the well-lit truth"
     return None
 

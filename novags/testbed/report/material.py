@@ -35,6 +35,11 @@ class Material:
         return {name: exposures_of(run, self.capture, self.lit) for name, run in found.items()}
 
     @property
+    def one_reference(self) -> bool:
+        """Whether the noise-free references of all runs are enhanced by the same: their scores can be compared then."""
+        return len({row.enhancement for row in self.rows.values()}) == 1
+
+    @property
     def main(self) -> str:
         """The main run."""
         return main_row(self.rows.values())

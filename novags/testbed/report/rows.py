@@ -1,6 +1,7 @@
 """How a run appears in a report: title, family and colour, and where its settings differ from the published method."""
 
 import colorsys
+import json
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -29,6 +30,7 @@ class Row:
         color: "#rrggbb", different for every run of a report.
         bound: "floor", "ceiling" or None, for a method with its own settings; a variant is not a bound.
         competes: Whether it may be the best: a method that sees any truth may not.
+        enhancement: What its noise-free reference is enhanced by: runs that differ in it have no reference in common.
     """
 
     name: str
@@ -39,6 +41,13 @@ class Row:
     color: str
     bound: str | None
     competes: bool
+    enhancement: str
+
+
+def enhancement_of(run: Run) -> str:
+    """What a run's noise-free reference is enhanced by, as text to compare; "" where nothing is."""
+    found = run.record.get("enhancement") or {}
+    return json.dumps([found.get("enhancer"), found.get("config")], sort_keys=True) if found else ""
 
 
 def rows_of(runs: Mapping[str, Run]) -> dict[str, Row]:
@@ -54,6 +63,7 @@ def rows_of(runs: Mapping[str, Run]) -> dict[str, Row]:
             color=color, bound=method.bound if method is not None and run.name == run.method else None,
             competes=method is None
             or not (method.sees_clean or method.sees_surface or sees_statistics(run.record.get("config"))),
+            enhancement=enhancement_of(run),
         )  # fmt: skip
     return rows
 

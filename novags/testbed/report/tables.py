@@ -27,6 +27,7 @@ COLUMNS = {
     "linear_demosaiced": _LINEAR,
     "lit": (_ENHANCED[1], _ENHANCED[0], *_ENHANCED[2:]),
 }
+OWN = ("enhanced", "enhanced_demosaiced")  # references that every enhancement has its own of
 GEOMETRY = (
     ("abs_rel", "relative error", "", False),
     ("within_5_percent", "within 5 %", "", True),
@@ -44,20 +45,23 @@ NOISE = (
 Columns = tuple[tuple[str, str, str, bool], ...]
 
 
-def score_table(metrics: Mapping[str, Any], kind: str, competes: Mapping[str, bool]) -> list[dict[str, Any]]:
+def score_table(
+    metrics: Mapping[str, Any], kind: str, competes: Mapping[str, bool], *, placed: bool = True
+) -> list[dict[str, Any]]:
     """One row for each run that has this reference, best first, with its rank in each column.
 
     Args:
         metrics: As in metrics.json.
         kind: The reference.
         competes: Whether a run may be the best, by name.
+        placed: Whether the runs have this reference in common; if not, none has a rank.
     """
     means = {name: m["mean"][kind] for name, m in metrics["methods"].items() if m["mean"].get(kind)}
-    return ranked(means, COLUMNS[kind], competes)
+    return ranked(means, COLUMNS[kind], competes, placed=placed)
 
 
 def ranked(
-    values: Mapping[str, Mapping[str, Any]], columns: Columns, competes: Mapping[str, bool]
+    values: Mapping[str, Mapping[str, Any]], columns: Columns, competes: Mapping[str, bool], *, placed: bool = True
 ) -> list[dict[str, Any]]:
     """Rows of cells in the order of the first column; the best value of each column among those that compete is marked.
 
@@ -65,11 +69,12 @@ def ranked(
         values: By row, then by column.
         columns: What is shown.
         competes: Whether a row may be the best; those that may not have no rank.
+        placed: Whether any row has one.
     """
     places = {}
     for key, _, _, more in columns:
         known = {name: found for name, row in values.items() if (found := measured(row.get(key))) is not None}
-        places[key] = ranks({name: value for name, value in known.items() if competes[name]}, more)
+        places[key] = ranks({name: value for name, value in known.items() if placed and competes[name]}, more)
     rows = []
     for name, row in values.items():
         cells = []

@@ -27,6 +27,7 @@ COLUMNS = (
     ("peak_bytes", "Peak memory", "MB", False, 0),
 )
 SCORES = ("enhanced.aligned_psnr", "lit.tone_aligned_psnr", "enhanced.flip", "geometry.abs_rel")
+OWN = ("enhanced.flip", "enhanced.aligned_psnr", "recovered")  # compare with a method's own reference
 SCALES = {"peak_bytes": 1e-6}
 
 
@@ -41,6 +42,8 @@ class Line:
         spread: Mean and standard deviation over the seeds (None of fewer than two) by column; columns without a value
             are missing.
         places: Its rank among those that compete at the same place, by column.
+        alike: Whether all methods at this place are compared with noise-free pictures of the same enhancement; only
+            then do scores against these rank them.
     """
 
     place: dict[str, Any]
@@ -48,15 +51,20 @@ class Line:
     runs: list[Row]
     spread: dict[str, tuple[float, float | None]] = field(default_factory=dict)
     places: dict[str, int] = field(default_factory=dict)
+    alike: bool = True
 
 
-def lines_of(rows: Sequence[Row], axes: Mapping[str, Any], competes: Mapping[str, bool]) -> list[Line]:
+def lines_of(
+    rows: Sequence[Row], axes: Mapping[str, Any], competes: Mapping[str, bool],
+    enhancements: Mapping[int, str] | None = None,
+) -> list[Line]:  # fmt: skip
     """One line for each combination of all axes but the seed, best first at each place.
 
     Args:
         rows: Of the study's table.
         axes: Its axes.
         competes: Whether a method may be the best, by name.
+        enhancements: What the noise-free pictures of each run are enhanced by, by number of the row, where known.
     """
     others = [name for name in axes if name not in (METHOD, SEED)]
     groups: dict[tuple[Any, ...], Line] = {}
@@ -72,9 +80,13 @@ def lines_of(rows: Sequence[Row], axes: Mapping[str, Any], competes: Mapping[str
                 line.spread[column] = (float(over["mean"] or 0.0), over["sd"])
     found = []
     for members in by_place(list(groups.values())).values():
+        numbers = [row["run"] for line in members for row in line.runs if "run" in row]
+        alike = len({(enhancements or {}).get(number) for number in numbers} - {None}) <= 1
+        for line in members:
+            line.alike = alike
         for column, _, _, more, _ in COLUMNS:
             known = {line.method: line.spread[column][0] for line in members
-                     if column in line.spread and competes[line.method]}  # fmt: skip
+                     if column in line.spread and competes[line.method] and (alike or column not in OWN)}  # fmt: skip
             for name, rank in ranks(known, more).items():
                 next(line for line in members if line.method == name).places[column] = rank
         found += sorted(members, key=_main)
@@ -95,9 +107,10 @@ def shown_columns(lines: Sequence[Line]) -> list[tuple[str, str, str, bool, int]
 
 
 def main_column(lines: Sequence[Line]) -> str | None:
-    """The score that decides: against the noise-free exposure where every finished line has it, else the lit one."""
+    """The score that decides: against the noise-free exposure where all share one, else against the well-lit render."""
     done = [line for line in lines if line.spread]
-    return next((column for column in SCORES[:2] if done and all(column in line.spread for line in done)), None)
+    known = [column for column in SCORES[:2] if done and all(column in line.spread for line in done)]
+    return known[-1] if not all(line.alike for line in done) and known else next(iter(known), None)
 
 
 def verdict(lines: Sequence[Line], competes: Mapping[str, bool]) -> str:
@@ -140,5 +153,6 @@ def _value(row: Row, column: str) -> float | None:
 
 
 def _main(line: Line) -> tuple[bool, float]:
-    found = next((line.spread[column][0] for column in SCORES[:2] if column in line.spread), None)
+    order = SCORES[:2] if line.alike else SCORES[1::-1]
+    found = next((line.spread[column][0] for column in order if column in line.spread), None)
     return found is None, -(found or 0.0)

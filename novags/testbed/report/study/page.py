@@ -11,6 +11,7 @@ from novags.testbed.report.look.album import Album
 from novags.testbed.report.look.maps import ERROR_CEILING
 from novags.testbed.report.page import fill_page
 from novags.testbed.report.pictures import ViewTiles
+from novags.testbed.report.rows import enhancement_of
 from novags.testbed.report.study.grid import COLUMNS, SCALES, Line, lines_of, main_column, shown_columns, verdict
 from novags.testbed.report.study.light import Look, light_report, looks_of
 from novags.testbed.report.study.pictures import place_of, study_views
@@ -55,7 +56,8 @@ def write_study(folder: Path, out: Path | None = None) -> Path:
     path = out or folder / REPORT
     looks = looks_of(dict.fromkeys(str(row[METHOD]) for row in rows), study["table"])
     competes = {name: look.competes for name, look in looks.items()}
-    lines, records = lines_of(rows, axes, competes), read_records(folder, rows)
+    records = read_records(folder, rows)
+    lines = lines_of(rows, axes, competes, {number: enhancement_of(run) for number, run in records.runs.items()})
     album = Album(path)
     views, unseen = study_views(lines, records, album)
     album.settle()
@@ -63,7 +65,7 @@ def write_study(folder: Path, out: Path | None = None) -> Path:
     context = {
         **_tables(lines, rows, axes, records, path, views),
         "title": f"{study['file']}: {len(rows)} runs",
-        "no_lpips": not any(LPIPS in line.spread for line in lines),
+        "alike": all(line.alike for line in lines), "no_lpips": not any(LPIPS in line.spread for line in lines),
         "verdict": verdict(lines, competes), "states": counted(rows), "light": light, "looks": looks,
         "views": list(views.values()), "unseen": unseen, "signals": signals(lines, records),
         "error_ceiling": ERROR_CEILING, "data": _data(lines, looks),

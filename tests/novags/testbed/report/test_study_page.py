@@ -13,7 +13,7 @@ import pytest
 
 from novags.testbed.report.look.album import Album
 from novags.testbed.report.study import light
-from novags.testbed.report.study.grid import first_places, lines_of, verdict
+from novags.testbed.report.study.grid import first_places, lines_of, main_column, verdict
 from novags.testbed.report.study.page import write_study
 from novags.testbed.report.study.pictures import chosen, study_views
 from novags.testbed.report.study.records import read_records
@@ -63,6 +63,20 @@ def test_the_headline_counts_who_comes_first_and_says_where_another_does() -> No
         "better comes first in 2 of 2 comparisons by PSNR aligned, noise-free. Not so by PSNR tone-aligned, lit: there "
         "naive comes first in 1 of 2, better in 1."
     )
+
+
+def test_scores_against_references_of_their_own_rank_nothing_and_the_lit_one_decides() -> None:
+    enhancements = {row["run"]: "a" if row["method"] == "naive" else "b" for row in rows()}
+    lines = lines_of(rows(), AXES, COMPETES, enhancements)
+    assert not any(line.alike for line in lines)
+    assert [line.method for line in lines[:3]] == ["naive", "better", "oracle"]  # by the lit score
+    assert lines[0].places == {"lit.tone_aligned_psnr": 1, "peak_bytes": 1}
+    assert verdict(lines, COMPETES).startswith("naive comes first in 1 of 2 comparisons by PSNR tone-aligned, lit")
+    same = lines_of(rows(), AXES, COMPETES, dict.fromkeys(enhancements, "a"))
+    assert all(line.alike for line in same)
+    assert same[2].places["enhanced.aligned_psnr"] == 2
+    assert main_column(lines) == "lit.tone_aligned_psnr"
+    assert main_column(same) == "enhanced.aligned_psnr"
 
 
 @pytest.fixture(scope="module")

@@ -20,6 +20,7 @@ def material(**runs: dict[str, Any]) -> Any:
     }
     return SimpleNamespace(
         rows=rows,
+        one_reference=True,
         main="ours" if "ours" in runs else next(iter(runs)),
         metrics={
             "methods": {name: {"mean": {"enhanced": even | scores}} for name, scores in runs.items()},
@@ -67,3 +68,16 @@ def test_the_cards_are_those_of_the_run_in_the_headline(monkeypatch: pytest.Monk
     assert [(card["value"], card["label"]) for card in found[:3]] == [
         ("26.25", "rival, held-out views"), ("+2.25", "over plain"), ("62", "of the loss to noise recovered"),
     ]  # fmt: skip
+
+
+def test_methods_with_references_of_their_own_are_compared_with_the_well_lit_one() -> None:
+    found = material(plain={"aligned_psnr": 24.0}, ours={"aligned_psnr": 30.0})
+    for name, value in (("plain", 20.0), ("ours", 18.0)):
+        found.metrics["methods"][name]["mean"]["lit"] = dict.fromkeys(HEADINGS, 0.5) | {"tone_aligned_psnr": value}
+    assert verdict.verdict(found).startswith("ours comes first with 30.00 dB")
+    found.one_reference = False
+    said = verdict.verdict(found)
+    assert said.startswith(
+        "plain comes first with 20.00 dB on the held-out views (tone-aligned PSNR against the well-lit"
+    )
+    assert "30" not in said
