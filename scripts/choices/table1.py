@@ -6,8 +6,8 @@ r"""The paper's Table 1 in this bed: a page with one table for each light level,
         --rows docs/table1.csv
 
 Sources are folders of studies and CSV files that an earlier call wrote, so that seeds can be measured one at a time.
-The page has the tables between <!-- table: LEVEL --> and <!-- /table -->; the summary has the one of all levels, at
-`levels`.
+The page has the tables between <!-- table: LEVEL --> and <!-- /table -->, and at `paper` what the paper reports beside
+what is found; the summary has the one of all levels, at `levels`.
 """
 
 import argparse
@@ -20,11 +20,12 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))  # so that it is found where this file is loaded by its path
 
+from scipy.stats import spearmanr  # noqa: E402
 from settle import write_table  # noqa: E402
 
 from novags.methods import METHODS, chosen, with_variants  # noqa: E402
 from novags.methods.variant import Variant  # noqa: E402
-from novags.testbed.report.study.grid import Line, by_place, lines_of  # noqa: E402
+from novags.testbed.report.study.grid import HELPED, LINEAR, Line, by_place, lines_of  # noqa: E402
 from novags.testbed.report.study.light import looks_of  # noqa: E402
 from sensor_model.files.toml_file import read_toml  # noqa: E402
 
@@ -47,6 +48,13 @@ FAMILIES = {
     "2D + GS": "Enhanced one by one, then Gaussians", "NeRF": "Radiance fields", "3DGS": "Gaussians",
     "ours": "NOVA-GS and `nova-plus`", "bound": "Bounds, which see truth (†) or use no reconstruction",
 }  # fmt: skip
+PAPER = {  # method here -> PSNR that the paper reports, dB, on LOM, LLRS and LLNeRF
+    "sci": (11.86, 9.37, 12.82), "mbllen": (15.08, 15.36, 18.09), "uretinex": (20.29, 15.10, 20.08),
+    "zero-dce": (13.48, 10.23, 14.19), "aleth-nerf": (19.56, 12.65, 16.02), "ll-nerf": (17.60, 14.93, 18.82),
+    "i2-nerf-truth": (22.40, 15.37, 21.91), "luminance-gs": (17.98, 9.78, 12.49), "lita-gs": (19.99, 14.87, 15.50),
+    "nova-small": (20.97, 15.54, 23.49),
+}  # fmt: skip
+LEVELS = ("lom", "llrs", "llnerf")  # as the paper's columns
 MEDALS = {1: " 🟩", 2: " 🟨", 3: " 🟥"}
 
 
@@ -73,7 +81,7 @@ def merged(sources: Sequence[Sequence[Row]]) -> list[Row]:
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
     """Write what the page is made of."""
-    names = [*PLACE, "state", "reason", *SCORES]
+    names = [*PLACE, "state", "reason", *SCORES, LINEAR]
     lines = [[("" if row.get(name) is None else row[name]) for name in names] for row in rows]
     with path.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows([names, *lines])
@@ -93,6 +101,7 @@ def cell(line: Line, score: str) -> str:
     _, factor, digits, colored = SCORES[score]
     mean, sd = line.spread[score]
     text = f"{factor * mean:.{digits}f}" + ("" if sd is None else f" ± {factor * sd:.{digits}f}")
+    text += " ‡" if score in HELPED and LINEAR in line.spread else ""
     rank = line.places.get(score) if colored else None
     return (f"**{text}**" if rank == 1 else text) + (MEDALS.get(rank, "") if rank else "")
 
@@ -127,6 +136,31 @@ def all_levels(lines: Sequence[Line], family: Mapping[str, str], competes: Mappi
     return "\n".join(text)
 
 
+def beside_paper(lines: Sequence[Line]) -> str:
+    """PSNR that the paper reports and that is found here, and how well the orders agree (Spearman)."""
+    heads = " | ".join(f"{level}: paper, PSNR, tone-aligned" for level in LEVELS)
+    text = [f"| | {heads} |", "|---" * (len(LEVELS) + 1) + "|"]
+    found = {(line.method, line.place["level"]): line.spread for line in lines if MAIN in line.spread}
+    for name, reported in PAPER.items():
+        cells = []
+        for value, level in zip(reported, LEVELS, strict=True):
+            spread = found.get((name, level))
+            ours = [f"{spread[score][0]:.2f}" for score in ("lit.psnr", MAIN)] if spread else ["–", "–"]
+            cells.append(", ".join([f"{value:.2f}", *ours]))
+        text.append(f"| `{name}` | " + " | ".join(cells) + " |")
+    agreement = []
+    for k, level in enumerate(LEVELS):
+        both = [name for name in PAPER if (name, level) in found]
+        if len(both) > 2:
+            order = [
+                spearmanr([PAPER[name][k] for name in both], [found[name, level][score][0] for name in both]).statistic
+                for score in ("lit.psnr", MAIN)
+            ]
+            agreement.append(f"{level} {order[0]:.2f} and {order[1]:.2f}")
+    text += ["", f"Rank correlation of the paper's PSNR with PSNR and tone-aligned PSNR here: {'; '.join(agreement)}."]
+    return "\n".join(text)
+
+
 def tables(rows: Sequence[Row], study: Mapping[str, Any]) -> dict[str, str]:
     """All tables, by the name of their place on the page."""
     names = list(dict.fromkeys(str(row["method"]) for row in rows))
@@ -135,7 +169,7 @@ def tables(rows: Sequence[Row], study: Mapping[str, Any]) -> dict[str, str]:
     lines = lines_of(rows, dict.fromkeys(PLACE), competes)
     found = {str(members[0].place["level"]): level_table(members, family, competes)
              for members in by_place(lines).values()}  # fmt: skip
-    return {**found, "levels": all_levels(lines, family, competes)}
+    return {**found, "levels": all_levels(lines, family, competes), "paper": beside_paper(lines)}
 
 
 def main() -> None:

@@ -59,6 +59,14 @@ def test_the_mean_over_seeds_decides_the_place_and_bounds_take_none(table1: Modu
     assert lines[-1] == "Failed: `gaussian-dk`, seed 1: diverged at step 12"
 
 
+def test_what_truth_helps_is_marked_and_takes_no_place(table1: ModuleType) -> None:
+    linear = row("lom", "raw-gs", 0, 99, **{"linear.linear_psnr": 30.0})
+    lines = table1.tables([*ROWS, linear], STUDY)["lom"].splitlines()
+    raw = next(line for line in lines if "`raw-gs`" in line)
+    assert raw.startswith("| `raw-gs` | **99.00** 🟩 | 89.00 ‡ | 0.500 ‡ | 0.250 ‡ | 10.0 🟨 | 60 | 1500 |")
+    assert "| `nova-small` | 23.50 ± 0.71 🟨 | **13.50 ± 0.71** 🟩 |" in "\n".join(lines)
+
+
 def test_methods_stand_in_their_family_the_best_first(table1: ModuleType) -> None:
     lines = table1.tables([*ROWS, row("lom", "gamma-gs", 0, 25)], STUDY)["lom"].splitlines()
     names = [line.split("|")[1].strip() for line in lines[4:-2]]
@@ -84,6 +92,15 @@ def test_one_table_has_all_levels(table1: ModuleType) -> None:
     assert "| `lita-gs` | 19.00 | – |" in lines
 
 
+def test_the_paper_stands_beside_and_the_order_is_compared(table1: ModuleType) -> None:
+    more = [row("lom", "aleth-nerf", 0, 18), row("lom", "luminance-gs", 0, 18.5)]
+    lines = table1.tables([*ROWS, *more], STUDY)["paper"].splitlines()
+    assert lines[0].startswith("| | lom: paper, PSNR, tone-aligned | llrs: ")
+    assert "| `nova-small` | 20.97, 13.50, 23.50 | 15.54, –, – | 23.49, –, – |" in lines
+    # paper: nova-small 20.97, lita-gs 19.99, aleth-nerf 19.56, luminance-gs 17.98; here the last two change places
+    assert lines[-1].endswith("here: lom 0.80 and 0.80.")
+
+
 def test_rows_come_back_from_their_csv_and_later_sources_win(
     table1: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -94,7 +111,7 @@ def test_rows_come_back_from_their_csv_and_later_sources_win(
         (tmp_path / name).mkdir()
         (tmp_path / name / "results.json").write_text(json.dumps({"rows": rows}))
     page, summary, out = tmp_path / "page.md", tmp_path / "summary.md", tmp_path / "rows.csv"
-    page.write_text("".join(f"<!-- table: {name} -->\n<!-- /table -->\n" for name in ("lom", "llrs")))
+    page.write_text("".join(f"<!-- table: {name} -->\n<!-- /table -->\n" for name in ("lom", "llrs", "paper")))
     summary.write_text("<!-- table: levels -->\n<!-- /table -->\n")
 
     def call(*sources: Path) -> str:

@@ -10,7 +10,7 @@ from novags.testbed.folders.run import METRICS, Run
 from novags.testbed.report.charts import line_chart
 from novags.testbed.report.material import Material
 from novags.testbed.report.rows import Row, deviations
-from novags.testbed.report.tables import GEOMETRY, NOISE, ranked
+from novags.testbed.report.tables import GEOMETRY, NOISE, OWN, PLAIN, Placed, ranked
 
 EXACT = 1e-4  # degrees or extents; camera files round, and smaller errors are invisible
 
@@ -92,6 +92,15 @@ def leading(material: Material) -> tuple[str, str, str] | None:
     if lit:
         return "lit", "tone_aligned_psnr", "tone-aligned PSNR against the well-lit truth"
     return None
+
+
+def placed_in(material: Material, kind: str) -> Placed:
+    """Which run takes a place by which score against a reference: what does not compare takes none."""
+    if kind in OWN:
+        return lambda name, key: material.one_reference
+    if kind == "lit":
+        return lambda name, key: key not in PLAIN or name not in material.exposures
+    return lambda name, key: True
 
 
 def geometry_table(material: Material) -> list[dict[str, Any]]:

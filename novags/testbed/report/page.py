@@ -28,6 +28,7 @@ from novags.testbed.report.facts import (
     noise_table,
     number,
     photographs_text,
+    placed_in,
     plans,
     signed,
     size,
@@ -40,7 +41,7 @@ from novags.testbed.report.look.maps import ERROR_CEILING
 from novags.testbed.report.material import Material
 from novags.testbed.report.pictures import pick_views, view_tiles
 from novags.testbed.report.signal_chart import signal
-from novags.testbed.report.tables import COLUMNS, GEOMETRY, NOISE, OWN, per_view, score_table
+from novags.testbed.report.tables import COLUMNS, GEOMETRY, NOISE, per_view, score_table
 from novags.testbed.report.verdict import cards, verdict
 from novags.testbed.results.again import run_again, score_again
 from novags.testbed.results.comparison import MAIN, Group, deltas_of, groups_of
@@ -229,10 +230,7 @@ def score_context(material: Material) -> dict[str, Any]:
     methods = {name: run.method for name, run in material.runs.items()}
     recovered = {"enhanced": material.metrics["recovered"], "lit": material.metrics.get("recovered_lit", {})}
     return {
-        "tables": {
-            kind: score_table(material.metrics, kind, competes, placed=material.one_reference or kind not in OWN)
-            for kind in COLUMNS
-        },
+        "tables": {kind: score_table(material.metrics, kind, competes, placed_in(material, kind)) for kind in COLUMNS},
         "one_reference": material.one_reference,
         "columns": COLUMNS,
         "per_view": {kind: per_view(material.metrics, kind) for kind in COLUMNS},

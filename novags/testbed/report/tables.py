@@ -2,7 +2,7 @@
 
 import math
 import statistics
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from sensor_model.files.reading import brief
@@ -27,6 +27,7 @@ COLUMNS = {
     "linear_demosaiced": _LINEAR,
     "lit": (_ENHANCED[1], _ENHANCED[0], *_ENHANCED[2:]),
 }
+PLAIN = ("psnr", "ssim", "flip", "delta_e", "lpips")  # no help of the truth, but the exposure of linear light
 OWN = ("enhanced", "enhanced_demosaiced")  # references that every enhancement has its own of
 GEOMETRY = (
     ("abs_rel", "relative error", "", False),
@@ -43,10 +44,11 @@ NOISE = (
 )
 
 Columns = tuple[tuple[str, str, str, bool], ...]
+Placed = Callable[[str, str], bool]
 
 
 def score_table(
-    metrics: Mapping[str, Any], kind: str, competes: Mapping[str, bool], *, placed: bool = True
+    metrics: Mapping[str, Any], kind: str, competes: Mapping[str, bool], placed: Placed = lambda name, key: True
 ) -> list[dict[str, Any]]:
     """One row for each run that has this reference, best first, with its rank in each column.
 
@@ -54,27 +56,30 @@ def score_table(
         metrics: As in metrics.json.
         kind: The reference.
         competes: Whether a run may be the best, by name.
-        placed: Whether the runs have this reference in common; if not, none has a rank.
+        placed: As of `ranked`.
     """
     means = {name: m["mean"][kind] for name, m in metrics["methods"].items() if m["mean"].get(kind)}
-    return ranked(means, COLUMNS[kind], competes, placed=placed)
+    return ranked(means, COLUMNS[kind], competes, placed)
 
 
 def ranked(
-    values: Mapping[str, Mapping[str, Any]], columns: Columns, competes: Mapping[str, bool], *, placed: bool = True
-) -> list[dict[str, Any]]:
+    values: Mapping[str, Mapping[str, Any]], columns: Columns, competes: Mapping[str, bool],
+    placed: Placed = lambda name, key: True,
+) -> list[dict[str, Any]]:  # fmt: skip
     """Rows of cells in the order of the first column; the best value of each column among those that compete is marked.
 
     Args:
         values: By row, then by column.
         columns: What is shown.
         competes: Whether a row may be the best; those that may not have no rank.
-        placed: Whether any row has one.
+        placed: (row, column) -> whether its value can be compared with those of the other rows.
     """
     places = {}
     for key, _, _, more in columns:
         known = {name: found for name, row in values.items() if (found := measured(row.get(key))) is not None}
-        places[key] = ranks({name: value for name, value in known.items() if placed and competes[name]}, more)
+        places[key] = ranks(
+            {name: value for name, value in known.items() if competes[name] and placed(name, key)}, more
+        )
     rows = []
     for name, row in values.items():
         cells = []

@@ -1,6 +1,6 @@
 """The outcome in a sentence and in numbers: which run comes first, by how much, and which scores disagree."""
 
-from novags.testbed.report.facts import costs, duration, join, leading, signed
+from novags.testbed.report.facts import costs, duration, join, leading, placed_in, signed
 from novags.testbed.report.material import Material
 from novags.testbed.report.tables import COLUMNS, score_table
 
@@ -55,7 +55,8 @@ def leader(material: Material) -> str:
 
 def _dissent(material: Material, kind: str, main_score: str, best: str) -> str:
     """Which other scores put another run first: the headline hides none that is worse for its own."""
-    rows = score_table(material.metrics, kind, {name: row.competes for name, row in material.rows.items()})
+    competes = {name: row.competes for name, row in material.rows.items()}
+    rows = score_table(material.metrics, kind, competes, placed_in(material, kind))
     headings = {key: heading for key, heading, _, _ in COLUMNS[kind]}
     first: dict[str, list[str]] = {}
     for key in (key for key in headings if key != main_score):

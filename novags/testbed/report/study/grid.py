@@ -28,6 +28,8 @@ COLUMNS = (
 )
 SCORES = ("enhanced.aligned_psnr", "lit.tone_aligned_psnr", "enhanced.flip", "geometry.abs_rel")
 OWN = ("enhanced.flip", "enhanced.aligned_psnr", "recovered")  # compare with a method's own reference
+LINEAR = "linear.linear_psnr"  # methods that end in linear light have it
+HELPED = ("lit.psnr", "lit.ssim", "lit.lpips", "lit.flip")  # by the truth, which decides their exposure
 SCALES = {"peak_bytes": 1e-6}
 
 
@@ -86,7 +88,8 @@ def lines_of(
             line.alike = alike
         for column, _, _, more, _ in COLUMNS:
             known = {line.method: line.spread[column][0] for line in members
-                     if column in line.spread and competes[line.method] and (alike or column not in OWN)}  # fmt: skip
+                     if column in line.spread and competes[line.method] and (alike or column not in OWN)
+                     and not (column in HELPED and LINEAR in line.spread)}  # fmt: skip
             for name, rank in ranks(known, more).items():
                 next(line for line in members if line.method == name).places[column] = rank
         found += sorted(members, key=_main)

@@ -12,7 +12,16 @@ from novags.testbed.report.look.maps import ERROR_CEILING
 from novags.testbed.report.page import fill_page
 from novags.testbed.report.pictures import ViewTiles
 from novags.testbed.report.rows import enhancement_of
-from novags.testbed.report.study.grid import COLUMNS, SCALES, Line, lines_of, main_column, shown_columns, verdict
+from novags.testbed.report.study.grid import (
+    COLUMNS,
+    LINEAR,
+    SCALES,
+    Line,
+    lines_of,
+    main_column,
+    shown_columns,
+    verdict,
+)
 from novags.testbed.report.study.light import Look, light_report, looks_of
 from novags.testbed.report.study.pictures import place_of, study_views
 from novags.testbed.report.study.records import Records, read_records, signals
@@ -65,6 +74,7 @@ def write_study(folder: Path, out: Path | None = None) -> Path:
     context = {
         **_tables(lines, rows, axes, records, path, views),
         "title": f"{study['file']}: {len(rows)} runs",
+        "in_linear_light": list(dict.fromkeys(line.method for line in lines if LINEAR in line.spread)),
         "alike": all(line.alike for line in lines), "no_lpips": not any(LPIPS in line.spread for line in lines),
         "verdict": verdict(lines, competes), "states": counted(rows), "light": light, "looks": looks,
         "views": list(views.values()), "unseen": unseen, "signals": signals(lines, records),

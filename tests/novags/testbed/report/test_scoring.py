@@ -99,7 +99,7 @@ def test_the_best_method_is_marked_and_the_oracle_does_not_compete() -> None:
     assert ("naive", "flip") in marked
     assert not any(name == "oracle" for name, _ in marked)
     assert not any(key == "lpips" for _, key in marked)
-    none = score_table(metrics, "enhanced", {"nova": True, "naive": True, "oracle": False}, placed=False)
+    none = score_table(metrics, "enhanced", {"nova": True, "naive": True, "oracle": False}, lambda name, key: False)
     assert not any(cell["best"] or cell["rank"] for row in none for cell in row["cells"])
     assert [row["competes"] for row in none] == [False, True, True]  # who is a bound stays known
 

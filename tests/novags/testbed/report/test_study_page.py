@@ -79,6 +79,15 @@ def test_scores_against_references_of_their_own_rank_nothing_and_the_lit_one_dec
     assert main_column(same) == "enhanced.aligned_psnr"
 
 
+def test_plain_scores_of_linear_light_which_truth_exposes_take_no_place() -> None:
+    made = [row | {"lit.psnr": 30.0, **({"linear.linear_psnr": 30.0} if row["method"] == "better" else {})}
+            for row in rows()]  # fmt: skip
+    places = {line.method: line.places for line in lines_of(made, AXES, COMPETES)[:3]}
+    assert "lit.psnr" not in places["better"]
+    assert places["naive"]["lit.psnr"] == 1
+    assert places["better"]["lit.tone_aligned_psnr"] == 2
+
+
 @pytest.fixture(scope="module")
 def study(experiment: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A study whose runs are those of the made report, again and again."""

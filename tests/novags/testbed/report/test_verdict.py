@@ -21,6 +21,7 @@ def material(**runs: dict[str, Any]) -> Any:
     return SimpleNamespace(
         rows=rows,
         one_reference=True,
+        exposures={},
         main="ours" if "ours" in runs else next(iter(runs)),
         metrics={
             "methods": {name: {"mean": {"enhanced": even | scores}} for name, scores in runs.items()},
@@ -81,3 +82,7 @@ def test_methods_with_references_of_their_own_are_compared_with_the_well_lit_one
         "plain comes first with 20.00 dB on the held-out views (tone-aligned PSNR against the well-lit"
     )
     assert "30" not in said
+    found.metrics["methods"]["ours"]["mean"]["lit"]["psnr"] = 25.0
+    assert "by PSNR: ours comes first" in verdict.verdict(found)
+    found.exposures = {"ours": object()}  # linear light, to whose exposure truth helps
+    assert "by PSNR: ours comes first" not in verdict.verdict(found)
