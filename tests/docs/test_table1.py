@@ -13,7 +13,8 @@ from novags.methods import METHODS
 from sensor_model.files.toml_file import read_toml
 
 ROOT = Path(__file__).resolve().parents[2]
-STUDY = {"variant": {"nova-small": {"method": "nova"}}}
+STUDY = {"variant": {name: {"method": method} for name, method in
+         (("nova-small", "nova"), ("mbllen", "mbllen-gs"), ("sci", "sci-gs"))}}  # fmt: skip
 
 
 @pytest.fixture(scope="module")
@@ -94,11 +95,12 @@ def test_one_table_has_all_levels(table1: ModuleType) -> None:
 
 def test_the_paper_stands_beside_and_the_order_is_compared(table1: ModuleType) -> None:
     more = [row("lom", "aleth-nerf", 0, 18), row("lom", "luminance-gs", 0, 18.5)]
+    more += [row("llrs", name, 0, 20 - k) for k, name in enumerate(("mbllen", "luminance-gs", "sci"))]
     lines = table1.tables([*ROWS, *more], STUDY)["paper"].splitlines()
     assert lines[0].startswith("| | lom: paper, PSNR, tone-aligned | llrs: ")
     assert "| `nova-small` | 20.97, 13.50, 23.50 | 15.54, –, – | 23.49, –, – |" in lines
     # paper: nova-small 20.97, lita-gs 19.99, aleth-nerf 19.56, luminance-gs 17.98; here the last two change places
-    assert lines[-1].endswith("here: lom 0.80 and 0.80.")
+    assert lines[-1].endswith("here: lom 0.80 and 0.80; llrs 1.00 and 1.00.")
 
 
 def test_rows_come_back_from_their_csv_and_later_sources_win(

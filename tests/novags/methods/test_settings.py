@@ -1,13 +1,14 @@
 """Settings by dotted name, from values and from text; methods and variants by name."""
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Literal
 
 import pytest
 
 from novags import methods
 from novags.methods.variant import Variant, parse_variant
-from novags.settings import changed, converted, flattened, has_setting
+from novags.settings import changed, converted, files_among, flattened, has_setting, refuse_lost_files, starting_at
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,3 +185,27 @@ def test_a_variant_of_a_variant_adds_its_settings():
 def test_variants_of_nothing_or_of_a_taken_name_are_refused(variants, match):
     with pytest.raises(ValueError, match=match):
         methods.with_variants(variants)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Files:
+    one: Path | None = None
+    several: tuple[Path, ...] = (Path("default"),)
+    label: str = "x"
+
+
+def test_files_among_settings_start_at_a_folder_and_the_rest_stays(tmp_path: Path) -> None:
+    given = {"one": "a.pt", "label": "b.pt"}
+    config = changed(Files(), given)
+    assert files_among(config) == {"one": (Path("a.pt"),), "several": (Path("default"),)}
+    assert starting_at(tmp_path, given, config) == {"one": str(tmp_path / "a.pt"), "label": "b.pt"}
+    more = changed(Files(), {"several": "a,/b"})
+    assert starting_at(tmp_path, {"several": "a,/b"}, more) == {"several": [str(tmp_path / "a"), "/b"]}
+
+
+def test_a_file_that_is_not_there_is_named_with_its_setting(tmp_path: Path) -> None:
+    (tmp_path / "default").touch()
+    there = Files(several=(tmp_path / "default",))
+    refuse_lost_files(there, "mine")
+    with pytest.raises(ValueError, match=r"^mine: there is no file .*gone, which one names"):
+        refuse_lost_files(changed(there, {"one": str(tmp_path / "gone")}), "mine")

@@ -9,7 +9,7 @@ import pytest
 from novags.methods import METHODS, chosen
 from novags.testbed.cache import jsonable
 from novags.testbed.folders.run import Run
-from novags.testbed.report.rows import Deviation, deviations, distinct, main_row, rows_of
+from novags.testbed.report.rows import Deviation, deviations, distinct, enhancement_of, main_row, rows_of
 
 
 def run(name: str, *, cameras: str = "known", **settings: Any) -> Run:
@@ -89,3 +89,14 @@ def test_made_up_colours_can_be_seen_on_white(color: str) -> None:
         used.append(found)
         parts = [(int(found[i : i + 2], 16) / 255) ** 2.2 for i in (1, 3, 5)]
         assert 1.05 / (0.2126 * parts[0] + 0.7152 * parts[1] + 0.0722 * parts[2] + 0.05) > 2.95
+
+
+def test_runs_share_a_noise_free_reference_if_enhancer_and_settings_are_the_same() -> None:
+    def enhanced(**enhancement: Any) -> str:
+        return enhancement_of(Run(path=Path("r"), record={"enhancement": enhancement or None}))
+
+    one = enhanced(enhancer="gamma", pictures="8bit", config={"gamma": 0.2, "target": 0.5})
+    assert one == enhanced(enhancer="gamma", pictures="16bit", config={"target": 0.5, "gamma": 0.2})
+    assert one != enhanced(enhancer="gamma", pictures="8bit", config={"gamma": None, "target": 0.5})
+    assert one != enhanced(enhancer="gain", pictures="8bit", config={"gamma": 0.2, "target": 0.5})
+    assert enhanced() == ""

@@ -109,6 +109,13 @@ def test_a_run_whose_folder_is_gone_is_counted_and_the_others_are_shown(study: P
     assert sorted(records.runs) == list(range(4, 12))
 
 
+def test_the_page_says_that_references_differ(study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    said = "have noise-free references of their own"
+    assert said not in write_study(study, tmp_path / "same" / "report.html").read_text()
+    monkeypatch.setattr("novags.testbed.report.study.page.enhancement_of", lambda run: str(run.path))
+    assert said in write_study(study, tmp_path / "report.html").read_text()
+
+
 def test_shared_stages_count_once(study: Path) -> None:
     costs = {row["label"]: row for row in read_records(study, json.loads((study / "results.json").read_text())["rows"])
              .costs()}  # fmt: skip
