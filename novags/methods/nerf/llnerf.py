@@ -12,10 +12,10 @@ of which the terms of the enhancement come in when the colours are learnt. Wang 
 unsupervised decomposition and enhancement", and the constants of its published code. It uses no statistic of a well-lit
 picture.
 
-What differs from it: the field is that of docs/fields.md, which starts dense at the first points, with its steps and
-rays; the enhancement comes in for the last quarter of the steps, not for the last 5,000 of 105,000, which is a
-twentieth: of as few steps as ours, at rates that have fallen, that would be too short to move a and g; pixels come in
-squares of four. Exponents, sigmoids and weights are as published.
+What differs from it: the field is that of docs/fields.md, which starts dense at the first points and as dark as the
+pictures, with its steps and rays; the enhancement comes in for the last quarter of the steps, not for the last 5,000 of
+105,000, which is a twentieth: of as few steps as ours, at rates that have fallen, that would be too short to move a and
+g; pixels come in squares of four. Exponents, sigmoids and weights are as published.
 """
 
 import dataclasses
@@ -40,6 +40,9 @@ from novags.methods.reconstruction import Reconstruction
 EPSILON = 1e-3  # of RawNeRF's loss, for pictures in 0..1
 SMOOTH, LEAST_STEP, LEAST_SPREAD = 1.5, 1e-4, 0.5  # of the smoothness and of the grey term, as published
 DARKEST = 1e-6  # of an illumination whose logarithm is taken
+FIRST = (
+    1e-3  # mean of pictures, from 0 and from 1/2, that the first illumination is made for at most: a logit has no end
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -87,9 +90,18 @@ class Decomposed:
     gamma: Tensor
 
 
-def decomposed(batch: Batch) -> Decomposed:
-    """What the rays of a batch show."""
-    reflectance, illumination, level, gamma = split(batch.raw)
+def first_illumination(images: Tensor) -> float:
+    """Logit of the illumination at which the field's first reflectance, 1/2, looks as dark as the pictures.
+
+    A field that begins brighter than they are becomes darker by becoming thinner, and loses the first surfaces.
+    """
+    mean = min(max(float(images.mean()), FIRST), 0.5 - FIRST)
+    return math.log(mean / (0.5 - mean))
+
+
+def decomposed(batch: Batch, first: float) -> Decomposed:
+    """What the rays of a batch show; first: as of `first_illumination`."""
+    reflectance, illumination, level, gamma = split(batch.raw, first)
     values = (
         reflectance * illumination, reflectance * brightened(illumination, level, gamma), reflectance, illumination,
         level, gamma,
@@ -127,16 +139,19 @@ def train(
     config = dataclasses.replace(config, fit=with_outputs(config.fit, problem, static=7, viewed=1))
     problem = problem.to("cpu")
     images, seen_last = problem.encoded(config.pictures), [math.nan]
+    first = first_illumination(images)
 
     def loss(batch: Batch) -> Tensor:
-        seen = decomposed(batch)
+        seen = decomposed(batch, first)
         seen_last[0] = float(seen.illumination.detach().mean())
         value = raw_loss(seen.dark, batch.of(images), EPSILON)
         if batch.iteration >= config.learnt * config.fit.iterations:
             value = value + enhancement_loss(seen, config.fit.patch, config)
         return value
 
-    scene, found = fitted_scene(problem, loss, config.fit, "retinex", progress=progress, checkpoint=checkpoint)
+    scene, found = fitted_scene(
+        problem, loss, config.fit, "retinex", numbers={"illumination": first}, progress=progress, checkpoint=checkpoint
+    )
     other = max(0.0, time.perf_counter() - started - found.seconds)
     last = None if math.isnan(seen_last[0]) else seen_last[0]
     return Reconstruction(

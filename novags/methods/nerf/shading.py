@@ -37,23 +37,24 @@ def light_of(raw: Tensor, weights: Tensor) -> Tensor:
 
 def retinex(raw: Tensor, weights: Tensor, numbers: Numbers) -> Tensor:
     """Reflectance times the enhanced illumination of LLNeRF; columns as in `split`."""
-    reflectance, illumination, level, gamma = split(raw)
+    reflectance, illumination, level, gamma = split(raw, numbers.get("illumination", 0.0))
     return (weights[..., None] * reflectance * brightened(illumination, level, gamma)).sum(1)
 
 
 def product(raw: Tensor, weights: Tensor, numbers: Numbers) -> Tensor:
     """Reflectance times illumination as they are: the dark picture again."""
-    reflectance, illumination, _, _ = split(raw)
+    reflectance, illumination, _, _ = split(raw, numbers.get("illumination", 0.0))
     return (weights[..., None] * reflectance * illumination).sum(1)
 
 
-def split(raw: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+def split(raw: Tensor, first: float) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Reflectance R [..., 3], illumination L [..., 1], and the numbers a [..., 1] and g [..., 3] of its enhancement.
 
-    Of the columns density, R, a, g (which do not depend on the view) and L, all but the density through sigmoids.
+    Of the columns density, R, a, g (which do not depend on the view) and L, all but the density through sigmoids; L is
+    that of `first` where its column is 0.
     """
-    values = torch.sigmoid(raw[..., 1:])
-    return values[..., :3], values[..., 7:8], values[..., 3:4], values[..., 4:7]
+    values, illumination = torch.sigmoid(raw[..., 1:8]), torch.sigmoid(raw[..., 8:9] + first)
+    return values[..., :3], illumination, values[..., 3:4], values[..., 4:7]
 
 
 LEAST_LEVEL = 1e-4  # beside a: a sigmoid that has gone to 0 would divide by it

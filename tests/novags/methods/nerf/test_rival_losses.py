@@ -14,7 +14,7 @@ from novags.fields.training.config import FieldFitConfig
 from novags.methods.light import MeasuredLight, raw_loss
 from novags.methods.nerf import aleth, i2, llnerf, raw
 from novags.methods.nerf.losses import differences
-from novags.methods.nerf.shading import brightened
+from novags.methods.nerf.shading import brightened, product, retinex
 
 PATCH, RAYS, N = 2, 16, 5
 GREY = np.array([0.299, 0.587, 0.114])
@@ -112,9 +112,9 @@ def test_concealed_colours_and_the_loss_of_aleth_are_those_of_the_equations() ->
 
 def test_the_decomposition_and_the_enhancement_of_llnerf_are_those_of_the_equations() -> None:
     batch, config = some_batch(9), llnerf.LlnerfConfig(fit=FieldFitConfig(patch=PATCH))
-    seen = llnerf.decomposed(batch)
+    seen = llnerf.decomposed(batch, -1.5)
     values, w = sigmoid(batch.raw.numpy()), batch.weights.numpy()
-    r_, a_, g_, l_ = values[..., 1:4], values[..., 4:5], values[..., 5:8], values[..., 8:9]
+    r_, a_, g_, l_ = values[..., 1:4], values[..., 4:5], values[..., 5:8], sigmoid(batch.raw.numpy()[..., 8:9] - 1.5)
     lit = (w[..., None] * r_ * ((l_ + 1e-6) / (a_ + 1e-4)) ** (1 / (g_ + 2.2))).sum(1)
     np.testing.assert_allclose(seen.dark.numpy(), (w[..., None] * r_ * l_).sum(1), rtol=1e-10)
     np.testing.assert_allclose(seen.lit.numpy(), lit, rtol=1e-10)
@@ -131,6 +131,21 @@ def test_the_decomposition_and_the_enhancement_of_llnerf_are_those_of_the_equati
     assert float(brightened(torch.tensor(0.2), torch.tensor(0.1), torch.tensor(0.3))) == pytest.approx(
         (0.2 / 0.1001) ** (1 / 2.5), rel=1e-5
     )
+
+
+@pytest.mark.parametrize("level", [0.002, 0.1, 0.4])
+def test_the_first_illumination_makes_first_colours_as_dark_as_the_pictures(level: float) -> None:
+    first = llnerf.first_illumination(torch.full((2, 4, 5, 3), level))
+    batch = some_batch(9)
+    at_first = Batch(**{**vars(batch), "raw": torch.zeros_like(batch.raw)})
+    seen = llnerf.decomposed(at_first, first)
+    np.testing.assert_allclose(seen.dark, level * batch.weights.sum(1)[:, None].expand(-1, 3), rtol=1e-6)
+    shown = product(at_first.raw, batch.weights, {"illumination": first})
+    np.testing.assert_allclose(shown, seen.dark, rtol=1e-12)
+    np.testing.assert_allclose(retinex(batch.raw, batch.weights, {"illumination": first}),
+                               llnerf.decomposed(batch, first).lit, rtol=1e-12)  # fmt: skip
+    for blank in (0.0, 1.0):  # black and white pictures have a first illumination too
+        assert math.isfinite(llnerf.first_illumination(torch.full((1, 2, 2, 3), blank)))
 
 
 def test_the_first_medium_makes_first_colours_as_dark_as_the_pictures_halfway_through_the_scene() -> None:
