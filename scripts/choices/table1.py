@@ -46,7 +46,7 @@ SCORES = {
 }
 FAMILIES = {
     "2D + GS": "Enhanced one by one, then Gaussians", "NeRF": "Radiance fields", "3DGS": "Gaussians",
-    "ours": "NOVA-GS and `nova-plus`", "bound": "Bounds, which see truth (†) or use no reconstruction",
+    "ours": "NOVA-GS and `nova-plus`", "bound": "Bounds, which see truth",
 }  # fmt: skip
 PAPER = {  # method here -> PSNR that the paper reports, dB, on LOM, LLRS and LLNeRF
     "sci": (11.86, 9.37, 12.82), "mbllen": (15.08, 15.36, 18.09), "uretinex": (20.29, 15.10, 20.08),

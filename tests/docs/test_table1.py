@@ -73,7 +73,7 @@ def test_methods_stand_in_their_family_the_best_first(table1: ModuleType) -> Non
     names = [line.split("|")[1].strip() for line in lines[4:-2]]
     assert names == [
         "*Enhanced one by one, then Gaussians*", "`gamma-gs`", "`naive`", "*Gaussians*", "`gaussian-dk`", "`lita-gs`",
-        "*NOVA-GS and `nova-plus`*", "`nova-small`", "*Bounds, which see truth (†) or use no reconstruction*",
+        "*NOVA-GS and `nova-plus`*", "`nova-small`", "*Bounds, which see truth*",
         "`oracle` †",
     ]  # fmt: skip
 
