@@ -30,19 +30,19 @@ def flattened(config: Any, prefix: str = "") -> dict[str, Any]:
 
 
 def files_among(config: Any) -> dict[str, tuple[Path, ...]]:
-    """The files and folders that a configuration names, by dotted name."""
+    """The files that a configuration names, by dotted name."""
     listed = {name: value if isinstance(value, tuple) else (value,) for name, value in flattened(config).items()}
     return {name: value for name, value in listed.items() if value and all(isinstance(path, Path) for path in value)}
 
 
 def refuse_lost_files(config: Any, what: str) -> None:
-    """Refuse a configuration that names a file or a folder that is not there.
+    """Refuse a configuration that names a file that is not there.
 
     Raises:
         ValueError: Of one line that begins with `what`.
     """
     for name, paths in files_among(config).items():
-        if lost := [path for path in paths if not path.exists()]:
+        if lost := [path for path in paths if not path.is_file()]:
             raise ValueError(f"{what}: there is no file {lost[0]}, which {name} names: correct the path")
 
 

@@ -15,7 +15,7 @@ from novags.methods import METHODS
 from novags.methods.problem import LacksInput, Problem, RawPictures, TrueSurface
 from novags.methods.reconstruction import Reconstruction
 from novags.methods.variant import Variant, sees_statistics
-from novags.settings import flattened
+from novags.settings import files_among, refuse_lost_files
 from novags.splats import Views
 from novags.testbed.cache import folder_digest, run_stage
 from novags.testbed.console import Console, losses_text
@@ -119,14 +119,9 @@ def files_of(config: Any) -> dict[str, str]:
     Raises:
         ValueError: If one is not there.
     """
-    found = {}
-    for setting, value in flattened(config).items():
-        for path in value if isinstance(value, tuple) else (value,):
-            if isinstance(path, Path):
-                if not path.is_file():
-                    raise ValueError(f"{setting} = {path}: there is no such file; name the one that is meant")
-                found[f"{setting}: {path.name}"] = folder_digest(path.parent, (), beside={path.name: path})
-    return found
+    refuse_lost_files(config, "settings")
+    return {f"{setting}: {path.name}": folder_digest(path.parent, (), beside={path.name: path})
+            for setting, paths in files_among(config).items() for path in paths}  # fmt: skip
 
 
 def prepare(capture: Capture, source: Source, config: ReconstructConfig, console: Console) -> Prepared:
