@@ -156,8 +156,8 @@ def test_photographs_darkened_by_a_few_lines_of_noise_are_imported_by_the_comman
         noisy = rng.poisson(3000 * light) / 3000
         dark = np.where(noisy > 0.0031308, 1.055 * noisy ** (1 / 2.4) - 0.055, 12.92 * noisy)
         assert cv2.imwrite(str(tmp_path / "dark" / frame["file_path"]), np.round(255 * dark).astype(np.uint8))
-    line = f"novags import {tmp_path / 'dark'} --lit {fox} --max-size 40 --out {tmp_path / 'cap'}"
-    monkeypatch.setattr(sys, "argv", line.split())
+    words = ["novags", "import", tmp_path / "dark", "--lit", fox, "--max-size", 40, "--out", tmp_path / "cap"]
+    monkeypatch.setattr(sys, "argv", [str(word) for word in words])
     cli.main()
     assert capsys.readouterr().out == f"{tmp_path / 'cap'}\n"
     capture, whole = open_capture(tmp_path / "cap"), open_source(fox, quiet, 40)

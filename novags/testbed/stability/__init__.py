@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from novags.testbed.stability.case import Case, Measured, Part, Setting, measured, refusal
 from novags.testbed.stability.parts import cameras, fields, render, score, sensor
 from novags.testbed.stability.parts.methods import (
-    averaging,
+    average,
     blind_spot,
     consistency,
     denoiser,
@@ -23,7 +23,7 @@ from novags.testbed.stability.parts.splats import harmonics, rasterizer, updates
 from novags.testbed.stability.table import embedded, has_place, markdown
 
 _FILES = (
-    enhance, enhancers, blind_spot, denoiser, raw_denoiser, consistency, nova_plus, averaging, rivals, fields,
+    enhance, enhancers, blind_spot, denoiser, raw_denoiser, consistency, nova_plus, average, rivals, fields,
     harmonics, rasterizer, updates, sensor, render, score, cameras, long_runs,
 )  # fmt: skip
 PARTS: dict[str, Part] = {file.PART.name: file.PART for file in _FILES}

@@ -193,7 +193,7 @@ def test_the_report_shows_the_light_at_the_exposures_of_both_truths(capture: Cap
     assert gains.lit is not None
     assert gains.dark is not None
     assert gains.lit > 3 * gains.dark  # the well-lit picture is brighter
-    assert "nova-plus: linear light, compared at the exposure of the capture" in page
+    assert "nova-plus: linear light, brought to the exposure of the well-lit pictures" in page
 
 
 def test_nothing_that_only_unfinished_work_needs_is_left(run: Run) -> None:

@@ -12,7 +12,7 @@ from novags.methods.averaging.warp import Rules
 from novags.testbed.stability.case import Part, Setting
 from novags.testbed.stability.errors import relative_error, worst_error
 
-PART = Part("averaging")
+PART = Part("average")
 
 EPS = float(np.finfo(np.float64).eps)
 NUMPY = ("numpy",)

@@ -66,6 +66,6 @@ def test_dividing_by_the_weight_of_no_view_is_noticed(fails: Fails, monkeypatch:
         return scene.Average(found.mean * np.inf, found.variance, found.views)
 
     average = scene.average
-    monkeypatch.setattr("novags.testbed.stability.parts.methods.averaging.average", divided)
+    monkeypatch.setattr("novags.testbed.stability.parts.methods.average.average", divided)
     with np.errstate(all="ignore"):
         assert fails("pixels that no exposure sees", "numpy")
