@@ -52,8 +52,7 @@ def predict_seconds(
         each = [views[i].pilot.seconds * views[i].predict_spp(target_error) for i in chosen]
         return sum(each) / len(each) * len(views)
     first = View(method, rig, numbers[0])  # a view of its own: those in `views` must not depend on the prediction
-    count, size = first.passes(spp or 2)
-    return first.seconds(size, PART * count * len(views)) * count * len(views)
+    return first.seconds(spp or 2, PART * len(views)) * len(views)
 
 
 def peak_bytes() -> int:

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,10 +16,8 @@ from numpy.typing import NDArray
 
 from simscenes.backend import backend_of, backend_status, using_variant
 from simscenes.loading.load import LoadedScene, build_scene, set_light_weights
-from simscenes.render.blocks import Blocks
-from simscenes.render.passes import Passes
-from simscenes.render.radiance import Method, View
-from simscenes.render.sensors import PILOT_SPP, sensor_dict
+from simscenes.render.radiance import Method, View, view_seed
+from simscenes.render.sensors import sensor_dict
 from simscenes.scenes import default_rig
 from simscenes.transport.lights import light_weights
 from simscenes.transport.pilot import RR_DEPTH
@@ -27,6 +25,7 @@ from simscenes.transport.pilot import RR_DEPTH
 NOISE = "relative RMSE"
 MISSING = "share of all light"
 N_VIEWS = 3
+OWN = "Owen-Sobol"  # the sampler of our own; the others are Mitsuba's
 REFERENCE_ERROR = 0.01  # relative; its square is subtracted from every squared error measured against it
 
 Image = NDArray[np.float64]
@@ -37,7 +36,7 @@ class Setting:
     """One way to render a view."""
 
     spp: int = 256
-    sampler: str = "multijitter"
+    sampler: str = OWN
     samples: str = "even"
     lights: str = "weighed"
     integrator: str = "path"
@@ -50,7 +49,7 @@ class Setting:
 DEFAULT = Setting()
 KNOBS: dict[str, tuple[Any, ...]] = {
     "spp": (16, 64, 256, 1024),
-    "sampler": ("independent", "stratified", "multijitter", "ldsampler"),
+    "sampler": ("independent", "stratified", "multijitter", "ldsampler", OWN),
     "samples": ("even", "uneven"),
     "lights": ("equal", "weighed"),
     "max_depth": (2, 3, 4, 6, 8, 16, 64),
@@ -88,6 +87,11 @@ def unit_of(knob: str) -> str:
     return MISSING if knob == "max_depth" else NOISE
 
 
+def integrator(mi: Any, s: Setting) -> Any:
+    """The integrator of a setting."""
+    return mi.load_dict({"type": s.integrator, "max_depth": s.max_depth, "rr_depth": s.rr_depth})
+
+
 class Bench:
     """A scene of the catalogue and its references, rendered once each: `N_VIEWS` views of size x size pixels."""
 
@@ -113,11 +117,7 @@ class Bench:
 
     def view(self, mi: Any, loaded: LoadedScene, s: Setting, i: int, seed: int) -> View:
         """One view, prepared to be rendered with a setting, in the scene that `ready` gives for it."""
-        integrator = mi.load_dict({"type": s.integrator, "max_depth": s.max_depth, "rr_depth": s.rr_depth})
-        view = View(Method(mi, mi.variant(), loaded, integrator, seed=seed), self.rig, i)
-        settings = sensor_dict(mi, self.rig, i, loaded)
-        view.sensors = [mi.load_dict({**settings, "sampler": {"type": s.sampler, "sample_count": s.spp}})]
-        return view
+        return View(Method(mi, mi.variant(), loaded, integrator(mi, s), seed=seed), self.rig, i)
 
     def reference(self, s: Setting) -> list[Image]:
         """Deep renders of the views to a small error, in the setting's colours."""
@@ -132,19 +132,32 @@ class Bench:
         """One view, its seconds and those of the processors; all sensors and kernels exist before they start."""
         with self.ready(s) as (mi, loaded):
             for _ in range(2):  # the first time compiles the kernels
-                view = self.view(mi, loaded, s, i, seed)
+                draw = self._prepared(mi, loaded, s, i, seed)
                 start, begun = time.perf_counter(), time.process_time()
-                if s.samples == "uneven":  # as towards a target: a pilot, and blocks where it saw noise
-                    pilot = view.pilot
-                    blocks = Blocks(pilot.passes, 0, np.full_like(pilot.shares, PILOT_SPP, dtype=np.int64))
-                    view.run_blocks(blocks, blocks.lacking(s.spp, pilot.shares))
-                    image = blocks.mean()
-                else:
-                    passes = Passes((self.rig.height, self.rig.width))
-                    view.run(passes, 1, s.spp)
-                    image = passes.mean
+                image = draw()
                 seconds, cpu = time.perf_counter() - start, time.process_time() - begun
         return image, seconds, cpu
+
+    def _prepared(self, mi: Any, loaded: LoadedScene, s: Setting, i: int, seed: int) -> Callable[[], Image]:
+        """What renders one view, sensors and integrators being there."""
+        if s.sampler != OWN:
+            settings = sensor_dict(mi, self.rig, i, loaded) | {"sampler": {"type": s.sampler, "sample_count": s.spp}}
+            sensor, method = mi.load_dict(settings), integrator(mi, s)
+            number = view_seed(self.rig, i, seed)
+
+            def plain() -> Image:
+                film = mi.render(loaded.scene, sensor=sensor, integrator=method, spp=s.spp, seed=number)
+                return np.array(film, dtype=np.float64)[..., :3]
+
+            return plain
+        view = self.view(mi, loaded, s, i, seed)
+        assert view.sensors, "made on demand, so now"
+
+        def drawn() -> Image:
+            view.spread(s.spp) if s.samples == "uneven" else view.render(s.spp, None)
+            return view.samples.mean()
+
+        return drawn
 
     def measure(self, knob: str, setting: Any, seed: int) -> Measured:
         """A setting of a knob, the others at their defaults.

@@ -1,8 +1,8 @@
 """Samples where they are needed: any number of them in each pixel of one view, in a JIT variant.
 
-`mi.render` gives every pixel the same number. Here a pixel gets whole blocks of samples, each stratified in itself, and
-the blocks are added up outside of Mitsuba's film, in float64 and in a fixed order, so that the same seed gives the same
-bits.
+`mi.render` gives every pixel the same number. Here each pixel continues its own sequence by as many as it is told, and
+the samples are added up outside of Mitsuba's film, in float64 and in a fixed order, so that the same seed gives the
+same bits.
 """
 
 from __future__ import annotations
@@ -13,45 +13,65 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from simscenes.render.sampler import sampler_class
+
 MAX_WAVEFRONT = 1 << 22  # samples traced at once; bounds the memory to some 200 MB
+FOOTPRINT = 1 / 8  # of a pixel: neighbouring samples, not pixels, bound what a texture lookup covers
 
 
-def sample_blocks(
-    mi: Any, scene: Any, sensor: Any, integrator: Any, pixels: NDArray[np.integer[Any]], spp: int, seed: int
+def sample_sums(
+    mi: Any,
+    scene: Any,
+    sensor: Any,
+    integrator: Any,
+    first: NDArray[np.int64],
+    more: NDArray[np.int64],
+    seed: int,
 ) -> Iterator[tuple[slice, NDArray[np.float64]]]:
-    """Mean of the film's channels over one stratified block of samples for each entry of `pixels`, part by part.
+    """Sums over samples `first` .. `first + more - 1` of the sequence of every pixel, part by part of the picture.
 
     Args:
         mi: The mitsuba module, in a JIT variant.
         scene: The Mitsuba scene.
-        sensor: With a box filter, whose sampler stratifies.
+        sensor: With a box filter.
         integrator: A sampling integrator.
-        pixels: Pixel of each block, row by row, [n]; pixels may repeat.
-        spp: Samples in a block, as many as the sampler can stratify.
-        seed: Of all blocks together.
+        first: Samples that each pixel had before, row by row, [h*w].
+        more: Samples to draw in each pixel, [h*w].
+        seed: Of the sequences, which it gives to all pixels at once; 32 bits.
 
     Yields:
-        Which entries of `pixels`, and [their number, 3] of what the film's channels would hold.
+        Which pixels, and [their number, 3] of what the film's channels would hold, summed over the samples.
     """
-    step = max(1, MAX_WAVEFRONT // spp)
-    for k, first in enumerate(range(0, len(pixels), step)):
-        part = slice(first, first + step)
-        yield part, _trace(mi, scene, sensor, integrator, pixels[part], spp, seed + 0x9E3779B9 * k)
+    ends, start = np.cumsum(more), 0
+    while start < len(more):
+        drawn = ends[start - 1] if start else 0
+        stop = max(start + 1, int(np.searchsorted(ends, drawn + MAX_WAVEFRONT, side="right")))
+        part = slice(start, stop)
+        yield part, _trace(mi, scene, sensor, integrator, start, first[part], more[part], seed)
+        start = stop
 
 
 def _trace(
-    mi: Any, scene: Any, sensor: Any, integrator: Any, pixels: NDArray[np.integer[Any]], spp: int, seed: int
+    mi: Any,
+    scene: Any,
+    sensor: Any,
+    integrator: Any,
+    start: int,
+    first: NDArray[np.int64],
+    more: NDArray[np.int64],
+    seed: int,
 ) -> NDArray[np.float64]:
     import drjit as dr
 
-    film, count = sensor.film(), len(pixels) * spp
-    sampler = sensor.sampler().clone()
-    sampler.set_sample_count(spp)
-    assert sampler.sample_count() == spp, f"{spp} samples do not fit the sampler's grid"
-    sampler.set_samples_per_wavefront(spp)
-    sampler.seed(seed & 0xFFFFFFFF, count)
-    block = dr.arange(mi.UInt32, count) // dr.opaque(mi.UInt32, spp)
-    pixel = dr.gather(mi.UInt32, mi.UInt32(np.ascontiguousarray(pixels, dtype=np.uint32)), block)
+    sums, begins = np.zeros((len(more), 3)), np.cumsum(more) - more
+    if not more.any():
+        return sums
+    film, count = sensor.film(), int(more.sum())
+    entry = mi.UInt32(np.repeat(np.arange(len(more), dtype=np.uint32), more))
+    # Number in the sequence minus that of the lane: it may wrap around below zero, and their sum then wraps back.
+    offset = dr.gather(mi.UInt32, mi.UInt32((first - begins).astype(np.uint32)), entry)
+    pixel = entry + dr.opaque(mi.UInt32, start)
+    sampler = sampler_class(mi, mi.variant())(pixel, dr.arange(mi.UInt32, count) + offset, seed)
     width, height = (int(n) for n in film.crop_size())
     row = pixel // dr.opaque(mi.UInt32, width)
     corner = mi.Vector2f(mi.Float(pixel - row * width), mi.Float(row))
@@ -59,11 +79,15 @@ def _trace(
     lens = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
     wavelength = sampler.next_1d() if mi.is_spectral else mi.Float(0)
     ray, weight = sensor.sample_ray_differential(0.0, wavelength, place, lens)
-    ray.scale_differential(float(spp) ** -0.5)  # neighbouring samples, not pixels, bound what a texture lookup covers
+    ray.scale_differential(FOOTPRINT)
+    sampler.begin_path()
     spectrum, _, _ = integrator.sample(scene, sampler, ray, sensor.get_medium(), mi.Bool(True))
     channels = _channels(mi, film, weight * spectrum, ray.wavelengths)
     dr.eval(channels)
-    return np.stack([np.array(c, dtype=np.float64).reshape(len(pixels), spp).mean(1) for c in channels], axis=-1)
+    some = more > 0
+    for k, channel in enumerate(channels):
+        sums[some, k] = np.add.reduceat(np.array(channel, dtype=np.float64), begins[some])
+    return sums
 
 
 def _channels(mi: Any, film: Any, spectrum: Any, wavelengths: Any) -> list[Any]:

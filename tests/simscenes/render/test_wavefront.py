@@ -9,17 +9,16 @@ from simscenes import Optics, Rig
 from simscenes.backend import activate, using_variant
 from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.render import radiance, wavefront
-from simscenes.render.blocks import Blocks, sample_shares
-from simscenes.render.passes import Passes
 from simscenes.render.radiance import Method, View
 from simscenes.render.sensors import sensor_dict
+from simscenes.render.sequences import LEAST, Sequences, _shares_around, pooled, sample_shares
 from simscenes.rigs import intrinsics, look_at
 
 pytestmark = pytest.mark.usefixtures("jit")
 SIZE = 12
 
 
-def shiny_corner(mi: Any) -> LoadedScene:
+def shiny_corner(mi: Any, ball: str = "roughconductor") -> LoadedScene:
     """A matt plane, a rough mirror ball in one corner of the picture and a small strong lamp: uneven noise."""
     t = mi.ScalarTransform4f()
     paint = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.4, 0.2]}}
@@ -27,57 +26,70 @@ def shiny_corner(mi: Any) -> LoadedScene:
     scene = {
         "type": "scene",
         "plane": {"type": "rectangle", "to_world": t.scale(4), "bsdf": paint},
-        "ball": {"type": "sphere", "center": [0.9, 0, 0.5], "radius": 0.5, "bsdf": {"type": "roughconductor"}},
+        "ball": {"type": "sphere", "center": [0.9, 0, 0.5], "radius": 0.5, "bsdf": {"type": ball}},
         "lamp": {"type": "sphere", "center": [0, 1, 2.5], "radius": 0.2, "emitter": lamp},
         "sky": {"type": "constant", "radiance": {"type": "rgb", "value": 0.1}},
     }
     return build_scene(scene, mi)
 
 
-def rig() -> Rig:
+def rig(size: int = SIZE) -> Rig:
     viewmat = look_at((0, -4, 3), (0, 0, 0.2))
-    return Rig(viewmats=viewmat[None], Ks=intrinsics(SIZE, SIZE, 45)[None], width=SIZE, height=SIZE)
+    return Rig(viewmats=viewmat[None], Ks=intrinsics(size, size, 45)[None], width=size, height=size)
 
 
-def view(mi: Any, loaded: LoadedScene, seed: int = 0) -> View:
+def view(mi: Any, loaded: LoadedScene, seed: int = 0, size: int = SIZE) -> View:
     integrator = mi.load_dict({"type": "path", "max_depth": 6, "rr_depth": 2})
-    return View(Method(mi, mi.variant(), loaded, integrator, seed=seed), rig(), 0)
+    return View(Method(mi, mi.variant(), loaded, integrator, seed=seed), rig(size), 0)
 
 
 @pytest.mark.parametrize(("color", "camera"), [("rgb", None), ("spectral", None), ("spectral", "Nikon 5100 (NPL)")])
-def test_one_block_in_every_pixel_is_what_mitsuba_renders(color: str, camera: str | None) -> None:
+def test_the_light_is_what_mitsuba_renders(color: str, camera: str | None) -> None:
+    """Pixel by pixel, 1024 samples each, against the spread between 16 parts of ours."""
     with using_variant(color=color) as mi:
-        loaded = shiny_corner(mi)
+        loaded = shiny_corner(mi, "diffuse")  # whose noise is nearly normal
         settings = sensor_dict(mi, rig(), 0, loaded, Optics(camera=camera))
         sensor, integrator = mi.load_dict(settings), mi.load_dict({"type": "path", "max_depth": 6, "rr_depth": 2})
-        film = np.array(mi.render(loaded.scene, sensor=sensor, integrator=integrator, spp=16, seed=5))[..., :3]
-        pixels = np.arange(SIZE * SIZE, dtype=np.uint32)
+        film = np.array(mi.render(loaded.scene, sensor=sensor, integrator=integrator, spp=1024, seed=5))[..., :3]
         fresh = mi.load_dict(settings)  # one that mi.render has not prepared
-        ((_, blocks),) = wavefront.sample_blocks(mi, loaded.scene, fresh, integrator, pixels, 16, 5)
-    assert np.allclose(blocks.reshape(SIZE, SIZE, 3), film, rtol=1e-5, atol=1e-6)
+        each = np.full(SIZE * SIZE, 64)
+        parts = np.stack([drawn(mi, loaded.scene, fresh, integrator, 0 * each, each, k) for k in range(16)]) / 64
+    own = parts.var(0, ddof=1) / 16
+    error = np.sqrt(own + pooled(own.reshape(film.shape)).reshape(own.shape))  # those of Mitsuba's are about as large
+    away = (parts.mean(0) - film.reshape(-1, 3)) / (error + 1e-5 * film.max())
+    assert np.abs(away).max() < 7  # of 432 values whose variances are themselves estimates
+    assert abs((parts.mean(0) - film.reshape(-1, 3)).mean()) < 5 * np.sqrt(3 * (error**2).sum()) / error.size
 
 
-def test_parts_of_a_wavefront_add_up_to_the_same_light(monkeypatch: pytest.MonkeyPatch) -> None:
-    mi = activate()
+def drawn(mi: Any, scene: Any, sensor: Any, integrator: Any, first: Any, more: Any, seed: int) -> Any:
+    """Sums over the samples of every pixel, [h*w,3], all parts together."""
+    parts = list(wavefront.sample_sums(mi, scene, sensor, integrator, first, more, seed))
+    assert [p.start for p, _ in parts] == [0, *(p.stop for p, _ in parts[:-1])]
+    assert parts[-1][0].stop == len(more)
+    return np.concatenate([sums for _, sums in parts])
+
+
+def test_sequences_go_on_whatever_their_wavefronts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At once or in two rounds, in one wavefront or in many: the same samples, none of them twice."""
+    mi, rng = activate(), np.random.default_rng(3)
     v = view(mi, shiny_corner(mi))
-    pixels = np.repeat(np.arange(SIZE * SIZE, dtype=np.uint32), 16)
-    arguments = (mi, v.method.loaded.scene, v.sensors[0], v.method.integrator, pixels, 16, 1)
-    ((_, whole),) = wavefront.sample_blocks(*arguments)
-    monkeypatch.setattr(wavefront, "MAX_WAVEFRONT", 1000)
-    found = list(wavefront.sample_blocks(*arguments))
-    assert [part.start for part, _ in found] == list(range(0, len(pixels), 1000 // 16))
-    parts = np.concatenate([means for _, means in found])
-    assert parts.shape == whole.shape
-    spread = np.hypot(*(b.std() / np.sqrt(b.size / 3) for b in (whole, parts)))
-    assert abs(parts.mean() - whole.mean()) < 5 * spread
-    assert len(np.unique(parts[:, 0])) > 0.9 * len(np.unique(whole[:, 0]))  # no part repeats another's numbers
+    arguments = (mi, v.method.loaded.scene, v.sensors[0], v.method.integrator)
+    first, more = rng.integers(0, 40, (2, SIZE * SIZE))
+    none = 0 * first
+    begun, rest = drawn(*arguments, none, first, 1), drawn(*arguments, first, more, 1)
+    whole = drawn(*arguments, none, first + more, 1)
+    assert np.allclose(begun + rest, whole, rtol=1e-6, atol=1e-6)
+    assert (whole[first + more == 0] == 0).all()
+    monkeypatch.setattr(wavefront, "MAX_WAVEFRONT", 100)
+    assert np.array_equal(drawn(*arguments, first, more, 1), rest)
+    some = (first > 0) & (more > 0)
+    for other in (begun[some] / first[some, None], drawn(*arguments, first, more, 2)[some] / more[some, None]):
+        sky = np.isclose(other, rest[some] / more[some, None]).all(1)
+        assert sky.mean() < 0.3
 
 
-@pytest.mark.parametrize("sizes", ["one", "several"])
-def test_a_render_to_a_target_is_unbiased_and_its_variance_true(sizes: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_render_to_a_target_is_unbiased_and_its_variance_true() -> None:
     """Mean over n seeds against an even render of many samples; the spread over seeds against the variances stated."""
-    if sizes == "several":
-        monkeypatch.setattr(radiance, "SEVERAL_SIZES", 0)
     mi = activate()
     loaded, n = shiny_corner(mi), 16
     runs = [view(mi, loaded, seed).render(None, 0.03) for seed in range(n)]
@@ -96,52 +108,39 @@ def test_a_render_to_a_target_is_unbiased_and_its_variance_true(sizes: str, monk
     assert all(r.error <= 0.03 for r in runs)
 
 
-@pytest.mark.parametrize("kept", [8, 0])
-def test_blocks_add_up_like_numpy(kept: int) -> None:
-    """Two passes and 2 or 3 blocks in a pixel: mean of all samples, and each part's own variance."""
+def test_sequences_add_up_like_numpy() -> None:
+    """Halves of 2 and 5 samples in two pixels: the mean of all, and half the difference as its error."""
     rng = np.random.default_rng(0)
-    pilot, images = Passes((1, 2)), rng.normal(5, 1, (2, 1, 2, 3))
-    for image in images:
-        pilot.add(image)
-    blocks, values = Blocks(pilot, kept, np.array([[16, 64]])), rng.normal(5, 0.5, (5, 3))
-    assert np.array_equal(blocks.mean(), pilot.mean)
-    assert np.array_equal(blocks.variance(), pilot.variance())
-    pixels = np.array([1, 0, 1, 0, 1])
-    for part in (slice(0, 2), slice(2, 5)):  # in two rounds
-        blocks.add(pixels[part], values[part])
-    assert blocks.count.tolist() == [[2, 3]]
-    assert blocks.spp == pytest.approx(kept + (2 * 16 + 3 * 64) / 2)
-    for p, (n, size) in enumerate(((2, 16), (3, 64))):
-        mine, w = values[pixels == p], size * n / (size * n + kept)
-        assert blocks.mean()[0, p] == pytest.approx((1 - w) * images[:, 0, p].mean(0) + w * mine.mean(0))
-        alone = images[:, 0, p].var(0, ddof=1) / 2
-        assert blocks.variance()[0, p] == pytest.approx((1 - w) ** 2 * alone + w**2 * mine.var(0, ddof=1) / n)
+    values = [rng.normal(5, 1, (2, n, 3)) for n in (2, 5)]
+    made = Sequences((1, 2))
+    for p, samples in enumerate(values):
+        made.count[0, p] = samples.shape[1]
+        made.sums[:, 0, p] = samples.sum(1)
+    assert made.spp == 7
+    for p, samples in enumerate(values):
+        halves = samples.mean(1)
+        assert made.mean()[0, p] == pytest.approx(samples.reshape(-1, 3).mean(0))
+        assert made.variance()[0, p] == pytest.approx(halves.var(0, ddof=1) / 2)
+    assert made.error() == pytest.approx(np.sqrt(made.variance().mean()) / made.mean().mean())
 
 
-def test_a_pixel_gets_at_least_two_blocks_and_keeps_what_it_has() -> None:
-    blocks, shares = Blocks(Passes((1, 4)), 32, np.full((1, 4), 16)), np.array([[0.4, 0.9, 1.1, 1.7]])
-    assert blocks.lacking(70, shares).tolist() == [[2, 2, 3, 5]]  # 28, 63, 77, 119 samples, 32 of them there
-    blocks.add(np.repeat(np.arange(4), [0, 2, 5, 1]), np.zeros((8, 3)))
-    assert blocks.lacking(70, shares).tolist() == [[2, 0, 0, 4]]
+@pytest.mark.parametrize(("whole", "expected"), [(1, [13, 34, 36, 56]), (4, [16, 32, 36, 56]), (16, [16, 32, 48, 64])])
+def test_pixels_get_what_they_lack_and_keep_what_they_have(whole: int, expected: list[int]) -> None:
+    """70 samples at shares of 0.4, 0.97, 1.02 and 1.6 are 14, 33.95, 35.7 and 56 in each half; one has one already."""
+    made, shares = Sequences((1, 4), whole), np.array([[0.37, 0.96, 1.02, 1.6]])
+    assert made.lacking(70, shares).tolist() == [[-(-n // whole) * whole for n in (13, 34, 36, 56)]]
+    assert made.lacking(0.1, shares).tolist() == [[whole] * 4]
+    made.count[:] = [[0, 16, 32, 64]]
+    assert made.lacking(70, shares)[0, 3] == 0
+    assert made.lacking(70, shares)[0, 1] == -(-34 // whole) * whole - 16
 
 
 def test_samples_go_where_the_noise_is_and_save_work() -> None:
     mi = activate()
     loaded = shiny_corner(mi)
-    uneven = view(mi, loaded).render(None, 0.02)
-    even = view(mi, loaded).render(uneven.spp, None)
+    uneven = view(mi, loaded, size=40).render(None, 0.03)
+    even = view(mi, loaded, size=40).render(uneven.spp, None)
     assert uneven.error < 0.8 * even.error * np.sqrt(even.spp / uneven.spp)
-
-
-def test_large_views_have_blocks_as_large_as_two_in_a_pixel_allow(monkeypatch: pytest.MonkeyPatch) -> None:
-    mi = activate()
-    one = view(mi, shiny_corner(mi))
-    shares = np.array([[0.1, 0.5, 1.0, 4.0]])
-    assert one._block_sizes(600, shares, even=False).tolist() == [[64] * 4]  # some four and more on average
-    monkeypatch.setattr(radiance, "SEVERAL_SIZES", 4 * 600)
-    assert one._block_sizes(599, shares, even=False).tolist() == [[64] * 4]
-    assert one._block_sizes(600, shares, even=False).tolist() == [[16, 64, 256, 1024]]
-    assert one._block_sizes(600, np.ones((1, 4)), even=True).tolist() == [[64] * 4]
 
 
 def test_the_same_seed_gives_the_same_bits() -> None:
@@ -153,31 +152,53 @@ def test_the_same_seed_gives_the_same_bits() -> None:
     assert first.spp == again.spp
 
 
-def test_shares_are_positive_even_out_the_noise_and_average_one() -> None:
-    variance = np.full((9, 9), 1e-4)
-    variance[4, 4] = 1.0
+def test_shares_follow_the_deviation_around_a_pixel_but_not_its_own() -> None:
+    variance = np.random.default_rng(0).gamma(1.0, 1.0, (31, 31))
+    variance[:, 16:] *= 9
     shares = sample_shares(variance)
     assert shares.mean() == pytest.approx(1)
-    assert shares.argmax() == 40
-    assert shares.min() > 0.1
+    assert shares[:, 22:].mean() == pytest.approx(3 * shares[:, :9].mean(), rel=0.1)
+    own = variance.copy()
+    own[15, 7] *= 20
+    moved = _shares_around(own, 2.0) / _shares_around(variance, 2.0)
+    assert moved[15, 7] == pytest.approx(moved[0, 30])  # but for the total, which all share
+    assert moved[15, 8] > 1.2 * moved[15, 7]
+
+
+def test_shares_are_even_where_neighbours_say_nothing() -> None:
+    """One pixel alone with all the noise: to sample those around it would cost the others theirs."""
+    variance = np.full((15, 15), 1.0)
+    variance[7, 7] = 1e5
+    assert (sample_shares(variance) == 1).all()
+    variance[6:9, 6:9] = 1e5
+    shares = sample_shares(variance)
+    assert (variance / shares).mean() < 0.3 * variance.mean()
+    assert shares[6:9, 6:9].min() > 3
+
+
+def test_shares_have_a_least_and_need_no_noise() -> None:
+    variance = np.full((32, 32), 1e-9)
+    variance[4:8, 4:8] = 1.0
+    assert sample_shares(variance).min() == pytest.approx(LEAST, rel=0.3)
+    assert sample_shares(variance).min() > 0
     assert (sample_shares(np.zeros((3, 3))) == 1).all()
+    assert (sample_shares(np.ones((1, 1))) == 1).all()
 
 
 def test_rare_light_is_not_lost_where_a_pilot_missed_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """Pixels of mean 1 (a hundredth of the samples are 100), 400 views, of some 230 samples a pixel each.
 
-    Where the pilot counts beside the samples that it asked for, the mean comes out 3.2 % too low, with a standard error
-    of 0.3 %.
+    Where a pixel's own pilot has a say in how many it gets, the mean comes out some per cent too low.
     """
     rng = np.random.default_rng(0)
 
-    def sampled(self: View, pixels: Any, size: int) -> Any:
-        count = SIZE**2 if pixels is None else len(pixels)
-        return np.repeat(rng.binomial(size, 0.01, (count, 1)) * 100 / size, 3, -1)
+    def sampled(self: View, sensor: Any, first: Any, more: Any, numbers: Any) -> Any:
+        yield slice(0, len(more)), np.repeat(rng.binomial(more, 0.01)[:, None] * 100.0, 3, -1)
 
-    monkeypatch.setattr(View, "_pixels", sampled)
+    monkeypatch.setattr(View, "_light", sampled)
+    monkeypatch.setattr(View, "sensors", [None])
     method = Method(None, "llvm_ad_rgb", None, None)  # type: ignore[arg-type]  # nothing is traced
-    found = [View(method, rig(), 0)._render_to(0.7, lambda part: None).mean.mean() for _ in range(400)]
+    found = [View(method, rig(), 0).render(None, 0.7).mean.mean() for _ in range(400)]
     error = np.std(found) / np.sqrt(len(found))
     assert np.mean(found) == pytest.approx(1, abs=5 * error)
     assert error < 0.005

@@ -9,7 +9,7 @@ from novags.testbed.pareto.knob import Knob, Measured, Setting, Subject
 SCENE, SIZE, SMALL = "tabletop", 32, 16
 WHY = {
     "spp": "a set is rendered once and used for everything after it; --spp and --target-error say otherwise",
-    "sampler": "the least error of those that any number of samples suits; the spread of two halves gives the variance",
+    "sampler": "its sequences go on for as long as a pixel needs, and two of them give the variance",
     "samples": "even without a target error, uneven towards one: there a pilot has seen where the noise is",
     "lights": "lamps are drawn as often as they light what the cameras see",
     "max_depth": "the setting of this curve only: the plan of each scene finds the depth that its light calls for",

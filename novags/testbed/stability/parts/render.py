@@ -16,8 +16,8 @@ from simscenes import Rig, read_exr, write_exr
 from simscenes.backend import using_variant
 from simscenes.loading.load import build_scene
 from simscenes.render.geometry import geometry_channels, pixel_rays
-from simscenes.render.passes import Radiance
 from simscenes.render.radiance import Method, View
+from simscenes.render.sequences import Radiance
 from simscenes.rigs import intrinsics, look_at
 
 PART = Part("render")
@@ -56,9 +56,8 @@ def _relative(found: NDArray, wanted: Any) -> float:
     return float(np.abs(np.where(black, found, found.astype(np.float64) / np.where(black, 1, wanted) - 1)).max())
 
 
-# A pass adds up 1024 samples in float32. Equal ones round the same way while the sum stays in an octave, by up to
-# EPS / 2 of it each: at most 1024 EPS / 4 in all. Passes are added up in float64.
-@PART.case("a million samples in a pixel", bound=256 * EPS, unit="relative", backends=("llvm_ad_rgb",), slow=True)
+# Samples are added up in float64: what is left is the rounding of one sample, and of the mean.
+@PART.case("a million samples in a pixel", bound=4 * EPS, unit="relative", backends=("llvm_ad_rgb",), slow=True)
 def _(setting: Setting) -> float:
     def scene(mi: Any) -> dict[str, Any]:
         far = {"type": "sphere", "center": [0, 0, -1e3], "radius": 1.0}

@@ -1,4 +1,4 @@
-"""Passes of a render: their mean and variance, how many there are, repeatability, and targets of error."""
+"""Radiance of a view: its mean and variance, samples that stay stratified, repeatability, and targets of error."""
 
 from collections.abc import Callable
 from typing import Any
@@ -9,9 +9,9 @@ import pytest
 from simscenes import Rig
 from simscenes.backend import activate, using_variant
 from simscenes.loading.load import LoadedScene, build_scene
-from simscenes.render.passes import Passes, count_fireflies, split_passes
-from simscenes.render.radiance import Method, View
+from simscenes.render.radiance import MAX_FILM_SPP, Method, View, grid_spp
 from simscenes.render.sensors import sensor_dict
+from simscenes.render.sequences import count_fireflies, summary
 from simscenes.rigs import intrinsics
 
 GRAY = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.6, 0.4, 0.2]}}
@@ -50,7 +50,7 @@ def test_variance_estimate_equals_the_spread_over_many_seeds(ball_on_plane: Scen
     assert np.median(estimates.std(0, ddof=1) / estimates.mean(0).clip(1e-12)) < 0.8  # 1.4 if each pixel had its own
 
 
-def test_samples_in_two_large_passes_are_almost_as_good_as_in_one(view: Camera) -> None:
+def test_samples_in_two_sequences_are_almost_as_good_as_in_one_block(view: Camera) -> None:
     """A lamp over a matt floor, direct light: the worst case, where stratified samples gain most by being many.
 
     Root mean square over 8 seeds of 432 pixels each, whose relative error is some 1 / sqrt(2 * 8 * 432) = 1 %. In four
@@ -76,30 +76,45 @@ def test_samples_in_two_large_passes_are_almost_as_good_as_in_one(view: Camera) 
     assert errors[0] < 1.2 * errors[1]
 
 
-def test_passes_accumulate_like_numpy() -> None:
-    images = np.random.default_rng(0).normal(5, 1, (6, 4, 3, 3))
-    passes = Passes((4, 3))
-    for image in images:
-        passes.add(image)
-    result = passes.result(10)
-    assert np.allclose(result.mean, images.mean(0))
-    assert np.allclose(passes.variance(), images.var(0, ddof=1) / 6)
-    assert np.allclose(result.variance.mean(), images.var(0, ddof=1).mean() / 6)  # pooled, the sum is kept
-    assert result.spp == 60
-
-
-@pytest.mark.parametrize("spp", [2, 3, 17, 64, 256, 1000, 2048, 2049, 65536])
-def test_passes_are_few_and_fit_the_sampler(spp: int) -> None:
-    count, size = split_passes(spp)
-    assert count == max(2, -(-spp // 1024))
+@pytest.mark.parametrize("spp", [1, 2, 3, 5, 9, 17, 64, 250, 1000, 1024])
+def test_scalar_films_have_as_many_samples_as_their_sampler_can_stratify(spp: int) -> None:
+    size = grid_spp(spp)
     sampler = activate().load_dict({"type": "multijitter", "sample_count": size})
     assert sampler.sample_count() == size  # not rounded up to what it can stratify
-    assert spp <= count * size
-    assert count * (size - 1) < spp * (1 + 2 / np.sqrt(size))  # at most one row of the grid more than needed
+    assert spp <= size < spp * (1 + 2 / np.sqrt(spp)) + 1  # at most one row of the grid more than needed
+
+
+def test_a_scalar_variant_counts_what_it_draws_and_never_repeats_itself(view: Camera, ball_on_plane: Scene) -> None:
+    """Each half in films of at most 1024 samples, rounded up to what can be stratified; other samples every time."""
+    with using_variant("scalar") as mi:
+        loaded, rig = build_scene(ball_on_plane(), mi), view(4, 3)
+        integrator = mi.load_dict({"type": "path", "max_depth": 2})
+        one = View(Method(mi, mi.variant(), loaded, integrator), rig, 0)
+        one.render(9, None)
+        assert (one.samples.count == 6).all()  # 5 asked in each half, 2 x 3 drawn
+        sums = one.samples.sums.copy()
+        one._draw(np.full((3, 4), 4))
+        again = one.samples.sums - sums
+        assert one.samples.spp == 20
+        differs = [np.abs(a - b).max() > 1e-3 for a, b in ((sums[0], sums[1]), (sums[0], again[0]), (*again,))]
+        assert all(differs)
+        drawn = [sums.max() for _, sums in one._light(one.sensors[0], np.zeros(12), np.full(12, 2500), (0, 0))]
+    assert len(drawn) == 3
+    assert drawn[2] / drawn[0] == pytest.approx((2500 - 2 * MAX_FILM_SPP) / MAX_FILM_SPP, rel=0.1)
+
+
+def test_a_variance_is_never_negative() -> None:
+    """The running sums of a box filter can end below zero where nothing varies."""
+    variance = np.zeros((40, 40, 3))
+    variance[:, :13] = np.random.default_rng(0).gamma(1.0, 1e-3, (40, 13, 3))
+    found = summary(np.ones_like(variance), variance, 8).variance
+    assert (found >= 0).all()
+    assert (found[:, 16:] < 1e-15).all()
+    assert found.mean() == pytest.approx(variance.mean())
 
 
 def test_the_same_seed_gives_the_same_bits_where_threads_share_the_work(ball_on_plane: Scene, view: Camera) -> None:
-    """Enough samples for many work units, with passes whose pixels straddle them: a film of float32 would differ."""
+    """Enough samples for many work units, with pixels that straddle them: a film of float32 would differ."""
     loaded, rig = build_scene(ball_on_plane(), activate()), view(128, 97)
     first = radiance(loaded, rig, spp=100)
     for _ in range(3):
@@ -136,7 +151,7 @@ def test_target_error_is_reached_and_not_by_chance_only(ball_on_plane: Scene, vi
     assert actual < 0.02 * 1.5
 
 
-def test_a_scalar_variant_reaches_a_target_by_even_passes(ball_on_plane: Scene, view: Camera) -> None:
+def test_a_scalar_variant_reaches_a_target_evenly(ball_on_plane: Scene, view: Camera) -> None:
     with using_variant("scalar") as mi:
         loaded, rig = build_scene(ball_on_plane(), mi), view(8, 6)
         integrator = mi.load_dict({"type": "path", "max_depth": 4, "rr_depth": 2})

@@ -1,0 +1,147 @@
+"""The samples of one view: two independent sequences in every pixel, continued where a pilot saw noise.
+
+A pilot that decides how many samples a pixel gets must not count among them: a pixel whose pilot came out dark would
+get few others, and stay dark. Here its neighbours decide how many it gets beside others, and all of its samples count.
+Only the total follows from all pixels, as wherever samples are drawn until an error is reached.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+AROUND = (1.0, 2.0, 4.0)  # px, of the neighbourhoods to choose from
+LEAST = 0.25  # of an even share
+POOL = 3  # pixels across the neighbourhood that shares its variance
+
+
+@dataclass(frozen=True)
+class Radiance:
+    """One view, and how good it is.
+
+    Attributes:
+        mean: Radiance, float32 [h,w,3].
+        variance: Estimated variance of `mean`, float32 [h,w,3], averaged over 3 x 3 pixels: unbiased for that average,
+            and in sum for the view. It has up to 9 degrees of freedom in each pixel.
+        spp: Samples per pixel behind `mean`, on average over the view.
+        error: Relative RMSE: root of the mean variance over the mean radiance.
+        fireflies: Pixels whose variance is far above that of their neighbourhood: rare bright paths.
+    """
+
+    mean: NDArray[np.float32]
+    variance: NDArray[np.float32]
+    spp: int
+    error: float
+    fireflies: int
+
+
+def sample_shares(variance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Share of the samples that each pixel [h,w] of this variance should get, 1 on average.
+
+    The error of the whole view is least with shares in proportion to the standard deviation. That of a pixel is taken
+    from those around it, without its own, and no pixel gets less than some `LEAST` of an even share. How far around is
+    decided by the variance that the view would have, each pixel's own now, which its share does not know: so noise that
+    neighbours say nothing of is left to even shares.
+    """
+    choices = [np.ones_like(variance), *(_shares_around(variance, width) for width in AROUND)]
+    return min(choices, key=lambda shares: float((variance / shares).mean()))
+
+
+def _shares_around(variance: NDArray[np.float64], width: float) -> NDArray[np.float64]:
+    from scipy.ndimage import gaussian_filter
+
+    peak = np.zeros((2 * round(4 * width) + 1,) * 2)
+    peak[len(peak) // 2, len(peak) // 2] = 1
+    own = gaussian_filter(peak, width).max()
+    around, whole = (gaussian_filter(v, width, mode="constant") for v in (variance, np.ones_like(variance)))
+    others = np.maximum(around - own * variance, 0)  # rounding can go below 0
+    # A picture of one pixel has no others.
+    deviation = np.sqrt(others / np.maximum(whole - own, 1e-9))
+    shares = np.maximum(deviation / max(deviation.mean(), 1e-300), LEAST)
+    return np.asarray(shares / shares.mean())
+
+
+class Sequences:
+    """Sums of the samples that two sequences of each pixel have given so far.
+
+    Args:
+        shape: Of the view, (h, w).
+        whole: Samples that a sequence grows by at least: one for each pose of a moving camera.
+    """
+
+    def __init__(self, shape: tuple[int, int], whole: int = 1) -> None:
+        self.whole = whole
+        self.count = np.zeros(shape, dtype=np.int64)  # samples in each of the two
+        self.sums = np.zeros((2, *shape, 3))
+
+    def lacking(self, spp: float, shares: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Samples to add to each sequence, [h,w], for `spp` a pixel on average in both together; one is the least."""
+        wanted = np.ceil(spp / 2 * shares / self.whole - 1e-9).astype(np.int64)  # 7.000000001 are 7
+        return np.maximum(np.maximum(wanted, 1) * self.whole - self.count, 0)
+
+    @property
+    def spp(self) -> float:
+        """Samples per pixel so far, on average."""
+        return 2 * float(self.count.mean())
+
+    def mean(self) -> NDArray[np.float64]:
+        """Mean of all samples, [h,w,3]."""
+        return np.asarray(self._means().mean(0))
+
+    def variance(self) -> NDArray[np.float64]:
+        """Unbiased variance of `mean`, from the two sequences: one degree of freedom in each pixel."""
+        first, second = self._means()
+        return np.asarray((first - second) ** 2 / 4)
+
+    def error(self, margin: float = 0.0) -> float:
+        """Relative RMSE of the mean so far; with `margin` standard errors of its square more, pixels being independent.
+
+        Whoever stops at the first estimate that is low enough stops at one that is too low, where few pixels have most
+        of the noise.
+        """
+        each = self.variance().mean(-1)
+        more = margin * each.std() / np.sqrt(each.size)
+        return relative_error(self.mean(), each + more)
+
+    def result(self) -> Radiance:
+        """Mean, variance of the mean, and relative error of the whole view."""
+        return summary(self.mean(), self.variance(), self.spp)
+
+    def _means(self) -> NDArray[np.float64]:
+        return self.sums / np.maximum(self.count, 1)[..., None]
+
+
+def relative_error(mean: NDArray[np.float64], variance: NDArray[np.float64]) -> float:
+    """Relative RMSE of a view: root of the mean variance over the mean radiance; 0 for a black one."""
+    level = float(mean.mean())
+    return float(np.sqrt(variance.mean())) / level if level > 0 else 0.0
+
+
+def summary(mean: NDArray[np.float64], variance: NDArray[np.float64], spp: float) -> Radiance:
+    """A view from its mean and the variance of that in every pixel, [h,w,3]."""
+    return Radiance(
+        mean=mean.astype(np.float32),
+        variance=pooled(variance).astype(np.float32),
+        spp=round(spp),
+        error=relative_error(mean, variance),
+        fireflies=count_fireflies(variance.mean(-1), float(mean.mean())),
+    )
+
+
+def pooled(variance: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Variances [h,w,c] averaged over neighbouring pixels; their sum stays, since the border mirrors."""
+    from scipy.ndimage import uniform_filter
+
+    mean = uniform_filter(variance, size=(POOL, POOL, 1), mode="reflect")
+    return np.asarray(np.maximum(mean, 0))  # its running sums can end below 0 where the variance is 0
+
+
+def count_fireflies(variance: NDArray[Any], level: float) -> int:
+    """Pixels [h,w] with 50 times the median variance around them, if that is more than 5 % of the mean radiance."""
+    from scipy.ndimage import median_filter
+
+    around = median_filter(variance, size=5, mode="nearest")
+    return int(((variance > 50 * around) & (variance > (0.05 * level) ** 2)).sum())
