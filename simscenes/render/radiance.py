@@ -99,7 +99,7 @@ class View:
             ValueError: If a pixel is nan, infinite or negative: the scene has an impossible emitter or reflectance.
         """
         if target_error is None:
-            self._draw(self.samples.lacking(spp or 2, self._even), tick)
+            self._draw(self.samples.even(spp or 2), tick)
             return self.samples.result()
         s, wanted = self.samples, FIRST * self.predict_spp(target_error)
         self._draw(s.lacking(PILOT_PART * wanted, self._even), lambda part: tick(PILOT_PART * part))
@@ -174,10 +174,9 @@ class View:
 
         The part is one of the pixels, in a scalar variant one of the samples. This view cannot be rendered afterwards.
         """
-        more = self.samples.lacking(spp, self._even)
+        more = self.samples.even(spp)
         if self.scalar:
-            part = min(max(part * spp, 2), spp) / spp
-            drawn = self.samples.lacking(part * spp, self._even)
+            drawn = self.samples.even(min(part, 1.0) * spp)
         else:
             chosen = np.arange(more.size) % max(int(1 / part), 1) == 0
             drawn = more * chosen.reshape(more.shape)
@@ -207,7 +206,7 @@ class View:
         s = self.samples
         for _ in range(2):  # the second time the kernel is there
             start, before = time.perf_counter(), s.spp
-            self._draw(s.lacking(before + PILOT_SPP, self._even))
+            self._draw(s.even(before + PILOT_SPP))
             seconds = (time.perf_counter() - start) / (s.spp - before)
         return Pilot(self._foreseen()[1], seconds)
 

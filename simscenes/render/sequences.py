@@ -7,6 +7,7 @@ Only the total follows from all pixels, as wherever samples are drawn until an e
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -64,6 +65,13 @@ def _shares_around(variance: NDArray[np.float64], width: float) -> NDArray[np.fl
     return np.asarray(shares / shares.mean())
 
 
+def good_counts(wanted: NDArray[np.float64]) -> NDArray[np.int64]:
+    """The nearest 2^k or 3 2^k, by ratio; at least 1. Between them Sobol points are up to a fifth less even."""
+    octave = np.exp2(np.floor(np.log2(np.maximum(wanted, 1))))
+    ratio = wanted / octave
+    return np.rint(octave * np.where(ratio < np.sqrt(1.5), 1, np.where(ratio < np.sqrt(3), 1.5, 2))).astype(np.int64)
+
+
 class Sequences:
     """Sums of the samples that two sequences of each pixel have given so far.
 
@@ -77,10 +85,14 @@ class Sequences:
         self.count = np.zeros(shape, dtype=np.int64)  # samples in each of the two
         self.sums = np.zeros((2, *shape, 3))
 
+    def even(self, spp: float) -> NDArray[np.int64]:
+        """Samples to add to each sequence, [h,w], for `spp` in every pixel in both together, and one at least."""
+        wanted = max(math.ceil(spp / 2 / self.whole - 1e-9), 1) * self.whole  # 7.000000001 are 7
+        return np.maximum(wanted - self.count, 0)
+
     def lacking(self, spp: float, shares: NDArray[np.float64]) -> NDArray[np.int64]:
-        """Samples to add to each sequence, [h,w], for `spp` a pixel on average in both together; one is the least."""
-        wanted = np.ceil(spp / 2 * shares / self.whole - 1e-9).astype(np.int64)  # 7.000000001 are 7
-        return np.maximum(np.maximum(wanted, 1) * self.whole - self.count, 0)
+        """The same for about `spp` on average, spread by `shares` [h,w], 1 on average."""
+        return np.maximum(good_counts(spp / 2 * shares / self.whole) * self.whole - self.count, 0)
 
     @property
     def spp(self) -> float:

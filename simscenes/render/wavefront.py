@@ -27,6 +27,7 @@ def sample_sums(
     first: NDArray[np.int64],
     more: NDArray[np.int64],
     seed: int,
+    part: float = 1.0,
 ) -> Iterator[tuple[slice, NDArray[np.float64]]]:
     """Sums over samples `first` .. `first + more - 1` of the sequence of every pixel, part by part of the picture.
 
@@ -38,6 +39,7 @@ def sample_sums(
         first: Samples that each pixel had before, row by row, [h*w].
         more: Samples to draw in each pixel, [h*w].
         seed: Of the sequences, which it gives to all pixels at once; 32 bits.
+        part: Of the width of a pixel, its middle, where samples fall.
 
     Yields:
         Which pixels, and [their number, 3] of what the film's channels would hold, summed over the samples.
@@ -46,8 +48,8 @@ def sample_sums(
     while start < len(more):
         drawn = ends[start - 1] if start else 0
         stop = max(start + 1, int(np.searchsorted(ends, drawn + MAX_WAVEFRONT, side="right")))
-        part = slice(start, stop)
-        yield part, _trace(mi, scene, sensor, integrator, start, first[part], more[part], seed)
+        here = slice(start, stop)
+        yield here, _trace(mi, scene, sensor, integrator, start, first[here], more[here], seed, part)
         start = stop
 
 
@@ -60,6 +62,7 @@ def _trace(
     first: NDArray[np.int64],
     more: NDArray[np.int64],
     seed: int,
+    part: float,
 ) -> NDArray[np.float64]:
     import drjit as dr
 
@@ -75,11 +78,12 @@ def _trace(
     width, height = (int(n) for n in film.crop_size())
     row = pixel // dr.opaque(mi.UInt32, width)
     corner = mi.Vector2f(mi.Float(pixel - row * width), mi.Float(row))
-    place = (corner + sampler.next_2d()) / mi.Vector2f(width, height)
+    inside = 0.5 + dr.opaque(mi.Float, part) * (sampler.next_2d() - 0.5)
+    place = (corner + inside) / mi.Vector2f(width, height)
     lens = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
     wavelength = sampler.next_1d() if mi.is_spectral else mi.Float(0)
     ray, weight = sensor.sample_ray_differential(0.0, wavelength, place, lens)
-    ray.scale_differential(FOOTPRINT)
+    ray.scale_differential(FOOTPRINT * part)
     sampler.begin_path()
     spectrum, _, _ = integrator.sample(scene, sampler, ray, sensor.get_medium(), mi.Bool(True))
     channels = _channels(mi, film, weight * spectrum, ray.wavelengths)

@@ -15,13 +15,13 @@ from simscenes.rigs import Rig
 from simscenes.transport import pilot, plan
 from simscenes.transport.pilot import RR_DEPTH, Pilot
 from simscenes.transport.plugins import class_of
-from simscenes.transport.roulette import most_efficient, path_lengths
+from simscenes.transport.roulette import most_efficient, path_lengths, path_noise
 
 UNIT = plan.UNIT
 DEPTHS = (8, 16, 32)  # candidates for max_depth
 DEEPEST = 64  # pilot paths end here, where that is deep enough
 DEEPER = (256, 1024)  # else here
-RR_OFFERED = (RR_DEPTH, 5)  # 5 is Mitsuba's own
+RR_OFFERED = (RR_DEPTH, 3, 5)  # 5 is Mitsuba's own
 
 
 def decided(name: str, on: bool, contribution: float, bound: float, reason: str, unit: str = UNIT) -> Effect:
@@ -88,8 +88,11 @@ def _tail(p: Pilot, kind: str, depth: int, deepest: int, most: float) -> pilot.S
     return pilot.Share(0.0, rest, pilot.scaled(found.rms, rest, found.upper))
 
 
-def roulette_effect(p: Pilot, media: bool, depth: int, measure: bool) -> tuple[int, Effect]:
-    """Where roulette starts, if at all: the least variance times work. It never changes the mean."""
+def roulette_effect(p: Pilot, media: bool, depth: int, measure: bool, scale: float = 1.0) -> tuple[int, Effect]:
+    """Where roulette starts, if at all: the least variance times work. It never changes the mean.
+
+    `scale`: width of a pilot's pixel in pixels of the views.
+    """
     if depth > DEEPEST:
         reason = f"light persists to depth {depth}: roulette would make it rare and bright; never changes the mean"
         return RR_DEPTH, decided(plan.ROULETTE, False, 0.0, 0.0, reason)
@@ -99,8 +102,8 @@ def roulette_effect(p: Pilot, media: bool, depth: int, measure: bool) -> tuple[i
     kind, starts = "volpath" if media else "path", (*(s for s in RR_OFFERED if s <= depth), depth + 1)
     # volpath starts a surface later than path does for the same number.
     lengths = path_lengths(p.mi, p.loaded, p.rig, depth, [s + media for s in starts], p.seed)
-    pairs = [(p.render(kind, depth, s), p.render(kind, depth, s, again=1)) for s in starts]
-    noise = np.stack([np.square(a - b).mean(-1).ravel() for a, b in pairs])
+    integrators = [{"type": kind, "max_depth": depth, "rr_depth": s, **p.hiding} for s in starts]
+    noise = path_noise(p.mi, p.loaded, p.rig, integrators, 1 / scale, p.seed)
     best = most_efficient(noise, lengths, 0)
     on, ratio = best < len(starts) - 1, math.sqrt(noise[best].mean() / max(noise[-1].mean(), 1e-300))
     reason = (

@@ -28,7 +28,6 @@ MOST = 0.99  # of the light that anything reflects; without a limit below 1 a cl
 SIZE = 32  # pixels along the longer side
 SPP = 64
 RR_DEPTH = 2  # where Russian roulette starts if nothing is measured, and unless another start is clearly better
-AGAIN = 7919  # far from any seed in use: the second, independent pilot
 
 
 @dataclass(frozen=True)
@@ -46,20 +45,19 @@ class Pilot:
     hide_emitters: bool = False
     base: str = "rgb"  # the fewest colours that the scene can be loaded in
     scenes: dict[str, LoadedScene] = field(default_factory=dict)
-    images: dict[tuple[str, int, int, int], NDArray[np.float64]] = field(default_factory=dict)
+    images: dict[tuple[str, int, int], NDArray[np.float64]] = field(default_factory=dict)
     rms: dict[str, tuple[float, ...]] = field(default_factory=dict)  # effect -> `Share.rms` of leaving it out
 
-    def render(self, kind: str, depth: int, rr_depth: int = RR_DEPTH, again: int = 0) -> NDArray[np.float64]:
-        """The pilot views, by the same paths whatever the depth; rendered once. `again`: with other paths.
+    def render(self, kind: str, depth: int, rr_depth: int = RR_DEPTH) -> NDArray[np.float64]:
+        """The pilot views, by the same paths whatever the depth; rendered once.
 
         In scalar variants the paths differ, since their samplers continue from one to the next: differences are noisier
         there, and bounds wider.
         """
-        key = (kind, depth, rr_depth, again)
+        key = (kind, depth, rr_depth)
         if key not in self.images:
             integrator = {"type": kind, "max_depth": depth, "rr_depth": rr_depth, **self.hiding}
-            seed = self.seed + AGAIN * again
-            self.images[key] = render_pilot(self.mi, self.loaded, self.rig, integrator, seed)
+            self.images[key] = render_pilot(self.mi, self.loaded, self.rig, integrator, self.seed)
         return self.images[key]
 
     @property

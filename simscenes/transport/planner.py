@@ -131,7 +131,7 @@ def _decide(
     scale = rig.width / p.rig.width
     media = media_effects(p)
     depth, transport = depth_effects(p, media[0].on, pilot.most_reflected(mi, loaded), max_depth)
-    rr_depth, roulette = roulette_effect(p, media[0].on, depth, measure)
+    rr_depth, roulette = roulette_effect(p, media[0].on, depth, measure, max(scale, 1.0))
     if loaded.integrator is not None and loaded.integrator.rr_depth is not None:
         rr_depth, reason = loaded.integrator.rr_depth, "by the scene's own integrator; never changes the mean"
         roulette = replace(roulette, on=True, forced=True, reason=f"from path length {rr_depth}, {reason}")

@@ -14,9 +14,13 @@ from numpy.typing import NDArray
 
 from simscenes.loading.load import LoadedScene
 from simscenes.render.geometry import first_surfaces, pixel_rays
+from simscenes.render.radiance import view_seed
+from simscenes.render.sensors import sensor_dict
+from simscenes.render.wavefront import sample_sums
 from simscenes.rigs import Rig
 
-SAMPLES = 8  # paths from each pixel of the pilot views
+SAMPLES = 8  # paths from each pixel of the pilot views, whose lengths are counted
+SPP = 64  # of the two renders of a pilot view, whose difference is its noise
 MOST_SURVIVE = 0.95  # the largest survival probability in Mitsuba, however bright a path is
 
 
@@ -56,6 +60,37 @@ def path_lengths(
             alive &= si.is_valid()
             dr.eval(si, sampler, through, eta, alive, chances)
     return lengths
+
+
+def path_noise(
+    mi: Any, loaded: LoadedScene, rig: Rig, integrators: Sequence[dict[str, Any]], part: float, seed: int
+) -> NDArray[np.float64]:
+    """Squared differences between two sequences of samples in the pixels of the pilot views, [integrator, pixel].
+
+    Args:
+        mi: The mitsuba module, in a JIT variant.
+        loaded: The scene.
+        rig: The pilot views.
+        integrators: Whose noise is wanted; they share their random numbers.
+        part: Of the width of a pixel, where samples fall. A pilot's pixels are larger than those of the views: what
+            they show varies more, and would hide the noise of the paths.
+        seed: Of the samples.
+    """
+    first = np.zeros(rig.width * rig.height, dtype=np.int64)
+    more = np.full_like(first, SPP)
+    found = []
+    for integrator in integrators:
+        method, squares = mi.load_dict(integrator), []
+        for i in range(len(rig)):
+            sensor = mi.load_dict(sensor_dict(mi, rig, i, loaded))
+            halves = []
+            for half in range(2):
+                number = view_seed(rig, i, seed, half)
+                parts = sample_sums(mi, loaded.scene, sensor, method, first, more, number, part)
+                halves.append(np.concatenate([sums for _, sums in parts]) / SPP)
+            squares.append(np.square(halves[0] - halves[1]).mean(-1))
+        found.append(np.concatenate(squares))
+    return np.stack(found)
 
 
 def most_efficient(noise: NDArray[np.float64], lengths: NDArray[np.float64], default: int) -> int:

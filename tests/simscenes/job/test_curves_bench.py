@@ -11,7 +11,7 @@ import pytest
 from simscenes import default_rig
 from simscenes.job import curves
 from simscenes.job.curves import DEFAULT, KNOBS, Bench, Measured, Setting, settings_of, unit_of
-from simscenes.render.passes import Passes
+from simscenes.render import radiance
 
 TRUTHS = [np.arange(1.0, 13.0).reshape(2, 2, 3) * level for level in (1.0, 2.0, 5.0)]
 
@@ -91,47 +91,59 @@ def test_the_reference_is_deep_and_shares_no_random_numbers_with_what_is_measure
     assert min(seed for _, _, seed in made) >= 1e5  # seeds of measurements count from 0
 
 
-@pytest.mark.parametrize("samples", ["even", "uneven"])
+@pytest.mark.parametrize(("sampler", "samples"), [(curves.OWN, "even"), (curves.OWN, "uneven"), ("stratified", "even")])
 def test_a_view_is_timed_when_its_kernels_are_compiled(
-    samples: str, bench: Bench, monkeypatch: pytest.MonkeyPatch
+    sampler: str, samples: str, bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """The first of two runs takes 46 s more; sensors and integrators, which take 100 s here, are made before."""
     clock, runs = SimpleNamespace(now=5.0), []
     clocks = SimpleNamespace(perf_counter=lambda: clock.now, process_time=lambda: 2 * clock.now)
     monkeypatch.setattr(curves, "time", clocks)
-    shares = np.array([[0.2, 1.0, 3.0, 0.0], [1.4, 0.7, 0.7, 1.0]])
+
+    def run(kind: str, spp: int) -> Any:
+        clock.now += 50 if not runs else 4
+        runs.append((kind, spp))
+        return np.full((2, 4, 4), 7.0, np.float32)
+
+    def slow(made: Any) -> Any:
+        clock.now += 100
+        return made
+
+    class Seen:
+        def __init__(self, *about: Any) -> None:
+            asked.append(about)
+            self.samples = SimpleNamespace(mean=lambda: np.full((2, 4, 3), 7.0))
+
+        @property
+        def sensors(self) -> Any:
+            return slow(["sensor"])
+
+        def render(self, spp: int, target_error: None) -> None:
+            run("even", spp)
+
+        def spread(self, spp: int) -> None:
+            run("uneven", spp)
+
+    def plain(scene: Any, sensor: Any, integrator: Any, spp: int, seed: int) -> Any:
+        assert sensor == {"sampler": {"type": "stratified", "sample_count": 64}, "fov": 1}
+        assert seed == radiance.view_seed(bench.rig, 2, 11)
+        asked.append((2, 11))
+        return run("even", spp)
 
     @contextmanager
     def ready(s: Setting) -> Iterator[Any]:
-        yield "mi", "loaded"
+        yield SimpleNamespace(load_dict=slow, render=plain), SimpleNamespace(scene="scene")
 
-    class Seen:
-        @property
-        def pilot(self) -> Any:
-            clock.now += 2
-            passes = Passes((2, 4))
-            for _ in range(2):
-                passes.add(np.full((2, 4, 3), 7.0))
-            return SimpleNamespace(passes=passes, spp=32, shares=shares)
-
-        def run(self, passes: Any, count: int, spp: int) -> None:
-            clock.now += 50 if not runs else 4
-            runs.append((count, spp))
-            passes.add(np.full((2, 4, 3), 7.0))
-
-        def run_blocks(self, blocks: Any, more: Any) -> None:
-            clock.now += 50 if not runs else 4
-            runs.append((1, int(np.unique(blocks.size).item())))
-            assert more.tolist() == [[2, 4, 12, 2], [6, 3, 3, 4]]  # of 16 samples, of which 64 give 4
-
+    monkeypatch.setattr(curves, "sensor_dict", lambda *a: {"fov": 1})
+    monkeypatch.setattr(curves, "integrator", lambda mi, s: slow("path"))
     asked: list[Any] = []
     monkeypatch.setattr(bench, "ready", ready)
-    monkeypatch.setattr(bench, "view", lambda mi, loaded, s, i, seed: asked.append((i, seed)) or Seen())
-    image, seconds, cpu = bench.render(Setting(spp=64, samples=samples), 2, 11)
+    monkeypatch.setattr(bench, "view", lambda mi, loaded, s, i, seed: Seen(i, seed))
+    image, seconds, cpu = bench.render(Setting(spp=64, samples=samples, sampler=sampler), 2, 11)
     assert (image == 7).all()
     assert asked == [(2, 11)] * 2
-    assert runs == [(1, 16 if samples == "uneven" else 64)] * 2
-    assert seconds == (6 if samples == "uneven" else 4)
-    assert cpu == 2 * seconds
+    assert runs == [(samples, 64)] * 2
+    assert (seconds, cpu) == (4, 8)
 
 
 def test_lights_are_weighed_where_the_setting_says_so(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:

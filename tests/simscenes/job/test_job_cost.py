@@ -51,27 +51,24 @@ def test_seconds_add_up_by_stage_also_over_failures_and_earlier_calls(clock: Clo
 
 
 @pytest.mark.parametrize(("spp", "numbers"), [(64, [3, 5, 6, 8, 11]), (3000, list(range(12))), (2, [7])])
-def test_even_samples_are_predicted_from_a_part_of_a_pass(
+def test_even_samples_are_predicted_from_a_part_of_a_view(
     spp: int, numbers: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Of the first view that is missing, in a pass of the job itself, from a 64th of the job's samples."""
+    """Of the first view that is missing, from a 64th of the job's samples."""
     found = []
 
     class Fresh:
         def __init__(self, method: Any, rig: Rig, i: int) -> None:
             assert (method, rig, i) == ("any", RIG, numbers[0])
 
-        def passes(self, spp: int) -> tuple[int, int]:
-            return 3, spp // 2
-
-        def seconds(self, size: int, part: float) -> float:
-            found.append((size, part))
-            return size / 8
+        def seconds(self, spp: int, part: float) -> float:
+            found.append((spp, part))
+            return spp / 8
 
     monkeypatch.setattr(cost, "View", Fresh)
     predicted = predict_seconds("any", RIG, dict.fromkeys(numbers), spp, None)  # type: ignore[arg-type]
-    assert predicted == pytest.approx(3 * len(numbers) * (spp // 2) / 8)
-    assert found == [(spp // 2, pytest.approx(3 * len(numbers) / 64))]
+    assert predicted == pytest.approx(len(numbers) * spp / 8)
+    assert found == [(spp, pytest.approx(len(numbers) / 64))]
 
 
 def test_towards_a_target_error_three_pilots_say_how_many() -> None:
@@ -89,22 +86,25 @@ def test_towards_a_target_error_three_pilots_say_how_many() -> None:
     assert predict_seconds("any", RIG, waiting({4: (7, 0.5)}), None, 0.1) == pytest.approx(35)  # type: ignore[arg-type]
 
 
-def test_a_part_of_a_pass_is_timed_when_its_kernel_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
-    """60 s of compilation, then 1/8 s a pixel: 24 pixels take 3 s, whichever part of them is traced."""
+@pytest.mark.parametrize(
+    ("variant", "part", "drawn"),
+    [("llvm", 0.1, 3 * 18), ("llvm", 0.9, 24 * 18), ("llvm", 8.0, 24 * 18), ("scalar", 0.5, 24 * 9), ("scalar", 0, 24)],
+)
+def test_a_part_of_a_view_is_timed_when_its_kernel_is_compiled(
+    variant: str, part: float, drawn: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """60 s of compilation, then 1/8 s a sample: 24 pixels of 2 x 18 samples take 108 s, whichever part is traced."""
     clock, traced = Clock(), []
     monkeypatch.setattr(radiance, "time", SimpleNamespace(perf_counter=clock))
 
-    def trace(self: Any, pixels: Any, size: int) -> None:
-        count = 24 if pixels is None else len(pixels)
-        clock.now += (0 if traced else 60) + count / 8
-        traced.append((count, size))
+    def draw(self: Any, more: Any) -> None:
+        clock.now += (0 if traced else 60) + 2 * more.sum() / 8
+        traced.append(int(more.sum()))
 
-    monkeypatch.setattr(radiance.View, "_pixels", trace)
-    for variant, part, count in (("llvm", 0.1, 3), ("llvm", 0.9, 24), ("llvm", 8.0, 24), ("scalar", 0.1, 24)):
-        traced.clear()
-        view = radiance.View(SimpleNamespace(variant=variant, subframes=1), RIG, 0)  # type: ignore[arg-type]
-        assert view.seconds(35, part) == pytest.approx(3)
-        assert traced == [(count, 35)] * 2
+    monkeypatch.setattr(radiance.View, "_draw", draw)
+    view = radiance.View(SimpleNamespace(variant=variant, subframes=1), RIG, 0)  # type: ignore[arg-type]
+    assert view.seconds(36, part) == pytest.approx(108)
+    assert traced == [drawn] * 2
 
 
 def test_versions_and_memory_are_those_of_this_process() -> None:

@@ -11,7 +11,7 @@ from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.render import radiance, wavefront
 from simscenes.render.radiance import Method, View
 from simscenes.render.sensors import sensor_dict
-from simscenes.render.sequences import LEAST, Sequences, _shares_around, pooled, sample_shares
+from simscenes.render.sequences import LEAST, Sequences, _shares_around, good_counts, pooled, sample_shares
 from simscenes.rigs import intrinsics, look_at
 
 pytestmark = pytest.mark.usefixtures("jit")
@@ -124,15 +124,30 @@ def test_sequences_add_up_like_numpy() -> None:
     assert made.error() == pytest.approx(np.sqrt(made.variance().mean()) / made.mean().mean())
 
 
-@pytest.mark.parametrize(("whole", "expected"), [(1, [13, 34, 36, 56]), (4, [16, 32, 36, 56]), (16, [16, 32, 48, 64])])
-def test_pixels_get_what_they_lack_and_keep_what_they_have(whole: int, expected: list[int]) -> None:
-    """70 samples at shares of 0.4, 0.97, 1.02 and 1.6 are 14, 33.95, 35.7 and 56 in each half; one has one already."""
-    made, shares = Sequences((1, 4), whole), np.array([[0.37, 0.96, 1.02, 1.6]])
-    assert made.lacking(70, shares).tolist() == [[-(-n // whole) * whole for n in (13, 34, 36, 56)]]
-    assert made.lacking(0.1, shares).tolist() == [[whole] * 4]
+@pytest.mark.parametrize(("whole", "each"), [(1, 35), (4, 36), (16, 48)])
+def test_pixels_get_what_they_lack_and_keep_what_they_have(whole: int, each: int) -> None:
+    """70 samples are 35 in each half, in whole multiples; what is there already is not drawn again."""
+    made = Sequences((1, 4), whole)
+    assert made.even(70).tolist() == [[each] * 4]
+    assert made.even(0.1).tolist() == [[whole] * 4]
     made.count[:] = [[0, 16, 32, 64]]
-    assert made.lacking(70, shares)[0, 3] == 0
-    assert made.lacking(70, shares)[0, 1] == -(-34 // whole) * whole - 16
+    assert made.even(70).tolist() == [[each, each - 16, each - 32, 0]]
+
+
+def test_shares_are_met_by_counts_that_keep_sobol_points_even() -> None:
+    """100 samples at these shares are 5, 20, 40 and 135 in each half, and become 4 (or 6), 24, 48 and 128."""
+    made, shares = Sequences((1, 4)), np.array([[0.1, 0.4, 0.8, 2.7]])
+    assert made.lacking(100, shares).tolist() == [[6, 24, 48, 128]]
+    made.count[:] = [[1, 30, 32, 64]]
+    assert made.lacking(100, shares).tolist() == [[5, 0, 16, 64]]
+    assert Sequences((1, 4), whole=5).lacking(100, shares).tolist() == [[5, 20, 40, 120]]  # of 1, 4, 8, 27 in five
+    counts = np.arange(1, 5000)
+    found = good_counts(counts.astype(float))
+    odd = found // (found & -found)
+    assert set(odd) == {1, 3}
+    assert np.abs(np.log(found / counts)).max() <= np.log(1.5) / 2 + 1e-9
+    assert (np.diff(found) >= 0).all()
+    assert good_counts(np.array([0.0, 0.3])).tolist() == [1, 1]
 
 
 def test_samples_go_where_the_noise_is_and_save_work() -> None:

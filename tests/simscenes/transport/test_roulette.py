@@ -9,10 +9,11 @@ from simscenes import Rig, default_rig
 from simscenes.backend import activate, backend_of
 from simscenes.loading.load import build_scene
 from simscenes.loading.reference import SceneRef
+from simscenes.render.radiance import Method, View
 from simscenes.rigs import intrinsics, look_at
 from simscenes.transport.effects import roulette_effect
 from simscenes.transport.pilot import Pilot, pilot_rig
-from simscenes.transport.roulette import MOST_SURVIVE, most_efficient, path_lengths
+from simscenes.transport.roulette import MOST_SURVIVE, most_efficient, path_lengths, path_noise
 
 
 def inside_a_ball(albedo: float) -> tuple[Any, Any, Rig]:
@@ -89,6 +90,45 @@ def test_the_start_depends_on_the_scene_and_not_on_the_clock() -> None:
         assert effect.on
         assert (effect.contribution, effect.bound) == (0, 0)
     assert chosen["cornell"] < chosen["hall"]
+
+
+@pytest.mark.usefixtures("jit")
+@pytest.mark.parametrize("part", [1.0, 0.125])
+def test_the_noise_of_paths_is_that_of_pixels_as_small_as_those_of_the_views(part: float) -> None:
+    """A slit of light in black, 1/4 of a pixel wide: a pilot's pixel of 64 samples sees it vary, a small one does not.
+
+    Two sequences of 64 in a stratified pixel differ where an edge crosses it, by 1/64 at most a stratum.
+    """
+    mi = activate()
+    glow = {"type": "area", "radiance": {"type": "rgb", "value": 1.0}}
+    slit = mi.ScalarTransform4f().rotate([1, 0, 0], 180).scale([0.125, 9, 1])
+    scene = {"type": "scene", "slit": {"type": "rectangle", "to_world": slit, "emitter": glow}}
+    Ks = np.array([[[4, 0, 2.5], [0, 4, 1.5], [0, 0, 1.0]]])  # a pixel is one unit wide there
+    rig = Rig(viewmats=look_at((0, 0, -4), (0, 0, 0), (0, 1, 0))[None], Ks=Ks, width=5, height=3)
+    integrators = [{"type": "path", "max_depth": 2}, {"type": "path", "max_depth": 3}]
+    found = path_noise(mi, build_scene(scene, mi), rig, integrators, part, seed=0).reshape(2, 3, 5)
+    assert np.array_equal(found[0], found[1])  # they share their random numbers
+    assert (found[..., [0, 1, 3, 4]] == 0).all()
+    assert (found[..., 2] > 0).all() if part == 1 else (found == 0).all()
+    again = path_noise(mi, build_scene(scene, mi), rig, integrators[:1], part, seed=1)
+    assert (again.reshape(3, 5)[:, 2] != found[0, :, 2]).any() == (part == 1)
+
+
+@pytest.mark.usefixtures("jit")
+def test_the_noise_of_paths_is_what_many_renders_differ_by() -> None:
+    """In a closed room: twice the variance of the mean of 64 samples, over 12 seeds; roulette makes it larger."""
+    mi, loaded, rig = inside_a_ball(0.8)
+    integrators = [{"type": "path", "max_depth": 6, "rr_depth": start} for start in (1, 7)]
+    found = np.stack([path_noise(mi, loaded, rig, integrators, 1.0, seed) for seed in range(12)]).mean((0, 2))
+    images = []
+    for seed in range(24):
+        integrator = mi.load_dict(integrators[0])
+        images.append(
+            View(Method(mi, mi.variant(), loaded, integrator, seed=100 + seed), rig, 0).render(128, None).mean
+        )
+    # The mean of two sequences of 64 has half the variance of one, and two of them differ by twice that of one.
+    assert found[0] == pytest.approx(4 * np.var(images, 0, ddof=1).mean(), rel=0.3)
+    assert found[0] > 1.5 * found[1]
 
 
 def test_the_choice_weighs_noise_against_rays_and_keeps_the_default_in_doubt() -> None:
