@@ -9,8 +9,8 @@ from simscenes import Optics, Rig
 from simscenes.backend import activate, using_variant
 from simscenes.loading.load import build_scene
 from simscenes.render.geometry import pixel_rays
-from simscenes.render.passes import Radiance
 from simscenes.render.radiance import Method, View
+from simscenes.render.sequences import Radiance
 from simscenes.rigs import intrinsics, look_at
 
 WHITE = {"type": "rgb", "value": 1.0}

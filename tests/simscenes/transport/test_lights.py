@@ -11,8 +11,8 @@ from simscenes import Rig, orbit_rig, plan_transport, read_exr, render_set
 from simscenes.backend import activate
 from simscenes.job.identity import plan_identity
 from simscenes.loading.load import LoadedScene, build_scene, set_light_weights
-from simscenes.render.passes import Radiance
 from simscenes.render.radiance import Method, View
+from simscenes.render.sequences import Radiance
 from simscenes.transport.lights import light_weights
 
 pytestmark = pytest.mark.usefixtures("jit")
