@@ -1,7 +1,7 @@
 """Which lights deserve samples: shares of the visible illumination, measured before rendering.
 
 Mitsuba picks every light equally often. Picking each as often as it matters changes no mean, only the noise: on
-`tabletop`, whose window gives a tenth of the light, the variance falls by a third.
+`bookshop`, whose window gives most of the light, the variance falls by a third, on `tabletop` by a fifth.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from simscenes.rigs import Rig
 SAMPLES = 4  # per light and pixel of the pilot views
 UNIFORM = 0.1  # part of the samples spread evenly, for points where the lights rank differently
 MAX_LIGHTS = 64  # with more, measuring each costs more than it saves
+COARSE = 1.015  # times the least variance of the choice: what parts that keep samples stratified may cost
 
 
 def light_weights(mi: Any, loaded: LoadedScene, rig: Rig, seed: int) -> tuple[float, ...]:
@@ -37,8 +38,31 @@ def light_weights(mi: Any, loaded: LoadedScene, rig: Rig, seed: int) -> tuple[fl
         return ()
     shares = light[:, lit] / light[:, lit].sum(0)
     weight = np.sqrt((shares**2).mean(1))
-    weight = (1 - UNIFORM) * weight / weight.sum() + UNIFORM / len(lights)
-    return tuple(float(f"{w:.3g}") for w in weight)
+    return in_even_parts((1 - UNIFORM) * weight / weight.sum() + UNIFORM / len(lights))
+
+
+def in_even_parts(weights: NDArray[np.float64]) -> tuple[float, ...]:
+    """Weights as whole parts of 1/2^k, each of one part at least: the coarsest that cost no more than `COARSE`.
+
+    A light is picked by the first coordinate of a point, and the rest of that coordinate picks a place on it. Points of
+    Sobol are even in cells of 1/2^k: where lights end between cells, each light's own points are not, and on two lamps
+    64 samples at weights of .7 and .3 were noisier than at even ones, at .75 and .25 half as noisy.
+
+    Args:
+        weights: The best ones, positive, of sum 1.
+    """
+    parts = 1
+    while parts < len(weights):
+        parts *= 2
+    while True:
+        whole = np.maximum(1, np.floor(weights * parts))
+        while whole.sum() != parts:  # what rounding left goes where it is missed most, or is taken where least
+            step = 1 if whole.sum() < parts else -1
+            change = np.where(whole + step < 1, np.inf, weights**2 / np.maximum(whole + step, 1) - weights**2 / whole)
+            whole[change.argmin()] += step
+        if parts * (weights**2 / whole).sum() <= COARSE:
+            return tuple((whole / parts).tolist())
+        parts *= 2
 
 
 def _direct_light(mi: Any, loaded: LoadedScene, rig: Rig, i: int, count: int, seed: int) -> NDArray[np.float64]:

@@ -1,11 +1,14 @@
 """Lights are picked as often as they matter: the mean stays, the noise falls, the bits repeat."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from simscenes import Rig, orbit_rig, plan_transport, read_exr, render_set
 from simscenes.backend import activate
@@ -13,7 +16,7 @@ from simscenes.job.identity import plan_identity
 from simscenes.loading.load import LoadedScene, build_scene, set_light_weights
 from simscenes.render.radiance import Method, View
 from simscenes.render.sequences import Radiance
-from simscenes.transport.lights import light_weights
+from simscenes.transport.lights import in_even_parts, light_weights
 
 pytestmark = pytest.mark.usefixtures("jit")
 
@@ -37,10 +40,10 @@ def ring(n: int = 2, size: int = 16) -> Rig:
     return orbit_rig(n, size, size, 50, target=(0, 0, 0.4), radius=3.0)
 
 
-def rendered(loaded: LoadedScene, spp: int = 256) -> Radiance:
+def rendered(loaded: LoadedScene, spp: int = 128) -> Radiance:
     mi = activate()
     integrator = mi.load_dict({"type": "path", "max_depth": 8, "rr_depth": 2})
-    return View(Method(mi, mi.variant(), loaded, integrator), ring(), 0).render(spp, None)
+    return View(Method(mi, mi.variant(), loaded, integrator), ring(size=40), 0).render(spp, None)
 
 
 def test_weighing_lights_keeps_the_mean_and_lowers_the_noise() -> None:
@@ -58,7 +61,33 @@ def test_weighing_lights_keeps_the_mean_and_lowers_the_noise() -> None:
     error = np.sqrt((3 * (va + vb).sum(-1)).sum()) / a.size
     assert abs((a - b).mean()) < 5 * error
     assert error < 0.01 * a.mean()
-    assert vb.mean() < 0.7 * va.mean()
+    assert vb.mean() < 0.75 * va.mean()  # 0.63 to 0.66 by seed; with weights between even parts 0.78 and more
+
+
+def variance_of(weights: Sequence[float], best: Sequence[float]) -> float:
+    """Of picking one light by these weights, relative to picking by the best ones."""
+    return sum(b * b / w for w, b in zip(weights, best, strict=True)) / sum(best) ** 2
+
+
+@given(st.lists(st.floats(0.003, 1.0), min_size=2, max_size=40))
+def test_even_parts_are_the_coarsest_that_cost_little(amounts: list[float]) -> None:
+    best = np.array(amounts) / sum(amounts)
+    found = in_even_parts(best)
+    parts = next(n for n in (2**k for k in range(1, 30)) if all(float(w * n).is_integer() for w in found))
+    assert sum(found) == 1
+    assert min(found) > 0
+    assert variance_of(found, best) <= 1.015
+    if len(best) == 2:  # every coarser choice costs more
+        for coarser in range(1, parts // 2):
+            w = coarser / (parts // 2)
+            assert variance_of((w, 1 - w), best) > 1.015
+
+
+def test_even_parts_of_known_weights() -> None:
+    cases = [((0.5, 0.5), (0.5, 0.5)), ((0.7, 0.3), (0.75, 0.25)), ((0.43, 0.57), (0.375, 0.625))]
+    cases += [((0.02, 0.98), (1 / 32, 31 / 32)), ((0.25, 0.5, 0.25), (0.25, 0.5, 0.25))]
+    for best, expected in cases:
+        assert in_even_parts(np.array(best)) == expected
 
 
 def test_nothing_is_weighed_where_there_is_no_choice_or_fog() -> None:

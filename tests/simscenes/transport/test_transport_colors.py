@@ -28,7 +28,7 @@ class Object:
 
 def pilots(scene: Any = None, *, backend: str = "llvm_ad", allowed: float = 0.004) -> Pilot:
     source = SceneRef.of(scene or {"type": "scene"})
-    images = {("path", 8, 2, 0): np.full((2, 3, 4, 3), 1.5)}
+    images = {("path", 8, 2): np.full((2, 3, 4, 3), 1.5)}
     loaded: Any = SimpleNamespace(scene="scene", rgb_alone=False)
     p = Pilot(SimpleNamespace(Object=Object), source, loaded, None, backend, allowed, 5, images=images)  # type: ignore[arg-type]
     p.scenes.update(spectral="in spectra", spectral_polarized="polarised")  # type: ignore[arg-type]
@@ -81,7 +81,7 @@ def test_polarisation_is_bounded_by_the_light_of_two_mirrors_in_a_row(
     assert found.contribution == pytest.approx(0.002)
     assert found.reason == "bounded: 2.0% of the light comes by two specular surfaces in a row"
     assert asked[0][3:] == ({"type": "path", "max_depth": 8, "rr_depth": 2}, 5)
-    p.images["path", 8, 2, 0] = np.zeros((2, 3, 4, 3))
+    p.images["path", 8, 2] = np.zeros((2, 3, 4, 3))
     assert polarisation_effect(p, False, [], False).contribution == 0
 
 

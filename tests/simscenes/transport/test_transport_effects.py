@@ -28,7 +28,7 @@ def pilots(allowed: float = 0.004, backend: str = "llvm_ad", **more: Any) -> Pil
 
 def room(albedo: float, kind: str = "path") -> dict[Any, Any]:
     """A closed room: of light that starts as 1 - a, a part a comes back from every surface."""
-    return {(kind, d, 2, 0): np.full((2, 3, 4, 3), 2 * (1 - albedo**d)) for d in (2, 5, 8, 16, 32, 64)}
+    return {(kind, d, 2): np.full((2, 3, 4, 3), 2 * (1 - albedo**d)) for d in (2, 5, 8, 16, 32, 64)}
 
 
 @pytest.mark.parametrize(
@@ -60,45 +60,44 @@ def test_a_depth_decided_by_hand_is_kept_and_bounded() -> None:
     assert deep.contribution == pytest.approx(0.7**5 / (1 - 0.7**64))
 
 
-def noisy(starts: dict[int, float], depth: int = 8, kind: str = "path") -> dict[Any, Any]:
-    """Pairs of pilots whose squared differences are, pixel by pixel, 1 to 24 parts of what is given."""
-    base = np.linspace(1, 3, 24).reshape(2, 3, 4)[..., None] * np.ones(3)
-    found = {}
-    for start, noise in starts.items():
-        apart = np.sqrt(noise * np.arange(1, 25) / 12.5).reshape(2, 3, 4)[..., None] * np.ones(3)
-        found |= {(kind, depth, start, 0): base + apart, (kind, depth, start, 1): base}
-    return found
-
-
 @pytest.fixture
-def lengths(monkeypatch: pytest.MonkeyPatch) -> dict[int, float]:
-    """Surfaces that a path meets, by where roulette starts."""
-    told = {2: 2.0, 3: 2.5, 5: 3.0, 6: 4.0, 9: 8.0, 10: 8.5}
+def measured(monkeypatch: pytest.MonkeyPatch) -> dict[int, float]:
+    """Surfaces that a path meets and its noise, by where roulette starts; to be filled with the noise.
+
+    Pixel by pixel the squared differences are 1 to 24 parts of it.
+    """
+    told = {2: 2.0, 3: 2.5, 4: 2.75, 5: 3.0, 6: 4.0, 9: 8.0, 10: 8.5}
+    noise: dict[int, float] = {}
 
     def path_lengths(mi: Any, loaded: Any, rig: Rig, depth: int, starts: list[int], seed: int) -> Any:
         assert (rig, depth, seed) == (SMALL, 8, 5)
         return np.array([told[start] for start in starts])
 
+    def path_noise(mi: Any, loaded: Any, rig: Rig, integrators: list[dict[str, Any]], part: float, seed: int) -> Any:
+        assert (rig, part, seed) == (SMALL, 0.25, 5)
+        assert len({(i["type"], i["max_depth"]) for i in integrators}) == 1
+        return np.stack([noise[i["rr_depth"]] * np.arange(1, 25) / 12.5 for i in integrators])
+
     monkeypatch.setattr(effects, "path_lengths", path_lengths)
-    return told
+    monkeypatch.setattr(effects, "path_noise", path_noise)
+    return noise
 
 
 @pytest.mark.parametrize(
     ("noise", "media", "start", "on", "reason"),
-    [  # rays of a path: 5, 7 and 17; with media one surface later: 6, 9, 18
-        ((4.0, 1.0, 0.8), False, 5, True, "from path length 5: 3 surfaces a path instead of 8, noise x 1.12"),
-        ((1.0, 0.9, 0.8), False, 2, True, "from path length 2: 2 surfaces a path instead of 8, noise x 1.12"),
-        ((40.0, 10.0, 0.8), False, 2, False, "would save 75% of the surfaces, and cost more in noise"),
-        ((4.0, 1.0, 0.8), True, 5, True, "from path length 5: 4 surfaces a path instead of 8.5, noise x 1.12"),
+    [  # rays of a path: 5, 6, 7 and 17; with media one surface later: 6, 6.5, 9, 18
+        ((4.0, 4.0, 1.0, 0.8), False, 5, True, "from path length 5: 3 surfaces a path instead of 8, noise x 1.12"),
+        ((4.0, 1.0, 1.0, 0.8), False, 3, True, "from path length 3: 2.5 surfaces a path instead of 8, noise x 1.12"),
+        ((1.0, 1.0, 0.9, 0.8), False, 2, True, "from path length 2: 2 surfaces a path instead of 8, noise x 1.12"),
+        ((40.0, 20.0, 10.0, 0.8), False, 2, False, "would save 75% of the surfaces, and cost more in noise"),
+        ((4.0, 4.0, 1.0, 0.8), True, 5, True, "from path length 5: 4 surfaces a path instead of 8.5, noise x 1.12"),
     ],
 )
-@pytest.mark.usefixtures("lengths")
 def test_roulette_starts_where_noise_times_rays_is_least(
-    noise: tuple[float, ...], media: bool, start: int, on: bool, reason: str
+    noise: tuple[float, ...], media: bool, start: int, on: bool, reason: str, measured: dict[int, float]
 ) -> None:
-    kind = "volpath" if media else "path"
-    p = pilots(images=noisy(dict(zip((2, 5, 9), noise, strict=True)), kind=kind))
-    found, effect = roulette_effect(p, media, 8, True)
+    measured.update(zip((2, 3, 5, 9), noise, strict=True))
+    found, effect = roulette_effect(pilots(), media, 8, True, scale=4.0)
     assert found == start
     assert (effect.name, effect.on, effect.contribution, effect.bound) == ("Russian roulette", on, 0, 0)
     assert effect.reason.removesuffix("; never changes the mean") == reason
@@ -117,9 +116,11 @@ def test_roulette_starts_early_where_it_is_not_measured(depth: int, measure: boo
 
 def test_short_paths_offer_fewer_starts(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[Any] = []
-    monkeypatch.setattr(effects, "path_lengths", lambda *a: asked.append(a[4]) or np.array([2.0, 3.0]))
-    roulette_effect(pilots(images=noisy({2: 1.0, 4: 1.0}, depth=3)), False, 3, True)
-    assert asked == [[2, 4]]
+    monkeypatch.setattr(effects, "path_lengths", lambda *a: asked.append(a[4]) or np.array([2.0, 2.5, 3.0]))
+    monkeypatch.setattr(effects, "path_noise", lambda *a: asked.append(a[3]) or np.ones((3, 24)))
+    roulette_effect(pilots(), True, 3, True)
+    assert asked[0] == [3, 4, 5]  # volpath starts a surface later than path does for the same number
+    assert asked[1] == [{"type": "volpath", "max_depth": 3, "rr_depth": start} for start in (2, 3, 4)]
 
 
 @pytest.mark.parametrize(
@@ -133,7 +134,7 @@ def test_media_count_by_what_they_change(
     monkeypatch.setattr(effects, "media_in", lambda scene, mi: ["grey", "coloured"])
     monkeypatch.setattr(effects, "_is_chromatic", lambda mi, medium: chromatic and medium == "coloured")
     through = np.full((2, 3, 4, 3), 2.0)
-    p = pilots(images={("volpath", 8, 2, 0): through, ("path", 8, 2, 0): through * (1 + change)})
+    p = pilots(images={("volpath", 8, 2): through, ("path", 8, 2): through * (1 + change)})
     media, colors = media_effects(p)
     assert (media.name, media.on, media.bound) == ("participating media", on, 0.004)
     assert media.contribution == pytest.approx(change)
@@ -222,7 +223,7 @@ def persistent(albedo: float) -> dict[Any, Any]:
     depths = {3: (8, 16, 32, 64, 2), 257: (128, 192, 256), 1025: (512, 768, 1024)}
     starts = {3: 2, 257: 257, 1025: 1025}
     return {
-        ("path", d, starts[key], 0): np.full((2, 3, 4, 3), 1 - albedo**d) for key, some in depths.items() for d in some
+        ("path", d, starts[key]): np.full((2, 3, 4, 3), 1 - albedo**d) for key, some in depths.items() for d in some
     }
 
 

@@ -78,7 +78,7 @@ def test_decisions_follow_each_other(asked: dict[str, Any]) -> None:
     assert asked["light_weights"][2:] == (p.rig, 5)
     assert asked["set_light_weights"][1] == (0.25, 0.75)
     assert asked["depth_effects"] == (p, True, 0.8, 7)
-    assert asked["roulette_effect"] == (p, True, 16, True)
+    assert asked["roulette_effect"] == (p, True, 16, True, 4.0)
     assert asked["color_effects"] == (p, OPTICS, True, views, 0.3, True)
     assert asked["motion_effect"] == (views, RIG, p.rig, OPTICS, 4.0)
     assert asked["aperture_effect"] == (p, views, OPTICS, 4.0)
