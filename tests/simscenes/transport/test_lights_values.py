@@ -35,14 +35,17 @@ def weighed(monkeypatch: pytest.MonkeyPatch) -> Any:
     return weigh
 
 
-def test_a_weight_is_the_root_mean_square_share_where_any_light_falls(weighed: Any) -> None:
+def test_a_weight_is_the_root_mean_square_share_where_any_light_falls(
+    weighed: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Two views of three points, one of them in the dark. A tenth of the picks is spread evenly."""
     views = [[[1, 0, 3], [3, 0, 0], [0, 0, 1]], [[0, 8, 2], [0, 0, 2], [5, 0, 0]]]
     shares = [(1 / 4, 3 / 4, 0), (3 / 4, 0, 1 / 4), (0, 0, 1), (1, 0, 0), (1 / 2, 1 / 2, 0)]
     rms = [(sum(s[k] ** 2 for s in shares) / 5) ** 0.5 for k in range(3)]
     expected = [0.9 * r / sum(rms) + 0.1 / 3 for r in rms]
-    assert weighed(views) == tuple(float(f"{w:.3g}") for w in expected)
-    assert weighed(views) == pytest.approx(expected, rel=0.005)
+    assert weighed(views) == lights.in_even_parts(np.array(expected))
+    monkeypatch.setattr(lights, "in_even_parts", tuple)
+    assert weighed(views) == pytest.approx(expected)
 
 
 def test_lights_that_cannot_be_told_apart_are_not_weighed(weighed: Any) -> None:
