@@ -19,8 +19,8 @@ from simscenes.loading.load import LoadedScene, build_scene, set_light_weights
 from simscenes.render.radiance import Method, View, view_seed
 from simscenes.render.sensors import sensor_dict
 from simscenes.scenes import default_rig
+from simscenes.transport.effects import RR_USUAL
 from simscenes.transport.lights import light_weights
-from simscenes.transport.pilot import RR_DEPTH
 
 NOISE = "relative RMSE"
 MISSING = "share of all light"
@@ -41,7 +41,7 @@ class Setting:
     lights: str = "weighed"
     integrator: str = "path"
     max_depth: int = 8
-    rr_depth: int = RR_DEPTH
+    rr_depth: int = RR_USUAL["path"]
     color: str = "rgb"
     variant: str = "auto"
 

@@ -27,7 +27,7 @@ N_VIEWS = 3
 MOST = 0.99  # of the light that anything reflects; without a limit below 1 a closed room has no bound
 SIZE = 32  # pixels along the longer side
 SPP = 64
-RR_DEPTH = 2  # where Russian roulette starts if nothing is measured, and unless another start is clearly better
+RR_DEPTH = 2  # where Russian roulette starts in pilots
 
 
 @dataclass(frozen=True)
