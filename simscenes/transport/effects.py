@@ -22,9 +22,9 @@ DEPTHS = (8, 16, 32)  # candidates for max_depth
 DEEPEST = 64  # pilot paths end here, where that is deep enough
 DEEPER = (256, 1024)  # else here
 RR_OFFERED = (2, 3, 5)
-# Where roulette starts unless another start is measured to be better. Variance times rays, at depth 8 or 16, was at
-# most 1.2 times the least of all starts in eleven scenes without fog (2: 1.9 times, 3: 1.3), and the least in two with.
-RR_USUAL = {"path": 5, "volpath": 2}
+# Where roulette starts unless another start is measured to be better: on surfaces 3 took the least processor time to one
+# error in three of four scenes, and 1.06 times the least in the other (docs/what-is-simulated.md); in fog 2 is best.
+RR_USUAL = {"path": 3, "volpath": 2}
 
 
 def decided(name: str, on: bool, contribution: float, bound: float, reason: str, unit: str = UNIT) -> Effect:

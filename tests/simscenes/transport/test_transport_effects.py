@@ -89,7 +89,7 @@ def measured(monkeypatch: pytest.MonkeyPatch) -> dict[int, float]:
         ((4.0, 4.0, 1.0, 0.8), False, 5, True, "from path length 5: 3 surfaces a path instead of 8, noise x 1.12"),
         ((4.0, 1.0, 1.0, 0.8), False, 3, True, "from path length 3: 2.5 surfaces a path instead of 8, noise x 1.12"),
         ((1.0, 1.0, 0.9, 0.8), False, 2, True, "from path length 2: 2 surfaces a path instead of 8, noise x 1.12"),
-        ((40.0, 20.0, 10.0, 0.8), False, 5, False, "would save 75% of the surfaces, and cost more in noise"),
+        ((40.0, 20.0, 10.0, 0.8), False, 3, False, "would save 75% of the surfaces, and cost more in noise"),
         ((4.0, 4.0, 1.0, 0.8), True, 5, True, "from path length 5: 4 surfaces a path instead of 8.5, noise x 1.12"),
     ],
 )
@@ -107,7 +107,7 @@ def test_roulette_starts_where_noise_times_rays_is_least(
 @pytest.mark.parametrize(
     ("depth", "measure", "backend"), [(2, True, "llvm_ad"), (8, False, "llvm_ad"), (8, True, "scalar")]
 )
-@pytest.mark.parametrize(("media", "start"), [(False, 5), (True, 2)])
+@pytest.mark.parametrize(("media", "start"), [(False, 3), (True, 2)])
 def test_roulette_starts_where_it_usually_pays_if_not_measured(
     depth: int, measure: bool, backend: str, media: bool, start: int
 ) -> None:
@@ -117,7 +117,7 @@ def test_roulette_starts_where_it_usually_pays_if_not_measured(
     assert effect.reason.startswith(f"from path length {start}, not measured")
 
 
-@pytest.mark.parametrize(("media", "start"), [(False, 5), (True, 2)])
+@pytest.mark.parametrize(("media", "start"), [(False, 3), (True, 2)])
 def test_the_usual_start_stays_unless_another_is_clearly_better(
     media: bool, start: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -22,7 +22,7 @@ def test_every_effect_can_be_forced(diffuse_box: SceneMaker, ring: Rig) -> None:
     assert forced["paths beyond max_depth"].forced
     assert forced.bound >= forced["indirect light"].contribution > 0.03
     endless = plan_transport(diffuse_box(), rig=ring, force={"paths beyond max_depth": True}, measure=False)
-    assert endless.integrator() == {"type": "path", "max_depth": -1, "rr_depth": 5}
+    assert endless.integrator() == {"type": "path", "max_depth": -1, "rr_depth": 3}
     assert endless["paths beyond max_depth"].on
 
 
