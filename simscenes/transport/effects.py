@@ -23,7 +23,7 @@ DEEPEST = 64  # pilot paths end here, where that is deep enough
 DEEPER = (256, 1024)  # else here
 RR_OFFERED = (2, 3, 5)
 # Where roulette starts unless another start is measured to be better: on surfaces 3 took the least processor time to
-# one error in three of four scenes, and 1.06 times the least in the other (docs/what-is-simulated.md); in fog 2 is best.
+# one error in three of four scenes, 1.06 times the least in the other (docs/what-is-simulated.md); in fog 2 is best.
 RR_USUAL = {"path": 3, "volpath": 2}
 
 
