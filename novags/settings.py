@@ -43,7 +43,7 @@ def refuse_lost_files(config: Any, what: str) -> None:
     """
     for name, paths in files_among(config).items():
         if lost := [path for path in paths if not path.is_file()]:
-            raise ValueError(f"{what}: there is no file {lost[0]}, which {name} names: correct the path")
+            raise ValueError(f"{what}: {name} is {lost[0]}, but that file does not exist: correct the path")
 
 
 def starting_at(folder: Path, settings: Mapping[str, Any], config: Any) -> dict[str, Any]:

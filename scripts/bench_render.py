@@ -2,6 +2,7 @@
 
     python scripts/bench_render.py --equal-size 96 --equal-views 8 --target-error 0.03 [--out FILE]
     python scripts/bench_render.py --equal-views 0 --predict tabletop gallery street
+    python scripts/bench_render.py --scene busts --equal-size 256 --target-error 0.05 --starts 2 3 5
 
 Writes JSON lines {"knob", "setting", "seconds", "error", "error_unit", "error_sd", "default"}, knob "method", that
 compare whole jobs: `render_set` to a target error, everything included (reading the scene,
@@ -11,7 +12,8 @@ measured: of ours against a render of --reference-spp samples by another seed, w
 others from the spread between seeds. Their time is scaled up from what --plain-spp samples take: exactly, since their
 noise falls as one over the root of the samples; that of multijittered ones falls faster, so their --plain-spp should
 be near what is needed (see "needed_spp"). Kernels are compiled beforehand for all. With --predict: what `render_set`
-foretold of its time, and what it took, once with a number of samples and once towards the target error.
+foretold of its time, and what it took, once with a number of samples and once towards the target error. With --starts,
+and nothing else: the same job with roulette from each of these path lengths, twice each, in turn.
 """
 
 from __future__ import annotations
@@ -22,13 +24,14 @@ import json
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes import activate, default_rig, render_set
+from simscenes import activate, default_rig, plan_transport, render_set
 from simscenes.job.curves import NOISE
 from simscenes.loading.load import build_scene
 from simscenes.render.sensors import sensor_dict
@@ -130,6 +133,27 @@ def predictions(scenes: Sequence[str], size: int, target: float) -> Iterator[dic
             }
 
 
+def starts_of_roulette(
+    scene: str, size: int, views: int, target: float, starts: Sequence[int], repeats: int = 2
+) -> Iterator[dict[str, Any]]:
+    """What the whole job takes by where roulette starts, planning included; the first round compiles the kernels."""
+    rig, spent = default_rig(scene, views, size, size), {}
+    for turn, start in itertools.product(range(repeats + 1), starts):
+        with tempfile.TemporaryDirectory() as folder:
+            clock = Clock()
+            plan = replace(plan_transport(scene, rig=rig, measure=False), rr_depth=start)
+            done = render_set(scene, rig, folder, target_error=target, plan=plan)
+            if turn:
+                samples = float(np.mean([view["spp"] for view in done.meta["views"].values()]))
+                spent.setdefault(start, []).append([*clock.read(), samples])
+    for start, found in spent.items():
+        seconds, processor, samples = np.mean(found, axis=0)
+        yield {
+            "scene": scene, "size": size, "views": views, "target_error": target, "rr_depth": start, "seconds": seconds,
+            "processor_seconds": processor, "processor_seconds_each": [one[1] for one in found], "spp": samples,
+        }  # fmt: skip
+
+
 def main() -> None:
     """Run the comparisons and write the lines."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -139,6 +163,7 @@ def main() -> None:
     parser.add_argument("--equal-views", type=int, default=8, help="0 leaves the comparison out")
     parser.add_argument("--target-error", type=float, default=0.03)
     parser.add_argument("--predict", nargs="*", default=[], help="scenes whose predicted times are checked")
+    parser.add_argument("--starts", nargs="*", type=int, default=[], help="path lengths from which roulette starts")
     parser.add_argument("--plain-spp", type=int, default=256)
     parser.add_argument("--plain-seeds", type=int, default=4, help="renders whose spread is the error of plain ones")
     parser.add_argument("--peers", nargs="+", default=list(PEERS), choices=PEERS)
@@ -148,8 +173,9 @@ def main() -> None:
     sampling = (a.plain_spp, a.plain_seeds, a.reference_spp, a.peers)
     compared = equal_error(a.scene, size, views, a.target_error, *sampling) if views else ()
     foretold = predictions(a.predict, a.equal_size, a.target_error)
+    begun = starts_of_roulette(a.scene, size, views, a.target_error, a.starts)
     lines = []
-    for line in itertools.chain(compared, foretold):
+    for line in begun if a.starts else itertools.chain(compared, foretold):
         lines.append(json.dumps(line))
         print(lines[-1], flush=True)
     if a.out:

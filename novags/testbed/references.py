@@ -111,6 +111,6 @@ def references(run: Run, capture: Capture, lit: Source, i: int) -> dict[str, Ima
 
 
 def true_depth(lit: Source, i: int) -> np.ndarray | None:
-    """True z-depth [h,w] of view `i`, inf where there is no surface; None for photographs and scaled captures."""
+    """True z-depth [h,w] of view `i`, inf where no surface is seen; None for photographs and scaled captures."""
     geometry = None if lit.scaled else lit.views.geometry(i)
     return None if geometry is None else geometry["z"]

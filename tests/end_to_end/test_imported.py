@@ -93,7 +93,7 @@ def test_without_any_truth_nothing_is_scored_and_the_report_shows_the_renders(
     assert metrics["methods"]["naive"]["views"] == {"0000": {}, "0008": {}}
     assert {"enhanced", "lit", "geometry"} <= metrics["unavailable"].keys()
     page = write_report(tmp_path / "run", quiet).read_text(encoding="utf-8")
-    assert "There is no truth to score these photographs with" in page
+    assert "These photographs have no ground truth, so the renders are not scored" in page
     assert "Nothing is scored, because no truth is known" in page
     assert page.count("held out; not scored, because no truth is known") == 2 * 2  # note and alternative text
     assert 'class="scores"' not in page

@@ -78,8 +78,8 @@ def open_dark(
 
 def _without_cameras(folder: Path) -> NoReturn:
     if scenes := scenes_below(folder):
-        raise ValueError(f"{folder} is no scene but holds scenes ({scene_names(scenes)}): import one of them, or all "
-                         "with novags study FILE --data")  # fmt: skip
+        raise ValueError(f"{folder} is not a scene, but contains scenes ({scene_names(scenes)}): import one of "
+                         "them, or all with novags study FILE --data")  # fmt: skip
     found = [file for place in (folder, folder / "images") for file in place.glob("*")]
     count = sum(file.suffix.lower() in PICTURES for file in found)
     raise ValueError(

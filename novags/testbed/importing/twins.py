@@ -56,7 +56,7 @@ def plain_pictures(folder: Path) -> list[Path]:
     """The pictures in images/ of a folder, else those in it, in the order of their names, whatever cameras list.
 
     Raises:
-        ValueError: If there are none.
+        ValueError: If neither folder has pictures.
     """
     for place in (folder / "images", folder):
         if files := sorted(file for file in place.glob("*") if file.suffix.lower() in PICTURES and file.is_file()):

@@ -86,7 +86,7 @@ class Bench:
         )  # fmt: skip
 
     def _warm(self, prepared: Prepared) -> None:
-        """Train a little, once in a process: loading the machine code is no part of any measurement."""
+        """Train briefly, once per process, so that no measurement includes the loading of compiled code."""
         if not _WARM:
             _WARM.append(True)
             timed(prepared, adapted(self.base, iterations=2, denoiser_steps=1).reconstruct(self.base.methods[0]))
@@ -170,8 +170,8 @@ def timed(
 def parts_of(stamps: Mapping[int, float], parts: Mapping[str, int]) -> dict[str, float]:
     """Seconds of each part from the times at which its steps, counted through, were done.
 
-    What comes before the first step of a part is no part's: each is extrapolated from its own steps. A part with one
-    stamp only is counted from the last of the part before.
+    Time before the first step of a part is not counted: each part is extrapolated from its own steps. A part with a
+    single stamp is counted from the last stamp of the previous part.
     """
     found, begin = {}, 0
     for name, count in parts.items():

@@ -102,7 +102,9 @@ def write_reports(
     groups = groups_of(folders, console)
     identity = digest(sorted(str(run.path.resolve()) for group in groups for run in group.runs.values()))
     if path.exists() and not overwrite and _identity(path) != identity:
-        raise ValueError(f"{path} is there and is no report on these runs: choose another --out, or add --overwrite")
+        raise ValueError(
+            f"{path} already exists and is not a report on these runs: choose another --out, or add --overwrite"
+        )
     with locked(path.parent):
         if len(groups) == 1:
             group = groups[0]

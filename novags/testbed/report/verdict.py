@@ -24,8 +24,9 @@ def verdict(material: Material) -> str:
     """One sentence with the outcome."""
     if (found := leading(material)) is None:
         return (
-            "There is no truth to score these photographs with: the renders can be looked at, and beside the dark "
-            "pictures. novags import takes --lit (the views in good light) and --clean (long exposures)."
+            "These photographs have no ground truth, so the renders are not scored: compare them with the dark "
+            "pictures by eye. To get scores, give novags import --lit (the views in good light) or --clean (long "
+            "exposures)."
         )
     value, best, floor = _values(material), leader(material), material.bound("floor")
     reached = value[best]

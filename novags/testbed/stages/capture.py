@@ -281,7 +281,7 @@ def measure_light(source: Source, sensor: Sensor, progress: Update) -> tuple[flo
     """Mean green radiance over the set, and `QUANTILES` of what the sensor's channels see, in the same unit.
 
     Raises:
-        ValueError: If there is no green light at all.
+        ValueError: If every view is black in green.
     """
     total, samples, least, most = 0.0, [], np.inf, 0.0
     count = len(source.views)

@@ -207,5 +207,5 @@ def test_a_file_that_is_not_there_is_named_with_its_setting(tmp_path: Path) -> N
     (tmp_path / "default").touch()
     there = Files(several=(tmp_path / "default",))
     refuse_lost_files(there, "mine")
-    with pytest.raises(ValueError, match=r"^mine: there is no file .*gone, which one names"):
+    with pytest.raises(ValueError, match=r"^mine: one is .*gone, but that file does not exist"):
         refuse_lost_files(changed(there, {"one": str(tmp_path / "gone")}), "mine")

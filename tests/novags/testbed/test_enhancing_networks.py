@@ -38,7 +38,7 @@ def test_a_run_is_scored_with_its_own_copy_of_the_weights(tmp_path: Path) -> Non
     with pytest.raises(ValueError, match="another enhance.weights"):
         stages.reconstruct(tmp_path / "capture", run, config, QUIET)
     weights.unlink()
-    with pytest.raises(ValueError, match="there is no file .*, which enhance.weights names"):
+    with pytest.raises(ValueError, match="enhance.weights is .*, but that file does not exist"):
         stages.reconstruct(tmp_path / "capture", tmp_path / "other", config, QUIET)
 
     shutil.move(run, tmp_path / "moved")

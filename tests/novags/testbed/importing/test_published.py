@@ -240,7 +240,9 @@ def test_a_given_folder_of_lit_pictures_counts_before_that_of_the_data_set(tmp_p
 def test_the_folder_of_a_whole_data_set_is_answered_with_its_scenes(tmp_path: Path) -> None:
     lom(tmp_path / "LOM" / "buu")
     lom(tmp_path / "LOM" / "sofa")
-    with pytest.raises(ValueError, match=r"is no scene but holds scenes \(LOM/buu, LOM/sofa\): import one of them"):
+    with pytest.raises(
+        ValueError, match=r"is not a scene, but contains scenes \(LOM/buu, LOM/sofa\): import one of them"
+    ):
         brought(tmp_path / "LOM", tmp_path / "cap")
 
 

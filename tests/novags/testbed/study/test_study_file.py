@@ -164,8 +164,14 @@ WRONG: dict[str, tuple[str, str]] = {
     "unused rig": ("[rig.a]\nviews=9", "[rig.a]: no value of [grid] rig names it"),
     "variant": ("[variant.a]\nmethod='navie'", "[variant]: unknown method 'navie'"),
     "variant's setting": ("[grid]\nmethod='a'\n[variant.a]\nmethod='naive'\nfit.x=1", "[variant]: a: FitConfig has no"),
-    "variant's file": ("[variant.a]\nmethod='sci-gs'\nenhance.weights='w.pt'", "[variant]: a: there is no file"),
-    "method's file": ("[grid]\nmethod='sci-gs'\n[override]\nenhance.weights='w.pt'", "sci-gs: there is no file"),
+    "variant's file": (
+        "[variant.a]\nmethod='sci-gs'\nenhance.weights='w.pt'",
+        "[variant]: a: enhance.weights is FOLDER/w.pt, but that file does not exist",
+    ),
+    "method's file": (
+        "[grid]\nmethod='sci-gs'\n[override]\nenhance.weights='w.pt'",
+        "sci-gs: enhance.weights is FOLDER/w.pt, but that file does not exist",
+    ),
     "exclude axis": ("[[exclude]]\nscnee='cornell'", "[[exclude]] 1: unknown axis 'scnee'"),
     "exclude value": (
         "[grid]\nelectrons=[5]\n[[exclude]]\nelectrons=6", "1: electrons: 6 is not among its values in [grid] (5)"
@@ -179,8 +185,8 @@ WRONG: dict[str, tuple[str, str]] = {
 @pytest.mark.parametrize("what", WRONG)
 def test_a_mistake_is_one_line_with_the_file_and_the_key(tmp_path: Path, what: str) -> None:
     text, said = WRONG[what]
-    file = re.escape(str(tmp_path / "study.toml"))
-    with pytest.raises(ValueError, match=rf"^{file}[^\n]*{re.escape(said)}[^\n]*$"):
+    file, said = re.escape(str(tmp_path / "study.toml")), re.escape(said.replace("FOLDER", str(tmp_path)))
+    with pytest.raises(ValueError, match=rf"^{file}[^\n]*{said}[^\n]*$"):
         read(tmp_path, text)
 
 

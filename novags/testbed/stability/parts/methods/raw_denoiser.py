@@ -147,6 +147,6 @@ def adaptation_in_the_dark(setting: Setting) -> float:
 
 @PART.case("data without any noise", bound=0, unit="refused")
 def noise_free(setting: Setting) -> float:
-    """There is no unit to bring them to."""
+    """Without noise the pictures cannot be brought to unit variance."""
     pictures, noise = torch.full((1, 8, 8, 3), 0.2), Noise(_curve(0.0, 0.0), None, "pictures")
     return refusal(lambda: of_capture(noise, None, pictures, ()), "variance > 0")
