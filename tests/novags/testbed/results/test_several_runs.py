@@ -95,7 +95,7 @@ def test_a_report_on_several_captures_has_a_table_for_each_and_replaces_nothing_
     assert "run it again" in page
     write_reports([runs / "dim", runs / "two"], QUIET)  # the same request
     before = path.read_bytes()
-    with pytest.raises(ValueError, match="is no report on these runs: choose another --out, or add --overwrite"):
+    with pytest.raises(ValueError, match="is not a report on these runs: choose another --out, or add --overwrite"):
         write_reports([runs / "one", runs / "dim"], QUIET)
     assert path.read_bytes() == before
     write_reports([runs / "one", runs / "dim"], QUIET, overwrite=True)
