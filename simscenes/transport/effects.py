@@ -15,15 +15,15 @@ from simscenes.rigs import Rig
 from simscenes.transport import pilot, plan
 from simscenes.transport.pilot import RR_DEPTH, Pilot
 from simscenes.transport.plugins import class_of
-from simscenes.transport.roulette import most_efficient, path_lengths, path_noise
+from simscenes.transport.roulette import TOGETHER, most_efficient, path_lengths, path_noise
 
 UNIT = plan.UNIT
 DEPTHS = (8, 16, 32)  # candidates for max_depth
 DEEPEST = 64  # pilot paths end here, where that is deep enough
 DEEPER = (256, 1024)  # else here
 RR_OFFERED = (2, 3, 5)
-# Where roulette starts unless another start is measured to be better: on surfaces 3 took the least processor time to
-# one error in three of four scenes, 1.06 times the least in the other (docs/what-is-simulated.md); in fog 2 is best.
+# Where roulette starts unless another start is measured to be better: on surfaces 3 took at most 1.13 times the least
+# processor time to one error on four scenes, 2 up to 1.5 and 5 up to 1.25 times (docs/what-is-simulated.md); in fog 2.
 RR_USUAL = {"path": 3, "volpath": 2}
 
 
@@ -112,8 +112,8 @@ def roulette_effect(p: Pilot, media: bool, depth: int, measure: bool, scale: flo
     best = most_efficient(noise, lengths, starts.index(usual) if usual in starts else len(starts) - 1)
     on, ratio = best < len(starts) - 1, math.sqrt(noise[best].mean() / max(noise[-1].mean(), 1e-300))
     reason = (
-        f"from path length {starts[best]}: {lengths[best]:.2g} surfaces a path instead of {lengths[-1]:.2g}, noise x "
-        f"{ratio:.2f}; never changes the mean" if on
+        f"from path length {starts[best]}: {TOGETHER} paths side by side meet {lengths[best]:.2g} surfaces instead of "
+        f"{lengths[-1]:.2g}, noise x {ratio:.2f}; never changes the mean" if on
         else f"would save {1 - lengths[:-1].min() / lengths[-1]:.0%} of the surfaces, and cost more in noise"
     )  # fmt: skip
     return starts[best] if on else usual, decided(plan.ROULETTE, on, 0.0, 0.0, reason)

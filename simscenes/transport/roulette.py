@@ -1,7 +1,7 @@
 """From which path length Russian roulette pays: shorter paths against more noise, both measured by pilots.
 
-A decision by seconds would vary from run to run, and so would the pixels; the number of surfaces that a path meets does
-not vary, and a path tracer's time follows it.
+A decision by seconds would vary from run to run, and so would the pixels; the number of surfaces that paths meet does
+not vary. Several paths of a pixel are traced side by side, until the last of them ends: time follows the longest.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from simscenes.render.sensors import sensor_dict
 from simscenes.render.wavefront import sample_sums
 from simscenes.rigs import Rig
 
-SAMPLES = 8  # paths from each pixel of the pilot views, whose lengths are counted
+TOGETHER = 8  # paths of a pixel that are traced side by side: the lanes of a vector
 SPP = 64  # of the two renders of a pilot view, whose difference is its noise
 MOST_SURVIVE = 0.95  # the largest survival probability in Mitsuba, however bright a path is
 
@@ -27,19 +27,19 @@ MOST_SURVIVE = 0.95  # the largest survival probability in Mitsuba, however brig
 def path_lengths(
     mi: Any, loaded: LoadedScene, rig: Rig, max_depth: int, starts: Sequence[int], seed: int
 ) -> NDArray[np.float64]:
-    """Mean number of surfaces that a path of the pilot views meets, for each `rr_depth` of `starts`; in a JIT variant.
+    """Mean number of surfaces until the last of `TOGETHER` paths of a pixel ends, for each `rr_depth` of `starts`.
 
-    Every path is followed to its end, weighted by its probability of surviving that long: Mitsuba divides survivors by
-    that, so a path of throughput t has, after roulette, survived with min(t eta^2, 0.95 of the probability before).
-    Media are passed as if they were empty, and their borders do not count.
+    In a JIT variant. Every path is followed to its end, weighted by its probability of surviving that long: Mitsuba
+    divides survivors by that, so a path of throughput t has, after roulette, survived with min(t eta^2, 0.95 of the
+    probability before). Media are passed as if they were empty, and their borders do not count.
     """
     import drjit as dr
 
     lengths = np.zeros(len(starts))
     for i in range(len(rig)):
         _, seen = first_surfaces(mi, loaded.scene, *pixel_rays(rig, i))
-        count = SAMPLES * rig.width * rig.height
-        place = np.tile(np.arange(rig.width * rig.height, dtype=np.uint32), SAMPLES)
+        count = TOGETHER * rig.width * rig.height
+        place = np.tile(np.arange(rig.width * rig.height, dtype=np.uint32), TOGETHER)
         sampler = mi.load_dict({"type": "independent"})
         sampler.seed(1000 * seed + i, count)
         si = dr.gather(mi.SurfaceInteraction3f, seen, mi.UInt32(place))
@@ -47,7 +47,8 @@ def path_lengths(
         chances = [mi.Float(1) for _ in starts]
         for surface in range(1, max_depth):
             counts = alive & ~mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.Null)
-            lengths += [float(dr.sum(dr.select(counts, chance, 0))[0]) / (count * len(rig)) for chance in chances]
+            ends = np.stack([np.array(dr.select(counts, 1 - chance, 1), dtype=np.float64) for chance in chances])
+            lengths += (1 - ends.reshape(len(starts), TOGETHER, -1).prod(1)).mean(1) / len(rig)
             sample, weight = si.bsdf().sample(mi.BSDFContext(), si, sampler.next_1d(), sampler.next_2d(), alive)
             through *= dr.select(alive, weight, 0)
             eta *= dr.select(alive, sample.eta, 1)
@@ -98,7 +99,7 @@ def most_efficient(noise: NDArray[np.float64], lengths: NDArray[np.float64], def
 
     Args:
         noise: Squared differences between two seeds, [setting, pixel]; the settings share their random numbers.
-        lengths: Mean surfaces a path, [setting].
+        lengths: Mean surfaces until the last of some paths ends, [setting].
         default: Index of the setting that is kept unless another one's lead is three of its standard errors.
     """
     rays = 1 + 2 * lengths  # one from the camera, and from each surface one to a light and one onwards
