@@ -2,6 +2,7 @@
 
 import os
 import re
+import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -22,6 +23,10 @@ settings.register_profile(
     "long", deadline=None, max_examples=25 * MORE, suppress_health_check=[HealthCheck.too_slow], print_blob=True
 )
 settings.load_profile(PROFILE)
+
+# A shell that starts a job in the background makes it deaf to Ctrl-C, and all that it starts; some tests press it.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
