@@ -31,10 +31,10 @@ from novags.splats.training.fit import FitResult, fit
 # Several times those of 3DGS, for short fits, and cooled at the end.
 FAST = LearningRates(means=4e-4, means_final=4e-6, quats=4e-3, log_scales=2e-2, sh_dc=2e-2, sh_rest=1e-3, cool_to=0.1)
 MCMC = McmcConfig(refine_start=50, refine_every=50, growth=1.08, noise_lr=2e5)
-# Thin, many-layered surfaces average noise well and have no depth: opacity is regularised early in stage 1, then freed.
+# Opacities are regularised early in a stage, which keeps noise out of it, then freed, which makes surfaces dense.
 FIT = FitConfig(rates=FAST, eps2d=0.1, mcmc=MCMC, opacity_reg_fall=1.0)
 PIXELS_PER_GAUSSIAN = 11  # of all training views: more Gaussians gain little, fewer lose
-PARTS = {"likelihood": 10, "structure": 5, "merged": 2}  # of 24 parts of `fit.iterations`, what each fit takes
+PARTS = {"likelihood": 10, "structure": 10, "merged": 2}  # what each fit takes, in 24ths of `fit.iterations`
 CHECKPOINTS = "checkpoints"
 CHANGE = 0.03  # of a tone, about the error of a render: by how much an enhanced picture answers to it
 SMOOTH = 0.02  # bandwidth, in tone, of what that is found from
@@ -46,8 +46,8 @@ class NovaPlusConfig:
     """All choices. What is None follows a rule from the data.
 
     Attributes:
-        fit: Of every stage; `fit.iterations` is the sum of one seed's and is shared out. Only stage 1 regularises
-            opacities: `fit.opacity_reg` is its weight where every pixel measures all channels.
+        fit: Of both stages, each from the first points; `fit.iterations` are shared out by `PARTS`. `fit.opacity_reg`
+            is the weight in stage 2, and in stage 1 where every pixel measures all channels; merged sets have none.
         init_scale: Of an initial Gaussian, in distances to its nearest neighbours.
         gaussians: How many each seed has; None: one for every `PIXELS_PER_GAUSSIAN` of all views, at least as many as
             there are points at the start. `fit.cap_max`, where it is given, is never passed.
@@ -176,20 +176,18 @@ class _Work:
 
     def likelihood(self, seed: int) -> Gaussians:
         """Stage 1 of one seed."""
-        start = self.problem.start
-        colors = self.curve.tone(first_light(start, self.data)).clamp(0, 1).to(self.data.light)
-        points = start.points.to(self.data.light)
-        first = Gaussians.from_points(
-            points, colors, sh_degree=self.base.sh_degree, init_scale=self.config.init_scale
-        )  # fmt: skip
         fitted, loss = self.data.fitted, Likelihood(self.data, self.curve)
         # the loss is a mean: beside a third of the data, as of a mosaic, a prior weighs three times as much
         share = float(self.data.measured.float().mean())
         config = self._config("likelihood", seed, opacity_reg=self.base.opacity_reg / share)
-        return self._fit("likelihood", seed, first, fitted, config, loss).gaussians
+        return self._fit("likelihood", seed, self._first(), fitted, config, loss).gaussians
 
     def structure(self, firsts: list[Gaussians]) -> tuple[list[Gaussians], Tensor | None]:
-        """Stage 2 of all seeds, and its targets; stage 1 itself, and None, if held-out data like that better."""
+        """Stage 2 of all seeds, and its targets; stage 1 itself, and None, if held-out data like that better.
+
+        It starts from the first points again: the thin, many-layered surfaces of stage 1 average noise well, but show
+        the right colours from the wrong depth, and no loss would pull them out of it.
+        """
         before = [self._tones(each) for each in firsts]
         guide = mean_tone(before, self.curve)
         weights = self.weights(non_local_means(guide, SMOOTH))
@@ -200,11 +198,9 @@ class _Work:
         self.found["bandwidth"] = h
         targets = self.targets(non_local_means(guide, GUIDE_BANDWIDTH * h), h)
         seconds = []
-        for seed, first in enumerate(firsts):
-            rates = _scaled(self.base.rates, 0.5)
-            mcmc = None if self.base.mcmc is None else dataclasses.replace(self.base.mcmc, refine_start=0)
-            config = self._config("structure", seed, rates=rates, mcmc=mcmc, sh_every=1, opacity_reg=0.0)
-            seconds.append(self._fit("structure", seed, first, targets, config).gaussians)
+        for seed in range(self.config.seeds):
+            config = self._config("structure", seed)
+            seconds.append(self._fit("structure", seed, self._first(), targets, config).gaussians)
         verdict = compare(mean_tone([self._tones(each) for each in seconds], self.curve),
                           mean_tone(before, self.curve), self.data, self.curve, weights)  # fmt: skip
         self.found["structure"] = dataclasses.asdict(verdict)
@@ -268,6 +264,14 @@ class _Work:
             code = torch.from_numpy(encode(light.cpu().numpy())).to(dark)
             found.append(enhanced_like(code, config, params))
         return torch.stack(found)
+
+    def _first(self) -> Gaussians:
+        """The first points, in the tones that the data have there."""
+        start = self.problem.start
+        colors = self.curve.tone(first_light(start, self.data)).clamp(0, 1).to(self.data.light)
+        return Gaussians.from_points(
+            start.points.to(colors), colors, sh_degree=self.base.sh_degree, init_scale=self.config.init_scale
+        )
 
     def _config(self, part: str, seed: int, **changes: Any) -> FitConfig:
         # seeds of one run and those of the next must not be the same

@@ -25,7 +25,7 @@ from .losses import compare
 from .step import PixelLoss, Step
 from .updates.adam import Adam, LearningRates
 from .updates.camera_refinement import CameraState, move_cameras
-from .updates.mcmc import add_noise, grow, prune_to_cap, relocate
+from .updates.mcmc import FARTHEST, add_noise, grow, prune_to_cap, relocate
 
 LOG_EVERY = 10  # iterations between entries of FitResult.losses and calls of progress
 
@@ -126,7 +126,7 @@ def fit(
                 state.adam.step(state.gaussians, rates, means_rate, degree)
                 if companion is not None:
                     companion.step(iteration, config.iterations)
-            _move(state, iteration, config, cap, means_rate)
+            _move(state, iteration, config, cap, means_rate, extent)
             state.iteration = done = iteration + 1
             saving = done % config.checkpoint_every == 0 or done == config.iterations
             if done % LOG_EVERY == 0 or saving:
@@ -259,16 +259,16 @@ def _step_directly(
     return losses, lambda _: image
 
 
-def _move(state: TrainingState, iteration: int, config: FitConfig, cap: int, means_rate: float) -> None:
+def _move(state: TrainingState, iteration: int, config: FitConfig, cap: int, means_rate: float, extent: float) -> None:
     """Everything that moves after the optimiser step: the population of Gaussians, and cameras."""
-    state.gaussians = _mcmc_step(state.gaussians.detach(), state.adam, iteration, config, cap, means_rate)
+    state.gaussians = _mcmc_step(state.gaussians.detach(), state.adam, iteration, config, cap, means_rate, extent)
     if state.cameras is not None and config.refine_cameras is not None:
         factor = config.refine_cameras.factor_at(iteration, config.iterations)
         move_cameras(state.cameras, config.refine_cameras, factor)
 
 
 def _mcmc_step(
-    gaussians: Gaussians, adam: Adam, iteration: int, config: FitConfig, cap: int, means_rate: float
+    gaussians: Gaussians, adam: Adam, iteration: int, config: FitConfig, cap: int, means_rate: float, extent: float
 ) -> Gaussians:
     """Relocate, grow and shake, after the optimiser step as in gsplat."""
     mcmc = config.mcmc
@@ -282,7 +282,8 @@ def _mcmc_step(
         adam.reset(drawn)
         adam.grow(gaussians)
     if mcmc.noise_lr:
-        add_noise(gaussians, mcmc.noise_lr * means_rate, _generator(config.seed, iteration, 3))
+        stream = _generator(config.seed, iteration, 3)
+        add_noise(gaussians, mcmc.noise_lr * means_rate, stream, limit=FARTHEST * extent)
     return gaussians
 
 

@@ -29,13 +29,18 @@ def front(points: Sequence[tuple[float, float]]) -> list[int]:
     return found
 
 
-def beaten_by(point: tuple[float, float], others: Sequence[tuple[float, float, float]], sd: float) -> list[int]:
-    """The points that beat one beyond doubt: faster, and with an error smaller by two standard deviations or more.
+Spread = tuple[float, float]  # a mean, and its standard deviation
+
+
+def beaten_by(point: tuple[Spread, Spread], others: Sequence[tuple[Spread, Spread]]) -> list[int]:
+    """The points that beat one beyond doubt: time and error both smaller by more than two standard deviations.
 
     Args:
-        point: (seconds, error).
-        others: (seconds, error, standard deviation of the error) of each.
-        sd: Standard deviation of the point's own error.
+        point: (seconds, error), each with the standard deviation of its measurements.
+        others: The same of each.
     """
-    seconds, error = point
-    return [i for i, (s, e, d) in enumerate(others) if s < seconds and error - e > 2 * (sd**2 + d**2) ** 0.5]
+    return [i for i, other in enumerate(others) if all(_below(b, a) for a, b in zip(point, other, strict=True))]
+
+
+def _below(a: Spread, b: Spread) -> bool:
+    return b[0] - a[0] > 2 * (a[1] ** 2 + b[1] ** 2) ** 0.5

@@ -48,12 +48,15 @@ def said(points: Sequence[Point]) -> str:
 
 
 def _off_the_front(default: Point, points: Sequence[Point]) -> str:
-    others = [(point["cpu_seconds"], point["error"], point["error_sd"]) for point in points]
-    clear = beaten_by((default["cpu_seconds"], default["error"]), others, default["error_sd"])
+    clear = beaten_by(_spread(default), [_spread(point) for point in points])
     if not clear:
         return "is off the front by less than the spread of two points"
     names = ", ".join(setting_text(points[i]["setting"]) for i in clear)
     return f"is off the front ({names}: faster and more accurate beyond the spread)"
+
+
+def _spread(point: Point) -> tuple[tuple[float, float], tuple[float, float]]:
+    return (point["cpu_seconds"], point.get("cpu_seconds_sd", 0.0)), (point["error"], point["error_sd"])
 
 
 def heading(points: Sequence[Point]) -> str:

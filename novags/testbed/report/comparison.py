@@ -40,8 +40,8 @@ def comparison_context(groups: Sequence[Group], folder: Path, album: Album, prog
         except (ValueError, OSError) as error:  # one damaged or old run must not cost the tables
             mine, unseen[place] = [], str(error)
         views += mine
-        left.append(f"render-{material.bound('floor') or material.main}")
-        right.append(f"render-{material.main}")
+        for side, key in zip((left, right), material.compared, strict=True):
+            side.append(key)
         base = {kind: group.deltas(kind)[1] for kind in MAIN}
         shown.append({"title": place, "base": base, "rows": _rows(group, material, mine), "unregistered":
                       group.lit.views.unregistered, "unavailable": group.metrics["unavailable"]})  # fmt: skip

@@ -192,10 +192,10 @@ def report_context(material: Material, album: Album, progress: Update) -> dict[s
         shown = view_tiles(i, material, album)
         views.append(shown)
         progress(done + 1, len(picked), f"view {shown.name}")
-    left, right = material.bound("floor") or material.main, material.main
+    left, right = material.compared
     scores = score_context(material)
     looks = {name: {"key": row.key, "competes": row.competes} for name, row in material.rows.items()}
-    data = {"left": [f"render-{left}", "enhanced"], "right": [f"render-{right}", "truth-lit"],
+    data = {"left": [left, "enhanced"], "right": [right, "truth-lit"],
             "views": scores["per_view"], "looks": looks}  # fmt: skip
     return {
         **scores,

@@ -92,8 +92,8 @@ def test_the_parts_of_a_method_are_what_its_progress_counts(name: str) -> None:
         expected["denoiser"] = config.denoiser.warmup_steps
     elif isinstance(config, DenoisedConfig):
         expected["denoiser"] = config.denoise.adapt.steps
-    elif isinstance(config, NovaPlusConfig):  # 5, 2.5 and 1 twelfths; two seeds
-        expected = {"likelihood": 2 * round(iterations * 5 / 12), "structure": 2 * round(iterations * 2.5 / 12)}
+    elif isinstance(config, NovaPlusConfig):  # 5, 5 and 1 twelfths; two seeds
+        expected = dict.fromkeys(("likelihood", "structure"), 2 * round(iterations * 5 / 12))
         expected |= {"merged": round(iterations / 12), "denoiser": config.denoise.adapt.steps}
     elif steps := getattr(getattr(config, "enhance", None), "steps", 0):  # of a network that learns from the scene
         expected["enhancer"] = steps

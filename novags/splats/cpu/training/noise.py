@@ -6,7 +6,7 @@ import numpy as np
 
 from ..compiler import inline, kernel
 from ..raster.project import _rotation
-from ..vectors.simd import LANES, load, select, sqrt, store
+from ..vectors.simd import LANES, load, maximum, minimum, select, sqrt, store
 from ..vectors.transpose import add3, gather3, to_columns4
 from ..vectors.vector_math import exp, log2
 
@@ -48,8 +48,11 @@ def _normal(u, t):
 
 
 @inline
-def _displace(b, amount):
-    """Replace the uniform columns by Sigma xi amount sigmoid(100 (0.005 - o)), or zero where that is lost."""
+def _displace(b, amount, limit):
+    """Replace the uniform columns by Sigma xi amount sigmoid(100 (0.005 - o)), or zero where that is lost.
+
+    No step along an axis of the Gaussian is longer than the limit.
+    """
     at = INPUTS * LANES
     xi0 = _normal(load(b, at), load(b, at + LANES))
     xi1 = _normal(load(b, at + 2 * LANES), load(b, at + 3 * LANES))
@@ -59,9 +62,9 @@ def _displace(b, amount):
     logit = load(b, 7 * LANES)
     o = ONE / (exp(-logit) + ONE)
     gate = select(logit < OPAQUE, amount / (exp((o - DEAD) * SHARPNESS) + ONE), ZERO)
-    l0 = (r[0] * xi0 + r[3] * xi1 + r[6] * xi2) * s0 * gate
-    l1 = (r[1] * xi0 + r[4] * xi1 + r[7] * xi2) * s1 * gate
-    l2 = (r[2] * xi0 + r[5] * xi1 + r[8] * xi2) * s2 * gate
+    l0 = maximum(-limit, minimum((r[0] * xi0 + r[3] * xi1 + r[6] * xi2) * s0 * gate, limit))
+    l1 = maximum(-limit, minimum((r[1] * xi0 + r[4] * xi1 + r[7] * xi2) * s1 * gate, limit))
+    l2 = maximum(-limit, minimum((r[2] * xi0 + r[5] * xi1 + r[8] * xi2) * s2 * gate, limit))
     store(b, at, r[0] * l0 + r[1] * l1 + r[2] * l2)
     store(b, at + LANES, r[3] * l0 + r[4] * l1 + r[5] * l2)
     store(b, at + 2 * LANES, r[6] * l0 + r[7] * l1 + r[8] * l2)
@@ -99,8 +102,8 @@ def _any_moves(logit_opacities, first, count):
 
 
 @kernel
-def add(begin, end, means, quats, log_scales, logit_opacities, amount, key):
-    """Means += noise for Gaussians begin..end-1, with the stream `key` (uint64)."""
+def add(begin, end, means, quats, log_scales, logit_opacities, amount, limit, key):
+    """Means += noise for Gaussians begin..end-1, with the stream `key` (uint64); amount and limit are float32."""
     columns = np.ones(COLUMNS * LANES, np.float32)
     for first in range(begin, end, LANES):
         count = min(LANES, end - first)
@@ -108,5 +111,5 @@ def add(begin, end, means, quats, log_scales, logit_opacities, amount, key):
             continue
         _gather(quats, log_scales, logit_opacities, first, count, columns)
         _draw(key, first, columns)
-        _displace(columns, amount)
+        _displace(columns, amount, limit)
         add3(columns, INPUTS, first, count, means)

@@ -1,5 +1,6 @@
 """3DGS as Markov chain Monte Carlo (Kheradmand et al. 2024): relocation of dead Gaussians, growth, Langevin noise."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +13,8 @@ from ...gaussians import Gaussians
 from ...raster.raster_torch import quat_to_rotmat
 
 DEAD_OPACITY = 0.005  # at or below, a Gaussian shows nothing and is moved
+# In extents of the scene. Noise grows with the covariance: a faint haze of ten extents would be thrown a thousand away.
+FARTHEST = 1.0
 NODES, REACH = 128, 7.0  # trapezoid rule of the relocation integral; exp(-7^2) is below one float64 step
 
 
@@ -137,26 +140,27 @@ def prune_to_cap(gaussians: Gaussians, cap: int, generator: torch.Generator) -> 
 
 
 @torch.no_grad()
-def add_noise(gaussians: Gaussians, amount: float, generator: torch.Generator) -> None:
+def add_noise(gaussians: Gaussians, amount: float, generator: torch.Generator, *, limit: float = math.inf) -> None:
     """Langevin step, in place: means += Sigma xi amount sigmoid(100 (0.005 - o)), xi ~ N(0, 1).
 
     Args:
         gaussians: Changed in place.
         amount: noise_lr times the current learning rate of the means.
         generator: Source of xi, on the CPU.
+        limit: Farthest step along an axis of a Gaussian, world units; longer ones end there.
     """
     g = gaussians
     if g.means.device.type == "cpu":
         key = np.uint64(int(torch.randint(2**63 - 1, (1,), generator=generator)))
         arrays = (t.numpy() for t in (g.means, g.quats, g.log_scales, g.logit_opacities))
-        run(noise.add, len(g), 1024, *arrays, np.float32(amount), key)
+        run(noise.add, len(g), 1024, *arrays, np.float32(amount), np.float32(limit), key)
     else:
-        _add_noise_torch(g, amount, generator)
+        _add_noise_torch(g, amount, generator, limit)
 
 
-def _add_noise_torch(g: Gaussians, amount: float, generator: torch.Generator) -> None:
+def _add_noise_torch(g: Gaussians, amount: float, generator: torch.Generator, limit: float = math.inf) -> None:
     xi = torch.randn(len(g), 3, generator=generator).to(g.means.device)
     xi *= amount * torch.sigmoid(100 * (DEAD_OPACITY - g.opacities))[:, None]
     R = quat_to_rotmat(g.quats)
-    local = (R.mT @ xi[..., None])[..., 0] * torch.exp(2 * g.log_scales)
+    local = ((R.mT @ xi[..., None])[..., 0] * torch.exp(2 * g.log_scales)).clamp(-limit, limit)
     g.means += (R @ local[..., None])[..., 0]

@@ -27,13 +27,13 @@ class Picture:
     """A picture of a page.
 
     Attributes:
-        data: The encoded picture.
+        data: The encoded picture; None once it lies in the file `full`.
         kind: "png" or "jpeg".
         src: What the page shows, a data URI: the whole picture, or a thumbnail of it.
         full: Where the whole picture is, relative to the page; None if `src` is that.
     """
 
-    data: bytes
+    data: bytes | None
     kind: str
     src: str = ""
     full: str | None = None
@@ -49,7 +49,8 @@ class Script:
     """Data of a page, as text that a script can read.
 
     Attributes:
-        text: What it reads.
+        text: What it reads; empty once it lies in `file`.
+        name: By which the page asks for it.
         inside: Whether the page holds the text; None before `Album.settle`.
         file: Where it is otherwise, relative to the page: a script that hands the text over.
     """
@@ -64,6 +65,8 @@ class Script:
 class Album:
     """The pictures and the data of one page.
 
+    What cannot fit into the page is written beside it as it comes, so that memory does not grow with it.
+
     Attributes:
         page: The HTML file.
         inside: Bytes of text that they may take in the page.
@@ -73,6 +76,8 @@ class Album:
     inside: int = field(default_factory=lambda: INSIDE)
     _pictures: list[Picture] = field(default_factory=list)
     _scripts: list[Script] = field(default_factory=list)
+    _written: set[str] = field(default_factory=set)
+    _size: dict[str, int] = field(default_factory=lambda: {"pictures": 0, "data": 0})  # as text in the page
 
     @property
     def folder(self) -> Path:
@@ -87,13 +92,33 @@ class Album:
         return self.add_encoded(_with_palette(codes) or _encoded(codes, "png", 0), "png")
 
     def add_encoded(self, data: bytes, kind: str) -> Picture:
-        """A picture that is encoded already, "png" or "jpeg"."""
+        """A picture that is encoded already, "png" or "jpeg".
+
+        Raises:
+            OSError: If it does not fit into the page and cannot be written beside it.
+        """
         self._pictures.append(Picture(data, kind))
+        self._size["pictures"] += len(data) * 4 // 3
+        if self._size["pictures"] > self.inside:
+            for picture in reversed(self._pictures):
+                if picture.data is None:  # and all before it
+                    break
+                picture.full, picture.data = self._write(picture.data, SUFFIX[picture.kind]), None
         return self._pictures[-1]
 
     def add_data(self, name: str, data: bytes) -> Script:
-        """Bytes that scripts of the page ask for by this name."""
+        """Bytes that scripts of the page ask for by this name.
+
+        Raises:
+            OSError: If they do not fit into the page and cannot be written beside it.
+        """
         self._scripts.append(Script(base64.b64encode(data).decode(), name))
+        self._size["data"] += len(self._scripts[-1].text)
+        if self._size["data"] > self.inside:
+            for script in reversed(self._scripts):
+                if script.file is not None:
+                    break
+                self._put_aside(script)
         return self._scripts[-1]
 
     def settle(self) -> None:
@@ -102,39 +127,38 @@ class Album:
         Raises:
             OSError: If it cannot be written.
         """
-        pictures = sum(len(picture.data) * 4 // 3 for picture in self._pictures)
-        data = sum(len(script.text) for script in self._scripts)
-        whole = pictures <= self.inside
-        side = THUMB if len(self._pictures) <= MANY else SMALL
-        thumbs = [] if whole else [_thumbnail(picture, side) for picture in self._pictures]
-        used = pictures if whole else sum(map(len, thumbs))
-        written = set[str]()
-        for picture, thumb in zip(self._pictures, thumbs or self._pictures, strict=True):
-            if isinstance(thumb, str):
-                picture.src, picture.full = thumb, self._write(picture.data, SUFFIX[picture.kind], written)
-            else:
+        used, side = self._size["pictures"], THUMB if len(self._pictures) <= MANY else SMALL
+        for picture in self._pictures:
+            if picture.data is not None:
                 picture.src = _uri(picture.data, picture.kind)
+        if used > self.inside:
+            for picture in self._pictures:
+                picture.src = _thumbnail((self.page.parent / str(picture.full)).read_bytes(), side)
+            used = sum(len(picture.src) for picture in self._pictures)
         for script in self._scripts:
-            script.inside = used + data <= self.inside
-            if not script.inside:
-                call = f"novags.probe.receive({json.dumps(script.name)}, {json.dumps(script.text)});\n"
-                script.file = self._write(call.encode(), "js", written)
-        self._forget(written)
+            script.inside = used + self._size["data"] <= self.inside
+            if not script.inside and script.file is None:
+                self._put_aside(script)
+        self._forget()
 
-    def _write(self, data: bytes, suffix: str, written: set[str]) -> str:
+    def _put_aside(self, script: Script) -> None:
+        call = f"novags.probe.receive({json.dumps(script.name)}, {json.dumps(script.text)});\n"
+        script.file, script.text = self._write(call.encode(), "js"), ""
+
+    def _write(self, data: bytes, suffix: str) -> str:
         name = f"{hashlib.blake2b(data, digest_size=10).hexdigest()}.{suffix}"
-        if name not in written:
+        if name not in self._written:
             self.folder.mkdir(parents=True, exist_ok=True)
             with atomic(self.folder / name) as temporary:
                 temporary.write_bytes(data)
-            written.add(name)
+            self._written.add(name)
         return f"{self.folder.name}/{name}"
 
-    def _forget(self, written: set[str]) -> None:
+    def _forget(self) -> None:
         if not self.folder.is_dir():
             return
         for path in self.folder.iterdir():
-            if OWN.fullmatch(path.name) and path.name not in written:
+            if OWN.fullmatch(path.name) and path.name not in self._written:
                 path.unlink()
         if not any(self.folder.iterdir()):
             self.folder.rmdir()
@@ -167,8 +191,8 @@ def _with_palette(codes: np.ndarray) -> bytes | None:
     return found.getvalue()
 
 
-def _thumbnail(picture: Picture, side: int) -> str:
-    codes = cv2.imdecode(np.frombuffer(picture.data, np.uint8), cv2.IMREAD_COLOR)
+def _thumbnail(data: bytes, side: int) -> str:
+    codes = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     assert codes is not None
     shrink = side / max(codes.shape[:2])
     if shrink < 1:

@@ -11,6 +11,7 @@ import torch
 
 from novags.methods.denoised.denoiser import DenoiseConfig
 from novags.methods.denoised.recorrupted import AdaptConfig
+from novags.methods.light import first_light
 from novags.methods.noise import Noise, Variance
 from novags.methods.nova_plus import trainer
 from novags.methods.nova_plus.average import non_local_means
@@ -56,14 +57,14 @@ def test_every_stage_is_counted_and_told(dark: Any) -> None:
     inputs, _ = dark()
     seen: list[Any] = []
     result = train(inputs, CONFIG, progress=lambda *entry: seen.append(entry))
-    assert parts(CONFIG) == {"likelihood": 40, "denoiser": 2, "structure": 20, "merged": 4}
-    assert {entry[1] for entry in seen} == {66}
+    assert parts(CONFIG) == {"likelihood": 40, "denoiser": 2, "structure": 40, "merged": 4}
+    assert {entry[1] for entry in seen} == {86}
     done = [entry[0] for entry in seen]
     assert done == sorted(done)
     assert [entry[0] for entry in seen if "denoiser" in entry[2]] == [41, 42]
-    assert done[-1] == 66
+    assert done[-1] == 86
     assert [entry["iteration"] for entry in result.losses] == sorted(entry["iteration"] for entry in result.losses)
-    assert result.losses[-1]["iteration"] == 66
+    assert result.losses[-1]["iteration"] == 86
     assert set(result.found) >= {"tone", "gaussians", "held_out_pixels", "bandwidth", "structure", "merged"}
     assert result.targets is not None
     assert result.targets.shape == inputs.srgb8.shape
@@ -106,7 +107,7 @@ def test_a_run_stopped_anywhere_ends_as_if_it_had_not_been(
     inputs, _ = dark()
     whole = train(inputs, CONFIG)
     original = fitting._mcmc_step
-    for stop in (11, 27, 45, 63):
+    for stop in (11, 27, 65, 83):
         left = [stop]
 
         def step(*args: Any, left: list[int] = left) -> Any:
@@ -194,22 +195,27 @@ def test_stages_follow_one_another_with_rates_and_seeds_of_their_own(
     monkeypatch.setattr(trainer, "fit", spy)
     train(inputs, CONFIG)
     configs = [config for _, _, config, _, _ in calls]
-    assert [c.iterations for c in configs] == [20, 20, 10, 10, 4]
+    assert [c.iterations for c in configs] == [20, 20, 20, 20, 4]
     assert [c.seed for c in configs] == [7, 1007, 7, 1007, 7]
-    for config, factor in zip(configs, (1, 1, 0.5, 0.5, 0.1), strict=True):
+    for config, factor in zip(configs, (1, 1, 1, 1, 0.1), strict=True):
         for name in ("quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest"):
             assert getattr(config.rates, name) == pytest.approx(factor * getattr(FIT.rates, name))
         assert config.rates.means == pytest.approx(factor * FIT.rates.means)
         assert config.rates.means_final == FIT.rates.means_final
     assert [c.mcmc is None for c in configs] == [False, False, False, False, True]
-    assert [c.opacity_reg_at(c.iterations // 2) for c in configs] == [0.005, 0.005, 0, 0, 0]
+    assert [c.opacity_reg_at(c.iterations // 2) for c in configs] == [0.005, 0.005, 0.005, 0.005, 0]
     assert [options["photometric"] is None for _, _, _, options, _ in calls] == [False, False, True, True, True]
-    # stage 2 goes on from stage 1; its targets are guided by the mean light of both seeds
-    assert calls[2][0] is calls[0][4]
-    assert calls[3][0] is calls[1][4]
+    # both stages start from the first points; the targets of the second are guided by the mean light of both seeds
+    first = calls[0][0].tensors()
+    assert torch.equal(first["means"], inputs.start.points)
+    for start, *_ in calls[1:4]:
+        for name, tensor in start.tensors().items():
+            assert torch.equal(tensor, first[name]), name
     data = exposures(inputs, inputs.noise, CONFIG.held_share)
     curve = tone_curve(data.greens)
     torch.testing.assert_close(calls[0][1], data.fitted, equal_nan=True)
+    tones = torch.as_tensor(curve.tone(first_light(inputs.start, data))).clamp(0, 1)
+    torch.testing.assert_close(0.5 + calls[0][0].sh[:, 0] * math.sqrt(1 / (4 * math.pi)), tones.to(data.light))
     renders = [curve.light(GaussianScene(g, 0.1).render(inputs.views)[0]) for g in (calls[0][4], calls[1][4])]
     guide = curve.tone((renders[0] + renders[1]) / 2)
     h, _ = choose_bandwidth(guide, data, curve)
@@ -223,17 +229,22 @@ def test_stages_follow_one_another_with_rates_and_seeds_of_their_own(
 def test_a_third_of_the_data_has_three_times_the_regulariser(dark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     inputs, _ = dark()
     data = exposures(inputs, inputs.noise, CONFIG.held_share)
-    some = data.light.clone()
-    some[..., 1:] = math.nan
+    kept = torch.arange(3) == torch.arange(24)[:, None, None] % 3  # stripes of one channel each
+    some = torch.where(kept.expand_as(data.light), data.light, math.nan)
     weights: list[float] = []
-    monkeypatch.setattr(trainer, "fit", lambda start, views, target, config, **_: weights.append(config.opacity_reg))
+
+    def spy(start: Any, views: Any, target: Any, config: Any, **options: Any) -> Any:
+        weights.append(config.opacity_reg)
+        return fitting.fit(start, views, target, config, **options)
+
+    monkeypatch.setattr(trainer, "fit", spy)
     for light in (data.light, some):
-        work = trainer._Work(
-            inputs, CONFIG, dataclasses.replace(data, light=light), tone_curve(data.greens), None, None
-        )  # fmt: skip
-        with pytest.raises(AttributeError):  # what the fit gives back is not looked at
-            work.likelihood(0)
-    assert weights == pytest.approx([FIT.opacity_reg, 3 * FIT.opacity_reg])
+        seen = dataclasses.replace(data, light=light)
+        monkeypatch.setattr(trainer, "exposures", lambda *_, seen=seen: seen)
+        train(inputs, dataclasses.replace(CONFIG, denoise=None, seeds=1))
+    # the targets of stage 2 are whole
+    once = FIT.opacity_reg
+    assert weights == pytest.approx([once, once, 3 * once, once])
 
 
 @pytest.mark.parametrize("why", ["not wanted", "noise is shared", "no noise"])

@@ -217,14 +217,16 @@ def test_growth_happens_after_the_start_before_the_stop_and_every_so_often():
 
 def test_relocation_comes_before_growth_and_noise_with_streams_of_their_own(monkeypatch):
     calls: list[tuple[str, float, int]] = []
+    limits: list[float] = []
 
     def record(name: str) -> None:
         original = getattr(MODULE, name)
 
-        def wrapped(gaussians: Gaussians, *rest: Any) -> Any:
+        def wrapped(gaussians: Gaussians, *rest: Any, **options: Any) -> Any:
             number = len(gaussians) if name == "relocate" else rest[0]
             calls.append((name, number, rest[-1].initial_seed()))
-            return original(gaussians, *rest)
+            limits.extend(options.values())
+            return original(gaussians, *rest, **options)
 
         monkeypatch.setattr(MODULE, name, wrapped)
 
@@ -238,6 +240,7 @@ def test_relocation_comes_before_growth_and_noise_with_streams_of_their_own(monk
     assert [x for name, x, _ in calls if name == "add_noise"] == pytest.approx([1e3 * rate for rate in rates])
     assert [x for name, x, _ in calls if name == "grow"] == [50]
     assert len({seed for _, _, seed in calls}) == len(calls)
+    assert limits == 4 * [2.5]  # the extent
 
 
 def test_refinement_forgets_the_moments_of_the_drawn_and_of_them_alone():
@@ -250,13 +253,13 @@ def test_refinement_forgets_the_moments_of_the_drawn_and_of_them_alone():
             tensor += 1
     config = one(iterations=100, mcmc=McmcConfig(refine_start=0, refine_every=1, growth=1.1, noise_lr=None))
     before = start.means.clone()
-    relocated = MODULE._mcmc_step(start, adam, 1, config, N, 1.0)
+    relocated = MODULE._mcmc_step(start, adam, 1, config, N, 1.0, 2.5)
     assert (relocated.means == before[3]).all()
     for moments in (adam.first, adam.second):
         for tensor in moments.values():
             assert not tensor[3].any()
             assert tensor[torch.arange(N) != 3].all()
-    grown = MODULE._mcmc_step(relocated, adam, 1, config, 44, 1.0)
+    grown = MODULE._mcmc_step(relocated, adam, 1, config, 44, 1.0, 2.5)
     assert len(grown) == 44
     for moments in (adam.first, adam.second):
         for name, tensor in moments.items():

@@ -14,6 +14,7 @@ from novags.splats.training.updates.adam import Adam
 from novags.splats.training.updates.mcmc import (
     DEAD_OPACITY,
     McmcConfig,
+    _add_noise_torch,
     add_noise,
     grow,
     prune_to_cap,
@@ -172,8 +173,6 @@ def test_noise_has_the_covariance_of_the_paper(device_path, monkeypatch):
     if device_path == "kernel":
         add_noise(gaussians, amount, torch.Generator().manual_seed(1))
     else:
-        from novags.splats.training.updates.mcmc import _add_noise_torch
-
         _add_noise_torch(gaussians, amount, torch.Generator().manual_seed(1))
     R = quat_to_rotmat(one.quats)[0].double()
     sigma = R @ torch.diag(torch.exp(2 * one.log_scales[0].double())) @ R.T
@@ -184,6 +183,29 @@ def test_noise_has_the_covariance_of_the_paper(device_path, monkeypatch):
     assert ((white**4).mean(0) - 3).abs().max() < 5 * math.sqrt(96 / n)
     neighbours = (white[1:, 0] * white[:-1, 0]).mean()
     assert abs(neighbours) < 5 / math.sqrt(n)
+
+
+@pytest.mark.parametrize("device_path", ["kernel", "torch"])
+def test_no_step_of_noise_is_longer_than_the_limit_along_an_axis(device_path):
+    step = add_noise if device_path == "kernel" else _add_noise_torch
+    moved = {}
+    for limit in (math.inf, 0.2, 0.0):
+        gaussians = cloud(1000, logit=-5.0)
+        gaussians.means = torch.zeros(1000, 3)
+        step(gaussians, 30.0, torch.Generator().manual_seed(0), limit=limit)
+        moved[limit] = (quat_to_rotmat(gaussians.quats).mT @ gaussians.means[..., None])[..., 0]
+    free = moved[math.inf]
+    assert 0.1 < (free.abs() > 0.2).float().mean() < 0.9
+    torch.testing.assert_close(moved[0.2], free.clamp(-0.2, 0.2), rtol=1e-4, atol=1e-5)
+    assert not moved[0.0].any()
+
+
+def test_noise_whose_variance_overflows_ends_at_the_limit():
+    gaussians = cloud(40, logit=-5.0)
+    gaussians.log_scales[:] = 60.0
+    before = gaussians.means.clone()
+    add_noise(gaussians, 10.0, torch.Generator().manual_seed(0), limit=2.0)
+    torch.testing.assert_close((gaussians.means - before).norm(dim=1), torch.full((40,), 2 * math.sqrt(3)))
 
 
 def test_noise_leaves_opaque_gaussians_alone_and_depends_on_the_generator():

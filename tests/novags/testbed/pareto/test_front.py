@@ -31,7 +31,19 @@ def test_what_is_no_number_has_no_front() -> None:
         front([(1.0, float("nan"))])
 
 
-def test_beaten_beyond_doubt_means_faster_and_two_standard_deviations_better() -> None:
-    others = [(1.0, 4.0, 0.3), (1.0, 4.2, 0.3), (3.0, 0.0, 0.0), (2.0, 0.0, 0.0), (1.9, 3.9, 0.6)]
-    # sqrt(0.4^2 + 0.3^2) = 0.5: an error of 5 is beaten by less than 4
-    assert beaten_by((2.0, 5.0), [*others, (1.0, 3.9, 0.3)], 0.4) == [5]
+def test_beaten_beyond_doubt_means_faster_and_better_by_two_standard_deviations() -> None:
+    # sqrt(0.4^2 + 0.3^2) = 0.5: an error of 5 is beaten by less than 4, a time of 2 by less than 1
+    point = ((2.0, 0.4), (5.0, 0.4))
+    others = {
+        ((0.9, 0.3), (3.9, 0.3)): True,
+        ((1.1, 0.3), (3.9, 0.3)): False,
+        ((0.9, 0.3), (4.1, 0.3)): False,
+        ((0.9, 0.6), (0.0, 0.0)): False,
+        ((0.0, 0.0), (3.9, 0.6)): False,
+        ((3.0, 0.0), (0.0, 0.0)): False,
+        ((0.0, 0.0), (0.0, 0.0)): True,
+        point: False,
+    }
+    assert beaten_by(point, list(others)) == [i for i, beats in enumerate(others.values()) if beats]
+    exact = ((2.0, 0.0), (5.0, 0.0))
+    assert beaten_by(exact, [exact, ((1.9, 0.0), (5.0, 0.0)), ((1.9, 0.0), (4.9, 0.0))]) == [2]

@@ -186,7 +186,7 @@ def test_the_smaller_demonstration_differs_from_the_preset_in_what_is_said_alone
     config = flattened(small.reconstruct("nova-plus").config)
     assert reconstruction.SCENE == demo.render.scene
     assert said["points"] / 64**2 == pytest.approx(demo.points / demo.render.width**2, rel=1e-6)
-    assert (said["likelihood"], said["structure"], said["merged"]) == (2 * 333, 2 * 167, 67)
+    assert (said["likelihood"], said["structure"], said["merged"]) == (2 * 333, 2 * 333, 67)
     assert config["fit.iterations"] == 800
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import asdict
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -9,6 +10,7 @@ import pytest
 from novags.methods import METHODS, chosen
 from novags.testbed.cache import jsonable
 from novags.testbed.folders.run import Run
+from novags.testbed.report.material import Material
 from novags.testbed.report.rows import Deviation, deviations, distinct, enhancement_of, main_row, rows_of
 
 
@@ -100,3 +102,16 @@ def test_runs_share_a_noise_free_reference_if_enhancer_and_settings_are_the_same
     assert one != enhanced(enhancer="gamma", pictures="8bit", config={"gamma": None, "target": 0.5})
     assert one != enhanced(enhancer="gain", pictures="8bit", config={"gamma": 0.2, "target": 0.5})
     assert enhanced() == ""
+
+
+@pytest.mark.parametrize(
+    ("floor", "main", "shown"),
+    [
+        ("naive", "nova-plus", ("render-naive", "render-nova-plus")),
+        (None, "nova-plus", ("enhanced", "render-nova-plus")),
+        ("naive", "naive", ("enhanced", "render-naive")),
+    ],
+)
+def test_a_picture_is_never_compared_with_itself_at_first(floor: str | None, main: str, shown: tuple[str, str]) -> None:
+    material = SimpleNamespace(bound={"floor": floor}.__getitem__, main=main)
+    assert Material.compared.fget(material) == shown  # type: ignore[attr-defined]

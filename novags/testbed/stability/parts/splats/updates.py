@@ -3,6 +3,7 @@
 "torch" are the formulas that run on a GPU, here on the CPU; "numba" the kernels.
 """
 
+import itertools
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -188,8 +189,8 @@ def _normals(key: int, n: int) -> Array:
     return values
 
 
-def _step_of_noise(made: Gaussians, xi: Array, amount: float) -> Array:
-    """Sigma xi amount sigmoid(100 (0.005 - o)) in float64, [N, 3]."""
+def _step_of_noise(made: Gaussians, xi: Array, amount: float, limit: float) -> Array:
+    """Sigma xi amount sigmoid(100 (0.005 - o)) in float64, [N, 3], along each axis at most the limit."""
     q = made.quats.double().numpy()
     w, x, y, z = (q / np.linalg.norm(q, axis=1, keepdims=True)).T
     turn = np.array([
@@ -197,32 +198,32 @@ def _step_of_noise(made: Gaussians, xi: Array, amount: float) -> Array:
         [2 * (x * y + w * z), w * w - x * x + y * y - z * z, 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z],
     ])  # fmt: skip
-    covariance = np.einsum("ijn,nj,kjn->nik", turn, np.exp(2 * made.log_scales.double().numpy()), turn)
     o = 1 / (1 + np.exp(-made.logit_opacities.double().numpy()))
     gate = amount / (1 + np.exp(100 * (o - 0.005)))
-    return np.einsum("nij,nj->ni", covariance, xi) * gate[:, None]
+    along = np.einsum("ijn,ni->nj", turn, xi) * np.exp(2 * made.log_scales.double().numpy()) * gate[:, None]
+    return np.einsum("ijn,nj->ni", turn, along.clip(-limit, limit))
 
 
 @PART.case("noise at rates of 0 to 1e12, log scales -40 to 20", bound=100 * EPS, unit="of each step", backends=BOTH)
 def noise_rates(setting: Setting) -> float:
-    """Steps of 1e-35 to 1e29 world units, each relative to its own length.
+    """Steps of 1e-35 to 1e29 world units, limited to 1 and free, each relative to its own length.
 
     exp(2 log scale) has the rounding of 80, 40 EPS, the gate's exponent of at most 30 that of 30; turning a round
     Gaussian there and back leaves some more.
     """
     worst, n = 0.0, 24
-    for log_scale in (-40.0, -3.0, 0.0, 20.0):
+    for log_scale, limit in itertools.product((-40.0, -3.0, 0.0, 20.0), (1.0, math.inf)):
         for amount in (0.0, 1e-3, 80.0, 1e12):
             made = _gaussians(torch.linspace(-30, -0.9, n), torch.full((1, 3), log_scale))
             made.means.zero_()
             if setting.backend == "numba":
                 xi, key = _normals(12345, n), np.uint64(12345)
                 arrays = (t.numpy() for t in (made.means, made.quats, made.log_scales, made.logit_opacities))
-                run(noise.add, n, 16, *arrays, np.float32(amount), key)
+                run(noise.add, n, 16, *arrays, np.float32(amount), np.float32(limit), key)
             else:
                 xi = torch.randn(n, 3, generator=torch.Generator().manual_seed(3)).double().numpy()
-                mcmc._add_noise_torch(made, amount, torch.Generator().manual_seed(3))
-            wanted = _step_of_noise(made, xi, amount)
+                mcmc._add_noise_torch(made, amount, torch.Generator().manual_seed(3), limit)
+            wanted = _step_of_noise(made, xi, amount, limit)
             length = np.linalg.norm(wanted, axis=1, keepdims=True)
             off = np.abs(made.means.double().numpy() - wanted) / np.maximum(length, TINY / EPS)
             worst = max(worst, float(off.max())) if np.isfinite(off).all() else math.inf

@@ -1,0 +1,16 @@
+"""The page of curves shows the curves that the package ships, and that budgets are made from."""
+
+from pathlib import Path
+
+from novags.testbed.budget.known import SHIPPED
+from novags.testbed.pareto.curve import read_curves
+from novags.testbed.pareto.page import embedded
+
+PAGE = Path(__file__).parents[2] / "docs" / "accuracy-and-time.md"
+
+
+def test_the_page_shows_what_is_shipped() -> None:
+    page, points = PAGE.read_text(encoding="utf-8"), read_curves(SHIPPED)
+    assert embedded(page, points) == page
+    (first, *_) = points
+    assert embedded(page, [{**first, "error": 0.123}]) != page
