@@ -11,6 +11,7 @@ import fcntl
 import os
 import platform
 import shlex
+import stat
 import sys
 import threading
 import time
@@ -24,6 +25,7 @@ from sensor_model.files.atomic import sweep
 
 NAME = ".novags.lock"  # hidden, so that it is part of no digest and of no listing; removed on release
 COMMAND_LENGTH = 160  # characters of it in a message: one line
+LOST = 1000  # times that a folder may go while it is made; more is a place where there can be none, as in /proc
 _READ_ONLY = (errno.EACCES, errno.EPERM, errno.EROFS)
 
 Tell = Callable[[str], None]
@@ -66,8 +68,7 @@ def locked(
         OSError: If the folder cannot be created.
     """
     folder = Path(folder).absolute()
-    if folder.exists() and not folder.is_dir():
-        raise NotADirectoryError(f"{folder} is a file, not a folder: choose another one to write to")
+    _refuse_file(folder)
     path = folder.resolve() / name
     me = (os.getpid(), threading.get_ident(), path)
     if me in _held:
@@ -97,13 +98,28 @@ def locked(
                 parent.rmdir()
 
 
+def _refuse_file(folder: Path) -> None:
+    """One look: between two, another process may remove an empty folder."""
+    try:
+        mode = folder.stat().st_mode
+    except OSError:
+        return
+    if not stat.S_ISDIR(mode):
+        raise NotADirectoryError(f"{folder} is a file, not a folder: choose another one to write to")
+
+
 def _acquire(path: Path, folder: Path, wait: Tell | None) -> int | None:
     """A descriptor that holds the lock; None where there can be none."""
+    lost = 0
     while True:
-        path.parent.mkdir(parents=True, exist_ok=True)
         try:
+            path.parent.mkdir(parents=True, exist_ok=True)
             fd = _opened(path)
-        except FileNotFoundError:  # its last holder has just removed a folder that was empty
+        except (FileNotFoundError, FileExistsError):  # its last holder has just removed a folder that was empty
+            _refuse_file(path.parent)
+            lost += 1
+            if lost > LOST:
+                raise
             continue
         if fd is None:
             return None

@@ -10,6 +10,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -175,6 +176,31 @@ def test_nothing_stays_of_a_lock_under_which_nothing_was_written(tmp_path: Path)
     with locked(tmp_path / "missing", make=False) as held:
         assert not held
         assert not (tmp_path / "missing").exists()
+
+
+def test_a_folder_that_goes_while_it_is_made_is_made_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rationale: `mkdir` finds the folder of another process, and when it looks whether that is one it is gone."""
+    made, times = Path.mkdir, []
+
+    def races(self: Path, *args: Any, **options: Any) -> None:
+        times.append(self)
+        if len(times) < 3:
+            raise FileExistsError(errno.EEXIST, "File exists", str(self))
+        made(self, *args, **options)
+
+    monkeypatch.setattr(Path, "mkdir", races)
+    with locked(tmp_path / "out") as held:
+        assert held
+    assert len(times) == 3
+
+
+def test_where_no_folder_can_be_made_nobody_waits_for_ever(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(self: Path, *_: Any, **__: Any) -> None:
+        raise FileNotFoundError(errno.ENOENT, "No such file or directory", str(self))
+
+    monkeypatch.setattr(Path, "mkdir", refuse)
+    with pytest.raises(FileNotFoundError, match="out"), locked(tmp_path / "out"):
+        pass
 
 
 def test_a_file_is_no_folder_to_write_to(tmp_path: Path) -> None:
