@@ -3,12 +3,15 @@
 import time
 from collections.abc import Callable, Mapping
 
+PREPARED = 0.05  # share of a part's steps: time until a first report sooner than that went into preparing the part
+
 
 class TimeLeft:
     """Seconds left of work whose parts follow each other, and whose steps are counted through.
 
-    The part that is under way is extrapolated from its own steps. A later one takes what its steps took before: in this
-    work if it has begun already, else in other work of this process, which `paces` remembers.
+    The part that is under way is extrapolated from its own steps, without what came before the first of them. A later
+    one takes what its steps took before, preparation included: in this work if it has begun already, else in other work
+    of this process, which `paces` remembers.
     """
 
     def __init__(
@@ -23,8 +26,8 @@ class TimeLeft:
         """  # noqa: D205, D212
         self.work, self.parts, self.paces, self.clock = work, dict(parts), paces, clock
         self.part: str | None = None
-        self.began, self.first = clock(), 0  # of the part that is under way: when, and after how many steps
-        self.last = self.began
+        self.last = clock()  # report
+        self.whole = self.steps = (self.last, 0)  # when the part under way began, and after how many steps; its steps
 
     def update(self, done: int, total: int) -> str:
         """After `done` of `total` steps: "12 s left", or "12 s left, then fit" if nobody knows how long that takes."""
@@ -33,27 +36,34 @@ class TimeLeft:
         part, begin, end = _part_of(parts, done)
         if part != self.part:
             # What came before the first step of a later part belongs to it. Of resumed work what is done now counts.
-            resumed = self.part is None
-            self.began, self.first = (now, done) if resumed else (self.last, begin)
+            self.whole = (now, done) if self.part is None else (self.last, begin)
+            self.steps = (now, done) if done - begin <= PREPARED * (end - begin) else self.whole
             self.part = part
         self.last = now
-        if done > self.first and now > self.began:
-            pace = (now - self.began) / (done - self.first)
-            self.paces[f"{self.work}/{part}"] = self.paces[part] = pace
-        pace_now = self._pace(part)
+        pace_now = _pace(now, done, self.steps)
+        if pace_now is None:
+            pace_now = self._remembered(part)
+        else:
+            self.paces[f"{self.work}/{part}"] = self.paces[part] = _pace(now, done, self.whole) or pace_now
         if done >= total or pace_now is None:
             return ""
         seconds, unknown = pace_now * (end - done), []
         for name, steps in list(parts.items())[list(parts).index(part) + 1 :]:
-            pace_then = self._pace(name)
+            pace_then = self._remembered(name)
             if pace_then is None:
                 unknown.append(name)
             else:
                 seconds += pace_then * steps
         return f"{seconds:.0f} s left" + "".join(f", then {name}" for name in unknown)
 
-    def _pace(self, part: str) -> float | None:
+    def _remembered(self, part: str) -> float | None:
         return self.paces.get(f"{self.work}/{part}", self.paces.get(part) if part else None)
+
+
+def _pace(now: float, done: int, since: tuple[float, int]) -> float | None:
+    """Seconds per step since a time and a step; None if there was none."""
+    seconds, steps = now - since[0], done - since[1]
+    return seconds / steps if seconds > 0 and steps > 0 else None
 
 
 def _part_of(parts: Mapping[str, int], done: int) -> tuple[str, int, int]:

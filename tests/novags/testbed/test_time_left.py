@@ -73,6 +73,20 @@ def test_what_comes_between_two_parts_belongs_to_the_later_one() -> None:
     assert left.update(200, 500) == "120 s left"
 
 
+def test_what_prepares_a_part_is_not_taken_for_its_pace() -> None:
+    """Rationale: averages that took 7 s before the first of 100 denoiser steps promised that these would take 690 s."""
+    clock, paces = Clock(), {}
+    left = TimeLeft("nova-plus", PARTS, paces, clock)
+    left.update(50, 500)
+    clock.now += 50.0
+    left.update(100, 500)
+    clock.now += 60.0
+    assert left.update(101, 500) == ""  # one step tells no pace
+    clock.now += 9.0
+    assert left.update(110, 500) == "390 s left"
+    assert paces["fit"] == 6.9  # for what comes later, which prepares it too
+
+
 def test_other_totals_than_the_parts_have_one_pace() -> None:
     clock = Clock()
     left = TimeLeft("render", {"a": 3}, {}, clock)
