@@ -1,6 +1,6 @@
 """What a step of the field engine costs, part by part, in processor nanoseconds per sample.
 
-    python scripts/fields_bench/bench_fields.py [--rays 1024] [--samples 24] [--log2-rows 17] [--repeat 5]
+    python scripts/fields_bench/bench_fields.py [--rays 512] [--samples 96] [--log2-rows 17] [--repeat 5]
 
 Best of the repetitions, on as many threads as torch has (OMP_NUM_THREADS). Positions lie on a wall in the middle of the
 box, as those of a trained field lie on surfaces.
@@ -24,8 +24,8 @@ from novags.fields.march import Proposal, Rays, sampled, weights_of
 class Options:
     """What is measured."""
 
-    rays: int = 1024
-    samples: int = 24
+    rays: int = 512
+    samples: int = 96
     log2_rows: int = 17
     repeat: int = 5
 

@@ -30,15 +30,15 @@ class FieldFitConfig:
     """
 
     iterations: int = 7000
-    rays: int = 1024
+    rays: int = 512
     patch: int = 1
-    samples: int = 24
+    samples: int = 96
     rate: float = 1e-2
     rate_end: float = 0.03
     warm: int = 50
     even: float = 0.25
-    distortion: float = 1e-4
-    near_scale: float = 0.5
+    distortion: float = 1e-3
+    near_scale: float = 0.15
     points: bool = True
     layout: Layout = field(default_factory=Layout)
     seed: int = 0

@@ -16,6 +16,7 @@ from novags.fields.training.fit import FieldFit, fit_field
 from novags.methods.enhancers import EnhancerConfig, enhancement_record
 from novags.methods.enhancers.guided import EnhanceConfig
 from novags.methods.gaussian_fit import Progress
+from novags.methods.nerf.losses import robust
 from novags.methods.nerf.scene import FieldScene
 from novags.methods.nerf.shading import display
 from novags.methods.problem import Pictures, Problem
@@ -72,7 +73,7 @@ def fit_enhanced_field(
     progress: Progress | None,
     checkpoint: Path | None,
 ) -> Reconstruction:
-    """Fit a field to the pictures that `enhance` returns for the problem, by their mean squared error.
+    """Fit a field to the pictures that `enhance` returns for the problem, by the `robust` loss.
 
     Args:
         problem: The problem; its seed overrides that of `config.fit`.
@@ -90,7 +91,7 @@ def fit_enhanced_field(
     seconds = time.perf_counter() - started
 
     def loss(batch: Batch) -> Tensor:
-        return (display(batch.raw, batch.weights, {}) - batch.of(images)).square().mean()
+        return robust(display(batch.raw, batch.weights, {}) - batch.of(images))
 
     scene, found = fitted_scene(
         problem.to("cpu"), loss, config.fit, "display", progress=progress, checkpoint=checkpoint

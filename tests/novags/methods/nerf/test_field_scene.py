@@ -89,6 +89,17 @@ def test_nerf_learns_the_enhanced_pictures_and_its_ceiling_the_clean_ones(proble
         clean.train(problem(with_clean=False), config)
 
 
+def test_nerf_answers_to_errors_and_not_to_their_squares(problem: Callable[..., Problem]) -> None:
+    seen, fit = problem(), dataclasses.replace(QUICK, distortion=0.0, rays=4096)
+    untrained, once = (
+        plain.train(seen, NerfConfig(fit=dataclasses.replace(fit, iterations=steps))) for steps in (0, 1)
+    )
+    errors = untrained.render(seen.views)[0] - untrained.targets
+    assert once.losses[0]["loss"] == pytest.approx(
+        0.05 * float(errors.abs().mean()), rel=0.3
+    )  # its samples are jittered, and half as many
+
+
 def test_the_seed_of_the_problem_is_that_of_the_field(problem: Callable[..., Problem]) -> None:
     config = NerfConfig(fit=dataclasses.replace(QUICK, iterations=3))
     one, same, other = (plain.train(problem(seed=seed), config) for seed in (4, 4, 5))

@@ -13,7 +13,7 @@ from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
 from novags.methods.light import MeasuredLight, raw_loss
 from novags.methods.nerf import aleth, i2, llnerf, raw
-from novags.methods.nerf.losses import differences
+from novags.methods.nerf.losses import differences, robust
 from novags.methods.nerf.shading import brightened, product, retinex
 
 PATCH, RAYS, N = 2, 16, 5
@@ -45,6 +45,17 @@ def neighbours() -> list[tuple[int, int]]:
         a, b, c, d = (4 * square + i for i in range(4))
         pairs += [(a, b), (c, d), (a, c), (b, d)]
     return pairs
+
+
+def test_the_robust_loss_is_round_at_nothing_and_straight_beyond() -> None:
+    errors = rng().normal(size=(6, 3)) * np.logspace(-5, 0, 6)[:, None]
+    expected = sum(0.05 * math.sqrt(e * e + 1e-6) for row in errors for e in row) / 18
+    x = torch.from_numpy(errors).requires_grad_()
+    loss = robust(x)
+    loss.backward()
+    assert loss.item() == pytest.approx(expected, rel=1e-12)
+    slopes = [[0.05 * e / math.sqrt(e * e + 1e-6) / 18 for e in row] for row in errors]
+    np.testing.assert_allclose(x.grad.numpy(), slopes, rtol=1e-10)
 
 
 def test_raw_loss_divides_by_the_render_and_leaves_out_what_was_not_measured() -> None:
