@@ -13,6 +13,7 @@ from novags.testbed.report.look.album import Album
 from novags.testbed.report.look.maps import ERROR_CEILING
 from novags.testbed.report.material import Material
 from novags.testbed.report.pictures import ViewTiles, spread, view_tiles
+from novags.testbed.report.verdict import compared
 from novags.testbed.results.again import score_again
 from novags.testbed.results.comparison import MAIN, Group
 
@@ -40,7 +41,7 @@ def comparison_context(groups: Sequence[Group], folder: Path, album: Album, prog
         except (ValueError, OSError) as error:  # one damaged or old run must not cost the tables
             mine, unseen[place] = [], str(error)
         views += mine
-        for side, key in zip((left, right), material.compared, strict=True):
+        for side, key in zip((left, right), compared(material), strict=True):
             side.append(key)
         base = {kind: group.deltas(kind)[1] for kind in MAIN}
         shown.append({"title": place, "base": base, "rows": _rows(group, material, mine), "unregistered":

@@ -44,13 +44,6 @@ class Material:
         """The main run."""
         return main_row(self.rows.values())
 
-    @property
-    def compared(self) -> tuple[str, str]:
-        """Keys of what a page compares at first: the floor's picture, or else the noisy one, and the main run's."""
-        floor = self.bound("floor")
-        before = "enhanced" if floor in (None, self.main) else f"render-{floor}"
-        return before, f"render-{self.main}"
-
     def bound(self, end: str) -> str | None:
         """The run at that end of the scale, if there is one."""
         return next((row.name for row in self.rows.values() if row.bound == end), None)

@@ -42,7 +42,7 @@ from novags.testbed.report.material import Material
 from novags.testbed.report.pictures import pick_views, view_tiles
 from novags.testbed.report.signal_chart import signal
 from novags.testbed.report.tables import COLUMNS, GEOMETRY, NOISE, per_view, score_table
-from novags.testbed.report.verdict import cards, verdict
+from novags.testbed.report.verdict import cards, compared, verdict
 from novags.testbed.results.again import run_again, score_again
 from novags.testbed.results.comparison import MAIN, Group, deltas_of, groups_of
 from sensor_model.files.lock import locked
@@ -192,7 +192,7 @@ def report_context(material: Material, album: Album, progress: Update) -> dict[s
         shown = view_tiles(i, material, album)
         views.append(shown)
         progress(done + 1, len(picked), f"view {shown.name}")
-    left, right = material.compared
+    left, right = compared(material)
     scores = score_context(material)
     looks = {name: {"key": row.key, "competes": row.competes} for name, row in material.rows.items()}
     data = {"left": [left, "enhanced"], "right": [right, "truth-lit"],

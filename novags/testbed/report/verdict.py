@@ -54,6 +54,13 @@ def leader(material: Material) -> str:
     return max(scored, key=lambda name: value[name] or 0.0, default=material.main)
 
 
+def compared(material: Material) -> tuple[str, str]:
+    """Keys of what a page compares at first: the floor's picture, or else the noisy one, and that of the leader."""
+    floor, best = material.bound("floor"), leader(material)
+    before = "enhanced" if floor in (None, best) else f"render-{floor}"
+    return before, f"render-{best}"
+
+
 def _dissent(material: Material, kind: str, main_score: str, best: str) -> str:
     """Which other scores put another run first: the headline hides none that is worse for its own."""
     competes = {name: row.competes for name, row in material.rows.items()}

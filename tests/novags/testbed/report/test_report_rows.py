@@ -10,7 +10,7 @@ import pytest
 from novags.methods import METHODS, chosen
 from novags.testbed.cache import jsonable
 from novags.testbed.folders.run import Run
-from novags.testbed.report.material import Material
+from novags.testbed.report import verdict
 from novags.testbed.report.rows import Deviation, deviations, distinct, enhancement_of, main_row, rows_of
 
 
@@ -105,13 +105,19 @@ def test_runs_share_a_noise_free_reference_if_enhancer_and_settings_are_the_same
 
 
 @pytest.mark.parametrize(
-    ("floor", "main", "shown"),
+    ("floor", "best", "shown"),
     [
         ("naive", "nova-plus", ("render-naive", "render-nova-plus")),
         (None, "nova-plus", ("enhanced", "render-nova-plus")),
         ("naive", "naive", ("enhanced", "render-naive")),
     ],
 )
-def test_a_picture_is_never_compared_with_itself_at_first(floor: str | None, main: str, shown: tuple[str, str]) -> None:
-    material = SimpleNamespace(bound={"floor": floor}.__getitem__, main=main)
-    assert Material.compared.fget(material) == shown  # type: ignore[attr-defined]
+def test_the_leader_is_compared_at_first_and_never_with_itself(
+    floor: str | None, best: str, shown: tuple[str, str]
+) -> None:
+    scores = {"nova-fast": 25.0, "naive": 24.0, "oracle": 30.0, best: 28.0}
+    rows = {name: SimpleNamespace(competes=name != "oracle") for name in scores}
+    metrics = {"methods": {name: {"mean": {"enhanced": {"aligned_psnr": score}}} for name, score in scores.items()}}
+    bound = {"floor": floor}.__getitem__
+    material = SimpleNamespace(bound=bound, main="nova-fast", rows=rows, metrics=metrics, one_reference=True)
+    assert verdict.compared(material) == shown  # type: ignore[arg-type]
