@@ -162,8 +162,8 @@ def reconstruct(
     capture: Folder, *, out: Path, method: str = "nova-fast", variant: str | None = None, preset: PresetName = "demo",
     pictures: Literal["8bit", "16bit"] | None = None, cameras: str | None = None, refine_cameras: bool = False,
     points: int | None = None, iterations: int | None = None, denoiser_steps: int | None = None, seed: int = 0,
-    device: Device = "auto", export: tuple[Literal["3dgs", "splat", "spz"], ...] = (), overwrite: bool = False,
-    wait: bool = False,
+    device: Device = "auto", export: tuple[Literal["3dgs", "splat", "spz", "spz2"], ...] = (),
+    overwrite: bool = False, wait: bool = False,
 ) -> None:  # fmt: skip
     """Reconstruct a capture with one method: a 3D model, and pictures rendered from it.
 
@@ -182,7 +182,8 @@ def reconstruct(
         denoiser_steps: Of the denoiser before the fit starts.
         seed: Of training.
         device: Where training runs; auto takes a GPU if there is one that can be used.
-        export: Formats of viewers to write into RUN/viewers: a .ply of degree 3 with cameras.json, .splat, .spz.
+        export: Formats of viewers to write into RUN/viewers: a .ply of degree 3 with cameras.json, .splat, .spz
+            (spz2: of version 2, which is all that some readers know).
         overwrite: Replace a finished result of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
     """

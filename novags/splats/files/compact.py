@@ -5,8 +5,8 @@
 
 .spz, versions 2 and 3: gzip of a header and, for all Gaussians one after the other, positions (24-bit fixed point),
 opacities, colours, scales (log, 1/16), rotations (2: x y z, 8-bit; 3: the smallest three, 10-bit) and harmonics (5 bits
-at degree 1, 4 bits above). Axes are right, up, back; those of a 3DGS PLY are taken for right, down, front, as by
-Niantic's own converter.
+at degree 1, 4 bits above). Axes are those of the scene, as in the PLY: Niantic's converter leaves them by default, and
+viewers show what the file says. The format itself would call them right, up, back.
 """
 
 import gzip
@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from sensor_model.files.atomic import atomic
 
 from ..gaussians import Gaussians
-from ..sh import sh_basis
 
 SH_C0 = 0.28209479177387814  # the harmonic of degree 0
 SPZ_MAGIC, SPZ_VERSIONS = 0x5053474E, (2, 3)
@@ -28,7 +27,6 @@ SPZ_COLOR = 0.15  # of the base coefficient, so that values a bit outside 0..1 s
 SPZ_BITS = 20  # most fractional bits of a position
 SPZ_SCALES = (-10.0, 255 / 16 - 10)  # log scales that its bytes hold
 SH_BUCKETS = (8, 16)  # steps of 1/128 at degree 1, and above
-FLIP = (1.0, -1.0, -1.0)  # right down front <-> right up back
 
 Bytes = NDArray[np.uint8]
 
@@ -62,12 +60,12 @@ def write_spz(path: str | Path, gaussians: Gaussians, *, version: int = 3, antia
     if version not in SPZ_VERSIONS:
         raise ValueError(f"version of an .spz file must be one of {SPZ_VERSIONS}, got {version}")
     g = gaussians.detach()
-    means = _array(g.means).astype(np.float64) * FLIP
+    means = _array(g.means).astype(np.float64)
     largest = float(np.abs(means).max(initial=0.0))
     if not largest < 2**23 - 1:
         raise ValueError(f"positions must be below 2^23 for .spz, got {largest:.3g}: use .ply or rescale the scene")
     bits = min(SPZ_BITS, int(np.floor(np.log2((2**23 - 1) / max(largest, 1.0)))))
-    turns = _unit(g)[:, (1, 2, 3, 0)].astype(np.float64) * (*FLIP, 1.0)
+    turns = _unit(g)[:, (1, 2, 3, 0)].astype(np.float64)
     degree = g.sh_degree
     header = struct.pack("<IIIBBBB", SPZ_MAGIC, version, len(g), degree, bits, int(antialiased), 0)
     fixed = np.round(means * 2**bits).astype("<i4")
@@ -117,9 +115,6 @@ def _smallest_three(xyzw: NDArray[np.float64]) -> NDArray[np.uint32]:
 
 def _harmonics(g: Gaussians) -> Bytes:
     """[N, K - 1, 3] bytes: multiples of a bucket, so that they compress; 128 is 0."""
-    some = torch.tensor([[0.36, 0.48, 0.8]], dtype=torch.float64)
-    flip = torch.tensor([FLIP], dtype=torch.float64)
-    signs = torch.sign(sh_basis(g.sh_degree, some * flip) / sh_basis(g.sh_degree, some))[0, 1:]  # even or odd, each
-    steps = np.round(_array(g.sh[:, 1:]) * signs.numpy()[:, None] * 128).astype(np.int64) + 128
+    steps = np.round(_array(g.sh[:, 1:]) * 128).astype(np.int64) + 128
     buckets = np.where(np.arange(steps.shape[1]) < 3, *SH_BUCKETS)[:, None]
     return np.clip((steps + buckets // 2) // buckets * buckets, 0, 255).astype(np.uint8)

@@ -14,7 +14,7 @@ from novags.testbed.console import Console, Update
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders.capture import has_view, write_view
 from novags.testbed.folders.set import Source, open_source
-from novags.testbed.stages.layouts import LAYOUTS, check_layouts, write_layouts
+from novags.testbed.stages.layouts import LAYOUTS, check_cameras_of, check_layouts, write_layouts
 from novags.testbed.stages.paths import keep_apart
 from sensor_model import (
     PRESETS,
@@ -113,6 +113,7 @@ def capture(
     """
     keep_apart(out, set_path)
     source = open_source(set_path, console, config.max_size)
+    check_cameras_of(config.export, source.rig)
     if min(source.rig.width, source.rig.height) < SMALLEST:
         console.warn(
             f"images of {source.rig.width} x {source.rig.height} px make raw files that LibRaw refuses: it takes "

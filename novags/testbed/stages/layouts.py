@@ -6,7 +6,8 @@ from pathlib import Path
 from novags.testbed.console import Console
 from novags.testbed.folders.set import warnings_as_notes
 from sensor_model.files.reading import brief
-from simscenes import EXPORTS, MultiviewSet, load_set
+from simscenes import EXPORTS, MultiviewSet, Rig, load_set
+from simscenes.sets.writers.export import CHECKS
 
 LAYOUTS = tuple(EXPORTS)
 
@@ -15,6 +16,12 @@ def check_layouts(layouts: Sequence[str]) -> None:
     """Raise ValueError for a layout that does not exist."""
     if unknown := [name for name in layouts if name not in EXPORTS]:
         raise ValueError(f"export must be among {', '.join(EXPORTS)}; got {brief(', '.join(unknown))}")
+
+
+def check_cameras_of(layouts: Sequence[str], rig: Rig) -> None:
+    """Raise ValueError for a layout that cannot hold these cameras, before the work that would be exported."""
+    for layout in layouts:
+        CHECKS[layout](rig)
 
 
 def write_layouts(folder: Path, layouts: Sequence[str], console: Console, *, truth: MultiviewSet | None = None) -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from novags.cameras.registration import PLACED, Observed, Registered, Shot, register
 from novags.testbed.cache import folder_digest, run_stage
@@ -138,8 +139,22 @@ def place(files: dict[str, Path], out: Path, config: PosesConfig, console: Conso
                 f"fewer than {PLACED} of the {len(bare)} photographs of {config.photographs} fit together: take them "
                 "with more overlap, from places that differ, sharp and with texture"
             )
-        names = write_set(out, list(files.values()), bare, found, size, config.name)
+        names = write_set(out, list(files.values()), bare, levelled(found), size, config.name)
     return _facts(config.name, list(files), bare, found, size, names)
+
+
+def levelled(found: Registered) -> Registered:
+    """The same turned so that z is up, as in all sets: up is what is up in the mean photograph.
+
+    COLMAP's world is turned like its first pair of pictures. Cameras that agree on no up keep theirs.
+    """
+    up = -found.viewmats[:, 1, :3].mean(0)
+    if np.linalg.norm(up) < 1e-3:  # its direction would be that of rounding
+        return found
+    turn, _ = Rotation.align_vectors([[0.0, 0.0, 1.0]], [up])
+    world = np.eye(4)
+    world[:3, :3] = turn.as_matrix()
+    return replace(found, viewmats=found.viewmats @ world.T, points=found.points @ world[:3, :3].T)
 
 
 def write_set(

@@ -14,7 +14,7 @@ from novags.testbed.folders.run import CAMERAS, RECORD, SCENE, VIEWERS
 from sensor_model.files.atomic import atomic
 from sensor_model.files.reading import brief
 
-FORMATS = ("3dgs", "splat", "spz")
+FORMATS = ("3dgs", "splat", "spz", "spz2")
 
 
 def check_formats(formats: Sequence[str]) -> None:
@@ -24,7 +24,8 @@ def check_formats(formats: Sequence[str]) -> None:
 
 
 def write_viewers(folder: Path, formats: Sequence[str]) -> None:
-    """Write the Gaussians of a finished run: "3dgs" (.ply of degree 3, with cameras.json), "splat", "spz".
+    """Write the Gaussians of a finished run: "3dgs" (.ply of degree 3, with cameras.json), "splat",
+    "spz", and "spz2" for readers that know version 2 alone.
 
     Raises:
         ValueError: If the method has not made Gaussians, or a format cannot hold them.
@@ -42,8 +43,10 @@ def write_viewers(folder: Path, formats: Sequence[str]) -> None:
                 shutil.copyfile(folder / CAMERAS, temporary)
     if "splat" in formats:
         write_splat(out / "scene.splat", gaussians)
-    if "spz" in formats:
-        write_spz(out / "scene.spz", gaussians, antialiased=bool(read_json(folder / RECORD).get("antialiased")))
+    for name, file, version in (("spz", "scene.spz", 3), ("spz2", "scene-v2.spz", 2)):
+        if name in formats:
+            antialiased = bool(read_json(folder / RECORD).get("antialiased"))
+            write_spz(out / file, gaussians, version=version, antialiased=antialiased)
 
 
 def viewer_cameras(names: Sequence[str], views: Sequence[Views]) -> list[dict[str, Any]]:

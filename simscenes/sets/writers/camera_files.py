@@ -6,11 +6,13 @@ A set and a capture share these files; images are named `<image_dir>/<name>.png`
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sensor_model.files.atomic import atomic
 from simscenes.rigs import TEST_EVERY, Rig, opencv_to_opengl
@@ -18,7 +20,8 @@ from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.names import check_names, file_of
 from simscenes.sets.writers.neighbours import POINTS, instant_ngp_box, write_points
 
-CAMERA_FILES = ("transforms.json", "sparse", "train_list.txt", "test_list.txt", "nb-info.json", POINTS)
+LISTS = ("train_list.txt", "val_list.txt", "test_list.txt")  # nerfstudio reads all three, and asks for "val" by default
+CAMERA_FILES = ("transforms.json", "sparse", *LISTS, "nb-info.json", POINTS)
 
 
 def is_test_view(index: int) -> bool:
@@ -48,7 +51,9 @@ def write_cameras(
     depth_dir: str | None = None,
     scene: str | None = None,
 ) -> None:
-    """Write transforms.json, sparse/0/*.bin, points3D.ply, train_list.txt, test_list.txt and nb-info.json.
+    """Write transforms.json, sparse/0/*.bin, points3D.ply, a list of files for each split, and nb-info.json.
+
+    The held-out views serve as both val and test.
 
     Args:
         folder: Created if it is missing.
@@ -80,8 +85,8 @@ def write_cameras(
     else:
         (folder / POINTS).unlink(missing_ok=True)
     write_json(folder / "transforms.json", transforms)
-    write_text(folder / "train_list.txt", "".join(f"{f}\n" for f in train))
-    write_text(folder / "test_list.txt", "".join(f"{f}\n" for f in test))
+    for name, split in zip(LISTS, (train, test, test), strict=True):
+        write_text(folder / name, "".join(f"{f}\n" for f in split))
     write_json(folder / "nb-info.json", nerfbaselines_info(scene, image_dir))
 
 
@@ -99,13 +104,14 @@ def _transforms(
         {"file_path": f"{image_dir}/{f}", "transform_matrix": pose.tolist()}
         for f, pose in zip(files, opencv_to_opengl(rig.viewmats), strict=True)
     ]
-    shared: dict[str, Any] = {}
+    one_lens = bool((rig.Ks == rig.Ks[0]).all())
+    shared: dict[str, Any] = fields_of_view(rig.Ks[0], rig.width, rig.height) if one_lens else {}
     for i, frame in enumerate(frames):
         if depth_dir is not None:
             frame["depth_file_path"] = f"{depth_dir}/{files[i]}"
         K = rig.Ks[i]
         camera = {"fl_x": K[0, 0], "fl_y": K[1, 1], "cx": K[0, 2], "cy": K[1, 2]}
-        (shared if (rig.Ks == rig.Ks[0]).all() else frame).update({k: float(v) for k, v in camera.items()})
+        (shared if one_lens else frame).update({k: float(v) for k, v in camera.items()})
     return {
         "camera_model": "OPENCV",
         "w": rig.width,
@@ -118,6 +124,12 @@ def _transforms(
         "test_filenames": [f"{image_dir}/{f}" for f in test],
         "frames": frames,
     }
+
+
+def fields_of_view(K: NDArray[np.float64], width: int, height: int) -> dict[str, float]:
+    """The same focal lengths as angles: without them nerfstudio's reader of instant-ngp takes fy for fx."""
+    x, y = (float(2 * np.arctan2(size / 2, focal)) for size, focal in ((width, K[0, 0]), (height, K[1, 1])))
+    return {"camera_angle_x": x, "camera_angle_y": y, "x_fov": math.degrees(x), "y_fov": math.degrees(y)}
 
 
 def _write_colmap(folder: Path, files: list[str], rig: Rig, points: SparsePoints | None) -> None:

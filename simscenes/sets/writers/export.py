@@ -11,14 +11,33 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.rigs import opencv_to_opengl
+from simscenes.rigs import Rig, opencv_to_opengl
 from simscenes.sets.geometry.depth_range import Depths
 from simscenes.sets.multiview import MultiviewSet
 from simscenes.sets.names import file_of
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.writers.camera_files import nerfbaselines_info, write_cameras, write_json
 
+NERFBASELINES = "nerfbaselines.datasets.blender:load_blender_dataset"  # it has no short name there
 NEAR, FAR = 2.0, 6.0  # between which the readers of the Blender layout look, whatever the file says
+
+
+def check_blender(rig: Rig) -> None:
+    """Raise ValueError unless all cameras are one centred pinhole: the Blender layout describes no other."""
+    K = rig.Ks[0]
+    centred = np.allclose(K[:2, 2], (rig.width / 2, rig.height / 2), atol=1e-6) and np.isclose(K[0, 0], K[1, 1])
+    if not centred or not np.allclose(rig.Ks, K):
+        raise ValueError("the Blender layout holds one field of view for all: cameras must share intrinsics with "
+                         "square pixels and a centred principal point; use the set's own transforms.json")  # fmt: skip
+
+
+def check_llff(rig: Rig) -> None:
+    """Raise ValueError unless each camera has one focal length: the LLFF layout holds no second."""
+    fx, fy = rig.Ks[:, 0, 0], rig.Ks[:, 1, 1]
+    if not np.allclose(fx, fy):
+        i = int(np.abs(fx / fy - 1).argmax())
+        raise ValueError(f"the LLFF layout holds one focal length per view, so pixels must be square; view {i} has "
+                         f"{fx[i]:.2f} and {fy[i]:.2f} px. Use the set's own transforms.json")  # fmt: skip
 
 
 def export_blender(views: MultiviewSet, folder: str | Path, *, truth: MultiviewSet | None = None) -> Path:
@@ -26,7 +45,8 @@ def export_blender(views: MultiviewSet, folder: str | Path, *, truth: MultiviewS
 
     The world is moved and scaled, x' = scene_scale (x - scene_center), so that the scene is about the origin and what
     the pixels see lies between `NEAR` and `FAR`; both numbers are in every file. Alpha is 0 where a pixel's centre sees
-    no surface, which takes a rendered set; photographs are opaque.
+    no surface, which takes a rendered set; photographs are opaque. Of pictures that are no squares nerfbaselines 1.2
+    puts the optical axis at row width / 2; other readers do not.
 
     Args:
         views: The set, or a capture.
@@ -39,11 +59,8 @@ def export_blender(views: MultiviewSet, folder: str | Path, *, truth: MultiviewS
             stays as it is, with a warning, where nobody knows how far the scene is.
     """
     folder, rig = Path(folder), views.rig
+    check_blender(rig)
     K = rig.Ks[0]
-    centred = np.allclose(K[:2, 2], (rig.width / 2, rig.height / 2), atol=1e-6) and np.isclose(K[0, 0], K[1, 1])
-    if not centred or not np.allclose(rig.Ks, K):
-        raise ValueError("the Blender layout holds one field of view for all: cameras must share intrinsics with "
-                         "square pixels and a centred principal point; use the set's own transforms.json")  # fmt: skip
     scale, center = _frame(views, truth)
     poses = opencv_to_opengl(rig.viewmats)
     poses[:, :3, 3] = scale * (poses[:, :3, 3] - center)
@@ -57,7 +74,7 @@ def export_blender(views: MultiviewSet, folder: str | Path, *, truth: MultiviewS
             write_png(folder / split / file_of(views.names[i]), np.dstack([views.image(i), seen]))
             frames.append({"file_path": f"./{split}/{views.names[i]}", "transform_matrix": poses[i].tolist()})
         write_json(folder / f"transforms_{split}.json", {**shared, "frames": frames})
-    info = {"loader": "blender", "id": "novags", "evaluation_protocol": "nerf", "type": "object-centric"}
+    info = {"loader": NERFBASELINES, "id": "novags", "evaluation_protocol": "nerf", "type": "object-centric"}
     write_json(folder / "nb-info.json", {**nerfbaselines_info(views.scene), "loader_kwargs": {}, **info})
     return folder
 
@@ -96,8 +113,7 @@ def export_llff(views: MultiviewSet, folder: str | Path, *, truth: MultiviewSet 
         ValueError: If nobody knows near and far of a view, or the focal lengths of a camera differ.
     """
     folder, rig = Path(folder), views.rig
-    if not np.allclose(rig.Ks[:, 0, 0], rig.Ks[:, 1, 1]):
-        raise ValueError("the LLFF layout holds one focal length per view: pixels must be square")
+    check_llff(rig)
     depths = Depths.of(views, truth)
     (folder / "images").mkdir(parents=True, exist_ok=True)
     rows = []
@@ -121,3 +137,4 @@ def _write_image(views: MultiviewSet, i: int, folder: Path) -> None:
 
 
 EXPORTS: dict[str, Callable[..., Path]] = {"blender": export_blender, "llff": export_llff}
+CHECKS: dict[str, Callable[[Rig], None]] = {"blender": check_blender, "llff": check_llff}  # before anything takes time

@@ -24,7 +24,7 @@ def make_photographs(folder: Path) -> None:
     rng, rig = np.random.default_rng(0), some_rig(2, SIZE[1], SIZE[0])
     for part in ("dark", "sixteen"):
         write_cameras(folder / part, NAMES, rig)
-        for file in ("nb-info.json", "train_list.txt", "test_list.txt"):
+        for file in ("nb-info.json", "train_list.txt", "val_list.txt", "test_list.txt"):
             (folder / part / file).unlink()
         shutil.rmtree(folder / part / "sparse")
     for part in ("dark/images", "lit"):

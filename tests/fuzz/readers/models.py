@@ -23,7 +23,7 @@ def make_colmap(folder: Path) -> None:
     xyz, rgb = rng.random((6, 3)) - 0.5, rng.integers(0, 255, (6, 3), np.uint8)
     points = SparsePoints.seen(some_rig(3), xyz, rgb, np.ones((3, 6), bool), exact=True)
     write_cameras(folder, names, some_rig(3), points=points)
-    for name in ("transforms.json", "nb-info.json", "train_list.txt", "test_list.txt"):
+    for name in ("transforms.json", "nb-info.json", "train_list.txt", "val_list.txt", "test_list.txt"):
         (folder / name).unlink()
 
 

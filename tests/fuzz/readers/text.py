@@ -95,7 +95,7 @@ def make_transforms(folder: Path) -> None:
 
     pictures(folder / "images", ["a", "b", "c", "d"])
     write_cameras(folder, ["a", "b", "c", "d"], some_rig())
-    for name in ("nb-info.json", "train_list.txt", "test_list.txt"):
+    for name in ("nb-info.json", "train_list.txt", "val_list.txt", "test_list.txt"):
         (folder / name).unlink()
     content = json.loads((folder / "transforms.json").read_text())
     content |= {"k1": 0.01, "k2": -0.002, "p1": 0.001}

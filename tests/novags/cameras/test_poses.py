@@ -2,6 +2,7 @@
 
 import io
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -9,16 +10,17 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image
+from scipy.spatial.transform import Rotation
 
 from novags.cameras.align import align
-from novags.cameras.registration import pairs_of
+from novags.cameras.registration import Registered, pairs_of
 from novags.testbed import stages
 from novags.testbed.cache import folder_digest
 from novags.testbed.console import Console
 from novags.testbed.folders.set import open_source
 from novags.testbed.folders.video import write_frames
-from novags.testbed.stages.poses import PosesConfig
-from simscenes import load_set
+from novags.testbed.stages.poses import PosesConfig, levelled
+from simscenes import load_set, orbit_rig
 from simscenes.sets.multiview import is_rendered
 from simscenes.sets.readers.bare import picture_files, survey
 
@@ -80,6 +82,30 @@ def test_cameras_and_lens_are_found_however_the_pictures_are_stored(taken, place
     lens = max(record["lenses"], key=lambda lens: abs(lens["distortion"][0]))
     assert lens["K"][0][0] == pytest.approx(FOCAL, rel=0.03)
     assert lens["distortion"][0] == pytest.approx(K1, abs=0.03)
+
+
+def test_up_in_the_photographs_is_up_in_the_world(placed) -> None:
+    """COLMAP's world is turned like its first picture; viewers, flights and nerfstudio take z for up."""
+    views = load_set(placed[0])
+    up = -views.rig.viewmats[:, 1, :3].mean(0)
+    assert up / np.linalg.norm(up) == pytest.approx([0, 0, 1], abs=1e-6)
+
+
+@pytest.mark.parametrize("up", [(0.0, 0.0, -1.0), (0.6, 0.0, 0.8), (0.0, -1.0, 0.0)])
+def test_a_world_is_turned_upright_with_all_that_is_in_it(up: tuple[float, float, float]) -> None:
+    turn, _ = Rotation.align_vectors([up], [[0.0, 0.0, 1.0]])
+    rig = orbit_rig(5, 20, 16, 50, radius=3.0, elevation_deg=30)
+    world = np.eye(4)
+    world[:3, :3] = turn.as_matrix()
+    points = np.random.default_rng(0).normal(size=(20, 3))
+    lying = Registered((0, 1, 2, 3, 4), rig.viewmats @ world.T, (), points @ world[:3, :3].T, (), 0.0)
+    found = levelled(lying)
+    local = [p.viewmats[:, :3, :3] @ p.points.T + p.viewmats[:, :3, 3:] for p in (lying, found)]
+    assert np.allclose(*local)  # all cameras see what they saw
+    above = -found.viewmats[:, 1, :3].mean(0)
+    assert above / np.linalg.norm(above) == pytest.approx([0, 0, 1])
+    opposed = replace(lying, viewmats=np.stack([np.eye(4), np.diag([1.0, -1.0, -1.0, 1.0])]))
+    assert levelled(opposed) is opposed
 
 
 def test_the_pictures_of_the_set_are_those_of_its_pinholes(taken, placed) -> None:

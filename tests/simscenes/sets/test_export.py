@@ -11,11 +11,12 @@ import cv2
 import numpy as np
 import pytest
 
-from simscenes import MultiviewSet, export_blender, export_llff, load_set, orbit_rig, write_cameras, write_exr
+from simscenes import EXPORTS, MultiviewSet, export_blender, export_llff, load_set, orbit_rig, write_cameras, write_exr
 from simscenes.rigs import opencv_to_opengl
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.writers.camera_files import write_json
+from simscenes.sets.writers.export import CHECKS
 from simscenes.sets.writers.neighbours import instant_ngp_box, write_depth
 
 SIZE = (24, 20)  # width, height
@@ -129,6 +130,31 @@ def test_instant_ngp_finds_cameras_and_scene_inside_its_box(mkdirs: Path, size, 
     assert np.ptp(inside[0], axis=0).max() > 0.5  # and is not lost in the cube
 
 
+def test_nerfstudio_finds_both_focal_lengths_where_it_reads_for_instant_ngp(tmp_path: Path) -> None:
+    """Its reader of that name asks for both of these angles, and takes fy for fx without them."""
+    rig = orbit_rig(3, *SIZE, 50, radius=3.0)
+    Ks = rig.Ks.copy()
+    Ks[:, 1, 1] *= 1.1
+    write_cameras(tmp_path, ["a", "b", "c"], replace(rig, Ks=Ks))
+    meta = json.loads((tmp_path / "transforms.json").read_text())
+    for angle, degrees, size, focal in (
+        ("camera_angle_x", "x_fov", SIZE[0], Ks[0, 0, 0]),
+        ("camera_angle_y", "y_fov", SIZE[1], Ks[0, 1, 1]),
+    ):
+        assert 0.5 * size / np.tan(0.5 * meta[angle]) == pytest.approx(focal)
+        assert 0.5 * size / np.tan(0.5 * np.radians(meta[degrees])) == pytest.approx(focal)
+
+
+@pytest.mark.parametrize("layout", sorted(EXPORTS))
+def test_cameras_that_a_layout_cannot_hold_are_known_before_anything_is_written(layout: str, mkdirs: Path) -> None:
+    views, _ = make_set(mkdirs)
+    Ks = views.rig.Ks.copy()
+    Ks[4, 1, 1] *= 1.003
+    CHECKS[layout](views.rig)
+    with pytest.raises(ValueError, match=r"square pixels|view 4 has 25\.\d+ and 25\.\d+ px"):
+        CHECKS[layout](replace(views.rig, Ks=Ks))
+
+
 def test_a_far_background_grows_the_box_and_not_the_scale() -> None:
     centers = np.array([[1.0, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])
     near = np.random.default_rng(0).uniform(-0.5, 0.5, (1000, 3))
@@ -215,7 +241,7 @@ def test_exports_tell_nerfbaselines_how_to_read_them_and_what_the_scene_is_calle
     assert len(load_set(llff).points()) == len(points)
     blender = json.loads((export_blender(views, mkdirs / "blender") / "nb-info.json").read_text())
     assert blender == {
-        "loader": "blender",
+        "loader": "nerfbaselines.datasets.blender:load_blender_dataset",
         "loader_kwargs": {},
         "evaluation_protocol": "nerf",
         "type": "object-centric",

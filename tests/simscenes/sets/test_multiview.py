@@ -70,7 +70,9 @@ def test_written_cameras_come_back_exactly(written: tuple) -> None:
     assert np.array_equal(loaded.rig.Ks, rig.Ks)
     assert loaded.test_indices == [0, 8]
     assert loaded.train_indices == [1, 2, 3, 4, 5, 6, 7, 9]
-    assert (folder / "test_list.txt").read_text().split() == ["0000.png", "0008.png"]
+    for split in ("test", "val"):  # nerfstudio's reader of COLMAP models fails where val is missing
+        assert (folder / f"{split}_list.txt").read_text().split() == ["0000.png", "0008.png"]
+    assert (folder / "train_list.txt").read_text().split() == [f"000{i}.png" for i in (1, 2, 3, 4, 5, 6, 7, 9)]
     points = loaded.points()
     assert points is not None
     assert (points.xyz.shape, points.rgb.dtype) == ((50, 3), np.uint8)

@@ -245,6 +245,15 @@ def test_a_capture_has_the_tracks_and_errors_of_its_set(tmp_path: Path, max_size
     assert mean == pytest.approx(noisy.error.mean() * (1.0 if max_size is None else 0.5), rel=1e-9)
 
 
+def test_a_layout_that_cannot_hold_the_cameras_is_refused_before_anything_is_photographed(tmp_path: Path) -> None:
+    views, out = photographs(tmp_path / "set", 3, (24, 24)), tmp_path / "cap"
+    rig = load_set(views).rig
+    write_cameras(views, ["0000", "0001", "0002"], replace(rig, Ks=rig.Ks * [[[1.0], [1.003], [1.0]]]))
+    with pytest.raises(ValueError, match="one focal length per view"):
+        stages.capture(views, out, CaptureConfig(export=("llff",)), QUIET)
+    assert not out.exists() or not list(out.glob("raw/*"))
+
+
 def test_further_layouts_of_a_capture_show_the_dark_pictures_with_the_sets_own_depth(tmp_path: Path) -> None:
     views, out = photographs(tmp_path / "set", 3, (24, 24)), tmp_path / "cap"
     rng = np.random.default_rng(1)

@@ -38,10 +38,12 @@ def test_formats_are_written_beside_the_run_on_request(tmp_path):
     (tmp_path / "run.json").write_text('{"antialiased": true}')
     write_viewers(tmp_path, ())
     assert not (tmp_path / "viewers").exists()
-    write_viewers(tmp_path, ("3dgs", "splat", "spz"))
+    write_viewers(tmp_path, ("3dgs", "splat", "spz", "spz2"))
     out = tmp_path / "viewers"
-    assert sorted(p.name for p in out.iterdir()) == ["cameras.json", "point_cloud.ply", "scene.splat", "scene.spz"]
+    assert sorted(p.name for p in out.iterdir()) == [
+        "cameras.json", "point_cloud.ply", "scene-v2.spz", "scene.splat", "scene.spz",
+    ]  # fmt: skip
     assert read_ply(out / "point_cloud.ply").sh_degree == 3
     assert json.loads((out / "cameras.json").read_text()) == [{"id": 0}]
-    with pytest.raises(ValueError, match="export must be among 3dgs, splat, spz; got obj"):
+    with pytest.raises(ValueError, match="export must be among 3dgs, splat, spz, spz2; got obj"):
         write_viewers(tmp_path, ("obj",))
