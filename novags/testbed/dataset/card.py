@@ -57,7 +57,7 @@ _LAYOUT = (
     "| `SPLIT/capture/NAME/images`, `images16`, `raw` | dark pictures: 8-bit sRGB, 16-bit linear, DNG |",
     "| `SPLIT/capture/NAME/truth` | EXR: mean, variance and noise-free digital numbers of each pixel |",
     "| `SPLIT/set/NAME/images`, `gt` | in good light: 8-bit sRGB; EXR with radiance, depth, normals, albedo, ids |",
-    "| `transforms.json`, `sparse/0`, lists of train, val and test views | cameras, for nerfstudio and COLMAP readers |",
+    "| `transforms.json`, `sparse/0`, lists of train, val, test views | cameras, for nerfstudio and COLMAP readers |",
     "| `shards` | the same views as WebDataset tar files, if they were asked for |",
     "| `manifest.json`, `croissant.json` | everything about it; metadata for search and loading |",
 )
