@@ -5,10 +5,12 @@
 Twelve runs (two methods, six seeds of the camera's noise) of one tiny set, every process with one thread:
 
     bare     the stages as functions, one after the other, in one process: render, capture, reconstruct, score
+    alone    novags study --workers 1
     study    novags study --workers 2
 
-Prints JSON: seconds on the clock and of the processors for each; how much more processor time the study takes than the
-bare stages; and its time on the clock as a share of theirs.
+Prints JSON: seconds on the clock and of the processors for each; how much more processor time the study takes with one
+worker than the bare stages, which is the cost of the bed (`beyond`), and with two, whose runs also wait for each
+other's memory (`beyond_two`); and the time of two on the clock as a share of that of the bare stages (`share`).
 """
 
 import argparse
@@ -80,9 +82,10 @@ def measure(out: Path, iterations: int) -> dict[str, Any]:
     found["bare"] = timed(out / "bare", str(Path(__file__).resolve()), *here)
     file = out / "study.toml"
     file.write_text(STUDY.format(iterations=iterations))
-    words = ("-m", "novags", "study", str(file.resolve()), "--out", "made", "--workers", "2")
-    found["study"] = timed(out / "study", *words)
-    found["beyond"] = found["study"]["cpu_seconds"] / found["bare"]["cpu_seconds"] - 1
+    words = ("-m", "novags", "study", str(file.resolve()), "--out", "made", "--workers")
+    for name, workers, more in (("alone", "1", "beyond"), ("study", "2", "beyond_two")):
+        found[name] = timed(out / name, *words, workers)
+        found[more] = found[name]["cpu_seconds"] / found["bare"]["cpu_seconds"] - 1
     found["share"] = found["study"]["seconds"] / found["bare"]["seconds"]
     return found
 

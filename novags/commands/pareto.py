@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from novags.commands.shared import next_, writing
+from novags.commands.shared import next_, typed, writing
 from novags.options import Name
 
 
@@ -38,4 +38,4 @@ def pareto(
                 raise
             for path in write(subject, samples, out):
                 print(path)
-    next_(f"look at {out}, or: novags run --budget 120s --curves {out}")
+    next_(f"look at {out}, or: novags run --budget 120s --curves {typed(out)}")

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Literal
 
-from novags.commands.shared import next_, writing
+from novags.commands.shared import next_, typed, writing
 from novags.options import Device, Folder
 
 
@@ -47,7 +47,7 @@ def import_(
     with writing(out, wait) as console:
         stages.import_photographs(folder, out, config, console, overwrite=overwrite)
     print(out)
-    next_(f"novags reconstruct {out} --method nova-fast --out RUN")
+    next_(f"novags reconstruct {typed(out)} --method nova-fast --out RUN")
 
 
 def denoise(
@@ -79,4 +79,4 @@ def denoise(
     with writing(out, wait) as console:
         stages.denoise(capture, out, config, console, overwrite=overwrite)
     print(out)
-    next_(f"novags reconstruct {capture} --method nova-fast --out RUN")
+    next_(f"novags reconstruct {typed(capture)} --method nova-fast --out RUN")

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from novags.commands import shared
-from novags.commands.shared import announce, next_, writing
+from novags.commands.shared import announce, next_, typed, writing
 from novags.options import Folder, Folders
 
 _Reference = Literal["lit", "linear", "clean", "linear_demosaiced", "clean_demosaiced"]
@@ -54,7 +54,7 @@ def score(
             print(f"{group.title}:")
         for name, scores in group.metrics["methods"].items():
             print(f"{name}: {_in_words(scores['mean'], group, name)}")
-    next_(f"novags report {' '.join(str(run) for run in runs)}")
+    next_(f"novags report {' '.join(typed(run) for run in runs)}")
 
 
 def _score_pictures(
@@ -164,4 +164,4 @@ def characterise(folder: Folder, *, out: Path, window: int = 1024, overwrite: bo
         comment = f"measured from {folder.resolve().name}; what the frames say:\n{found}"
         write_sensor(out, sensor, comment=comment, overwrite=overwrite)
     print(f"{found}\n{out}")
-    next_(f"novags capture SET --sensor {out} --electrons 20 --out CAPTURE")
+    next_(f"novags capture SET --sensor {typed(out)} --electrons 20 --out CAPTURE")

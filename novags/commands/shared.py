@@ -1,5 +1,6 @@
 """What commands share: the console, the lock on what is written, what to do next, words that stand for settings."""
 
+import shlex
 import signal
 import sys
 from collections.abc import Iterator
@@ -28,8 +29,13 @@ def cameras_of(text: str | None) -> Any:
     return None if text is None else parse_cameras(text)
 
 
+def typed(path: Path) -> str:
+    """A path as it is typed into a shell."""
+    return shlex.quote(str(path))
+
+
 def next_(command: str) -> None:
-    """Print the next command; on standard error, so that standard output holds only results."""
+    """Print the next command, its paths as `typed`; on standard error, so that standard output holds only results."""
     print(f"next: {command}", file=sys.stderr)
 
 

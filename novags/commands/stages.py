@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from novags.commands import shared
-from novags.commands.shared import cameras_of, next_, variants_of, writing
+from novags.commands.shared import cameras_of, next_, typed, variants_of, writing
 from novags.options import LIGHT, Device, Folder, Light, Name, PresetName
 
 
@@ -81,7 +81,7 @@ def render(
         record = stages.render(out, config, console, overwrite=overwrite)
         console.note(f"largest of all views: {summary(record['views'])}")
     print(out)
-    next_(f"novags capture {out} --electrons 20 --out CAPTURE")
+    next_(f"novags capture {typed(out)} --electrons 20 --out CAPTURE")
 
 
 def poses(
@@ -111,7 +111,7 @@ def poses(
     with writing(out, wait) as console:
         stages.poses(out, config, console, overwrite=overwrite)
     print(out)
-    next_(f"novags capture {out} --electrons 20 --out CAPTURE, or novags run --scene {out}")
+    next_(f"novags capture {typed(out)} --electrons 20 --out CAPTURE, or novags run --scene {typed(out)}")
 
 
 def capture(
@@ -155,7 +155,7 @@ def capture(
     with writing(out, wait) as console:
         stages.capture(set, out, config, console, overwrite=overwrite)
     print(out)
-    next_(f"novags reconstruct {out} --method nova-fast --out RUN")
+    next_(f"novags reconstruct {typed(out)} --method nova-fast --out RUN")
 
 
 def reconstruct(
@@ -202,4 +202,4 @@ def reconstruct(
         stages.reconstruct(capture, out, config, console, overwrite=overwrite)
         write_viewers(out, export)
     print(out)
-    next_(f"novags score {out} && novags report {out}")
+    next_(f"novags score {typed(out)} && novags report {typed(out)}")

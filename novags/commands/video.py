@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from novags.commands import shared
-from novags.commands.shared import next_
+from novags.commands.shared import next_, typed
 from novags.options import Folder
 
 
@@ -33,4 +33,4 @@ def video(
         raise ValueError(f"{path} is there already: choose another --out, or add --overwrite")
     frames = make_video(opened, path, shared.console(), seconds=seconds, fps=fps)
     print(f"{path}: {frames} frames")
-    next_(f"novags report {run}")
+    next_(f"novags report {typed(run)}")

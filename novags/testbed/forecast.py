@@ -1,9 +1,10 @@
 """What a capture of a scene would simulate, what it would leave out, and the bounds: the plans, before any work."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from novags.testbed.console import Console
-from novags.testbed.folders.set import open_source, warnings_as_notes
+from novags.testbed.folders.set import Source, open_source, warnings_as_notes
 from novags.testbed.stages.capture import CaptureConfig, meter
 from novags.testbed.stages.render import RenderConfig, plan_of, prepare_render, render_views
 from sensor_model import Plan
@@ -46,16 +47,17 @@ def sensor_plan(
         ValueError: If there is no such scene, or it is black.
     """
     if Path(pilot.scene).is_dir():
-        return _plan(Path(pilot.scene), config, None, console)
+        return _plan(open_source(Path(pilot.scene), console, config.max_size), config, None, console)
     with scratch("plan") as folder:
         render_views(folder, pilot, *prepare_render(pilot, console), console)
-        return _plan(folder, config, pixels, console)
+        rendered = replace(open_source(folder, console, config.max_size), called=f"the scene {pilot.scene}")
+        return _plan(rendered, config, pixels, console)
 
 
 def _plan(
-    folder: Path, config: CaptureConfig, pixels: int | None, console: Console
+    source: Source, config: CaptureConfig, pixels: int | None, console: Console
 ) -> tuple[Plan | None, dict[str, float]]:
-    light = meter(open_source(folder, console, config.max_size), config, console, pixels)
+    light = meter(source, config, console, pixels)
     signal_e = light.signal_e
     named = {"darkest": signal_e[0], "median": signal_e[len(signal_e) // 2], "brightest": signal_e[-1]}
     return light.plan, {name: float(value) for name, value in named.items()}

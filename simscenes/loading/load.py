@@ -25,6 +25,7 @@ from simscenes.loading.obj_files import completed
 from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.scenes import build
 
+OLD = re.compile(rb"<scene\s+version\s*=\s*[\"']0\.")
 DEMANDS = re.compile("spectral|polarized")  # in the messages of plugins that cannot do without
 
 
@@ -121,7 +122,7 @@ def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> Load
     try:
         loaded, description = _load(source, mi, allow_outside)
     except (RuntimeError, TypeError, KeyError, AttributeError) as error:  # what Mitsuba and its bindings raise
-        raise ValueError(f"scene {name!r} cannot be loaded: {error}") from error
+        raise ValueError(f"scene {name!r} cannot be loaded: {error}{_hint(str(error), source)}") from error
     if not isinstance(loaded, mi.Scene) or len(loaded.shapes()) == 0:
         raise ValueError(f"scene {name!r} has no shapes: there is nothing to see")
     if problem := why_unusable(loaded, mi):
@@ -152,6 +153,15 @@ def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> Load
         sensor=source.sensor,
         rgb_alone=bool(raw_color(loaded, mi)),
     )
+
+
+def _hint(said: str, source: SceneRef) -> str:
+    """What Mitsuba's words leave out."""
+    if missing := re.search(r"undefined parameter: \$([\w.-]+)", said):
+        return f" (give it a value: -D {missing[1]}=VALUE)"
+    if source.path is not None and OLD.search(source.path.read_bytes()[:4096]):
+        return " (the file is of Mitsuba 0.x, of which Mitsuba 3 reads a part: port it, see its documentation)"
+    return ""
 
 
 def _own_integrator(source: SceneRef, mi: Any, allow_outside: bool) -> OwnIntegrator | None:

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from simscenes.scenes import split_name
 
-NAME = re.compile("[A-Za-z_][A-Za-z0-9_]{0,99}")  # of a parameter
+NAME = re.compile("[A-Za-z_][A-Za-z0-9_.-]{0,99}")  # of a parameter
 SceneLike = str | dict[str, Any] | Path
 
 
@@ -64,7 +64,8 @@ class SceneRef:
         pairs = [text.partition("=") for text in parameters]
         for text, (name, equals, _) in zip(parameters, pairs, strict=True):
             if not (equals and NAME.fullmatch(name)):
-                raise ValueError(f"a parameter of a scene must be NAME=VALUE, got {text!r:.80}")
+                raise ValueError(f"a parameter of a scene must be NAME=VALUE, the name of letters, digits and "
+                                 f"_ . -, got {text!r:.80}")  # fmt: skip
         names = [name for name, _, _ in pairs]
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise ValueError(f"parameters of a scene must be given once, got {', '.join(twice)} several times")

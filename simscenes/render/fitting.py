@@ -92,7 +92,7 @@ def _arc_around(loaded: LoadedScene, mi: Any, own: Rig, n_views: int, sweep_deg:
         ):
             return rig
     raise ValueError(f"scene {loaded.name!r}: no free space around its sensor at {position.round(3).tolist()}; "
-                     "is it inside an object? Give the rig")  # fmt: skip
+                     "is it inside an object? Take another one (--sensor-index), or give a rig in Python")  # fmt: skip
 
 
 def _rays(loaded: LoadedScene, mi: Any, origins: Float, directions: Float) -> Float:
@@ -118,7 +118,8 @@ def _seen(loaded: LoadedScene, mi: Any, own: Rig) -> Float:
         hit = chosen & np.isfinite(distances)
         if hit.any():
             return np.asarray(origin + distances[hit, None] * directions[hit])
-    raise ValueError(f"scene {loaded.name!r}: its sensor sees no surface; give the rig")
+    raise ValueError(f"scene {loaded.name!r}: its sensor sees no surface; take another one (--sensor-index), or give "
+                     "the rig in Python")  # fmt: skip
 
 
 def _middle_distance(distances: Float) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +13,7 @@ from simscenes.backend import backend_of, using_variant
 from simscenes.loading.load import LoadedScene, build_in_fewest_colors
 from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.optics import Optics
+from simscenes.render.geometry import geometry_channels, shrunk
 from simscenes.rigs import Rig, mitsuba_to_intrinsics, mitsuba_to_opencv
 
 Float = NDArray[np.float64]
@@ -23,6 +25,7 @@ WHY_NOT = {  # of the sensors that have no pinhole camera's rays
     "BatchSensor": " (name the sensors within it one by one)",
 }
 MAX_PIXELS = 1 << 26  # an untrusted file must not ask for all memory
+GRID = 32  # rays across a sensor's image, that find what its clip planes hide
 
 
 def own_rig(loaded: LoadedScene, mi: Any, width: int | None = None, height: int | None = None) -> Rig:
@@ -34,14 +37,18 @@ def own_rig(loaded: LoadedScene, mi: Any, width: int | None = None, height: int 
         width: Image width in pixels; None for the sensor's film. The horizontal field of view is kept.
         height: Image height in pixels; None for the sensor's film.
 
+    A clip plane of the sensor that hides a surface is not kept, which a warning says.
+
     Raises:
-        ValueError: If the scene has no sensor, or not a perspective one.
+        ValueError: If the scene has no sensor, or not a perspective one, or it is mirrored.
     """
+    which = f"sensor {loaded.sensor} of scene {loaded.name!r}"
     sensor, seen = loaded.own_sensor, "none" if loaded.own_sensor is None else loaded.own_sensor.class_name()
     if seen not in ("PerspectiveCamera", "ThinLensCamera"):
         why = WHY_NOT.get(seen, "")
-        raise ValueError(f"scene {loaded.name!r} needs a perspective or thinlens sensor to find cameras by, it has "
-                         f"{seen}{why}; add one, or give the rig")  # fmt: skip
+        raise ValueError(f"{which} must be perspective or thinlens, so that cameras can be found by it, it is "
+                         f"{seen}{why}; add one, name another by its number (--sensor-index), or give the rig "
+                         "in Python")  # fmt: skip
     film = sensor.film()
     crop_width, crop_height = (int(n) for n in film.crop_size())
     w, h = width or crop_width, height or crop_height
@@ -53,7 +60,24 @@ def own_rig(loaded: LoadedScene, mi: Any, width: int | None = None, height: int 
     K[1, 1], K[1, 2] = K[0, 0], K[1, 2] * h / crop_height
     to_world = np.array(sensor.world_transform().matrix, dtype=np.float64).reshape(4, 4, -1)[..., 0]
     to_world[:3, :3] /= np.linalg.norm(to_world[:3, :3], axis=0)  # some exporters leave a scale in the pose
-    return Rig(viewmats=mitsuba_to_opencv(to_world)[None], Ks=K[None], width=w, height=h)
+    if np.linalg.det(to_world[:3, :3]) < 0:
+        raise ValueError(f"{which} is mirrored: its to_world holds a scale of negative sign, and no camera sees a "
+                         "mirror image; take the sign out")  # fmt: skip
+    rig = Rig(viewmats=mitsuba_to_opencv(to_world)[None], Ks=K[None], width=w, height=h)
+    _say_what_was_hidden(loaded, mi, rig, which)
+    return rig
+
+
+def _say_what_was_hidden(loaded: LoadedScene, mi: Any, rig: Rig, which: str) -> None:
+    """Warn if the sensor's clip planes hide surfaces, which our cameras show: they have none that could."""
+    params = mi.traverse(loaded.own_sensor)
+    near, far = (float(np.array(params[f"{plane}_clip"]).item()) for plane in ("near", "far"))
+    z = geometry_channels(mi, loaded, shrunk(rig, 0, GRID), 0)["Z"]
+    for name, plane, hidden in (("near", near, z < near), ("far", far, np.isfinite(z) & (z > far))):
+        if hidden.any():
+            warnings.warn(f"{which} has {name}_clip {plane:g}, which hides surfaces in {hidden.mean():.0%} of its "
+                          "picture. It is not kept: pictures and depth show them. Remove them from the scene to look "
+                          "past them", stacklevel=3)  # fmt: skip
 
 
 def own_cameras(
@@ -61,23 +85,31 @@ def own_cameras(
     width: int | None = None,
     height: int | None = None,
     *,
+    own_lenses: bool = True,
     allow_outside: bool = False,
 ) -> Rig:
     """All of a scene's own sensors as a rig, in the order of the scene.
+
+    A warning says where a film has not the shape of the pictures: the field of view is kept across, so that more or
+    less is seen above and below.
 
     Args:
         scene: As for `fit_rig`.
         width: As for `own_rig`.
         height: As for `own_rig`.
+        own_lenses: They count: the user has not chosen a lens for all cameras.
         allow_outside: As for `render_set`.
 
     Raises:
-        ValueError: As `own_rig`, or if the films differ in size where it is not given.
+        ValueError: As `own_rig`, or if the films differ in size where it is not given, or their lenses differ.
     """
     loaded = opened(scene, allow_outside)
     with using_variant(loaded.variant) as mi:
-        count = len(loaded.scene.sensors())
-        rigs = [own_rig(replace(loaded, sensor=k), mi, width, height) for k in range(max(count, 1))]
+        each = [replace(loaded, sensor=k) for k in range(max(len(loaded.scene.sensors()), 1))]
+        rigs = [own_rig(one, mi, width, height) for one in each]
+        if own_lenses:
+            _check_one_lens(each, mi)
+        _say_what_is_reshaped(each, rigs)
     sizes = sorted({(rig.width, rig.height) for rig in rigs})
     if len(sizes) > 1:
         raise ValueError(f"scene {loaded.name!r} has sensors of {len(sizes)} sizes, {sizes[0]} to {sizes[-1]}: one set "
@@ -86,20 +118,47 @@ def own_cameras(
     return Rig(viewmats=viewmats, Ks=Ks, width=rigs[0].width, height=rigs[0].height)
 
 
+def _check_one_lens(each: list[LoadedScene], mi: Any) -> None:
+    lenses = [_lens(one.own_sensor, mi) for one in each]
+    for k, lens in enumerate(lenses):
+        if lens != lenses[0]:
+            first, other = ("a pinhole" if not one else "an aperture radius of {:g}, focused at {:g}".format(*one)
+                            for one in (lenses[0], lens))  # fmt: skip
+            raise ValueError(f"the cameras of a set share one lens; of scene {each[0].name!r} sensor 0 has {first}, "
+                             f"sensor {k} {other}. Choose one for all (--aperture-radius; 0 is a pinhole)")  # fmt: skip
+
+
+def _say_what_is_reshaped(each: list[LoadedScene], rigs: list[Rig]) -> None:
+    for one, rig in zip(each, rigs, strict=True):
+        w, h = (int(n) for n in one.own_sensor.film().crop_size())
+        if w * rig.height != h * rig.width:
+            more = "more" if h / w < rig.height / rig.width else "less"
+            warnings.warn(f"sensor {one.sensor} of scene {one.name!r} has a film of {w} x {h} pixels: pictures of "
+                          f"{rig.width} x {rig.height} show {more} above and below", stacklevel=3)  # fmt: skip
+            return  # once is enough
+
+
+def _lens(sensor: Any, mi: Any) -> tuple[float, float] | None:
+    """Aperture radius and focus distance of a sensor; None for a pinhole."""
+    if sensor is None or sensor.class_name() != "ThinLensCamera":
+        return None
+    params = mi.traverse(sensor)
+    radius, focus = (float(np.array(params[key]).item()) for key in ("aperture_radius", "focus_distance"))
+    return radius, focus
+
+
 def with_lens(asked: Optics | None, loaded: LoadedScene, mi: Any) -> Optics:
     """The requested optics, with the lens of the scene's own sensor where none is given; a pinhole has none.
 
     A thin lens keeps its focus distance for all cameras of a rig: those of `fit_rig` stay as far from what they see.
     """
     asked = asked or Optics()
-    sensor = loaded.own_sensor
     if asked.aperture_radius == 0:
         return replace(asked, aperture_radius=None)
-    if asked.aperture_radius is not None or sensor is None or sensor.class_name() != "ThinLensCamera":
+    lens = _lens(loaded.own_sensor, mi)
+    if asked.aperture_radius is not None or lens is None:
         return asked
-    lens = mi.traverse(sensor)
-    radius, focus = (float(np.array(lens[key]).item()) for key in ("aperture_radius", "focus_distance"))
-    return replace(asked, aperture_radius=radius, focus_distance=focus)
+    return replace(asked, aperture_radius=lens[0], focus_distance=lens[1])
 
 
 def _film_intrinsics(params: Any, film: Any) -> Float:

@@ -16,6 +16,7 @@ from simscenes.rigs import Rig, intrinsics_to_mitsuba, opencv_to_mitsuba
 PINHOLE = Optics()
 PILOT_SPP = 16
 MAX_INTERFACES = 64
+NEAR, FAR = 1e-9, 1e2  # clip planes, in extents: a ground of 20,000 units must not hide what stands before the camera
 
 
 def sensor_dict(mi: Any, rig: Rig, i: int, loaded: LoadedScene, optics: Optics = PINHOLE) -> dict[str, Any]:
@@ -46,8 +47,8 @@ def sensor_dict(mi: Any, rig: Rig, i: int, loaded: LoadedScene, optics: Optics =
         **lens,
         "fov": fov,
         "fov_axis": "x",
-        "near_clip": 1e-4 * loaded.extent,
-        "far_clip": 1e2 * loaded.extent,
+        "near_clip": NEAR * loaded.extent,
+        "far_clip": FAR * loaded.extent,
         "to_world": mi.ScalarTransform4f(opencv_to_mitsuba(rig.viewmats[i])),
         "sampler": {"type": "multijitter", "sample_count": PILOT_SPP},
         "film": film,

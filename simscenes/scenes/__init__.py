@@ -60,7 +60,8 @@ def split_name(name: str) -> tuple[str, int]:
     scene, _, seed = name.partition(":")
     if scene not in SCENES:
         raise ValueError(
-            f"no scene {brief(repr(scene), 100)} in the catalogue; available: {sorted(SCENES)}, or give a Mitsuba dict"
+            f"no scene {brief(repr(scene), 100)} in the catalogue, and no set folder of that name; available: "
+            f"{sorted(SCENES)}. Mitsuba files end in .xml"
         )
     if seed and not seed.isdecimal():
         raise ValueError(f"the seed in scene name {brief(repr(name), 100)} must be a whole number >= 0")

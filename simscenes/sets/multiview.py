@@ -190,7 +190,7 @@ def load_set(path: str | Path) -> MultiviewSet:
 
     Raises:
         ValueError: If the folder is of another kind, a render in it is unfinished, a camera file is broken or no image
-            listed there exists. Listed images that are missing are skipped and counted in one warning.
+            listed there exists. Listed images that are missing are skipped, counted and named in one warning.
     """
     path = Path(path)
     if not path.is_dir():
@@ -240,7 +240,7 @@ def _unregistered(path: Path, found: Photographs, meta: dict[str, Any]) -> tuple
         return tuple(meta.get("unregistered", ()))
     if is_nerf_synthetic(path):  # beside its pictures lie their depths and normals
         return ()
-    placed = {os.path.abspath(file) for file in found.files}
+    placed = {os.path.abspath(file) for file in (*found.files, *found.unused)}
     suffixes = {file.suffix.lower() for file in found.files}
     beside = (file for folder in {file.parent for file in found.files} for file in folder.iterdir())
     left = [file for file in beside if file.suffix.lower() in suffixes and os.path.abspath(file) not in placed]

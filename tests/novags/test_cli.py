@@ -1,10 +1,13 @@
 """Claims about the command line: it starts without the heavy libraries, and says what is wrong in one line."""
 
 import re
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -223,3 +226,48 @@ def test_doctor_finds_what_the_tests_themselves_need(call: Call, capsys: pytest.
     assert "ok       mitsuba" in text
     assert "ready: novags run --preset demo" in text
     assert "BROKEN" not in text
+
+
+@pytest.mark.parametrize("command", ["poses", "capture", "reconstruct", "import"])
+def test_the_next_command_is_one_that_a_shell_takes_whatever_the_folder_is_called(
+    call: Call, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, command: str
+) -> None:
+    from novags.testbed import stages
+
+    folder, out = tmp_path / "Fotos ä (1)", tmp_path / "it's $HOME & more"
+    folder.mkdir()
+    for stage in ("poses", "capture", "reconstruct", "import_photographs"):
+        monkeypatch.setattr(stages, stage, lambda *_, **__: {})
+    assert call(command, str(folder), "--out", str(out)) == 0
+    (line,) = (line for line in capsys.readouterr().err.splitlines() if line.startswith("next: "))
+    words = shlex.split(line.removeprefix("next: "))
+    assert str(out) in words
+    done = subprocess.run(["sh", "-c", f"novags() {{ printf '%s\\n' \"$@\"; }}\n{line[6:].partition(', or')[0]}"],
+                          capture_output=True, text=True, check=True)  # fmt: skip
+    assert str(out) in done.stdout.splitlines()
+
+
+def test_commands_that_messages_advise_are_such_that_a_shell_takes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from novags.testbed.budget.known import known
+    from novags.testbed.console import Console
+    from novags.testbed.report import page
+    from novags.testbed.results.comparison import merged
+    from novags.testbed.stages import import_photographs
+    from novags.testbed.stages.importing import ImportConfig
+
+    folder = tmp_path / "Fotos ä (1)"
+    folder.mkdir()
+    (folder / "curves.jsonl").write_text("")
+    monkeypatch.setattr(page, "find_runs", lambda _: {})
+    run: Any = SimpleNamespace(path=folder, scores=lambda: None)
+    quiet = Console(quiet=True)
+    for attempt, advice in (
+        (lambda: import_photographs(folder, tmp_path / "out", ImportConfig(), quiet), "novags poses {} --out SET"),
+        (lambda: known(folder), "novags pareto METHOD --out {} measures"),
+        (lambda: page.read_material(folder, quiet), "run novags score {} first"),
+        (lambda: merged({"naive": run}), "run novags score {}"),
+    ):
+        with pytest.raises(ValueError, match=re.escape(advice.format(f"'{folder}'"))):
+            attempt()

@@ -3,6 +3,7 @@
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 
 from novags.testbed.budget.choice import Option, refined, united
 from novags.testbed.cache import jsonable
@@ -47,7 +48,8 @@ def known(folder: Path | None, methods: Collection[str] = ()) -> Known:
         found = options_of([point for point in [*own, *rest] if _subject(point) in used], methods)
     if not found:
         raise ValueError(
-            f"{folder} holds no curves of whole reconstructions: novags pareto METHOD --out {folder} measures them"
+            f"{folder} holds no curves of whole reconstructions: novags pareto METHOD --out {quote(str(folder))} "
+            "measures them"
         )
     sources = [f"measured earlier on this machine ({USUAL})"] if here else []
     if others := [name for name in used if name not in here]:

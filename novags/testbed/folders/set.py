@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -20,13 +21,14 @@ from simscenes.rigs import Rig
 from simscenes.sets.geometry.plausible import with_tested_tracks
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.multiview import MultiviewSet, load_set
+from simscenes.sets.pictures.image_file import WITH_ALPHA, has_alpha
 from simscenes.sets.readers.llff import POSES
 from simscenes.sets.readers.nerf_synthetic import PARTS
 
 # What a set is read from beside its images: our own record and truth, and the cameras in every supported form.
 MODEL = tuple(f"{part}.{suffix}" for part in ("cameras", "images", "points3D") for suffix in ("bin", "txt"))
 READ_FROM = ("set.json", "capture.json", "transforms.json", *PARTS, POSES, "nb-info.json", "sparse", "sparse/0",
-             "colmap_sparse", "gt", *MODEL)  # fmt: skip
+             "colmap_sparse", "colmap/sparse", "gt", *MODEL)  # fmt: skip
 
 EXPOSURES = 1e30  # more would make NaN of a black pixel in float32
 NOISE = 0.01  # of a photograph's bright light: values further below 0 are not noise
@@ -40,6 +42,12 @@ class Source:
     rig: Rig  # of the scaled images
     console: Console  # where notes on single views go
     lit_known: bool = True  # False: the views themselves are dark, and nothing shows them in good light
+    called: str = ""  # what messages call it; "" is the set and its folder
+
+    @property
+    def title(self) -> str:
+        """What messages call it."""
+        return self.called or f"the set {self.views.path}"
 
     @property
     def scaled(self) -> bool:
@@ -80,6 +88,7 @@ class Source:
             ValueError: If a value is not finite or more than slightly negative, or the file cannot be read.
         """
         radiance = self.views.radiance(i)
+        self._say_background(i)
         rendered = self.views.kind == "rendered"
         if not rendered and radiance.min() < 0 and radiance.min() >= -NOISE * np.quantile(radiance, 0.99):
             self.console.warn(f"{self.views.path} holds light slightly below 0 (noise around black): it counts as 0")
@@ -90,7 +99,7 @@ class Source:
             help = "render the set again" if rendered else f"correct {self.views.files[i].name}, or remove it"
             raise ValueError(
                 f"radiance must be finite and >= 0, got {radiance[first]} at {first} in view {self.views.names[i]} of "
-                f"{self.views.path} ({int(bad.sum())} values): {help}"
+                f"{self.title} ({int(bad.sum())} values): {help}"
             )
         if self.response is not None:
             radiance = np.divide(radiance, self.response, dtype=np.float32)
@@ -103,6 +112,7 @@ class Source:
             ValueError: If the picture cannot be read, or the set's exposure is out of range.
         """
         if not self.scaled:
+            self._say_background(i)
             return self.views.image(i).astype(np.float32) / 255
         exposure = float(self.views.meta.get("exposure_scale", 1.0))
         if not 0 < exposure <= EXPOSURES:
@@ -123,6 +133,10 @@ class Source:
         Raises:
             ValueError: If the model, or a picture that has to be looked at, cannot be read.
         """
+        return self._points
+
+    @cached_property
+    def _points(self) -> SparsePoints | None:
         points = self.views.points()
         if points is None:
             return None
@@ -134,6 +148,13 @@ class Source:
         """Hash of everything that is read from the set, wherever its files are."""
         images = {f"images/{name}": file for name, file in zip(self.views.names, self.views.files, strict=True)}
         return folder_digest(self.views.path, READ_FROM, beside=images)
+
+    def _say_background(self, i: int) -> None:
+        """Say that a photograph is before white, where it can be transparent."""
+        file = self.views.files[i]
+        if self.views.kind == "photographs" and file.suffix.lower() in WITH_ALPHA and has_alpha(file):
+            self.console.warn(f"pictures of {self.views.path} have an alpha channel: what is behind transparent pixels "
+                              "counts as white")  # fmt: skip
 
     def _fit(self, image: np.ndarray) -> np.ndarray:
         if not self.scaled:
@@ -165,11 +186,9 @@ def source_of(views: MultiviewSet, console: Console, max_size: int | None = None
     if views.renamed and views.kind == "photographs" and not (path / "capture.json").is_file():
         name, file = next(iter(views.renamed.items()))
         console.warn(f"{len(views.renamed)} of {len(views)} files and their views cannot have one name ({file!r}: view "
-                     f"{name}); capture.json names the file of each")  # fmt: skip
+                     f"{name}); the capture.json of a capture of it names the file of each")  # fmt: skip
     if missing := left_out(views.unregistered, len(views) + len(views.unregistered)):
         console.warn(missing)
-    if views.transparent:
-        console.warn(f"pictures of {path} have transparent pixels: what is behind them counts as white")
     rig = views.rig if max_size is None else scaled_rig(views.rig, max_size)
     if min(rig.width, rig.height) < SSIM_WINDOW:
         larger = "" if max_size is None else f": choose a max_size larger than {max_size}"

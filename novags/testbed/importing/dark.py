@@ -1,8 +1,11 @@
 """A folder of dark photographs with their cameras, and the raw files that lie beside them."""
 
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
+from shlex import quote
 from typing import NoReturn
 
 from novags.testbed.cache import folder_digest
@@ -10,11 +13,13 @@ from novags.testbed.console import Console
 from novags.testbed.folders import raw_files
 from novags.testbed.folders.linear_photographs import find_linear
 from novags.testbed.folders.set import READ_FROM, Source, open_source, source_of, warnings_as_notes
-from novags.testbed.importing.published.datasets import Dataset, scene_names, scenes_below
+from novags.testbed.importing.published.datasets import DEPTH, Dataset, scene_names, scenes_below
 from novags.testbed.importing.published.posed import has_cameras
 from novags.testbed.importing.split import Split, divided
 from novags.testbed.importing.stored import PICTURES, Depth, depth_of
 from simscenes.sets.readers.nerf_synthetic import is_nerf_synthetic
+
+SHOWN = 4  # folders in a message
 
 
 @dataclass(frozen=True)
@@ -82,11 +87,28 @@ def _without_cameras(folder: Path) -> NoReturn:
                          "them, or all with novags study FILE --data")  # fmt: skip
     found = [file for place in (folder, folder / "images") for file in place.glob("*")]
     count = sum(file.suffix.lower() in PICTURES for file in found)
+    if not count and (below := list(islice(_with_pictures(folder), SHOWN + 1))):
+        posed = [place for place in below if has_cameras(place) or is_nerf_synthetic(place)]
+        names = ", ".join(str(place.relative_to(folder)) for place in (posed or below)[:SHOWN])
+        more = ", ..." if len(posed or below) > SHOWN else ""
+        which = "that folder" if len(posed or below) == 1 else "one of these folders"
+        raise ValueError(f"{folder} holds no pictures itself; pictures {'with cameras ' if posed else ''}are in {names}"
+                         f"{more}: give {which}")  # fmt: skip
     raise ValueError(
         f"{folder} holds {count} pictures and no cameras (transforms.json or a COLMAP model in sparse/0): make them "
-        f"by novags poses {folder} --out SET, then novags import SET; where it is too dark for that, put the dark "
-        "pictures under the names of the lit ones beside a model of the lit ones"
+        f"by novags poses {quote(str(folder))} --out SET, then novags import SET; where it is too dark for that, put "
+        "the dark pictures under the names of the lit ones beside a model of the lit ones"
     )
+
+
+def _with_pictures(folder: Path, depth: int = DEPTH) -> Iterator[Path]:
+    """The folders at most `depth` below that hold pictures, themselves or in images/; none inside another."""
+    for below in sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")):
+        places = (below, below / "images")
+        if any(file.suffix.lower() in PICTURES for place in places for file in place.glob("*")):
+            yield below
+        elif depth > 1:
+            yield from _with_pictures(below, depth - 1)
 
 
 def _raws_beside(folder: Path, source: Source) -> tuple[Path, ...]:

@@ -8,7 +8,7 @@ import numpy as np
 from novags.testbed.folders.linear_photographs import middle, within_margins
 from novags.testbed.folders.raw_files import is_raw, read_radiance, size
 from novags.testbed.importing.raw_camera import RawCamera
-from novags.testbed.importing.stored import Codes16, Depth, read_stored
+from novags.testbed.importing.stored import Codes16, Depth, read_stored, refuse_transparent
 from sensor_model import Sensor, to_srgb8
 from simscenes.rigs import Rig
 from simscenes.sets.multiview import MultiviewSet
@@ -45,11 +45,12 @@ class Darkroom:
         """What the file holds, and whether it has to be brought to the size of its view (well-lit pictures alone).
 
         Raises:
-            ValueError: If it cannot be read, has another size than its camera, or, being raw and not `lit`, is of
-                another camera than the first raw file.
+            ValueError: If it cannot be read, has another size than its camera or transparent pixels, or, being raw and
+                not `lit`, is of another camera than the first raw file.
         """
         if not is_raw(file):
             stored = read_stored(file)
+            refuse_transparent(file)
             (self._level if lit else self._cut)(stored, file)
             return "8bit" if stored.dtype == np.uint8 else "16bit", lit and self._pixel_off(stored)
         if lit or self.camera is None:

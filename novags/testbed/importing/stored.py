@@ -10,7 +10,7 @@ import numpy as np
 from novags.testbed.folders.raw_files import SUFFIXES as RAW
 from novags.testbed.folders.raw_files import is_raw
 from sensor_model import srgb_to_linear
-from simscenes.sets.pictures.image_file import read_image
+from simscenes.sets.pictures.image_file import has_alpha, header, read_image
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *RAW)
 AS_STORED = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION  # poses refer to stored pixels
@@ -53,6 +53,22 @@ def read_stored(file: Path) -> np.ndarray:
     if pixels.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"{file} must hold 8- or 16-bit codes, got {pixels.dtype}: convert it to 16-bit PNG or TIFF")
     return np.ascontiguousarray(pixels[..., ::-1])
+
+
+def refuse_transparent(file: Path) -> None:
+    """Raise ValueError if pixels of a picture are transparent: nobody knows what light is there.
+
+    White, which is taken to be behind pictures in good light, would be a lamp in a dark one, and the colour that the
+    file stores there is whatever a program left. Of 16-bit alpha the upper 8 bits count.
+    """
+    if not has_alpha(file):
+        return
+    with header(file) as image:
+        alpha = np.asarray(image.convert("RGBA").getchannel("A"))
+    if count := int((alpha < 255).sum()):
+        raise ValueError(f"{file} must be opaque, got {count} of {alpha.size} pixels with alpha below 255: what light "
+                         "is there is not known; put it before the background that it was taken with, and save it "
+                         "without alpha")  # fmt: skip
 
 
 def depth_of(file: Path) -> Depth:

@@ -8,6 +8,7 @@ import re
 from collections.abc import Sequence
 from importlib.resources import files
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from novags.testbed.cache import digest, jsonable, read_json, write_text
@@ -57,14 +58,15 @@ def read_material(folder: Path, console: Console) -> Material:
     """
     runs = find_runs(folder)
     if not (folder / METRICS).exists():
-        raise ValueError(f"{folder} has no {METRICS}: run novags score {folder} first")
+        raise ValueError(f"{folder} has no {METRICS}: run novags score {quote(str(folder))} first")
     metrics = read_json(folder / METRICS, shapes.METRICS)
     inputs = {captured.path: (captured, lit) for captured, lit in (run.inputs(console) for run in runs.values())}
     if len(inputs) > 1:
         raise ValueError(f"the runs in {folder} were made from different captures: {', '.join(map(str, inputs))}")
     scored = metrics["methods"]
     if old := [name for name, run in runs.items() if name not in scored or run.scores() != scored[name]]:
-        raise ValueError(f"{folder / METRICS} has no scores of {', '.join(old)} as of now: run novags score {folder}")
+        raise ValueError(f"{folder / METRICS} has no scores of {', '.join(old)} as of now: run novags score "
+                         f"{quote(str(folder))}")  # fmt: skip
     capture, lit = next(iter(inputs.values()))
     experiment = read_json(folder / EXPERIMENT, shapes.EXPERIMENT) if (folder / EXPERIMENT).exists() else {}
     return Material(folder, experiment, runs, metrics, capture, lit)

@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from novags.testbed.console import Console
@@ -86,6 +87,6 @@ def merged(runs: Mapping[str, Run]) -> dict[str, Any]:
     for name, run in runs.items():
         scores = run.scores()
         if scores is None:
-            raise ValueError(f"{run.path} is not scored: run novags score {run.path}")
+            raise ValueError(f"{run.path} is not scored: run novags score {quote(str(run.path))}")
         metrics[name] = {"methods": {name: scores}, "unavailable": {}}
     return merge(metrics, {name: run.method for name, run in runs.items()})

@@ -14,7 +14,7 @@ from novags.testbed.console import Console, Update
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders.capture import has_view, write_view
 from novags.testbed.folders.set import Source, open_source
-from novags.testbed.stages.layouts import LAYOUTS, check_cameras_of, check_layouts, write_layouts
+from novags.testbed.stages.layouts import LAYOUTS, check_layouts, check_source_of, truth_of, write_layouts
 from novags.testbed.stages.paths import keep_apart
 from sensor_model import (
     PRESETS,
@@ -39,6 +39,10 @@ from simscenes.sets.multiview import write_cameras
 QUANTILES = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
 PIXELS_PER_VIEW, PIXELS = 1365, 350_000  # kept for the quantiles of the signal: enough for the 1 % ones
 FULL_SIZE = tuple(name for name in DEMOSAIC if name != "half")  # pictures must be as large as their cameras say
+NO_LIGHT = {
+    "rendered": "none reaches its cameras: add an emitter to the scene, or check that one faces what they see",
+    "photographs": "check that its pictures are right",
+}  # what to do about a black set of each kind
 ROW_LENGTH = 33  # px; the enhancement averages over such windows, so noise that rows share adds up in them
 
 
@@ -113,7 +117,7 @@ def capture(
     """
     keep_apart(out, set_path)
     source = open_source(set_path, console, config.max_size)
-    check_cameras_of(config.export, source.rig)
+    check_source_of(config.export, source)
     if min(source.rig.width, source.rig.height) < SMALLEST:
         console.warn(
             f"images of {source.rig.width} x {source.rig.height} px make raw files that LibRaw refuses: it takes "
@@ -134,7 +138,7 @@ def capture(
             stale=stale,
             overwrite=overwrite,
         )
-        write_layouts(out, config.export, console, truth=source.views if source.views.kind == "rendered" else None)
+        write_layouts(out, config.export, console, truth=truth_of(source))
     return record
 
 
@@ -295,7 +299,8 @@ def measure_light(source: Source, sensor: Sensor, progress: Update) -> tuple[flo
         least, most = min(least, float(seen.min())), max(most, float(seen.max()))
         progress(i + 1, count, f"view {source.views.names[i]}")
     if not total > 0:
-        raise ValueError(f"the set {source.views.path} is black in green: there is no light to scale to electrons")
+        raise ValueError(f"{source.title} is black in green: there is no light to scale to electrons; "
+                         f"{NO_LIGHT[source.views.kind]}")  # fmt: skip
     quantiles = np.quantile(np.concatenate(samples).astype(np.float64), QUANTILES)
     quantiles[0], quantiles[-1] = least, most  # exact: saturation depends on the brightest pixel
     return total, quantiles

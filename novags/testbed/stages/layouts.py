@@ -1,13 +1,15 @@
 """Further layouts of a set or a capture, each in a folder of its name inside it."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from novags.testbed.console import Console
-from novags.testbed.folders.set import warnings_as_notes
+from novags.testbed.folders.set import Source, warnings_as_notes
 from sensor_model.files.reading import brief
 from simscenes import EXPORTS, MultiviewSet, Rig, load_set
-from simscenes.sets.writers.export import CHECKS
+from simscenes.sets.geometry.depth_range import Depths
+from simscenes.sets.writers.export import CHECKS, NEED_DEPTH
 
 LAYOUTS = tuple(EXPORTS)
 
@@ -22,6 +24,18 @@ def check_cameras_of(layouts: Sequence[str], rig: Rig) -> None:
     """Raise ValueError for a layout that cannot hold these cameras, before the work that would be exported."""
     for layout in layouts:
         CHECKS[layout](rig)
+
+
+def check_source_of(layouts: Sequence[str], source: Source) -> None:
+    """Raise ValueError for a layout that cannot be written of a capture of this set, before it is photographed."""
+    check_cameras_of(layouts, source.rig)
+    if NEED_DEPTH.intersection(layouts):
+        Depths.of_points(replace(source.views, rig=source.rig), source.points(), truth_of(source))
+
+
+def truth_of(source: Source) -> MultiviewSet | None:
+    """The rendered set, which knows depth; None of photographs."""
+    return source.views if source.views.kind == "rendered" else None
 
 
 def write_layouts(folder: Path, layouts: Sequence[str], console: Console, *, truth: MultiviewSet | None = None) -> None:

@@ -1,5 +1,6 @@
 """Poses: photographs or a video of which nothing is known in, a multiview set of undistorted pictures out."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -11,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from novags.cameras.registration import PLACED, Observed, Registered, Shot, register
 from novags.testbed.cache import folder_digest, run_stage
 from novags.testbed.console import Console
+from novags.testbed.folders.raw_files import SUFFIXES as RAW
 from novags.testbed.folders.set import left_out
 from novags.testbed.folders.video import is_video, write_frames
 from novags.testbed.stages.paths import keep_apart
@@ -22,6 +24,8 @@ from simscenes.sets.names import file_of, view_names
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.readers.bare import SUFFIXES, Bare, picture_files, survey
 from simscenes.sets.writers.camera_files import write_cameras
+
+NAMED = 8  # suffixes of other files in a message
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -104,10 +108,23 @@ def photographs_of(source: Path) -> dict[str, Path]:
     files = picture_files(source)
     if len(files) < PLACED:
         raise ValueError(
-            f"{source} holds {len(files)} photographs ({', '.join(SUFFIXES)}), at least {PLACED} are needed; develop "
-            "camera raw and HEIC files first"
+            f"{source} holds {len(files)} photographs ({', '.join(SUFFIXES)}), at least {PLACED} are needed"
+            f"{_others(source)}"
         )
     return {file.relative_to(source).as_posix(): file for file in files}
+
+
+def _others(folder: Path) -> str:
+    """Which other files a folder holds, by their suffixes, and what makes photographs of them."""
+    others = (path for path in folder.rglob("*") if path.is_file() and path.suffix.lower() not in SUFFIXES)
+    shown = (path for path in others if not any(part.startswith(".") for part in path.relative_to(folder).parts))
+    counts = Counter(path.suffix.lower() for path in shown if path.suffix)
+    if not counts:
+        return ""
+    named = ", ".join(f"{count} {suffix}" for suffix, count in counts.most_common(NAMED))
+    more = ", ..." if len(counts) > NAMED else ""
+    raw = "develop camera raw files, " if counts.keys() & set(RAW) else ""
+    return f"; it also holds {named}{more}: {raw}convert pictures to PNG or JPEG"
 
 
 def place(files: dict[str, Path], out: Path, config: PosesConfig, console: Console) -> dict[str, Any]:

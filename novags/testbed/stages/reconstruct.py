@@ -220,6 +220,9 @@ def reconstruct_views(
     variant, problem = config.variant, prepared.problem
     method = METHODS[variant.method]
     parts = method.parts(config.config) if method.parts else None
+    if parts is not None and parts.get("fit") == 0:
+        console.note(f"reconstruct {variant.name}: 0 iterations of the fit: the first Gaussians (of NeRF: the first "
+                     "field) as they are")  # fmt: skip
     with console.progress(f"reconstruct {variant.name}", parts) as progress, EventLog(folder / EVENTS) as log:
 
         def step(done: int, total: int, losses: dict[str, float]) -> None:

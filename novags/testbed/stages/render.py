@@ -9,7 +9,7 @@ from typing import Any
 from novags.testbed.cache import digest, read_json, run_stage
 from novags.testbed.console import Console
 from novags.testbed.folders.set import warnings_as_notes
-from novags.testbed.stages.layouts import LAYOUTS, check_layouts, write_layouts
+from novags.testbed.stages.layouts import LAYOUTS, check_cameras_of, check_layouts, write_layouts
 from sensor_model import Plan
 from sensor_model.files.lock import locked
 from sensor_model.files.reading import brief
@@ -137,14 +137,17 @@ def prepare_render(config: RenderConfig, console: Console) -> tuple[Rig, Plan | 
     """The cameras, and what the plan has to be ("auto" where no effect is forced).
 
     Raises:
-        ValueError: If the scene, the variant or the camera is unknown, or cannot be loaded or used on this machine.
+        ValueError: If the scene, the variant or the camera is unknown, or cannot be loaded or used on this machine, or
+            a further layout cannot hold the cameras.
     """
     with warnings_as_notes(console):
         choose_variant(config.variant)
         if config.optics.camera is not None:
             camera_color(config.optics.camera)
         decided = bool(config.on or config.off or config.max_depth is not None)
-        return rig_of(config), plan_of(config) if decided else "auto"
+        rig = rig_of(config)
+        check_cameras_of(config.export, rig)
+        return rig, plan_of(config) if decided else "auto"
 
 
 def render_views(out: Path, config: RenderConfig, rig: Rig, plan: Plan | str, console: Console) -> dict[str, Any]:
@@ -198,7 +201,8 @@ def rig_of(config: RenderConfig) -> Rig:
         return default_rig(config.scene, config.n_views, *size)
     if not config.own_cameras:
         return fit_rig(source, config.n_views, *size, allow_outside=config.allow_outside)
-    rig = own_cameras(source, *size, allow_outside=config.allow_outside)
+    own_lenses = config.optics.aperture_radius is None
+    rig = own_cameras(source, *size, own_lenses=own_lenses, allow_outside=config.allow_outside)
     if len(rig) < 3:
         raise ValueError(f"scene {config.scene} has {len(rig)} sensors: its own cameras must be 3 or more (one is held "
                          "out, two are trained on); leave own_cameras out for cameras around one of them")  # fmt: skip

@@ -41,9 +41,18 @@ class Depths:
         """Of a set, or of a capture and the rendered set it was made of.
 
         Raises:
+            ValueError: As `of_points`.
+        """
+        return Depths.of_points(views, views.points(), truth)
+
+    @staticmethod
+    def of_points(views: MultiviewSet, points: SparsePoints | None, truth: MultiviewSet | None = None) -> Depths:
+        """Likewise with the points given, as before a capture is there: `views` are those of the set, at its size.
+
+        Raises:
             ValueError: If the set has neither depth nor points, or a view sees nothing.
         """
-        points, source = views.points(), truth or views
+        source = truth or views
         found = []
         for i in range(len(views)):
             geometry = source.geometry(i)
@@ -54,10 +63,12 @@ class Depths:
                 z, distance = _of_points(views.rig, points, i)
             else:
                 raise ValueError(f"near and far of the views of {views.path} are not known: it has neither depth nor "
-                                 "sparse points (sparse/0)")  # fmt: skip
+                                 "sparse points (sparse/0). Take a set that was rendered, or one with points: novags "
+                                 "poses makes one of photographs")  # fmt: skip
             if len(z) == 0:
                 raise ValueError(f"view {views.names[i]} of {views.path} sees no surface and no point: near and far "
-                                 "of it are not known")  # fmt: skip
+                                 "of it are not known. Leave that view out, or use the set's own transforms.json"
+                                 )  # fmt: skip
             found.append((z, distance))
         box = None if points is None or not len(points) else np.quantile(points.xyz, (0.02, 0.98), axis=0)
         step = [max(1, len(z) // PIXELS) for z, _ in found]

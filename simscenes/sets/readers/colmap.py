@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,15 +14,38 @@ from numpy.typing import NDArray
 
 from simscenes.rigs import Rig
 from simscenes.sets.geometry.tracks import SparsePoints
-from simscenes.sets.readers.colmap_check import check_model
+from simscenes.sets.readers.colmap_check import check_model, count_images, with_points
+from simscenes.sets.readers.finding import spelt
 from simscenes.sets.readers.photographs import DistortedPinhole, Photographs, check_pose, collect, rescaled
 from simscenes.sets.readers.resized import named_pictures, picture_folder
 
+SHOWN = 8  # models in a message
+
 
 def find_colmap(folder: Path) -> Path | None:
-    """The folder of a COLMAP model (binary or text) inside `folder`, if there is one."""
-    places = (folder / p for p in ("sparse/0", "sparse", "."))
-    return next((p for p in places if any((p / f"cameras.{ext}").is_file() for ext in ("bin", "txt"))), None)
+    """The folder of a COLMAP model (binary or text) inside `folder`, if there is one: of several the largest."""
+    found = _largest(folder / "sparse") or (folder if is_model(folder) else None)
+    if found is None and picture_folder(folder).is_dir():
+        return _largest(folder / "colmap" / "sparse")  # nerfstudio's place
+    return found
+
+
+def _largest(place: Path) -> Path | None:
+    models = models_in(place)
+    if len(models) > 1:
+        return max(models, key=count_images)  # the first of equals
+    return models[0] if models else place if is_model(place) else None
+
+
+def models_in(place: Path) -> list[Path]:
+    """The models that COLMAP numbers in a folder, where it found the images in several pieces; in their order."""
+    numbered = (path for path in place.glob("*") if re.fullmatch(r"\d{1,9}", path.name, re.ASCII) and is_model(path))
+    return sorted(numbered, key=lambda path: (int(path.name), path.name))
+
+
+def is_model(folder: Path) -> bool:
+    """Whether a COLMAP model is here."""
+    return any((folder / f"cameras.{suffix}").is_file() for suffix in ("bin", "txt"))
 
 
 def read_colmap(folder: Path, model: Path) -> Photographs:
@@ -31,17 +56,24 @@ def read_colmap(folder: Path, model: Path) -> Photographs:
             sizes differ.
     """
     views = colmap_views(model)
-    files = named_pictures(picture_folder(folder), [name for name, _, _ in views])
+    pictures, names = picture_folder(folder), [name for name, _, _ in views]
+    files = named_pictures(pictures, names)
     entries = [(file, viewmat, camera) for file, (_, viewmat, camera) in zip(files, views, strict=True)]
-    return collect(entries, model, lambda c, w, h: colmap_lens(c, w, h, model))
+    below = [f"{pictures.name}/{name}" for name in names]
+    return collect(entries, model, lambda c, w, h: colmap_lens(c, w, h, model), spelt(folder, below, files))
 
 
 def colmap_views(model: Path) -> list[tuple[str, NDArray[np.float64], Any]]:
     """File name, world-to-camera [4,4] and camera of each image of a COLMAP model that has a pose.
 
     Raises:
-        ValueError: If the model cannot be read, or a pose is of no usable size.
+        ValueError: If the model cannot be read, or a pose is of no usable size. A warning counts others beside it.
     """
+    beside = models_in(model.parent)
+    if model in beside and len(beside) > 1:
+        counts = ", ".join(f"{path.name} has {count_images(path)} images" for path in beside[:SHOWN])
+        warnings.warn(f"load_set: of {len(beside)} COLMAP models in {model.parent}, {model.name} is taken: {counts}"
+                      f"{', ...' if len(beside) > SHOWN else ''}; the others have no part", stacklevel=4)  # fmt: skip
     reconstruction, names = read_reconstruction(model)
     found = []
     for image in reconstruction.images.values():
@@ -105,7 +137,8 @@ def read_reconstruction(model: Path) -> tuple[Any, dict[int, str]]:
 
     names = check_model(model)
     try:
-        return pycolmap.Reconstruction(str(model)), names
+        with with_points(model) as whole:
+            return pycolmap.Reconstruction(str(whole)), names
     except Exception as error:  # pycolmap raises several types, some of them its own
         raise ValueError(f"load_set: {model} is not a readable COLMAP model ({error})") from error
 

@@ -7,11 +7,15 @@ there. The formats: https://colmap.github.io/format.html, and for rigs and frame
 from __future__ import annotations
 
 import mmap
+import shutil
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cache
 from pathlib import Path
 from struct import Struct
+from struct import error as StructError
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -19,7 +23,8 @@ from numpy.typing import NDArray
 
 from sensor_model.files.reading import reading
 
-PARTS = ("cameras", "images", "points3D")
+NEEDED = ("cameras", "images")
+PARTS = (*NEEDED, "points3D")
 NONE = 2**64 - 1  # the number of no point; -1 in text
 REMEDY = "download or export the model again"
 POINT2D = np.dtype([("xy", "<f8", 2), ("point", "<u8")])
@@ -75,7 +80,8 @@ def check_model(folder: Path) -> dict[int, str]:
     """Refuse a model that is cut short, or whose parts do not belong together.
 
     Args:
-        folder: With cameras, images and points3D, all .bin or all .txt (rigs and frames may be there as well).
+        folder: With cameras, images and points3D, all .bin or all .txt (rigs and frames may be there as well). A model
+            of no points may lack points3D.
 
     Returns:
         The name of each image by its number. pycolmap ends a name in a text file at the first space.
@@ -83,11 +89,46 @@ def check_model(folder: Path) -> dict[int, str]:
     Raises:
         ValueError: Naming the file and what is wrong with it.
     """
-    for suffix, read in (("bin", _read_binary), ("txt", _read_text)):
-        if all((folder / f"{part}.{suffix}").is_file() for part in PARTS):
-            return read(folder)
-    here = [f"{part}.bin" for part in PARTS if not (folder / f"{part}.bin").is_file()]
-    raise ValueError(f"{folder} is not a whole COLMAP model, it lacks {', '.join(here)}; {REMEDY}")
+    return _read_binary(folder) if model_suffix(folder) == "bin" else _read_text(folder)
+
+
+def model_suffix(folder: Path) -> str:
+    """Of a model's files: "bin" or "txt", whichever is more nearly whole.
+
+    Raises:
+        ValueError: If cameras or images are missing.
+    """
+    here = {suffix: [part for part in PARTS if (folder / f"{part}.{suffix}").is_file()] for suffix in ("bin", "txt")}
+    suffix = max(here, key=lambda suffix: (set(NEEDED) <= set(here[suffix]), len(here[suffix])))
+    if lacking := [f"{part}.{suffix}" for part in NEEDED if part not in here[suffix]]:
+        raise ValueError(f"{folder} is not a whole COLMAP model, it lacks {', '.join(lacking)}; {REMEDY}")
+    return suffix
+
+
+@contextmanager
+def with_points(folder: Path) -> Iterator[Path]:
+    """A folder that pycolmap reads as this model: itself, or a copy with an empty file of points where it has none."""
+    suffix = model_suffix(folder)
+    if (folder / f"points3D.{suffix}").is_file():
+        yield folder
+        return
+    with TemporaryDirectory() as scratch:
+        for part in ("cameras", "images", "rigs", "frames"):
+            if (file := folder / f"{part}.{suffix}").is_file():
+                shutil.copyfile(file, Path(scratch) / file.name)
+        (Path(scratch) / f"points3D.{suffix}").write_bytes(_U64.pack(0) if suffix == "bin" else b"")
+        yield Path(scratch)
+
+
+def count_images(folder: Path) -> int:
+    """How many images a model has, without reading all of it; 0 if it is damaged."""
+    with suppress(OSError, ValueError, StructError):
+        if model_suffix(folder) == "bin":
+            with (folder / "images.bin").open("rb") as file:
+                (count,) = _U64.unpack(file.read(_U64.size))
+                return int(count) if count * LEAST_IMAGE <= (folder / "images.bin").stat().st_size else 0
+        return sum(1 for _ in _lines(folder / "images.txt", "images", empty=True, each=2)) // 2
+    return 0
 
 
 def _require(ok: bool | np.bool_, what: str) -> None:
@@ -150,6 +191,7 @@ class _Bytes:
 
 _U32, _U64, _POSE = Struct("<I"), Struct("<Q"), Struct("<7d")
 _CAMERA, _IMAGE, _POINT, _SENSOR = Struct("<IiQQ"), Struct("<I7dI"), Struct("<Q3d3Bd"), Struct("<iI")
+LEAST_IMAGE = _IMAGE.size + 9  # bytes, with an empty name and no 2D points
 _FRAME, _DATUM, _BYTE = Struct("<II7d"), Struct("<iIQ"), Struct("<B")
 
 
@@ -160,7 +202,7 @@ def _cameras(data: _Bytes, model: Model) -> None:
 
 
 def _images(data: _Bytes, model: Model) -> None:
-    for _ in range(data.count(_U64, _IMAGE.size + 9, "images")):
+    for _ in range(data.count(_U64, LEAST_IMAGE, "images")):
         number, *pose, camera = data.take(_IMAGE)
         name = data.text()
         count = data.count(_U64, POINT2D.itemsize, "2D points")
@@ -224,13 +266,14 @@ def _read_text(folder: Path) -> dict[int, str]:
             np.array(seen, np.float64)  # raises for what is not a number
             points = np.array([int(word) % 2**64 for word in seen[2::3]], np.uint64)
             model.add_image(int(head[0]), int(head[8]), " ".join(head[9:]), list(map(float, head[1:8])), points)
-    with reading(folder / "points3D.txt", REMEDY):
-        rows = list(_lines(folder / "points3D.txt", "points"))
-        _require(all(len(row) >= 8 and len(row) % 2 == 0 for row in rows), "has an incomplete line")
-        elements = [(int(a), int(b)) for row in rows for a, b in zip(row[8::2], row[9::2], strict=True)]
-        xyz = np.array([row[1:8] for row in rows], np.float64).reshape(-1, 7)[:, :3]
-        numbers = np.array([int(row[0]) for row in rows], np.uint64)
-        model.add_points(numbers, xyz, np.array(elements, TRACK).reshape(-1))
+    if (folder / "points3D.txt").is_file():
+        with reading(folder / "points3D.txt", REMEDY):
+            rows = list(_lines(folder / "points3D.txt", "points"))
+            _require(all(len(row) >= 8 and len(row) % 2 == 0 for row in rows), "has an incomplete line")
+            elements = [(int(a), int(b)) for row in rows for a, b in zip(row[8::2], row[9::2], strict=True)]
+            xyz = np.array([row[1:8] for row in rows], np.float64).reshape(-1, 7)[:, :3]
+            numbers = np.array([int(row[0]) for row in rows], np.uint64)
+            model.add_points(numbers, xyz, np.array(elements, TRACK).reshape(-1))
     for part in ("rigs", "frames"):
         if (path := folder / f"{part}.txt").is_file():
             with reading(path, REMEDY):

@@ -5,10 +5,11 @@ One field of view for all pictures, which may be transparent, and a split of its
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
-from simscenes.rigs import opengl_to_opencv
-from simscenes.sets.readers.photographs import Photographs, collect, find_file, transforms_frames, transforms_lens
+from simscenes.sets.readers.finding import find_files
+from simscenes.sets.readers.photographs import Photographs, frames_at, transforms_frames
 
 PARTS = ("transforms_train.json", "transforms_test.json", "transforms_val.json")
 
@@ -26,12 +27,8 @@ def read_nerf_synthetic(folder: Path) -> Photographs:
     """
     train = folder / PARTS[0]
     test = next((source for part in PARTS[1:] if (source := folder / part).is_file()), None)
-    entries, tested = [], set()
-    for source in (train, *([] if test is None else [test])):
-        for frame in transforms_frames(source):
-            file = find_file(folder, frame.file_path)
-            entries.append((file, opengl_to_opencv(frame.pose), frame.camera))
-            if source is test and file is not None:
-                tested.add(file)
-    found = collect(entries, train, lambda c, w, h: transforms_lens(c, w, h, train))
-    return found.holding_out(tested, train)
+    frames = [replace(frame, use="train") for frame in transforms_frames(train)]
+    if test is not None:
+        frames += [replace(frame, use="test") for frame in transforms_frames(test)]
+    files = find_files(folder, [frame.file_path for frame in frames])
+    return frames_at(list(zip(files, frames, strict=True)), folder, train)

@@ -6,32 +6,38 @@ Whatever the source's lens, a reader returns the rig of the *undistorted* images
 from __future__ import annotations
 
 import os
-import unicodedata
 import warnings
 from collections import Counter
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sensor_model.files.reading import reading
 from sensor_model.files.records import Numbers, read_record
-from simscenes.rigs import MAX_ROTATION_ERROR, Rig, intrinsics, opengl_to_opencv, rotation_error
+from simscenes.rigs import MAX_ROTATION_ERROR, Rig, opengl_to_opencv, rotation_error
 from simscenes.sets.names import file_of, view_names
 from simscenes.sets.pictures.image_file import image_size
+from simscenes.sets.readers.finding import find_file as find_file
+from simscenes.sets.readers.finding import find_files, some, spelt
+from simscenes.sets.readers.split import SPLIT, split_of
 
-_SUFFIXES = ("", ".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG")
-
+# What states a focal length along x and along y, in the order in which they count: px, rad, degrees.
+FOCAL_X, FOCAL_Y = ("fl_x", "camera_angle_x", "x_fov"), ("fl_y", "camera_angle_y", "y_fov")
+FOCAL = (*FOCAL_X, *FOCAL_Y)
 # What is read of a camera file, of the whole set or of one frame.
-LENS = dict.fromkeys(("w?", "h?", "fl_x?", "fl_y?", "cx?", "cy?", "camera_angle_x?", "k1?", "k2?", "k3?", "k4?", "p1?",
-                      "p2?"), float) | {"camera_model?": str, "is_fisheye?": (bool, int)}  # fmt: skip
-TRANSFORMS = {**LENS, "frames": [{**LENS, "file_path": str, "transform_matrix": Numbers(4, 4)}]}
+NUMBERS = (*FOCAL, "w", "h", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2")
+LENS = dict.fromkeys((f"{key}?" for key in NUMBERS), float) | {"camera_model?": str, "is_fisheye?": (bool, int)}
+TRANSFORMS = {**LENS, **SPLIT, "frames": [{**LENS, "file_path": str, "transform_matrix": Numbers(4, 4)}]}
 # Beyond these no lens makes sense, and float32, in which pictures are rendered, would overflow. Pixels, rad, OpenCV's.
 RANGES = dict.fromkeys(("w", "h", "fl_x", "fl_y"), (0.0, 1e7)) | dict.fromkeys(("cx", "cy"), (-1e7, 1e7))
-RANGES |= {"camera_angle_x": (0.0, np.pi)} | dict.fromkeys(("k1", "k2", "k3", "p1", "p2"), (-100.0, 100.0))
+RANGES |= dict.fromkeys(("camera_angle_x", "camera_angle_y"), (0.0, np.pi)) | dict.fromkeys(
+    ("x_fov", "y_fov"), (0.0, 180.0)
+)
+RANGES |= dict.fromkeys(("k1", "k2", "k3", "p1", "p2"), (-100.0, 100.0))
 MAX_COORDINATE = 1e12  # of a camera; float64 then still resolves a tenth of a millimetre in metres
 
 
@@ -70,18 +76,23 @@ def _from_cv(K: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Frame:
-    """An entry of a transforms.json: its camera (over that of the file), image and pose (c2w in OpenGL axes [4,4])."""
+    """An entry of a transforms.json: its camera (over that of the file), image and pose (c2w in OpenGL axes [4,4]).
+
+    `use` is what its file does with it; None: it does not say.
+    """
 
     camera: dict[str, Any]
     file_path: str
     pose: NDArray[np.float64]
+    use: Literal["train", "test", "none"] | None = None
 
 
 @dataclass(frozen=True)
 class Photographs:
     """Posed photographs in the order of their names: names, image files, the pinhole rig, one lens per view.
 
-    `held_out` are the views that their source holds out for testing; None: it does not say.
+    `held_out` are the views that their source holds out for testing; None: it does not say. `unused` are images that it
+    lists and uses for nothing.
     """
 
     names: tuple[str, ...]
@@ -89,6 +100,7 @@ class Photographs:
     rig: Rig
     lenses: tuple[DistortedPinhole, ...]
     held_out: tuple[int, ...] | None = None
+    unused: tuple[Path, ...] = ()
 
     def holding_out(self, tested: Collection[Path], source: Path) -> Photographs:
         """The same with these files held out.
@@ -111,24 +123,34 @@ def held_out(files: Sequence[Path], tested: Collection[Path], source: Path) -> t
     return found or None
 
 
-def listed_for_testing(source: Path) -> set[Path]:
-    """Of the images that a transforms.json holds out, the files that are there."""
-    return {file for name in names_for_testing(source) if (file := find_file(source.parent, name)) is not None}
-
-
 def names_for_testing(source: Path) -> list[str]:
-    """The images that a transforms.json in the manner of nerfstudio names under `test_filenames`, or else `val_…`."""
-    content = read_record(source, {"test_filenames?": [str], "val_filenames?": [str]})
-    return content.get("test_filenames") or content.get("val_filenames") or []
+    """`file_path` of the frames that a transforms.json holds out; [] where it does not say."""
+    frames, _ = _frames(source)
+    return [frame.file_path for frame in frames if frame.use == "test"]
 
 
 def transforms_frames(source: Path) -> list[Frame]:
-    """The frames that a nerfstudio or instant-ngp transforms.json lists, checked.
+    """The frames that a nerfstudio or instant-ngp transforms.json lists, checked, without those that it leaves out.
+
+    Warnings say what it leaves out, and what of it is not used here.
 
     Raises:
         ValueError: If the file is not valid, or a pose is not a rotation and a translation.
     """
+    return [frame for frame in _all_frames(source) if frame.use != "none"]
+
+
+def _all_frames(source: Path) -> list[Frame]:
+    frames, notes = _frames(source)
+    for note in notes:
+        warnings.warn(f"load_set: {note}", stacklevel=4)
+    return frames
+
+
+def _frames(source: Path) -> tuple[list[Frame], list[str]]:
+    """All frames of a file, checked, and what the user must know of them."""
     content = read_record(source, TRANSFORMS)
+    split = split_of(content, source)
     shared = {key: value for key, value in content.items() if key != "frames"}
     frames = []
     for i, entry in enumerate(content["frames"]):
@@ -137,8 +159,20 @@ def transforms_frames(source: Path) -> list[Frame]:
         if np.abs(pose[3] - [0, 0, 0, 1]).max() > 1e-6:  # other tools write a rounded inverse
             raise ValueError(f"{where} must end in the row 0 0 0 1 (is it transposed?), got {pose[3].tolist()}")
         check_pose(pose, where)
-        frames.append(Frame({**shared, **entry}, entry["file_path"], pose))
-    return frames
+        use = None if split is None else split.use(i)
+        frames.append(Frame(_camera(shared, entry), entry["file_path"], pose, use))
+    masked = sum(bool(entry.get("mask_path")) for entry in content["frames"])
+    notes = [] if split is None else list(split.notes)
+    if masked:
+        notes.append(f"{masked} of {len(frames)} frames of {source} have a mask (mask_path): masks are not used, all "
+                     "pixels count")  # fmt: skip
+    return frames, notes
+
+
+def _camera(shared: dict[str, Any], entry: dict[str, Any]) -> dict[str, Any]:
+    """What a frame says over what its file says, of which no focal length counts where the frame states one."""
+    own = any(key in entry for key in FOCAL)
+    return {key: value for key, value in shared.items() if not (own and key in FOCAL)} | entry
 
 
 def check_pose(pose: NDArray[np.float64], where: str) -> None:
@@ -154,16 +188,6 @@ def check_pose(pose: NDArray[np.float64], where: str) -> None:
                          f"identity by {error:.3g}")  # fmt: skip
 
 
-def find_file(folder: Path, listed: str) -> Path | None:
-    """The image that a camera file lists, with or without its suffix and in either form of Unicode; None: not there."""
-    forms = dict.fromkeys((listed, *(unicodedata.normalize(form, listed) for form in ("NFC", "NFD"))))
-    paths = (folder / (form + suffix) for form in forms for suffix in _SUFFIXES)
-    try:
-        return next((path for path in paths if path.is_file()), None)
-    except OSError as error:
-        raise ValueError(f"{folder} cannot hold the image {listed[:60]!r} ({error.strerror}): rename it") from error
-
-
 @dataclass(frozen=True)
 class Listed:
     """An image that a camera file lists and that is there."""
@@ -173,24 +197,29 @@ class Listed:
     camera: Any
 
 
-def listed(entries: Sequence[tuple[Path | None, NDArray[np.float64], Any]], source: Path) -> dict[str, Listed]:
+Entry = tuple[Path | None, NDArray[np.float64], Any]  # file (None: not there), world-to-camera [4,4] and camera
+
+
+def listed(entries: Sequence[Entry], source: Path, names: Sequence[str] = ()) -> dict[str, Listed]:
     """What is there of what `source` lists, by the name of the view, in the order of the views.
 
     Args:
-        entries: File (None: not there), world-to-camera [4,4] and camera of each image.
+        entries: One for each image.
         source: For messages.
+        names: What messages call the images, as `spelt` makes it; (): images that are missing are counted only.
 
     Raises:
-        ValueError: If no photograph is there, or one file is listed twice. Missing ones are counted in one warning.
+        ValueError: If no photograph is there, or one file is listed twice. Missing ones are counted and named in one
+            warning.
     """
     there = [Listed(file, viewmat, camera) for file, viewmat, camera in entries if file is not None]
+    missing = some(sorted(name for name, (file, _, _) in zip(names, entries, strict=bool(names)) if file is None))
     if not there:
-        raise ValueError(
-            f"load_set: none of the {len(entries)} images listed in {source} exists; put them where it says"
-        )
+        raise ValueError(f"load_set: none of the {len(entries)} images listed in {source} exists"
+                         f"{missing and f': {missing}'}; put them where it says, under these names")  # fmt: skip
     if len(there) < len(entries):
         warnings.warn(f"load_set: {len(entries) - len(there)} of {len(entries)} views listed in {source} have no image "
-                      "file and are skipped", stacklevel=5)  # fmt: skip
+                      f"file and are skipped{missing and f': {missing}'}", stacklevel=5)  # fmt: skip
     paths = [os.path.abspath(entry.file) for entry in there]
     for path, count in Counter(paths).items():
         if count > 1:
@@ -210,12 +239,13 @@ def _is_text(path: str) -> bool:
 
 
 def collect(
-    entries: Sequence[tuple[Path | None, NDArray[np.float64], Any]],
+    entries: Sequence[Entry],
     source: Path,
     lens_of: Callable[[Any, int, int], DistortedPinhole],
+    names: Sequence[str] = (),
 ) -> Photographs:
     """Bring what is there of what `source` lists to one pinhole rig; `lens_of` (camera, width, height)."""
-    found = listed(entries, source)
+    found = listed(entries, source, names)
     sizes = {image_size(entry.file): entry.file.name for entry in found.values()}
     if len(sizes) > 1:
         got = ", ".join(f"{w} x {h} ({name})" for (w, h), name in sorted(sizes.items())[:4])
@@ -238,10 +268,33 @@ def read_transforms(folder: Path) -> Photographs:
             or sizes differ.
     """
     source = folder / "transforms.json"
-    frames = transforms_frames(source)
-    entries = [(find_file(folder, frame.file_path), opengl_to_opencv(frame.pose), frame.camera) for frame in frames]
-    found = collect(entries, source, lambda c, w, h: transforms_lens(c, w, h, source))
-    return found.holding_out(listed_for_testing(source), source)
+    every = _all_frames(source)
+    files = find_files(folder, [frame.file_path for frame in every])
+    used = [(file, frame) for file, frame in zip(files, every, strict=True) if frame.use != "none"]
+    found = frames_at(used, folder, source)
+    unused = (file for file, frame in zip(files, every, strict=True) if frame.use == "none" and file is not None)
+    return replace(found, unused=tuple(unused))
+
+
+def frames_at(found: Sequence[tuple[Path | None, Frame]], folder: Path, source: Path) -> Photographs:
+    """The photographs of these files (None: not there) and frames, with those held out that are for testing.
+
+    Args:
+        found: Each image and its frame.
+        folder: What the names of the images are relative to.
+        source: The camera file, for messages.
+
+    Raises:
+        ValueError: As `collect`, and if images are held out and none of them is there, or nothing is left to train on.
+    """
+    files, names = [file for file, _ in found], [frame.file_path for _, frame in found]
+    entries = [(file, opengl_to_opencv(frame.pose), frame.camera) for file, frame in found]
+    there = collect(entries, source, lambda c, w, h: transforms_lens(c, w, h, source), spelt(folder, names, files))
+    tested = [(file, frame.file_path) for file, frame in found if frame.use == "test"]
+    if tested and not any(file for file, _ in tested):
+        raise ValueError(f"load_set: none of the {len(tested)} images that {folder} holds out for testing exists "
+                         f"({some([name for _, name in tested])}); put some there, or hold out others")  # fmt: skip
+    return there.holding_out({file for file, _ in tested if file is not None}, source)
 
 
 def transforms_lens(camera: dict[str, Any], width: int, height: int, source: Path) -> DistortedPinhole:
@@ -264,16 +317,32 @@ def transforms_lens(camera: dict[str, Any], width: int, height: int, source: Pat
         if key in camera and not low < camera[key] < high:
             raise ValueError(f"load_set: {source}: {key} must lie between {low:g} and {high:g}, got {camera[key]:.3g}")
     listed = float(camera.get("w", width)), float(camera.get("h", height))
-    if "fl_x" in camera:
-        fx = float(camera["fl_x"])
-        K = np.array([[fx, 0, width / 2], [0, float(camera.get("fl_y", fx)), height / 2], [0, 0, 1]])
-    elif "camera_angle_x" in camera:
-        K = intrinsics(int(listed[0]), height, np.degrees(float(camera["camera_angle_x"])))
-    else:
-        raise ValueError(f"load_set: {source} needs fl_x or camera_angle_x as numbers, got neither")
-    K[0, 2], K[1, 2] = float(camera.get("cx", listed[0] / 2)), float(camera.get("cy", listed[1] / 2))
+    for key, size, centre, side in (("w", "width", "cx", width), ("h", "height", "cy", height)):
+        if key not in camera and centre in camera and not 1 / 4 < camera[centre] / side < 3 / 4:
+            raise ValueError(f"load_set: {source} states no {key}: {centre} must lie in the middle half of the "
+                             f"pictures, got {camera[centre]:g} px of a {size} of {side} px; add w and h, the size of "
+                             "the pictures that the camera was found with (were they shrunk since?)")  # fmt: skip
+    fx, fy = (_focal(camera, keys, side) for keys, side in zip((FOCAL_X, FOCAL_Y), listed, strict=True))
+    fx, fy = fx or fy, fy or fx
+    if fx is None or fy is None:
+        raise ValueError(f"load_set: {source} needs a focal length as a number, got none of {', '.join(FOCAL)}")
+    if not max(fx, fy) < RANGES["fl_x"][1]:
+        raise ValueError(f"load_set: {source}: angles must give a focal length below {RANGES['fl_x'][1]:g} px, got "
+                         f"{max(fx, fy):.3g} px: correct those of {', '.join(FOCAL)}")  # fmt: skip
+    cx, cy = (float(camera.get(key, side / 2)) for key, side in zip(("cx", "cy"), listed, strict=True))
+    K = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 1]])
     k1, k2, p1, p2, k3 = (float(camera.get(k, 0)) for k in ("k1", "k2", "p1", "p2", "k3"))
     return DistortedPinhole(rescaled(K, listed, (width, height), source), (k1, k2, p1, p2, k3))
+
+
+def _focal(camera: dict[str, Any], keys: Sequence[str], side: float) -> float | None:
+    """Focal length along one axis, px: stated itself, or as the angle (rad, then degrees) that `side` px span."""
+    px, rad, degrees = keys
+    if px in camera:
+        return float(camera[px])
+    if rad in camera:
+        return float(side / 2 / np.tan(camera[rad] / 2))
+    return float(side / 2 / np.tan(np.radians(camera[degrees]) / 2)) if degrees in camera else None
 
 
 def rescaled(K: Any, listed: tuple[float, float], actual: tuple[int, int], source: Path) -> NDArray[np.float64]:

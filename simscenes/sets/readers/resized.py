@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from simscenes.sets.readers.bare import SUFFIXES
-from simscenes.sets.readers.photographs import find_file
+from simscenes.sets.readers.finding import find_files
 
 
 def picture_folder(folder: Path) -> Path:
@@ -35,7 +35,7 @@ def named_pictures(pictures: Path, names: Sequence[str]) -> list[Path | None]:
         pictures: The folder of the pictures.
         names: Relative to images/.
     """
-    found = [find_file(pictures, name) for name in names]
+    found = find_files(pictures, names)
     if any(found) or pictures.name == "images":
         return found
     files = sorted_pictures(pictures)

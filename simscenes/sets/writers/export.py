@@ -138,3 +138,4 @@ def _write_image(views: MultiviewSet, i: int, folder: Path) -> None:
 
 EXPORTS: dict[str, Callable[..., Path]] = {"blender": export_blender, "llff": export_llff}
 CHECKS: dict[str, Callable[[Rig], None]] = {"blender": check_blender, "llff": check_llff}  # before anything takes time
+NEED_DEPTH = frozenset({"llff"})  # layouts that state near and far of every view

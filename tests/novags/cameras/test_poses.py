@@ -220,3 +220,14 @@ def test_neighbours_far_frames_and_loops_of_a_long_video_are_matched_but_not_all
     assert {16, 512, 990} <= set(pairs[0])
     assert sum(map(len, pairs)) < 0.05 * 1000 * 999 / 2
     assert sum(map(len, pairs_of(200, False))) == 200 * 199 // 2
+
+
+def test_a_folder_without_photographs_names_the_kinds_of_file_that_it_holds(tmp_path: Path) -> None:
+    for name in ("0.gif", "1.GIF", "below/2.gif", "notes.txt", ".hidden.xcf"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"")
+    with pytest.raises(ValueError, match=r"holds 0 photographs .*; it also holds 3 .gif, 1 .txt: convert pictures"):
+        stages.poses(tmp_path / "out", PosesConfig(photographs=tmp_path), QUIET)
+    (tmp_path / "3.nef").write_bytes(b"")
+    with pytest.raises(ValueError, match="1 .nef: develop camera raw files, convert pictures to PNG or JPEG"):
+        stages.poses(tmp_path / "out", PosesConfig(photographs=tmp_path), QUIET)

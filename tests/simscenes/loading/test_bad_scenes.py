@@ -247,7 +247,8 @@ def test_a_camera_inside_an_object_is_refused_by_its_name(tmp_path: Path) -> Non
 
 def test_darkness_is_a_correct_picture(tmp_path: Path) -> None:
     dark = {"type": "scene", "ball": {"type": "sphere"}}
-    done = render_set(dark, rig_at((0, -4, 1)), tmp_path, spp=4)
+    with pytest.warns(UserWarning, match="scene 'custom' has no emitter: every picture is black"):
+        done = render_set(dark, rig_at((0, -4, 1)), tmp_path, spp=4)
     assert not done.radiance(0).any()
     assert not done.image(0).any()
     assert done.meta["exposure_scale"] == 1.0

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 
-from simscenes import fit_rig, own_cameras, read_exr, render_set
+from simscenes import fit_rig, own_cameras, plan_transport, read_exr, render_set
 from simscenes.backend import activate, using_variant
 from simscenes.loading.integrator import OwnIntegrator, in_dict, in_file, own_integrator
 from simscenes.loading.load import build_in_fewest_colors, build_scene
@@ -92,7 +92,7 @@ def test_parameters_of_a_file_are_given_and_count_as_its_content(tmp_path: Path)
 
 @pytest.mark.parametrize(
     ("given", "said"),
-    [(("r",), "must be NAME=VALUE, got 'r'"), (("=3",), "NAME=VALUE"), (("r 1=3",), "NAME=VALUE"),
+    [(("r",), "must be NAME=VALUE, .* got 'r'"), (("=3",), "NAME=VALUE"), (("r 1=3",), "NAME=VALUE"),
      (("r=1", "r=2"), "given once, got r several times")],
 )  # fmt: skip
 def test_parameters_are_names_with_values(given: tuple[str, ...], said: str) -> None:
@@ -123,13 +123,80 @@ def test_all_sensors_of_a_file_can_be_the_views(tmp_path: Path) -> None:
 
 def test_sensors_that_no_pinhole_camera_can_stand_in_for_are_refused_with_the_reason(tmp_path: Path) -> None:
     flat = VIEW.format("orthographic", 0).replace('<float name="fov" value="45"/>', "")
-    with pytest.raises(ValueError, match="it has OrthographicCamera .its rays are parallel, those of our cameras meet"):
+    with pytest.raises(
+        ValueError,
+        match=r"sensor 1 of scene 'scene' must be .* it is OrthographicCamera .its rays are parallel, those of our",
+    ):
         own_cameras(file_of(tmp_path, BALL, FRONT, flat))
     wide = FRONT.replace('name="width" value="8"', 'name="width" value="9"')
     path = file_of(tmp_path, BALL, FRONT, wide)
     with pytest.raises(ValueError, match=r"has sensors of 2 sizes, \(8, 6\) to \(9, 6\)"):
         own_cameras(path)
-    assert len(own_cameras(path, 8, 8)) == 2
+    with pytest.warns(UserWarning, match="sensor 0 of scene 'scene' has a film of 8 x 6 pixels: .* 8 x 8 show more"):
+        assert len(own_cameras(path, 8, 8)) == 2
+
+
+def test_sensors_of_different_lenses_are_no_one_set_unless_a_lens_is_chosen(tmp_path: Path) -> None:
+    lens = '<float name="aperture_radius" value="{}"/><float name="focus_distance" value="3"/></sensor>'
+    thin = VIEW.format("thinlens", 2).replace("</sensor>", lens)
+    mixed = file_of(tmp_path, BALL, FRONT, thin.format(0.1))
+    with pytest.raises(ValueError, match=r"sensor 0 has a pinhole, sensor 1 an aperture radius of 0.1, focused at 3\."):
+        own_cameras(mixed)
+    assert len(own_cameras(mixed, own_lenses=False)) == 2
+    assert len(own_cameras(file_of(tmp_path, BALL, thin.format(0.1), thin.format(0.1)))) == 2
+    with pytest.raises(ValueError, match=r"aperture radius of 0.1, focused at 3, sensor 1 an aperture radius of 0.2"):
+        own_cameras(file_of(tmp_path, BALL, thin.format(0.1), thin.format(0.2)))
+
+
+@pytest.mark.parametrize(
+    ("plane", "value", "hidden"), [("near", 3.5, True), ("near", 2.5, False), ("far", 3.1, True), ("far", 4.5, False)]
+)
+def test_a_clip_plane_that_hides_a_surface_is_said_not_to_be_kept(
+    plane: str, value: float, hidden: bool, tmp_path: Path, recwarn: pytest.WarningsRecorder
+) -> None:
+    """The ball's surface lies 3 to 4 units before the sensor."""
+    clipped = FRONT.replace("<transform", f'<float name="{plane}_clip" value="{value}"/><transform')
+    own_cameras(file_of(tmp_path, BALL, clipped))
+    said = [str(w.message) for w in recwarn]
+    assert len(said) == hidden
+    assert all(f"has {plane}_clip {value:g}, which hides surfaces" in line for line in said)
+
+
+def test_a_mirrored_sensor_is_refused_by_its_number(tmp_path: Path) -> None:
+    mirrored = FRONT.replace("<lookat", '<scale x="-1"/><lookat')
+    with pytest.raises(
+        ValueError, match="sensor 1 of scene 'scene' is mirrored: its to_world holds a scale of negative"
+    ):
+        own_cameras(file_of(tmp_path, BALL, FRONT, mirrored))
+
+
+def test_a_scene_without_emitters_is_said_to_be_black(tmp_path: Path) -> None:
+    path = file_of(tmp_path, BALL.partition("<emitter")[0], FRONT)
+    with pytest.warns(UserWarning, match="scene 'scene' has no emitter: every picture is black; add one"):
+        plan_transport(path, rig=own_cameras(path), measure=False)
+
+
+def test_a_scene_whose_lamps_nothing_sees_is_said_to_be_black(tmp_path: Path) -> None:
+    hidden = '<shape type="sphere"><float name="radius" value="0.5"/><emitter type="area"/></shape>'  # within the ball
+    path = file_of(tmp_path, BALL.partition("<emitter")[0], hidden, FRONT)
+    with pytest.warns(UserWarning, match="no light of scene 'scene' reaches its cameras"):
+        plan_transport(path, rig=own_cameras(path), measure=False)
+
+
+@pytest.mark.parametrize("name", ["my-fov", "lens.fov"])
+def test_parameters_may_have_names_with_dots_and_dashes(name: str, tmp_path: Path) -> None:
+    path = file_of(tmp_path, f'<default name="{name}" value="45"/>', BALL, FRONT.replace('"45"', f'"${name}"'))
+    narrow, wide = (own_cameras(SceneRef.of(path).given([f"{name}={fov}"])).Ks[0, 0, 0] for fov in (20, 45))
+    assert narrow / wide == pytest.approx(math.tan(math.radians(22.5)) / math.tan(math.radians(10)), rel=1e-5)
+
+
+def test_what_mitsuba_leaves_unsaid_of_a_file_is_added(tmp_path: Path) -> None:
+    path = file_of(tmp_path, BALL, FRONT.replace('"45"', '"$fov"'))
+    with pytest.raises(ValueError, match=r"undefined parameter: \$fov.*give it a value: -D fov=VALUE"):
+        own_cameras(path)
+    path.write_text(f'<scene version="0.5.0">{BALL}<film type="ldrfilm"/></scene>')
+    with pytest.raises(ValueError, match="the file is of Mitsuba 0.x"):
+        own_cameras(path)
 
 
 def test_a_lamp_of_a_temperature_demands_spectra(tmp_path: Path) -> None:

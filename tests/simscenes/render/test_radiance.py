@@ -9,6 +9,7 @@ import pytest
 from simscenes import Rig
 from simscenes.backend import activate, using_variant
 from simscenes.loading.load import LoadedScene, build_scene
+from simscenes.render.geometry import geometry_channels
 from simscenes.render.radiance import MAX_FILM_SPP, Method, View, grid_spp
 from simscenes.render.sensors import sensor_dict
 from simscenes.render.sequences import count_fireflies, summary
@@ -25,6 +26,23 @@ def radiance(
     mi = activate()
     integrator = mi.load_dict({"type": "path", "max_depth": 8, "rr_depth": 2})
     return View(Method(mi, mi.variant(), loaded, integrator, seed=seed), rig, 0).render(spp, target_error)
+
+
+@pytest.mark.parametrize("ground", [20.0, 2e4, 2e6])
+def test_what_stands_before_the_cameras_is_in_the_picture_however_large_the_scene(ground: float, view: Camera) -> None:
+    """A near plane in proportion to the scene would hide it, from the picture alone."""
+    mi = activate()
+    lamp = {"type": "area", "radiance": {"type": "rgb", "value": [1.0, 0.0, 0.0]}}
+    flat = mi.ScalarTransform4f().translate([0, 0, -1]) @ mi.ScalarTransform4f().scale(ground)
+    loaded = build_scene(
+        {"type": "scene", "ball": {"type": "sphere", "radius": 0.5, "emitter": lamp},
+         "ground": {"type": "rectangle", "to_world": flat}}, mi,
+    )  # fmt: skip
+    rig = view(40, 30)
+    ball = geometry_channels(mi, loaded, rig, 0)["id"] == 1 + loaded.shapes.index("ball")
+    inner = ball & np.roll(ball, 1, 0) & np.roll(ball, -1, 0) & np.roll(ball, 1, 1) & np.roll(ball, -1, 1)
+    assert inner.sum() > 4
+    assert radiance(loaded, rig, spp=4).mean[inner] == pytest.approx(np.tile([1, 0, 0], (inner.sum(), 1)))
 
 
 def test_variance_estimate_equals_the_spread_over_many_seeds(ball_on_plane: Scene, view: Camera) -> None:

@@ -103,7 +103,7 @@ def test_the_split_of_a_transforms_file_is_kept(tmp_path: Path) -> None:
     assert load_set(folder).test_indices == [2, 3, 9]
     assert (folder / "test_list.txt").read_text().split() == ["0002.png", "0003.png", "0009.png"]
     content = json.loads((folder / "transforms.json").read_text())
-    content["test_filenames"] = []
+    content["train_filenames"] = content["test_filenames"] = []
     content["val_filenames"] = ["images/0005.png"]
     (folder / "transforms.json").write_text(json.dumps(content))
     assert load_set(folder).test_indices == [5]

@@ -202,3 +202,34 @@ def test_peak_memory_does_not_grow_with_the_number_of_views(suffix: str, tmp_pat
     # What is imported and compiled on first use
     stages.capture(photographs(tmp_path / "set", suffix, 2), tmp_path / "cap", config, QUIET)
     assert (peaks(9) - peaks(3)).max() < 0.1 * 6 * 200 * 150 * 3 * 4
+
+
+@pytest.mark.parametrize("read", ["radiance", "lit"])
+def test_transparent_pixels_of_a_photograph_are_before_white_and_that_is_said_where_they_are_read(
+    read: str, tmp_path: Path
+) -> None:
+    folder, stream = photographs(tmp_path, ".png"), io.StringIO()
+    plain = [getattr(open_source(folder, QUIET), read)(i) for i in (0, 1)]
+    file = folder / "images" / "0001.png"
+    alpha = np.full((30, 40, 1), 255, np.uint8)
+    alpha[:10] = 0
+    assert cv2.imwrite(str(file), np.concatenate([cv2.imread(str(file)), alpha], -1))
+    source = open_source(folder, Console(stream=stream))
+    np.testing.assert_array_equal(getattr(source, read)(0), plain[0])
+    assert stream.getvalue() == ""
+    found = getattr(source, read)(1)
+    assert (found[:10] == 1).all()
+    np.testing.assert_array_equal(found[10:], plain[1][10:])
+    assert "have an alpha channel: what is behind transparent pixels counts as white" in stream.getvalue()
+
+
+def test_views_that_are_called_unlike_their_files_are_said_to_be_named_in_a_capture(tmp_path: Path) -> None:
+    """Rationale: where pictures are scored against a set, there is no capture.json."""
+    folder, stream = photographs(tmp_path, ".png"), io.StringIO()
+    (folder / "images" / "a").mkdir()
+    (folder / "images" / "0000.png").rename(folder / "images" / "a" / "0001.png")
+    transforms = folder / "transforms.json"
+    transforms.write_text(transforms.read_text().replace("images/0000.png", "images/a/0001.png"))
+    open_source(folder, Console(stream=stream))
+    assert "cannot have one name" in stream.getvalue()
+    assert "the capture.json of a capture of it names the file of each" in " ".join(stream.getvalue().split())

@@ -1,5 +1,6 @@
 """Claims about captures: any camera, any images, one view in memory at a time."""
 
+import io
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -140,7 +141,7 @@ def test_a_set_that_turned_black_costs_no_finished_capture(tmp_path: Path) -> No
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     for image in (views / "images").iterdir():
         cv2.imwrite(str(image), np.zeros((16, 20, 3), np.uint8))
-    with pytest.raises(ValueError, match="is black in green"):
+    with pytest.raises(ValueError, match="the set .*set is black in green: .* check that its pictures are right"):
         stages.capture(views, out, CaptureConfig(), QUIET, overwrite=True)
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
 
@@ -186,8 +187,6 @@ def test_a_set_seen_through_a_cameras_own_filters_is_captured_with_them(tmp_path
 
 
 def test_images_too_small_for_raw_files_are_said_before_the_work_and_where_they_are_needed(tmp_path: Path) -> None:
-    import io
-
     told = io.StringIO()
     stages.capture(photographs(tmp_path / "set"), tmp_path / "cap", CaptureConfig(), Console(stream=told))
     notes = told.getvalue()
@@ -273,3 +272,51 @@ def test_further_layouts_of_a_capture_show_the_dark_pictures_with_the_sets_own_d
     assert json.loads((out / "nb-info.json").read_text())["scene"] == "set"
     with pytest.raises(ValueError, match="export must be among blender, llff; got colmap"):
         CaptureConfig(export=("colmap",))
+
+
+def with_points(views: Path, xyz: np.ndarray) -> None:
+    """Give photographs a model whose points all views see that have them in their picture."""
+    rig = load_set(views).rig
+    names = [f"{i:04d}" for i in range(len(rig))]
+    inside = (np.abs(rig.project(xyz)[0] - (rig.width / 2, rig.height / 2)) < rig.width / 2).all(-1)
+    points = SparsePoints.seen(rig, xyz, np.zeros((len(xyz), 3), np.uint8), inside, exact=True)
+    write_cameras(views, names, rig, points=points)
+
+
+def test_photographs_of_unknown_depth_are_refused_for_llff_before_anything_is_photographed(tmp_path: Path) -> None:
+    views, out = photographs(tmp_path / "set", 3, (24, 24)), tmp_path / "cap"
+    told = io.StringIO()
+    with pytest.raises(ValueError, match="near and far of the views of .*set are not known: .* novags poses makes one"):
+        stages.capture(views, out, CaptureConfig(export=("llff",)), Console(stream=told))
+    assert "capture:" not in told.getvalue()
+    assert not out.exists()
+    stages.capture(views, out, CaptureConfig(export=("blender",)), QUIET)  # which states no near and far
+    assert (out / "blender" / "transforms_train.json").is_file()
+
+
+@pytest.mark.parametrize("max_size", [None, 12])
+def test_a_view_that_sees_no_point_is_named_before_the_work_and_llff_bounds_are_those_of_the_points(
+    max_size: int | None, tmp_path: Path
+) -> None:
+    views = photographs(tmp_path / "set", 3, (24, 24))
+    eye, ahead = (load_set(views).rig.positions[1], -load_set(views).rig.positions[1] / 3)
+    with_points(views, eye + 0.2 * ahead + np.random.default_rng(2).normal(0, 0.01, (20, 3)))  # before view 1 alone
+    config = CaptureConfig(export=("llff",), max_size=max_size)
+    with pytest.raises(ValueError, match="view 0000 of .* sees no surface and no point: .* Leave that view out"):
+        stages.capture(views, tmp_path / "cap", config, QUIET)
+    assert not (tmp_path / "cap").exists()
+    with_points(views, np.random.default_rng(2).normal(0, 0.1, (20, 3)))
+    stages.capture(views, tmp_path / "cap", config, QUIET)
+    near, far = np.load(tmp_path / "cap" / "llff" / "poses_bounds.npy")[:, 15:].T
+    assert ((near > 2.5) & (near < 3) & (far > 3) & (far < 3.5)).all()
+
+
+def test_a_scene_without_light_is_named_by_its_plan_and_not_the_folder_of_the_pilot(
+    tmp_path: Path, ball_xml: str
+) -> None:
+    away = '<emitter type="spot"><transform name="to_world"><lookat origin="0,0,4" target="0,0,9" up="0,1,0"/>'
+    file = tmp_path / "dark.xml"
+    file.write_text(ball_xml.replace('<emitter type="constant"/>', f"{away}</transform></emitter>"))
+    config = CaptureConfig(sensor="ideal")
+    with pytest.raises(ValueError, match=f"^the scene {file} is black in green: .* add an emitter .* check that one"):
+        sensor_plan(replace(PILOT, scene=str(file)), config, 1, QUIET)

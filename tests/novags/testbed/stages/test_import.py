@@ -10,12 +10,15 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
+from novags.methods.variant import Variant
 from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.stages.capture import CaptureConfig
 from novags.testbed.stages.importing import ImportConfig
+from novags.testbed.stages.reconstruct import ReconstructConfig
 from sensor_model import linear_to_srgb, srgb_to_linear
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
@@ -313,3 +316,73 @@ def test_an_unchanged_import_is_kept_and_a_changed_picture_is_not(line: Path, st
     assert take() == first
     write_png(strangers / "images" / "0007.png", read_codes(strangers / "images" / "0006.png"))
     assert take() > first
+
+
+def transparent(file: Path, mode: str, alpha: int = 255, last: int | None = None) -> None:
+    """Store a picture again with an alpha channel, its last pixel's apart."""
+    picture = Image.open(file).convert("RGB" if mode == "RGBA" else "L")
+    layer = Image.new("L", picture.size, alpha)
+    layer.putpixel((picture.width - 1, picture.height - 1), alpha if last is None else last)
+    if mode == "one colour":
+        picture.save(file, transparency=picture.getpixel((0, 0)))
+    elif mode == "RGBA, 16-bit":
+        codes = cv2.imread(str(file), cv2.IMREAD_COLOR).astype(np.uint16) * 257
+        assert cv2.imwrite(str(file), np.dstack([codes, np.asarray(layer, np.uint16) * 257]))
+    else:
+        picture.putalpha(layer)
+        picture.save(file)
+
+
+@pytest.mark.parametrize("mode", ["RGBA", "LA", "one colour", "RGBA, 16-bit"])
+def test_a_transparent_pixel_is_refused_since_no_light_is_known_there(mode: str, line: Path, tmp_path: Path) -> None:
+    dark = foreign(tmp_path / "dark", line, "images")
+    for file in (dark / "images").iterdir():
+        transparent(file, mode, last=254 if file.stem == "0007" else None)
+    first = r"0000.png must be opaque, got \d+" if mode == "one colour" else "0007.png must be opaque, got 1"
+    with pytest.raises(ValueError, match=f"{first} of 1200 pixels with alpha below 255: .* save it without alpha"):
+        brought(dark, tmp_path / "cap")
+    assert not (tmp_path / "cap" / "images").exists()
+
+
+def test_a_transparent_lit_picture_is_refused_too(line: Path, tmp_path: Path) -> None:
+    dark, lit = foreign(tmp_path / "dark", line, "images"), tmp_path / "twins"
+    shutil.copytree(line / "lit" / "images", lit)
+    transparent(lit / "0002.png", "RGBA", alpha=10)
+    with pytest.raises(ValueError, match=r"twins/0002.png must be opaque, got 1200 of 1200 pixels"):
+        brought(dark, tmp_path / "cap", lit=lit)
+
+
+def test_an_opaque_alpha_channel_changes_no_pixel_and_nothing_is_said_of_white(line: Path, tmp_path: Path) -> None:
+    plain = brought(foreign(tmp_path / "plain", line, "images"), tmp_path / "one")
+    dark, told = foreign(tmp_path / "plain2", line, "images"), io.StringIO()
+    for file in (dark / "images").iterdir():
+        transparent(file, "RGBA")
+    found = brought(dark, tmp_path / "two", Console(stream=told))
+    for i in range(VIEWS):
+        np.testing.assert_array_equal(found.srgb8(i), plain.srgb8(i))
+    assert "white" not in told.getvalue()
+
+
+def test_a_folder_whose_pictures_lie_deeper_names_the_folders_that_hold_them(strangers: Path, tmp_path: Path) -> None:
+    above = tmp_path / "above"
+    shutil.copytree(strangers, above / "trip" / "dark")
+    (above / "bare" / "images").mkdir(parents=True)
+    shutil.copy(strangers / "images" / "0000.png", above / "bare" / "images")
+    with pytest.raises(
+        ValueError, match="above holds no pictures itself; pictures with cameras are in trip/dark: give"
+    ):
+        brought(above, tmp_path / "cap", dataset="none")
+    (above / "trip" / "dark" / "transforms.json").unlink()
+    with pytest.raises(ValueError, match="itself; pictures are in bare, trip/dark: give one of these folders"):
+        brought(above, tmp_path / "cap", dataset="none")
+
+
+def test_no_iterations_are_said_to_leave_the_first_gaussians(strangers: Path, tmp_path: Path) -> None:
+    capture, told = brought(strangers, tmp_path / "cap"), io.StringIO()
+    for count in (0, 1):
+        variant = Variant(name=f"after{count}", method="naive", settings={"fit.iterations": str(count)})
+        config = ReconstructConfig(variant=variant, points=50)
+        record = stages.reconstruct(capture.path, tmp_path / variant.name, config, Console(stream=told))
+        assert record["config"]["fit"]["iterations"] == count
+    assert told.getvalue().count("0 iterations of the fit: the first Gaussians") == 1
+    assert "reconstruct after0: 0 iterations" in told.getvalue()

@@ -1,5 +1,7 @@
 """Claims about what makes a render stale: the content of the scene and of all files that it names, and nothing else."""
 
+import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +9,7 @@ import pytest
 
 from novags.testbed import stages
 from novags.testbed.console import Console
-from novags.testbed.stages.render import RenderConfig, scene_digest
+from novags.testbed.stages.render import RenderConfig, rig_of, scene_digest
 from simscenes import Optics
 
 QUIET = Console(quiet=True)
@@ -106,3 +108,15 @@ def test_what_cannot_be_rendered_costs_no_finished_set(
     with pytest.raises(ValueError, match="camera must be|does not work"):
         stages.render(out, RenderConfig(scene=str(scene), **{**TINY, **wrong}), QUIET, overwrite=True)
     assert sorted((p, p.stat().st_mtime_ns) for p in out.rglob("*")) == before
+
+
+def test_cameras_that_a_layout_cannot_hold_are_refused_before_anything_is_rendered(
+    scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig = rig_of(RenderConfig(scene=str(scene), **TINY))
+    Ks = rig.Ks * [[[1.0], [1.1], [1.0]]]
+    monkeypatch.setattr(sys.modules[RenderConfig.__module__], "rig_of", lambda _: replace(rig, Ks=Ks))
+    config = RenderConfig(scene=str(scene), export=("blender",), **TINY)
+    with pytest.raises(ValueError, match="the Blender layout holds one field of view for all"):
+        stages.render(tmp_path / "set", config, QUIET)
+    assert not (tmp_path / "set" / "gt").exists()

@@ -1,0 +1,111 @@
+"""The image files that a camera file lists, however it spells them."""
+
+from __future__ import annotations
+
+import os
+import unicodedata
+from collections import defaultdict
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from simscenes.sets.readers.bare import SUFFIXES
+
+# What a listed name may lack. Case decides here only where a folder holds several of them.
+ADDED = ("", ".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG")
+SHOWN = 3  # names in a message
+
+
+def find_file(folder: Path, listed: str) -> Path | None:
+    """The image that a camera file lists, as `find_files` finds it; None: not there."""
+    return find_files(folder, [listed])[0]
+
+
+def find_files(folder: Path, listed: Sequence[str]) -> list[Path | None]:
+    r"""The images that a camera file lists; None: not there.
+
+    A name is taken as it is, with / for \, with its suffix added, and in either form of Unicode. Where none of this is
+    there, the one file is taken that differs in upper and lower case alone and is no other listed name's.
+
+    Args:
+        folder: What the names are relative to.
+        listed: The names.
+
+    Raises:
+        ValueError: If a name cannot be that of a file.
+    """
+    found = [_exact(folder, name) for name in listed]
+    taken = {file for file in found if file is not None}
+    folders = _Folders()
+    for i, name in enumerate(listed):
+        if found[i] is None:
+            alike = [file for file in _ignoring_case(folder, name, folders) if file not in taken]
+            found[i] = alike[0] if len(alike) == 1 else None
+    return found
+
+
+def spelt(folder: Path, listed: Sequence[str], files: Sequence[Path | None]) -> list[str]:
+    """What a message calls listed images: their names, and of a missing one what is there under another suffix.
+
+    Args:
+        folder: What the names are relative to.
+        listed: The names.
+        files: As `find_files` found them.
+    """
+    folders, names = _Folders(), []
+    for name, file in zip(listed, files, strict=True):
+        near = _another_suffix(folder, name, folders) if file is None else None
+        names.append(name if near is None else f"{name} ({Path(os.path.relpath(near, folder)).as_posix()} is there)")
+    return names
+
+
+def some(names: Sequence[str]) -> str:
+    """The first names of a list, for a message: one line, whatever they are."""
+    shown = [name if name.isprintable() else repr(name) for name in names[:SHOWN]]
+    return f"{', '.join(shown)}{', ...' if len(names) > SHOWN else ''}"
+
+
+def _exact(folder: Path, listed: str) -> Path | None:
+    slashed = (listed, listed.replace("\\", "/"))
+    forms = dict.fromkeys(unicodedata.normalize(form, name) for name in slashed for form in ("NFC", "NFD"))
+    paths = (folder / (form + suffix) for form in dict.fromkeys((listed, *forms)) for suffix in ADDED)
+    try:
+        return next((path for path in paths if path.is_file()), None)
+    except OSError as error:
+        raise ValueError(f"{folder} cannot hold the image {listed[:60]!r} ({error.strerror}): rename it") from error
+
+
+class _Folders(dict[Path, dict[str, list[Path]]]):
+    """What each folder holds by names in lower case; each is looked into once."""
+
+    def __missing__(self, folder: Path) -> dict[str, list[Path]]:
+        self[folder] = defaultdict(list)
+        with suppress(OSError, ValueError):  # no folder, or nobody may look into it, or a name with a zero byte
+            for path in sorted(folder.iterdir()):
+                self[folder][_lower(path.name)].append(path)
+        return self[folder]
+
+
+def _ignoring_case(folder: Path, listed: str, folders: _Folders) -> list[Path]:
+    """Files below `folder` whose path differs in case alone."""
+    path = Path(listed.replace("\\", "/"))
+    if path.is_absolute() or not path.parts:
+        return []
+    *above, last = path.parts
+    places = [folder]
+    for part in above:
+        inner = [[place / part] if part == ".." else folders[place].get(_lower(part), []) for place in places]
+        places = [path for paths in inner for path in paths]
+    names = {_lower(last + suffix) for suffix in ADDED}
+    return [file for place in places for name in names for file in folders[place].get(name, []) if file.is_file()]
+
+
+def _another_suffix(folder: Path, listed: str, folders: _Folders) -> Path | None:
+    """A picture of the same folder and stem."""
+    path = folder / listed.replace("\\", "/")
+    names = (_lower(stem + suffix) for stem in (path.stem, path.name) for suffix in SUFFIXES)
+    return next((file for name in names for file in folders[path.parent].get(name, [])), None)
+
+
+def _lower(name: str) -> str:
+    return unicodedata.normalize("NFC", name).lower()

@@ -1,0 +1,110 @@
+"""Claims about which COLMAP model of a folder is read, and about models without a file of points."""
+
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pycolmap
+import pytest
+
+from simscenes import SparsePoints, load_set, orbit_rig, write_cameras
+from simscenes.rigs import Rig
+from simscenes.sets.pictures.png import write_png
+from simscenes.sets.readers.colmap import find_colmap
+from simscenes.sets.readers.colmap_check import check_model, count_images
+from tests.miniatures import RIG, VIEWS, colmap, dark_picture
+
+NAMES = [f"{i}.png" for i in range(VIEWS)]
+
+
+def pictures(folder: Path) -> Path:
+    for i, name in enumerate(NAMES):
+        write_png(folder / "images" / name, dark_picture(i))
+    return folder
+
+
+def piece(folder: Path, count: int) -> Path:
+    """A model of the first images."""
+    rig = Rig(viewmats=RIG.viewmats[:count], Ks=RIG.Ks[:count], width=RIG.width, height=RIG.height)
+    return colmap(folder, NAMES[:count], rig)
+
+
+def as_text(model: Path) -> Path:
+    """The same model in text."""
+    found = pycolmap.Reconstruction(str(model))
+    shutil.rmtree(model)
+    model.mkdir()
+    found.write_text(str(model))
+    return model
+
+
+def test_of_several_models_the_largest_is_read_and_said(tmp_path: Path) -> None:
+    sparse = pictures(tmp_path) / "sparse"
+    for name, count in (("0", 3), ("1", 9), ("2", 5), ("10", 9)):
+        piece(sparse / name, count)
+    as_text(sparse / "1")
+    (sparse / "20").mkdir()
+    (sparse / "20" / "cameras.bin").write_bytes(b"")
+    assert [count_images(sparse / name) for name in ("0", "1", "2", "10", "20")] == [3, 9, 5, 9, 0]
+    with pytest.warns(
+        UserWarning,
+        match="of 5 COLMAP models in .*/sparse, 1 is taken: 0 has 3 images, 1 has 9 images, 2 has 5 images, 10 has 9 "
+        "images, 20 has 0 images; the others have no part",
+    ) as caught:
+        views = load_set(tmp_path)
+    assert (len(views), len(caught)) == (VIEWS, 1)
+    assert views.model() == (tmp_path / "images", sparse / "1")
+    assert views.unregistered == ()
+
+
+def test_an_absurd_count_makes_no_model_the_largest(tmp_path: Path) -> None:
+    sparse = pictures(tmp_path) / "sparse"
+    piece(sparse / "0", 3)
+    broken = piece(sparse / "1", 5) / "images.bin"
+    broken.write_bytes(b"\xff" * 8 + broken.read_bytes()[8:])
+    assert find_colmap(tmp_path) == sparse / "0"
+
+
+def test_one_model_is_read_without_a_word_whatever_its_number(tmp_path: Path) -> None:
+    piece(pictures(tmp_path) / "sparse" / "3", VIEWS)
+    assert len(load_set(tmp_path)) == VIEWS
+
+
+def test_the_model_in_the_place_of_nerfstudio_is_found_beside_pictures_alone(tmp_path: Path) -> None:
+    model = piece(tmp_path / "colmap" / "sparse" / "0", VIEWS)
+    assert find_colmap(tmp_path) is None
+    views = load_set(pictures(tmp_path))
+    assert abs(views.rig.viewmats - RIG.viewmats).max() < 1e-9
+    assert views.model() == (tmp_path / "images", model)
+    assert find_colmap(piece(tmp_path / "sparse" / "0", 3).parents[1]) == tmp_path / "sparse" / "0"
+
+
+@pytest.mark.parametrize("kind", ["bin", "txt"])
+def test_a_model_without_a_file_of_points_is_one_of_no_points(kind: str, tmp_path: Path) -> None:
+    model = piece(pictures(tmp_path) / "sparse" / "0", VIEWS)
+    if kind == "txt":
+        as_text(model)
+    (model / f"points3D.{kind}").unlink()
+    before = sorted(path.name for path in model.iterdir())
+    views = load_set(tmp_path)
+    assert abs(views.rig.viewmats - RIG.viewmats).max() < 1e-9
+    assert views.points() is None
+    assert sorted(path.name for path in model.iterdir()) == before
+
+
+def test_a_text_model_with_a_part_missing_says_which(tmp_path: Path) -> None:
+    model = as_text(piece(tmp_path / "model", VIEWS))
+    for part in ("images", "points3D"):
+        (model / f"{part}.txt").unlink()
+    with pytest.raises(ValueError, match=r"lacks images\.txt; download"):
+        check_model(model)
+
+
+def test_images_that_show_points_need_the_file_of_points(tmp_path: Path) -> None:
+    rig, names = orbit_rig(2, 40, 30, 55, radius=2.0), ["a", "b"]
+    points = SparsePoints.seen(rig, np.zeros((1, 3)), np.zeros((1, 3)), np.ones((2, 1), bool), exact=True)
+    write_cameras(tmp_path, names, rig, points=points)
+    model = as_text(tmp_path / "sparse" / "0")
+    (model / "points3D.txt").unlink()
+    with pytest.raises(ValueError, match=r"images.txt: shows point \[\d+\] .* that points3D does not have; download"):
+        check_model(model)

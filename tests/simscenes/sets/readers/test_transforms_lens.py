@@ -1,0 +1,108 @@
+"""Claims about the lens that a transforms.json states, in any of the ways in which its writers do."""
+
+import json
+import warnings
+from math import degrees, radians
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simscenes import load_set, orbit_rig
+from simscenes.rigs import opencv_to_opengl
+from simscenes.sets.pictures.png import write_png
+
+WIDTH, HEIGHT = 40, 30
+X, Y = 0.9, 0.5  # rad
+FX, FY = WIDTH / 2 / np.tan(X / 2), HEIGHT / 2 / np.tan(Y / 2)
+
+
+def folder_of(folder: Path, *, first: dict[str, Any] | None = None, **more: Any) -> Path:
+    """Two pictures; `first`: what the first frame states of its own."""
+    poses = opencv_to_opengl(orbit_rig(2, WIDTH, HEIGHT, 50.0, radius=3.0).viewmats)
+    frames: list[dict[str, Any]] = [
+        {"file_path": f"{i}.png", "transform_matrix": p.tolist()} for i, p in enumerate(poses)
+    ]
+    frames[0] |= first or {}
+    for i in range(2):
+        write_png(folder / f"{i}.png", np.zeros((HEIGHT, WIDTH, 3), np.uint8))
+    (folder / "transforms.json").write_text(json.dumps({"frames": frames, **more}))
+    return folder
+
+
+@pytest.mark.parametrize(
+    ("stated", "fx", "fy"),
+    [
+        ({"fl_x": 33.0}, 33, 33),
+        ({"fl_x": 33.0, "fl_y": 44.0, "camera_angle_x": X, "camera_angle_y": Y, "y_fov": 9.0}, 33, 44),
+        ({"fl_x": 33.0, "camera_angle_y": Y, "y_fov": 9.0}, 33, FY),
+        ({"fl_x": 33.0, "y_fov": degrees(Y)}, 33, FY),
+        ({"camera_angle_x": X, "x_fov": 9.0}, FX, FX),
+        ({"camera_angle_x": X, "camera_angle_y": Y}, FX, FY),
+        ({"camera_angle_x": X, "camera_angle_y": Y, "w": 2 * WIDTH, "h": 2 * HEIGHT}, FX, FY),
+        ({"x_fov": degrees(X)}, FX, FX),
+        ({"x_fov": degrees(X), "y_fov": degrees(Y)}, FX, FY),
+        ({"camera_angle_y": Y}, FY, FY),
+    ],
+)
+def test_focal_lengths_come_from_pixels_else_radians_else_degrees_of_their_own_axis(
+    stated: dict[str, Any], fx: float, fy: float, tmp_path: Path
+) -> None:
+    K = load_set(folder_of(tmp_path, **stated)).rig.Ks[1]
+    np.testing.assert_allclose([K[0, 0], K[1, 1], K[0, 2], K[1, 2]], [fx, fy, WIDTH / 2, HEIGHT / 2], rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("own", "fx", "fy"),
+    [({"camera_angle_x": X}, FX, FX), ({"y_fov": degrees(Y)}, FY, FY), ({"fl_x": 25.0}, 25, 25), ({}, 99, 88),
+     ({"cx": 19.0}, 99, 88)],
+)  # fmt: skip
+def test_what_a_frame_states_of_its_focal_length_counts_before_all_that_the_file_states(
+    own: dict[str, Any], fx: float, fy: float, tmp_path: Path
+) -> None:
+    Ks = load_set(folder_of(tmp_path, first=own, fl_x=99.0, fl_y=88.0)).rig.Ks
+    np.testing.assert_allclose(Ks[:, [0, 1], [0, 1]], [[fx, fy], [99, 88]], rtol=1e-12)
+
+
+def test_a_set_without_a_focal_length_is_told_every_key_that_would_do(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="none of fl_x, camera_angle_x, x_fov, fl_y, camera_angle_y, y_fov$"):
+        load_set(folder_of(tmp_path, cx=20.0))
+
+
+@pytest.mark.parametrize(
+    ("stated", "message"),
+    [
+        ({"camera_angle_x": X, "camera_angle_y": 3.2}, "camera_angle_y must lie between 0 and 3.14159, got 3.2"),
+        ({"x_fov": 180.0}, "x_fov must lie between 0 and 180, got 180"),
+        ({"fl_x": 30.0, "y_fov": radians(1e-6)}, r"angles must give a focal length below 1e\+07 px, got"),
+    ],
+)
+def test_angles_out_of_range_are_refused(stated: dict[str, Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=message):
+        load_set(folder_of(tmp_path, **stated))
+
+
+def test_a_principal_point_of_larger_pictures_asks_for_their_size(tmp_path: Path) -> None:
+    """Rationale: of pictures that were shrunk, focal lengths would silently be those of the large ones."""
+    large = {"fl_x": 80.0, "cx": 40.0, "cy": 30.0}
+    for key, got, more in (("w", "cx .* got 40 px of a width of 40 px", {}),
+                           ("h", "cy .* got 30 px of a height of 30 px", {"cx": 20.0})):  # fmt: skip
+        with pytest.raises(ValueError, match=rf"states no {key}: {got}; add w and h, the size .*\(were they shrunk"):
+            load_set(folder_of(tmp_path, **large | more))
+    K = load_set(folder_of(tmp_path, **large, w=2 * WIDTH, h=2 * HEIGHT)).rig.Ks[0]
+    np.testing.assert_allclose(K, [[40, 0, 20], [0, 40, 15], [0, 0, 1]])
+    off = load_set(folder_of(tmp_path, fl_x=40.0, cx=29.0, cy=8.0)).rig.Ks[0]
+    np.testing.assert_allclose(off[:2, 2], [29, 8])
+    cropped = load_set(folder_of(tmp_path, fl_x=40.0, cx=39.0, cy=8.0, w=WIDTH, h=HEIGHT)).rig.Ks[0]
+    np.testing.assert_allclose(cropped[:2, 2], [39, 8])
+
+
+def test_masks_are_not_used_and_that_is_said_once_with_their_count(tmp_path: Path) -> None:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        load_set(folder_of(tmp_path, first={"mask_path": "masks/0.png"}, fl_x=30.0))
+    assert [str(w.message) for w in caught] == [
+        f"load_set: 1 of 2 frames of {tmp_path}/transforms.json have a mask (mask_path): masks are not used, all "
+        "pixels count"
+    ]
