@@ -9,7 +9,6 @@ from dataclasses import replace
 
 from sensor_model.plan import Effect
 from simscenes.backend import backend_of, using_variant
-from simscenes.loading.checks.usable import say_if_unlit
 from simscenes.loading.contents import media_in
 from simscenes.loading.integrator import OwnIntegrator
 from simscenes.loading.load import LoadedScene, build_in_fewest_colors, set_light_weights
@@ -116,11 +115,19 @@ def plan_loaded(
             p = replace(p, hide_emitters=own.hide_emitters)
             max_depth = own.max_depth if max_depth is None else max_depth
         made = _decide(p, rig, optics, force, max_depth, measure)
-        say_if_unlit(loaded.scene, loaded.name)
-        if loaded.scene.emitters() and not any(image.any() for image in p.images.values()):
-            warnings.warn(f"no light of scene {loaded.name!r} reaches its cameras in the pilots: see that lamps face "
-                          "what the cameras see, and that nothing encloses them", stacklevel=2)  # fmt: skip
+        say_if_dark(p)
         return replace(made, seconds=_measure_seconds(p, made)) if measure else made
+
+
+def say_if_dark(p: Pilot) -> None:
+    """Warn if the pilots, which have been rendered, are black; the picture may be right all the same."""
+    name = p.loaded.name
+    if not p.loaded.scene.emitters():
+        warnings.warn(f"scene {name!r} has no emitter: every picture is black; add one, such as "
+                      '<emitter type="constant"/>', stacklevel=3)  # fmt: skip
+    elif not any(image.any() for image in p.images.values()):
+        warnings.warn(f"no light of scene {name!r} reaches its cameras in the pilots: see that lamps face what they "
+                      "see, and that nothing encloses them", stacklevel=3)  # fmt: skip
 
 
 def _decide(

@@ -185,7 +185,6 @@ def test_differences_are_told_from_noise() -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("jit")
-@pytest.mark.filterwarnings("ignore:The AST-transforming decorator:RuntimeWarning")  # of Dr.Jit, after 1000 loads
 @pytest.mark.parametrize("row", all_rows(), ids=lambda row: f"{row.kind}-{row.name}")
 def test_the_difference_from_everything_on_is_within_the_bound(row: Row, tmp_path: Path) -> None:
     """With -s, the lines that `python -m tests.plugins` keeps."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any
 
 # What a path tracer cannot use, by class.
@@ -44,13 +43,6 @@ def why_unusable(scene: Any, mi: Any) -> str:
             "picture is a colour"
         )
     return ""
-
-
-def say_if_unlit(scene: Any, name: str) -> None:
-    """Warn of a scene without emitters, of which every picture is black."""
-    if not scene.emitters():
-        warnings.warn(f"scene {name!r} has no emitter: every picture is black; add one, such as "
-                      '<emitter type="constant"/>', stacklevel=3)  # fmt: skip
 
 
 def raw_color(scene: Any, mi: Any) -> str:

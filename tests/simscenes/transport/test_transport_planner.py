@@ -42,6 +42,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
     monkeypatch.setattr(planner, "using_variant", lambda backend: nullcontext(SimpleNamespace(Object=int)))
     monkeypatch.setattr(planner, "backend_of", lambda variant: f"{variant} backend")
     monkeypatch.setattr(planner, "geometry_channels", lambda mi, loaded, rig, i: (rig.width, i))
+    monkeypatch.setattr(planner, "say_if_dark", lambda p: None)
     step("media_in", ["fog"])
     step("not_understood", [])
     step("check_wishes", None)
