@@ -7,10 +7,13 @@ Twelve runs (two methods, six seeds of the camera's noise) of one tiny set, ever
     bare     the stages as functions, one after the other, in one process: render, capture, reconstruct, score
     alone    novags study --workers 1
     study    novags study --workers 2
+    empty    tasks that compute nothing, in an entry of the store each, by one worker
 
-Prints JSON: seconds on the clock and of the processors for each; how much more processor time the study takes with one
-worker than the bare stages, which is the cost of the bed (`beyond`), and with two, whose runs also wait for each
-other's memory (`beyond_two`); and the time of two on the clock as a share of that of the bare stages (`share`).
+Prints JSON: seconds on the clock and of the processors for each; how much more processor time the study takes with
+one worker than the bare stages (`beyond`), and with two, whose runs wait for each other's memory (`beyond_two`); the
+time of two on the clock as a share of that of the bare stages (`share`). `per_task` is the processor time that each
+further task costs the bed, from many empty ones: the differences above are mostly those between two runs of the same
+work on a machine that is not alone.
 """
 
 import argparse
@@ -21,10 +24,17 @@ import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from novags.testbed.cache import run_stage
+from novags.testbed.console import Console
+from novags.testbed.study.engines.local import Limits, Pool
 from novags.testbed.study.engines.processes import threads_environment
+from novags.testbed.study.engines.worker import Outcome
+from novags.testbed.study.entry import Order, Step, Task, ensure
+from novags.testbed.study.store import version
 
 STUDY = """
 preset = "demo"
@@ -75,6 +85,44 @@ def timed(folder: Path, *command: str) -> dict[str, float]:
     return {"seconds": time.perf_counter() - began, "cpu_seconds": cpu}
 
 
+def nothing(order: Order, console: Console) -> dict[str, Any]:
+    """A stage without work, for `empty`."""
+    made = "made.json"
+
+    def stage() -> None:
+        run_stage("nothing", order.folder, made, inputs={}, config={}, owns=(made,), prepare=lambda: None,
+                  work=lambda _: {}, console=console)  # fmt: skip
+
+    return ensure(order, {"nothing": Step(stage, made)}, console)
+
+
+def empty(folder: Path, count: int) -> float:
+    """Processor seconds of a pool of one worker for so many empty tasks."""
+    shutil.rmtree(folder, ignore_errors=True)
+    tasks = {f"{k:04d}": Task("run", f"{k:04d}", f"{k:04d}", None) for k in range(count)}
+
+    def request(key: str, results: Mapping[str, Any]) -> dict[str, Any]:
+        task = tasks[key]
+        order = Order(task, task.folder(folder), None, {}, threads=1, version=version())
+        return {"task": order, "log": str(folder / "logs" / key)}
+
+    before = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    Pool("bench_study:nothing", request, Limits(1), Mute(), threads_environment(1)).run(tasks.values())
+    after = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(b.ru_utime + b.ru_stime - a.ru_utime - a.ru_stime for a, b in zip(before, after, strict=True))
+
+
+class Mute:
+    """Hears of tasks, and objects to those that fail."""
+
+    def ended(self, key: str, outcome: Outcome) -> None:
+        """A task has ended."""
+        assert outcome.state == "done", (key, outcome)
+
+    def __getattr__(self, name: str) -> Any:
+        return lambda *told: None
+
+
 def measure(out: Path, iterations: int) -> dict[str, Any]:
     """Both, and the two ratios."""
     found: dict[str, Any] = {"iterations": iterations}
@@ -86,6 +134,8 @@ def measure(out: Path, iterations: int) -> dict[str, Any]:
     for name, workers, more in (("alone", "1", "beyond"), ("study", "2", "beyond_two")):
         found[name] = timed(out / name, *words, workers)
         found[more] = found[name]["cpu_seconds"] / found["bare"]["cpu_seconds"] - 1
+    few, many = (empty(out / "empty", count) for count in (20, 420))
+    found["per_task"] = (many - few) / 400
     found["share"] = found["study"]["seconds"] / found["bare"]["seconds"]
     return found
 
