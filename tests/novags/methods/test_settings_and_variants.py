@@ -144,6 +144,9 @@ def test_the_papers_ablations_can_be_said() -> None:
     assert made["nova-no-n2v-sh"] == replace(paper, denoiser=None, sh_weight=None)
     assert made["nova-fast"] == replace(paper, denoiser=FAST_DENOISER, consistency=ConsistencyConfig(every=16))
     assert paper.denoiser == DenoiserConfig()
+    tuned, spots = made["nova-tuned"], paper.denoiser.blind_spots
+    assert tuned.denoiser == replace(paper.denoiser, noisy_share=0.7, blind_spots=replace(spots, laplacian_share=0.0))
+    assert (tuned.fit.dssim_weight, tuned.fit.sh_degree, tuned.consistency) == (0.0, 2, paper.consistency)
 
 
 @pytest.mark.parametrize("name", [*METHODS, *VARIANTS])
