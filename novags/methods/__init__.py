@@ -24,6 +24,7 @@ from novags.methods.nerf import raw as raw_nerf
 from novags.methods.nova import trainer as nova
 from novags.methods.nova.denoiser import FAST_DENOISER
 from novags.methods.nova.knobs import KNOBS as NOVA_KNOBS
+from novags.methods.nova.knobs import TUNED
 from novags.methods.nova_plus import trainer as nova_plus
 from novags.methods.nova_plus.knobs import KNOBS as NOVA_PLUS_KNOBS
 from novags.methods.rivals import gaussian_dk, lita_gs, ll_gaussian, luminance_gs, raw_gs
@@ -283,18 +284,7 @@ VARIANTS: dict[str, Variant] = dict(
             "target: not the paper's network",
             {name: value for name, value in _FAST.items() if value != _PUBLISHED[name]},
         ),
-        _variant(
-            "nova-tuned",
-            "nova",
-            "NOVA-GS with the best that was measured of what the paper leaves open (docs/choices.md): seven tenths of "
-            "the noisy picture in its target, L1 alone, masks anywhere, harmonics of degree 2",
-            {
-                "denoiser.noisy_share": 0.7,
-                "denoiser.blind_spots.laplacian_share": 0.0,
-                "fit.dssim_weight": 0.0,
-                "fit.sh_degree": 2,
-            },
-        ),
+        _variant("nova-tuned", "nova", "NOVA-GS with the best settings that were measured (docs/choices.md)", TUNED),
         _variant("nova-no-sh", "nova", "NOVA-GS without the penalty on view-dependent colour", {"sh_weight": None}),
         _variant("nova-no-geo", "nova", "NOVA-GS without geometric consistency", {"consistency": None}),
         _variant(
