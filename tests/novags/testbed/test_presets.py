@@ -54,7 +54,8 @@ def test_methods_of_a_preset_share_enhancement_and_fit(name: str) -> None:
     assert len({e for e in enhancers if isinstance(e, EnhanceConfig)}) == 1  # rivals bring others
     # as many iterations for all, but some take longer steps
     assert len({c.fit.iterations for c in configs.values()}) == 1
-    configs = {method: c for method, c in configs.items() if method not in QUICK}
+    # nova-tuned has the degree and the loss that were measured to be the best of it
+    configs = {method: c for method, c in configs.items() if method not in (*QUICK, "nova-tuned")}
     fits = {replace(c.fit, dssim_weight=0.2) for c in configs.values()}
     assert len(fits) == 1
     assert {method for method, c in configs.items() if c.fit.dssim_weight != 0.2} == {"naive-l1"}
