@@ -299,7 +299,7 @@ def measure_light(source: Source, sensor: Sensor, progress: Update) -> tuple[flo
         least, most = min(least, float(seen.min())), max(most, float(seen.max()))
         progress(i + 1, count, f"view {source.views.names[i]}")
     if not total > 0:
-        raise ValueError(f"{source.title} is black in green: there is no light to scale to electrons; "
+        raise ValueError(f"the green channel of {source.title} is black, so electrons cannot be set by it; "
                          f"{NO_LIGHT[source.views.kind]}")  # fmt: skip
     quantiles = np.quantile(np.concatenate(samples).astype(np.float64), QUANTILES)
     quantiles[0], quantiles[-1] = least, most  # exact: saturation depends on the brightest pixel

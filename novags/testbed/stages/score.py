@@ -162,9 +162,9 @@ def score_training_images(run: Run, capture: Capture, lit: Source) -> dict[str, 
 
     Returns:
         `enhanced`, `denoised` (only if the method denoises), `blur` (sigma 1.2 px) and `best_blur` (the sigma of
-        `BLUR_GRID` that suits these images best), each with mean `psnr` and `aligned_psnr` (None where no reference has
-        contrast, and then there is no best blur); blurs also with `sigma`. None for a method that enhances no pictures,
-        and where the noise-free exposure is not known.
+        `BLUR_GRID` that suits these images best), each with mean `psnr` and `aligned_psnr`; blurs also with `sigma`.
+        Where no reference has contrast, `aligned_psnr` is None and `best_blur` is left out. None for a method that
+        enhances no pictures, and where the noise-free exposure is not known.
     """
     if run.enhancement is None or not (run.path / "enhanced").is_dir() or not capture.holds("truth"):
         return None
@@ -242,7 +242,7 @@ def recovered_fractions(
     """
     for needed, what in ((kind, f"the reference {kind}"), ("enhanced", "the noise-free exposure, the ceiling's,")):
         if all(method["mean"].get(needed, {}) is None for method in scores.values()):
-            return {}, f"{what} is not known of these photographs, so there is no span to measure on"
+            return {}, f"{what} is not known for these photographs, so what was recovered cannot be measured"
     ends = bounds_of(methods)
     if len(ends) < 2:
         wanted = [name for name, method in METHODS.items() if method.bound and method.bound not in ends]
@@ -255,7 +255,7 @@ def recovered_fractions(
     }
     if missing := [name for names in ends.values() for name in names if name not in value]:
         if all(number in (scores[name]["mean"].get(kind) or {}) for name in missing):
-            return {}, f"{' and '.join(missing)} have no {number} against {kind}, so there is no span to measure on"
+            return {}, f"{' and '.join(missing)} have no {number} against {kind}: nothing to measure recovery by"
         return {}, f"{' and '.join(missing)} were scored by an earlier version: score them again"
     floor, ceiling = (float(np.mean([value[name] for name in ends[end]])) for end in ("floor", "ceiling"))
     span = ceiling - floor

@@ -91,7 +91,7 @@ def changes_of(key: str, value: Any, folder: Path, data: Mapping[str, Path] | No
         return Changes(**{STAGES[stage]: {name: value}})
     if key == "scene" and (name := _text(value)).startswith(DATA):
         if (path := (data or {}).get(name.removeprefix(DATA))) is None:
-            raise ValueError(f"there is no {name}: say with --data where the data sets are")
+            raise ValueError(f"{name} was not found: --data DIR says where the data sets are")
         return Changes(adapted={"dark": path})
     if key in known_keys():
         return Changes(adapted=_keywords(key, value, folder))
@@ -148,7 +148,7 @@ def _scene(value: str, folder: Path) -> str:
     """A scene of the catalogue by name; a file or a folder by its whole path."""
     path = folder / Path(value).expanduser()
     if value.endswith(".xml") and not path.is_file():
-        raise ValueError(f"there is no scene file {path}")
+        raise ValueError(f"the scene file {path} does not exist")
     return str(path) if value.endswith(".xml") or path.is_dir() else value
 
 

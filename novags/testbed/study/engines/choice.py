@@ -34,7 +34,7 @@ class Work:
         store: The store; of one at a URL, a folder for seals and scores.
         costs: What tasks will cost.
         longest: Seconds from the start of each task to the end of the longest chain that begins with it, by key.
-        watcher: Who is told.
+        watcher: Hears when tasks start, proceed and end.
         known: How some tasks have ended before.
     """
 

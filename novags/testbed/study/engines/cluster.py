@@ -53,7 +53,7 @@ class Cluster:
         request: What a node is sent for a job, from its key and the results of those that it needs: "task", "marker"
             (see `node.do`), and "log", where its output goes on this machine.
         terms: What jobs ask for.
-        watcher: Who is told.
+        watcher: Hears when tasks start, proceed and end.
     """
 
     place: str
@@ -78,8 +78,8 @@ class Cluster:
             known: How some of them have ended before; they are not tried.
 
         Raises:
-            OSError: If there is no cluster, or a node cannot go on, because a disk is full, say. What is finished is
-                kept.
+            OSError: If no cluster is found, or a node cannot go on, for example because a disk is full. What is
+                finished is kept.
         """
         jobs = list(jobs)
         self._needs = {job.key: job.needs for job in jobs}

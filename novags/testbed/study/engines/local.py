@@ -41,7 +41,7 @@ class Pool:
         place: MODULE:FUNCTION that does a job, see `worker`.
         request: What a worker is sent for a job, from its key and the results of those that it needs.
         limits: What may be used.
-        watcher: Who is told.
+        watcher: Hears when tasks start, proceed and end.
         environment: Variables of the workers, beside those of this process.
     """
 

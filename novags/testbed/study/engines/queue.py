@@ -26,7 +26,7 @@ class Job(Protocol):
 
 
 class Watcher(Protocol):
-    """Who is told what happens."""
+    """Hears when tasks start, proceed and end."""
 
     def places(self, count: int) -> None:
         """So many jobs can run at a time now."""
@@ -52,7 +52,7 @@ class Queue:
     """Jobs between their wait for others and their end. No step looks at all jobs: there may be a hundred thousand.
 
     Attributes:
-        watcher: Who is told.
+        watcher: Hears when tasks start, proceed and end.
         order: Of the jobs that can start, the one with the largest comes first.
         outcomes: How jobs ended, by key.
     """
