@@ -121,6 +121,8 @@ def render_set(
             return _exported(load_set(out), export)
         with watch.stage("load"), using_variant(loaded.variant) as mi:
             check_cameras(mi, loaded, rig)  # before anything takes time
+            for layout in export:
+                EXPORTS[layout].check(rig)
         with watch.stage("plan"):
             report(0, len(names), "planning the light transport")
             samples = len(rig) * rig.width * rig.height * (spp or DEFAULT_SPP)
@@ -166,7 +168,7 @@ def _facts(job: Job, made: TransportPlan) -> dict[str, Any]:
 
 def _exported(views: MultiviewSet, layouts: Sequence[str]) -> MultiviewSet:
     for layout in layouts:
-        EXPORTS[layout](views, views.path / layout)
+        EXPORTS[layout].write(views, views.path / layout)
     return views
 
 

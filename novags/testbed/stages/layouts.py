@@ -9,7 +9,6 @@ from novags.testbed.folders.set import Source, warnings_as_notes
 from sensor_model.files.reading import brief
 from simscenes import EXPORTS, MultiviewSet, Rig, load_set
 from simscenes.sets.geometry.depth_range import Depths
-from simscenes.sets.writers.export import CHECKS, NEED_DEPTH
 
 LAYOUTS = tuple(EXPORTS)
 
@@ -23,13 +22,13 @@ def check_layouts(layouts: Sequence[str]) -> None:
 def check_cameras_of(layouts: Sequence[str], rig: Rig) -> None:
     """Raise ValueError for a layout that cannot hold these cameras, before the work that would be exported."""
     for layout in layouts:
-        CHECKS[layout](rig)
+        EXPORTS[layout].check(rig)
 
 
 def check_source_of(layouts: Sequence[str], source: Source) -> None:
     """Raise ValueError for a layout that cannot be written of a capture of this set, before it is photographed."""
     check_cameras_of(layouts, source.rig)
-    if NEED_DEPTH.intersection(layouts):
+    if any(EXPORTS[layout].needs_depth for layout in layouts):
         Depths.of_points(replace(source.views, rig=source.rig), source.points(), truth_of(source))
 
 
@@ -52,4 +51,4 @@ def write_layouts(folder: Path, layouts: Sequence[str], console: Console, *, tru
     """
     for layout in layouts:
         with warnings_as_notes(console):
-            EXPORTS[layout](load_set(folder), folder / layout, truth=truth)
+            EXPORTS[layout].write(load_set(folder), folder / layout, truth=truth)

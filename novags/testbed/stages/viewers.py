@@ -24,8 +24,11 @@ def check_formats(formats: Sequence[str]) -> None:
 
 
 def write_viewers(folder: Path, formats: Sequence[str]) -> None:
-    """Write the Gaussians of a finished run: "3dgs" (.ply of degree 3, with cameras.json), "splat",
-    "spz", and "spz2" for readers that know version 2 alone.
+    """Write the Gaussians of a finished run for the viewers of others.
+
+    Args:
+        folder: Of the run.
+        formats: "3dgs" (.ply of degree 3, with cameras.json), "splat", "spz", "spz2" (for readers of version 2 alone).
 
     Raises:
         ValueError: If the method has not made Gaussians, or a format cannot hold them.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import warnings
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -136,6 +137,22 @@ def _write_image(views: MultiviewSet, i: int, folder: Path) -> None:
         write_png(target, views.image(i))
 
 
-EXPORTS: dict[str, Callable[..., Path]] = {"blender": export_blender, "llff": export_llff}
-CHECKS: dict[str, Callable[[Rig], None]] = {"blender": check_blender, "llff": check_llff}  # before anything takes time
-NEED_DEPTH = frozenset({"llff"})  # layouts that state near and far of every view
+@dataclass(frozen=True)
+class Layout:
+    """A further layout of a set or a capture.
+
+    Attributes:
+        write: (views, folder, *, truth=None) -> the folder.
+        check: Raises ValueError for cameras that it cannot hold; before anything takes time.
+        needs_depth: It states near and far of every view.
+    """
+
+    write: Callable[..., Path]
+    check: Callable[[Rig], None]
+    needs_depth: bool = False
+
+
+EXPORTS = {
+    "blender": Layout(export_blender, check_blender),
+    "llff": Layout(export_llff, check_llff, needs_depth=True),
+}

@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -219,3 +220,13 @@ def test_load_set_of_a_rendered_set_needs_no_mitsuba(small_job: Job, tmp_path: P
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
     assert load_set(tmp_path).meta["scene"] == "custom"
+
+
+def test_a_layout_that_cannot_hold_the_cameras_is_refused_before_anything_is_rendered(
+    small_job: Job, tmp_path: Path
+) -> None:
+    rig = orbit_rig(3, 17, 13, 60, target=(0, 0, 0.8), radius=4.0)
+    off_centre = rig.Ks + [[0, 0, 1.0], [0, 0, 0], [0, 0, 0]]
+    with pytest.raises(ValueError, match="a centred principal point"):
+        small_job(tmp_path, replace(rig, Ks=off_centre), export=("blender",))
+    assert not (tmp_path / "gt").exists()

@@ -16,7 +16,6 @@ from simscenes.rigs import opencv_to_opengl
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.writers.camera_files import write_json
-from simscenes.sets.writers.export import CHECKS
 from simscenes.sets.writers.neighbours import instant_ngp_box, write_depth
 
 SIZE = (24, 20)  # width, height
@@ -150,9 +149,9 @@ def test_cameras_that_a_layout_cannot_hold_are_known_before_anything_is_written(
     views, _ = make_set(mkdirs)
     Ks = views.rig.Ks.copy()
     Ks[4, 1, 1] *= 1.003
-    CHECKS[layout](views.rig)
+    EXPORTS[layout].check(views.rig)
     with pytest.raises(ValueError, match=r"square pixels|view 4 has 25\.\d+ and 25\.\d+ px"):
-        CHECKS[layout](replace(views.rig, Ks=Ks))
+        EXPORTS[layout].check(replace(views.rig, Ks=Ks))
 
 
 def test_a_far_background_grows_the_box_and_not_the_scale() -> None:

@@ -230,8 +230,11 @@ def test_a_job_says_what_it_rendered_with() -> None:
 
 def test_layouts_are_written_into_folders_of_their_names(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     written: list[Any] = []
-    layouts = {name: lambda views, out, name=name: written.append((name, out)) for name in ("a", "b", "c")}
-    monkeypatch.setattr(rendering, "EXPORTS", layouts)
+
+    def layout(name: str) -> Any:
+        return SimpleNamespace(write=lambda views, out: written.append((name, out)))
+
+    monkeypatch.setattr(rendering, "EXPORTS", {name: layout(name) for name in ("a", "b", "c")})
     views: Any = SimpleNamespace(path=tmp_path)
     assert rendering._exported(views, ("c", "a")) is views
     assert written == [("c", tmp_path / "c"), ("a", tmp_path / "a")]

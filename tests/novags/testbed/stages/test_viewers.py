@@ -1,6 +1,8 @@
 """Files of a run for the viewers of others."""
 
+import gzip
 import json
+import struct
 
 import numpy as np
 import pytest
@@ -44,6 +46,8 @@ def test_formats_are_written_beside_the_run_on_request(tmp_path):
         "cameras.json", "point_cloud.ply", "scene-v2.spz", "scene.splat", "scene.spz",
     ]  # fmt: skip
     assert read_ply(out / "point_cloud.ply").sh_degree == 3
+    for name, version in (("scene.spz", 3), ("scene-v2.spz", 2)):
+        assert struct.unpack("<II", gzip.decompress((out / name).read_bytes())[:8])[1] == version
     assert json.loads((out / "cameras.json").read_text()) == [{"id": 0}]
     with pytest.raises(ValueError, match="export must be among 3dgs, splat, spz, spz2; got obj"):
         write_viewers(tmp_path, ("obj",))
