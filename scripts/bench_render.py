@@ -3,6 +3,7 @@
     python scripts/bench_render.py --equal-size 96 --equal-views 8 --target-error 0.03 [--out FILE]
     python scripts/bench_render.py --equal-views 0 --predict tabletop gallery street
     python scripts/bench_render.py --scene busts --equal-size 256 --target-error 0.05 --starts 2 3 5
+    python scripts/bench_render.py --equal-size 64 --equal-views 3 --target-error 0.05 --fresh hall tabletop
 
 Writes JSON lines {"knob", "setting", "seconds", "error", "error_unit", "error_sd", "default"}, knob "method", that
 compare whole jobs: `render_set` to a target error, everything included (reading the scene,
@@ -13,7 +14,9 @@ others from the spread between seeds. Their time is scaled up from what --plain-
 noise falls as one over the root of the samples; that of multijittered ones falls faster, so their --plain-spp should
 be near what is needed (see "needed_spp"). Kernels are compiled beforehand for all. With --predict: what `render_set`
 foretold of its time, and what it took, once with a number of samples and once towards the target error. With --starts,
-and nothing else: the same job with roulette from each of these path lengths, twice each, in turn.
+and nothing else: the same job with roulette from each of these path lengths, twice each, in turn. With --fresh, and
+nothing else: what `novags render` takes for these scenes in a new process, stage by stage, on a machine that has never
+seen the scene, so that every kernel has to be compiled, and once more when the kernels are kept.
 """
 
 from __future__ import annotations
@@ -21,6 +24,9 @@ from __future__ import annotations
 import argparse
 import itertools
 import json
+import os
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -154,6 +160,26 @@ def starts_of_roulette(
         }  # fmt: skip
 
 
+def fresh(scenes: Sequence[str], size: int, views: int, target: float) -> Iterator[dict[str, Any]]:
+    """Seconds by stage of the command in a new process, with and without kernels that an earlier one compiled."""
+    for scene in scenes:
+        with tempfile.TemporaryDirectory() as home:  # where Dr.Jit keeps its kernels
+            for kernels in ("new", "kept"):
+                out = Path(home) / kernels
+                command = ["render", scene, "--out", out, "--views", views, "--width", size, "--height", size]
+                start = time.perf_counter()
+                subprocess.run(
+                    [sys.executable, "-m", "novags", *map(str, command), "--target-error", str(target)],
+                    env=os.environ | {"HOME": home}, check=True, capture_output=True,
+                )  # fmt: skip
+                seconds = time.perf_counter() - start
+                stages = json.loads((out / "set.json").read_text(encoding="utf-8"))["seconds"]
+                yield {
+                    "scene": scene, "size": size, "views": views, "target_error": target, "kernels": kernels,
+                    "seconds": seconds, "stages": stages, "planning_share": stages["plan"] / seconds,
+                }  # fmt: skip
+
+
 def main() -> None:
     """Run the comparisons and write the lines."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -164,6 +190,7 @@ def main() -> None:
     parser.add_argument("--target-error", type=float, default=0.03)
     parser.add_argument("--predict", nargs="*", default=[], help="scenes whose predicted times are checked")
     parser.add_argument("--starts", nargs="*", type=int, default=[], help="path lengths from which roulette starts")
+    parser.add_argument("--fresh", nargs="*", default=[], help="scenes that are rendered in processes of their own")
     parser.add_argument("--plain-spp", type=int, default=256)
     parser.add_argument("--plain-seeds", type=int, default=4, help="renders whose spread is the error of plain ones")
     parser.add_argument("--peers", nargs="+", default=list(PEERS), choices=PEERS)
@@ -174,8 +201,9 @@ def main() -> None:
     compared = equal_error(a.scene, size, views, a.target_error, *sampling) if views else ()
     foretold = predictions(a.predict, a.equal_size, a.target_error)
     begun = starts_of_roulette(a.scene, size, views, a.target_error, a.starts)
+    alone = fresh(a.fresh, size, views, a.target_error)
     lines = []
-    for line in begun if a.starts else itertools.chain(compared, foretold):
+    for line in (a.starts and begun) or (a.fresh and alone) or itertools.chain(compared, foretold):
         lines.append(json.dumps(line))
         print(lines[-1], flush=True)
     if a.out:

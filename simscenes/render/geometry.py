@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from simscenes.camera import WAVELENGTHS, daylight, srgb_curves
 from simscenes.loading.contents import unique_materials
 from simscenes.loading.load import LoadedScene
+from simscenes.render.wavefront import from_numpy
 from simscenes.rigs import Rig, invert_rigid
 
 MAX_INTERFACES = 16  # boundaries of fog and the like, which do not bend rays and are passed through
@@ -91,14 +92,18 @@ def shrunk(rig: Rig, i: int, size: int = 8) -> Rig:
 
 
 def first_surfaces(mi: Any, scene: Any, origin: NDArray[Any], directions: NDArray[Any]) -> tuple[Any, Any]:
-    """Rays from one point and what each hits first, passing through boundaries of fog; in a JIT variant."""
+    """Rays from one point and what each hits first, passing through boundaries of fog; in a JIT variant.
+
+    Both are evaluated, in one kernel that serves every number of rays: compiling takes longer than running it.
+    """
     import drjit as dr
 
-    direction = mi.Vector3f(np.ascontiguousarray(directions.T, dtype=np.float32))
-    # Opaque: as literals the origin would be compiled into the kernel, anew for every view.
+    # Axis by axis, and the origin opaque: else the number of rays, and the origin, would be compiled into the kernel.
+    direction = mi.Vector3f(*(from_numpy(mi.Float, axis) for axis in directions.T.astype(np.float32)))
     ray = mi.Ray3f(mi.Point3f(*(dr.opaque(mi.Float, float(v)) for v in origin)), direction)
     si = scene.ray_intersect(ray)
     for _ in range(MAX_INTERFACES):
+        dr.eval(ray, si)  # together: gathering from what is not would compile a kernel for each of its fields
         through = si.is_valid() & ((si.bsdf(ray).flags() & int(mi.BSDFFlags.All)) == int(mi.BSDFFlags.Null))
         if not dr.any(through):
             break

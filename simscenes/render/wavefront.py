@@ -19,6 +19,19 @@ MAX_WAVEFRONT = 1 << 22  # samples traced at once; bounds the memory to some 200
 FOOTPRINT = 1 / 8  # of a pixel: neighbouring samples, not pixels, bound what a texture lookup covers
 
 
+def from_numpy(kind: Any, values: NDArray[Any]) -> Any:
+    """A JIT array of NumPy's values [n], in memory that starts at a multiple of 64 bytes.
+
+    Dr.Jit reads NumPy's own memory, and whether that is aligned, which is chance, is compiled into the kernel: some
+    kernels would be compiled twice, at a second each.
+    """
+    room = np.empty(values.nbytes + 64, dtype=np.uint8)
+    start = -room.ctypes.data % 64
+    aligned = room[start : start + values.nbytes].view(values.dtype)
+    aligned[:] = values
+    return kind(aligned)
+
+
 def sample_sums(
     mi: Any,
     scene: Any,
@@ -70,12 +83,26 @@ def _trace(
     if not more.any():
         return sums
     film, count = sensor.film(), int(more.sum())
-    entry = mi.UInt32(np.repeat(np.arange(len(more), dtype=np.uint32), more))
+    entry = from_numpy(mi.UInt32, np.repeat(np.arange(len(more), dtype=np.uint32), more))
     # Number in the sequence minus that of the lane: it may wrap around below zero, and their sum then wraps back.
     offset = dr.gather(mi.UInt32, mi.UInt32((first - begins).astype(np.uint32)), entry)
     pixel = entry + dr.opaque(mi.UInt32, start)
     sampler = sampler_class(mi, mi.variant())(pixel, dr.arange(mi.UInt32, count) + offset, seed)
-    width, height = (int(n) for n in film.crop_size())
+    ray, weight = camera_rays(mi, sensor, sampler, pixel, part)
+    spectrum, _, _ = integrator.sample(scene, sampler, ray, sensor.get_medium(), mi.Bool(True))
+    channels = _channels(mi, film, weight * spectrum, ray.wavelengths)
+    dr.eval(channels)
+    some = more > 0
+    for k, channel in enumerate(channels):
+        sums[some, k] = np.add.reduceat(np.array(channel, dtype=np.float64), begins[some])
+    return sums
+
+
+def camera_rays(mi: Any, sensor: Any, sampler: Any, pixel: Any, part: float = 1.0) -> tuple[Any, Any]:
+    """A ray through a random place in each pixel, and its weight; what the sampler draws next belongs to the path."""
+    import drjit as dr
+
+    width, height = (int(n) for n in sensor.film().crop_size())
     row = pixel // dr.opaque(mi.UInt32, width)
     corner = mi.Vector2f(mi.Float(pixel - row * width), mi.Float(row))
     inside = 0.5 + dr.opaque(mi.Float, part) * (sampler.next_2d() - 0.5)
@@ -85,13 +112,7 @@ def _trace(
     ray, weight = sensor.sample_ray_differential(0.0, wavelength, place, lens)
     ray.scale_differential(FOOTPRINT * part)
     sampler.begin_path()
-    spectrum, _, _ = integrator.sample(scene, sampler, ray, sensor.get_medium(), mi.Bool(True))
-    channels = _channels(mi, film, weight * spectrum, ray.wavelengths)
-    dr.eval(channels)
-    some = more > 0
-    for k, channel in enumerate(channels):
-        sums[some, k] = np.add.reduceat(np.array(channel, dtype=np.float64), begins[some])
-    return sums
+    return ray, weight
 
 
 def _channels(mi: Any, film: Any, spectrum: Any, wavelengths: Any) -> list[Any]:

@@ -15,9 +15,9 @@ from simscenes.optics import Optics
 from simscenes.scenes import MEASURED_LIGHTS, split_name
 from simscenes.transport import pilot, plan, spectra
 from simscenes.transport.effects import DEPTHS, decided
-from simscenes.transport.pilot import RR_DEPTH, Pilot
+from simscenes.transport.lengths import SPECULAR
+from simscenes.transport.pilot import DEEPEST, Pilot
 from simscenes.transport.plugins import filters_in
-from simscenes.transport.specular import SPECULAR, chained_light
 
 # Of light that two specular surfaces have passed on, polarisation changes a few per cent: measured 1 % on `tabletop`,
 # 2 to 5 % on `glassware`. Used only where measuring was not requested, with room to spare.
@@ -92,9 +92,9 @@ def _bounded_polarisation(p: Pilot, geometry: list[Any], specular: list[bool]) -
     if p.backend == "scalar" or p.base != "rgb":
         share = float(np.array([False, *specular])[np.stack([g["material"] for g in geometry])].mean())
         return share * POLARISED_CHANGE, f"bounded: {share:.1%} of pixels show specular"
-    total = float(p.render("path", DEPTHS[0]).mean())
-    settings = {"type": "path", "max_depth": DEPTHS[0], "rr_depth": RR_DEPTH}
-    share = chained_light(p.mi, p.loaded, p.rig, settings, p.seed) / total if total > 0 else 0.0
+    found = p.lengths(DEEPEST)
+    total = float(found.light.sum(0).mean())
+    share = found.chained / total if total > 0 else 0.0
     return share * POLARISED_CHANGE, f"bounded: {share:.1%} of the light comes by two specular surfaces in a row"
 
 

@@ -13,14 +13,13 @@ from simscenes.optics import Optics
 from simscenes.render.motion import image_motion
 from simscenes.rigs import Rig
 from simscenes.transport import pilot, plan
-from simscenes.transport.pilot import RR_DEPTH, Pilot
+from simscenes.transport.pilot import DEEPEST, Pilot
 from simscenes.transport.plugins import class_of
 from simscenes.transport.roulette import TOGETHER, most_efficient, path_lengths, path_noise
 
 UNIT = plan.UNIT
 DEPTHS = (8, 16, 32)  # candidates for max_depth
-DEEPEST = 64  # pilot paths end here, where that is deep enough
-DEEPER = (256, 1024)  # else here
+DEEPER = (256, 1024)  # where paths of pilots end, if `DEEPEST` is not deep enough
 RR_OFFERED = (2, 3, 5)
 # Where roulette starts unless another start is measured to be better: on surfaces 3 took at most 1.13 times the least
 # processor time to one error on four scenes, 2 up to 1.5 and 5 up to 1.25 times (docs/what-is-simulated.md); in fog 2.
@@ -39,8 +38,8 @@ def depth_effects(p: Pilot, media: bool, most: float, forced_depth: int | None) 
     errors more than that and what would come after them if every later bounce kept `most` of the light.
     """
     kind = "volpath" if media else "path"
-    full = p.render(kind, DEEPEST)
-    indirect = pilot.missing_light(full, p.render(kind, plan.DIRECT_DEPTH))
+    full = p.cut(kind, DEEPEST, DEEPEST)
+    indirect = pilot.missing_light(full, p.cut(kind, plan.DIRECT_DEPTH, DEEPEST))
     p.rms[plan.INDIRECT] = indirect.rms
     if forced_depth is not None:
         seen = min(forced_depth, DEEPER[-1])  # beyond, less is left than there
@@ -70,19 +69,14 @@ def _deep_enough(p: Pilot, kind: str, most: float) -> tuple[int, pilot.Share]:
 
 
 def _tail(p: Pilot, kind: str, depth: int, deepest: int, most: float) -> pilot.Share:
-    """What a cut at `depth` omits, from pilots that end at `deepest`.
-
-    The deeper ones do without roulette: it ends one path in twenty at every bounce, however bright, so that few of
-    hundreds of bounces would be found.
-    """
-    start = RR_DEPTH if deepest <= DEEPEST else deepest + 1
-    full = p.render(kind, deepest, start)
+    """What a cut at `depth` omits, from pilots that end at `deepest`."""
+    full = p.cut(kind, deepest, deepest)
     if depth < deepest:
-        return pilot.beyond(pilot.missing_light(full, p.render(kind, depth, start)), deepest - depth, most)
+        return pilot.beyond(pilot.missing_light(full, p.cut(kind, depth, deepest)), deepest - depth, most)
     half = deepest // 2
-    found = pilot.missing_light(full, p.render(kind, half, start))
+    found = pilot.missing_light(full, p.cut(kind, half, deepest))
     if deepest > DEEPEST:  # light that fades more slowly than `most` is seen to do so
-        later = pilot.missing_light(full, p.render(kind, deepest - half // 2, start))
+        later = pilot.missing_light(full, p.cut(kind, deepest - half // 2, deepest))
         earlier = found.estimate - later.estimate
         if 0 < later.estimate < earlier:
             most = max(most, (later.estimate / earlier) ** (2 / half))

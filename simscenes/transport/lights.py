@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from simscenes.loading.contents import media_in
 from simscenes.loading.load import LoadedScene
 from simscenes.render.geometry import first_surfaces, pixel_rays
+from simscenes.render.wavefront import from_numpy
 from simscenes.rigs import Rig
 
 SAMPLES = 4  # per light and pixel of the pilot views
@@ -72,13 +73,13 @@ def _direct_light(mi: Any, loaded: LoadedScene, rig: Rig, i: int, count: int, se
     origin, directions = pixel_rays(rig, i)
     _, seen = first_surfaces(mi, loaded.scene, origin, directions)
     pixels = len(directions)
-    number = np.tile(np.repeat(np.arange(count, dtype=np.uint32), pixels), SAMPLES)
-    place = np.tile(np.arange(pixels, dtype=np.uint32), SAMPLES * count)
-    si = dr.gather(mi.SurfaceInteraction3f, seen, mi.UInt32(place))
-    emitter = dr.gather(mi.EmitterPtr, loaded.scene.emitters_dr(), mi.UInt32(number))
-    picks = np.random.default_rng([seed, i, 7]).random((2, len(place)), dtype=np.float32)
+    wide, many = dr.opaque(mi.UInt32, pixels), dr.opaque(mi.UInt32, count)
+    lane = dr.arange(mi.UInt32, SAMPLES * count * pixels)  # the pixels fastest, then the lights
+    si = dr.gather(mi.SurfaceInteraction3f, seen, lane % wide)
+    emitter = dr.gather(mi.EmitterPtr, loaded.scene.emitters_dr(), lane // wide % many)
+    picks = np.random.default_rng([seed, i, 7]).random((2, SAMPLES * count * pixels), dtype=np.float32)
     valid = si.is_valid()
-    ds, weight = emitter.sample_direction(si, mi.Point2f(picks), valid)
+    ds, weight = emitter.sample_direction(si, mi.Point2f(*(from_numpy(mi.Float, one) for one in picks)), valid)
     valid &= ds.pdf > 0
     facing = dr.select(dr.dot(si.n, si.to_world(si.wi)) < 0, -si.n, si.n)
     cosine = dr.maximum(dr.dot(ds.d, facing), 0)

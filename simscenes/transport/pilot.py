@@ -22,12 +22,14 @@ from simscenes.loading.reference import SceneRef
 from simscenes.render.radiance import view_seed
 from simscenes.render.sensors import sensor_dict
 from simscenes.rigs import Rig
+from simscenes.transport.lengths import Lengths, light_by_length
 
 N_VIEWS = 3
 MOST = 0.99  # of the light that anything reflects; without a limit below 1 a closed room has no bound
 SIZE = 32  # pixels along the longer side
 SPP = 64
 RR_DEPTH = 2  # where Russian roulette starts in pilots
+DEEPEST = 64  # pilot paths end here, where that is deep enough
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,7 @@ class Pilot:
     base: str = "rgb"  # the fewest colours that the scene can be loaded in
     scenes: dict[str, LoadedScene] = field(default_factory=dict)
     images: dict[tuple[str, int, int], NDArray[np.float64]] = field(default_factory=dict)
+    by_length: dict[int, Lengths] = field(default_factory=dict)
     rms: dict[str, tuple[float, ...]] = field(default_factory=dict)  # effect -> `Share.rms` of leaving it out
 
     def render(self, kind: str, depth: int, rr_depth: int = RR_DEPTH) -> NDArray[np.float64]:
@@ -59,6 +62,26 @@ class Pilot:
             integrator = {"type": kind, "max_depth": depth, "rr_depth": rr_depth, **self.hiding}
             self.images[key] = render_pilot(self.mi, self.loaded, self.rig, integrator, self.seed)
         return self.images[key]
+
+    def cut(self, kind: str, depth: int, deepest: int) -> NDArray[np.float64]:
+        """What paths up to `depth` show of the pilot views, of those that end at `deepest`.
+
+        From one pass over all lengths where there is such a pass, else from a render of each depth. The deeper ones do
+        without roulette: it ends one path in twenty at every bounce, however bright, so that few of hundreds of bounces
+        would be found.
+        """
+        if kind == "path" and self.backend != "scalar" and self.base == "rgb" and not self.hide_emitters:
+            return np.asarray(self.lengths(deepest).light[:depth].sum(0))
+        return self.render(kind, depth, _roulette_until(deepest))
+
+    def lengths(self, deepest: int) -> Lengths:
+        """The light that paths over surfaces find, by their length; followed once. In an RGB JIT variant."""
+        if deepest not in self.by_length:
+            start = _roulette_until(deepest)
+            found = light_by_length(self.mi, self.loaded, self.rig, deepest, start, SPP, self.seed)
+            check_finite(found.light, self.loaded.name)
+            self.by_length[deepest] = found
+        return self.by_length[deepest]
 
     @property
     def hiding(self) -> dict[str, bool]:
@@ -94,6 +117,11 @@ class Pilot:
             yield mi, self.loaded if color == self.base else self.scenes[color]
 
 
+def _roulette_until(deepest: int) -> int:
+    """Where roulette starts in pilots that end at `deepest`; beyond it in the deeper ones."""
+    return RR_DEPTH if deepest <= DEEPEST else deepest + 1
+
+
 def _holds_objects(mi: Any, node: Any) -> bool:
     return isinstance(node, mi.Object) or (isinstance(node, dict) and any(_holds_objects(mi, v) for v in node.values()))
 
@@ -120,10 +148,15 @@ def render_pilot(mi: Any, loaded: LoadedScene, rig: Rig, integrator: dict[str, A
         image = mi.render(loaded.scene, sensor=sensor, integrator=method, spp=SPP, seed=view_seed(rig, i, seed, 0))
         views.append(np.array(image, dtype=np.float64)[..., :3])
     result = np.stack(views)
-    if not np.isfinite(result).all():
-        raise ValueError(f"scene {loaded.name!r} renders to nan or infinite radiance; look for a broken emitter, or a "
-                         "medium whose sigma_t is 0 at some wavelengths")  # fmt: skip
+    check_finite(result, loaded.name)
     return result
+
+
+def check_finite(radiance: NDArray[np.float64], name: str) -> None:
+    """Refuse a scene whose pilots hold nan or infinity, with ValueError."""
+    if not np.isfinite(radiance).all():
+        raise ValueError(f"scene {name!r} renders to nan or infinite radiance; look for a broken emitter, or a "
+                         "medium whose sigma_t is 0 at some wavelengths")  # fmt: skip
 
 
 @dataclass(frozen=True)

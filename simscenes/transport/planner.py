@@ -21,7 +21,6 @@ from simscenes.rigs import Rig
 from simscenes.transport import pilot, plan
 from simscenes.transport.colors import color_effects
 from simscenes.transport.effects import (
-    DEEPEST,
     UNIT,
     aperture_effect,
     depth_effects,
@@ -31,7 +30,7 @@ from simscenes.transport.effects import (
     screens_before_points,
 )
 from simscenes.transport.lights import light_weights
-from simscenes.transport.pilot import RR_DEPTH, Pilot
+from simscenes.transport.pilot import DEEPEST, RR_DEPTH, Pilot
 from simscenes.transport.plan import TransportPlan, settle
 from simscenes.transport.plugins import not_understood
 from simscenes.transport.wishes import check_wishes
@@ -125,7 +124,7 @@ def say_if_dark(p: Pilot) -> None:
     if not p.loaded.scene.emitters():
         warnings.warn(f"scene {name!r} has no emitter: every picture is black; add one, such as "
                       '<emitter type="constant"/>', stacklevel=3)  # fmt: skip
-    elif not any(image.any() for image in p.images.values()):
+    elif not any(light.any() for light in (*p.images.values(), *(found.light for found in p.by_length.values()))):
         warnings.warn(f"no light of scene {name!r} reaches its cameras in the pilots: see that lamps face what they "
                       "see, and that nothing encloses them", stacklevel=3)  # fmt: skip
 

@@ -18,10 +18,10 @@ from simscenes.render.radiance import view_seed
 from simscenes.render.sensors import sensor_dict
 from simscenes.render.wavefront import sample_sums
 from simscenes.rigs import Rig
+from simscenes.transport.lengths import MOST_SURVIVE
 
 TOGETHER = 8  # paths of a pixel that are traced side by side: the lanes of a vector
 SPP = 64  # of the two renders of a pilot view, whose difference is its noise
-MOST_SURVIVE = 0.95  # the largest survival probability in Mitsuba, however bright a path is
 
 
 def path_lengths(

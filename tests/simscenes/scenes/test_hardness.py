@@ -11,7 +11,7 @@ from simscenes.backend import activate
 from simscenes.loading.load import build_scene
 from simscenes.render.geometry import geometry_channels
 from simscenes.transport import pilot
-from simscenes.transport.specular import SPECULAR
+from simscenes.transport.lengths import SPECULAR
 
 
 def facts(name: str) -> dict[str, float]:

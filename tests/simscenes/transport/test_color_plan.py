@@ -13,9 +13,9 @@ from simscenes.camera import camera_color, srgb_curves
 from simscenes.loading.load import build_scene
 from simscenes.rigs import intrinsics, look_at
 from simscenes.scenes import MEASURED_LIGHTS, SCENES
+from simscenes.transport.lengths import light_by_length
 from simscenes.transport.plan import MADE_UP
 from simscenes.transport.spectra import WAVELENGTHS, color_error, has_measured
-from simscenes.transport.specular import chained_light
 
 SceneMaker = Callable[..., dict[str, Any]]
 
@@ -39,12 +39,11 @@ def test_light_by_two_mirrors_in_a_row_is_told_from_the_rest(diffuse_box: SceneM
     floor = {"type": "rectangle", "to_world": t.scale(50), "bsdf": mirror}
     wall = {"type": "rectangle", "to_world": t.translate([0, 5, 0]).rotate([1, 0, 0], 90).scale(50), "bsdf": mirror}
     down = Rig(viewmats=look_at((0, 0, 3), (0, 1.5, 0))[None], Ks=intrinsics(8, 8, 10)[None], width=8, height=8)
-    settings = {"type": "path", "max_depth": 8, "rr_depth": 9}
     once = build_scene({"type": "scene", "floor": floor, "sky": sky}, mi)
     twice = build_scene({"type": "scene", "floor": floor, "wall": wall, "sky": sky}, mi)
-    assert chained_light(mi, once, down, settings, 0) == 0
-    assert chained_light(mi, twice, down, settings, 0) == pytest.approx(1.0, rel=1e-5)
-    assert chained_light(mi, build_scene(diffuse_box(), mi), ring, settings, 0) == 0
+    box = build_scene(diffuse_box(), mi)
+    found = [light_by_length(mi, *seen, 8, 9, 16, 0).chained for seen in ((once, down), (twice, down), (box, ring))]
+    assert found == [0, pytest.approx(1.0, rel=1e-5), 0]
 
 
 @pytest.mark.usefixtures("jit")

@@ -1,5 +1,6 @@
 """The arithmetic of pilots on small images made by hand, against loops and against the formulas of statistics."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -9,6 +10,7 @@ import pytest
 from simscenes import Rig, orbit_rig
 from simscenes.rigs import intrinsics
 from simscenes.transport import pilot
+from simscenes.transport.lengths import Lengths
 from simscenes.transport.pilot import Pilot, Share, beyond, changed_light, missing_light, pilot_rig
 
 RNG = np.random.default_rng(4)
@@ -141,6 +143,43 @@ def test_a_sample_is_timed_in_the_middle_view_when_its_kernel_is_compiled(
     assert [(a["sensor"]["i"], a["spp"]) for a in mi.asked] == [(3, 1), (3, 64), (3, 64)]
     assert [a["seed"] for a in mi.asked] == [217, 847, 847]
     assert found == pytest.approx(1 / (1024 * 16 * 8))
+
+
+def test_paths_over_surfaces_are_followed_once_for_all_cuts_and_others_rendered(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The deeper ones without roulette. Fog, spectra, scalar variants and hidden lamps need a render for each cut."""
+    followed: list[Any] = []
+    rendered: list[Any] = []
+
+    def by_length(mi: Any, loaded: Any, rig: Any, *settings: int) -> Lengths:
+        followed.append(settings)
+        return Lengths(np.arange(settings[0], dtype=float).reshape(-1, 1, 1, 1, 1), 0.0)
+
+    monkeypatch.setattr(pilot, "light_by_length", by_length)
+    monkeypatch.setattr(pilot, "render_pilot", lambda mi, loaded, rig, *a: rendered.append(a) or np.ones(1))
+    p = Pilot(None, None, LOADED, None, "llvm_ad", 0.004, 5)  # type: ignore[arg-type]
+    assert [p.cut("path", d, 64).item() for d in (1, 3, 64)] == [0, 3, 63 * 32]
+    assert p.cut("path", 256, 256).item() == 255 * 128
+    assert (followed, rendered) == ([(64, 2, 64, 5), (256, 257, 64, 5)], [])
+    others = [("volpath", {}), ("path", {"backend": "scalar"}), ("path", {"base": "spectral"}),
+              ("path", {"hide_emitters": True})]  # fmt: skip
+    for kind, more in others:
+        q = replace(p, **more, images={}, by_length={})
+        q.cut(kind, 8, 64)
+        q.cut(kind, 128, 256)
+        expected = [{"type": kind, "max_depth": d, "rr_depth": start, **q.hiding} for d, start in ((8, 2), (128, 257))]
+        assert rendered == [(settings, 5) for settings in expected]
+        rendered.clear()
+    assert len(followed) == 2
+
+
+def test_light_by_length_that_is_not_finite_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    bad = Lengths(np.array([1.0, np.nan]).reshape(2, 1, 1, 1, 1), 0.0)
+    monkeypatch.setattr(pilot, "light_by_length", lambda *a: bad)
+    p = Pilot(None, None, LOADED, None, "llvm_ad", 0.004, 5)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="'custom' renders to nan"):
+        p.cut("path", 1, 64)
 
 
 def test_a_pilot_renders_each_kind_of_path_once(monkeypatch: pytest.MonkeyPatch) -> None:

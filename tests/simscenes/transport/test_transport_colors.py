@@ -15,8 +15,8 @@ from simscenes.camera import camera_color
 from simscenes.loading.reference import SceneRef
 from simscenes.transport import colors, pilot, spectra
 from simscenes.transport.colors import color_effects, polarisation_effect, spectral_effect
-from simscenes.transport.pilot import Pilot
-from simscenes.transport.specular import SPECULAR
+from simscenes.transport.lengths import SPECULAR, Lengths
+from simscenes.transport.pilot import DEEPEST, Pilot
 
 NIKON = "Nikon 5100 (NPL)"
 DIFFUSE, MIRROR = 0x2 | 0x4, 0x20
@@ -26,11 +26,16 @@ class Object:
     """Stands in for Mitsuba's objects."""
 
 
-def pilots(scene: Any = None, *, backend: str = "llvm_ad", allowed: float = 0.004) -> Pilot:
+def lengths(chained: float, light: float = 0.5) -> dict[int, Lengths]:
+    """Three times `light` in every pixel, `chained` of it passed on by two specular surfaces."""
+    return {DEEPEST: Lengths(np.full((3, 2, 3, 4, 1), light), chained)}
+
+
+def pilots(scene: Any = None, *, backend: str = "llvm_ad", allowed: float = 0.004, chained: float = 1.5) -> Pilot:
     source = SceneRef.of(scene or {"type": "scene"})
-    images = {("path", 8, 2): np.full((2, 3, 4, 3), 1.5)}
     loaded: Any = SimpleNamespace(scene="scene", rgb_alone=False)
-    p = Pilot(SimpleNamespace(Object=Object), source, loaded, None, backend, allowed, 5, images=images)  # type: ignore[arg-type]
+    p = Pilot(SimpleNamespace(Object=Object), source, loaded, None, backend, allowed, 5)  # type: ignore[arg-type]
+    p.by_length.update(lengths(chained))
     p.scenes.update(spectral="in spectra", spectral_polarized="polarised")  # type: ignore[arg-type]
     return p
 
@@ -68,20 +73,17 @@ def test_diffuse_surfaces_alone_polarise_nothing(surfaces: Any) -> None:
     assert "diffuse" in found.reason
 
 
-@pytest.mark.parametrize("p", [pilots(), made_for_rgb(allowed=1e-9)], ids=["bounded", "made for RGB"])
-def test_polarisation_is_bounded_by_the_light_of_two_mirrors_in_a_row(
-    p: Pilot, surfaces: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.parametrize(
+    "p", [pilots(chained=0.03), made_for_rgb(allowed=1e-9, chained=0.03)], ids=["bounded", "made for RGB"]
+)
+def test_polarisation_is_bounded_by_the_light_of_two_mirrors_in_a_row(p: Pilot, surfaces: Any) -> None:
     """0.03 of 1.5 comes by two; of that a tenth may change."""
     surfaces(DIFFUSE, MIRROR)
-    asked: list[Any] = []
-    monkeypatch.setattr(colors, "chained_light", lambda *a: asked.append(a) or 0.03)
     found = polarisation_effect(p, False, [], False)
     assert not found.on
     assert found.contribution == pytest.approx(0.002)
     assert found.reason == "bounded: 2.0% of the light comes by two specular surfaces in a row"
-    assert asked[0][3:] == ({"type": "path", "max_depth": 8, "rr_depth": 2}, 5)
-    p.images["path", 8, 2] = np.zeros((2, 3, 4, 3))
+    p.by_length.update(lengths(0.03, light=0.0))
     assert polarisation_effect(p, False, [], False).contribution == 0
 
 
@@ -110,7 +112,6 @@ def test_polarisation_is_measured_by_paired_pilots(
     """On request, and where the bound does not suffice in a scene with spectra of its own."""
     surfaces(MIRROR)
     monkeypatch.setattr(colors, "_has_measured_spectra", lambda p: measured_spectra)
-    monkeypatch.setattr(colors, "chained_light", lambda *a: 1.5)
     asked: list[Any] = []
 
     def rendered(mi: Any, loaded: Any, rig: Any, settings: dict[str, Any], seed: int) -> Any:
@@ -133,10 +134,9 @@ def test_a_short_job_in_rgb_is_not_loaded_in_spectra_for_a_bound(
 ) -> None:
     """Three quarters of the light by two mirrors, a tenth of that at most by polarisation: more than allowed."""
     surfaces(MIRROR)
-    monkeypatch.setattr(colors, "chained_light", lambda *a: 1.125)
     monkeypatch.setattr(colors, "_has_measured_spectra", lambda p: False)
     monkeypatch.setattr(pilot, "render_pilot", lambda *a: pytest.fail("a pilot in spectra"))
-    found = polarisation_effect(pilots(), False, [], False)
+    found = polarisation_effect(pilots(chained=1.125), False, [], False)
     assert not found.on
     assert found.contribution == pytest.approx(0.075)
     assert found.reason.endswith("; it takes made-up spectra, and what these change is not measured")

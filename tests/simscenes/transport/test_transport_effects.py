@@ -16,6 +16,7 @@ from simscenes.transport.effects import (
     motion_effect,
     roulette_effect,
 )
+from simscenes.transport.lengths import Lengths
 from simscenes.transport.pilot import Pilot
 
 SMALL = orbit_rig(2, 32, 24, 40, radius=3.0)
@@ -26,9 +27,15 @@ def pilots(allowed: float = 0.004, backend: str = "llvm_ad", **more: Any) -> Pil
     return Pilot("mi", None, loaded, SMALL, backend, allowed, 5, **more)  # type: ignore[arg-type]
 
 
-def room(albedo: float, kind: str = "path") -> dict[Any, Any]:
-    """A closed room: of light that starts as 1 - a, a part a comes back from every surface."""
-    return {(kind, d, 2): np.full((2, 3, 4, 3), 2 * (1 - albedo**d)) for d in (2, 5, 8, 16, 32, 64)}
+def room(albedo: float, media: bool = False, deepest: tuple[int, ...] = (64,)) -> dict[str, Any]:
+    """A closed room: of light that starts as 1 - a, a part a comes back from every surface.
+
+    By length where the paths are those over surfaces, else as pictures.
+    """
+    if media:
+        return {"images": {("volpath", d, 2): np.full((2, 3, 4, 3), 2 * (1 - albedo**d)) for d in (2, 8, 16, 32, 64)}}
+    picture = np.full((2, 3, 4, 1), 2 * (1 - albedo))
+    return {"by_length": {d: Lengths(np.stack([albedo**k * picture for k in range(d)]), 0.0) for d in deepest}}
 
 
 @pytest.mark.parametrize(
@@ -37,7 +44,7 @@ def room(albedo: float, kind: str = "path") -> dict[Any, Any]:
 @pytest.mark.parametrize("media", [False, True])
 def test_paths_end_where_what_lies_beyond_is_allowed(albedo: float, allowed: float, depth: int, media: bool) -> None:
     """Beyond d lies a^d of the light; the pilot itself lacks a^64, so that all shares are of 1 - a^64."""
-    p = pilots(allowed, images=room(albedo, "volpath" if media else "path"))
+    p = pilots(allowed, **room(albedo, media))
     seen = 1 - albedo**64
     found, (indirect, deep) = depth_effects(p, media, albedo, None)
     assert found == depth
@@ -54,7 +61,7 @@ def test_paths_end_where_what_lies_beyond_is_allowed(albedo: float, allowed: flo
 
 
 def test_a_depth_decided_by_hand_is_kept_and_bounded() -> None:
-    found, (_, deep) = depth_effects(pilots(images=room(0.7)), False, 0.7, 5)
+    found, (_, deep) = depth_effects(pilots(**room(0.7)), False, 0.7, 5)
     assert found == 5
     assert deep.forced
     assert deep.contribution == pytest.approx(0.7**5 / (1 - 0.7**64))
@@ -232,19 +239,15 @@ def test_a_step_between_poses_is_half_a_pixel_at_most(
     assert asked == [(["views"], SMALL, SMALL, 0.3)]
 
 
-def persistent(albedo: float) -> dict[Any, Any]:
-    """The room with pilots of any depth, the deeper ones without roulette."""
-    depths = {3: (8, 16, 32, 64, 2), 257: (128, 192, 256), 1025: (512, 768, 1024)}
-    starts = {3: 2, 257: 257, 1025: 1025}
-    return {
-        ("path", d, starts[key]): np.full((2, 3, 4, 3), 1 - albedo**d) for key, some in depths.items() for d in some
-    }
+def persistent(albedo: float) -> dict[str, Any]:
+    """The room with pilots of any depth."""
+    return room(albedo, deepest=(64, 256, 1024))
 
 
 @pytest.mark.parametrize(("albedo", "depth"), [(0.9, 64), (0.96, 256), (0.985, 512), (0.9995, 1024)])
 def test_paths_go_as_deep_as_light_persists(albedo: float, depth: int) -> None:
     """Where 1024 is not deep enough, the plan says how much is left."""
-    p = pilots(0.004, images=persistent(albedo))
+    p = pilots(0.004, **persistent(albedo))
     found, (_, deep) = depth_effects(p, False, albedo, None)
     assert found == depth
     left = albedo**depth / (1 - albedo ** {64: 64, 256: 256, 512: 1024, 1024: 1024}[depth])
@@ -255,7 +258,7 @@ def test_paths_go_as_deep_as_light_persists(albedo: float, depth: int) -> None:
 
 def test_light_that_fades_more_slowly_than_surfaces_allow_is_seen_to_do_so() -> None:
     """At most 0.99 a bounce is assumed, 0.998 is found: what comes after the deepest path is not underestimated."""
-    p = pilots(0.001, images=persistent(0.998))
+    p = pilots(0.001, **persistent(0.998))
     found, (_, deep) = depth_effects(p, False, 0.99, None)
     assert found == 1024
     assert deep.contribution == pytest.approx(0.998**1024 / (1 - 0.998**1024), rel=1e-3)

@@ -11,8 +11,8 @@ from simscenes.camera import camera_color, daylight, srgb_curves
 from simscenes.loading.load import build_scene
 from simscenes.rigs import intrinsics, look_at
 from simscenes.transport import spectra
+from simscenes.transport.lengths import light_by_length
 from simscenes.transport.spectra import WAVELENGTHS, color_error, light_and_surface
-from simscenes.transport.specular import chained_light
 
 NIKON = "Nikon 5100 (NPL)"
 
@@ -94,8 +94,7 @@ def test_light_by_two_mirrors_is_averaged_over_pixels_and_views() -> None:
     up = look_at((0, 0, 3), (0, -1, 9))
     poses = np.stack([up, up, up, look_at((0, 0, 3), (0, 1.5, 0))])
     rig = Rig(viewmats=poses, Ks=np.repeat(intrinsics(8, 8, 10)[None], 4, 0), width=8, height=8)
-    found = chained_light(mi, loaded, rig, {"type": "path", "max_depth": 8, "rr_depth": 9}, 0)
-    assert found == pytest.approx(1 / 8, rel=1e-5)
+    assert light_by_length(mi, loaded, rig, 8, 9, 16, 0).chained == pytest.approx(1 / 8, rel=1e-5)
 
 
 @pytest.mark.usefixtures("jit")
@@ -131,11 +130,12 @@ def test_every_seed_and_every_view_follows_mirrored_paths_of_its_own() -> None:
     wall = mi.ScalarTransform4f().translate([0, 1, 0]).rotate([1, 0, 0], 90).scale(5)
     scene = {"type": "scene", "floor": {"type": "rectangle", "bsdf": rough}, "sky": {"type": "constant"},
              "wall": {"type": "rectangle", "to_world": wall, "bsdf": rough}}  # fmt: skip
-    loaded, pose, K = build_scene(scene, mi), look_at((0, -1, 2), (0, 0.5, 0)), intrinsics(8, 8, 10)
+    loaded, K = build_scene(scene, mi), intrinsics(8, 8, 10)
+    poses = np.stack([look_at((0, -1, 2), (0, 0.5, 0)), look_at((0.01, -1, 2), (0.01, 0.5, 0))])
 
     def light(views: int, seed: int) -> float:
-        rig = Rig(viewmats=np.repeat(pose[None], views, 0), Ks=np.repeat(K[None], views, 0), width=8, height=8)
-        return chained_light(mi, loaded, rig, {"type": "path", "max_depth": 3, "rr_depth": 9}, seed)
+        rig = Rig(viewmats=poses[:views], Ks=np.repeat(K[None], views, 0), width=8, height=8)
+        return light_by_length(mi, loaded, rig, 5, 9, 16, seed).chained
 
     assert light(1, 0) == pytest.approx(light(1, 0), rel=1e-12)
     found = [light(1, 0), light(1, 1), light(2, 0)]
