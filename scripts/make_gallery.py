@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from novags.testbed.help.catalogue import first_sentence
-from novags.testbed.stages.capture import expose_view
+from novags.testbed.stages.capturing import expose_view
 from sensor_model import PRESETS, Exposure, develop
 from sensor_model.isp import to_srgb8
 from simscenes import SCENES

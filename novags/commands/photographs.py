@@ -72,7 +72,7 @@ def denoise(
     from novags.methods.denoised.denoiser import DenoiseConfig
     from novags.methods.denoised.recorrupted import AdaptConfig
     from novags.testbed import stages
-    from novags.testbed.stages.denoise import DenoisePicturesConfig
+    from novags.testbed.stages.denoising import DenoisePicturesConfig
 
     how = DenoiseConfig(adapt=AdaptConfig() if adapt else None, turns=turns)
     config = DenoisePicturesConfig(denoise=how, seed=seed, device=device)

@@ -14,8 +14,8 @@ from novags.testbed.folders.experiment import EXPERIMENT, REPORT, REPORT_FILES, 
 from novags.testbed.folders.run import METRICS, RECORD
 from novags.testbed.presets import Preset
 from novags.testbed.report.page import write_report
-from novags.testbed.stages.render import RECORD as SET
-from novags.testbed.stages.score import merge
+from novags.testbed.stages.rendering import RECORD as SET
+from novags.testbed.stages.scoring import merge
 from novags.testbed.study.steps import make_set
 from sensor_model.files.lock import locked
 

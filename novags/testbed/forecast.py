@@ -5,8 +5,8 @@ from pathlib import Path
 
 from novags.testbed.console import Console
 from novags.testbed.folders.set import Source, open_source, warnings_as_notes
-from novags.testbed.stages.capture import CaptureConfig, meter
-from novags.testbed.stages.render import RenderConfig, plan_of, prepare_render, render_views
+from novags.testbed.stages.capturing import CaptureConfig, meter
+from novags.testbed.stages.rendering import RenderConfig, plan_of, prepare_render, render_views
 from sensor_model import Plan
 from sensor_model.files.scratch import scratch
 

@@ -11,11 +11,11 @@ from novags.methods.variant import Variant, read_variants
 from novags.settings import changed, has_setting, refuse_lost_files, starting_at
 from novags.testbed.foreign.command import CommandConfig
 from novags.testbed.levels import level_named
-from novags.testbed.stages.capture import CaptureConfig
+from novags.testbed.stages.capturing import CaptureConfig
 from novags.testbed.stages.importing import ImportConfig
-from novags.testbed.stages.poses import PosesConfig
-from novags.testbed.stages.reconstruct import ReconstructConfig
-from novags.testbed.stages.render import RenderConfig
+from novags.testbed.stages.posing import PosesConfig
+from novags.testbed.stages.reconstructing import ReconstructConfig
+from novags.testbed.stages.rendering import RenderConfig
 from simscenes.sets.multiview import is_rendered
 
 if TYPE_CHECKING:

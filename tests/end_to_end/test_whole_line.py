@@ -19,7 +19,7 @@ from novags.testbed.experiment import run, score_all
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.presets import Preset
 from novags.testbed.report.page import write_report
-from novags.testbed.stages.reconstruct import ReconstructConfig
+from novags.testbed.stages.reconstructing import ReconstructConfig
 from novags.testing import DarkCapture, assert_noise, assert_scores
 from simscenes import load_set, read_exr
 

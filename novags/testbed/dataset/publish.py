@@ -14,7 +14,7 @@ from typing import Any
 
 from novags.testbed.cache import read_json, write_text
 from novags.testbed.folders.capture import RECORD as CAPTURE
-from novags.testbed.stages.render import RECORD as SET
+from novags.testbed.stages.rendering import RECORD as SET
 from novags.testbed.study.entry import Task
 from novags.testbed.study.grid import Value
 from novags.testbed.study.plan import Plan

@@ -21,6 +21,7 @@ PACKAGES = (
     "colour-demosaicing",
     "flip-evaluator",
 )
+DRIVERS = ("/proc/driver/nvidia", "/dev/nvidiactl", "/dev/dxg", "/dev/kfd")  # of NVIDIA; in WSL; of AMD
 
 
 def package_version(name: str) -> str | None:
@@ -40,17 +41,23 @@ def environment() -> dict[str, Any]:
 
 def hardware() -> dict[str, Any]:
     """Processor, cores this process may use, memory, and the GPU that torch sees (None without one)."""
-    import torch
-
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    gpu = torch.cuda.get_device_name(0) if torch.cuda.is_available() else None
     return {
         "system": f"{platform.system()} {platform.machine()}",
         "processor": _processor(),
         "cores": cores,
         "memory_bytes": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
-        "gpu": gpu,
+        "gpu": _gpu(),
     }
+
+
+def _gpu() -> str | None:
+    """Where Linux has no driver that torch could use, torch is not loaded to say so: that takes two seconds."""
+    if sys.platform == "linux" and not any(Path(driver).exists() for driver in DRIVERS):
+        return None
+    import torch
+
+    return torch.cuda.get_device_name(0) if torch.cuda.is_available() else None
 
 
 def _processor() -> str:

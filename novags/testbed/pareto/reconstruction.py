@@ -24,7 +24,7 @@ from novags.testbed.pareto.knob import Knob, Measured, Setting
 from novags.testbed.presets import Preset, adapted
 from novags.testbed.references import enhanced_truth, pictured
 from novags.testbed.stages.camera_source import Frame
-from novags.testbed.stages.reconstruct import Prepared, ReconstructConfig, prepare
+from novags.testbed.stages.reconstructing import Prepared, ReconstructConfig, prepare
 from sensor_model.files.scratch import scratch
 
 SCENE = "tabletop"

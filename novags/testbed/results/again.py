@@ -12,7 +12,7 @@ from novags.methods.variant import Variant
 from novags.testbed.cache import jsonable
 from novags.testbed.folders.run import Run
 from novags.testbed.presets import EXPERIMENTS, Preset
-from novags.testbed.stages.reconstruct import ReconstructConfig
+from novags.testbed.stages.reconstructing import ReconstructConfig
 
 PRESET = "demo"  # what `novags reconstruct` starts from
 PATHS = ("--scene", "--photos", "--sensor", "--variant")  # options whose value may name a file or folder

@@ -11,7 +11,7 @@ from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.experiment import gather
 from novags.testbed.folders.run import Run
 from novags.testbed.folders.set import Source
-from novags.testbed.stages.score import deltas, merge
+from novags.testbed.stages.scoring import deltas, merge
 
 MAIN = {"enhanced": "aligned_psnr", "lit": "tone_aligned_psnr"}  # the score of each reference that runs are compared by
 

@@ -3,10 +3,26 @@
 `stale` names files elsewhere that describe an earlier result; they are removed together with it.
 """
 
-from novags.testbed.stages.capture import capture as capture
-from novags.testbed.stages.denoise import denoise as denoise
-from novags.testbed.stages.importing import import_photographs as import_photographs
-from novags.testbed.stages.poses import poses as poses
-from novags.testbed.stages.reconstruct import reconstruct as reconstruct
-from novags.testbed.stages.render import render as render
-from novags.testbed.stages.score import score as score
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from novags.testbed.stages.capturing import capture as capture
+    from novags.testbed.stages.denoising import denoise as denoise
+    from novags.testbed.stages.importing import import_photographs as import_photographs
+    from novags.testbed.stages.posing import poses as poses
+    from novags.testbed.stages.reconstructing import reconstruct as reconstruct
+    from novags.testbed.stages.rendering import render as render
+    from novags.testbed.stages.scoring import score as score
+
+MODULES = {
+    "capture": "capturing", "denoise": "denoising", "import_photographs": "importing", "poses": "posing",
+    "reconstruct": "reconstructing", "render": "rendering", "score": "scoring",
+}  # fmt: skip
+
+
+def __getattr__(name: str) -> Any:
+    """A stage, whose module is loaded when it is first asked for: to render takes no torch, which takes seconds."""
+    if name not in MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{MODULES[name]}"), name)

@@ -19,7 +19,7 @@ from novags.testbed.importing.raw_camera import raw_camera
 from novags.testbed.importing.split import Split
 from novags.testbed.importing.stored import Codes16, Curve
 from novags.testbed.importing.twins import Twins, twins_by_order, twins_of
-from novags.testbed.stages.capture import FULL_SIZE, camera_named, files_of
+from novags.testbed.stages.capturing import FULL_SIZE, camera_named, files_of
 from novags.testbed.stages.paths import keep_apart
 from sensor_model import PRESETS, Exposure, Sensor, write_dng
 from sensor_model.files.dng import SMALLEST, TIMES

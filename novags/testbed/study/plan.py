@@ -16,8 +16,8 @@ from novags.testbed.foreign.command import CommandConfig
 from novags.testbed.machine.devices import chosen_device
 from novags.testbed.presets import Preset
 from novags.testbed.stages.importing import ImportConfig, material_of
-from novags.testbed.stages.poses import PosesConfig, photographs_of
-from novags.testbed.stages.render import RenderConfig, scene_digest
+from novags.testbed.stages.posing import PosesConfig, photographs_of
+from novags.testbed.stages.rendering import RenderConfig, scene_digest
 from novags.testbed.study.entry import Task
 from novags.testbed.study.grid import Cell, Study
 from novags.testbed.study.store import key_of, named

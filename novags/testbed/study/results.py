@@ -11,7 +11,7 @@ from typing import Any
 from novags.testbed.cache import read_json, write_json, write_text
 from novags.testbed.folders import shapes
 from novags.testbed.folders.run import METRICS
-from novags.testbed.stages.score import recovered_fractions
+from novags.testbed.stages.scoring import recovered_fractions
 from novags.testbed.study.entry import Task
 from novags.testbed.study.plan import Plan
 from novags.testbed.study.store import read_seal

@@ -29,9 +29,9 @@ SHAPE: Any = {
 # The code whose change makes entries of a kind other entries. Tables and reports are no part of what they show.
 _SETS = ("simscenes/sets", "simscenes/rigs.py", "sensor_model", "novags/settings.py")
 CODE = {
-    "set": ("simscenes", "sensor_model", "novags/testbed/stages/render.py"),
-    "poses": (*_SETS, "novags/cameras", "novags/testbed/stages/poses.py", "novags/testbed/folders"),
-    "capture": (*_SETS, "novags/testbed/stages/capture.py", "novags/testbed/folders"),
+    "set": ("simscenes", "sensor_model", "novags/testbed/stages/rendering.py"),
+    "poses": (*_SETS, "novags/cameras", "novags/testbed/stages/posing.py", "novags/testbed/folders"),
+    "capture": (*_SETS, "novags/testbed/stages/capturing.py", "novags/testbed/folders"),
     "import": (*_SETS, "novags/testbed/stages/importing.py", "novags/testbed/importing", "novags/testbed/folders"),
     "run": (*_SETS, "novags/splats", "novags/cameras", "novags/methods", "novags/testbed/stages",
             "novags/testbed/folders", "novags/testbed/metrics", "novags/testbed/references.py"),

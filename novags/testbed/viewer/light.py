@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.set import Source
-from novags.testbed.stages.capture import CaptureConfig, camera_for, expose_view
+from novags.testbed.stages.capturing import CaptureConfig, camera_for, expose_view
 from sensor_model import Exposure, Sensor, develop
 from sensor_model.isp import Demosaic, white_balance
 

@@ -69,7 +69,7 @@ def read_set(folder: Path, file: Path) -> None:
 def make_capture(folder: Path) -> None:
     from novags.testbed.console import Console
     from novags.testbed.stages import capture
-    from novags.testbed.stages.capture import CaptureConfig
+    from novags.testbed.stages.capturing import CaptureConfig
 
     (folder / "set").mkdir()
     make_set(folder / "set")
@@ -134,7 +134,7 @@ def read_experiment(folder: Path, file: Path) -> None:
     from novags.testbed.console import Console
     from novags.testbed.folders.experiment import find_runs
     from novags.testbed.report.page import read_material
-    from novags.testbed.stages.score import merge, stage_seconds
+    from novags.testbed.stages.scoring import merge, stage_seconds
 
     quiet = Console(quiet=True)
     material = read_material(folder, quiet)
@@ -151,7 +151,7 @@ def make_viewed(folder: Path) -> None:
 
     from novags.splats import Views
     from novags.testbed.folders.capture import open_capture
-    from novags.testbed.stages.reconstruct import views_of
+    from novags.testbed.stages.reconstructing import views_of
     from novags.testbed.stages.viewers import viewer_cameras
 
     make_run(folder)

@@ -19,7 +19,7 @@ from novags.testbed.cache import folder_digest
 from novags.testbed.console import Console
 from novags.testbed.folders.set import open_source
 from novags.testbed.folders.video import write_frames
-from novags.testbed.stages.poses import PosesConfig, levelled
+from novags.testbed.stages.posing import PosesConfig, levelled
 from simscenes import load_set, orbit_rig
 from simscenes.sets.multiview import is_rendered
 from simscenes.sets.readers.bare import picture_files, survey

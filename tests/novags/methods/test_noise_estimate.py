@@ -19,7 +19,7 @@ from novags.methods.noise_estimate import (
     noise_of,
 )
 from novags.methods.problem import LacksInput, RawPictures
-from novags.testbed.stages.capture import expose_with_truth
+from novags.testbed.stages.capturing import expose_with_truth
 from sensor_model import PRESETS, Exposure, develop, from_linear16
 
 EXPOSURE = Exposure(time=1 / 30)

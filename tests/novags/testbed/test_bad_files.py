@@ -21,8 +21,8 @@ from novags.testbed.folders.run import open_run
 from novags.testbed.folders.set import open_source
 from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.report.rows import deviations, rows_of
-from novags.testbed.stages.capture import CaptureConfig
-from novags.testbed.stages.score import merge
+from novags.testbed.stages.capturing import CaptureConfig
+from novags.testbed.stages.scoring import merge
 from simscenes import orbit_rig
 from simscenes.sets.multiview import load_set, write_cameras
 

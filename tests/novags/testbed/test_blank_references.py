@@ -12,7 +12,7 @@ from novags.testbed.experiment import run
 from novags.testbed.metrics import affine_aligned, aligned_psnr, image_scores, is_black, psnr, ssim
 from novags.testbed.metrics.tone import CONTRAST, tone_aligned, with_contrast
 from novags.testbed.presets import EXPERIMENTS, adapted
-from novags.testbed.stages.score import recovered_fractions
+from novags.testbed.stages.scoring import recovered_fractions
 
 ALIGNED = ("aligned_psnr", "tone_aligned_psnr", "aligned_ssim", "tone_aligned_ssim")
 

@@ -8,7 +8,7 @@ import pytest
 from novags.testbed.help.catalogue import listing
 from novags.testbed.levels import LEVELS, level_named
 from novags.testbed.presets import EXPERIMENTS, adapted
-from novags.testbed.stages.capture import expose_view
+from novags.testbed.stages.capturing import expose_view
 from novags.testbed.study.grid import read_study
 from novags.testing.making import make_capture
 from sensor_model import (

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 
 from novags.methods import METHODS, VARIANTS, chosen
 from novags.methods.enhancers.guided import EnhanceConfig
@@ -17,9 +18,10 @@ from novags.methods.variant import parse_variant
 from novags.settings import flattened
 from novags.splats import FitConfig
 from novags.testbed.console import Console, losses_text
+from novags.testbed.machine import provenance
 from novags.testbed.presets import EXPERIMENTS, Preset, adapted
-from novags.testbed.stages.capture import CaptureConfig
-from novags.testbed.stages.render import RenderConfig
+from novags.testbed.stages.capturing import CaptureConfig
+from novags.testbed.stages.rendering import RenderConfig
 
 
 def config(preset: Preset, name: str) -> Any:
@@ -93,6 +95,35 @@ def test_own_variants_are_compared_beside_the_presets_methods() -> None:
     preset = adapted(EXPERIMENTS["demo"], variants=(own,))
     assert preset.methods == (*EXPERIMENTS["demo"].methods, "calm")
     assert config(preset, "calm") == replace(config(preset, "nova-fast"), sh_weight=0.5)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere torch is asked whether there is a GPU")
+def test_a_render_and_its_record_take_no_torch(tmp_path: Path) -> None:
+    """Torch takes seconds to load; a machine without the driver of a GPU has none."""
+    code = (
+        "import sys\n"
+        "from novags.testbed.machine import provenance\n"
+        f"provenance.DRIVERS = ({str(tmp_path / 'no driver')!r},)\n"
+        "from pathlib import Path\n"
+        "from novags.testbed import stages\n"
+        "from novags.testbed.console import Console\n"
+        "from novags.testbed.stages.rendering import RenderConfig\n"
+        "config = RenderConfig(scene='hall', n_views=3, width=16, height=16, spp=2)\n"
+        f"stages.render(Path({str(tmp_path / 'set')!r}), config, Console())\n"
+        "record = provenance.environment()['hardware']\n"
+        "print(record['gpu'], 'torch' in sys.modules)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "None False"
+
+
+def test_where_there_is_a_driver_torch_names_the_gpu(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(provenance, "DRIVERS", (str(tmp_path),))
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "get_device_name", lambda i: f"device {i}")
+    assert provenance.hardware()["gpu"] == "device 0"
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    assert provenance.hardware()["gpu"] is None
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.presets import EXPERIMENTS, adapted
-from novags.testbed.stages.reconstruct import prepare
+from novags.testbed.stages.reconstructing import prepare
 from simscenes import read_exr
 
 QUIET = Console(quiet=True)

@@ -19,7 +19,7 @@ from novags.testbed.console import Console  # noqa: E402
 from novags.testbed.folders.capture import open_capture  # noqa: E402
 from novags.testbed.presets import EXPERIMENTS, adapted  # noqa: E402
 from novags.testbed.report.page import write_report  # noqa: E402
-from novags.testbed.stages.capture import CaptureConfig  # noqa: E402
+from novags.testbed.stages.capturing import CaptureConfig  # noqa: E402
 from tests.fuzz.readers.records import STAGE, make_run  # noqa: E402
 
 QUIET = Console(quiet=True)

@@ -13,7 +13,7 @@ from novags.testbed.report.charts import line_chart, linear_ticks, log_ticks
 from novags.testbed.report.facts import duration, fits, join, number, signed, size, smoothed
 from novags.testbed.report.look.maps import ERROR_CEILING, depth_map, error_map
 from novags.testbed.report.tables import score_table
-from novags.testbed.stages.score import merge, recovered_fractions
+from novags.testbed.stages.scoring import merge, recovered_fractions
 
 
 def method(value: float, **others: Any) -> dict[str, Any]:

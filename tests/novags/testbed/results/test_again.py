@@ -16,7 +16,7 @@ from novags.testbed.cache import jsonable
 from novags.testbed.folders.run import Run
 from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.results.again import relative_command, run_again
-from novags.testbed.stages.reconstruct import ReconstructConfig
+from novags.testbed.stages.reconstructing import ReconstructConfig
 
 
 def made(folder: Path, config: ReconstructConfig) -> Run:

@@ -17,8 +17,8 @@ from novags.testbed.cache import read_json
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.presets import EXPERIMENTS, adapted
-from novags.testbed.stages.denoise import DenoisePicturesConfig
-from novags.testbed.stages.reconstruct import raw_pictures
+from novags.testbed.stages.denoising import DenoisePicturesConfig
+from novags.testbed.stages.reconstructing import raw_pictures
 from sensor_model import to_srgb8
 
 QUIET = Console(quiet=True)

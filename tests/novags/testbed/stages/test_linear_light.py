@@ -27,8 +27,8 @@ from novags.testbed.metrics import aligned_psnr, image_scores
 from novags.testbed.pareto.reconstruction import held_out_error
 from novags.testbed.references import enhanced_truth, pictured, references
 from novags.testbed.report.page import write_report
-from novags.testbed.stages.capture import CaptureConfig
-from novags.testbed.stages.reconstruct import ReconstructConfig, prepare
+from novags.testbed.stages.capturing import CaptureConfig
+from novags.testbed.stages.reconstructing import ReconstructConfig, prepare
 from novags.testbed.viewer.splats import scene_of
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras

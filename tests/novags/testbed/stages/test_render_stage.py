@@ -9,7 +9,7 @@ import pytest
 
 from novags.testbed import stages
 from novags.testbed.console import Console
-from novags.testbed.stages.render import RenderConfig, rig_of, scene_digest
+from novags.testbed.stages.rendering import RenderConfig, rig_of, scene_digest
 from simscenes import Optics
 
 QUIET = Console(quiet=True)

@@ -16,7 +16,7 @@ from novags.testbed.folders.raw_files import SUFFIXES as RAW
 from novags.testbed.folders.set import left_out
 from novags.testbed.folders.video import is_video, write_frames
 from novags.testbed.stages.paths import keep_apart
-from novags.testbed.stages.render import RECORD, SET_FILES
+from novags.testbed.stages.rendering import RECORD, SET_FILES
 from sensor_model.files.scratch import scratch
 from simscenes.rigs import Rig
 from simscenes.sets.geometry.tracks import SparsePoints
