@@ -252,7 +252,7 @@ def test_two_versions_of_novags_share_a_store_and_no_entry_that_their_code_makes
 ) -> None:
     for name in ("novags", "simscenes", "sensor_model"):
         shutil.copytree(stores.ROOT / name, tmp_path / "other" / name, ignore=shutil.ignore_patterns("__pycache__"))
-    changed = tmp_path / "other" / "novags" / "testbed" / "stages" / "capture.py"
+    changed = tmp_path / "other" / "novags" / "testbed" / "stages" / "capturing.py"
     changed.write_text(changed.read_text() + "# another version\n")
 
     def workers_of_another() -> None:

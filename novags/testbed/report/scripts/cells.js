@@ -5,7 +5,7 @@ novags.cells = {
     this.shut(table);
     const row = cell.parentElement, head = table.tHead.rows[0].cells[cell.cellIndex];
     const name = novags.tables.text(row.querySelector("th")), what = novags.tables.text(head);
-    const rivals = [...table.tBodies[0].rows].filter((other) => other.cells[cell.cellIndex].dataset.rank).length;
+    const rivals = novags.rows.of(table).filter((other) => other.cells[cell.cellIndex].dataset.rank).length;
     const place = cell.dataset.rank ? `, place ${cell.dataset.rank} of ${rivals}` : "";
     const box = document.createElement("div");
     box.className = "told";
@@ -73,7 +73,7 @@ novags.parts.push({
   restore() {
     for (const table of novags.tables.all.keys()) {
       const [, column, name] = /^(\d+):(.*)$/.exec(novags.state.get(`cell.${table.dataset.name}`)) ?? [];
-      const row = [...table.tBodies[0].rows].find((other) => other.dataset.command && novags.tables.text(other.querySelector("th")) === name);
+      const row = novags.rows.of(table).find((other) => other.dataset.command && novags.tables.text(other.querySelector("th")) === name);
       if (row?.cells[column]) novags.cells.tell(table, row.cells[column]);
     }
   },

@@ -1,8 +1,8 @@
 // What is open, sorted and compared, kept in the address: a link to the page shows it as it is now.
 const novags = {
   data: JSON.parse(document.getElementById("data").textContent),
-  // Each has restore(), whenever the address changes; some have start(), once, or adopt(root), for what the page begins
-  // with and for what is made later.
+  // They have restore(), for whenever the address changes, start(), once, or adopt(root), for what the page begins with and
+  // for what is made later.
   parts: [],
   byId: (id) => document.getElementById(id),
 
@@ -28,7 +28,7 @@ const novags = {
     return true;
   },
   restore() {
-    for (const part of this.parts) part.restore();
+    for (const part of this.parts) part.restore?.();
     const target = this.byId(this.state.get("at"));
     if (target) target.scrollIntoView();
   },
@@ -85,7 +85,7 @@ novags.parts.push({
   unfold(part) {
     if (!novags.unpack(part)) return;
     novags.adopt(part);
-    for (const other of novags.parts) if (other.adopt) other.restore();
+    for (const other of novags.parts) if (other.adopt) other.restore?.();
   },
   changed: (part) => part.open !== Boolean(part.dataset.first),
 });

@@ -16,7 +16,7 @@ novags.tables = {
   },
 
   sort(table, column, descending) {
-    const heads = [...table.tHead.rows[0].cells], body = table.tBodies[0], rows = [...body.rows];
+    const heads = [...table.tHead.rows[0].cells], rows = [...novags.rows.of(table)];
     const keyed = rows.map((row) => ({ row, value: this.value(row.cells[column]) }));
     const numeric = keyed.every(({ value }) => value === "" || !Number.isNaN(this.number(value)));
     const sign = descending ? -1 : 1;
@@ -25,7 +25,7 @@ novags.tables = {
       if (numeric) return sign * (this.number(a.value) - this.number(b.value)) || 0;
       return sign * a.value.localeCompare(b.value, "en", { numeric: true });
     });
-    body.append(...keyed.map(({ row }) => row));
+    novags.rows.order(table, keyed.map(({ row }) => row));
     heads.forEach((head, k) => {
       if (head.hasAttribute("aria-sort")) head.setAttribute("aria-sort", k !== column ? "none" : descending ? "descending" : "ascending");
     });
@@ -47,8 +47,9 @@ novags.tables = {
 
   csv(table) {
     const quoted = (text) => (/[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
-    const marked = Boolean(table.querySelector("tbody .dagger")), heads = [...table.tHead.rows[0].cells];
-    const rows = [...table.tBodies[0].rows, ...(table.tFoot ? table.tFoot.rows : [])].filter((row) => !row.hidden);
+    const all = novags.rows.of(table), heads = [...table.tHead.rows[0].cells];
+    const marked = all.some((row) => row.querySelector(".dagger"));
+    const rows = [...all, ...(table.tFoot ? table.tFoot.rows : [])].filter((row) => !row.hidden);
     const spread = heads.map((_, k) => rows.some((row) => "sd" in row.cells[k].dataset));  // mean ± standard deviation
     const named = (cell) => (cell.classList.contains("rank") ? "place" : this.text(cell));
     const told = heads.flatMap((cell, k) => [named(cell), ...(spread[k] ? [`${named(cell)}, standard deviation`] : [])]);
@@ -84,7 +85,7 @@ novags.parts.push({
   },
   table(table) {
     const { tables } = novags, scroll = table.parentElement, over = document.createElement("div");
-    const heads = [...table.tHead.rows[0].cells], rows = [...table.tBodies[0].rows];
+    const heads = [...table.tHead.rows[0].cells], rows = [...novags.rows.of(table)];
     over.className = "over";
     over.innerHTML = '<span class="more" hidden></span><button type="button">CSV</button>';
     const [note, csv] = over.children;
@@ -111,7 +112,7 @@ novags.parts.push({
       if (column !== undefined && heads[column]?.hasAttribute("aria-sort")) {
         novags.tables.sort(table, +column, way === "d");
       } else if (heads.some((head, k) => head.getAttribute("aria-sort") !== first.sorted[k])) {
-        table.tBodies[0].append(...first.rows);
+        novags.rows.order(table, [...first.rows]);
         heads.forEach((head, k) => head.hasAttribute("aria-sort") && head.setAttribute("aria-sort", first.sorted[k]));
         if (heads[0].classList.contains("rank")) first.rows.forEach((row, k) => (row.cells[0].textContent = first.places[k]));
       }

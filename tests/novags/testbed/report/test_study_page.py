@@ -179,6 +179,58 @@ def test_a_study_is_narrowed_sorted_compared_and_downloaded(visit: Callable[...,
     assert texts(again, "combinations", 1) == ["naive", "better", "oracle†"]
 
 
+def long_study(folder: Path, experiment: Path) -> dict[int, float]:
+    """A study of one method at 260 levels, and its scores by level, in no order."""
+    scores = {level: 10 + (level * 37 % 260) / 13 for level in range(1, 261)}
+    place = os.path.relpath(experiment / "naive", folder)
+    first = rows(place)[0]
+    table = [first | {"run": n, "electrons": n, "scene": "ab"[n % 2], "enhanced.aligned_psnr": scores[n]} for n in scores]
+    axes = AXES | {"electrons": list(scores), "method": ["naive"], "seed": [0], "scene": ["a", "b"]}
+    folder.mkdir()
+    (folder / "results.json").write_text(json.dumps({"axes": axes, "columns": [], "rows": table}))
+    (folder / "study.json").write_text(json.dumps({"file": "l.toml", "table": {"grid": axes}}))
+    write_study(folder)
+    return scores
+
+
+def test_of_a_long_table_every_row_counts_and_those_that_are_wanted_are_laid_out(
+    visit: Callable[..., Any], tmp_path: Path, experiment: Path
+) -> None:
+    scores = long_study(tmp_path / "study", experiment)
+    tab = visit(tmp_path / "study" / "report.html")
+    more = tab.locator(".further").first
+    assert len(texts(tab, "combinations", 1)) == 100
+    assert more.text_content() == "100 of 260 rows: show more"
+    score = tab.locator("[data-name=combinations] thead button", has_text="PSNR aligned").first
+    column = tab.locator("[data-name=combinations] thead th").evaluate_all(
+        "heads => heads.findIndex(head => head.textContent.includes('PSNR aligned'))"
+    )
+    score.click()
+    best = sorted(scores.values(), reverse=True)
+    assert [float(text) for text in texts(tab, "combinations", column)] == pytest.approx(best[:100], abs=0.006)
+    score.click()
+    assert [float(text) for text in texts(tab, "combinations", column)] == pytest.approx(best[:-101:-1], abs=0.006)
+    tab.locator(".filters select[data-column]").filter(has_text="b").first.select_option("a")
+    assert more.text_content() == "100 of 130 rows: show more"
+    with tab.expect_download() as loading:
+        tab.locator(".over button").first.click()
+    saved = list(csv.DictReader(Path(loading.value.path()).read_text(encoding="utf-8").splitlines()))
+    assert sorted(int(row["electrons"]) for row in saved) == [level for level in scores if level % 2 == 0]
+    more.evaluate("button => button.scrollIntoView()")  # which asks for more by itself
+    tab.wait_for_function("document.querySelectorAll('[data-name=combinations] tbody tr').length == 130")
+    assert more.is_hidden()
+    tab.locator(".filters select[data-column]").filter(has_text="b").first.select_option("")
+    tab.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert len(texts(tab, "combinations", 1)) == 260
+    tab.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert len(texts(tab, "combinations", 1)) < 260
+    tab.locator("#runs > summary").click()
+    tab.wait_for_function("document.querySelectorAll('[data-name=runs] tbody tr').length >= 100")
+    assert tab.locator(".further").nth(1).text_content().endswith("of 260 rows: show more")
+    linked = visit(tmp_path / "study" / "report.html", f"#sort.combinations={column}a")
+    assert [float(text) for text in texts(linked, "combinations", column)] == pytest.approx(best[:-101:-1], abs=0.006)
+
+
 def pictures(page: Path, view: int = 0) -> dict[str, str]:
     """What a view of a page shows, by key."""
     grid = page.read_text(encoding="utf-8").split('<div class="grid"')[view + 1]
