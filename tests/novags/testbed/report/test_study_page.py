@@ -184,7 +184,9 @@ def long_study(folder: Path, experiment: Path) -> dict[int, float]:
     scores = {level: 10 + (level * 37 % 260) / 13 for level in range(1, 261)}
     place = os.path.relpath(experiment / "naive", folder)
     first = rows(place)[0]
-    table = [first | {"run": n, "electrons": n, "scene": "ab"[n % 2], "enhanced.aligned_psnr": scores[n]} for n in scores]
+    table = [
+        first | {"run": n, "electrons": n, "scene": "ab"[n % 2], "enhanced.aligned_psnr": scores[n]} for n in scores
+    ]
     axes = AXES | {"electrons": list(scores), "method": ["naive"], "seed": [0], "scene": ["a", "b"]}
     folder.mkdir()
     (folder / "results.json").write_text(json.dumps({"axes": axes, "columns": [], "rows": table}))
