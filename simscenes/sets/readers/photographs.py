@@ -30,7 +30,10 @@ FOCAL_X, FOCAL_Y = ("fl_x", "camera_angle_x", "x_fov"), ("fl_y", "camera_angle_y
 FOCAL = (*FOCAL_X, *FOCAL_Y)
 # What is read of a camera file, of the whole set or of one frame.
 NUMBERS = (*FOCAL, "w", "h", "cx", "cy", "k1", "k2", "k3", "k4", "p1", "p2")
-LENS = dict.fromkeys((f"{key}?" for key in NUMBERS), float) | {"camera_model?": str, "is_fisheye?": (bool, int)}
+LISTED = ("k1", "k2", "k3", "k4", "p1", "p2")  # in the order of nerfstudio's "distortion_params"
+LENS = dict.fromkeys((f"{key}?" for key in NUMBERS), float) | {
+    "camera_model?": str, "is_fisheye?": (bool, int), "distortion_params?": Numbers(len(LISTED))
+}  # fmt: skip
 TRANSFORMS = {**LENS, **SPLIT, "frames": [{**LENS, "file_path": str, "transform_matrix": Numbers(4, 4)}]}
 # Beyond these no lens makes sense, and float32, in which pictures are rendered, would overflow. Pixels, rad, OpenCV's.
 RANGES = dict.fromkeys(("w", "h", "fl_x", "fl_y"), (0.0, 1e7)) | dict.fromkeys(("cx", "cy"), (-1e7, 1e7))
@@ -309,7 +312,9 @@ def transforms_lens(camera: dict[str, Any], width: int, height: int, source: Pat
     Raises:
         ValueError: If it is not a pinhole with k1 k2 k3 p1 p2, or focal length or size is missing or wrong.
     """
-    model = "OPENCV_FISHEYE" if camera.get("is_fisheye") else camera.get("camera_model", "OPENCV")
+    # As nerfstudio reads them: the list counts, where there is one.
+    camera = {**camera, **dict(zip(LISTED, camera.get("distortion_params", ()), strict=False))}
+    model = "OPENCV_FISHEYE" if camera.get("is_fisheye") else camera.get("camera_model", "OPENCV").upper()
     if model not in ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL") or camera.get("k4"):
         raise ValueError(f"load_set: {source} has a {model} camera (k4 = {camera.get('k4', 0)}); only pinholes with "
                          "k1 k2 k3 p1 p2 are supported: undistort the images first")  # fmt: skip

@@ -130,7 +130,8 @@ def test_fox_photographs_load_undistorted_with_one_warning(fox: Path) -> None:
     assert (np.einsum("cj,cj->c", forward, views.rig.positions - centre) < 0).mean() > 0.5  # they look inwards
 
 
-def test_distortion_is_removed_with_pixel_centres_at_one_half(tmp_path: Path) -> None:
+@pytest.mark.parametrize("listed", [False, True])
+def test_distortion_is_removed_with_pixel_centres_at_one_half(tmp_path: Path, listed: bool) -> None:
     """Blobs painted where the distorted lens sees world points must appear where the pinhole projects them."""
     width, height = 120, 90
     K = np.array([[110.0, 0, 57.0], [0, 108.0, 47.0], [0, 0, 1]])
@@ -142,7 +143,8 @@ def test_distortion_is_removed_with_pixel_centres_at_one_half(tmp_path: Path) ->
     canvas = sum(np.exp(-((x - u) ** 2 + (y - v) ** 2) / (2 * 1.5**2)) for u, v in seen[:, 0])
     cv2.imwrite(str(tmp_path / "a.png"), np.repeat(np.uint8(250 * canvas)[..., None], 3, -1))
     lens = {"fl_x": 110.0, "fl_y": 108.0, "cx": 57.0, "cy": 47.0, "w": width, "h": height}
-    transforms(tmp_path, rig, ["a.png"], **lens, k1=k1, k2=k2, p1=p1, p2=p2)
+    terms = {"distortion_params": [k1, k2, 0, 0, p1, p2]} if listed else {"k1": k1, "k2": k2, "p1": p1, "p2": p2}
+    transforms(tmp_path, rig, ["a.png"], **lens, **terms, camera_model="opencv" if listed else "OPENCV")
     loaded = load_set(tmp_path)
     image = loaded.image(0)[..., 0].astype(float)
     expected, _ = loaded.rig.project(points)
@@ -210,6 +212,16 @@ def fisheye(folder: Path) -> None:
     make_images(folder, ["a.png"], 40, 30)
 
 
+def listed_fisheye(folder: Path) -> None:
+    transforms(folder, small_rig(1), ["a.png"], fl_x=30, distortion_params=[0.1, 0, 0, 0.2, 0, 0])
+    make_images(folder, ["a.png"], 40, 30)
+
+
+def short_list(folder: Path) -> None:
+    transforms(folder, small_rig(1), ["a.png"], fl_x=30, distortion_params=[0.1, 0, 0, 0])
+    make_images(folder, ["a.png"], 40, 30)
+
+
 def no_focal(folder: Path) -> None:
     transforms(folder, small_rig(1), ["a.png"])
     make_images(folder, ["a.png"], 40, 30)
@@ -247,7 +259,7 @@ def cut_model(folder: Path) -> None:
         (broken_json, "not valid JSON"), (no_frames, "frames"), (no_images, "none of the 2 images"),
         (two_sizes, "one size"), (text_as_image, "not a readable image"), (fisheye, "FISHEYE"), (no_focal, "fl_x"),
         (other_shape, "another shape"), (scaled_pose, "rotation"), (unfinished, "unfinished"), (empty, "holds no"),
-        (cut_model, "COLMAP"),
+        (cut_model, "COLMAP"), (listed_fisheye, "k4 = 0.2"), (short_list, "distortion_params"),
     ],
 )  # fmt: skip
 def test_broken_folders_are_refused_with_the_reason(breakage, message: str, tmp_path: Path) -> None:  # noqa: ANN001
