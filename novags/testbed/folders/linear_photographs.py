@@ -4,7 +4,7 @@ Readers of 8-bit photographs are in `simscenes.sets.multiview`; this one takes t
 kind of set, one file in memory at a time.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from simscenes.rigs import Rig, opengl_to_opencv
 from simscenes.sets.multiview import MultiviewSet
 from simscenes.sets.pictures.exr import read_exr
 from simscenes.sets.readers.colmap import colmap_lens, colmap_views, find_colmap
+from simscenes.sets.readers.finding import spelt
 from simscenes.sets.readers.photographs import (
     DistortedPinhole,
     find_file,
@@ -52,13 +53,12 @@ def load_linear_set(folder: Path) -> LinearPhotographs | None:
 
     Raises:
         ValueError: If the camera file is not valid, linear and other files are mixed, all are missing, or their sizes
-            differ. Listed files that are
-            missing are skipped and counted in one warning, as `load_set` does.
+            differ. Listed files that are missing are skipped, counted and named in one warning, as `load_set` does.
     """
     model = _model(folder)
     if model is None:
         return None
-    found = listed(model.entries, model.source)
+    found = listed(model.entries, model.source, model.names)
     entries = list(found.values())
     files = tuple(entry.file for entry in entries)
     sizes = {_size(file) for file in files}
@@ -95,6 +95,7 @@ class _Model:
     entries: list[tuple[Path | None, np.ndarray, Any]]
     size: Callable[[Any], tuple[int | None, int | None]]  # that a camera states, px
     lens: Callable[[Any, int, int], DistortedPinhole]
+    names: Sequence[str]  # what messages call the files
     tested: set[Path] = field(default_factory=set)  # files that it holds out
 
 
@@ -115,8 +116,9 @@ def _of_transforms(folder: Path, source: Path) -> _Model | None:
     named = {Path(name) for name in names_for_testing(source)}
     tested = {f for f, frame in zip(files, frames, strict=True) if f is not None and Path(frame.file_path) in named}
     return _Model(
-        source, entries, lambda c: (c.get("w"), c.get("h")), lambda c, w, h: transforms_lens(c, w, h, source), tested
-    )
+        source, entries, lambda c: (c.get("w"), c.get("h")), lambda c, w, h: transforms_lens(c, w, h, source),
+        spelt(folder, [frame.file_path for frame in frames], files), tested,
+    )  # fmt: skip
 
 
 def _of_colmap(folder: Path, model: Path) -> _Model | None:
@@ -125,7 +127,8 @@ def _of_colmap(folder: Path, model: Path) -> _Model | None:
     if files is None:
         return None
     entries = [(file, viewmat, camera) for file, (_, viewmat, camera) in zip(files, views, strict=True)]
-    return _Model(model, entries, lambda c: (c.width, c.height), lambda c, w, h: colmap_lens(c, w, h, model))
+    names = spelt(folder / "images", [name for name, _, _ in views], files)
+    return _Model(model, entries, lambda c: (c.width, c.height), lambda c, w, h: colmap_lens(c, w, h, model), names)
 
 
 def _has_linear(folder: Path) -> bool:

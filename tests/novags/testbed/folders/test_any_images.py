@@ -121,6 +121,7 @@ def test_listed_files_that_are_missing_are_skipped_with_a_note(suffix: str, tmp_
     source = open_source(folder, Console(stream=stream))
     assert source.views.names == ("0000", "0002")
     assert "1 of 3 views listed in" in stream.getvalue()
+    assert f"have no image file and are skipped: images/0001{suffix}" in stream.getvalue()
     np.testing.assert_allclose(source.rig.viewmats, orbit_rig(3, 40, 30, 50.0, radius=3.0).viewmats[[0, 2]], atol=1e-9)
 
 
