@@ -92,9 +92,8 @@ def _bounded_polarisation(p: Pilot, geometry: list[Any], specular: list[bool]) -
     if p.backend == "scalar" or p.base != "rgb":
         share = float(np.array([False, *specular])[np.stack([g["material"] for g in geometry])].mean())
         return share * POLARISED_CHANGE, f"bounded: {share:.1%} of pixels show specular"
-    found = p.lengths(DEEPEST)
-    total = float(found.light.sum(0).mean())
-    share = found.chained / total if total > 0 else 0.0
+    total = float(p.cut("path", DEEPEST, DEEPEST).mean())
+    share = p.lengths(DEEPEST).chained / total if total > 0 else 0.0
     return share * POLARISED_CHANGE, f"bounded: {share:.1%} of the light comes by two specular surfaces in a row"
 
 
