@@ -1,7 +1,9 @@
 """What the command line says when a command fails: one line, and for what nobody foresaw a file with the traceback."""
 
 import os
+import select
 import shlex
+import signal
 import sys
 import tempfile
 import traceback
@@ -17,21 +19,40 @@ def errors_in_one_line() -> Iterator[None]:
     """Around a command.
 
     Wrong input gives one line on standard error and exit code 2; what the system refuses, and what novags did not
-    expect, one line and 1. NOVAGS_TRACEBACK=1 shows the whole traceback instead.
+    expect, one line and 1. NOVAGS_TRACEBACK=1 shows the whole traceback instead. A command whose output is read no more
+    ends without a word.
     """
     try:
         _check_encoding(sys.argv[1:])
         yield
+        sys.stdout.flush()
     except KeyboardInterrupt:
         sys.exit(_say("interrupted; the same command again continues where this one stopped", 130))
-    except SystemExit:
+    except SystemExit as end:
+        if not end.code and _nobody_listens():
+            sys.exit(128 + signal.SIGPIPE)
         raise
     except BaseException as error:  # the panics of libraries written in Rust are no Exceptions
+        if isinstance(error, BrokenPipeError) and _nobody_listens():
+            sys.exit(128 + signal.SIGPIPE)
         if os.environ.get("NOVAGS_TRACEBACK"):
             raise
         if isinstance(error, ValueError | OSError) or (isinstance(error, MemoryError) and str(error)):
             sys.exit(_say(f"error: {error}", 2 if isinstance(error, ValueError) else 1))
         sys.exit(_say(f"error: {explained(error)}", 1))
+
+
+def _nobody_listens() -> bool:
+    """Whether what the command prints is read no more, by `head` for example; then nothing is printed from here on."""
+    try:
+        output, listening = sys.stdout.fileno(), select.poll()
+    except (OSError, ValueError):  # it is no file
+        return False
+    listening.register(output, 0)
+    gone = any(event & select.POLLERR for _, event in listening.poll(0))
+    if gone:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), output)  # else Python tries once more when it ends
+    return gone
 
 
 def explained(error: BaseException) -> str:

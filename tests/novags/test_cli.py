@@ -208,6 +208,22 @@ def test_an_interruption_says_how_to_continue(
     assert "the same command again continues" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("words", [["list", "scenes"], ["render", "--help"], ["list", "scene"]])
+def test_a_command_that_nobody_listens_to_ends_without_a_word_of_it(words: list[str]) -> None:
+    """As in `novags list scenes | head -1`; a fault of the command itself is still said."""
+    with subprocess.Popen(
+        [sys.executable, "-m", "novags", *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        said = process.stderr.read()
+    wrong = words == ["list", "scene"]
+    assert process.returncode == (2 if wrong else 141)
+    assert "pipe" not in said.lower()
+    assert bool(said) == wrong
+
+
 def test_doctor_does_not_promise_a_gpu_to_what_runs_on_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
     from novags.testbed.machine import doctor
 
