@@ -22,6 +22,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -72,6 +73,7 @@ def printed(command: str, folder: Path, wishes: Wishes) -> str:
         for line in process.stdout or ():
             lines.append(line)
             if wishes.stop and "http://" in line:
+                time.sleep(1)  # it says more than its address
                 process.send_signal(signal.SIGINT)
         code = process.wait(LIMIT)
     text = portable("".join(lines), folder.resolve())
