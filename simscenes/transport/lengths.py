@@ -106,7 +106,7 @@ def _follow(
         `real` says that a surface was met which did not let the path pass.
         """
         sampler.drawn = drawn
-        si = scene.ray_intersect(ray, mi.RayFlags.All, False, active)
+        si = scene.ray_intersect(ray, active)
 
         # A lamp that the path has run into. What a chain sees first counts in full: choosing lamps is not part of it.
         ds = mi.DirectionSample3f(scene, si, before)
