@@ -19,22 +19,22 @@ def errors_in_one_line() -> Iterator[None]:
     """Around a command.
 
     Wrong input gives one line on standard error and exit code 2; what the system refuses, and what novags did not
-    expect, one line and 1. NOVAGS_TRACEBACK=1 shows the whole traceback instead. A command whose output is read no more
-    ends without a word.
+    expect, one line and 1. NOVAGS_TRACEBACK=1 shows the whole traceback instead. A command whose output
+    nobody reads any more, as in `novags list | head -1`, says nothing and ends with 141, as SIGPIPE would end it.
     """
     try:
         _check_encoding(sys.argv[1:])
         yield
-        sys.stdout.flush()
+        _end_if_nobody_reads()
     except KeyboardInterrupt:
         sys.exit(_say("interrupted; the same command again continues where this one stopped", 130))
     except SystemExit as end:
-        if not end.code and _nobody_listens():
-            sys.exit(128 + signal.SIGPIPE)
+        if not end.code:
+            _end_if_nobody_reads()
         raise
     except BaseException as error:  # the panics of libraries written in Rust are no Exceptions
-        if isinstance(error, BrokenPipeError) and _nobody_listens():
-            sys.exit(128 + signal.SIGPIPE)
+        if isinstance(error, BrokenPipeError):
+            _end_if_nobody_reads()
         if os.environ.get("NOVAGS_TRACEBACK"):
             raise
         if isinstance(error, ValueError | OSError) or (isinstance(error, MemoryError) and str(error)):
@@ -42,17 +42,19 @@ def errors_in_one_line() -> Iterator[None]:
         sys.exit(_say(f"error: {explained(error)}", 1))
 
 
-def _nobody_listens() -> bool:
-    """Whether what the command prints is read no more, by `head` for example; then nothing is printed from here on."""
+def _end_if_nobody_reads() -> None:
+    """End the process if standard output is a pipe whose reader has gone."""
+    if sys.stdout is None:
+        return  # it was closed from the start, and Python prints nothing
     try:
-        output, listening = sys.stdout.fileno(), select.poll()
-    except (OSError, ValueError):  # it is no file
-        return False
-    listening.register(output, 0)
-    gone = any(event & select.POLLERR for _, event in listening.poll(0))
-    if gone:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), output)  # else Python tries once more when it ends
-    return gone
+        output = sys.stdout.fileno()
+    except (OSError, ValueError):
+        return  # a stream in memory has taken its place, as in tests: that has no reader to lose
+    poll = select.poll()
+    poll.register(output, 0)
+    if any(event & select.POLLERR for _, event in poll.poll(0)):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), output)  # else Python complains of what is still to be written
+        sys.exit(128 + signal.SIGPIPE)
 
 
 def explained(error: BaseException) -> str:

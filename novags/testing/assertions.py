@@ -186,7 +186,7 @@ def _hold(
     mean: dict[str, float | None] = mean_scores([dict(view) for view in scores])
     for name, bound in bounds.items():
         if name not in mean:
-            raise ValueError(f"there is no score {name!r} {what}: choose of {', '.join(mean)}")
+            raise ValueError(f"there is no score {name!r} {what}: choose one of {', '.join(mean)}")
         found = mean[name]
         assert found is not None, f"{name} {what} cannot be measured: there is nothing to see in the truth or no depth"
         least, sign = name not in SMALLER_IS_BETTER, 1 if name not in SMALLER_IS_BETTER else -1

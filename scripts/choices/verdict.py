@@ -8,7 +8,7 @@ from typing import Any
 
 OWN, LIT = "enhanced.aligned_psnr", "lit.tone_aligned_psnr"
 SECONDS = "seconds.reconstruct"
-LEAST = 0.05  # dB; a smaller difference is none, however sure it is
+LEAST = 0.05  # dB; a smaller difference does not count, however certain it is
 
 
 @dataclass(frozen=True)

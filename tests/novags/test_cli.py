@@ -224,6 +224,13 @@ def test_a_command_that_nobody_listens_to_ends_without_a_word_of_it(words: list[
     assert bool(said) == wrong
 
 
+def test_a_command_without_standard_output_does_its_work() -> None:
+    """As `novags list scenes >&-` does, and some servers that start commands."""
+    command = shlex.join([sys.executable, "-m", "novags", "list", "scenes"])
+    done = subprocess.run(["sh", "-c", f"{command} >&-"], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
 def test_doctor_does_not_promise_a_gpu_to_what_runs_on_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
     from novags.testbed.machine import doctor
 

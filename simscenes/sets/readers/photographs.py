@@ -312,7 +312,7 @@ def transforms_lens(camera: dict[str, Any], width: int, height: int, source: Pat
     Raises:
         ValueError: If it is not a pinhole with k1 k2 k3 p1 p2, or focal length or size is missing or wrong.
     """
-    # As nerfstudio reads them: the list counts, where there is one.
+    # As nerfstudio 1.1.5 does: where there is a list, it counts, and not the single numbers.
     camera = {**camera, **dict(zip(LISTED, camera.get("distortion_params", ()), strict=False))}
     model = "OPENCV_FISHEYE" if camera.get("is_fisheye") else camera.get("camera_model", "OPENCV").upper()
     if model not in ("OPENCV", "PINHOLE", "SIMPLE_PINHOLE", "SIMPLE_RADIAL", "RADIAL") or camera.get("k4"):

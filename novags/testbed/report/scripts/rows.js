@@ -27,12 +27,12 @@ novags.rows = {
   adopt(table) {
     const rest = table.parentElement.querySelector(":scope > script.rest"), made = document.createElement("template");
     if (rest) made.innerHTML = `<table><tbody>${rest.textContent}</tbody></table>`;
-    const rows = [...table.tBodies[0].rows, ...made.content.querySelectorAll("tr")];
-    if (rows.length <= this.STEP) return;
+    const later = made.content.querySelectorAll("tr"), rows = [...table.tBodies[0].rows, ...later];
+    rest?.remove();
+    if (rows.length <= this.STEP) return table.tBodies[0].append(...later);
     const more = document.createElement("button");
     more.type = "button";
     more.className = "further";
-    rest?.remove();
     table.parentElement.after(more);
     this.long.set(table, { rows, more, limit: this.STEP });
     more.addEventListener("click", () => this.show(table, this.long.get(table).limit + this.STEP));

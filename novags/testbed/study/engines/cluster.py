@@ -273,7 +273,7 @@ def connected(address: str | None) -> Iterator[Any]:
 
     Raises:
         ValueError: If Ray is not installed.
-        OSError: If there is no cluster at the address, or it does not go with this installation.
+        OSError: If there is no cluster at the address, or its versions of Ray and Python differ from those here.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is sent to anybody
     try:
@@ -285,7 +285,7 @@ def connected(address: str | None) -> Iterator[Any]:
         ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
     except (OSError, RuntimeError, ValueError) as error:
         where = address or os.environ.get("RAY_ADDRESS") or "this machine"
-        raise OSError(f"there is no Ray cluster to work on at {where}: {brief(error, 300)}") from error
+        raise OSError(f"no Ray cluster can be reached at {where}: {brief(error, 300)}") from error
     try:
         for number, handler in handlers.items():  # Ray takes SIGTERM over
             signal.signal(number, handler)

@@ -229,6 +229,15 @@ def test_of_a_long_table_every_row_counts_and_those_that_are_wanted_are_laid_out
     tab.locator("#runs > summary").click()
     tab.wait_for_function("document.querySelectorAll('[data-name=runs] tbody tr').length >= 100")
     assert tab.locator(".further").nth(1).text_content().endswith("of 260 rows: show more")
+    short = """() => {
+        const box = document.createElement("div");
+        box.innerHTML = `<div><table><tbody><tr><td>1</td></tr></tbody></table>
+            <script type="text/plain" class="rest"><tr><td>2</td></tr></script></div>`;
+        document.body.append(box);
+        novags.rows.adopt(box.querySelector("table"));
+        return [...box.querySelectorAll("tbody tr")].map(row => row.textContent);
+    }"""
+    assert tab.evaluate(short) == ["1", "2"]  # nothing is lost where few rows were put aside
     linked = visit(tmp_path / "study" / "report.html", f"#sort.combinations={column}a")
     assert [float(text) for text in texts(linked, "combinations", column)] == pytest.approx(best[:-101:-1], abs=0.006)
 

@@ -187,7 +187,7 @@ def test_no_cluster_is_one_line(fake: ModuleType, diary: Any, monkeypatch: pytes
 
     monkeypatch.setenv("RAY_ADDRESS", "")
     engine = Cluster("fake_stages:make", lambda *_: {}, Terms(lambda key: {}, address="no port"), diary)
-    with pytest.raises(OSError, match="there is no Ray cluster to work on at no port: "):
+    with pytest.raises(OSError, match="no Ray cluster can be reached at no port: "):
         engine.run([fake.task("a")])
     assert engine.run([]) == {}
 
