@@ -1,5 +1,7 @@
 """`novags study`: a grid of runs."""
 
+from collections.abc import Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Literal
@@ -10,6 +12,7 @@ from novags.options import CLUSTER, Cluster, Folder
 
 if TYPE_CHECKING:
     from novags.testbed.study.engines.choice import Engine
+    from novags.testbed.study.engines.processes import Worker
     from novags.testbed.study.plan import Plan
 
 
@@ -39,30 +42,36 @@ def study(
         overwrite: Replace tables of another study.
         wait: If another process is writing to `out`, wait until it is done instead of refusing.
     """
-    from novags.testbed.study.grid import read_study
-    from novags.testbed.study.plan import plan_of
+    from novags.testbed.study.engines.processes import started_ahead
 
-    url = store if store is not None and "://" in store else None
-    folder = out / "fetched" if url else out.parent / "store" if store is None else Path(store)
-    console = shared.console()
-    grid = read_study(file, data)
-    for name in grid.absent:
-        console.warn(f"{name} is not below {data}: no runs of it")
-    plan = plan_of(grid, folder, console, here=engine == "local")
-    if url and (found := next((task.source for task in plan.tasks.values() if task.source), None)):
-        raise ValueError(f"store {url}: the set {found} lies outside it: captures refer to their set by its place, so "
-                         "give --store a folder that all nodes see")  # fmt: skip
-    chosen = engine_of(engine, len(plan.runs), workers, cluster, url)
-    if nodes and not dry_run:
-        raise ValueError("nodes are simulated: add --dry-run")
-    if dry_run:
-        print(_forecast(plan, folder, chosen, url, nodes))
-        return
-    _conduct(plan, out, folder, chosen, url, retry_failed, overwrite, wait)
+    with ExitStack() as stack:
+        ahead = stack.enter_context(started_ahead(workers)) if engine == "local" and not dry_run else []
+        from novags.testbed.study.grid import read_study
+        from novags.testbed.study.plan import plan_of
+
+        url = store if store is not None and "://" in store else None
+        folder = out / "fetched" if url else out.parent / "store" if store is None else Path(store)
+        console = shared.console()
+        grid = read_study(file, data)
+        for name in grid.absent:
+            console.warn(f"{name} is not below {data}: no runs of it")
+        plan = plan_of(grid, folder, console, here=engine == "local")
+        if url and (found := next((task.source for task in plan.tasks.values() if task.source), None)):
+            raise ValueError(f"store {url}: the set {found} lies outside it: captures refer to their set by its place, "
+                             "so give --store a folder that all nodes see")  # fmt: skip
+        chosen = engine_of(engine, len(plan.runs), workers, cluster, url, ahead)
+        if nodes and not dry_run:
+            raise ValueError("nodes are simulated: add --dry-run")
+        if dry_run:
+            print(_forecast(plan, folder, chosen, url, nodes))
+            return
+        _conduct(plan, out, folder, chosen, url, retry_failed, overwrite, wait)
 
 
-def engine_of(name: str, runs: int, workers: int | None, cluster: Cluster, url: str | None) -> "Engine":
-    """Where the work is done.
+def engine_of(
+    name: str, runs: int, workers: int | None, cluster: Cluster, url: str | None, ahead: "Sequence[Worker]" = ()
+) -> "Engine":
+    """Where the work is done; `ahead`: workers that have been started already.
 
     Raises:
         ValueError: If options do not go together.
@@ -80,7 +89,7 @@ def engine_of(name: str, runs: int, workers: int | None, cluster: Cluster, url: 
         raise ValueError("address, needs, retries and scratch belong to --engine ray")
     if url is not None:
         raise ValueError(f"store {url}: a URL needs --engine ray")
-    return OneMachine.shared(runs, workers)
+    return OneMachine.shared(runs, workers, ahead)
 
 
 def _forecast(plan: "Plan", folder: Path, engine: "Engine", url: str | None, nodes: tuple[int, ...]) -> str:

@@ -1,9 +1,8 @@
 """Engines for studies: this machine, or a Ray cluster."""
 
-import os
 import uuid
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -13,14 +12,13 @@ from novags.testbed.study.elsewhere import nodes
 from novags.testbed.study.engines.cluster import Cluster, Terms
 from novags.testbed.study.engines.local import MARGIN, Limits, Pool
 from novags.testbed.study.engines.needs import Needs, resources
-from novags.testbed.study.engines.processes import threads_environment
+from novags.testbed.study.engines.processes import TASKS, Worker, cores_here, threads_environment, threads_of
 from novags.testbed.study.engines.queue import Watcher
 from novags.testbed.study.engines.worker import Outcome
 from novags.testbed.study.entry import Order, Task
 from novags.testbed.study.plan import Plan
 from novags.testbed.study.store import KINDS, version
 
-PLACE = "novags.testbed.study.steps:make"
 MARKER = ".novags-store"  # in a store that nodes share: what they see must be the same folder
 
 
@@ -89,27 +87,29 @@ class OneMachine:
     Attributes:
         places: Processes at a time.
         cores: Threads of each.
+        ahead: Workers that have been started already; those that have other threads are not used.
     """
 
     places: int
     cores: int
+    ahead: Sequence[Worker] = field(default=(), compare=False)
 
     @staticmethod
-    def shared(runs: int, wanted: int | None) -> "OneMachine":
+    def shared(runs: int, wanted: int | None, ahead: Sequence[Worker] = ()) -> "OneMachine":
         """All cores, divided among processes. What is done already does not change them, so that bits stay the same.
 
         Args:
             runs: Of the study.
             wanted: Processes; None: as many as cores, or runs if these are fewer.
+            ahead: See `OneMachine`.
 
         Raises:
             ValueError: If fewer than one process is wanted.
         """
         if wanted is not None and wanted < 1:
             raise ValueError(f"workers must be >= 1, got {wanted}")
-        cores = cores_here()
-        workers = wanted or max(1, min(cores, runs))
-        return OneMachine(workers, max(1, cores // workers))
+        workers = wanted or max(1, min(cores_here(), runs))
+        return OneMachine(workers, threads_of(workers), ahead)
 
     @property
     def threads(self) -> Mapping[str, int]:
@@ -124,7 +124,8 @@ class OneMachine:
 
         limits = Limits(self.places, memory=work.memory, seconds=work.seconds, order=work.longest.__getitem__)
         environment = threads_environment(self.cores)
-        Pool(PLACE, request, limits, work.watcher, environment).run(work.plan.tasks.values(), work.known)
+        ahead = [worker for worker in self.ahead if worker.environment == environment]
+        Pool(TASKS, request, limits, work.watcher, environment, ahead).run(work.plan.tasks.values(), work.known)
 
 
 @dataclass(frozen=True)
@@ -169,19 +170,14 @@ class Nodes:
             ordered = work.order(key, results, self.threads[task.kind]) if self.url is None else self._away(work, key)
             return {"task": ordered, "log": work.log(task), "marker": marker}
 
-        place = PLACE if self.url is None else nodes.PLACE
+        place = TASKS if self.url is None else nodes.PLACE
         Cluster(place, request, terms, work.watcher).run(work.plan.tasks.values(), work.known)
 
     def _away(self, work: Work, key: str) -> nodes.Away:
         assert self.url is not None
         chain = tuple({task.key: task for task in work.plan.above(key)}.values())
         threads = tuple(self.threads[task.kind] for task in chain)
-        return nodes.Away(chain, threads, version(), self.url, self.scratch, PLACE)
-
-
-def cores_here() -> int:
-    """Cores of this machine that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        return nodes.Away(chain, threads, version(), self.url, self.scratch, TASKS)
 
 
 def log_of(task: Task) -> str:

@@ -43,6 +43,7 @@ class Pool:
         limits: What may be used.
         watcher: Hears when tasks start, proceed and end.
         environment: Variables of the workers, beside those of this process.
+        workers: Those that there are; they end with the pool.
     """
 
     place: str

@@ -3,9 +3,9 @@
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
-from contextlib import suppress
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
 from signal import Signals
@@ -13,11 +13,22 @@ from typing import Any
 
 from novags.testbed.machine.memory import resident_bytes
 
+TASKS = "novags.testbed.study.steps:make"  # what the workers of a study do
 # Ctrl-C on a terminal reaches all its processes: the parent decides what becomes of its workers.
 PROGRAM = """import signal
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 from novags.testbed.study.engines.worker import main
 main()"""
+
+
+def cores_here() -> int:
+    """Cores of this machine that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def threads_of(workers: int) -> int:
+    """Threads of each, where so many processes share the cores."""
+    return max(1, cores_here() // workers)
 
 
 def threads_environment(threads: int) -> dict[str, str]:
@@ -36,10 +47,11 @@ class Worker:
     since: float = 0.0  # of the monotonic clock
     late: bool = False  # that was said
     ready: bool = False  # it has begun to listen
+    environment: Mapping[str, str] = field(default_factory=dict)  # that it was started with
 
     @staticmethod
     def start(place: str, environment: Mapping[str, str]) -> "Worker":
-        """Start one that does jobs by the function MODULE:FUNCTION."""
+        """Start one that does jobs by the function MODULE:FUNCTION, which it loads meanwhile."""
         ours, theirs = Pipe()
         process = subprocess.Popen(
             [sys.executable, "-c", PROGRAM, str(theirs.fileno()), place], pass_fds=[theirs.fileno()],
@@ -47,7 +59,7 @@ class Worker:
             env={**os.environ, **environment, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
         )  # fmt: skip
         theirs.close()
-        return Worker(process, ours)
+        return Worker(process, ours, environment=environment)
 
     def give(self, key: str, request: Mapping[str, Any], now: float) -> None:
         """Give it a job."""
@@ -70,12 +82,11 @@ class Worker:
         return f"its process was ended by {name}{hint}"
 
     def ask_to_stop(self) -> None:
-        """Let it mark how far it is and end."""
-        with suppress(OSError):
-            if self.key is None:
-                self.connection.send(None)
-            else:
-                self.process.terminate()
+        """Let it mark how far it is and end; one without a job has nothing to mark."""
+        if self.key is None:
+            self.process.kill()
+        else:
+            self.process.terminate()
 
     def stop(self, seconds: float) -> None:
         """Wait for it so long, then end it."""
@@ -85,3 +96,20 @@ class Worker:
             self.process.kill()
             self.process.wait()
         self.connection.close()
+
+
+@contextmanager
+def started_ahead(workers: int | None) -> Iterator[list[Worker]]:
+    """A worker for a study that is yet to be read, if a core is free for it: both take seconds to load libraries.
+
+    Args:
+        workers: As many as the study will have; None: one for each core.
+    """
+    count = workers or cores_here()
+    ahead = [Worker.start(TASKS, threads_environment(threads_of(count)))] if count > 0 and cores_here() > 1 else []
+    try:
+        yield ahead
+    finally:
+        for worker in ahead:
+            worker.ask_to_stop()
+            worker.stop(0.0)

@@ -16,7 +16,7 @@ import threading
 import time
 import traceback
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -87,6 +87,8 @@ def main() -> None:
     signal.signal(signal.SIGTERM, _stop)
     try:
         connection.send(Outcome("ready"))
+        with suppress(Exception):  # said with the first task, whose function it is
+            function_at(place)
         while (request := tasks.get()) is not None:
             connection.send(_outcome(place, request, connection))
     except (KeyboardInterrupt, BrokenPipeError):

@@ -8,12 +8,12 @@ import textwrap
 import time
 from collections.abc import Callable
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import pytest
 
-from novags.testbed.study.engines import local, processes, queue
+from novags.testbed.study.engines import choice, local, processes, queue
 
 
 def times_made(tmp_path: Path, key: str) -> int:
@@ -140,6 +140,80 @@ def test_a_worker_that_cannot_start_is_no_failure_of_a_job(
     tasks = [fake.task("a")]
     with pytest.raises(OSError, match="a worker could not start: its process ended with exit code 1"):
         pool(tasks).run(tasks)
+
+
+def test_a_worker_started_ahead_loads_what_it_needs_and_does_the_first_job(
+    pool: Callable[..., Any], fake: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "stages_that_tell.py").write_text(
+        f"from fake_stages import make\nfrom pathlib import Path\nPath({str(tmp_path / 'loaded')!r}).touch()\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(processes, "TASKS", "stages_that_tell:make")
+    monkeypatch.setattr(processes, "cores_here", lambda: 8)
+    tasks = [fake.task("a"), fake.task("b")]
+    with processes.started_ahead(4) as ahead:
+        (worker,) = ahead
+        until = time.monotonic() + 60
+        while not (tmp_path / "loaded").exists() and time.monotonic() < until:
+            time.sleep(0.01)
+        assert (tmp_path / "loaded").exists()  # without a job
+        assert worker.environment == processes.threads_environment(2)
+        has_it = pool(tasks, workers=1)
+        has_it.workers = list(ahead)
+        assert {outcome.state for outcome in has_it.run(tasks).values()} == {"done"}
+        assert worker.process.poll() is not None
+    assert {(tmp_path / "run" / f".{key}.process").read_text() for key in "ab"} == {str(worker.process.pid)}
+    assert '"threads": "2"' in (tmp_path / "run" / "a" / "made.json").read_text()
+
+
+def test_a_worker_that_nobody_needs_ends_at_once_and_one_core_has_none(
+    fake: ModuleType, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(processes, "TASKS", "fake_stages:make")
+    monkeypatch.setattr(processes, "cores_here", lambda: 2)
+    with pytest.raises(ValueError, match="unknown scene"), processes.started_ahead(None) as ahead:
+        raise ValueError("unknown scene")
+    assert [worker.process.poll() for worker in ahead] == [-signal.SIGKILL]
+    monkeypatch.setattr(processes, "cores_here", lambda: 1)
+    with processes.started_ahead(None) as none:
+        assert none == []
+
+
+def test_a_worker_with_other_threads_than_the_study_turned_out_to_need_is_not_used(
+    fake: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given: list[list[Any]] = []
+
+    class Recorder:
+        def __init__(self, *told: Any) -> None:
+            given.append(told[-1])
+
+        def run(self, *told: Any) -> None:
+            pass
+
+    monkeypatch.setattr(choice, "Pool", Recorder)
+    monkeypatch.setattr(processes, "TASKS", "fake_stages:make")
+    monkeypatch.setattr(processes, "cores_here", lambda: 4)
+    monkeypatch.setattr(choice, "cores_here", lambda: 4)
+    work = SimpleNamespace(
+        plan=SimpleNamespace(tasks={}), memory=None, seconds=None, longest={}, watcher=None, known={}
+    )
+    with processes.started_ahead(None) as ahead:
+        for runs in (4, 1):
+            choice.OneMachine.shared(runs, None, ahead).run(work)  # type: ignore[arg-type]  # what `run` reads of it
+    assert given == [ahead, []]
+
+
+def test_a_place_that_cannot_be_loaded_is_said_with_the_job(
+    pool: Callable[..., Any], fake: ModuleType, tmp_path: Path
+) -> None:
+    tasks = [fake.task("a")]
+    lost = pool(tasks)
+    lost.place = "nowhere_at_all:make"
+    found = lost.run(tasks)["a"]
+    assert (found.state, found.said) == ("failed", "unexpected ModuleNotFoundError: No module named 'nowhere_at_all'")
+    assert "Traceback" in (tmp_path / "logs" / "a.log").read_text()
 
 
 # A parent process with a pool, as `novags study` is one: it makes eight entries, some from others.
