@@ -16,7 +16,7 @@ import pytest
 from novags import cli
 from novags.testbed import cache
 from novags.testbed.study import store as stores
-from novags.testbed.study.engines import choice
+from novags.testbed.study.engines import choice, processes
 
 pytestmark = [
     # A fork of this process has imported everything: seconds less for each command. Windows has no fork.
@@ -64,7 +64,8 @@ class Started:
 def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Started]:
     """Start `novags study` on stages that compute nothing."""
     monkeypatch.syspath_prepend(str(HERE))
-    monkeypatch.setattr(choice, "PLACE", "counting_steps:make")
+    for module in (processes, choice):
+        monkeypatch.setattr(module, "TASKS", "counting_steps:make")
     monkeypatch.setattr(cache, "environment", cache.environment)  # which `counting_steps` changes where it is loaded
     order = choice.Order
 
