@@ -43,14 +43,21 @@ def study(
         wait: If another process is writing to `out`, wait until it is done instead of refusing.
     """
     from novags.testbed.study.engines.processes import started_ahead
+    from sensor_model.files.toml_file import read_toml
+
+    if nodes and not dry_run:
+        raise ValueError("nodes are simulated: add --dry-run")
 
     with ExitStack() as stack:
         ahead = stack.enter_context(started_ahead(workers)) if engine == "local" and not dry_run else []
+        read_toml(file)  # a file that is none is refused before seconds go into loading what reads it
         from novags.testbed.study.grid import read_study
         from novags.testbed.study.plan import plan_of
 
         url = store if store is not None and "://" in store else None
         folder = out / "fetched" if url else out.parent / "store" if store is None else Path(store)
+        if folder.exists() and not folder.is_dir():
+            raise NotADirectoryError(f"the store {folder} is a file, not a folder: choose another one")
         console = shared.console()
         grid = read_study(file, data)
         for name in grid.absent:
@@ -60,8 +67,6 @@ def study(
             raise ValueError(f"store {url}: the set {found} lies outside it: captures refer to their set by its place, "
                              "so give --store a folder that all nodes see")  # fmt: skip
         chosen = engine_of(engine, len(plan.runs), workers, cluster, url, ahead)
-        if nodes and not dry_run:
-            raise ValueError("nodes are simulated: add --dry-run")
         if dry_run:
             print(_forecast(plan, folder, chosen, url, nodes))
             return

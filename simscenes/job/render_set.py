@@ -23,6 +23,7 @@ from simscenes.job.identity import (
     without_nan,
 )
 from simscenes.job.views import Job, Progress, render_views
+from simscenes.loading.checks.physical import offset_warning
 from simscenes.loading.load import LoadedScene, build_in_fewest_colors, build_scene, set_light_weights
 from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.optics import Optics
@@ -133,7 +134,7 @@ def render_set(
                 "allow_outside": allow_outside,
             }
             made = _make_plan(source, loaded, rig, optics, plan, wishes)
-            for line in warnings_about(made, target_error):
+            for line in (*warnings_about(made, target_error), *offset_warning(loaded.scene, loaded.extent)):
                 warnings.warn(line, stacklevel=2)
             method = _method(source, loaded, variant, made, optics, seed, allow_outside)
         pixels = {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from sensor_model.files.reading import brief
@@ -60,12 +61,22 @@ def split_name(name: str) -> tuple[str, int]:
     scene, _, seed = name.partition(":")
     if scene not in SCENES:
         raise ValueError(
-            f"no scene {brief(repr(scene), 100)} in the catalogue, and no set folder of that name; available: "
-            f"{sorted(SCENES)}. Mitsuba files end in .xml"
+            f"no scene {brief(repr(name), 100)} in the catalogue{_what_it_is(name)}; available: {sorted(SCENES)}. "
+            "Mitsuba files end in .xml"
         )
     if seed and not seed.isdecimal():
         raise ValueError(f"the seed in scene name {brief(repr(name), 100)} must be a whole number >= 0")
     return scene, int(seed or 0)
+
+
+def _what_it_is(name: str) -> str:
+    """What else the name is that of."""
+    try:
+        if Path(name).is_dir():
+            return " (it is a folder; a set that is there need not be rendered: novags capture)"
+        return " (it is a file)" if Path(name).is_file() else ", and no set folder of that name"
+    except (OSError, ValueError):  # too long for a path, or with a zero byte
+        return ""
 
 
 def build(name: str) -> dict[str, Any]:

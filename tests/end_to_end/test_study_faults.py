@@ -15,6 +15,7 @@ import pytest
 
 from novags import cli
 from novags.testbed import cache
+from novags.testbed.study import conduct
 from novags.testbed.study import store as stores
 from novags.testbed.study.engines import choice, processes
 
@@ -137,6 +138,38 @@ def test_failed_runs_keep_their_rows_until_they_are_tried_again(
     assert states(tmp_path) == ["done"] * 4
     again = made(tmp_path)[len(before) :]
     assert sorted(line.split(":")[0] for line in again) == ["capture"] + ["run"] * 3
+
+
+def test_an_interruption_or_a_kill_of_a_later_start_costs_no_finished_row(
+    run: Callable[..., tuple[int, str]], tmp_path: Path
+) -> None:
+    def stopped(self: Any, work: Any) -> None:
+        raise KeyboardInterrupt
+
+    def killed(*told: Any, **more: Any) -> None:
+        os._exit(9)
+
+    assert run()[0] == 0
+    found, text = rows(tmp_path), (tmp_path / "study.toml").read_text()
+    assert run(prepare=lambda: setattr(choice.OneMachine, "run", stopped))[0] != 0
+    assert rows(tmp_path) == found
+    more = text.replace("[5, 20]", "[1, 5, 20]")
+    (tmp_path / "study.toml").write_text(more)
+    assert run(prepare=lambda: setattr(choice.OneMachine, "run", stopped))[0] != 0
+    assert states(tmp_path) == ["waiting"] * 2 + ["done"] * 4
+    assert [row["run"] for row in rows(tmp_path)] == [1, 2, 3, 4, 5, 6]
+    (tmp_path / "study.toml").write_text(text.replace("[5, 20]", "[5]"))
+    code, said = run()
+    assert code == 2
+    assert "holds 2 finished runs (scene cornell, electrons 20" in one_line(said)
+    (tmp_path / "study.toml").write_text(text)
+    assert run()[0] == 0
+    assert rows(tmp_path) == found
+    (tmp_path / "study.toml").write_text(more)
+    assert run(prepare=lambda: setattr(conduct, "conduct", killed))[0] == 9  # study.json is new, the tables are not
+    (tmp_path / "study.toml").write_text(text)
+    assert run()[0] == 0
+    assert rows(tmp_path) == found
 
 
 @pytest.mark.parametrize(("how", "said"), [("full", "No space left on device"), ("read-only", "Read-only file system")])

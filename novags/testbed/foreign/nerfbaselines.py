@@ -30,8 +30,7 @@ from novags.testbed.machine.provenance import package_version
 from novags.testbed.metrics import PerceptualDistance, psnr, ssim
 from novags.testbed.references import references
 from novags.testbed.study.conduct import STUDY
-from novags.testbed.study.results import JSON
-from novags.testbed.study.session import ROWS, SHAPE
+from novags.testbed.study.results import JSON, ROWS
 from simscenes.sets.names import safe_name
 from simscenes.sets.pictures.png import write_png
 
@@ -98,8 +97,7 @@ def runs_of(folders: Sequence[Path]) -> list[Run]:
     for folder in folders:
         if (folder / STUDY).is_file():
             rows = read_json(folder / JSON, ROWS)["rows"]
-            listed = zip(read_json(folder / STUDY, SHAPE)["runs"], rows, strict=False)
-            done = [folder / run["folder"] for run, row in listed if row["state"] == "done"]
+            done = [folder / row["folder"] for row in rows if row["state"] == "done"]
             found += [open_run(path.resolve()) for path in done]
         else:
             found += gather([folder]).values()

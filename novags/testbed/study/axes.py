@@ -155,6 +155,8 @@ def _scene(value: str, folder: Path) -> str:
 def _text(value: Any) -> str:
     if not isinstance(value, str):
         raise ValueError(f"it must be text, got {value!r}")
+    if not value.strip():
+        raise ValueError("it is empty")  # as a path it would be the folder of the study
     return value
 
 

@@ -15,7 +15,7 @@ from novags.testbed.study.engines.choice import Engine, Work, log_of
 from novags.testbed.study.engines.progress import At, StudyProgress
 from novags.testbed.study.engines.worker import Outcome
 from novags.testbed.study.plan import Plan
-from novags.testbed.study.results import State, Table
+from novags.testbed.study.results import State, Table, rows_before
 from novags.testbed.study.store import SEAL, costs
 from sensor_model.files.atomic import atomic
 
@@ -50,10 +50,10 @@ def conduct(
         KeyboardInterrupt: If it is interrupted; what is finished is kept.
     """
     store.mkdir(parents=True, exist_ok=True)
-    table = Table(plan, out, store, url)
+    sealed = there(plan, store)
+    table = Table(plan, out, store, url, rows_before(plan, out, store, url, sealed))
     predicted = Costs.of(costs(store), engine.threads)
-    watch = _Watch(plan, table, predicted, engine.places, StudyProgress(console, len(plan.runs)),
-                   known=there(plan, store))  # fmt: skip
+    watch = _Watch(plan, table, predicted, engine.places, StudyProgress(console, len(plan.runs)), known=sealed)
     watch.failures = {} if retry_failed else read_failures(out, set(plan.tasks) - watch.known)
     write_json(out / FAILURES, watch.failures)
     longest = longest_after(plan, watch.seconds_left())

@@ -29,6 +29,7 @@ from sensor_model.files.reading import brief
 from sensor_model.files.toml_file import read_toml
 
 TABLES = ("preset", "grid", "override", "rig", "variant", "method", "exclude")
+OWN_AXES = ("method", "seed")  # of every run, so that a rig cannot stand for them
 MOST = 100_000  # runs of one study; beyond it the file is taken for a mistake
 Value = Any  # text, number or truth, as TOML has them
 
@@ -123,7 +124,7 @@ def study_of(
 
 
 def _preset(name: Any) -> Preset:
-    if name not in EXPERIMENTS:
+    if not isinstance(name, str) or name not in EXPERIMENTS:
         raise ValueError(f"preset: must be one of {', '.join(EXPERIMENTS)}, got {brief(repr(name), 100)}")
     return EXPERIMENTS[name]
 
@@ -165,6 +166,9 @@ class _Reader:
                 raise ValueError("it must be a table")
         for key, value in dotted(table).items():
             with _at(self.path, f"{place} {key}"):
+                if key == "rig" or (key in OWN_AXES and place != "[override]"):
+                    raise ValueError(f"it is an axis of its own: list its values as [grid] {key}, and leave "
+                                     "combinations out by [[exclude]]")  # fmt: skip
                 found = found.and_(self._checked(key, value))
         return found
 
@@ -301,6 +305,8 @@ def _without_excluded(
             wanted = {key: _expanded(_listed(value), data) for key, value in dotted(rule).items()}
             _known(wanted, tuple(axes), "axis")
             for key, listed in wanted.items():
+                if not listed:
+                    raise ValueError(f"{key} has no values: it would leave nothing out")
                 if missing := [value for value in listed if value not in axes[key]]:
                     known = ", ".join(map(str, axes[key]))
                     raise ValueError(f"{key}: {missing[0]!r} is not among its values in [grid] ({known})")

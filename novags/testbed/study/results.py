@@ -17,6 +17,7 @@ from novags.testbed.study.plan import Plan
 from novags.testbed.study.store import read_seal
 
 JSON, CSV = "results.json", "results.csv"
+ROWS: Any = {"axes": dict, "rows": [{"state": str, "folder": str}]}  # of results.json
 COSTS = ("seconds.", "peak_bytes")  # beginnings of the columns that differ from one time to the next
 
 
@@ -39,23 +40,28 @@ class Table:
         out: Folder of the study.
         store: The store.
         url: Where the store is, if `store` holds only what this machine knows of it.
+        kept: Rows of finished runs that an earlier start wrote, by key; they stand until the run is looked at again.
     """
 
     plan: Plan
     out: Path
     store: Path
     url: str | None = None
+    kept: Mapping[str, dict[str, Any]] = field(default_factory=dict)
     _scores: dict[str, dict[str, Any]] = field(default_factory=dict)  # of finished runs, by key: read once
 
     def rows(self, states: Mapping[str, State]) -> list[dict[str, Any]]:
         """One row a run, in the order of the file.
 
         Args:
-            states: Of the runs, by key; those that are missing wait.
+            states: Of the runs, by key; those that are missing wait, or are as they were before.
         """
         found = []
         shares = self._recovered(states)
         for number, (cell, key) in enumerate(self.plan.runs, 1):
+            if key not in states and key in self.kept:
+                found.append({**self.kept[key], "run": number, **cell.values})
+                continue
             state = states.get(key, State())
             row = {
                 "run": number, **cell.values, "state": state.name, "reason": state.reason, "stage": state.stage,
@@ -121,6 +127,23 @@ class Table:
             if dot:
                 found.setdefault(kind, {})[number] = value
         return found
+
+
+def rows_before(plan: Plan, out: Path, store: Path, url: str | None, sealed: set[str]) -> dict[str, dict[str, Any]]:
+    """Rows of runs of this plan that were done when the tables in `out` were last written, by key.
+
+    Args:
+        plan: The study.
+        out: Its folder.
+        store: The store.
+        url: Of the store, see `Table`.
+        sealed: Keys of the entries that are there.
+    """
+    if not (out / JSON).exists():
+        return {}
+    done = {row["folder"]: row for row in read_json(out / JSON, ROWS)["rows"] if row["state"] == "done"}
+    places = {key: place_of(plan.tasks[key], out, store, url) for _, key in plan.runs if key in sealed}
+    return {key: done[place] for key, place in places.items() if place in done}
 
 
 def place_of(task: Task, out: Path, store: Path, url: str | None) -> str:

@@ -16,10 +16,9 @@ from novags.testbed.folders.run import RECORD
 from novags.testbed.study.conduct import STUDY
 from novags.testbed.study.grid import Study
 from novags.testbed.study.plan import Plan
-from novags.testbed.study.results import CSV, JSON, place_of
+from novags.testbed.study.results import CSV, JSON, ROWS, place_of
 
 SHAPE: Any = {"file": str, "table": dict, "runs": [{"values": dict, "key": str, "folder": str}]}
-ROWS: Any = {"rows": [{"state": str}]}
 
 
 def describe(plan: Plan, out: Path, store: Path, url: str | None = None) -> None:
@@ -58,12 +57,17 @@ def refuse_other(plan: Plan, out: Path) -> None:
             raise ValueError(f"{out} already holds {', '.join(taken)}, and no study wrote that: choose another --out")
         return
     before = read_json(out / STUDY, SHAPE)
-    done = read_json(out / JSON, ROWS)["rows"] if (out / JSON).exists() else []
-    finished = [run["values"] for run, row in zip(before["runs"], done, strict=False) if row["state"] == "done"]
+    table = read_json(out / JSON, ROWS) if (out / JSON).exists() else {"axes": {}, "rows": []}
+    # A table has its own axes: study.json may be newer, if it was killed in between.
+    finished = [{name: row.get(name) for name in table["axes"]} for row in table["rows"] if row["state"] == "done"]
     if not finished:
         return
     now = jsonable_table(plan.study)
-    parts = [part for part in ("preset", "override", "rig", "variant") if before["table"].get(part) != now.get(part)]
+    parts = [
+        part
+        for part in ("preset", "override", "rig", "variant", "method")
+        if before["table"].get(part) != now.get(part)
+    ]
     remedy = "choose another --out, or add --overwrite"
     if parts:
         raise ValueError(f"{out} holds {len(finished)} finished runs of another study (it differs in "

@@ -8,14 +8,24 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.loading.contents import media_in
+from simscenes.loading.contents import media_in, surfaces_in
 
 # Reflectances and transmittances, by the end of a parameter's name.
 SHARES = re.compile(r"(reflectance|albedo|base_color|transmittance|spec_trans)\.(.*\.)?(value|values|data)$")
+# The same as a colour of vertices or faces, in what Mitsuba prints of a material: input, attribute, factor.
+OF_MESH = re.compile(
+    r"(\w*(?:reflectance|albedo|base_color|transmittance|spec_trans))(?: =|:) MeshAttribute\[\s*name = \"([^\"]+)\",\s*"
+    r"scale = \"?([^\",\s\]]+)"
+)
+UNNAMED = re.compile(r"object_\d+")  # Mitsuba's name for what has none: an address, another one each time
 # Amounts of light or of a medium, by a part of a parameter's name; other parameters are positions and angles.
 AMOUNTS = re.compile(
     r"(^|\.)(radiance|irradiance|intensity|texture|data|scale|sun_scale|sky_scale|sampling_weight|sigma_t)(\.|$)"
 )
+RAY_OFFSET = 1500 * 2.0**-24  # Mitsuba starts a ray this times (1 + the largest coordinate of x) off the surface at x
+# Shares of a scene's size. A picture of a ball on a ground, in small units or far from the origin, was wrong by 0.1 %
+# of its mean (RMSE 0.4 %) at the first and by 1 % (3.6 %) at the second.
+OFFSET_SAID, OFFSET_REFUSED = 1e-3, 1e-2
 
 
 def check_parameters(scene: Any, params: Any, mi: Any) -> None:
@@ -33,9 +43,16 @@ def check_parameters(scene: Any, params: Any, mi: Any) -> None:
         if not np.isfinite([lowest, highest]).all():
             raise ValueError(f"scene parameter {key} must be finite, got {lowest}..{highest}")
         # 1e-4: spectra given as RGB are fitted by Mitsuba, and white comes out a rounding error above 1.
-        if SHARES.search(key) and (lowest < 0 or highest > 1 + 1e-4):
-            raise ValueError(f"scene parameter {key} must lie in 0..1 (the share of light that a surface passes on), "
-                             f"got {lowest:.6g}..{highest:.6g}")  # fmt: skip
+        if SHARES.search(key):
+            _check_share(UNNAMED.sub("an unnamed object", key), lowest, highest)
+    for shape in surfaces_in(scene, mi):
+        for name, attribute, factor in OF_MESH.findall(str(shape.bsdf())):
+            colours = _numbers(mi.traverse(shape)[attribute], mi) * float(factor)
+            _check_share(
+                f"{name} ({attribute}) of {shape.id() or shape.class_name()!r}",
+                float(colours.min()),
+                float(colours.max()),
+            )
     for part in (*scene.emitters(), *media_in(scene, mi)):
         inner = mi.traverse(part)
         for key in filter(AMOUNTS.search, inner.keys()):
@@ -45,18 +62,44 @@ def check_parameters(scene: Any, params: Any, mi: Any) -> None:
                 )
 
 
+def _check_share(name: str, lowest: float, highest: float) -> None:
+    if lowest < 0 or highest > 1 + 1e-4:
+        raise ValueError(f"scene parameter {name} must lie in 0..1 (the share of light that a surface or medium passes "
+                         f"on), got {lowest:.6g}..{highest:.6g}")  # fmt: skip
+
+
 def scene_extent(scene: Any) -> float:
     """Diagonal of the bounding box.
 
     Raises:
-        ValueError: If the shapes take up no room, or not a finite one.
+        ValueError: If the shapes take up no room, or not a finite one, or so little for where they are that rays start
+            far from their surfaces.
     """
     extents = np.array(scene.bbox().extents())
     diagonal = float(np.linalg.norm(extents))
     if not (np.isfinite(diagonal) and diagonal > 0 and extents.min() >= 0):
         raise ValueError(f"the shapes of a scene must fill a finite box of some size, got extents "
                          f"{extents.ravel().tolist()}; is there a nan or a zero in a transform?")  # fmt: skip
+    if (share := offset_share(scene, diagonal)) > OFFSET_REFUSED:
+        raise ValueError(f"Mitsuba would start rays {share:.2g} of the scene's size off its surfaces, at most "
+                         f"{OFFSET_REFUSED:g} can be: shadows and refraction would be wrong. Its size is "
+                         f"{diagonal:.3g} units: scale it to 1 unit or more, and move it to the origin")  # fmt: skip
     return diagonal
+
+
+def offset_share(scene: Any, extent: float) -> float:
+    """How far off its surfaces Mitsuba starts rays at most, in parts of the diagonal `extent`."""
+    box = scene.bbox()
+    return RAY_OFFSET * (1 + float(np.abs([*box.min, *box.max]).max())) / extent
+
+
+def offset_warning(scene: Any, extent: float) -> list[str]:
+    """What must be said of a scene that is small, or far from the origin, but not refused."""
+    if (share := offset_share(scene, extent)) <= OFFSET_SAID:
+        return []
+    return [f"Mitsuba starts rays {share:.2%} of the scene's size off its surfaces, so that shadows and refraction "
+            "near contacts are wrong by about as much, and no error states it: scale the scene, whose size is "
+            f"{extent:.3g} units, or move it to the origin"]  # fmt: skip
 
 
 def _numbers(value: Any, mi: Any) -> NDArray[Any]:

@@ -115,7 +115,7 @@ class _Reader:
         self.searched = [*self.inside, Path()]
         if not self.trusted and (self.root / "plugins").exists():
             raise ValueError(f"scene folder {self.root} holds a folder 'plugins', whose code Mitsuba would run; rename "
-                             "it, or set allow_outside=True if you trust the scene")  # fmt: skip
+                             "it, or add --allow-outside (allow_outside=True) if you trust the scene")  # fmt: skip
 
     def read(self, path: Path, includes: int, depth: int, owner: str) -> None:
         """Check one file where it is included: at this depth, in the object with the id `owner`."""
@@ -222,8 +222,8 @@ class _Reader:
         if not self.trusted and not is_inside:
             shown = name if len(name) < 200 else f"{name[:200]}..."
             raise ValueError(f"scene file {path.name} names {shown!r} by <{tag}>, outside its folder {self.root} or a "
-                             "further one to search; move the file there, or set allow_outside=True if you trust the "
-                             "scene")  # fmt: skip
+                             "further one to search; move the file there, or add --allow-outside (allow_outside=True) "
+                             "if you trust the scene")  # fmt: skip
         if found is not None:
             self.files[target] = None
         return found
@@ -237,4 +237,6 @@ def _check_encoding(text: bytes, path: Path) -> None:
     except UnicodeDecodeError:
         plain = False
     if not plain or (declared and declared[1].lower() not in (b"utf-8", b"us-ascii")):
-        raise ValueError(f"scene file {path} must be UTF-8; convert it, or set allow_outside=True if you trust it")
+        raise ValueError(
+            f"scene file {path} must be UTF-8; convert it, or add --allow-outside (allow_outside=True) if you trust it"
+        )

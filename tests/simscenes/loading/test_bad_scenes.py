@@ -10,6 +10,7 @@ import pytest
 
 from simscenes import Rig, fit_rig, load_set, render_set
 from simscenes.backend import activate
+from simscenes.loading.checks.physical import offset_share
 from simscenes.loading.load import build_scene
 from simscenes.render.framing import own_rig
 from simscenes.rigs import intrinsics, look_at
@@ -228,6 +229,75 @@ def test_unphysical_numbers_are_refused_by_their_name(kind: str, message: str) -
     mi = activate()
     with pytest.raises(ValueError, match=message):
         build_scene(unphysical(kind, mi), mi)
+
+
+@pytest.mark.parametrize("attribute", ["vertex_color", "face_color"])
+def test_colours_of_a_mesh_are_shares_of_light_where_a_material_reflects_by_them(attribute: str) -> None:
+    mi = activate()
+
+    def painted(colour: float, scale: float, material: str = "diffuse", use: str = "reflectance") -> dict[str, Any]:
+        bsdf = mi.load_dict({"type": material, use: {"type": "mesh_attribute", "name": attribute, "scale": scale}})
+        properties = mi.Properties()
+        properties["mesh_bsdf"] = bsdf
+        mesh = mi.Mesh("triangle", 3, 1, props=properties)
+        mesh.add_attribute(attribute, 3, [0.2, 0.3, colour] * (3 if attribute == "vertex_color" else 1))
+        params = mi.traverse(mesh)
+        params["vertex_positions"], params["faces"] = [0, 0, 0, 1, 0, 0, 0, 1, 0], [0, 1, 2]
+        params.update()
+        return ball(paper=mesh)
+
+    with pytest.raises(ValueError, match=rf"reflectance \({attribute}\) of 'paper' must lie in 0..1 .*0.2..3"):
+        build_scene(painted(3.0, 1.0), mi)
+    with pytest.raises(ValueError, match="base_color .* of 'paper' must lie in 0..1 .*0.4..1.8"):
+        build_scene(painted(0.9, 2.0, "principled", "base_color"), mi)
+    assert build_scene(painted(3.0, 0.3), mi).shapes == ("ball", "paper")
+    assert build_scene(painted(3.0, 1.0, "roughconductor", "alpha"), mi).shapes == ("ball", "paper")  # no share
+
+
+def scaled(size: float, far: float) -> dict[str, Any]:
+    """A ball over a ground under a lamp: the same picture in every size and place."""
+    from simscenes import activate
+
+    place = activate().ScalarTransform4f().translate([far, 0, 0]).scale(size)
+    ground = place.translate([0, -1, 0]).rotate([1, 0, 0], -90).scale(3)
+    light = {"type": "rgb", "value": 10 * size**2}
+    lamp = {"type": "point", "position": [far + 2 * size, 4 * size, 3 * size], "intensity": light}
+    shapes = {"ball": {"type": "sphere", "to_world": place}, "ground": {"type": "rectangle", "to_world": ground}}
+    return {"type": "scene", **shapes, "lamp": lamp}
+
+
+def picture(size: float, far: float) -> np.ndarray:
+    mi = activate()
+    origin, target = [far + size, 2 * size, 5 * size], [far, 0, 0]
+    film = {"type": "hdrfilm", "width": 48, "height": 48, "rfilter": {"type": "box"}}
+    sensor = {
+        "type": "perspective", "fov": 40, "film": film, "near_clip": 1e-3 * size, "far_clip": 1e3 * size,
+        "to_world": mi.ScalarTransform4f().look_at(origin, target, [0, 1, 0]),
+    }  # fmt: skip
+    path = mi.load_dict({"type": "path", "max_depth": 8})
+    seen = mi.render(mi.load_dict(scaled(size, far)), sensor=mi.load_dict(sensor), integrator=path, spp=256, seed=1)
+    return np.array(seen, dtype=np.float64)
+
+
+def test_rays_that_start_off_the_surface_are_said_in_proportion_to_what_they_spoil(tmp_path: Path) -> None:
+    """A scene in small units or far away renders wrongly by its share of the offset: said, or refused."""
+    exact = picture(100.0, 0.0)
+    for size, far, share in ((1e-3, 0.0, 1.03e-2), (1.0, 1000.0, 1.03e-2), (1.0, 300.0, 3.1e-3), (1e-2, 0.0, 1.06e-3)):
+        loaded = activate().load_dict(scaled(size, far))
+        box = loaded.bbox()
+        extent = float(np.linalg.norm(np.array(box.extents())))
+        assert offset_share(loaded, extent) == pytest.approx(share, rel=0.02)
+        wrong = np.abs(picture(size, far) - exact).mean() / exact.mean()
+        assert 0.5 * share < wrong < 2 * share
+    for size, far in ((1e-3, 0.0), (1e-4, 0.0), (1.0, 1e4)):
+        with pytest.raises(ValueError, match=r"start rays .* of the scene's size off its surfaces.*scale it"):
+            build_scene(scaled(size, far), activate())
+    rig = Rig(
+        viewmats=np.stack([look_at([0, 0.02, 0.05 + k / 1000], [0, 0, 0], [0, 1, 0]) for k in range(3)]),
+        Ks=np.stack([intrinsics(8, 8, 40.0)] * 3), width=8, height=8,
+    )  # fmt: skip
+    with pytest.warns(UserWarning, match=r"starts rays 0.11% of the scene's size off its surfaces"):
+        render_set(scaled(1e-2, 0.0), rig, tmp_path / "small", spp=2)
 
 
 def test_places_and_angles_may_be_negative() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from simscenes.sets.pictures.image_file import MAX_PIXELS, image_size, read_image
+from simscenes.sets.pictures.image_file import MAX_PIXELS, has_alpha, image_size, read_image, read_rgb
 
 
 def declared(path: Path, width: int, height: int) -> Path:
@@ -54,3 +54,31 @@ def test_pixels_are_those_of_opencv(tmp_path: Path) -> None:
     pixels = np.random.default_rng(0).integers(0, 256, (5, 7, 3), dtype=np.uint8)
     cv2.imwrite(str(tmp_path / "a.png"), pixels)
     assert np.array_equal(read_image(tmp_path / "a.png", cv2.IMREAD_COLOR), pixels)
+
+
+@pytest.mark.parametrize("name", ["RGBA.png", "LA.png", "LA.tif", "RGBA.tif", "L.png", "P.png", "1.png", "RGB.png"])
+def test_whatever_is_transparent_is_before_white(name: str, tmp_path: Path) -> None:
+    """The left half transparent, by a channel or by a code that stands for it; the right half as it is."""
+    mode, file = name.partition(".")[0], tmp_path / name
+    codes = np.array([[0, 0, 255 if mode == "1" else 90, 255]] * 2, np.uint8)
+    gray = PIL.Image.fromarray(codes)
+    if "A" in mode:
+        image = gray.convert(mode)
+        image.putalpha(PIL.Image.fromarray(np.where(codes == 0, 0, 255).astype(np.uint8)))
+        image.save(file)
+    else:
+        image = gray.convert(mode)
+        image.save(file, transparency=(0, 0, 0) if mode == "RGB" else image.getpixel((0, 0)))
+    assert has_alpha(file)
+    assert read_rgb(file).tolist() == [[[255] * 3, [255] * 3, [int(codes[0, 2])] * 3, [255] * 3]] * 2
+
+
+def test_partly_transparent_gray_is_mixed_and_16_bit_gray_with_a_transparent_code_refused(tmp_path: Path) -> None:
+    gray, alpha = (PIL.Image.new("L", (1, 1), value) for value in (100, 51))
+    image = PIL.Image.merge("LA", (gray, alpha))
+    image.save(tmp_path / "a.tif")
+    assert read_rgb(tmp_path / "a.tif").tolist() == [[[round(100 * 0.2 + 255 * 0.8)] * 3]]
+    deep = PIL.Image.fromarray(np.array([[0, 40000]], np.uint16))
+    deep.save(tmp_path / "deep.png", transparency=0)
+    with pytest.raises(ValueError, match=r"deep\.png must be 8-bit or have a channel of alpha"):
+        read_rgb(tmp_path / "deep.png")

@@ -84,11 +84,12 @@ def main() -> None:
         return  # it ended before that
     tasks: queue.SimpleQueue[Mapping[str, Any] | None] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(connection, tasks), daemon=True).start()
-    signal.signal(signal.SIGTERM, _stop)
     try:
         connection.send(Outcome("ready"))
+        # Until it has loaded, a signal to stop ends the process: an exception raised inside an import can be lost.
         with suppress(Exception):  # said with the first task, whose function it is
             function_at(place)
+        signal.signal(signal.SIGTERM, _stop)
         while (request := tasks.get()) is not None:
             connection.send(_outcome(place, request, connection))
     except (KeyboardInterrupt, BrokenPipeError):

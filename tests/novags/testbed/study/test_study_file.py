@@ -161,6 +161,14 @@ WRONG: dict[str, tuple[str, str]] = {
     ),
     "rig": ("[grid]\nrig = ['b']\n[rig.a]\nviews=9", "[grid] rig: there is no table [rig.b] (there are: a)"),
     "rig's key": ("[grid]\nrig = 'a'\n[rig.a]\nviewz=9", "[rig.a] viewz: there is no such key; did you mean 'views'"),
+    "method of a rig": (
+        "[grid]\nrig='a'\n[rig.a]\nmethod='naive'", "[rig.a] method: it is an axis of its own: list its values"
+    ),
+    "seed of a rig": ("[grid]\nrig='a'\n[rig.a]\nseed=7", "[rig.a] seed: it is an axis of its own"),
+    "rig of a rig": ("[grid]\nrig='a'\n[rig.a]\nrig='a'", "[rig.a] rig: it is an axis of its own"),
+    "rig for all": ("[override]\nrig='a'", "[override] rig: it is an axis of its own"),
+    "preset list": ("preset = ['demo']", "preset: must be one of demo, small, paper, got ['demo']"),
+    "no name": ("[grid]\nscene = ['']", "[grid] scene: it is empty"),
     "unused rig": ("[rig.a]\nviews=9", "[rig.a]: no value of [grid] rig names it"),
     "variant": ("[variant.a]\nmethod='navie'", "[variant]: unknown method 'navie'"),
     "variant's setting": ("[grid]\nmethod='a'\n[variant.a]\nmethod='naive'\nfit.x=1", "[variant]: a: FitConfig has no"),
@@ -176,6 +184,7 @@ WRONG: dict[str, tuple[str, str]] = {
     "exclude value": (
         "[grid]\nelectrons=[5]\n[[exclude]]\nelectrons=6", "1: electrons: 6 is not among its values in [grid] (5)"
     ),
+    "exclude nothing": ("[grid]\nelectrons=[5]\n[[exclude]]\nelectrons=[]", "1: electrons has no values"),
     "exclude shape": ("exclude = 3", "[[exclude]]: each must be a table"),
     "nothing left": ("[grid]\nelectrons=[5]\n[[exclude]]\nelectrons=5", "[[exclude]]: nothing is left to run"),
     "too many": (f"[grid]\nseed={list(range(400))}\nelectrons={list(range(1, 400))}", "[grid]: 159600 combinations"),

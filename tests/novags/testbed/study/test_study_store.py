@@ -104,7 +104,8 @@ def finished(tmp_path: Path, text: str) -> Path:
     out = tmp_path / "out"
     found = plan(tmp_path, text)
     describe(found, out, tmp_path / "store")
-    write_json(out / "results.json", {"rows": [{"state": "done"} for _ in found.runs]})
+    rows = [{**cell.values, "state": "done", "folder": found.tasks[key].name} for cell, key in found.runs]
+    write_json(out / "results.json", {"axes": found.study.axes, "rows": rows})
     return out
 
 
@@ -117,6 +118,11 @@ def test_more_runs_may_join_a_study_and_finished_ones_are_not_dropped(tmp_path: 
         ValueError, match=r"holds 1 finished runs \(method naive, electrons 20, seed 0\) that .* not have"
     ):
         refuse_other(plan(tmp_path, "[grid]\nmethod = 'naive'\nelectrons = [5]"), out)
+    describe(plan(tmp_path, f"{grid}\nseed = [0, 1]"), out, tmp_path / "store")  # killed before it wrote its tables
+    refuse_other(plan(tmp_path, grid), out)
+    program = '[method.mine]\ncommand = "true {capture} {out}"'
+    with pytest.raises(ValueError, match="2 finished runs of another study .it differs in method."):
+        refuse_other(plan(tmp_path, f"{grid}\n{program}"), out)
     with pytest.raises(ValueError, match="2 finished runs of another study .it differs in override.: .*--overwrite"):
         refuse_other(plan(tmp_path, f"{grid}\n[override]\nspp = 8"), out)
 
