@@ -161,7 +161,11 @@ def _images(views: PosedViews, pictures: ArrayLike | Path | str) -> list[NDArray
         files = find_renders(Path(pictures), views.names).files
         return [read_picture(files[name], views.width, views.height).values for name in views.names]
     given = np.asarray(pictures)
-    largest = np.iinfo(given.dtype).max if given.dtype in (np.uint8, np.uint16) else 1
+    whole = given.dtype.kind in "iub"
+    assert not whole or given.dtype in (np.uint8, np.uint16), (
+        f"pictures must be floats in 0..1, uint8 or uint16, got {given.dtype}"
+    )
+    largest = np.iinfo(given.dtype).max if whole else 1
     found = _numbers("pictures", given, (len(views), views.height, views.width, 3))
     assert np.isfinite(found).all(), f"pictures must be finite, {int((~np.isfinite(found)).sum())} values are not"
     return list((found / largest).astype(np.float32))
@@ -187,6 +191,8 @@ def _hold(
     for name, bound in bounds.items():
         if name not in mean:
             raise ValueError(f"there is no score {name!r} {what}: choose one of {', '.join(mean)}")
+        if isinstance(bound, bool) or not isinstance(bound, int | float | np.number):
+            raise ValueError(f"the bound of {name} must be a number, got {bound!r}")
         found = mean[name]
         assert found is not None, f"{name} {what} cannot be measured: there is nothing to see in the truth or no depth"
         least, sign = name not in SMALLER_IS_BETTER, 1 if name not in SMALLER_IS_BETTER else -1

@@ -54,6 +54,7 @@ def test_linear_light_is_compared_after_one_gain_for_all_views(dark: DarkCapture
     [
         (lambda p: p[:1], r"pictures must be \[2, 48, 48, 3\], got \[1, 48, 48, 3\]"),
         (lambda p: np.where(p > 0.5, np.nan, p), "pictures must be finite"),
+        (lambda p: (255 * p).astype(np.int64), "pictures must be floats in 0..1, uint8 or uint16, got int64"),
     ],
 )
 def test_wrong_pictures_fail_the_test_with_the_reason(dark: DarkCapture, change: Callable, said: str) -> None:
@@ -64,6 +65,8 @@ def test_wrong_pictures_fail_the_test_with_the_reason(dark: DarkCapture, change:
 def test_a_bound_on_what_there_is_not_is_a_mistake_of_the_test(dark: DarkCapture) -> None:
     with pytest.raises(ValueError, match="no score 'psnrr' against lit: choose one of psnr"):
         assert_scores(dark.test, dark.test.lit, psnrr=3)
+    with pytest.raises(ValueError, match="the bound of psnr must be a number, got '20'"):
+        assert_scores(dark.test, dark.test.lit, psnr="20")  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="against must be lit, clean or linear, got 'light'"):
         assert_scores(dark.test, dark.test.lit, "light")  # type: ignore[arg-type]
 

@@ -64,6 +64,12 @@ def test_every_capture_has_views_with_the_pictures_of_its_own_runs(visit: Callab
         assert (np.array(codes).reshape(24, 32, 4)[..., :3] == np.round(255 * dark)).all()
 
 
+def test_long_names_of_folders_make_no_page_wider_than_a_phone(visit: Callable[..., Any], comparison: Path) -> None:
+    tab = visit(comparison, width=390)
+    tab.evaluate("document.querySelectorAll('h1, h2, figcaption strong').forEach(e => e.append('x'.repeat(90)))")
+    assert tab.evaluate("document.documentElement.scrollWidth") == 390
+
+
 @pytest.mark.parametrize("width", [390, 1300])
 def test_pictures_of_captures_are_compared_zoomed_and_probed(
     visit: Callable[..., Any], comparison: Path, width: int
