@@ -187,6 +187,11 @@ def meter(source: Source, config: CaptureConfig, console: Console, pixels: int |
     with console.progress("capture: light") as progress:
         mean_green, signal = measure_light(source, sensor, progress)
     signal_e = signal * config.electrons / mean_green
+    if (median := signal_e[QUANTILES.index(0.5)]) >= sensor.capacity_e:
+        console.warn(
+            f"at {config.electrons:g} electrons more than half of the signal is white: its median is {median:.3g} e-, "
+            f"and {config.sensor_name} saturates at {sensor.capacity_e:.3g} e-; take fewer electrons"
+        )
     if (limits := config.limits(pixels or source.rig.width * source.rig.height)) is None:
         return Light(mean_green, signal_e, None)
     return Light(mean_green, signal_e, plan_effects(sensor, config.exposure, signal_e, limits))

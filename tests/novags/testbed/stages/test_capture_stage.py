@@ -201,6 +201,15 @@ def test_images_too_small_for_raw_files_are_said_before_the_work_and_where_they_
     assert open_capture(tmp_path / "larger").raw(0).shape[:2] == (22, 24)
 
 
+def test_a_signal_that_is_mostly_white_is_said(tmp_path: Path) -> None:
+    views = photographs(tmp_path / "set")
+    capacity = PRESETS[CaptureConfig().sensor].capacity_e
+    for share, said in ((0.3, False), (4.0, True)):  # of what the camera holds, in the mean of green
+        told = io.StringIO()
+        stages.capture(views, tmp_path / f"{share}", CaptureConfig(electrons=share * capacity), Console(stream=told))
+        assert ("more than half of the signal is white" in told.getvalue()) == said
+
+
 @pytest.mark.parametrize("row", [[0.0, 0.0, 0.0], [1e300, 0, 0], [1e-7, 0, 0]])
 def test_colour_filters_that_no_camera_has_are_refused(row: list[float], tmp_path: Path) -> None:
     views = SimpleNamespace(meta={"camera_matrix": [row, [0, 1, 0], [0, 0, 1]]}, path=tmp_path)
