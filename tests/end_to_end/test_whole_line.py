@@ -17,7 +17,7 @@ from novags.testbed.cache import read_json
 from novags.testbed.console import Console, Update
 from novags.testbed.experiment import run, score_all
 from novags.testbed.folders.capture import open_capture
-from novags.testbed.presets import Preset
+from novags.testbed.presets import Preset, adapted
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.reconstructing import ReconstructConfig
 from novags.testing import DarkCapture, assert_noise, assert_scores
@@ -162,6 +162,15 @@ def test_a_second_run_does_nothing_but_the_report(experiment: Path, tiny: Preset
     run(tiny, experiment, quiet, command="novags run")
     changed = {name for name, when in modified(experiment).items() if before.get(name) != when}
     assert changed == {"experiment.json", "metrics.json", "report.html"}
+
+
+def test_pictures_too_small_for_raw_files_are_refused_before_the_capture(
+    experiment: Path, tiny: Preset, quiet: Console, tmp_path: Path
+) -> None:
+    small = adapted(tiny, scene=str(experiment / "set"), max_size=21)
+    with pytest.raises(ValueError, match=r"images must be 22 px wide and high or more.*got 21 x"):
+        run(small, tmp_path / "out", quiet)
+    assert not (tmp_path / "out" / "capture").exists()
 
 
 def test_another_request_on_the_same_folder_is_refused_before_any_work(
