@@ -302,11 +302,11 @@ def _without_excluded(
     kept = combinations
     for number, rule in enumerate(rules, 1):
         with _at(path, f"[[exclude]] {number}"):
+            if empty := [key for key, value in dotted(rule).items() if not _listed(value)]:
+                raise ValueError(f"{empty[0]} has no values: it would leave nothing out")
             wanted = {key: _expanded(_listed(value), data) for key, value in dotted(rule).items()}
             _known(wanted, tuple(axes), "axis")
             for key, listed in wanted.items():
-                if not listed:
-                    raise ValueError(f"{key} has no values: it would leave nothing out")
                 if missing := [value for value in listed if value not in axes[key]]:
                     known = ", ".join(map(str, axes[key]))
                     raise ValueError(f"{key}: {missing[0]!r} is not among its values in [grid] ({known})")

@@ -145,7 +145,7 @@ def test_sixty_five_thousand_samples_add_up_without_float32_bias() -> None:
     """A sky of 1/3 is exact in every sample; one float32 sum over 65536 of them is off by 1e-4."""
     mi = activate()
     sky = {"type": "constant", "radiance": {"type": "rgb", "value": 1 / 3}}
-    far = {"type": "sphere", "center": [0, 0, -1e3], "radius": 1.0}
+    far = {"type": "sphere", "center": [0, 0, -1e3], "radius": 100.0}
     loaded = build_scene({"type": "scene", "sky": sky, "far": far}, mi)
     result = radiance(
         loaded, Rig(viewmats=np.eye(4)[None], Ks=intrinsics(4, 3, 40)[None], width=4, height=3), spp=65536
