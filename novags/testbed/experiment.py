@@ -12,13 +12,11 @@ from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders import shapes
 from novags.testbed.folders.experiment import EXPERIMENT, REPORT, REPORT_FILES, find_runs
 from novags.testbed.folders.run import METRICS, RECORD
-from novags.testbed.folders.set import open_source
 from novags.testbed.presets import Preset
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.rendering import RECORD as SET
 from novags.testbed.stages.scoring import merge
 from novags.testbed.study.steps import make_set
-from sensor_model.files.dng import SMALLEST
 from sensor_model.files.lock import locked
 
 DESCRIBED = (EXPERIMENT, METRICS, REPORT, REPORT_FILES)  # files that describe all runs in the folder
@@ -58,11 +56,8 @@ def photograph(preset: Preset, out: Path, console: Console, *, overwrite: bool =
     with locked(out):
         described = [out / name for name in DESCRIBED]
         source = _source(preset, out, console, described, overwrite)
-        rig = open_source(source, Console(quiet=True), preset.capture.max_size).rig
-        if min(rig.width, rig.height) < SMALLEST:
-            raise ValueError(f"images must be {SMALLEST} px wide and high or more, since methods read raw files by "
-                             f"LibRaw, which takes no smaller ones; got {rig.width} x {rig.height}")  # fmt: skip
-        stages.capture(source, out / "capture", preset.capture, console, stale=described, overwrite=overwrite)
+        stages.capture(source, out / "capture", preset.capture, console, stale=described, overwrite=overwrite,
+                       for_runs=True)  # fmt: skip
         return out / "capture"
 
 

@@ -125,7 +125,7 @@ def assert_noise(views: PosedViews, frames: ArrayLike, *, sigmas: float = 5.0) -
     dn = _numbers("frames", frames, views.raw.shape)
     assert np.isfinite(dn).all(), "frames must be finite"
     mean, variance = views.mean_dn.astype(np.float64), views.variance_dn.astype(np.float64)
-    noisy = variance > 1e-6  # DN²; below it every exposure gives the same number, and there is no unit of noise
+    noisy = variance > 1e-6  # DN²; less is no noise at all (a saturated pixel), and dividing by it would blow up
     still = float(np.abs(dn - mean)[~noisy].max(initial=0.0))
     assert still <= 0.5, f"pixels without noise (saturated ones) are up to {still:.3g} DN off their mean"
     sd = np.sqrt(np.where(noisy, variance, 1.0))
@@ -190,7 +190,7 @@ def _hold(
     mean: dict[str, float | None] = mean_scores([dict(view) for view in scores])
     for name, bound in bounds.items():
         if name not in mean:
-            raise ValueError(f"there is no score {name!r} {what}: choose one of {', '.join(mean)}")
+            raise ValueError(f"unknown score {name!r} {what}: choose one of {', '.join(mean)}")
         if isinstance(bound, bool) or not isinstance(bound, int | float | np.number):
             raise ValueError(f"the bound of {name} must be a number, got {bound!r}")
         found = mean[name]

@@ -75,7 +75,7 @@ class PosedViews:
 
     @cached_property
     def depth(self) -> Float32:
-        """Truth: z-depth [C,h,w], world units, inf where there is no surface.
+        """Truth: z-depth [C,h,w], world units, inf where a ray hits nothing.
 
         Raises:
             ValueError: If it is not known: of photographs.
@@ -112,7 +112,7 @@ class DarkCapture:
         folder: On disk, with its cameras as COLMAP, nerfstudio and instant-ngp read them. Tests must not change it.
         train: The training views.
         test: The held-out views: every 8th, from the first.
-        points: On the true surfaces, to start from, float64 [P,3]; empty where there are none.
+        points: On the true surfaces, to start from, float64 [P,3]; empty for photographs without points.
         electrons: Mean signal of green, e- per pixel and exposure.
     """
 

@@ -26,8 +26,8 @@ def surface_points(
 
     Args:
         rig: The cameras.
-        depth: View index -> z-depth [h,w], inf where there is no surface. Asked for twice, one view after the other, so
-            that not all have to be held at once.
+        depth: View index -> z-depth [h,w], inf where a ray hits nothing. Called twice for each view, so that only one
+            map is in memory at a time.
         image: View index -> sRGB image uint8 [h,w,3], for the colours.
         seed: Seed of the draw.
         n_points: Points wanted; fewer come back if few are seen twice.

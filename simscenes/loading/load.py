@@ -82,7 +82,7 @@ def build_scene(scene: SceneLike | SceneRef, mi: Any, *, allow_outside: bool = F
 
     Raises:
         ValueError: If the name is unknown, the file reaches outside its folder, Mitsuba refuses the description (its
-            reason is in the message) or crashes on it, there is no shape, or a number in it is not physical.
+            reason is in the message) or crashes on it, the scene has no shapes, or one of its numbers is not physical.
     """
     source = SceneRef.of(scene)
     if source.path is not None and not allow_outside:

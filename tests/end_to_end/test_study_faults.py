@@ -172,6 +172,20 @@ def test_an_interruption_or_a_kill_of_a_later_start_costs_no_finished_row(
     assert rows(tmp_path) == found
 
 
+def test_a_damaged_table_is_refused_and_made_again_where_it_may_be_overwritten(
+    run: Callable[..., tuple[int, str]], tmp_path: Path
+) -> None:
+    assert run()[0] == 0
+    found, before = rows(tmp_path), made(tmp_path)
+    (tmp_path / "out" / "results.json").write_text('{"rows": [{"sta')
+    code, said = run()
+    assert code == 2
+    assert "results.json" in one_line(said)
+    assert run("--overwrite")[0] == 0
+    assert rows(tmp_path) == found
+    assert made(tmp_path) == before
+
+
 @pytest.mark.parametrize(("how", "said"), [("full", "No space left on device"), ("read-only", "Read-only file system")])
 def test_a_fault_of_the_disk_in_a_stage_stops_the_study_and_fails_no_run(
     run: Callable[..., tuple[int, str]], tmp_path: Path, how: str, said: str

@@ -107,23 +107,35 @@ def capture(
     *,
     stale: Sequence[Path] = (),
     overwrite: bool = False,
+    for_runs: bool = False,
 ) -> dict[str, Any]:
     """Photograph the set at `set_path` in the dark; returns capture.json.
 
+    Args:
+        set_path: The set.
+        out: Folder of the capture.
+        config: Camera and light.
+        console: Where progress goes.
+        stale: See `stages`.
+        overwrite: Replace a finished result of another request.
+        for_runs: Methods will read it, which need its raw files.
+
     Raises:
-        ValueError: If the set cannot be read or is black, or `out` holds other things or, unless `overwrite`, a
-            finished result of another request.
+        ValueError: If the set cannot be read or is black, its images are too small `for_runs`, or `out` holds other
+            things or, unless `overwrite`, a finished result of another request.
         BlockingIOError: If another process is writing to `out`.
     """
     keep_apart(out, set_path)
     source = open_source(set_path, console, config.max_size)
     check_source_of(config.export, source)
     if min(source.rig.width, source.rig.height) < SMALLEST:
-        console.warn(
+        said = (
             f"images of {source.rig.width} x {source.rig.height} px make raw files that LibRaw refuses: it takes "
-            f"{SMALLEST} px of either side or more. novags reconstruct needs larger images, all other files of this "
-            "capture are as usual"
+            f"{SMALLEST} px of either side or more"
         )
+        if for_runs:
+            raise ValueError(f"{said}, and methods read them: take larger images")
+        console.warn(f"{said}. novags reconstruct needs larger images, all other files of this capture are as usual")
     with locked(out):
         record = run_stage(
             "capture",

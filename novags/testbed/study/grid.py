@@ -207,7 +207,7 @@ class _Reader:
     def _rig(self, name: Value) -> Changes:
         if name not in self.rigs:
             listed = ", ".join(self.rigs) or "none"
-            raise ValueError(f"there is no table [rig.{brief(name, 60)}] (there are: {listed})")
+            raise ValueError(f"the table [rig.{brief(name, 60)}] is missing; the file has: {listed}")
         return self.table(self.rigs[name], f"[rig.{name}]")
 
     def _checked(self, key: str, value: Value) -> Changes:

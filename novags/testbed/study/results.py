@@ -139,9 +139,11 @@ def rows_before(plan: Plan, out: Path, store: Path, url: str | None, sealed: set
         url: Of the store, see `Table`.
         sealed: Keys of the entries that are there.
     """
-    if not (out / JSON).exists():
+    try:
+        rows = read_json(out / JSON, ROWS)["rows"] if (out / JSON).exists() else []
+    except ValueError:  # damaged, which `refuse_other` has said unless it may be overwritten: all are looked at again
         return {}
-    done = {row["folder"]: row for row in read_json(out / JSON, ROWS)["rows"] if row["state"] == "done"}
+    done = {row["folder"]: row for row in rows if row["state"] == "done"}
     places = {key: place_of(plan.tasks[key], out, store, url) for _, key in plan.runs if key in sealed}
     return {key: done[place] for key, place in places.items() if place in done}
 

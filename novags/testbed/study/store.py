@@ -4,8 +4,8 @@ store/set/tabletop-20x160x160-1f3a…/   store/capture/…   store/run/…
 
 The end of a name is the key: a hash of the stage's code and whole configuration and of all that it was made from. It
 is known before anything is computed, and nothing else ever writes to that folder. When an entry is complete its seal is
-written, a hidden file that lists every file with its checksum and says what it cost. Whoever needs the entry later
-compares its files with the seal first. Studies beside each other share one store: locks on the folders keep them apart.
+written, a hidden file that lists every file with its checksum and says what it cost. Before an entry is used again, its
+files are compared with the seal. Studies that run at the same time may share a store: locks on the folders protect it.
 """
 
 import hashlib

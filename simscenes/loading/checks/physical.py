@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.loading.contents import media_in, surfaces_in
+from simscenes.loading.contents import media_in, surfaces_in, unique_materials
 
 # Reflectances and transmittances, by the end of a parameter's name.
 SHARES = re.compile(r"(reflectance|albedo|base_color|transmittance|spec_trans)\.(.*\.)?(value|values|data)$")
@@ -42,17 +42,16 @@ def check_parameters(scene: Any, params: Any, mi: Any) -> None:
         lowest, highest = float(numbers.min()), float(numbers.max())  # nan in any element makes both nan
         if not np.isfinite([lowest, highest]).all():
             raise ValueError(f"scene parameter {key} must be finite, got {lowest}..{highest}")
-        # 1e-4: spectra given as RGB are fitted by Mitsuba, and white comes out a rounding error above 1.
         if SHARES.search(key):
-            _check_share(UNNAMED.sub("an unnamed object", key), lowest, highest)
+            _check_share(UNNAMED.sub("an unnamed object", key), numbers)
+    by_material = {one.bsdf(): OF_MESH.findall(str(one.bsdf())) for one in unique_materials(scene, mi)}
     for shape in surfaces_in(scene, mi):
-        for name, attribute, factor in OF_MESH.findall(str(shape.bsdf())):
-            colours = _numbers(mi.traverse(shape)[attribute], mi) * float(factor)
-            _check_share(
-                f"{name} ({attribute}) of {shape.id() or shape.class_name()!r}",
-                float(colours.min()),
-                float(colours.max()),
-            )
+        for name, attribute, factor in by_material.get(shape.bsdf(), ()):
+            inner = mi.traverse(shape)
+            # A colour for each vertex or face, or a bitmap of that name. A shape that has neither is left to Mitsuba.
+            for key in {attribute, f"{attribute}.data"} & set(inner.keys()):
+                numbers = _numbers(inner[key], mi) * float(factor)
+                _check_share(f"{name} ({attribute}) of {shape.id() or shape.class_name()!r}", numbers)
     for part in (*scene.emitters(), *media_in(scene, mi)):
         inner = mi.traverse(part)
         for key in filter(AMOUNTS.search, inner.keys()):
@@ -62,7 +61,9 @@ def check_parameters(scene: Any, params: Any, mi: Any) -> None:
                 )
 
 
-def _check_share(name: str, lowest: float, highest: float) -> None:
+def _check_share(name: str, numbers: NDArray[Any]) -> None:
+    lowest, highest = float(numbers.min()), float(numbers.max())
+    # 1e-4: spectra given as RGB are fitted by Mitsuba, and white comes out a rounding error above 1.
     if lowest < 0 or highest > 1 + 1e-4:
         raise ValueError(f"scene parameter {name} must lie in 0..1 (the share of light that a surface or medium passes "
                          f"on), got {lowest:.6g}..{highest:.6g}")  # fmt: skip

@@ -101,8 +101,8 @@ def read_rgb(file: Path) -> NDArray[np.uint8]:
         codes = found / np.float32(257) if found.dtype == np.uint16 else found.astype(np.float32)
         if codes.ndim == 3 and codes.shape[2] == 4:
             codes = codes[..., [2, 1, 0, 3]]
-        else:  # OpenCV drops the alpha of some gray ones
-            codes = _gray_with_alpha(file)
+        else:  # OpenCV drops the alpha of some kinds, gray ones above all
+            codes = _codes_with_alpha(file)
         alpha = codes[..., 3:] / np.float32(255)
         mixed = codes[..., :3] * alpha + np.float32(BACKGROUND) * (1 - alpha)
         return np.asarray(np.round(mixed), np.uint8)
@@ -110,11 +110,10 @@ def read_rgb(file: Path) -> NDArray[np.uint8]:
     return np.ascontiguousarray(pixels[..., ::-1])
 
 
-def _gray_with_alpha(file: Path) -> NDArray[np.float32]:
-    """Codes [h,w,4] of an 8-bit picture, red first, alpha last."""
+def _codes_with_alpha(file: Path) -> NDArray[np.float32]:
+    """Codes [h,w,4] of a picture that PIL holds in 8 bits, red first, alpha last."""
     with header(file) as image:
-        if image.mode in ("1", "L", "LA", "La", "P", "PA"):
+        if not (mode := image.mode).startswith(("I", "F")):  # of more bits, which PIL would cut off
             return np.asarray(image.convert("RGBA"), dtype=np.float32)
-        mode = image.mode
     raise ValueError(f"{file} must be 8-bit or have a channel of alpha, got {mode} with transparent pixels: save it as "
                      "RGBA")  # fmt: skip

@@ -63,7 +63,7 @@ def test_wrong_pictures_fail_the_test_with_the_reason(dark: DarkCapture, change:
 
 
 def test_a_bound_on_what_there_is_not_is_a_mistake_of_the_test(dark: DarkCapture) -> None:
-    with pytest.raises(ValueError, match="no score 'psnrr' against lit: choose one of psnr"):
+    with pytest.raises(ValueError, match="unknown score 'psnrr' against lit: choose one of psnr"):
         assert_scores(dark.test, dark.test.lit, psnrr=3)
     with pytest.raises(ValueError, match="the bound of psnr must be a number, got '20'"):
         assert_scores(dark.test, dark.test.lit, psnr="20")  # type: ignore[arg-type]

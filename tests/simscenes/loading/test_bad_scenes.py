@@ -252,6 +252,11 @@ def test_colours_of_a_mesh_are_shares_of_light_where_a_material_reflects_by_them
         build_scene(painted(0.9, 2.0, "principled", "base_color"), mi)
     assert build_scene(painted(3.0, 0.3), mi).shapes == ("ball", "paper")
     assert build_scene(painted(3.0, 1.0, "roughconductor", "alpha"), mi).shapes == ("ball", "paper")  # no share
+    paint = {"type": "diffuse", "reflectance": {"type": "mesh_attribute", "name": attribute}}
+    assert build_scene(ball(ball={"type": "sphere", "bsdf": paint, attribute: bitmap(mi, 0.9)}), mi).shapes == ("ball",)
+    with pytest.raises(ValueError, match=rf"reflectance \({attribute}\) of 'ball' must lie in 0..1"):
+        build_scene(ball(ball={"type": "sphere", "bsdf": paint, attribute: bitmap(mi, 1.5)}), mi)
+    assert build_scene(ball(ball={"type": "sphere", "bsdf": paint}), mi).shapes == ("ball",)  # Mitsuba's own matter
 
 
 def scaled(size: float, far: float) -> dict[str, Any]:

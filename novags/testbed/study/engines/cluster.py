@@ -273,7 +273,7 @@ def connected(address: str | None) -> Iterator[Any]:
 
     Raises:
         ValueError: If Ray is not installed.
-        OSError: If there is no cluster at the address, or its versions of Ray and Python differ from those here.
+        OSError: If no cluster answers at the address, or it runs another version of Ray or Python than this machine.
     """
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # nothing is sent to anybody
     try:

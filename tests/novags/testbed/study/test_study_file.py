@@ -159,7 +159,7 @@ WRONG: dict[str, tuple[str, str]] = {
     "rig and axis": (
         "[grid]\nrig='a'\nwidth=[64]\n[rig.a]\nwidth=32", "[grid] width: width is set by [grid] rig too"
     ),
-    "rig": ("[grid]\nrig = ['b']\n[rig.a]\nviews=9", "[grid] rig: there is no table [rig.b] (there are: a)"),
+    "rig": ("[grid]\nrig = ['b']\n[rig.a]\nviews=9", "[grid] rig: the table [rig.b] is missing; the file has: a"),
     "rig's key": ("[grid]\nrig = 'a'\n[rig.a]\nviewz=9", "[rig.a] viewz: there is no such key; did you mean 'views'"),
     "method of a rig": (
         "[grid]\nrig='a'\n[rig.a]\nmethod='naive'", "[rig.a] method: it is an axis of its own: list its values"
