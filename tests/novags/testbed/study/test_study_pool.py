@@ -242,6 +242,8 @@ def contents(store: Path) -> dict[str, bytes]:
 
     found = {}
     for path in sorted((store / "run").rglob("*")):
+        if path.name.startswith("."):
+            continue  # half-written: it may have its name by the time it is read
         if path.is_file() and path.suffix == ".txt":
             found[path.relative_to(store).as_posix()] = path.read_bytes()
         elif path.name == "made.json":
