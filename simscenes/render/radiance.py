@@ -18,12 +18,13 @@ from simscenes.camera import camera_color
 from simscenes.loading.load import LoadedScene
 from simscenes.optics import Optics
 from simscenes.render.motion import subframe_rig
-from simscenes.render.sensors import PILOT_SPP, PINHOLE, sensor_dict
+from simscenes.render.sensors import PINHOLE, sensor_dict
 from simscenes.render.sequences import Radiance, Sequences, sample_shares
-from simscenes.render.wavefront import sample_sums
+from simscenes.render.wavefront import compilation, sample_sums
 from simscenes.rigs import Rig
 
 Tick = Callable[[float], None]
+PILOT_SPP = 32
 MAX_SPP = 65536  # where target_error gives up
 FIRST = 0.8  # of the samples that a pilot predicts: stratified ones leave less noise, the more there are
 PILOT_PART = 0.25  # of these samples are spread evenly: with an eighth the shares are so noisy that they save less
@@ -57,7 +58,7 @@ class Pilot:
 
     Attributes:
         error: Relative error that one sample per pixel would have, spread as it should be.
-        seconds: That one sample in every pixel took, the kernel being compiled.
+        seconds: That one sample in every pixel took, without compiling the kernel.
     """
 
     error: float
@@ -144,30 +145,37 @@ class View:
         first, each = (count.ravel() // frames for count in (s.count, more))
         if self.scalar:
             each = np.full_like(each, grid_spp(int(each.max())))
-        for half, sums in enumerate(s.sums.reshape(2, -1, 3)):
-            for k, sensor in enumerate(self.sensors):
-                for part, light in self._light(sensor, first, each, (half, k)):
-                    sums[part] += self._in_camera_rgb(light)
-                    tick((half + (k + part.stop / each.size) / frames) / 2)
+        sums = s.sums.reshape(2, -1, 3)
+        for k, sensor in enumerate(self.sensors):
+            for halves, part, light in self._light(sensor, first, each, k):
+                sums[halves, part] += self._in_camera_rgb(light)
+                tick((k + halves.stop / 2 * part.stop / each.size) / frames)
         s.count += frames * each.reshape(s.count.shape)
         self._checked(s.mean())
 
     def _light(
-        self, sensor: Any, first: NDArray[np.int64], more: NDArray[np.int64], numbers: tuple[int, int]
-    ) -> Iterator[tuple[slice, NDArray[np.float64]]]:
-        """Sums over `more` samples [h*w] of each pixel, after the `first` ones, part by part of the picture."""
-        m = self.method
+        self, sensor: Any, first: NDArray[np.int64], more: NDArray[np.int64], frame: int
+    ) -> Iterator[tuple[slice, slice, NDArray[np.float64]]]:
+        """Sums over `more` samples [h*w] of each pixel and sequence, after the `first` ones, part by part.
+
+        Yields:
+            Which sequences, which pixels, and the sums [sequences, pixels, 3].
+        """
+        m, both = self.method, slice(0, 2)
         if not self.scalar:
-            seed = view_seed(self.rig, self.i, m.seed, *numbers)
-            yield from sample_sums(m.mi, m.loaded.scene, sensor, m.integrator, first, more, seed)
+            seeds = [view_seed(self.rig, self.i, m.seed, half, frame) for half in range(2)]
+            for part, sums in sample_sums(m.mi, m.loaded.scene, sensor, m.integrator, first, more, seeds):
+                yield both, part, sums
             return
-        start, left = int(first[0]), int(more[0])
-        while left > 0:
-            spp = left if left <= MAX_FILM_SPP else MAX_FILM_SPP
-            seed = view_seed(self.rig, self.i, m.seed, *numbers, start)
-            film = m.mi.render(m.loaded.scene, sensor=sensor, integrator=m.integrator, spp=spp, seed=seed)
-            yield slice(0, len(more)), spp * np.array(film, dtype=np.float64)[..., :3].reshape(-1, 3)
-            start, left = start + spp, left - spp
+        for half in range(2):
+            start, left = int(first[0]), int(more[0])
+            while left > 0:
+                spp = left if left <= MAX_FILM_SPP else MAX_FILM_SPP
+                seed = view_seed(self.rig, self.i, m.seed, half, frame, start)
+                film = m.mi.render(m.loaded.scene, sensor=sensor, integrator=m.integrator, spp=spp, seed=seed)
+                light = spp * np.array(film, dtype=np.float64)[..., :3].reshape(1, -1, 3)
+                yield slice(half, half + 1), slice(0, len(more)), light
+                start, left = start + spp, left - spp
 
     def seconds(self, spp: int, part: float) -> float:
         """Seconds that rendering with `spp` samples takes, from about `part` of them, timed when the kernel is there.
@@ -203,17 +211,16 @@ class View:
     @cached_property
     def pilot(self) -> Pilot:
         """What the first samples of a view towards a target say about the others; they count among them."""
-        s = self.samples
-        for _ in range(2):  # the second time the kernel is there
-            start, before = time.perf_counter(), s.spp
-            self._draw(s.even(before + PILOT_SPP))
-            seconds = (time.perf_counter() - start) / (s.spp - before)
-        return Pilot(self._foreseen()[1], seconds)
+        s, start = self.samples, time.perf_counter()
+        with compilation() as seconds:  # these samples are kept, and not drawn a second time to time them
+            self._draw(s.even(PILOT_SPP))
+            spent = time.perf_counter() - start - seconds()
+        return Pilot(self._foreseen()[1], spent / s.spp)
 
     def predict_spp(self, target_error: float) -> int:
         """Samples per pixel that bring a pilot's error down to the target, if it falls as 1/sqrt(spp)."""
         wanted = (self.pilot.error / target_error) ** 2
-        return min(max(2 * PILOT_SPP, math.ceil(wanted)), MAX_SPP)
+        return min(max(PILOT_SPP, math.ceil(wanted)), MAX_SPP)
 
 
 def grid_spp(spp: float) -> int:

@@ -41,10 +41,10 @@ THIRD, FOURTH = direction_numbers(2, 1, (1, 3)), direction_numbers(3, 1, (1, 3, 
 def sampler_class(mi: Any, variant: str) -> Any:
     """`Sobol`, a Mitsuba sampler for this variant, which must be the active one and have wavefronts.
 
-    Made for the lanes of a wavefront, each with its pixel and the index of a point in the sequence that the pixel has
-    under this seed (all of 32 bits). Of the dimensions drawn, the two of the film and those of the first light are one
-    set of four; so are, from then on, each new direction and the light sampled where it leads, in the order in which
-    Mitsuba's path tracer asks for them. All other sets are shuffled against each other.
+    Made for the lanes of a wavefront, each with its pixel, a seed, and the index of a point in the sequence that the
+    pixel has under this seed (all of 32 bits). Of the dimensions drawn, the two of the film and those of the first
+    light are one set of four; so are, from then on, each new direction and the light sampled where it leads, in the
+    order in which Mitsuba's path tracer asks for them. All other sets are shuffled against each other.
     """
     import drjit as dr
 
@@ -86,9 +86,9 @@ def sampler_class(mi: Any, variant: str) -> Any:
         return mi.Float(dr.brev(digits) >> 8) * 2.0**-24
 
     class Sobol(mi.Sampler):
-        def __init__(self, pixel: Any, index: Any, seed: int) -> None:
+        def __init__(self, pixel: Any, index: Any, seed: Any) -> None:
             super().__init__(mi.Properties())
-            self.key = mixed(mixed(pixel) + dr.opaque(u32, seed))
+            self.key = mixed(mixed(pixel) + seed)
             self.index, self.drawn = index, u32(0)
 
         def next_2d(self, active: Any = True) -> Any:

@@ -14,7 +14,6 @@ from simscenes.optics import Optics
 from simscenes.rigs import Rig, intrinsics_to_mitsuba, opencv_to_mitsuba
 
 PINHOLE = Optics()
-PILOT_SPP = 16
 MAX_INTERFACES = 64
 NEAR, FAR = 1e-9, 1e2  # clip planes, in extents: a ground of 20,000 units must not hide what stands before the camera
 
@@ -50,7 +49,7 @@ def sensor_dict(mi: Any, rig: Rig, i: int, loaded: LoadedScene, optics: Optics =
         "near_clip": NEAR * loaded.extent,
         "far_clip": FAR * loaded.extent,
         "to_world": mi.ScalarTransform4f(opencv_to_mitsuba(rig.viewmats[i])),
-        "sampler": {"type": "multijitter", "sample_count": PILOT_SPP},
+        "sampler": {"type": "multijitter", "sample_count": 16},
         "film": film,
     }
 

@@ -7,7 +7,8 @@ same bits.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -32,6 +33,16 @@ def from_numpy(kind: Any, values: NDArray[Any]) -> Any:
     return kind(aligned)
 
 
+@contextmanager
+def compilation() -> Iterator[Callable[[], float]]:
+    """Keep the account of kernels; what it gives says how many seconds their compilation has taken since."""
+    import drjit as dr
+
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+        dr.kernel_history_clear()
+        yield lambda: sum(kernel.get("backend_time", 0.0) for kernel in dr.kernel_history()) / 1000  # from ms
+
+
 def sample_sums(
     mi: Any,
     scene: Any,
@@ -39,30 +50,32 @@ def sample_sums(
     integrator: Any,
     first: NDArray[np.int64],
     more: NDArray[np.int64],
-    seed: int,
+    seeds: Sequence[int],
     part: float = 1.0,
 ) -> Iterator[tuple[slice, NDArray[np.float64]]]:
-    """Sums over samples `first` .. `first + more - 1` of the sequence of every pixel, part by part of the picture.
+    """Sums over samples `first` .. `first + more - 1` of the sequences of every pixel, part by part of the picture.
+
+    All sequences of a part are traced at once: a launch takes longer than the samples of a small picture.
 
     Args:
         mi: The mitsuba module, in a JIT variant.
         scene: The Mitsuba scene.
         sensor: With a box filter.
         integrator: A sampling integrator.
-        first: Samples that each pixel had before, row by row, [h*w].
-        more: Samples to draw in each pixel, [h*w].
-        seed: Of the sequences, which it gives to all pixels at once; 32 bits.
+        first: Samples that each pixel had before in each of its sequences, row by row, [h*w].
+        more: Samples to draw in each pixel and sequence, [h*w].
+        seeds: Of the sequences, each of which all pixels have one of; 32 bits.
         part: Of the width of a pixel, its middle, where samples fall.
 
     Yields:
-        Which pixels, and [their number, 3] of what the film's channels would hold, summed over the samples.
+        Which pixels, and [seeds, their number, 3] of what the film's channels would hold, summed over the samples.
     """
-    ends, start = np.cumsum(more), 0
+    ends, start = len(seeds) * np.cumsum(more), 0
     while start < len(more):
         drawn = ends[start - 1] if start else 0
         stop = max(start + 1, int(np.searchsorted(ends, drawn + MAX_WAVEFRONT, side="right")))
         here = slice(start, stop)
-        yield here, _trace(mi, scene, sensor, integrator, start, first[here], more[here], seed, part)
+        yield here, _trace(mi, scene, sensor, integrator, start, first[here], more[here], seeds, part)
         start = stop
 
 
@@ -74,19 +87,22 @@ def _trace(
     start: int,
     first: NDArray[np.int64],
     more: NDArray[np.int64],
-    seed: int,
+    seeds: Sequence[int],
     part: float,
 ) -> NDArray[np.float64]:
     import drjit as dr
 
+    pixels, first, more = len(more), np.tile(first, len(seeds)), np.tile(more, len(seeds))
     sums, begins = np.zeros((len(more), 3)), np.cumsum(more) - more
     if not more.any():
-        return sums
+        return sums.reshape(len(seeds), pixels, 3)
     film, count = sensor.film(), int(more.sum())
     entry = from_numpy(mi.UInt32, np.repeat(np.arange(len(more), dtype=np.uint32), more))
     # Number in the sequence minus that of the lane: it may wrap around below zero, and their sum then wraps back.
     offset = dr.gather(mi.UInt32, mi.UInt32((first - begins).astype(np.uint32)), entry)
-    pixel = entry + dr.opaque(mi.UInt32, start)
+    sequence = entry // dr.opaque(mi.UInt32, pixels)
+    pixel = entry - sequence * dr.opaque(mi.UInt32, pixels) + dr.opaque(mi.UInt32, start)
+    seed = dr.gather(mi.UInt32, mi.UInt32(np.array(seeds, dtype=np.uint32)), sequence)
     sampler = sampler_class(mi, mi.variant())(pixel, dr.arange(mi.UInt32, count) + offset, seed)
     ray, weight = camera_rays(mi, sensor, sampler, pixel, part)
     spectrum, _, _ = integrator.sample(scene, sampler, ray, sensor.get_medium(), mi.Bool(True))
@@ -95,7 +111,7 @@ def _trace(
     some = more > 0
     for k, channel in enumerate(channels):
         sums[some, k] = np.add.reduceat(np.array(channel, dtype=np.float64), begins[some])
-    return sums
+    return sums.reshape(len(seeds), pixels, 3)
 
 
 def camera_rays(mi: Any, sensor: Any, sampler: Any, pixel: Any, part: float = 1.0) -> tuple[Any, Any]:

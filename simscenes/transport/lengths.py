@@ -79,7 +79,7 @@ def _follow(
     first, each, limit, start, width = (dr.opaque(mi.UInt32, n) for n in (chosen.start, spp, longest, rr_depth, lanes))
     lane = dr.arange(mi.UInt32, lanes)
     pixel = first + lane // each
-    sampler = sampler_class(mi, mi.variant())(pixel, lane % each, seed)
+    sampler = sampler_class(mi, mi.variant())(pixel, lane % each, dr.opaque(mi.UInt32, seed))
     ray, weight = camera_rays(mi, sensor, sampler, pixel)
     account = dr.zeros(mi.Float, longest * lanes)  # a lane's light by length, then by lane: no two lanes meet in it
     chain = dr.zeros(mi.Float, lanes)

@@ -84,12 +84,10 @@ def path_noise(
         method, squares = mi.load_dict(integrator), []
         for i in range(len(rig)):
             sensor = mi.load_dict(sensor_dict(mi, rig, i, loaded))
-            halves = []
-            for half in range(2):
-                number = view_seed(rig, i, seed, half)
-                parts = sample_sums(mi, loaded.scene, sensor, method, first, more, number, part)
-                halves.append(np.concatenate([sums for _, sums in parts]) / SPP)
-            squares.append(np.square(halves[0] - halves[1]).mean(-1))
+            seeds = [view_seed(rig, i, seed, half) for half in range(2)]
+            parts = sample_sums(mi, loaded.scene, sensor, method, first, more, seeds, part)
+            one, other = np.concatenate([sums for _, sums in parts], axis=1) / SPP
+            squares.append(np.square(one - other).mean(-1))
         found.append(np.concatenate(squares))
     return np.stack(found)
 

@@ -116,8 +116,8 @@ def test_a_scalar_variant_counts_what_it_draws_and_never_repeats_itself(view: Ca
         assert one.samples.spp == 20
         differs = [np.abs(a - b).max() > 1e-3 for a, b in ((sums[0], sums[1]), (sums[0], again[0]), (*again,))]
         assert all(differs)
-        drawn = [sums.max() for _, sums in one._light(one.sensors[0], np.zeros(12), np.full(12, 2500), (0, 0))]
-    assert len(drawn) == 3
+        drawn = [sums.max() for *_, sums in one._light(one.sensors[0], np.zeros(12), np.full(12, 2500), 0)]
+    assert len(drawn) == 6
     assert drawn[2] / drawn[0] == pytest.approx((2500 - 2 * MAX_FILM_SPP) / MAX_FILM_SPP, rel=0.1)
 
 

@@ -17,7 +17,7 @@ pytestmark = pytest.mark.usefixtures("jit")
 def sampler(pixels: Any, index: Any, seed: int = 0) -> Any:
     mi = activate()
     lanes = (mi.UInt32(np.asarray(n, dtype=np.uint32)) for n in np.broadcast_arrays(pixels, index))
-    return sampler_class(mi, mi.variant())(*lanes, seed)
+    return sampler_class(mi, mi.variant())(*lanes, mi.UInt32(seed))
 
 
 def set_of_four(pixel: int, count: int, first: int = 0) -> NDArray[np.float64]:

@@ -1,5 +1,7 @@
 """Samples put where the noise is: the same light, less work, the same bits for the same seed."""
 
+import random
+import time
 from typing import Any
 
 import numpy as np
@@ -63,10 +65,10 @@ def test_the_light_is_what_mitsuba_renders(color: str, camera: str | None) -> No
 
 def drawn(mi: Any, scene: Any, sensor: Any, integrator: Any, first: Any, more: Any, seed: int) -> Any:
     """Sums over the samples of every pixel, [h*w,3], all parts together."""
-    parts = list(wavefront.sample_sums(mi, scene, sensor, integrator, first, more, seed))
+    parts = list(wavefront.sample_sums(mi, scene, sensor, integrator, first, more, [seed]))
     assert [p.start for p, _ in parts] == [0, *(p.stop for p, _ in parts[:-1])]
     assert parts[-1][0].stop == len(more)
-    return np.concatenate([sums for _, sums in parts])
+    return np.concatenate([sums[0] for _, sums in parts])
 
 
 def test_sequences_go_on_whatever_their_wavefronts(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -86,6 +88,35 @@ def test_sequences_go_on_whatever_their_wavefronts(monkeypatch: pytest.MonkeyPat
     for other in (begun[some] / first[some, None], drawn(*arguments, first, more, 2)[some] / more[some, None]):
         sky = np.isclose(other, rest[some] / more[some, None]).all(1)
         assert sky.mean() < 0.3
+
+
+def test_sequences_traced_at_once_are_those_traced_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Bit for bit, some pixels without a sample, in one wavefront and in many."""
+    mi, rng = activate(), np.random.default_rng(4)
+    v = view(mi, shiny_corner(mi))
+    first, more = rng.integers(0, 9, (2, SIZE * SIZE))
+    arguments = (mi, v.method.loaded.scene, v.sensors[0], v.method.integrator, first, more)
+    each = [drawn(*arguments, seed) for seed in (7, 2**32 - 1, 8)]
+    assert not np.array_equal(each[0], each[2])
+    for size in (wavefront.MAX_WAVEFRONT, 100):
+        monkeypatch.setattr(wavefront, "MAX_WAVEFRONT", size)
+        parts = list(wavefront.sample_sums(*arguments, [7, 2**32 - 1, 8]))
+        assert np.array_equal(np.concatenate([sums for _, sums in parts], axis=1), each)
+        assert max(3 * more[pixels].sum() for pixels, _ in parts) <= size
+
+
+def test_compiling_is_told_apart_from_tracing() -> None:
+    """A kernel with a constant that no kernel had before, then the same one again."""
+    import drjit as dr
+
+    mi, constant = activate(), random.SystemRandom().random()
+    for new in (True, False):
+        start = time.perf_counter()
+        with wavefront.compilation() as seconds:
+            dr.eval(dr.sin(dr.arange(mi.Float, 999) * constant))
+            assert (seconds() > 0) == new
+        assert seconds() < time.perf_counter() - start
+    assert not dr.flag(dr.JitFlag.KernelHistory)
 
 
 def test_a_render_to_a_target_is_unbiased_and_its_variance_true() -> None:
@@ -207,8 +238,10 @@ def test_rare_light_is_not_lost_where_a_pilot_missed_it(monkeypatch: pytest.Monk
     """
     rng = np.random.default_rng(0)
 
-    def sampled(self: View, sensor: Any, first: Any, more: Any, numbers: Any) -> Any:
-        yield slice(0, len(more)), np.repeat(rng.binomial(more, 0.01)[:, None] * 100.0, 3, -1)
+    def sampled(self: View, sensor: Any, first: Any, more: Any, frame: int) -> Any:
+        for half in range(2):
+            found = np.repeat(rng.binomial(more, 0.01)[:, None] * 100.0, 3, -1)
+            yield slice(half, half + 1), slice(0, len(more)), found
 
     monkeypatch.setattr(View, "_light", sampled)
     monkeypatch.setattr(View, "sensors", [None])

@@ -52,8 +52,8 @@ def traced(mi: Any, loaded: LoadedScene, rig: Rig, i: int, integrator: dict[str,
     sensor = mi.load_dict(sensor_dict(mi, rig, i, loaded))
     first, more = np.zeros(pixels, np.int64), np.full(pixels, SPP)
     number = view_seed(rig, i, seed, 0)
-    parts = sample_sums(mi, loaded.scene, sensor, mi.load_dict(integrator), first, more, number)
-    light = np.concatenate([sums for _, sums in parts]) / SPP
+    parts = sample_sums(mi, loaded.scene, sensor, mi.load_dict(integrator), first, more, [number])
+    light = np.concatenate([sums[0] for _, sums in parts]) / SPP
     return np.asarray(light.mean(1).reshape(rig.height, rig.width))
 
 
