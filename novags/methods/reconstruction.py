@@ -13,7 +13,7 @@ from novags.splats.files.ply import write_ply
 from novags.splats.gaussians import Gaussians
 from novags.splats.raster.rasterize import rasterize
 from novags.splats.training.checkpoint import write_tensors
-from novags.splats.training.config import FitConfig
+from novags.splats.training.config import NEAR, FitConfig
 from novags.splats.views import Views
 
 Space = Literal["enhanced", "linear", "lit"]
@@ -41,12 +41,13 @@ class Scene(Protocol):
 
 @dataclass(frozen=True)
 class GaussianScene:
-    """A scene of Gaussians, shown as `eps2d` and `antialiased` of its FitConfig say.
+    """A scene of Gaussians, shown as `eps2d`, `antialiased` and `near_plane` of its FitConfig say.
 
     Attributes:
         gaussians: The Gaussians.
         eps2d: As in `FitConfig`.
         antialiased: As in `FitConfig`.
+        near_plane: As in `FitConfig`.
         tone: Their colours are tones of this curve, and renders are light; None: renders are what they hold.
         matrix: [3, 3] from that light, or from what they hold, to the light that is rendered; None: the identity.
         response: Their colours are radiance, and renders show it through this camera response; None: as it is.
@@ -55,6 +56,7 @@ class GaussianScene:
     gaussians: Gaussians
     eps2d: float = FitConfig.eps2d
     antialiased: bool = FitConfig.antialiased
+    near_plane: float = NEAR
     tone: ToneCurve | None = None
     matrix: Tensor | None = None
     response: ResponseTable | None = None
@@ -62,7 +64,7 @@ class GaussianScene:
     @staticmethod
     def of(gaussians: Gaussians, config: FitConfig) -> "GaussianScene":
         """What a fit with this configuration has trained."""
-        return GaussianScene(gaussians, config.eps2d, config.antialiased)
+        return GaussianScene(gaussians, config.eps2d, config.antialiased, config.near_plane)
 
     def render(self, views: Views) -> tuple[Tensor, Tensor, Tensor]:
         """As `Scene` says."""
@@ -84,7 +86,8 @@ class GaussianScene:
         with torch.no_grad():
             images, alphas, _ = rasterize(
                 g.means, g.quats, g.scales, g.opacities, values, views.viewmats, views.Ks, views.width, views.height,
-                eps2d=self.eps2d, rasterize_mode="antialiased" if self.antialiased else "classic", **more,
+                eps2d=self.eps2d, rasterize_mode="antialiased" if self.antialiased else "classic",
+                near_plane=self.near_plane, **more,
             )  # fmt: skip
         return images, alphas
 
@@ -94,7 +97,8 @@ class GaussianScene:
 
     def facts(self) -> dict[str, Any]:
         """Their number, and how they are to be splatted: the .ply does not say."""
-        facts: dict[str, Any] = {"gaussians": len(self.gaussians), "eps2d": self.eps2d, "antialiased": self.antialiased}
+        shown = {"eps2d": self.eps2d, "antialiased": self.antialiased, "near_plane": self.near_plane}
+        facts: dict[str, Any] = {"gaussians": len(self.gaussians), **shown}
         if self.tone is not None:
             facts["tone"] = {"top": self.tone.top, "k": self.tone.k}
         if self.matrix is not None:

@@ -2,7 +2,8 @@
 on something that there is not is a `ValueError`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal
 
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from novags.testing.known import PosedViews
 
 SMALLER_IS_BETTER = ("flip", "delta_e", "lpips", "abs_rel", "floaters", "rotation_deg", "centre_error")
+WHITE = 0.97  # quantile of the true light that counts as white: the raw data's own is far above all that is dark
 GROUPS = 4  # of pixels by brightness, in each of which the noise must fit
 
 
@@ -25,7 +27,8 @@ def assert_scores(
         views: What they show: `dark.test`.
         pictures: [C,h,w,3], floats in 0..1, uint8 or uint16; or a folder of files called like the views.
         against: "lit": the views in good light; "clean": the dark exposures without noise, both sRGB-encoded;
-            "linear": these in linear light, after one gain for all views.
+            "linear": these in linear light, after one gain for all views, exposed so that few of their values are
+            beyond white.
         bounds: psnr, aligned_psnr, tone_aligned_psnr, ssim, aligned_ssim, tone_aligned_ssim, flip, delta_e, lpips;
             linear_psnr alone for "linear". See `novags help scores`.
 
@@ -41,8 +44,12 @@ def assert_scores(
     truth = views.clean_linear if against == "linear" else getattr(views, against)
     scores: list[dict[str, Any]]
     if against == "linear":
-        gain = exposure_gain(zip(images, truth, strict=True))
-        scores = [{"linear_psnr": linear_psnr(*pair, gain)} for pair in zip(images, truth, strict=True)]
+        white = float(np.quantile(truth, WHITE))
+        if not white > 0:
+            raise ValueError("the scene is black to 97 %: it has no linear score")
+        with _blamed_on("pictures"):
+            gain = exposure_gain(zip(images, truth, strict=True), white)
+        scores = [{"linear_psnr": linear_psnr(*pair, gain, white)} for pair in zip(images, truth, strict=True)]
     else:
         lpips = PerceptualDistance() if "lpips" in bounds else None
         scores = [dict(image_scores(*pair, lpips)) for pair in zip(images, truth, strict=True)]
@@ -70,7 +77,11 @@ def assert_depth(
     shape = (len(views), views.height, views.width)
     z = _numbers("depth", depth, shape)
     opacity = np.ones(shape) if alpha is None else _numbers("alpha", alpha, shape)
-    scores = [dict(geometry_scores(*view)) for view in zip(z, opacity, views.depth, strict=True)]
+    with _blamed_on("depth or alpha"):
+        scores = [dict(geometry_scores(*view)) for view in zip(z, opacity, views.depth, strict=True)]
+    for name, score, true in zip(views.names, scores, views.depth, strict=True):
+        judged = any(score.get(bound, 0) is None for bound in bounds)
+        assert not (judged and np.isfinite(true).any()), f"view {name} has no depth where the scene has surfaces"
     return _hold("of the depth", views, scores, bounds)
 
 
@@ -101,8 +112,10 @@ def assert_poses(
     assert share >= registered, (
         f"{share:.0%} of the views have a camera, at least {registered:.0%} must; none: {', '.join(lost)}"
     )
+    assert np.allclose(found[there][:, 3], (0, 0, 0, 1)), "the last row of a viewmat must be 0 0 0 1"
     true = torch.from_numpy(views.viewmats[there])
-    alignment = align(torch.from_numpy(found[there].astype(np.float64)), true)
+    with _blamed_on("viewmats"):
+        alignment = align(torch.from_numpy(found[there]), true)
     names = [name for name, known in zip(views.names, there.tolist(), strict=True) if known]
     turned, moved = alignment.rotation_deg.tolist(), alignment.centre_error.tolist()
     scores = [{"rotation_deg": a, "centre_error": b} for a, b in zip(turned, moved, strict=True)]
@@ -160,7 +173,7 @@ def _images(views: PosedViews, pictures: ArrayLike | Path | str) -> list[NDArray
 
         files = find_renders(Path(pictures), views.names).files
         return [read_picture(files[name], views.width, views.height).values for name in views.names]
-    given = np.asarray(pictures)
+    given = _array("pictures", pictures)
     whole = given.dtype.kind in "iub"
     assert not whole or given.dtype in (np.uint8, np.uint16), (
         f"pictures must be floats in 0..1, uint8 or uint16, got {given.dtype}"
@@ -173,10 +186,35 @@ def _images(views: PosedViews, pictures: ArrayLike | Path | str) -> list[NDArray
 
 def _numbers(what: str, given: ArrayLike, shape: Sequence[int]) -> NDArray[np.float64]:
     __tracebackhide__ = True
-    detached = given.detach().cpu() if hasattr(given, "detach") else given  # a tensor of torch
-    found = np.asarray(detached)
+    found = _array(what, given)
     assert found.shape == tuple(shape), f"{what} must be {list(shape)}, got {list(found.shape)}"
     return found.astype(np.float64)
+
+
+def _array(what: str, given: Any) -> NDArray[Any]:
+    """Whatever holds real numbers as an array: lists of tensors, and such as are trained, too."""
+    __tracebackhide__ = True
+    if hasattr(given, "detach"):  # a tensor of torch; its narrow floats are unknown to NumPy
+        found = given.detach().cpu()
+        return np.asarray(found.float() if found.is_floating_point() and found.element_size() < 4 else found)
+    if isinstance(given, list | tuple):
+        parts = [_array(what, part) for part in given]
+        shapes = {part.shape for part in parts}
+        assert len(shapes) <= 1, f"{what} must be of one shape, got {', '.join(map(str, sorted(shapes)))}"
+        return np.stack(parts) if parts else np.zeros(0)
+    array = np.asarray(given)
+    assert array.dtype.kind in "biuf", f"{what} must be real numbers, got {array.dtype}"
+    return array
+
+
+@contextmanager
+def _blamed_on(what: str) -> Iterator[None]:
+    """Values that cannot be judged are wrong results of the code under test."""
+    __tracebackhide__ = True
+    try:
+        yield
+    except ValueError as wrong:
+        raise AssertionError(f"{what}: {wrong}") from None
 
 
 def _hold(

@@ -139,7 +139,7 @@ def train(
     firsts = [work.likelihood(seed) for seed in range(config.seeds)]
     final, targets = (firsts, None) if config.stages == "likelihood" else work.structure(firsts)
     gaussians = final[0] if len(final) == 1 else work.joined(final, targets)
-    scene = GaussianScene(gaussians, config.fit.eps2d, config.fit.antialiased, curve, data.matrix)
+    scene = dataclasses.replace(GaussianScene.of(gaussians, work.base), tone=curve, matrix=data.matrix)
     total = time.perf_counter() - started
     return Reconstruction(
         scene=scene,
@@ -280,7 +280,7 @@ class _Work:
         return dataclasses.replace(self.base, **{**common, **changes})
 
     def _tones(self, gaussians: Gaussians) -> Tensor:
-        return GaussianScene(gaussians, self.base.eps2d, self.base.antialiased).render(self.problem.views)[0]
+        return GaussianScene.of(gaussians, self.base).render(self.problem.views)[0]
 
     def _fit(
         self, part: str, seed: int, start: Gaussians, targets: Tensor, config: FitConfig,

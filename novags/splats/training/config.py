@@ -11,6 +11,10 @@ from .updates.adam import LearningRates
 from .updates.camera_refinement import CameraRefinement
 from .updates.mcmc import McmcConfig
 
+NEAR = 0.01  # in units: what `rasterize` takes if it is not told
+USUAL = (0.5, 8.0)  # extents of scenes in units that nobody has to think of; those measured have 0.8 to 4.5
+UNUSUAL = 2.0  # what other extents are taken for
+
 
 @dataclass(frozen=True, kw_only=True)
 class FitConfig:
@@ -24,12 +28,12 @@ class FitConfig:
         dssim_weight: w in (1 - w) L1 + w (1 - SSIM); 0 is L1 alone.
         opacity_reg: Weight of the mean opacity.
         opacity_reg_fall: p in `opacity_reg` * (1 - t)**p, its weight after the share t of the run; 0 keeps it.
-        scale_reg: Weight of the mean scale.
+        scale_reg: Weight of the mean scale, in units of `unit`.
         rates: Learning rates.
         mcmc: When Gaussians move; None keeps the population as it is.
         refine_cameras: How the training cameras are refined; None takes them as they are given.
-        extent: Scene size that the rates of the means and of the cameras are relative to, world units; None is measured
-            from the cameras.
+        extent: Scene size that the rates of the means and of the cameras are relative to, world units; `fit` measures
+            it from the cameras where it is None.
         seed: Of the order of views, of relocation and of noise.
         eps2d: Variance added to every splat on the image, px^2.
         antialiased: Whether opacities fall by what that makes a splat larger; `rasterize_mode` of `rasterize`.
@@ -78,9 +82,26 @@ class FitConfig:
             raise ValueError(f"extent must be > 0 or None, got {self.extent}")
 
     @property
+    def unit(self) -> float:
+        """World units that lengths count as one: 1 for a scene of usual size, and so many that others have such a size.
+
+        Millimetres instead of metres would else press all splats flat, and a scene of a thousandth of a unit would lie
+        before the near plane.
+        """
+        if self.extent is None or USUAL[0] <= self.extent <= USUAL[1]:
+            return 1.0
+        return self.extent / UNUSUAL
+
+    @property
+    def near_plane(self) -> float:
+        """Smallest camera z that is rendered, world units."""
+        return NEAR * self.unit
+
+    @property
     def splatting(self) -> dict[str, Any]:
         """What `rasterize` has to be told to show the Gaussians as they were trained."""
-        return {"eps2d": self.eps2d, "rasterize_mode": "antialiased" if self.antialiased else "classic"}
+        mode = "antialiased" if self.antialiased else "classic"
+        return {"eps2d": self.eps2d, "rasterize_mode": mode, "near_plane": self.near_plane}
 
     def opacity_reg_at(self, iteration: int) -> float:
         """Weight of the mean opacity in an iteration."""

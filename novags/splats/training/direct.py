@@ -20,9 +20,10 @@ from ..cpu.training import activations, optimizer
 from ..gaussians import Gaussians
 from ..raster.validation import check_camera
 from ..views import Views
+from .config import FitConfig
 from .updates.adam import Adam, LearningRates
 
-NEAR, FAR = 0.01, 1e10  # the defaults of `rasterize`
+FAR = 1e10  # the default of `rasterize`
 STEPS = 10  # iterations after which the coefficients are looked at again
 
 
@@ -30,17 +31,15 @@ class DirectFit:
     """The cameras of a fit, checked once, and what its iterations share."""
 
     def __init__(
-        self, views: Views, *, compare: Callable[[np.ndarray, np.ndarray], tuple[np.float32, np.ndarray]],
-        scale_reg: float, eps2d: float, antialiased: bool,
+        self, views: Views, config: FitConfig,
+        compare: Callable[[np.ndarray, np.ndarray], tuple[np.float32, np.ndarray]],
     ) -> None:  # fmt: skip
         """Check the cameras.
 
         Args:
             views: The training views.
+            config: How to train.
             compare: Loss of a picture and its target, and its gradient for the picture.
-            scale_reg: As in `FitConfig`.
-            eps2d: As in `FitConfig`.
-            antialiased: As in `FitConfig`.
 
         Raises:
             ValueError: For a camera that `rasterize` would refuse.
@@ -49,14 +48,14 @@ class DirectFit:
             check_camera({"viewmats": viewmat[None], "Ks": K[None]})
         self.cameras = [
             pipeline.Camera(
-                viewmat=_array(viewmat), K=_array(K), width=views.width, height=views.height, near=NEAR, far=FAR,
-                eps2d=eps2d, antialiased=antialiased,
+                viewmat=_array(viewmat), K=_array(K), width=views.width, height=views.height, near=config.near_plane,
+                far=FAR, eps2d=config.eps2d, antialiased=config.antialiased,
             )
             for viewmat, K in zip(views.viewmats, views.Ks, strict=True)
         ]  # fmt: skip
         self.image_shape = (views.height, views.width, 3)
         self.compare = compare
-        self.scale_reg = np.float32(scale_reg)
+        self.scale_reg = np.float32(config.scale_reg / config.unit)
         self.v_alpha = np.zeros((views.height, views.width), np.float32)
         self.calm = 0  # iterations for which the coefficients are known to be small
 

@@ -94,7 +94,8 @@ def fit(
     _check_views(gaussians, views)
     started = time.perf_counter()
     extent = config.extent if config.extent is not None else views.extent
-    settings = {} if checkpoint is None else _identity(gaussians, views, config, extent)
+    config = dataclasses.replace(config, extent=extent)
+    settings = {} if checkpoint is None else _identity(gaussians, views, config)
     if checkpoint is not None and checkpoint.exists():
         state = load_checkpoint(checkpoint, settings, gaussians.means.device, companion)
         started -= state.seconds
@@ -187,11 +188,11 @@ def _check_views(gaussians: Gaussians, views: Views) -> None:
             )
 
 
-def _identity(gaussians: Gaussians, views: Views, config: FitConfig, extent: float) -> dict[str, object]:
+def _identity(gaussians: Gaussians, views: Views, config: FitConfig) -> dict[str, object]:
     """What a run is started with, targets and extra losses apart: a checkpoint of another run must not be taken."""
     size = torch.tensor([views.width, views.height])
     return {
-        **dataclasses.asdict(config), "extent": extent, "views": len(views),
+        **dataclasses.asdict(config), "views": len(views),
         "start": digest(*gaussians.tensors().values()), "cameras": digest(views.viewmats, views.Ks, size),
     }  # fmt: skip
 
@@ -232,11 +233,7 @@ def _direct(
     if photometric is not None and not isinstance(photometric, PixelLoss):
         return None
     plain = partial(compare, dssim_weight=config.dssim_weight)
-    names = ("scale_reg", "eps2d", "antialiased")
-    return DirectFit(
-        views, compare=plain if photometric is None else photometric.compare,
-        **{name: getattr(config, name) for name in names},
-    )  # fmt: skip
+    return DirectFit(views, config, plain if photometric is None else photometric.compare)
 
 
 def _step_directly(
@@ -283,7 +280,8 @@ def _mcmc_step(
         adam.grow(gaussians)
     if mcmc.noise_lr:
         stream = _generator(config.seed, iteration, 3)
-        add_noise(gaussians, mcmc.noise_lr * means_rate, stream, limit=FARTHEST * extent)
+        rate = mcmc.noise_lr * means_rate / config.unit**2  # times covariances, which are lengths squared
+        add_noise(gaussians, rate, stream, limit=FARTHEST * extent)
     return gaussians
 
 

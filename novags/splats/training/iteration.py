@@ -50,7 +50,7 @@ def _render(
     """This iteration's Step, and the regulariser."""
     gaussians, fused = state.gaussians.requires_grad_(), config.backend != "torch"
     opacity_reg = config.opacity_reg_at(iteration)
-    scales, opacities, regularizer = activate(gaussians, opacity_reg, config.scale_reg, fused=fused)
+    scales, opacities, regularizer = activate(gaussians, opacity_reg, config.scale_reg / config.unit, fused=fused)
     if state.cameras is not None and config.refine_cameras is not None:
         state.cameras.twists.requires_grad_(config.refine_cameras.factor_at(iteration, config.iterations) > 0)
     view = config.view_at(iteration, len(views))

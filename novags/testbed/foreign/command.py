@@ -21,6 +21,7 @@ from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import RECORD, Capture, open_capture
 from novags.testbed.foreign.pictures import Picture, find_renders, read_picture
 from novags.testbed.foreign.process import Spent, run_program
+from novags.testbed.metrics import Image
 from novags.testbed.stages.paths import keep_apart
 from sensor_model.files.reading import brief
 from simscenes.sets.pictures.exr import write_exr
@@ -203,13 +204,14 @@ def _keep_pictures(capture: Capture, made: Path, out: Path, space: str) -> bool:
     renders = find_renders(made, names)
     pictures = {name: read_picture(renders.files[name], rig.width, rig.height) for name in names}
     for name, picture in pictures.items():
-        write_png(out / "renders" / f"{name}.png", encode(picture.values) if space == "linear" else picture.values)
-        write_exr(out / "exr" / f"{name}.exr", _channels(picture))
+        values = picture.linear if space == "linear" else picture.values
+        write_png(out / "renders" / f"{name}.png", encode(values) if space == "linear" else values)
+        write_exr(out / "exr" / f"{name}.exr", _channels(values, picture))
     return all(picture.depth is not None for picture in pictures.values())
 
 
-def _channels(picture: Picture) -> dict[str, np.ndarray]:
-    found = {c: np.ascontiguousarray(picture.values[..., k]) for k, c in enumerate("RGB")}
+def _channels(values: Image, picture: Picture) -> dict[str, np.ndarray]:
+    found = {c: np.ascontiguousarray(values[..., k]) for k, c in enumerate("RGB")}
     if picture.depth is None or picture.alpha is None:
         return found
     return {**found, "Z": np.maximum(picture.depth, 0), "alpha": picture.alpha}
@@ -234,7 +236,9 @@ def _body(capture: Capture, out: Path, config: CommandConfig, spent: Spent, with
 
 
 def show(capture: Capture, folder: Path) -> None:
-    """Lay out what a method may see of a capture: links to its files, so that a program cannot add to them.
+    """Lay out what a method may see of a capture: copies of its files, so that a program can change none of them.
+
+    Through links it could, and other methods would then see what it has written; they would lead it to the truth, too.
 
     The truth is not among it. Dark pictures of the test views are, as every data set of the field has them, and
     test_list.txt names them.
@@ -244,6 +248,6 @@ def show(capture: Capture, folder: Path) -> None:
         path = capture.path / name
         files = [path] if path.is_file() else sorted(part for part in path.rglob("*") if part.is_file())
         for file in files:
-            link = folder / file.relative_to(capture.path)
-            link.parent.mkdir(parents=True, exist_ok=True)
-            link.symlink_to(file.resolve())
+            copy = folder / file.relative_to(capture.path)
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(file, copy)

@@ -87,7 +87,7 @@ def find_renders(folder: Path, names: Sequence[str]) -> Renders:
 def read_picture(file: Path, width: int, height: int) -> Picture:
     """Read one picture of a view of `width` x `height` px.
 
-    Transparent pixels stand before white, as the test bed's own sets have them, and count as 8-bit.
+    Transparent pixels stand before white, as the test bed's own sets have them.
 
     Raises:
         ValueError: If it cannot be read, has another size, holds other than 8- or 16-bit codes, is an EXR file without
@@ -107,7 +107,11 @@ def read_picture(file: Path, width: int, height: int) -> Picture:
 
 def _read_codes(file: Path) -> Picture:
     if has_alpha(file):
-        return Picture(read_rgb(file).astype(np.float32) / np.float32(255), "8-bit")
+        codes = read_image(file, cv2.IMREAD_UNCHANGED)
+        if codes.dtype != np.uint16 or codes.ndim != 3 or codes.shape[2] != 4:
+            return Picture(read_rgb(file).astype(np.float32) / np.float32(255), "8-bit")
+        shares = codes[..., [2, 1, 0, 3]].astype(np.float32) / np.float32(65535)
+        return Picture(shares[..., :3] * shares[..., 3:] + (1 - shares[..., 3:]), "16-bit")
     bgr = read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
     if bgr.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"{file} must hold 8- or 16-bit codes, got {bgr.dtype}: write PNG or EXR")

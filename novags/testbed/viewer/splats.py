@@ -16,7 +16,7 @@ from novags.methods.tone import ResponseTable, ToneCurve
 from novags.splats import Views, read_ply
 from novags.splats.raster.raster_torch import quat_to_rotmat
 from novags.splats.sh import sh_to_rgb
-from novags.splats.training.config import FitConfig
+from novags.splats.training.config import NEAR, FitConfig
 from novags.testbed.folders.run import SCENE, Run
 
 
@@ -81,11 +81,12 @@ def gaussians_of(run: Run) -> GaussianScene | None:
         return None
     dilation = float(run.record.get("eps2d", FitConfig.eps2d))
     antialiased = bool(run.record.get("antialiased", FitConfig.antialiased))
+    near = float(run.record.get("near_plane", NEAR))
     tone, matrix = run.record.get("tone"), run.record.get("matrix")
     curve, rows = None if tone is None else ToneCurve(**tone), None if matrix is None else torch.tensor(matrix)
     found = run.record.get("response")
     response = None if found is None else ResponseTable(**{**found, "values": tuple(found["values"])})
-    return GaussianScene(read_ply(path), dilation, antialiased, curve, rows, response)
+    return GaussianScene(read_ply(path), dilation, antialiased, near, curve, rows, response)
 
 
 def rendered(scene: Scene, into: Similarity, viewmat: Array, fov_y: float, size: tuple[int, int]) -> np.ndarray:

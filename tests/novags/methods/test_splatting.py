@@ -1,6 +1,7 @@
 """The dilation of a fit is the one it renders with: in training, in what comes of it, on record."""
 
 import dataclasses
+import math
 
 import pytest
 import torch
@@ -10,6 +11,7 @@ from novags.methods.gaussian_fit import EnhancedFitConfig
 from novags.methods.nova import trainer
 from novags.methods.reconstruction import GaussianScene
 from novags.splats import FitConfig, Gaussians, McmcConfig, Views, fit, photometric_loss, rasterize
+from novags.splats.training.config import UNUSUAL
 
 SMALL = {"eps2d": 0.02, "rasterize_mode": "classic"}
 SHARP = {"eps2d": 0.02, "rasterize_mode": "antialiased"}
@@ -68,7 +70,8 @@ def test_what_a_method_gives_back_is_shown_as_it_was_trained_and_says_how(proble
     torch.testing.assert_close(result.render(views)[0], expected, rtol=0, atol=1e-6)
     assert not torch.allclose(rasterize(*values, sh_degree=g.sh_degree)[0], expected, rtol=0, atol=1e-3)
     antialiased = splatting["rasterize_mode"] == "antialiased"
-    assert result.scene.facts() == {"gaussians": len(g), "eps2d": 0.02, "antialiased": antialiased}
+    shown = {"eps2d": 0.02, "antialiased": antialiased, "near_plane": result.config.fit.near_plane}
+    assert result.scene.facts() == {"gaussians": len(g), **shown}
 
 
 def test_nova_trains_renders_and_records_with_the_dilation_of_its_fit(problem, monkeypatch):
@@ -104,4 +107,31 @@ def test_an_impossible_dilation_is_refused(value):
 
 
 def test_a_scene_without_a_fit_has_the_default_dilation():
-    assert GaussianScene(scene()[0]).facts() == {"gaussians": 60, "eps2d": FitConfig().eps2d, "antialiased": False}
+    shown = {"eps2d": FitConfig().eps2d, "antialiased": False, "near_plane": 0.01}
+    assert GaussianScene(scene()[0]).facts() == {"gaussians": 60, **shown}
+
+
+@pytest.mark.parametrize("path", ["direct", "autograd"])
+@pytest.mark.parametrize("unit", [2.0**12, 2.0**-12])
+def test_a_scene_in_other_units_is_fitted_and_shown_alike(unit: float, path: str) -> None:
+    """Of usual size, and so many times larger: splats must neither be pressed flat nor lie before the near plane."""
+    options = {"extra_losses": [lambda step: None]} if path == "autograd" else {}
+    start, views, images = scene()
+    start.log_scales += 2.5
+    moved = views.viewmats.clone()
+    moved[1, 0, 3] = 2 * UNUSUAL / 1.1  # two cameras, at this extent of each other's mean
+    losses, pictures = [], []
+    for factor in (1.0, unit):
+        viewmats = moved.clone()
+        viewmats[:, :3, 3] *= factor
+        seen = dataclasses.replace(views, viewmats=viewmats)
+        assert seen.extent == pytest.approx(UNUSUAL * factor)
+        gaussians = dataclasses.replace(start, means=start.means * factor)
+        gaussians.log_scales = start.log_scales + math.log(factor)
+        config = FitConfig(iterations=40, sh_degree=0, scale_reg=0.05, extent=seen.extent)
+        result = fit(gaussians, seen, lambda i: images[i], config, **options)
+        losses.append([entry["loss"] for entry in result.losses])
+        pictures.append(GaussianScene.of(result.gaussians, config).render(seen)[0])
+    assert losses[1] == pytest.approx(losses[0], rel=1e-3)
+    assert float((pictures[0] - pictures[1]).abs().max()) < 0.01
+    assert float(pictures[0].max()) > 0.3

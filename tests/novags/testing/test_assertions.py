@@ -50,6 +50,26 @@ def test_linear_light_is_compared_after_one_gain_for_all_views(dark: DarkCapture
 
 
 @pytest.mark.parametrize(
+    "wrong",
+    [
+        lambda light: np.ones_like(light),
+        lambda light: light[:, :, ::-1],
+        lambda light: light[..., ::-1],
+        lambda light: np.random.default_rng(0).random(light.shape),
+    ],
+    ids=["constant", "mirrored", "blue first", "random"],
+)
+def test_in_the_dark_linear_light_of_another_picture_is_no_good_score(dark_capture: Make, wrong: Callable) -> None:
+    """As codes of the sensor, whose white is hundreds of times as bright, all of it is nearly black."""
+    darkest = dark_capture("cornell", 5).test
+    with pytest.raises(AssertionError, match="linear_psnr"):
+        assert_scores(darkest, wrong(darkest.clean_linear), "linear", linear_psnr=28)
+    shown = darkest.clean_linear / np.quantile(darkest.clean_linear, 0.97)
+    noisy = np.clip(shown, 0, 1) + 0.01 * np.random.default_rng(1).standard_normal(shown.shape)
+    assert assert_scores(darkest, noisy, "linear", linear_psnr=38)["linear_psnr"] == pytest.approx(40, abs=0.5)
+
+
+@pytest.mark.parametrize(
     ("change", "said"),
     [
         (lambda p: p[:1], r"pictures must be \[2, 48, 48, 3\], got \[1, 48, 48, 3\]"),
@@ -60,6 +80,36 @@ def test_linear_light_is_compared_after_one_gain_for_all_views(dark: DarkCapture
 def test_wrong_pictures_fail_the_test_with_the_reason(dark: DarkCapture, change: Callable, said: str) -> None:
     with pytest.raises(AssertionError, match=said):
         assert_scores(dark.test, change(dark.test.lit))
+
+
+def test_forms_of_numbers_that_frameworks_have_are_taken_and_others_are_wrong_results(dark: DarkCapture) -> None:
+    lit, depth = torch.from_numpy(dark.test.lit), dark.test.depth
+    forms = [[view.clone().requires_grad_() for view in lit], lit.bfloat16(), [lit[0].numpy(), lit[1]], lit.tolist()]
+    assert all((assert_scores(dark.test, form)["psnr"] or 0) > 45 for form in forms)
+    poses, own = dark.train.viewmats, dark.train.viewmats.copy()
+    own[:, 3, 3] = 2
+    wrong: list[Callable[[], object]] = [
+        lambda: assert_scores(dark.test, dark.test.lit + 1j),
+        lambda: assert_scores(dark.test, [dark.test.lit[0], dark.test.lit[1, 1:]]),
+        lambda: assert_scores(dark.test, 0 * dark.test.lit, "linear"),
+        lambda: assert_depth(dark.test, -depth),
+        lambda: assert_depth(dark.test, depth, 255 * np.ones_like(depth)),
+        lambda: assert_depth(dark.test, depth, np.full_like(depth, np.nan)),
+        lambda: assert_poses(dark.train, own, rotation_deg=1, centre_error=1),
+        lambda: assert_poses(dark.train, np.swapaxes(poses, 1, 2), rotation_deg=1, centre_error=1),
+        lambda: assert_poses(dark.train, np.tile(np.eye(4), (len(poses), 1, 1)), rotation_deg=1, centre_error=1),
+        lambda: assert_poses(dark.train, np.full_like(poses, np.nan), rotation_deg=1, centre_error=1, registered=0),
+    ]
+    for each in wrong:
+        with pytest.raises(AssertionError, match=r"must|least|depth|pictures|viewmats"):
+            each()
+
+
+def test_a_view_without_any_depth_is_named_where_depth_is_wanted(dark: DarkCapture) -> None:
+    depth = dark.test.depth.copy()
+    depth[1] = np.nan
+    with pytest.raises(AssertionError, match="view 0008 has no depth where the scene has surfaces"):
+        assert_depth(dark.test, depth, abs_rel=0.01)
 
 
 def test_a_bound_on_what_there_is_not_is_a_mistake_of_the_test(dark: DarkCapture) -> None:

@@ -17,6 +17,7 @@ from novags.testbed.console import Console
 from novags.testbed.foreign.command import CommandConfig, read_commands, run_command
 from novags.testbed.foreign.nerfbaselines import checksum, encoded, export_results
 from novags.testbed.foreign.process import run_program
+from simscenes.sets.pictures.exr import read_exr
 from simscenes.sets.pictures.png import read_png
 
 QUIET = Console(quiet=True)
@@ -81,6 +82,46 @@ def test_scores_are_encoded_and_summed_as_the_other_side_reads_them() -> None:
     assert checksum(one) == checksum(other) == hashlib.sha256(
         b"mae" + encoded([3.0]).encode() + b"\npsnr" + encoded([1.0, 2.0]).encode() + b"\n"
     ).hexdigest()  # fmt: skip
+
+
+def test_a_program_that_writes_into_its_capture_changes_nothing_that_others_see(capture: Path, tmp_path: Path) -> None:
+    before = {path: path.read_bytes() for path in capture.rglob("*") if path.is_file()}
+    code = BRIGHTEN + (
+        "\nfor path in capture.rglob('*'):\n    if path.is_file():\n        assert not path.is_symlink()\n"
+        "        path.write_bytes(b'mine now')\n"
+    )
+    run_command(capture, tmp_path / "run", method(tmp_path, code), QUIET)
+    assert {path: path.read_bytes() for path in capture.rglob("*") if path.is_file()} == before
+
+
+LIGHT = """
+import pathlib, sys
+import numpy as np, cv2
+capture, out, kind = *map(pathlib.Path, sys.argv[1:3]), sys.argv[3]
+for name in (capture / "test_list.txt").read_text().split():
+    light = np.linspace(0.05, 0.5, 3)[None, None, ::-1]  # blue first
+    dark = cv2.imread(str(capture / "images" / pathlib.Path(name).name))
+    light = np.broadcast_to(light, dark.shape)
+    if kind == "8-bit":
+        light = np.where(light < 0.0031308, 12.92 * light, 1.055 * light ** (1 / 2.4) - 0.055)
+        codes = np.round(255 * light).astype(np.uint8)
+    else:
+        codes = np.round(65535 * light).astype(np.uint16)
+    if kind == "alpha":
+        codes = np.concatenate([codes, np.full_like(codes[..., :1], 65535)], -1)
+    cv2.imwrite(str(out / (pathlib.Path(name).stem + ".png")), codes)
+"""
+
+
+@pytest.mark.parametrize(("kind", "step"), [("8-bit", 3e-3), ("16-bit", 1e-5), ("alpha", 1e-5)])
+def test_linear_light_is_read_from_every_kind_of_file_as_scores_of_pictures_read_it(
+    capture: Path, tmp_path: Path, kind: str, step: float
+) -> None:
+    run_command(capture, tmp_path / "run", method(tmp_path, LIGHT, kind, space="linear"), QUIET)
+    channels, _ = read_exr(tmp_path / "run" / "exr" / "0000.exr")
+    found = [channels[c].astype(float) for c in "RGB"]
+    for values, light in zip(found, np.linspace(0.05, 0.5, 3), strict=True):
+        np.testing.assert_allclose(values, light, atol=step)
 
 
 FAILURES = {
