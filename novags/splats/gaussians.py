@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, fields
 
+import numpy as np
 import torch
 from scipy.spatial import cKDTree
 from torch import Tensor
@@ -121,8 +122,9 @@ class Gaussians:
         place = points.detach().cpu().double().numpy()
         distances, _ = cKDTree(place).query(place, k=n_neighbors + 1)
         squared = torch.from_numpy(distances[:, 1:] ** 2).mean(1).to(points.device)
-        # 1e-7: coinciding points would start with scale 0, whose log is -inf
-        scale = init_scale * torch.sqrt(squared.clamp_min(1e-7))
+        # Coinciding points would start with scale 0, whose log is -inf. In small scenes all points are that close.
+        spread = float(np.square(place - place.mean(0)).sum(1).mean())
+        scale = init_scale * torch.sqrt(squared.clamp_min(max(1e-7 * min(1.0, spread), 1e-30)))
         sh = torch.zeros(len(points), n_coefficients(sh_degree), 3, device=points.device)
         sh[:, 0] = rgb_to_sh(colors.float())
         quats = torch.zeros(len(points), 4, device=points.device)

@@ -135,3 +135,10 @@ def test_a_scene_in_other_units_is_fitted_and_shown_alike(unit: float, path: str
     assert losses[1] == pytest.approx(losses[0], rel=1e-3)
     assert float((pictures[0] - pictures[1]).abs().max()) < 0.01
     assert float(pictures[0].max()) > 0.3
+
+
+@pytest.mark.parametrize("unit", [1e5, 1e-5])
+def test_first_scales_follow_the_unit_of_the_points(unit: float) -> None:
+    points, colors = torch.rand(200, 3, generator=torch.Generator().manual_seed(0)), torch.full((200, 3), 0.5)
+    usual, other = (Gaussians.from_points(factor * points, colors, sh_degree=0).scales for factor in (1.0, unit))
+    torch.testing.assert_close(other, unit * usual, rtol=1e-4, atol=0)
