@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 KNEE = 0.167  # of the median, below which the curve is about straight
+NEIGHBOURS = (1, 4, 16, 64, 256, 1024)  # in a row, whose means take the place of single data in too little light
 BRIGHTEST = 0.999  # quantile of the pixels that is `top`; what is above is r > 1
 
 
@@ -59,13 +60,14 @@ def tone_curve(light: Tensor) -> ToneCurve:
     """The curve for pictures of this light.
 
     Args:
-        light: Of the training pictures, noise included, unit of the data, any shape; of a mosaic its greens.
+        light: Of the training pictures, noise included, unit of the data, any shape, row by row; of a
+            mosaic its greens.
 
     Raises:
-        ValueError: If the median is not above 0, so that there is nothing but noise.
+        ValueError: If no `median_light` is above 0, so that there is nothing but noise.
     """
     values = light.flatten().double()
-    median = float(values.median())
+    median = median_light(values)
     top = float(torch.quantile(values[:: max(1, len(values) // 4_000_000)], BRIGHTEST))
     if not median > 0:
         raise ValueError(
@@ -73,6 +75,19 @@ def tone_curve(light: Tensor) -> ToneCurve:
             "method can use, or the black level of the camera is wrong"
         )
     return ToneCurve(top, math.log1p(top / (KNEE * median)))
+
+
+def median_light(values: Tensor) -> float:
+    """The median of noisy values [n], or, where that is not above 0, of means of as few neighbours as bring it there.
+
+    Where most of a picture has a fraction of an electron, most data are the code of black or below: only the mean of
+    several of them is above it.
+    """
+    for count in NEIGHBOURS:
+        whole = values[: len(values) // count * count].reshape(-1, count).mean(1)
+        if len(whole) and float(whole.median()) > 0:
+            return float(whole.median())
+    return float(values.median())
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -47,6 +47,18 @@ def test_the_knee_follows_the_median_and_the_top_the_brightest_pixels() -> None:
     assert tone_curve(lamp).knee == pytest.approx(curve.knee, rel=0.01)
 
 
+def test_where_most_data_are_black_the_median_is_that_of_means_of_neighbours() -> None:
+    """Rows of 0.05 to 0.15 electrons with read noise, in whole codes, and a lamp: the median of single data is 0."""
+    rng = np.random.default_rng(1)
+    light = np.repeat(rng.uniform(0.05, 0.15, 400), 256)
+    codes = torch.from_numpy(np.round(rng.poisson(light) + 0.2 * rng.standard_normal(light.shape)))
+    codes[:500] = 1000.0
+    assert float(codes.median()) == 0
+    found = tone_curve(codes.float())
+    assert found.top == 1000
+    assert 0.05 < found.knee / KNEE < 0.15
+
+
 def test_pictures_without_light_are_refused() -> None:
     with pytest.raises(ValueError, match="median of the green pixels must be above black, got -0.2"):
         tone_curve(torch.full((100,), -0.2))
