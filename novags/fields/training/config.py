@@ -23,6 +23,7 @@ class FieldFitConfig:
         near_scale: Gradients of samples nearer than this share of the scene's reach (`Box.middle`) fall with the square
             of the distance: there, few pixels decide alone, and fog before a camera would explain its picture
             (Philip and Deschaintre 2023, "Floaters no more"); 0: they do not.
+        anchored: Weight of what the field should show at the first points, where a method says so; see `Anchors`.
         points: Whether the field starts dense where the first points are; if not, it starts as fog.
         layout: Sizes of the field; a method adds its outputs.
         seed: Of every random choice.
@@ -39,6 +40,7 @@ class FieldFitConfig:
     even: float = 0.25
     distortion: float = 1e-3
     near_scale: float = 0.15
+    anchored: float = 0.1
     points: bool = True
     layout: Layout = field(default_factory=Layout)
     seed: int = 0
@@ -53,8 +55,9 @@ class FieldFitConfig:
             raise ValueError(f"rays must be a multiple of patch^2, got {self.rays} and a patch of {self.patch}")
         if not (0 < self.rate < math.inf and 0 < self.rate_end <= 1):
             raise ValueError(f"rate must be > 0 and rate_end in (0, 1], got {self.rate} and {self.rate_end}")
-        if not 0 <= self.near_scale < math.inf:
-            raise ValueError(f"near_scale must be finite and >= 0, got {self.near_scale}")
+        for name in ("near_scale", "anchored"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name} must be finite and >= 0, got {getattr(self, name)}")
         if not 0 <= self.even <= 1 or not 0 <= self.distortion < math.inf:
             raise ValueError(f"even must lie in 0..1 and distortion be >= 0, got {self.even} and {self.distortion}")
 

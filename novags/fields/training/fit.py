@@ -15,6 +15,7 @@ from novags.fields.box import Box
 from novags.fields.evaluate import basis_of, evaluate, gradients
 from novags.fields.layout import SIDE, first_field
 from novags.fields.march import Proposal, cells_near, rays_of, sampled, weights_of
+from novags.fields.training.anchors import Anchors, PointLoss
 from novags.fields.training.batch import Batch, chosen_pixels, distortion
 from novags.fields.training.checkpoint import FieldState, load_state, save_state
 from novags.fields.training.config import FieldFitConfig
@@ -49,6 +50,7 @@ def fit_field(
     loss: Loss,
     config: FieldFitConfig,
     *,
+    at_points: PointLoss | None = None,
     extra: Mapping[str, Tensor] | None = None,
     progress: Progress | None = None,
     checkpoint: Path | None = None,
@@ -61,6 +63,8 @@ def fit_field(
         box: Where the field is; see `box_of`.
         loss: Scalar loss of a Batch, to which the distortion is added.
         config: How to train.
+        at_points: Scalar loss of (which of the points [n], the field's outputs there [n, K]), with `config.anchored` as
+            its weight; None: rays alone say what the field shows.
         extra: Further tensors to be trained, by name, at their start; the loss reads what `fit_field` has trained from
             these same tensors, which it changes in place.
         progress: Called every LOG_EVERY steps with (steps done, of how many, log entry).
@@ -81,9 +85,10 @@ def fit_field(
         started -= state.seconds
     else:
         state = _first_state(points, box, config, more)
+    anchors = Anchors.at(points, box, at_points, config.anchored) if at_points and config.anchored else None
     for iteration in range(state.iteration, config.iterations):
         try:
-            value = _step(state, views, box, loss, config, iteration)
+            value = _step(state, views, box, loss, anchors, config, iteration)
         except NotFinite as stop:
             if checkpoint is None:
                 raise
@@ -118,17 +123,37 @@ def _first_state(points: Tensor, box: Box, config: FieldFitConfig, extra: dict[s
     return FieldState.of(first_field(config.layout, config.seed, near), proposal, extra)
 
 
-def _step(state: FieldState, views: Views, box: Box, loss: Loss, config: FieldFitConfig, iteration: int) -> float:
-    rng = np.random.default_rng([config.seed, iteration, 0xBA7C4])
+def _step(
+    state: FieldState, views: Views, box: Box, loss: Loss, anchors: Anchors | None, config: FieldFitConfig,
+    iteration: int,
+) -> float:  # fmt: skip
+    """One step; a step that raises NotFinite leaves the state as it was, the map of densities too."""
+    rng, looked, mapped = np.random.default_rng([config.seed, iteration, 0xBA7C4]), state.looked, None
     if iteration % REFRESH == 0:
+        mapped = state.proposal.density.copy()
         refresh(state, rng, config.rays * config.samples // 2)
+    try:
+        found, slopes, places, density = _found(state, views, box, loss, anchors, config, iteration, rng)
+    except NotFinite:
+        if mapped is not None:
+            state.proposal.density[:], state.looked = mapped, looked
+        raise
+    state.proposal.learn(places, density, KEPT_WHEN_MET)
+    _update(state, slopes, config.rate_at(iteration))
+    return found
+
+
+def _found(
+    state: FieldState, views: Views, box: Box, loss: Loss, anchors: Anchors | None, config: FieldFitConfig,
+    iteration: int, rng: np.random.Generator,
+) -> tuple[float, dict[str, np.ndarray], np.ndarray, np.ndarray]:  # fmt: skip
+    """The loss, its gradients by tensor, and the places of the samples with the logarithm of the density there."""
     view, x, y = chosen_pixels(views, config.rays, config.patch, rng)
     rays = rays_of(views, view, x, y)
     jitter = rng.random((config.rays, config.samples + 1), np.float32)
     samples = sampled(rays, box, state.proposal, jitter, config.even)
     basis = basis_of(rays.directions)
     flat, encoded = evaluate(state.field, samples.positions, basis)
-    state.proposal.learn(samples.positions, flat[:, 0], KEPT_WHEN_MET)
     raw = torch.from_numpy(flat).reshape(config.rays, config.samples, -1).requires_grad_()
     for tensor in state.extra.values():
         tensor.requires_grad_().grad = None
@@ -148,11 +173,13 @@ def _step(state: FieldState, views: Views, box: Box, loss: Loss, config: FieldFi
     slopes = gradients(
         state.field, samples.positions, basis, encoded, raw.grad.reshape(len(flat), -1).contiguous().numpy()
     )
+    if anchors is not None:
+        there = anchors.slopes(state.field, rng)
+        slopes = {name: slope + there[name] for name, slope in slopes.items()}
     slopes |= {name: t.grad.numpy() for name, t in state.extra.items() if t.grad is not None}
     if not math.isfinite(sum(float(np.abs(slope).sum()) for name, slope in slopes.items() if name != "table")):
         raise NotFinite(f"the gradient must be finite, and is not in step {iteration}: lower the learning rate")
-    _update(state, slopes, config.rate_at(iteration))
-    return found
+    return found, slopes, samples.positions, flat[:, 0]
 
 
 def _update(state: FieldState, slopes: Mapping[str, np.ndarray], rate: float) -> None:

@@ -10,6 +10,7 @@ from torch import Tensor
 
 from novags.fields.box import box_of
 from novags.fields.layout import Layout
+from novags.fields.training.anchors import PointLoss
 from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
 from novags.fields.training.fit import FieldFit, fit_field
@@ -18,9 +19,10 @@ from novags.methods.enhancers.guided import EnhanceConfig
 from novags.methods.gaussian_fit import Progress
 from novags.methods.nerf.losses import robust
 from novags.methods.nerf.scene import FieldScene
-from novags.methods.nerf.shading import display
+from novags.methods.nerf.shading import at, display
 from novags.methods.problem import Pictures, Problem
 from novags.methods.reconstruction import Reconstruction
+from novags.methods.start import brightened
 
 RENDERED = 2  # samples of a picture's ray, for each that trained: a sample too few shows in every pixel
 
@@ -52,6 +54,7 @@ def fitted_scene(
     shading: str,
     *,
     numbers: Mapping[str, float] | None = None,
+    at_points: PointLoss | None = None,
     extra: Mapping[str, Tensor] | None = None,
     progress: Progress | None = None,
     checkpoint: Path | None = None,
@@ -60,7 +63,8 @@ def fitted_scene(
     points = problem.start.points.detach().cpu()
     box = box_of(problem.views.centers, points)
     found = fit_field(
-        problem.views, points, box, loss, fit, extra=extra, progress=progress, checkpoint=checkpoint
+        problem.views, points, box, loss, fit, at_points=at_points, extra=extra, progress=progress,
+        checkpoint=checkpoint,
     )  # fmt: skip
     state = found.state
     return FieldScene(state.field, box, state.proposal, RENDERED * fit.samples, shading, dict(numbers or {})), found
@@ -90,11 +94,20 @@ def fit_enhanced_field(
     images = enhance(problem, config.enhance, config.pictures).cpu()
     seconds = time.perf_counter() - started
 
+    problem = problem.to("cpu")
+    colors = brightened(problem.start.colors, problem.encoded(config.pictures), images)
+
+    def shown(raw: Tensor, weights: Tensor) -> Tensor:
+        return display(raw, weights, {})
+
     def loss(batch: Batch) -> Tensor:
-        return robust(display(batch.raw, batch.weights, {}) - batch.of(images))
+        return robust(shown(batch.raw, batch.weights) - batch.of(images))
+
+    def at_points(chosen: Tensor, raw: Tensor) -> Tensor:
+        return robust(at(raw, shown) - colors[chosen])
 
     scene, found = fitted_scene(
-        problem.to("cpu"), loss, config.fit, "display", progress=progress, checkpoint=checkpoint
+        problem, loss, config.fit, "display", at_points=at_points, progress=progress, checkpoint=checkpoint
     )
     return Reconstruction(
         scene=scene,

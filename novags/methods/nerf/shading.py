@@ -19,6 +19,11 @@ def display(raw: Tensor, weights: Tensor, numbers: Numbers) -> Tensor:
     return (weights[..., None] * torch.sigmoid(raw[..., -3:])).sum(1)
 
 
+def at(raw: Tensor, shading: Callable[[Tensor, Tensor], Tensor]) -> Tensor:
+    """What opaque surfaces with these outputs [n, K] look like: [n, 3]; shading: of (raw, weights)."""
+    return shading(raw[:, None], raw.new_ones(len(raw), 1))
+
+
 def light(raw: Tensor, weights: Tensor, numbers: Numbers) -> Tensor:
     """Linear light: exponentials, in the unit `numbers["unit"]`, times the matrix `numbers["m00"]`, ... if any.
 

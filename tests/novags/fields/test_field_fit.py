@@ -183,6 +183,29 @@ def test_a_loss_that_is_not_finite_stops_the_run_and_says_where(tmp_path: Path) 
         fit_field(views, points, box, diverging, TINY, checkpoint=path)
 
 
+@pytest.mark.parametrize("bad", [16, 17], ids=["looks at the map again", "does not"])
+@pytest.mark.parametrize("where", ["loss", "gradient"])
+def test_what_a_bad_step_leaves_is_the_state_before_it(tmp_path: Path, bad: int, where: str) -> None:
+    """Gone on from with a loss that is fine, it gives the bits of a run that never was wrong."""
+    views, images, _, points = ball()
+    box, path, config = box_of(views.centers, points), tmp_path / "c", dataclasses.replace(TINY, iterations=24)
+    fine = mse(images)
+
+    def wrong(batch: Batch) -> Tensor:
+        value, zero = fine(batch), (batch.raw - batch.raw.detach()).abs().sum()
+        if batch.iteration != bad:
+            return value
+        return value * float("nan") if where == "loss" else value + zero.sqrt()  # finite, its slope is 0 / 0
+
+    with pytest.raises(NotFinite, match=f"the {where} must be finite.* in step {bad}"):
+        fit_field(views, points, box, wrong, config, checkpoint=path)
+    mended = fit_field(views, points, box, fine, config, checkpoint=path).state
+    whole = fit_field(views, points, box, fine, config).state
+    np.testing.assert_array_equal(mended.proposal.density, whole.proposal.density)
+    assert (mended.looked, mended.steps) == (whole.looked, whole.steps)
+    assert all(torch.equal(tensor, mended.tensors()[name]) for name, tensor in whole.tensors().items())
+
+
 def test_a_field_without_views_is_refused() -> None:
     views, images, _, points = ball()
     none = Views(views.viewmats[:0], views.Ks[:0], SIZE, SIZE)
