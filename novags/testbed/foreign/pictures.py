@@ -108,7 +108,7 @@ def read_picture(file: Path, width: int, height: int) -> Picture:
 def _read_codes(file: Path) -> Picture:
     if has_alpha(file):
         return Picture(read_rgb(file).astype(np.float32) / np.float32(255), "8-bit")
-    bgr = read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
+    bgr = read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     if bgr.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"{file} must hold 8- or 16-bit codes, got {bgr.dtype}: write PNG or EXR")
     largest = np.float32(np.iinfo(bgr.dtype).max)

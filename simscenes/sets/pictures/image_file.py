@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from simscenes.sets.pictures.tiff import AS_STORED, ORIENTATION, retagged
 from simscenes.sets.pictures.whole import check_whole
 
 # 23,170 x 23,170: above any camera's (phones have 200 million), and 1.6 GB as 8-bit RGB. What a file declares beyond it
@@ -36,19 +38,23 @@ def image_size(file: Path) -> tuple[int, int]:
 
 @contextmanager
 def header(file: Path) -> Iterator[Any]:
-    """An image file as PIL opens it, whatever size it declares, to read what is not pixels.
+    """An image file as PIL opens it, whatever size it declares, with sides and pixels as stored.
 
     Raises:
         ValueError: If it is not an image.
     """
-    from PIL import Image
+    from PIL import Image, UnidentifiedImageError
 
     with _PIL, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of odd metadata; whether the pixels can be read shows when they are
         limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None  # PIL's own: 179 million
         try:
-            with Image.open(file) as image:
+            content = retagged(file, {ORIENTATION: AS_STORED})
+            with Image.open(file if content is None else io.BytesIO(content)) as image:
+                image.info.pop("xmp", None)  # PIL turns TIFFs by a mark in it, too
                 yield image
+        except UnidentifiedImageError as error:
+            raise ValueError(f"{file} is not a readable image (its kind is not known); replace or remove it") from error
         except Exception as error:  # each format has errors of its own, SyntaxError and struct.error among them
             raise ValueError(f"{file} is not a readable image ({error}); replace or remove it") from error
         finally:
@@ -56,7 +62,7 @@ def header(file: Path) -> Iterator[Any]:
 
 
 def read_image(file: Path, flags: int) -> NDArray[Any]:
-    """Pixels as `cv2.imread` returns them with `flags`, [h,w] or [h,w,c].
+    """Pixels as `cv2.imread` returns them with `flags`, [h,w] or [h,w,c], as stored: a mark of orientation is ignored.
 
     Raises:
         ValueError: If it is missing, not a readable image, or larger than `MAX_PIXELS`.
@@ -66,12 +72,19 @@ def read_image(file: Path, flags: int) -> NDArray[Any]:
     image_size(file)
     check_whole(file)
     try:
-        pixels = cv2.imread(str(file), flags)
+        pixels = _decoded(file, flags | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
         raise ValueError(f"{file} cannot be decoded ({' '.join(str(error).split())}); replace or remove it") from error
     if pixels is None:
         raise ValueError(f"{file} is missing or not a readable image")
     return np.asarray(pixels)
+
+
+def _decoded(file: Path, flags: int) -> Any:
+    content = retagged(file, {ORIENTATION: AS_STORED})  # OpenCV turns TIFFs whatever its flags say
+    if content is None:
+        return cv2.imread(str(file), flags)
+    return cv2.imdecode(np.frombuffer(content, np.uint8), flags)
 
 
 WITH_ALPHA = (".png", ".tif", ".tiff", ".webp")  # formats of 8-bit photographs that can be transparent
@@ -106,7 +119,7 @@ def read_rgb(file: Path) -> NDArray[np.uint8]:
         alpha = codes[..., 3:] / np.float32(255)
         mixed = codes[..., :3] * alpha + np.float32(BACKGROUND) * (1 - alpha)
         return np.asarray(np.round(mixed), np.uint8)
-    pixels = read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    pixels = read_image(file, cv2.IMREAD_COLOR)
     return np.ascontiguousarray(pixels[..., ::-1])
 
 

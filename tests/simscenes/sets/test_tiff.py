@@ -1,0 +1,74 @@
+"""TIFF files are read as stored, whatever marks in them ask decoders for."""
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import PIL.Image
+import pytest
+
+from simscenes.sets.pictures.image_file import header, image_size, read_image, read_rgb
+from simscenes.sets.pictures.tiff import tiff_tags
+from tests.tiffs import write_tiff
+
+RNG = np.random.default_rng(0)
+TURNS = range(1, 9)
+# Depth, channels, and what the last one is (1: alpha that colours are multiplied by, 2: alpha).
+KINDS = [(np.uint8, 1, None), (np.uint8, 2, 2), (np.uint8, 3, None), (np.uint8, 4, 1), (np.uint8, 4, 2),
+         (np.uint16, 1, None), (np.uint16, 3, None), (np.uint16, 4, 1), (np.uint16, 4, 2)]  # fmt: skip
+
+
+@pytest.mark.parametrize("size", [(5, 3), (4, 4)])
+@pytest.mark.parametrize(("dtype", "channels", "extra"), KINDS)
+def test_a_mark_of_orientation_turns_no_pixels(
+    dtype: type, channels: int, extra: int | None, size: tuple[int, int], tmp_path: Path
+) -> None:
+    """Rationale: poses refer to pixels as stored. Alpha is opaque here."""
+    width, height = size
+    largest = np.iinfo(dtype).max
+    pixels = RNG.integers(0, largest, (height, width, channels), dtype, endpoint=True)
+    if extra is not None:
+        pixels[..., -1] = largest
+    colors = pixels[..., :3] if channels > 2 else pixels[..., [0] * 3]
+    for orientation in TURNS:
+        file = write_tiff(tmp_path / "a.tif", pixels, orientation=orientation, extra=extra)
+        assert image_size(file) == size
+        assert np.array_equal(read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)[..., ::-1], colors), orientation
+        shown = np.round(colors / (largest / 255))
+        assert np.abs(read_rgb(file) - shown).max() <= (dtype == np.uint16), orientation
+
+
+@pytest.mark.parametrize("big", [False, True])
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_the_mark_is_found_in_either_order_of_bytes_and_in_big_files(order: str, big: bool, tmp_path: Path) -> None:
+    pixels = RNG.integers(0, 2**16, (3, 5, 3), np.uint16)
+    file = write_tiff(tmp_path / "a.tif", pixels, orientation=6, order=order, big=big)
+    assert tiff_tags(file)[274].values == (6,)
+    assert tiff_tags(file)[258].values == (16, 16, 16)
+    if (big, order) != (True, ">"):  # which PIL does not know
+        assert np.array_equal(read_image(file, cv2.IMREAD_UNCHANGED)[..., ::-1], pixels)
+
+
+def test_a_mark_of_orientation_in_xmp_turns_no_pixels_either(tmp_path: Path) -> None:
+    """PIL, which reads gray with alpha, follows it."""
+    mark = b'<x:xmpmeta xmlns:x="adobe:ns:meta/"><rdf:Description tiff:Orientation="6"/></x:xmpmeta>'
+    pixels = RNG.integers(0, 256, (3, 5, 2), np.uint8)
+    PIL.Image.fromarray(pixels, "LA").save(tmp_path / "a.tif", tiffinfo={700: mark})
+    with header(tmp_path / "a.tif") as image:
+        assert np.array_equal(np.asarray(image), pixels)
+
+
+@pytest.mark.parametrize("cut", range(0, 170, 3))
+def test_damaged_files_have_the_tags_that_are_left(cut: int, tmp_path: Path) -> None:
+    whole = write_tiff(tmp_path / "a.tif", np.zeros((3, 5, 3), np.uint8), orientation=6)
+    tags = tiff_tags(whole)
+    whole.write_bytes(whole.read_bytes()[:cut])
+    assert tiff_tags(whole).items() <= tags.items()
+    whole.write_bytes(b"II*\0\x08\0\0\0" + b"\xff" * cut)
+    assert tiff_tags(whole) == {}
+
+
+def test_what_is_no_picture_for_all_its_mark_is_refused_by_name(tmp_path: Path) -> None:
+    file = write_tiff(tmp_path / "a.tif", np.zeros((3, 5, 3), np.int32), orientation=6)
+    with pytest.raises(ValueError, match=r"a\.tif is not a readable image \(its kind is not known\); replace"):
+        image_size(file)
