@@ -10,7 +10,7 @@ import numpy as np
 from novags.testbed.folders.raw_files import SUFFIXES as RAW
 from novags.testbed.folders.raw_files import is_raw
 from sensor_model import srgb_to_linear
-from simscenes.sets.pictures.image_file import has_alpha, header, read_image
+from simscenes.sets.pictures.image_file import alpha_of, has_alpha, read_image
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *RAW)
 
@@ -62,8 +62,7 @@ def refuse_transparent(file: Path) -> None:
     """
     if not has_alpha(file):
         return
-    with header(file) as image:
-        alpha = np.asarray(image.convert("RGBA").getchannel("A"))
+    alpha = alpha_of(file)
     if count := int((alpha < 255).sum()):
         raise ValueError(f"{file} must be opaque, got {count} of {alpha.size} pixels with alpha below 255: what light "
                          "is there is not known; put it before the background that it was taken with, and save it "

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.sets.pictures.tiff import AS_STORED, ORIENTATION, retagged
+from simscenes.sets.pictures.tiff import AS_STORED, EXTRA_SAMPLES, ORIENTATION, PREMULTIPLIED, retagged, tiff_tags
 from simscenes.sets.pictures.whole import check_whole
 
 # 23,170 x 23,170: above any camera's (phones have 200 million), and 1.6 GB as 8-bit RGB. What a file declares beyond it
@@ -81,7 +81,8 @@ def read_image(file: Path, flags: int) -> NDArray[Any]:
 
 
 def _decoded(file: Path, flags: int) -> Any:
-    content = retagged(file, {ORIENTATION: AS_STORED})  # OpenCV turns TIFFs whatever its flags say
+    # OpenCV turns TIFFs whatever its flags say, and multiplies 8-bit colours by alpha where the file has not done so.
+    content = retagged(file, {ORIENTATION: AS_STORED, EXTRA_SAMPLES: PREMULTIPLIED})
     if content is None:
         return cv2.imread(str(file), flags)
     return cv2.imdecode(np.frombuffer(content, np.uint8), flags)
@@ -117,16 +118,34 @@ def read_rgb(file: Path) -> NDArray[np.uint8]:
         else:  # OpenCV drops the alpha of some kinds, gray ones above all
             codes = _codes_with_alpha(file)
         alpha = codes[..., 3:] / np.float32(255)
-        mixed = codes[..., :3] * alpha + np.float32(BACKGROUND) * (1 - alpha)
-        return np.asarray(np.round(mixed), np.uint8)
+        own = codes[..., :3] if _premultiplied(file) else codes[..., :3] * alpha
+        mixed = own + np.float32(BACKGROUND) * (1 - alpha)
+        return np.asarray(np.round(mixed.clip(max=255)), np.uint8)
     pixels = read_image(file, cv2.IMREAD_COLOR)
     return np.ascontiguousarray(pixels[..., ::-1])
 
 
-def _codes_with_alpha(file: Path) -> NDArray[np.float32]:
-    """Codes [h,w,4] of a picture that PIL holds in 8 bits, red first, alpha last."""
+def alpha_of(file: Path) -> NDArray[np.uint8]:
+    """Alpha [h,w] of a picture that `has_alpha`, 0..255; of 16-bit alpha the upper 8 bits.
+
+    Raises:
+        ValueError: If it is not an image.
+    """
     with header(file) as image:
-        if not (mode := image.mode).startswith(("I", "F")):  # of more bits, which PIL would cut off
+        return np.asarray(image.convert("LA" if image.mode == "La" else "RGBA").getchannel("A"))
+
+
+def _premultiplied(file: Path) -> bool:
+    extra = tiff_tags(file).get(EXTRA_SAMPLES)
+    return extra is not None and extra.values[0] == PREMULTIPLIED
+
+
+def _codes_with_alpha(file: Path) -> NDArray[np.float32]:
+    """Codes [h,w,4] as stored, of a picture that PIL holds in 8 bits, red first, alpha last."""
+    with header(file) as image:
+        if (mode := image.mode) == "La":  # gray multiplied by alpha, which PIL cannot convert as it is
+            return np.asarray(image, dtype=np.float32)[..., [0, 0, 0, 1]]
+        if not mode.startswith(("I", "F")):  # of more bits, which PIL would cut off
             return np.asarray(image.convert("RGBA"), dtype=np.float32)
     raise ValueError(f"{file} must be 8-bit or have a channel of alpha, got {mode} with transparent pixels: save it as "
                      "RGBA")  # fmt: skip

@@ -7,15 +7,15 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from simscenes.sets.pictures.image_file import header, image_size, read_image, read_rgb
+from simscenes.sets.pictures.image_file import alpha_of, header, image_size, read_image, read_rgb
 from simscenes.sets.pictures.tiff import tiff_tags
 from tests.tiffs import write_tiff
 
 RNG = np.random.default_rng(0)
 TURNS = range(1, 9)
-# Depth, channels, and what the last one is (1: alpha that colours are multiplied by, 2: alpha).
-KINDS = [(np.uint8, 1, None), (np.uint8, 2, 2), (np.uint8, 3, None), (np.uint8, 4, 1), (np.uint8, 4, 2),
-         (np.uint16, 1, None), (np.uint16, 3, None), (np.uint16, 4, 1), (np.uint16, 4, 2)]  # fmt: skip
+# Channels, and what the last one is (1: alpha that colours are multiplied by, 2: alpha); with depth.
+COLORS = [(1, None), (3, None), (4, 1), (4, 2)]
+KINDS = [(np.uint8, *kind) for kind in [*COLORS, (2, 1), (2, 2)]] + [(np.uint16, *kind) for kind in COLORS]
 
 
 @pytest.mark.parametrize("size", [(5, 3), (4, 4)])
@@ -72,3 +72,24 @@ def test_what_is_no_picture_for_all_its_mark_is_refused_by_name(tmp_path: Path) 
     file = write_tiff(tmp_path / "a.tif", np.zeros((3, 5, 3), np.int32), orientation=6)
     with pytest.raises(ValueError, match=r"a\.tif is not a readable image \(its kind is not known\); replace"):
         image_size(file)
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+@pytest.mark.parametrize(("dtype", "channels", "extra"), [kind for kind in KINDS if kind[2]])
+def test_whatever_alpha_a_file_has_its_colours_are_before_white(
+    dtype: type, channels: int, extra: int, order: str, tmp_path: Path
+) -> None:
+    """Rationale: 8-bit colours came multiplied by alpha from OpenCV, and were multiplied again."""
+    scale = np.iinfo(dtype).max / 255
+    colors = np.array([200, 100, 50])[: channels - 1]
+    stored = colors * 128 / 255 if extra == 1 else colors
+    pixels = np.tile(np.round(np.append(stored, 128) * scale).astype(dtype), (2, 3, 1))
+    file = write_tiff(tmp_path / "a.tif", pixels, extra=extra, order=order)
+    white = [227, 177, 152] if channels == 4 else [227] * 3
+    assert read_rgb(file).tolist() == [[white] * 3] * 2
+    assert alpha_of(file).tolist() == [[128] * 3] * 2
+
+
+def test_colours_beyond_their_alpha_are_white_at_most(tmp_path: Path) -> None:
+    file = write_tiff(tmp_path / "a.tif", np.full((2, 3, 4), (200, 100, 50, 100), np.uint8), extra=1)
+    assert read_rgb(file)[0, 0].tolist() == [255, 255, 205]
