@@ -14,13 +14,23 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.sets.pictures.tiff import AS_STORED, EXTRA_SAMPLES, ORIENTATION, PREMULTIPLIED, retagged, tiff_tags
+from simscenes.sets.pictures.tiff import (
+    AS_STORED,
+    EXTRA_SAMPLES,
+    ORIENTATION,
+    PREMULTIPLIED,
+    retagged,
+    tiff_tags,
+    unread,
+)
 from simscenes.sets.pictures.whole import check_whole
 
 # 23,170 x 23,170: above any camera's (phones have 200 million), and 1.6 GB as 8-bit RGB. What a file declares beyond it
 # is refused before a byte is decoded, since a few kilobytes can declare a picture that fills any memory.
 MAX_PIXELS = 2**29
 _PIL = Lock()  # its limit is one number for the whole process
+_OPENCV = Lock()  # and so is how much OpenCV writes: the last of `_decoding` threads puts `_level` back
+_decoding = _level = 0
 
 
 def image_size(file: Path) -> tuple[int, int]:
@@ -45,6 +55,8 @@ def header(file: Path) -> Iterator[Any]:
     """
     from PIL import Image, UnidentifiedImageError
 
+    if file.is_file() and (problem := unread(file)):
+        raise ValueError(f"{file} {problem}")
     with _PIL, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of odd metadata; whether the pixels can be read shows when they are
         limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None  # PIL's own: 179 million
@@ -72,12 +84,31 @@ def read_image(file: Path, flags: int) -> NDArray[Any]:
     image_size(file)
     check_whole(file)
     try:
-        pixels = _decoded(file, flags | cv2.IMREAD_IGNORE_ORIENTATION)
+        with _quiet_opencv():
+            pixels = _decoded(file, flags | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
         raise ValueError(f"{file} cannot be decoded ({' '.join(str(error).split())}); replace or remove it") from error
     if pixels is None:
-        raise ValueError(f"{file} is missing or not a readable image")
+        raise ValueError(f"{file} is not a readable image (it cannot be decoded); replace or remove it")
     return np.asarray(pixels)
+
+
+@contextmanager
+def _quiet_opencv() -> Iterator[None]:
+    """Keep OpenCV from writing lines of its own, of files that are then refused by name."""
+    global _decoding, _level
+    logging = cv2.utils.logging
+    with _OPENCV:
+        if not _decoding:
+            _level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+        _decoding += 1
+    try:
+        yield
+    finally:
+        with _OPENCV:
+            _decoding -= 1
+            if not _decoding:
+                logging.setLogLevel(_level)
 
 
 def _decoded(file: Path, flags: int) -> Any:

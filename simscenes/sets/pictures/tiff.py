@@ -47,6 +47,22 @@ def tiff_tags(file: Path) -> dict[int, Tag]:
     return {}
 
 
+def unread(file: Path) -> str:
+    """Why the pixels of a TIFF file are of a kind that no photograph is read from, and what to do; "" if they are not.
+
+    Raises:
+        OSError: If it cannot be read.
+    """
+    tags = tiff_tags(file)
+    bits, extra, kinds = (tags[tag].values if tag in tags else () for tag in (BITS, EXTRA_SAMPLES, SAMPLE_FORMAT))
+    if FLOAT in kinds:
+        return (f"is a TIFF of floating-point numbers ({max(bits, default=0)}-bit), which is not read: save it as "
+                "16-bit TIFF or PNG, or as EXR where its light is linear")  # fmt: skip
+    if bits == (16, 16) and extra:
+        return "is a TIFF of 16-bit gray with alpha, which is not read: save it as RGBA, or without alpha"
+    return ""
+
+
 def retagged(file: Path, values: Mapping[int, int]) -> bytes | None:
     """The content of a TIFF file with other first values of some of its tags.
 

@@ -7,7 +7,7 @@ import numpy as np
 import PIL.Image
 import pytest
 
-from simscenes.sets.pictures.image_file import alpha_of, header, image_size, read_image, read_rgb
+from simscenes.sets.pictures.image_file import alpha_of, has_alpha, header, image_size, read_image, read_rgb
 from simscenes.sets.pictures.tiff import tiff_tags
 from tests.tiffs import write_tiff
 
@@ -69,7 +69,7 @@ def test_damaged_files_have_the_tags_that_are_left(cut: int, tmp_path: Path) -> 
 
 
 def test_what_is_no_picture_for_all_its_mark_is_refused_by_name(tmp_path: Path) -> None:
-    file = write_tiff(tmp_path / "a.tif", np.zeros((3, 5, 3), np.int32), orientation=6)
+    file = write_tiff(tmp_path / "a.tif", np.zeros((3, 5, 5), np.uint8), orientation=6)
     with pytest.raises(ValueError, match=r"a\.tif is not a readable image \(its kind is not known\); replace"):
         image_size(file)
 
@@ -93,3 +93,38 @@ def test_whatever_alpha_a_file_has_its_colours_are_before_white(
 def test_colours_beyond_their_alpha_are_white_at_most(tmp_path: Path) -> None:
     file = write_tiff(tmp_path / "a.tif", np.full((2, 3, 4), (200, 100, 50, 100), np.uint8), extra=1)
     assert read_rgb(file)[0, 0].tolist() == [255, 255, 205]
+
+
+@pytest.mark.parametrize(
+    ("pixels", "problem"),
+    [
+        (np.ones((3, 5, 1), np.float32), r"is a TIFF of floating-point numbers \(32-bit\), which is not read: save it "
+         r"as 16-bit TIFF or PNG, or as EXR where its light is linear$"),
+        (np.ones((3, 5, 3), np.float32), r"is a TIFF of floating-point numbers \(32-bit\)"),
+        (np.ones((3, 5, 3), np.float16), r"is a TIFF of floating-point numbers \(16-bit\)"),
+        (np.ones((3, 5, 2), np.uint16), "is a TIFF of 16-bit gray with alpha, which is not read: save it as RGBA, or"),
+    ],
+)  # fmt: skip
+def test_kinds_that_are_not_read_are_refused_by_what_they_are(
+    pixels: np.ndarray, problem: str, tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    file = write_tiff(tmp_path / "a.tif", pixels, extra=2 if pixels.shape[2] == 2 else None)
+    for way in (image_size, has_alpha, read_rgb, lambda file: read_image(file, cv2.IMREAD_UNCHANGED)):
+        with pytest.raises(ValueError, match=rf"a\.tif {problem}"):
+            way(file)
+    assert capfd.readouterr() == ("", "")
+
+
+def test_opencv_writes_no_lines_of_its_own_of_a_damaged_picture(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """And writes them again afterwards, where others call it."""
+    file = write_tiff(tmp_path / "a.tif", np.ones((30, 50, 3), np.uint16))
+    file.write_bytes(file.read_bytes()[:-3000])
+    before = cv2.utils.logging.getLogLevel()
+    with pytest.raises(
+        ValueError, match=r"a\.tif is not a readable image \(it cannot be decoded\); replace or remove it"
+    ):
+        read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    assert capfd.readouterr() == ("", "")
+    assert cv2.utils.logging.getLogLevel() == before
