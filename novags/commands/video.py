@@ -18,7 +18,7 @@ def video(
     Args:
         run: Folder of a run that holds Gaussians or a radiance field.
         out: The film: .mp4 (MPEG-4), or .webp, which every browser plays; if not given, RUN.mp4 beside the run.
-        seconds: How long it takes, about.
+        seconds: How long it takes.
         fps: Frames a second.
         overwrite: Replace a file that is there.
     """

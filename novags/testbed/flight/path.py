@@ -27,8 +27,8 @@ class Flight:
 
 
 def fly(viewmats: Array, frames: int) -> Flight:
-    """A path of about `frames` cameras through all given ones [C, 4, 4], at an even pace: cubic splines of positions
-    and of rotations.
+    """A path of `frames` cameras through all given ones [C, 4, 4], at an even pace: cubic splines of positions and of
+    rotations. It passes between some where they are denser than frames.
 
     They are passed in the given order, or from each to the nearest one that is left where that way is shorter, as it
     is for photographs in no order.
@@ -56,11 +56,16 @@ def fly(viewmats: Array, frames: int) -> Flight:
 
 
 def paced(knots: Array, frames: int) -> Array:
-    """About `frames` times at an even pace [F], every knot among them."""
-    shares = np.diff(knots) / (knots[-1] - knots[0])
-    counts = np.maximum(1, np.round(shares * (frames - 1))).astype(int)
-    parts = [np.linspace(a, b, n, endpoint=False) for a, b, n in zip(knots, knots[1:], counts, strict=False)]
-    return np.concatenate([*parts, knots[-1:]])
+    """Times at an even pace [frames], from the first knot to the last one.
+
+    Where there are as many as knots, times are moved by up to half a frame so that knots fall on them, or one of those
+    that are denser than frames.
+    """
+    if frames < len(knots):
+        return np.linspace(knots[0], knots[-1], frames)
+    at, first = np.unique(np.round((knots - knots[0]) / (knots[-1] - knots[0]) * (frames - 1)), return_index=True)
+    first[-1] = len(knots) - 1
+    return np.interp(np.arange(frames), at, knots[first])
 
 
 def distances(a: Array, b: Array) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from novags.testbed.metrics import Image
 from sensor_model import srgb_to_linear
 from simscenes.sets.pictures.exr import read_exr
-from simscenes.sets.pictures.image_file import has_alpha, read_image, read_rgb
+from simscenes.sets.pictures.image_file import before_white, has_alpha, read_image
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".exr")
 NAMED = 10  # views that an error names
@@ -107,12 +107,9 @@ def read_picture(file: Path, width: int, height: int) -> Picture:
 
 def _read_codes(file: Path) -> Picture:
     if has_alpha(file):
-        codes = read_image(file, cv2.IMREAD_UNCHANGED)
-        if codes.dtype != np.uint16 or codes.ndim != 3 or codes.shape[2] != 4:
-            return Picture(read_rgb(file).astype(np.float32) / np.float32(255), "8-bit")
-        shares = codes[..., [2, 1, 0, 3]].astype(np.float32) / np.float32(65535)
-        return Picture(shares[..., :3] * shares[..., 3:] + (1 - shares[..., 3:]), "16-bit")
-    bgr = read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION)
+        shares, bits = before_white(file)
+        return Picture(shares, "16-bit" if bits == 16 else "8-bit")
+    bgr = read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     if bgr.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"{file} must hold 8- or 16-bit codes, got {bgr.dtype}: write PNG or EXR")
     largest = np.float32(np.iinfo(bgr.dtype).max)

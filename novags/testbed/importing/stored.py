@@ -10,10 +10,9 @@ import numpy as np
 from novags.testbed.folders.raw_files import SUFFIXES as RAW
 from novags.testbed.folders.raw_files import is_raw
 from sensor_model import srgb_to_linear
-from simscenes.sets.pictures.image_file import has_alpha, header, read_image
+from simscenes.sets.pictures.image_file import alpha_of, has_alpha, read_image
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *RAW)
-AS_STORED = cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH | cv2.IMREAD_IGNORE_ORIENTATION  # poses refer to stored pixels
 
 Depth = Literal["8bit", "16bit", "raw"]
 Curve = Literal["linear", "srgb"]
@@ -49,7 +48,7 @@ def read_stored(file: Path) -> np.ndarray:
     Raises:
         ValueError: If it cannot be read, or is not 8 or 16 bits deep.
     """
-    pixels = read_image(file, AS_STORED)
+    pixels = read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
     if pixels.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"{file} must hold 8- or 16-bit codes, got {pixels.dtype}: convert it to 16-bit PNG or TIFF")
     return np.ascontiguousarray(pixels[..., ::-1])
@@ -63,8 +62,7 @@ def refuse_transparent(file: Path) -> None:
     """
     if not has_alpha(file):
         return
-    with header(file) as image:
-        alpha = np.asarray(image.convert("RGBA").getchannel("A"))
+    alpha = alpha_of(file)
     if count := int((alpha < 255).sum()):
         raise ValueError(f"{file} must be opaque, got {count} of {alpha.size} pixels with alpha below 255: what light "
                          "is there is not known; put it before the background that it was taken with, and save it "

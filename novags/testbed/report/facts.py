@@ -185,7 +185,10 @@ def smoothed(points: list[tuple[float, float]], count: int = 50) -> list[tuple[f
 
 
 def costs(material: Material) -> list[dict[str, Any]]:
-    """Seconds and peak memory of every stage, in order, with the parts of each reconstruction."""
+    """Seconds and peak memory of every stage, in order, with the parts of each reconstruction.
+
+    `share` is of the time of all stages, `bar` of the longest one's.
+    """
     stages: list[tuple[str, str, dict[str, Any], dict[str, float]]] = []
     if (made := material.lit.views.meta.get("stage")) is not None:
         stages.append((made.get("name", "render"), "", made, {}))
@@ -201,8 +204,9 @@ def costs(material: Material) -> list[dict[str, Any]]:
         {"label": label, "method": method, "seconds": stage["seconds"], "peak": stage["peak_bytes"], "parts": parts}
         for label, method, stage, parts in stages
     ]
-    longest = max(row["seconds"] for row in rows) or 1.0
-    return [{**row, "share": row["seconds"] / longest} for row in rows]
+    seconds = [row["seconds"] for row in rows]
+    whole, longest = sum(seconds) or 1.0, max(seconds) or 1.0
+    return [{**row, "share": row["seconds"] / whole, "bar": row["seconds"] / longest} for row in rows]
 
 
 def plans(material: Material) -> list[dict[str, Any]]:

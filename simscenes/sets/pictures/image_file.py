@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -13,12 +14,23 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from simscenes.sets.pictures.tiff import (
+    AS_STORED,
+    EXTRA_SAMPLES,
+    ORIENTATION,
+    PREMULTIPLIED,
+    retagged,
+    tiff_tags,
+    unread,
+)
 from simscenes.sets.pictures.whole import check_whole
 
 # 23,170 x 23,170: above any camera's (phones have 200 million), and 1.6 GB as 8-bit RGB. What a file declares beyond it
 # is refused before a byte is decoded, since a few kilobytes can declare a picture that fills any memory.
 MAX_PIXELS = 2**29
 _PIL = Lock()  # its limit is one number for the whole process
+_OPENCV = Lock()  # and so is how much OpenCV writes: the last of `_decoding` threads puts `_level` back
+_decoding = _level = 0
 
 
 def image_size(file: Path) -> tuple[int, int]:
@@ -36,19 +48,25 @@ def image_size(file: Path) -> tuple[int, int]:
 
 @contextmanager
 def header(file: Path) -> Iterator[Any]:
-    """An image file as PIL opens it, whatever size it declares, to read what is not pixels.
+    """An image file as PIL opens it, whatever size it declares, with sides and pixels as stored.
 
     Raises:
         ValueError: If it is not an image.
     """
-    from PIL import Image
+    from PIL import Image, UnidentifiedImageError
 
+    if file.is_file() and (problem := unread(file)):
+        raise ValueError(f"{file} {problem}")
     with _PIL, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of odd metadata; whether the pixels can be read shows when they are
         limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None  # PIL's own: 179 million
         try:
-            with Image.open(file) as image:
+            content = retagged(file, {ORIENTATION: AS_STORED})
+            with Image.open(file if content is None else io.BytesIO(content)) as image:
+                image.info.pop("xmp", None)  # PIL turns TIFFs by a mark in it, too
                 yield image
+        except UnidentifiedImageError as error:
+            raise ValueError(f"{file} is not a readable image (its kind is not known); replace or remove it") from error
         except Exception as error:  # each format has errors of its own, SyntaxError and struct.error among them
             raise ValueError(f"{file} is not a readable image ({error}); replace or remove it") from error
         finally:
@@ -56,7 +74,7 @@ def header(file: Path) -> Iterator[Any]:
 
 
 def read_image(file: Path, flags: int) -> NDArray[Any]:
-    """Pixels as `cv2.imread` returns them with `flags`, [h,w] or [h,w,c].
+    """Pixels as `cv2.imread` returns them with `flags`, [h,w] or [h,w,c], as stored: a mark of orientation is ignored.
 
     Raises:
         ValueError: If it is missing, not a readable image, or larger than `MAX_PIXELS`.
@@ -66,12 +84,39 @@ def read_image(file: Path, flags: int) -> NDArray[Any]:
     image_size(file)
     check_whole(file)
     try:
-        pixels = cv2.imread(str(file), flags)
+        with _quiet_opencv():
+            pixels = _decoded(file, flags | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
         raise ValueError(f"{file} cannot be decoded ({' '.join(str(error).split())}); replace or remove it") from error
     if pixels is None:
-        raise ValueError(f"{file} is missing or not a readable image")
+        raise ValueError(f"{file} is not a readable image (it cannot be decoded); replace or remove it")
     return np.asarray(pixels)
+
+
+@contextmanager
+def _quiet_opencv() -> Iterator[None]:
+    """Keep OpenCV from writing lines of its own, of files that are then refused by name."""
+    global _decoding, _level
+    logging = cv2.utils.logging
+    with _OPENCV:
+        if not _decoding:
+            _level = logging.setLogLevel(logging.LOG_LEVEL_SILENT)
+        _decoding += 1
+    try:
+        yield
+    finally:
+        with _OPENCV:
+            _decoding -= 1
+            if not _decoding:
+                logging.setLogLevel(_level)
+
+
+def _decoded(file: Path, flags: int) -> Any:
+    # OpenCV turns TIFFs whatever its flags say, and multiplies 8-bit colours by alpha where the file has not done so.
+    content = retagged(file, {ORIENTATION: AS_STORED, EXTRA_SAMPLES: PREMULTIPLIED})
+    if content is None:
+        return cv2.imread(str(file), flags)
+    return cv2.imdecode(np.frombuffer(content, np.uint8), flags)
 
 
 WITH_ALPHA = (".png", ".tif", ".tiff", ".webp")  # formats of 8-bit photographs that can be transparent
@@ -97,23 +142,49 @@ def read_rgb(file: Path) -> NDArray[np.uint8]:
         ValueError: If it is missing, not a readable image, or larger than `MAX_PIXELS`.
     """
     if file.is_file() and has_alpha(file):
-        found = read_image(file, cv2.IMREAD_UNCHANGED)
-        codes = found / np.float32(257) if found.dtype == np.uint16 else found.astype(np.float32)
-        if codes.ndim == 3 and codes.shape[2] == 4:
-            codes = codes[..., [2, 1, 0, 3]]
-        else:  # OpenCV drops the alpha of some kinds, gray ones above all
-            codes = _codes_with_alpha(file)
-        alpha = codes[..., 3:] / np.float32(255)
-        mixed = codes[..., :3] * alpha + np.float32(BACKGROUND) * (1 - alpha)
-        return np.asarray(np.round(mixed), np.uint8)
-    pixels = read_image(file, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+        return np.asarray(np.round(255 * before_white(file)[0]), np.uint8)
+    pixels = read_image(file, cv2.IMREAD_COLOR)
     return np.ascontiguousarray(pixels[..., ::-1])
 
 
-def _codes_with_alpha(file: Path) -> NDArray[np.float32]:
-    """Codes [h,w,4] of a picture that PIL holds in 8 bits, red first, alpha last."""
+def before_white(file: Path) -> tuple[NDArray[np.float32], int]:
+    """A picture that `has_alpha` before a white background, mixed as codes are: [h,w,3] in 0..1, and its bits, 8 or 16.
+
+    Raises:
+        ValueError: If it is not a readable image, or larger than `MAX_PIXELS`.
+    """
+    found = read_image(file, cv2.IMREAD_UNCHANGED)
+    if found.ndim == 3 and found.shape[2] == 4:
+        bits, codes = 8 * found.dtype.itemsize, found[..., [2, 1, 0, 3]].astype(np.float32)
+    else:  # OpenCV drops the alpha of some kinds, gray ones above all
+        bits, codes = 8, _codes_with_alpha(file)
+    shares = codes / np.float32(2**bits - 1)
+    alpha = shares[..., 3:]
+    own = shares[..., :3] if _premultiplied(file) else shares[..., :3] * alpha
+    return np.minimum(own + np.float32(BACKGROUND / 255) * (1 - alpha), 1, dtype=np.float32), bits
+
+
+def alpha_of(file: Path) -> NDArray[np.uint8]:
+    """Alpha [h,w] of a picture that `has_alpha`, 0..255; of 16-bit alpha the upper 8 bits.
+
+    Raises:
+        ValueError: If it is not an image.
+    """
     with header(file) as image:
-        if not (mode := image.mode).startswith(("I", "F")):  # of more bits, which PIL would cut off
+        return np.asarray(image.convert("LA" if image.mode == "La" else "RGBA").getchannel("A"))
+
+
+def _premultiplied(file: Path) -> bool:
+    extra = tiff_tags(file).get(EXTRA_SAMPLES)
+    return extra is not None and extra.values[0] == PREMULTIPLIED
+
+
+def _codes_with_alpha(file: Path) -> NDArray[np.float32]:
+    """Codes [h,w,4] as stored, of a picture that PIL holds in 8 bits, red first, alpha last."""
+    with header(file) as image:
+        if (mode := image.mode) == "La":  # gray multiplied by alpha, which PIL cannot convert as it is
+            return np.asarray(image, dtype=np.float32)[..., [0, 0, 0, 1]]
+        if not mode.startswith(("I", "F")):  # of more bits, which PIL would cut off
             return np.asarray(image.convert("RGBA"), dtype=np.float32)
     raise ValueError(f"{file} must be 8-bit or have a channel of alpha, got {mode} with transparent pixels: save it as "
                      "RGBA")  # fmt: skip

@@ -127,7 +127,7 @@ def count_images(folder: Path) -> int:
             with (folder / "images.bin").open("rb") as file:
                 (count,) = _U64.unpack(file.read(_U64.size))
                 return int(count) if count * LEAST_IMAGE <= (folder / "images.bin").stat().st_size else 0
-        return sum(1 for _ in _lines(folder / "images.txt", "images", empty=True, each=2)) // 2
+        return len(_image_lines(folder / "images.txt"))
     return 0
 
 
@@ -259,16 +259,15 @@ def _read_text(folder: Path) -> dict[int, str]:
             _require(len(params) == _params_of(words[1]), f"has {len(params)} parameters in camera {words[0]}")
             model.add_camera(int(words[0]), int(words[2]), int(words[3]), params)
     with reading(folder / "images.txt", REMEDY):
-        lines = list(_lines(folder / "images.txt", "images", empty=True, each=2))
-        _require(len(lines) % 2 == 0, "has an image without its line of 2D points")
-        for head, seen in zip(lines[::2], lines[1::2], strict=True):
+        for line, points_line in _image_lines(folder / "images.txt"):
+            head, seen = line.split(maxsplit=9), points_line.split()  # the name, which is last, keeps its spaces
             _require(len(head) >= 10 and len(seen) % 3 == 0, f"has an incomplete line for image {head[0]}")
             np.array(seen, np.float64)  # raises for what is not a number
             points = np.array([int(word) % 2**64 for word in seen[2::3]], np.uint64)
-            model.add_image(int(head[0]), int(head[8]), " ".join(head[9:]), list(map(float, head[1:8])), points)
+            model.add_image(int(head[0]), int(head[8]), head[9], list(map(float, head[1:8])), points)
     if (folder / "points3D.txt").is_file():
         with reading(folder / "points3D.txt", REMEDY):
-            rows = list(_lines(folder / "points3D.txt", "points"))
+            rows = _lines(folder / "points3D.txt", "points")
             _require(all(len(row) >= 8 and len(row) % 2 == 0 for row in rows), "has an incomplete line")
             elements = [(int(a), int(b)) for row in rows for a, b in zip(row[8::2], row[9::2], strict=True)]
             xyz = np.array([row[1:8] for row in rows], np.float64).reshape(-1, 7)[:, :3]
@@ -277,21 +276,42 @@ def _read_text(folder: Path) -> dict[int, str]:
     for part in ("rigs", "frames"):
         if (path := folder / f"{part}.txt").is_file():
             with reading(path, REMEDY):
-                _require(bool(list(_lines(path, part)) or not model.names), f"is cut short: it has no {part}")
+                _require(bool(_lines(path, part) or not model.names), f"is cut short: it has no {part}")
     with reading(folder / "images.txt", REMEDY):
         model.check_observations()
     return model.names
 
 
-def _lines(path: Path, what: str, *, empty: bool = False, each: int = 1) -> Iterator[list[str]]:
-    """Words of each line that is not a comment. COLMAP states how many things there are, each on `each` lines."""
+def _lines(path: Path, what: str) -> list[list[str]]:
+    """Words of each line that is neither empty nor a comment."""
+    lines = _stripped(path, may_be_empty=what == "points")
+    used = [line.split() for line in lines if line and not line.startswith("#")]
+    _require_announced(lines, what, len(used))
+    return used
+
+
+def _image_lines(path: Path) -> list[tuple[str, str]]:
+    """The line of each image with that of its 2D points, which may be empty; COLMAP skips other empty lines."""
+    lines = _stripped(path)
+    rest = (line for line in lines if not line.startswith("#"))
+    pairs = [(line, next(rest, None)) for line in rest if line]
+    whole = [(line, points) for line, points in pairs if points is not None]
+    _require(len(whole) == len(pairs), "has an image without its line of 2D points")
+    _require_announced(lines, "images", len(whole))
+    return whole
+
+
+def _stripped(path: Path, *, may_be_empty: bool = False) -> list[str]:
+    """All lines. A file of no points may have none: COLMAP asks for an empty one where poses are known."""
     text = path.read_text(encoding="utf-8")
-    _require(text.endswith("\n"), "is cut short: its last line does not end (add a line break if it is whole)")
-    lines = [line.strip() for line in text.split("\n")[:-1]]
-    used = [line.split() for line in lines if not line.startswith("#") and (line or empty)]
+    _require(text.endswith("\n") or (may_be_empty and not text), "is cut short: its last line does not end (add a line "
+             "break if it is whole)")  # fmt: skip
+    return [line.strip() for line in text.split("\n")[:-1]]
+
+
+def _require_announced(lines: list[str], what: str, found: int) -> None:
+    """COLMAP states in a comment how many things there are."""
     for line in lines:
         if line.startswith("# Number of ") and ":" in line:
             stated = int(line.split(":")[1].split(",")[0])
-            _require(len(used) == each * stated, f"is cut short: it announces {stated} {what} and has "
-                     f"{len(used) / each:g}")  # fmt: skip
-    yield from used
+            _require(found == stated, f"is cut short: it announces {stated} {what} and has {found}")

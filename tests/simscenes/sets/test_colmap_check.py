@@ -10,7 +10,7 @@ import pytest
 
 from simscenes import SparsePoints, orbit_rig, write_cameras
 from simscenes.sets.readers import colmap
-from simscenes.sets.readers.colmap_check import check_model
+from simscenes.sets.readers.colmap_check import check_model, count_images
 
 FILES = ("cameras", "frames", "images", "points3D", "rigs")
 
@@ -70,6 +70,41 @@ def test_a_text_file_without_comments_is_whole_only_with_its_last_line_break(
     (copy / f"{name}.txt").write_text(plain[:-2])
     with pytest.raises(ValueError, match=rf"{name}\.txt: is cut short: its last line does not end"):
         check_model(copy)
+
+
+def without_points(text: Path, folder: Path) -> Path:
+    """The text model of no points, which are not in its pictures either."""
+    copy = Path(shutil.copytree(text, folder / "no-points"))
+    heads = [line for line in (copy / "images.txt").read_text().splitlines() if line.endswith(".png")]
+    (copy / "images.txt").write_text("".join(f"{line}\n\n" for line in heads))
+    (copy / "points3D.txt").write_text("")
+    return copy
+
+
+def test_a_file_of_points_without_a_byte_is_whole_where_no_picture_has_points(text: Path, tmp_path: Path) -> None:
+    """Rationale: COLMAP's own instructions for known poses ask for one."""
+    copy = without_points(text, tmp_path)
+    assert check_model(copy) == {1: "a.png", 2: "b c.png"}
+    shutil.copyfile(text / "images.txt", copy / "images.txt")
+    with pytest.raises(ValueError, match="that points3D does not have"):
+        check_model(copy)
+
+
+@pytest.mark.parametrize("points", ["given", "none"])
+@pytest.mark.parametrize("blank", ["\n", " \n\n", "# a comment\n\n"])
+def test_blank_lines_between_images_are_no_images(points: str, blank: str, text: Path, tmp_path: Path) -> None:
+    copy = without_points(text, tmp_path) if points == "none" else Path(shutil.copytree(text, tmp_path / "given"))
+    lines = [line for line in (copy / "images.txt").read_text().splitlines() if not line.startswith("#")]
+    pairs = [f"{head}\n{seen}\n" for head, seen in zip(lines[::2], lines[1::2], strict=True)]
+    (copy / "images.txt").write_text("".join(blank + pair for pair in pairs) + blank)
+    assert check_model(copy) == {1: "a.png", 2: "b c.png"}
+    assert count_images(copy) == pycolmap.Reconstruction(str(copy)).num_images() == 2
+
+
+def test_names_in_a_text_file_keep_their_spaces(text: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(text, tmp_path / "spaces"))
+    (copy / "images.txt").write_text((copy / "images.txt").read_text().replace("b c.png", "b  c \t d.png"))
+    assert check_model(copy)[2] == "b  c \t d.png"
 
 
 @pytest.mark.parametrize("name", FILES)

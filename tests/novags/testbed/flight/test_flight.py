@@ -16,12 +16,13 @@ ROOT = Path(__file__).resolve().parents[4]
 sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a module
 
 from novags import cli  # noqa: E402
+from novags.cameras.estimate import centers_of  # noqa: E402
 from novags.splats import Gaussians, Views, rasterize, write_ply  # noqa: E402
 from novags.testbed.console import Console  # noqa: E402
 from novags.testbed.flight import video  # noqa: E402
 from novags.testbed.flight.film import film  # noqa: E402
 from novags.testbed.flight.panels import BAR, Panel, frame  # noqa: E402
-from novags.testbed.flight.path import distances, fly, shorter_order  # noqa: E402
+from novags.testbed.flight.path import distances, fly, paced, shorter_order  # noqa: E402
 from novags.testbed.folders.run import open_run  # noqa: E402
 from novags.testbed.references import references  # noqa: E402
 from novags.testbed.stages.viewers import viewer_cameras  # noqa: E402
@@ -56,6 +57,23 @@ def test_a_path_passes_through_every_camera_and_stays_on_their_circle() -> None:
     assert steps.max() < 1.1 * steps.min()  # an even pace
     second = np.linalg.norm(np.diff(centers, 2, axis=0), axis=1)
     assert second.max() < 0.06 * steps.min()  # without corners: straight lines would turn by 15 degrees at a camera
+
+
+@pytest.mark.parametrize("frames", [2, 5, 8, 42, 43, 44, 50, 300])
+def test_a_flight_has_the_frames_that_were_asked_for_however_many_cameras_there_are(frames: int) -> None:
+    """Rationale: 43 cameras made 43 frames where 8 were asked for, and dense ones more than asked for even so."""
+    dense = ring(200)[np.r_[0:40, 60, 150, 199]]
+    flight = fly(dense, frames)
+    assert len(flight.viewmats) == frames
+    passed = set(flight.nearest[flight.distance < 1e-9])
+    assert passed == set(range(len(dense))) if frames == 300 else passed >= {0, len(dense) - 1}
+    pace = np.diff(np.arctan2(*centers_of(flight.viewmats)[:, 1::-1].T)) * (frames - 1) / (np.pi / 2)
+    assert pace == pytest.approx(1, abs=0.02 if frames < len(dense) else 1.02)
+
+
+def test_few_frames_are_at_an_even_pace_past_many_cameras() -> None:
+    assert paced(np.r_[0.0, 0.1, 0.2, 0.3, 0.4, 0.5, 2.0], 5) == pytest.approx([0, 0.5, 1, 1.5, 2])
+    assert paced(np.r_[0.0, 0.1, 0.6, 1.9, 2.0], 5) == pytest.approx([0, 0.6, 0.6 + 1.4 / 3, 0.6 + 2.8 / 3, 2])
 
 
 def test_photographs_in_no_order_are_visited_along_the_shorter_way() -> None:

@@ -68,6 +68,20 @@ def test_what_is_left_of_the_noise_stands_by_run_the_least_first(experiment: Pat
     assert "31.26" in rows[0]
 
 
+def test_the_shares_of_the_costs_are_of_the_whole_time_and_the_longest_stage_has_the_longest_bar(
+    experiment: Path,
+) -> None:
+    page = (experiment / "report.html").read_text(encoding="utf-8")
+    table = page[page.index('id="cost"') :]
+    rows = re.findall(r"<tr.*?</tr>", table[table.index("<tbody>") : table.index("</tbody>")], re.S)
+    seconds, shares, _ = zip(
+        *([float(v) for v in re.findall(r'data-value="([^"]+)"', row)] for row in rows), strict=True
+    )
+    assert shares == pytest.approx([value / sum(seconds) for value in seconds])
+    bars = [float(width) for row in rows for width in re.findall(r"width:([\d.]+)%", row)]
+    assert bars == pytest.approx([100 * value / max(seconds) for value in seconds], abs=0.051)
+
+
 def test_the_spread_over_views_is_that_of_the_views() -> None:
     views = {f"{k}": {"enhanced": {"aligned_psnr": value, "flip": value / 10, "lpips": None}}
              for k, value in enumerate((20.0, 26.0, 23.0))}  # fmt: skip
