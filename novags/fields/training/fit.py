@@ -160,7 +160,8 @@ def _found(
     weights = weights_of(raw[..., 0], samples.widths)
     value = loss(Batch(iteration, view, x, y, config.patch, rays, samples, raw, weights))
     if config.distortion:
-        # distances beyond the box count as its end: the sky may be anywhere there
+        # Distances beyond the box count as its end, for the sky may be anywhere there. Widths count in full: that keeps
+        # haze from far away, and without it the depth of busts is wrong by 2.8 instead of 2.4 %.
         along = samples.distances.clamp_max(box.middle) / box.middle
         value = value + config.distortion * distortion(weights, along, samples.widths * (box.unit / box.middle))
     found = float(value.detach())
