@@ -15,6 +15,7 @@ import pytest
 from novags.commands.dataset import dataset
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import open_capture
+from novags.testbed.viewer.light import Camera
 from simscenes.sets.pictures.png import read_png
 
 FILE = """
@@ -104,6 +105,21 @@ def test_the_manifest_names_every_file_with_its_checksum_and_what_was_simulated(
     assert card.startswith('---\nlicense: "cc-by-4.0"\n')
     assert "| train | one.xml | 2 | 8 |" in card
     assert "Balls in the dark" in card
+
+
+def test_no_two_captures_share_their_noise(place: Path) -> None:
+    captures = [open_capture(place / "data" / name) for name in dict.fromkeys(row["capture"] for row in rows(place))]
+    noise = [(c.raw(0) - c.truth(0, "mean")) / np.sqrt(c.truth(0, "variance")) for c in captures]
+    shared = np.corrcoef([part.ravel() for part in noise])[np.triu_indices(len(noise), 1)]
+    assert np.abs(shared).max() < 5 / np.sqrt(noise[0].size)
+    assert {c.record["seed"] for c in captures} == {0}
+    manifest = json.loads((place / "data" / "manifest.json").read_text())
+    told = [entry["noise_seed"] for entry in manifest["entries"] if entry["kind"] == "capture"]
+    assert [c.record["noise_seed"] for c in captures] == told
+    assert len(set(told)) == 4
+    assert Camera.of(captures[1], captures[1].source(Console(quiet=True))).seed == told[1]
+    assert {row["noise_seed"] for row in rows(place)} == set(map(str, told))
+    assert "No two captures share" in (place / "data" / "README.md").read_text()
 
 
 def test_shards_hold_the_files_themselves_each_sample_whole_and_bytes_without_a_date(place: Path) -> None:

@@ -10,16 +10,18 @@ description, version, creators, url, date
 """  # noqa: D214
 
 import math
+import os
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, get_type_hints
 
 from novags.methods.variant import dotted
 from novags.settings import converted
+from novags.testbed.dataset.noise import with_own_noise
 from novags.testbed.study.axes import changes_of
-from novags.testbed.study.grid import Study, study_of
+from novags.testbed.study.grid import Cell, Study, study_of
 from sensor_model.files.reading import brief
 from sensor_model.files.toml_file import read_toml
 
@@ -94,7 +96,13 @@ def read_dataset(path: Path) -> tuple[Study, DatasetConfig]:
         if cell.preset.folder or cell.preset.photos or cell.preset.dark:
             raise ValueError(f"{path}: {cell.label}: a data set is of rendered scenes, and this one was photographed: "
                              "leave it out")  # fmt: skip
-    return study, config
+    cells = (Cell(c.values, with_own_noise(c.preset, spelled(c.preset.render.scene, path))) for c in study.cells)
+    return replace(study, cells=tuple(cells)), config
+
+
+def spelled(scene: str, file: Path) -> str:
+    """A scene as the file of the data set spells it: a name of the catalogue, or a path that starts at its folder."""
+    return os.path.relpath(scene, file.parent) if scene.endswith(".xml") else scene
 
 
 def _config(about: dict[str, Any]) -> DatasetConfig:

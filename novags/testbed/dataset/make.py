@@ -13,8 +13,8 @@ from novags.testbed.cache import write_json, write_text
 from novags.testbed.console import Console
 from novags.testbed.dataset.card import card
 from novags.testbed.dataset.croissant import croissant
-from novags.testbed.dataset.file import SPLITS, DatasetConfig
-from novags.testbed.dataset.publish import INDEX, Entry, entries_of, link, spelled, views_of, write_index
+from novags.testbed.dataset.file import SPLITS, DatasetConfig, spelled
+from novags.testbed.dataset.publish import INDEX, Entry, entries_of, link, views_of, write_index
 from novags.testbed.dataset.shards import FOLDER, write_shards
 from novags.testbed.dataset.splits import splits_of
 from novags.testbed.machine.provenance import package_version

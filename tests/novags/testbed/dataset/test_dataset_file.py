@@ -34,6 +34,21 @@ def test_every_combination_is_a_capture_and_sets_are_shared(tmp_path: Path) -> N
     assert {plan.tasks[key].kind for key in plan.ends} == {"capture"}
 
 
+def test_noise_differs_between_captures_and_follows_from_what_they_are(tmp_path: Path) -> None:
+    def drawn(text: str) -> dict[str, int]:
+        (tmp_path / "data.toml").write_text(text)
+        cells = read_dataset(tmp_path / "data.toml")[0].cells
+        assert all(cell.preset.capture.seed == cell.values["seed"] for cell in cells)
+        return {cell.label: cell.preset.capture.noise_seed for cell in cells}
+
+    first = drawn(f"{FILE}seed = [0, 1]\n")
+    assert len(set(first.values())) == len(first) == 16
+    assert all(0 <= seed < 2**53 for seed in first.values())
+    second = drawn(f'{FILE}seed = [1]\nsensor = ["imx900-hcg"]\n')
+    assert not set(first.values()) & set(second.values())
+    assert drawn(f"{FILE}seed = [1, 0]\n".replace("2..4", "2..3")).items() <= first.items()
+
+
 def config(**settings: Any) -> DatasetConfig:
     return DatasetConfig(name="dark", licence="CC0-1.0", **settings)
 
