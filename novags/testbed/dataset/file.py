@@ -20,7 +20,7 @@ from typing import Any, Literal, get_type_hints
 from novags.methods.variant import dotted
 from novags.settings import converted
 from novags.testbed.dataset.noise import with_own_noise
-from novags.testbed.study.axes import changes_of
+from novags.testbed.study.axes import changes_of, scene_identity, scene_of
 from novags.testbed.study.grid import Cell, Study, study_of
 from sensor_model.files.reading import brief
 from sensor_model.files.toml_file import read_toml
@@ -84,7 +84,7 @@ def read_dataset(path: Path) -> tuple[Study, DatasetConfig]:
     try:
         if not isinstance(about, dict):
             raise ValueError('[dataset] is missing: it needs name and licence, such as "CC-BY-4.0"')
-        config = _config(about)
+        config = _with_named_scenes(_config(about), path)
         for place in ("grid", "override", *(f"rig.{name}" for name in table.get("rig", {}))):
             _refuse_methods(table, place, path.parent)
         if wrong := [name for name in ("variant", "method") if name in table]:
@@ -101,8 +101,20 @@ def read_dataset(path: Path) -> tuple[Study, DatasetConfig]:
 
 
 def spelled(scene: str, file: Path) -> str:
-    """A scene as the file of the data set spells it: a name of the catalogue, or a path that starts at its folder."""
-    return os.path.relpath(scene, file.parent) if scene.endswith(".xml") else scene
+    """The one name of a scene in a data set: that of the catalogue, or the path from the folder of the file."""
+    return os.path.relpath(scene_identity(scene), file.parent.resolve()) if scene.endswith(".xml") else scene
+
+
+def _with_named_scenes(config: DatasetConfig, file: Path) -> DatasetConfig:
+    """With the scenes that lists of splits name by their one names."""
+    split = dict(config.split)
+    for name, listed in config.split.items():
+        if isinstance(listed, list):
+            try:
+                split[name] = [spelled(scene_of(str(scene), file.parent), file) for scene in listed]
+            except ValueError as error:
+                raise ValueError(f"[dataset.split] {name}: {error}") from error
+    return replace(config, split=split)
 
 
 def _config(about: dict[str, Any]) -> DatasetConfig:

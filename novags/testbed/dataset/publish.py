@@ -31,7 +31,7 @@ class Entry:
 
     Attributes:
         task: What made it.
-        scene: What was rendered, as the file of the data set spells it.
+        scene: What was rendered, as `spelled` names it.
         split: Where it lies.
         values: Of the axes, of a capture.
         seal: What it holds.

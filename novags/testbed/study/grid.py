@@ -24,7 +24,7 @@ from novags.methods.variant import Variant, dotted
 from novags.testbed.foreign.command import read_commands
 from novags.testbed.importing.published.named import DataFolder
 from novags.testbed.presets import EXPERIMENTS, Preset, variants_in
-from novags.testbed.study.axes import STAGES, Changes, applied, changes_of
+from novags.testbed.study.axes import STAGES, Changes, applied, changes_of, scene_identity
 from sensor_model.files.reading import brief
 from sensor_model.files.toml_file import read_toml
 
@@ -185,8 +185,7 @@ class _Reader:
                     raise ValueError("it has no values: give one, or leave the axis out")
                 for value in values:
                     self._axis_value(key, value)
-                if twice := [value for value in values if values.count(value) > 1]:
-                    raise ValueError(f"{twice[0]!r} is listed twice")
+                self._refuse_twice(key, values)
                 found[key] = tuple(values)
         self._one_place_each(found, shared)
         if self.ends == "run":
@@ -203,6 +202,20 @@ class _Reader:
             self._rig(value)
         else:
             self._checked(key, value)
+
+    def _refuse_twice(self, key: str, values: list[Value]) -> None:
+        seen: dict[Any, Value] = {}
+        for value in values:
+            meant = self._meant(key, value)
+            if meant in seen:
+                also = "" if seen[meant] == value else f", also as {value!r}"
+                raise ValueError(f"{seen[meant]!r} is listed twice{also}: leave one out")
+            seen[meant] = value
+
+    def _meant(self, key: str, value: Value) -> Any:
+        """What values that mean the same have in common."""
+        scene = self._changes(key, value).adapted.get("scene") if key == "scene" else None
+        return value if scene is None else scene_identity(scene)
 
     def _rig(self, name: Value) -> Changes:
         if name not in self.rigs:
