@@ -14,6 +14,7 @@ import pytest
 
 from novags.commands.dataset import dataset
 from novags.testbed.console import Console
+from novags.testbed.dataset.shards import remove_shards
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.viewer.light import Camera
 from simscenes.sets.pictures.png import read_png
@@ -204,3 +205,19 @@ def test_the_training_loop_of_the_page_reads_it_and_learns(
     losses = [float(line.split()[3].rstrip(",")) for line in capsys.readouterr().out.splitlines()]
     assert len(losses) == 20
     assert losses[-1] < 0.7 * losses[0]
+
+
+def test_made_again_without_shards_it_keeps_none_and_what_somebody_put_there_stays(
+    place: Path, call: Callable[..., int]
+) -> None:
+    shards = place / "again" / "shards"
+    shards.mkdir(parents=True)
+    for name in ("train-000007.tar", "mine.tar", ".shards.json"):
+        (shards / name).write_text("{}")
+    (place / "again.toml").write_text(FILE.replace("[5, 50]", "[5]").replace("shard_mb = 0.2", ""))
+    out = ("--out", str(place / "again"), "--workers", "1", "--overwrite")
+    assert call("dataset", str(place / "again.toml"), *out) == 0
+    assert [path.name for path in shards.iterdir()] == ["mine.tar"]
+    (shards / "mine.tar").unlink()
+    remove_shards(place / "again")
+    assert not shards.exists()
