@@ -17,6 +17,7 @@ from novags.testbed.console import Console
 from novags.testbed.dataset.shards import remove_shards
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.viewer.light import Camera
+from sensor_model.files.toml_file import read_toml
 from simscenes.sets.pictures.png import read_png
 
 FILE = """
@@ -92,6 +93,7 @@ def test_the_manifest_names_every_file_with_its_checksum_and_what_was_simulated(
     assert set(manifest["files"]) == {name for name in own if not name.startswith("making/")} - {"manifest.json"}
     assert all(sha256(data / name) == facts["sha256"] for name, facts in manifest["files"].items())
     assert manifest["licence"] == "CC-BY-4.0"
+    assert manifest["file"] == read_toml(place / "data.toml")
     assert manifest["seeds"] == [0]
     assert manifest["splits"] == {"train": ["one.xml"], "val": ["two.xml"], "test": []}
     assert manifest["cost"]["seconds"] == pytest.approx(sum(e["cost"]["seconds"] for e in manifest["entries"]))

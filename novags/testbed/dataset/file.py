@@ -80,7 +80,7 @@ def read_dataset(path: Path) -> tuple[Study, DatasetConfig]:
             key.
     """
     table = read_toml(path)
-    about = table.pop("dataset", None)
+    about = table.get("dataset")
     try:
         if not isinstance(about, dict):
             raise ValueError('[dataset] is missing: it needs name and licence, such as "CC-BY-4.0"')
@@ -91,13 +91,13 @@ def read_dataset(path: Path) -> tuple[Study, DatasetConfig]:
             raise ValueError(f"[{wrong[0]}]: a data set has no methods: remove it")
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    study = study_of(path, table, "capture")
+    study = study_of(path, {key: value for key, value in table.items() if key != "dataset"}, "capture")
     for cell in study.cells:
         if cell.preset.folder or cell.preset.photos or cell.preset.dark:
             raise ValueError(f"{path}: {cell.label}: a data set is of rendered scenes, and this one was photographed: "
                              "leave it out")  # fmt: skip
     cells = (Cell(c.values, with_own_noise(c.preset, spelled(c.preset.render.scene, path))) for c in study.cells)
-    return replace(study, cells=tuple(cells)), config
+    return replace(study, cells=tuple(cells), table=table), config
 
 
 def spelled(scene: str, file: Path) -> str:
