@@ -105,6 +105,16 @@ def changed(config: Config, settings: Mapping[str, Any], *, what: str = "setting
     return dataclasses.replace(config, **values)  # type: ignore[type-var]  # a dataclass, as said above
 
 
+def check_seed(seed: int) -> None:
+    """Refuse a seed that generators of random numbers do not take, before anything is computed with it.
+
+    Raises:
+        ValueError: If it does not fit 64 bits without a sign.
+    """
+    if not 0 <= seed < 2**64:
+        raise ValueError(f"seed must be >= 0 and < 2**64, got {brief(seed, 60)}")
+
+
 @cache
 def _hints(kind: type) -> dict[str, Any]:
     return get_type_hints(kind)  # which takes a millisecond

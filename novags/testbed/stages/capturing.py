@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from novags.settings import check_seed
 from novags.testbed.cache import run_stage
 from novags.testbed.console import Console, Update
 from novags.testbed.folders import capture as capture_folder
@@ -69,8 +70,7 @@ class CaptureConfig:
             raise ValueError(f"demosaic must be one of {', '.join(FULL_SIZE)}, got {self.demosaic!r}")
         if self.jpeg_quality is not None and not 1 <= self.jpeg_quality <= 100:
             raise ValueError(f"jpeg_quality must be None or in 1..100, got {self.jpeg_quality}")
-        if self.seed < 0:
-            raise ValueError(f"seed must be >= 0, got {self.seed}")
+        check_seed(self.seed)
         check_layouts(self.export)
         if self.time and not TIMES[0] <= self.time <= TIMES[1]:  # refuses negative times too
             raise ValueError(f"time must be 0 or in {TIMES} s, the range of its raw files, got {self.time}")
