@@ -12,7 +12,7 @@ preset = "demo"                    where all that is not said comes from
 import itertools
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
@@ -320,10 +320,15 @@ def _without_excluded(
             wanted = {key: _expanded(_listed(value), data) for key, value in dotted(rule).items()}
             _known(wanted, tuple(axes), "axis")
             for key, listed in wanted.items():
-                if missing := [value for value in listed if value not in axes[key]]:
+                if missing := [value for value in listed if not _among(value, axes[key])]:
                     known = ", ".join(map(str, axes[key]))
                     raise ValueError(f"{key}: {missing[0]!r} is not among its values in [grid] ({known})")
-        kept = [c for c in kept if not all(c[key] in values for key, values in wanted.items())]
+        kept = [c for c in kept if not all(_among(c[key], values) for key, values in wanted.items())]
     if not kept:
         raise ValueError(f"{path}: [[exclude]]: nothing is left to run")
     return kept
+
+
+def _among(value: Value, listed: Sequence[Value]) -> bool:
+    """Whether a value is one of those listed. Python takes true for 1; in a file they are two things."""
+    return any(value == other and isinstance(value, bool) == isinstance(other, bool) for other in listed)

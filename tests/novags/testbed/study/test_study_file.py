@@ -202,6 +202,9 @@ WRONG: dict[str, tuple[str, str]] = {
     "exclude value": (
         "[grid]\nelectrons=[5]\n[[exclude]]\nelectrons=6", "1: electrons: 6 is not among its values in [grid] (5)"
     ),
+    "exclude truth": (
+        "[grid]\nelectrons=[1, 5]\n[[exclude]]\nelectrons=true", "1: electrons: True is not among its values in [grid]"
+    ),
     "exclude nothing": ("[grid]\nelectrons=[5]\n[[exclude]]\nelectrons=[]", "1: electrons has no values"),
     "exclude shape": ("exclude = 3", "[[exclude]]: each must be a table"),
     "nothing left": ("[grid]\nelectrons=[5]\n[[exclude]]\nelectrons=5", "[[exclude]]: nothing is left to run"),
