@@ -41,7 +41,12 @@ def refuse_lost_files(config: Any, what: str) -> None:
     Raises:
         ValueError: Of one line that begins with `what`.
     """
-    for name, paths in files_among(config).items():
+    refuse_lost(files_among(config), what)
+
+
+def refuse_lost(files: Mapping[str, tuple[Path, ...]], what: str) -> None:
+    """As `refuse_lost_files`, of files that `files_among` has found."""
+    for name, paths in files.items():
         if lost := [path for path in paths if not path.is_file()]:
             raise ValueError(f"{what}: {name} is {lost[0]}, but that file does not exist: correct the path")
 
