@@ -41,7 +41,12 @@ def refuse_lost_files(config: Any, what: str) -> None:
     Raises:
         ValueError: Of one line that begins with `what`.
     """
-    for name, paths in files_among(config).items():
+    refuse_lost(files_among(config), what)
+
+
+def refuse_lost(files: Mapping[str, tuple[Path, ...]], what: str) -> None:
+    """As `refuse_lost_files`, of files that `files_among` has found."""
+    for name, paths in files.items():
         if lost := [path for path in paths if not path.is_file()]:
             raise ValueError(f"{what}: {name} is {lost[0]}, but that file does not exist: correct the path")
 
@@ -103,6 +108,16 @@ def changed(config: Config, settings: Mapping[str, Any], *, what: str = "setting
             raise ValueError(f"{what}: {head} is a single value and has no setting {next(iter(inner))!r}")
         values[head] = changed(part, inner, what=what)
     return dataclasses.replace(config, **values)  # type: ignore[type-var]  # a dataclass, as said above
+
+
+def check_seed(seed: int) -> None:
+    """Refuse a seed that generators of random numbers do not take, before anything is computed with it.
+
+    Raises:
+        ValueError: If it does not fit 64 bits without a sign.
+    """
+    if not 0 <= seed < 2**64:
+        raise ValueError(f"seed must be >= 0 and < 2**64, got {brief(seed, 60)}")
 
 
 @cache

@@ -11,6 +11,7 @@ Progress = Callable[[int, int, str], None]
 """Steps done, total steps, and the current activity."""
 
 LOWER_EDGE = 1.5  # scales
+SEEDS = 2**31  # that COLMAP knows
 
 
 @contextmanager
@@ -53,7 +54,7 @@ def detect(pycolmap: Any, database: Any, name: str, folder: Path, extractor: Any
 def verification(pycolmap: Any, *, min_matches: int, max_error: float, seed: int) -> Any:
     """Options of the geometry of a pair: its consistent matches, and their distance from the epipolar line, px."""
     options = pycolmap.TwoViewGeometryOptions(min_num_inliers=min_matches)
-    options.ransac.random_seed, options.ransac.max_error = seed, max_error
+    options.ransac.random_seed, options.ransac.max_error = seed % SEEDS, max_error
     return options
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from novags.cameras.colmap import Progress, largest, quiet
+from novags.cameras.colmap import SEEDS, Progress, largest, quiet
 from novags.cameras.estimate import Array, CameraEstimate, as_estimate
 from novags.cameras.pictures import Pictures, place_of, write_pictures
 from novags.cameras.points import averaged, fill, seen_colors
@@ -97,7 +97,7 @@ def reconstruct(
 
     with quiet(pycolmap), scratch("sfm") as root:
         scene = Scene(root, root / "database.db", write_pictures(root, pictures))
-        pycolmap.set_random_seed(mapping.seed)
+        pycolmap.set_random_seed(mapping.seed % SEEDS)
         pycolmap.Database.open(scene.database).close()  # makes the file
         for name, K in zip(scene.names, Ks, strict=True):
             # One call per picture, in order: picture and camera numbers then depend on nothing else.
@@ -123,8 +123,8 @@ def _lens(pycolmap: Any, K: Array) -> Any:
 
 def _incremental(pycolmap: Any, mapping: Mapping) -> Any:
     options = pycolmap.IncrementalPipelineOptions(
-        num_threads=mapping.threads, random_seed=mapping.seed, min_num_matches=mapping.min_matches, min_model_size=2,
-        extract_colors=False, ba_refine_focal_length=False, ba_refine_extra_params=False,
+        num_threads=mapping.threads, random_seed=mapping.seed % SEEDS, min_num_matches=mapping.min_matches,
+        min_model_size=2, extract_colors=False, ba_refine_focal_length=False, ba_refine_extra_params=False,
     )  # fmt: skip
     mapper = options.mapper
     mapper.abs_pose_refine_focal_length = mapper.abs_pose_refine_extra_params = False
@@ -135,7 +135,10 @@ def _incremental(pycolmap: Any, mapping: Mapping) -> Any:
 
 def _global(pycolmap: Any, mapping: Mapping) -> Any:
     options = pycolmap.GlobalPipelineOptions(
-        num_threads=mapping.threads, random_seed=mapping.seed, min_num_matches=mapping.min_matches, min_model_size=2
+        num_threads=mapping.threads,
+        random_seed=mapping.seed % SEEDS,
+        min_num_matches=mapping.min_matches,
+        min_model_size=2,
     )
     adjustment = options.mapper.bundle_adjustment
     adjustment.refine_focal_length = adjustment.refine_extra_params = False

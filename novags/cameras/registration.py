@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from novags.cameras.colmap import Progress, detect, extraction, largest, quiet, verification
+from novags.cameras.colmap import SEEDS, Progress, detect, extraction, largest, quiet, verification
 from novags.cameras.estimate import Array
 from simscenes.sets.readers.colmap import colmap_lens
 from simscenes.sets.readers.photographs import DistortedPinhole
@@ -98,7 +98,7 @@ def register(
 
     total, database = 3 * len(shots), folder / "database.db"
     with quiet(pycolmap):
-        pycolmap.set_random_seed(seed)
+        pycolmap.set_random_seed(seed % SEEDS)
         options = extraction(
             pycolmap, max_features=max_features, peak_threshold=peak_threshold, first_octave=-1, threads=1
         )
@@ -179,7 +179,11 @@ def _match(
 
 def _mapping(pycolmap: Any, seed: int) -> Any:
     options = pycolmap.IncrementalPipelineOptions(
-        num_threads=1, random_seed=seed, min_num_matches=MIN_MATCHES, min_model_size=PLACED, extract_colors=False
+        num_threads=1,
+        random_seed=seed % SEEDS,
+        min_num_matches=MIN_MATCHES,
+        min_model_size=PLACED,
+        extract_colors=False,
     )
     # Small pictures have fewer matches than COLMAP's 30 for a further view.
     options.mapper.abs_pose_min_num_inliers = MIN_MATCHES

@@ -1,14 +1,15 @@
 """Presets: whole experiments by name, from a demonstration to the paper's own settings."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from novags.cameras import CameraConfig, KnownConfig
 from novags.methods import METHODS, chosen, with_variants
 from novags.methods.variant import Variant, read_variants
-from novags.settings import changed, has_setting, refuse_lost_files, starting_at
+from novags.settings import changed, files_among, has_setting, refuse_lost, refuse_lost_files, starting_at
 from novags.testbed.foreign.command import CommandConfig
 from novags.testbed.levels import level_named
 from novags.testbed.stages.capturing import CaptureConfig
@@ -47,10 +48,11 @@ class Preset:
             raise ValueError(f"methods must be named once each, got {', '.join(self.methods) or 'none'}")
         own = [name for name in self.methods if self.command(name) is None]
         configs = [self.reconstruct(name).config for name in own]  # which checks the rest
-        for name, config in zip(own, configs, strict=True):
-            refuse_lost_files(config, name)
+        for name in own:
+            refuse_lost(_files(self._recipe(name)), name)
         for key in self.settings:
-            if not any(has_setting(config, key) for config in (*configs, *(m.config() for m in METHODS.values()))):
+            published = any(_published(method.config, key) for method in METHODS.values())
+            if not published and not any(has_setting(config, key) for config in configs):
                 raise ValueError(f"no method has a setting {key!r}")
 
     def command(self, name: str) -> CommandConfig | None:
@@ -60,12 +62,45 @@ class Preset:
 
     def reconstruct(self, name: str) -> ReconstructConfig:
         """How the experiment reconstructs by one of its methods or variants."""
-        variant = chosen(name, with_variants(self.variants))
-        config = variant.config(METHODS[variant.method].config(), self.settings)
+        recipe = self._recipe(name)
         return ReconstructConfig(
-            variant=variant, config=config, cameras=self.cameras, points=self.points, seed=self.capture.seed,
-            device=self.device,
+            variant=recipe.variant, config=_configured(recipe), cameras=self.cameras, points=self.points,
+            seed=self.capture.seed, device=self.device,
         )  # fmt: skip
+
+    def _recipe(self, name: str) -> "_Recipe":
+        return _Recipe.of(chosen(name, with_variants(self.variants)), self.settings)
+
+
+@cache
+def _published(make: Callable[[], Any], key: str) -> bool:
+    """Whether the configuration of a method, as published, has a setting."""
+    return has_setting(make(), key)
+
+
+@dataclass(frozen=True)
+class _Recipe:
+    """What the configuration of a method is made of; equal if all of it is, types of numbers included."""
+
+    text: str
+    make: Callable[[], Any]
+    variant: Variant = field(compare=False)
+    settings: Mapping[str, Any] = field(compare=False)
+
+    @staticmethod
+    def of(variant: Variant, settings: Mapping[str, Any]) -> "_Recipe":
+        return _Recipe(repr((variant, dict(settings))), METHODS[variant.method].config, variant, settings)
+
+
+@lru_cache(maxsize=1024)
+def _configured(recipe: _Recipe) -> Any:
+    """A configuration, which is frozen: the runs of a study are many, and differ in few."""
+    return recipe.variant.config(recipe.make(), recipe.settings)
+
+
+@lru_cache(maxsize=1024)
+def _files(recipe: _Recipe) -> dict[str, tuple[Path, ...]]:
+    return files_among(_configured(recipe))
 
 
 # A size that a CPU handles in minutes. Short runs want large first Gaussians, which close the surface at once, and

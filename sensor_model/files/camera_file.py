@@ -15,7 +15,7 @@ import numpy as np
 from sensor_model.files.atomic import atomic
 from sensor_model.files.reading import reading
 from sensor_model.files.toml_file import read_toml
-from sensor_model.params import Banding, Defects, DualGain, Sensor, SensorOptics, require
+from sensor_model.params import CFAS, Banding, Defects, DualGain, Sensor, SensorOptics, require
 
 PARTS: dict[str, type] = {"banding": Banding, "defects": Defects, "optics": SensorOptics, "dual_gain": DualGain}
 WHOLE = {"bits", "serial", "rts_traps"}
@@ -104,7 +104,9 @@ def _value(key: str, value: Any, prefix: str) -> Any:
         require(isinstance(value, bool), prefix + key, "true or false", value)
         return value
     if key in TEXT:
-        require(isinstance(value, str), prefix + key, "a text", value)
+        require(
+            value == "none" or value in CFAS, prefix + key, f"one of {', '.join(map(repr, ('none', *CFAS)))}", value
+        )
         return None if value == "none" else value
     if value == "inf":  # JSON has no infinity
         return inf

@@ -69,6 +69,16 @@ def split_name(name: str) -> tuple[str, int]:
     return scene, int(seed or 0)
 
 
+def canonical_name(name: str) -> str:
+    """The one spelling of a catalogue scene: "cornell" for "cornell:0", "tabletop:1" for "tabletop:01".
+
+    Raises:
+        ValueError: As `split_name`.
+    """
+    scene, seed = split_name(name)
+    return f"{scene}:{seed}" if seed else scene
+
+
 def _what_it_is(name: str) -> str:
     """What else the name is that of."""
     try:

@@ -14,7 +14,10 @@ import pytest
 
 from novags.commands.dataset import dataset
 from novags.testbed.console import Console
+from novags.testbed.dataset.shards import remove_shards
 from novags.testbed.folders.capture import open_capture
+from novags.testbed.viewer.light import Camera
+from sensor_model.files.toml_file import read_toml
 from simscenes.sets.pictures.png import read_png
 
 FILE = """
@@ -90,6 +93,7 @@ def test_the_manifest_names_every_file_with_its_checksum_and_what_was_simulated(
     assert set(manifest["files"]) == {name for name in own if not name.startswith("making/")} - {"manifest.json"}
     assert all(sha256(data / name) == facts["sha256"] for name, facts in manifest["files"].items())
     assert manifest["licence"] == "CC-BY-4.0"
+    assert manifest["file"] == read_toml(place / "data.toml")
     assert manifest["seeds"] == [0]
     assert manifest["splits"] == {"train": ["one.xml"], "val": ["two.xml"], "test": []}
     assert manifest["cost"]["seconds"] == pytest.approx(sum(e["cost"]["seconds"] for e in manifest["entries"]))
@@ -104,6 +108,21 @@ def test_the_manifest_names_every_file_with_its_checksum_and_what_was_simulated(
     assert card.startswith('---\nlicense: "cc-by-4.0"\n')
     assert "| train | one.xml | 2 | 8 |" in card
     assert "Balls in the dark" in card
+
+
+def test_no_two_captures_share_their_noise(place: Path) -> None:
+    captures = [open_capture(place / "data" / name) for name in dict.fromkeys(row["capture"] for row in rows(place))]
+    noise = [(c.raw(0) - c.truth(0, "mean")) / np.sqrt(c.truth(0, "variance")) for c in captures]
+    shared = np.corrcoef([part.ravel() for part in noise])[np.triu_indices(len(noise), 1)]
+    assert np.abs(shared).max() < 5 / np.sqrt(noise[0].size)
+    assert {c.record["seed"] for c in captures} == {0}
+    manifest = json.loads((place / "data" / "manifest.json").read_text())
+    told = [entry["noise_seed"] for entry in manifest["entries"] if entry["kind"] == "capture"]
+    assert [c.record["noise_seed"] for c in captures] == told
+    assert len(set(told)) == 4
+    assert Camera.of(captures[1], captures[1].source(Console(quiet=True))).seed == told[1]
+    assert {row["noise_seed"] for row in rows(place)} == set(map(str, told))
+    assert "No two captures share" in (place / "data" / "README.md").read_text()
 
 
 def test_shards_hold_the_files_themselves_each_sample_whole_and_bytes_without_a_date(place: Path) -> None:
@@ -188,3 +207,19 @@ def test_the_training_loop_of_the_page_reads_it_and_learns(
     losses = [float(line.split()[3].rstrip(",")) for line in capsys.readouterr().out.splitlines()]
     assert len(losses) == 20
     assert losses[-1] < 0.7 * losses[0]
+
+
+def test_made_again_without_shards_it_keeps_none_and_what_somebody_put_there_stays(
+    place: Path, call: Callable[..., int]
+) -> None:
+    shards = place / "again" / "shards"
+    shards.mkdir(parents=True)
+    for name in ("train-000007.tar", "mine.tar", ".shards.json"):
+        (shards / name).write_text("{}")
+    (place / "again.toml").write_text(FILE.replace("[5, 50]", "[5]").replace("shard_mb = 0.2", ""))
+    out = ("--out", str(place / "again"), "--workers", "1", "--overwrite")
+    assert call("dataset", str(place / "again.toml"), *out) == 0
+    assert [path.name for path in shards.iterdir()] == ["mine.tar"]
+    (shards / "mine.tar").unlink()
+    remove_shards(place / "again")
+    assert not shards.exists()

@@ -146,14 +146,18 @@ def _planned(request: Request, console: Console) -> Plan:
         tried = forecast(request.preset, TRIAL * request.budget)
     except OutOfTime:
         raise ValueError(f"{what}: trying the experiment in small alone takes more than "
-                         f"{TRIAL * request.budget:.0f} s here; {remedy}") from None  # fmt: skip
+                         f"{_seconds(TRIAL * request.budget)} here; {remedy}") from None  # fmt: skip
     options = open_options(request.preset, facts.options, request.decided)
     spent = time.perf_counter() - start
     choice = choose(tried.parts, options, request.budget * (1 - RESERVE) - spent)
     if choice is None:
         least = (fastest(tried.parts, options).seconds + spent) / (1 - RESERVE)
-        raise ValueError(f"{what}: the least that this experiment takes here is about {least:.0f} s; {remedy}")
+        raise ValueError(f"{what}: the least that this experiment takes here is about {_seconds(least)}; {remedy}")
     return Plan(tried, options, choice, facts, spent)
+
+
+def _seconds(seconds: float) -> str:
+    return f"{seconds:.0f} s" if seconds >= 10 else f"{seconds:.2g} s"
 
 
 def _state(request: Request, plan: Plan) -> State:

@@ -36,7 +36,9 @@ def card(config: DatasetConfig, entries: Sequence[Entry], manifest: dict[str, An
     together = "scene with all its variations" if config.split_by == "scene" else "variation of a scene"
     lines += ["", f"No {together} lies in two splits.", "", "## What is in it", "", *_LAYOUT, ""]
     lines += ["## How it was made", "", f"By novags {manifest['software']['novags']}: scenes rendered by Mitsuba "
-              f"{manifest['software']['mitsuba']}, then exposed by a model of each camera.", ""]  # fmt: skip
+              f"{manifest['software']['mitsuba']}, then exposed by a model of each camera. "
+              "No two captures share the random numbers of noise (`noise_seed` in `index.csv`); the fixed pattern "
+              "is the camera's, the same in all its captures.", ""]  # fmt: skip
     lines += ["| | values |", "| --- | --- |"]
     for name in dict.fromkeys(name for entry in captures for name in entry.values):
         lines.append(f"| {name} | {_some([str(v) for v in dict.fromkeys(e.values[name] for e in captures)])} |")

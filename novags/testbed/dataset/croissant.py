@@ -19,10 +19,12 @@ CONTEXT: dict[str, Any] = {
     "samplingRate": "cr:samplingRate", "sc": "https://schema.org/", "separator": "cr:separator", "source": "cr:source",
     "subField": "cr:subField", "transform": "cr:transform",
 }  # fmt: skip
-TYPES = {"electrons": "sc:Float", "seed": "sc:Integer", "held_out": "sc:Boolean"}
+TYPES = {"electrons": "sc:Float", "seed": "sc:Integer", "noise_seed": "sc:Integer", "held_out": "sc:Boolean"}
 MEANING = {
     "split": "train, val or test", "scene": "what was rendered", "sensor": "the camera model",
-    "electrons": "mean signal of green, electrons per pixel and exposure", "seed": "of the noise",
+    "electrons": "mean signal of green, electrons per pixel and exposure",
+    "seed": "as the file of the data set has it: of several exposures of the same light",
+    "noise_seed": "of the random numbers of the noise, which no other capture has",
     "capture": "folder of the dark pictures", "set": "folder of the views in good light", "view": "name of the view",
     "held_out": "whether the view is held out for testing a reconstruction of its scene",
     "dark": "dark picture, 8-bit sRGB PNG", "dark16": "dark picture, 16-bit linear PNG", "raw": "raw frame, DNG",

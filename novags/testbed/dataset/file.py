@@ -10,16 +10,18 @@ description, version, creators, url, date
 """  # noqa: D214
 
 import math
+import os
 import re
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal, get_type_hints
 
 from novags.methods.variant import dotted
 from novags.settings import converted
-from novags.testbed.study.axes import changes_of
-from novags.testbed.study.grid import Study, study_of
+from novags.testbed.dataset.noise import with_own_noise
+from novags.testbed.study.axes import changes_of, scene_identity, scene_of
+from novags.testbed.study.grid import Cell, Study, study_of
 from sensor_model.files.reading import brief
 from sensor_model.files.toml_file import read_toml
 
@@ -78,23 +80,41 @@ def read_dataset(path: Path) -> tuple[Study, DatasetConfig]:
             key.
     """
     table = read_toml(path)
-    about = table.pop("dataset", None)
+    about = table.get("dataset")
     try:
         if not isinstance(about, dict):
             raise ValueError('[dataset] is missing: it needs name and licence, such as "CC-BY-4.0"')
-        config = _config(about)
+        config = _with_named_scenes(_config(about), path)
         for place in ("grid", "override", *(f"rig.{name}" for name in table.get("rig", {}))):
             _refuse_methods(table, place, path.parent)
         if wrong := [name for name in ("variant", "method") if name in table]:
             raise ValueError(f"[{wrong[0]}]: a data set has no methods: remove it")
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
-    study = study_of(path, table, "capture")
+    study = study_of(path, {key: value for key, value in table.items() if key != "dataset"}, "capture")
     for cell in study.cells:
         if cell.preset.folder or cell.preset.photos or cell.preset.dark:
             raise ValueError(f"{path}: {cell.label}: a data set is of rendered scenes, and this one was photographed: "
                              "leave it out")  # fmt: skip
-    return study, config
+    cells = (Cell(c.values, with_own_noise(c.preset, spelled(c.preset.render.scene, path))) for c in study.cells)
+    return replace(study, cells=tuple(cells), table=table), config
+
+
+def spelled(scene: str, file: Path) -> str:
+    """The one name of a scene in a data set: that of the catalogue, or the path from the folder of the file."""
+    return os.path.relpath(scene_identity(scene), file.parent.resolve()) if scene.endswith(".xml") else scene
+
+
+def _with_named_scenes(config: DatasetConfig, file: Path) -> DatasetConfig:
+    """With the scenes that lists of splits name by their one names."""
+    split = dict(config.split)
+    for name, listed in config.split.items():
+        if isinstance(listed, list):
+            try:
+                split[name] = [spelled(scene_of(str(scene), file.parent), file) for scene in listed]
+            except ValueError as error:
+                raise ValueError(f"[dataset.split] {name}: {error}") from error
+    return replace(config, split=split)
 
 
 def _config(about: dict[str, Any]) -> DatasetConfig:

@@ -13,9 +13,9 @@ from novags.testbed.cache import write_json, write_text
 from novags.testbed.console import Console
 from novags.testbed.dataset.card import card
 from novags.testbed.dataset.croissant import croissant
-from novags.testbed.dataset.file import SPLITS, DatasetConfig
-from novags.testbed.dataset.publish import INDEX, Entry, entries_of, link, spelled, views_of, write_index
-from novags.testbed.dataset.shards import FOLDER, write_shards
+from novags.testbed.dataset.file import SPLITS, DatasetConfig, spelled
+from novags.testbed.dataset.publish import INDEX, Entry, entries_of, link, views_of, write_index
+from novags.testbed.dataset.shards import FOLDER, remove_shards, write_shards
 from novags.testbed.dataset.splits import splits_of
 from novags.testbed.machine.provenance import package_version
 from novags.testbed.study.conduct import STUDY
@@ -67,7 +67,9 @@ def publish(plan: Plan, config: DatasetConfig, store: Path, out: Path, console: 
     write_index(views, out)
     files = _checksums(out, console)
     shards: list[str] = []
-    if config.shard_mb is not None:
+    if config.shard_mb is None:
+        remove_shards(out)
+    else:
         sums = {name: facts["sha256"] for name, facts in files.items()}
         shards = write_shards(views, out, config.shard_mb, sums)
         files |= {name: _facts(out / name) for name in shards}

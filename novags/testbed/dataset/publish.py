@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed.cache import read_json, write_text
+from novags.testbed.dataset.file import spelled
 from novags.testbed.folders.capture import RECORD as CAPTURE
 from novags.testbed.stages.rendering import RECORD as SET
 from novags.testbed.study.entry import Task
@@ -30,7 +31,7 @@ class Entry:
 
     Attributes:
         task: What made it.
-        scene: What was rendered, as the file of the data set spells it.
+        scene: What was rendered, as `spelled` names it.
         split: Where it lies.
         values: Of the axes, of a capture.
         seal: What it holds.
@@ -51,8 +52,8 @@ class Entry:
 
     def facts(self) -> dict[str, Any]:
         """For the manifest: what it is, what was simulated and what not, what it cost."""
-        kept = {name: self.record.get(name) for name in ("sensor_name", "electrons", "seed", "spp", "n_views",
-                                                         "views", "width", "height")}  # fmt: skip
+        kept = {name: self.record.get(name) for name in ("sensor_name", "electrons", "seed", "noise_seed", "spp",
+                                                         "n_views", "views", "width", "height")}  # fmt: skip
         kept["views"] = kept["views"] if isinstance(kept["views"], int) else kept["n_views"]
         del kept["n_views"]
         return {
@@ -94,11 +95,6 @@ def entries_of(plan: Plan, store: Path, splits: Mapping[str, str]) -> list[Entry
         scene = spelled(made.config.scene, plan.study.path)
         found.append(Entry(task, scene, splits[scene], dict(values.get(task.key, {})), seal, record))
     return found
-
-
-def spelled(scene: str, file: Path) -> str:
-    """A scene as the file of a data set spells it: a name of the catalogue, or a path that starts at its folder."""
-    return os.path.relpath(scene, file.parent) if scene.endswith(".xml") else scene
 
 
 def link(entry: Entry, store: Path, out: Path) -> None:
@@ -144,7 +140,8 @@ def views_of(entries: list[Entry], out: Path) -> Iterator[View]:
             place, truth = entry.place, lit.place
             yield View({
                 "split": entry.split, "scene": entry.scene, "sensor": entry.record["sensor_name"],
-                "electrons": entry.record["electrons"], "seed": entry.record["seed"], "capture": place, "set": truth,
+                "electrons": entry.record["electrons"], "seed": entry.record["seed"],
+                "noise_seed": entry.record["noise_seed"], "capture": place, "set": truth,
                 "view": name, "held_out": int(i in cameras.test_indices), "dark": f"{place}/images/{name}.png",
                 "dark16": f"{place}/images16/{name}.png", "raw": f"{place}/raw/{name}.dng",
                 "truth": f"{place}/truth/{name}.exr", "lit": f"{truth}/images/{name}.png",

@@ -6,16 +6,19 @@ The same samples give the same bytes: names in order, no times, no owners.
 import hashlib
 import io
 import json
+import re
 import tarfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Container, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 from novags.testbed.cache import read_json, write_json
+from novags.testbed.dataset.file import SPLITS
 from novags.testbed.dataset.publish import View
 from sensor_model.files.atomic import atomic
 
 FOLDER, STATE = "shards", ".shards.json"
+SHARD = re.compile(rf"({'|'.join(SPLITS)})-\d{{6,}}\.tar")
 MEMBERS = {"dark": "dark.png", "dark16": "dark16.png", "raw": "raw.dng", "truth": "truth.exr", "lit": "lit.png",
            "gt": "gt.exr"}  # fmt: skip
 
@@ -44,11 +47,25 @@ def write_shards(views: Sequence[View], out: Path, megabytes: float, sums: dict[
                 _write(temporary, samples, out)
         made[name] = recipe
         write_json(state_file, {**known, **made})
-    for path in folder.glob("*.tar"):
-        if path.name not in made:
-            path.unlink()
+    remove_shards(out, but=made)
     write_json(state_file, made)
     return [f"{FOLDER}/{name}" for name in made]
+
+
+def remove_shards(out: Path, but: Container[str] = ()) -> None:
+    """Remove the shards of an earlier file of this data set, which its manifest does not list, except those named.
+
+    Raises:
+        OSError: If they cannot be removed.
+    """
+    folder = out / FOLDER
+    for path in sorted(folder.glob("*.tar")):
+        if SHARD.fullmatch(path.name) and path.name not in but:
+            path.unlink()
+    if not but and folder.is_dir():
+        (folder / STATE).unlink(missing_ok=True)
+        if not any(folder.iterdir()):
+            folder.rmdir()
 
 
 def _divided(views: Sequence[View], out: Path, limit: float) -> Iterator[tuple[str, list[tuple[str, View]]]]:

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from novags.settings import check_seed
 from novags.testbed.cache import run_stage
 from novags.testbed.console import Console, Update
 from novags.testbed.folders import capture as capture_folder
@@ -69,8 +70,7 @@ class CaptureConfig:
             raise ValueError(f"demosaic must be one of {', '.join(FULL_SIZE)}, got {self.demosaic!r}")
         if self.jpeg_quality is not None and not 1 <= self.jpeg_quality <= 100:
             raise ValueError(f"jpeg_quality must be None or in 1..100, got {self.jpeg_quality}")
-        if self.seed < 0:
-            raise ValueError(f"seed must be >= 0, got {self.seed}")
+        check_seed(self.seed)
         check_layouts(self.export)
         if self.time and not TIMES[0] <= self.time <= TIMES[1]:  # refuses negative times too
             raise ValueError(f"time must be 0 or in {TIMES} s, the range of its raw files, got {self.time}")
@@ -88,6 +88,11 @@ class CaptureConfig:
         return kept | truth | {"sensor": self.sensor_name}
 
     @property
+    def noise_seed(self) -> int:
+        """Of the random numbers. Captures of one camera and `seed` share them, so that studies compare pairs."""
+        return self.seed
+
+    @property
     def exposure(self) -> Exposure:
         """As the sensor model's own type."""
         return Exposure(time=self.time)
@@ -97,6 +102,18 @@ class CaptureConfig:
         if self.tolerance is None:
             return None
         return Limits(sd=self.tolerance, row_length=ROW_LENGTH, pixels=pixels)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OwnNoiseConfig(CaptureConfig):
+    """A capture whose noise no other one shares: what is trained on several cannot learn the random numbers."""
+
+    drawn: int  # seed of the random numbers; `seed` says which of several exposures of the same light it is
+
+    @property
+    def noise_seed(self) -> int:
+        """Of the random numbers."""
+        return self.drawn
 
 
 def capture(
@@ -227,7 +244,7 @@ def capture_views(
             if not has_view(folder, name):
                 frame, clean = expose_with_truth(
                     source.radiance(i), sensor, exposure, electrons=config.electrons, mean_green=light.mean_green,
-                    seed=config.seed, view=i, plan=plan,
+                    seed=config.noise_seed, view=i, plan=plan,
                 )  # fmt: skip
                 matrix = source.color_matrix
                 write_view(
@@ -255,6 +272,7 @@ def capture_views(
         "color_matrix": source.color_matrix,
         "jpeg_quality": config.jpeg_quality,
         "seed": config.seed,
+        **({} if config.noise_seed == config.seed else {"noise_seed": config.noise_seed}),
         "views": len(names),
         "width": source.rig.width,
         "height": source.rig.height,

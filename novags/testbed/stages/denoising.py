@@ -9,6 +9,7 @@ import numpy as np
 from novags.methods.denoised.denoiser import DenoiseConfig, denoised
 from novags.methods.denoised.measured import of_capture
 from novags.methods.denoised.weights import made_by
+from novags.settings import check_seed
 from novags.testbed.cache import run_stage
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_capture
@@ -30,8 +31,7 @@ class DenoisePicturesConfig:
     device: str = "auto"  # "auto", "cpu", "cuda": not part of a result's identity
 
     def __post_init__(self) -> None:
-        if self.seed < 0:
-            raise ValueError(f"seed must be >= 0, got {self.seed}")
+        check_seed(self.seed)
 
 
 def denoise(

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from novags.cameras.registration import PLACED, Observed, Registered, Shot, register
+from novags.settings import check_seed
 from novags.testbed.cache import folder_digest, run_stage
 from novags.testbed.console import Console
 from novags.testbed.folders.raw_files import SUFFIXES as RAW
@@ -48,8 +49,7 @@ class PosesConfig:
         if self.max_features < 100 or not 0 < self.peak_threshold < 1:
             raise ValueError(f"max_features must be >= 100 and peak_threshold in (0, 1), got {self.max_features} and "
                              f"{self.peak_threshold}")  # fmt: skip
-        if self.seed < 0:
-            raise ValueError(f"seed must be >= 0, got {self.seed}")
+        check_seed(self.seed)
 
     def resolved(self) -> dict[str, Any]:
         """What determines the result, apart from the content of the photographs."""

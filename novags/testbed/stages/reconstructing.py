@@ -15,7 +15,7 @@ from novags.methods import METHODS
 from novags.methods.problem import LacksInput, Problem, RawPictures, TrueSurface
 from novags.methods.reconstruction import Reconstruction
 from novags.methods.variant import Variant, sees_statistics
-from novags.settings import files_among, refuse_lost_files
+from novags.settings import check_seed, files_among, refuse_lost_files
 from novags.splats import Views
 from novags.testbed.cache import folder_digest, run_stage
 from novags.testbed.console import Console, losses_text
@@ -52,8 +52,7 @@ class ReconstructConfig:
             object.__setattr__(self, "config", config)
         if self.points < 4:
             raise ValueError(f"points must be >= 4, got {self.points}")
-        if self.seed < 0:
-            raise ValueError(f"seed must be >= 0, got {self.seed}")
+        check_seed(self.seed)
         if METHODS[self.variant.method].sees_surface and self.cameras != KnownConfig():
             raise ValueError(
                 f"{self.variant.name} follows the true surface and so takes the set's own cameras, got cameras = "

@@ -15,6 +15,7 @@ from novags.testbed.importing.published.named import DATA
 from novags.testbed.levels import level_named
 from novags.testbed.presets import Preset, adapted
 from sensor_model import PRESETS as SENSORS
+from simscenes.scenes import canonical_name
 
 RENAMED = {"views": "n_views"}  # as the command line calls them -> as `adapted` does
 NOT_AXES = ("preset", "return", "methods", "variants", "n_views", "dark")
@@ -111,7 +112,7 @@ def _keywords(key: str, value: Any, folder: Path) -> dict[str, Any]:
     if key == "cameras":
         return {"cameras": _cameras(_text(value), folder)}
     if key == "scene":
-        return {"scene": _scene(_text(value), folder)}
+        return {"scene": scene_of(_text(value), folder)}
     if key == "photos":
         if not (path := folder / Path(_text(value)).expanduser()).exists():
             raise ValueError(f"there are no photographs {path}")
@@ -144,12 +145,25 @@ def _cameras(value: str, folder: Path) -> CameraConfig:
     return replace(config, **paths)
 
 
-def _scene(value: str, folder: Path) -> str:
-    """A scene of the catalogue by name; a file or a folder by its whole path."""
+def scene_of(value: str, folder: Path) -> str:
+    """A scene of the catalogue by its one name; a file or a folder by its whole path.
+
+    Args:
+        value: As a file of a study or of a data set spells it.
+        folder: Of that file.
+
+    Raises:
+        ValueError: If the catalogue has no such scene, or the file does not exist.
+    """
     path = folder / Path(value).expanduser()
     if value.endswith(".xml") and not path.is_file():
         raise ValueError(f"the scene file {path} does not exist")
-    return str(path) if value.endswith(".xml") or path.is_dir() else value
+    return str(path) if value.endswith(".xml") or path.is_dir() else canonical_name(value)
+
+
+def scene_identity(scene: str) -> str:
+    """What all spellings of a scene have in common: its one name, or where the file or folder really is."""
+    return str(Path(scene).resolve()) if scene.endswith(".xml") or Path(scene).is_dir() else scene
 
 
 def _text(value: Any) -> str:

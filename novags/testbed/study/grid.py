@@ -12,7 +12,7 @@ preset = "demo"                    where all that is not said comes from
 import itertools
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
@@ -24,7 +24,7 @@ from novags.methods.variant import Variant, dotted
 from novags.testbed.foreign.command import read_commands
 from novags.testbed.importing.published.named import DataFolder
 from novags.testbed.presets import EXPERIMENTS, Preset, variants_in
-from novags.testbed.study.axes import STAGES, Changes, applied, changes_of
+from novags.testbed.study.axes import STAGES, Changes, applied, changes_of, scene_identity
 from sensor_model.files.reading import brief
 from sensor_model.files.toml_file import read_toml
 
@@ -185,8 +185,7 @@ class _Reader:
                     raise ValueError("it has no values: give one, or leave the axis out")
                 for value in values:
                     self._axis_value(key, value)
-                if twice := [value for value in values if values.count(value) > 1]:
-                    raise ValueError(f"{twice[0]!r} is listed twice")
+                self._refuse_twice(key, values)
                 found[key] = tuple(values)
         self._one_place_each(found, shared)
         if self.ends == "run":
@@ -203,6 +202,20 @@ class _Reader:
             self._rig(value)
         else:
             self._checked(key, value)
+
+    def _refuse_twice(self, key: str, values: list[Value]) -> None:
+        seen: dict[Any, Value] = {}
+        for value in values:
+            meant = self._meant(key, value)
+            if meant in seen:
+                also = "" if seen[meant] == value else f", also as {value!r}"
+                raise ValueError(f"{seen[meant]!r} is listed twice{also}: leave one out")
+            seen[meant] = value
+
+    def _meant(self, key: str, value: Value) -> Any:
+        """What values that mean the same have in common."""
+        scene = self._changes(key, value).adapted.get("scene") if key == "scene" else None
+        return value if scene is None else scene_identity(scene)
 
     def _rig(self, name: Value) -> Changes:
         if name not in self.rigs:
@@ -307,10 +320,15 @@ def _without_excluded(
             wanted = {key: _expanded(_listed(value), data) for key, value in dotted(rule).items()}
             _known(wanted, tuple(axes), "axis")
             for key, listed in wanted.items():
-                if missing := [value for value in listed if value not in axes[key]]:
+                if missing := [value for value in listed if not _among(value, axes[key])]:
                     known = ", ".join(map(str, axes[key]))
                     raise ValueError(f"{key}: {missing[0]!r} is not among its values in [grid] ({known})")
-        kept = [c for c in kept if not all(c[key] in values for key, values in wanted.items())]
+        kept = [c for c in kept if not all(_among(c[key], values) for key, values in wanted.items())]
     if not kept:
         raise ValueError(f"{path}: [[exclude]]: nothing is left to run")
     return kept
+
+
+def _among(value: Value, listed: Sequence[Value]) -> bool:
+    """Whether a value is one of those listed. Python takes true for 1; in a file they are two things."""
+    return any(value == other and isinstance(value, bool) == isinstance(other, bool) for other in listed)

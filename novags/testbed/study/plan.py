@@ -15,6 +15,7 @@ from novags.testbed.folders.set import open_source
 from novags.testbed.foreign.command import CommandConfig
 from novags.testbed.machine.devices import chosen_device
 from novags.testbed.presets import Preset
+from novags.testbed.stages.capturing import CaptureConfig
 from novags.testbed.stages.importing import ImportConfig, material_of
 from novags.testbed.stages.posing import PosesConfig, photographs_of
 from novags.testbed.stages.rendering import RenderConfig, scene_digest
@@ -105,12 +106,14 @@ class Planner:
         console: Where notes on sets that are there go.
         tasks: What was planned, by key, each after those that it needs.
         contents: Of scenes and of sets that are there, read once.
+        keys: Of sets and captures by what they are made from, hashed once: many runs share them.
     """
 
     store: Path
     console: Console
     tasks: dict[str, Task] = field(default_factory=dict)
     contents: dict[Any, Any] = field(default_factory=dict)
+    keys: dict[tuple[str, str], str] = field(default_factory=dict)
 
     def run(self, preset: Preset) -> str:
         """The key of a run, which is planned with all that it needs."""
@@ -153,7 +156,7 @@ class Planner:
             source = preset.folder.resolve()
             content, views, pixels = self._folder(source, config.max_size)
             name = source.name
-        key = key_of("capture", {"config": config.resolved(), **content})
+        key = self._key("capture", config, content)
         self.contents[key] = views
         parts = [name, config.sensor_name, f"{config.electrons:g}e", f"s{config.seed}"]
         return self._task(Task(
@@ -197,7 +200,7 @@ class Planner:
         scene = (config.scene, config.allow_outside)
         if scene not in self.contents:
             self.contents[scene] = scene_digest(config)
-        key = key_of("set", {"config": config.resolved(), "scene": self.contents[scene]})
+        key = self._key("set", config, {"scene": self.contents[scene]})
         pixels = float(config.n_views * config.width * config.height)
         name = f"{config.source.name.replace(':', '')}-{config.n_views}x{config.width}x{config.height}"
         self.contents[key] = config.n_views
@@ -218,6 +221,12 @@ class Planner:
         return self._task(Task(
             kind="set", key=key, name=named(config.name, key), config=config, group="poses", work=pixels, pixels=pixels,
         ))  # fmt: skip
+
+    def _key(self, kind: str, config: RenderConfig | CaptureConfig, made_of: dict[str, Any]) -> str:
+        place = (kind, repr((config, made_of)))
+        if place not in self.keys:
+            self.keys[place] = key_of(kind, {"config": config.resolved(), **made_of})
+        return self.keys[place]
 
     def _task(self, task: Task) -> str:
         self.tasks.setdefault(task.key, task)

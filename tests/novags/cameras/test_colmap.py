@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from novags.cameras.colmap import LOWER_EDGE, detect, extraction, quiet
+from novags.cameras.colmap import LOWER_EDGE, detect, extraction, quiet, verification
 
 
 def test_features_in_the_last_row_whose_descriptors_are_undefined_are_left_out(corner, tmp_path: Path) -> None:
@@ -28,3 +28,11 @@ def test_features_in_the_last_row_whose_descriptors_are_undefined_are_left_out(c
     # Rows of defined descriptors have unit length, in steps of 1/512, in the square roots that COLMAP takes.
     assert np.array_equal(described, descriptors.data[inner])
     assert np.abs(np.linalg.norm(described / 512.0, axis=1) - 1).max() < 0.02
+
+
+def test_any_seed_of_a_run_is_one_for_colmap() -> None:
+    import pycolmap
+
+    for seed, known in ((7, 7), (2**31 + 7, 7), (2**64 - 1, 2**31 - 1)):
+        options = verification(pycolmap, min_matches=15, max_error=4.0, seed=seed)
+        assert options.ransac.random_seed == known

@@ -111,3 +111,8 @@ def test_a_long_complaint_of_a_library_is_cut(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=r"x\.bin is damaged") as found, reading(tmp_path / "x.bin"):
         raise KeyError("k" * 5000)
     assert len(str(found.value)) < 500 + len(str(tmp_path))
+
+
+def test_a_byte_order_mark_is_passed_over(tmp_path: Path) -> None:
+    (tmp_path / "x.toml").write_bytes(b"\xef\xbb\xbfa = 1\n")
+    assert read_toml(tmp_path / "x.toml") == {"a": 1}

@@ -197,3 +197,9 @@ def _sfm() -> Any:
     from novags.cameras import parse_cameras
 
     return parse_cameras("sfm")
+
+
+@pytest.mark.parametrize(("budget", "said"), [(1.0, "more than 0.5 s here"), (15.0, "7.5 s here")])
+def test_a_budget_too_small_to_try_in_says_what_it_had(work: Work, tmp_path: Path, budget: float, said: str) -> None:
+    with pytest.raises(ValueError, match=f"a budget of {budget:g} s is too small: .* {said}"):
+        conduct.run(Request(PRESET, budget), tmp_path / "x", Told())

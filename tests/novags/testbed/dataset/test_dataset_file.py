@@ -8,6 +8,7 @@ import pytest
 
 from novags.testbed.console import Console
 from novags.testbed.dataset.file import DatasetConfig, read_dataset
+from novags.testbed.dataset.make import splits
 from novags.testbed.dataset.splits import splits_of
 from novags.testbed.study.plan import plan_of
 
@@ -32,6 +33,31 @@ def test_every_combination_is_a_capture_and_sets_are_shared(tmp_path: Path) -> N
     kinds = [task.kind for task in plan.tasks.values()]
     assert {kind: kinds.count(kind) for kind in kinds} == {"set": 4, "capture": 8}
     assert {plan.tasks[key].kind for key in plan.ends} == {"capture"}
+
+
+def test_noise_differs_between_captures_and_follows_from_what_they_are(tmp_path: Path) -> None:
+    def drawn(text: str) -> dict[str, int]:
+        (tmp_path / "data.toml").write_text(text)
+        cells = read_dataset(tmp_path / "data.toml")[0].cells
+        assert all(cell.preset.capture.seed == cell.values["seed"] for cell in cells)
+        return {cell.label: cell.preset.capture.noise_seed for cell in cells}
+
+    first = drawn(f"{FILE}seed = [0, 1]\n")
+    assert len(set(first.values())) == len(first) == 16
+    assert all(0 <= seed < 2**53 for seed in first.values())
+    second = drawn(f'{FILE}seed = [1]\nsensor = ["imx900-hcg"]\n')
+    assert not set(first.values()) & set(second.values())
+    assert drawn(f"{FILE}seed = [1, 0]\n".replace("2..4", "2..3")).items() <= first.items()
+
+
+def test_splits_take_any_spelling_of_a_scene(tmp_path: Path) -> None:
+    (tmp_path / "a.xml").write_text("<scene version='3.0.0'/>")
+    text = FILE.replace('"cornell"', '"cornell:00", "./a.xml"').replace("2..4", "0..2")
+    split = "[dataset.split]\ntrain = 1\nval = ['tabletop:02']\ntest = ['cornell', '../{}/a.xml', 'tabletop:00']"
+    by = text.replace("licence", "split_by = 'variation'\nlicence")
+    (tmp_path / "data.toml").write_text(by + split.format(tmp_path.name))
+    found = splits(*read_dataset(tmp_path / "data.toml"))
+    assert found == {"tabletop": "test", "tabletop:1": "train", "tabletop:2": "val", "cornell": "test", "a.xml": "test"}
 
 
 def config(**settings: Any) -> DatasetConfig:
@@ -96,6 +122,8 @@ WRONG = {
     "variant": (f"{FILE}[variant.a]\nmethod='naive'", "[variant]: a data set has no methods"),
     "photographs": (FILE.replace('"cornell"', '"photos"'), "a data set is of rendered scenes"),
     "range": (FILE.replace("2..4", "4..2"), "[grid] scene: 'tabletop:4..2' must be NAME:FIRST..LAST"),
+    "scene twice": (FILE.replace('"cornell"', '"tabletop:04"'), "'tabletop:4' is listed twice, also as 'tabletop:04'"),
+    "scene of a split": (f"{FILE}[dataset.split]\ntrain = 1\ntest = ['attic']", "test: no scene 'attic'"),
     "study's": (f"{FILE}[override]\nspps=3", "[override] spps: there is no such key"),
 }
 

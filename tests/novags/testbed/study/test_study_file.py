@@ -132,6 +132,21 @@ def test_paths_start_at_the_folder_of_the_file(tmp_path: Path) -> None:
     assert cell.preset.reconstruct("sci-gs").config.enhance.weights == (tmp_path / "b.pth",)
 
 
+def test_a_scene_has_one_name_and_the_axis_keeps_its_spelling(tmp_path: Path) -> None:
+    cells = read(tmp_path, "[grid]\nscene = ['cornell:0', 'tabletop:03', 'tabletop:4']\nmethod = 'naive'").cells
+    assert [cell.preset.render.scene for cell in cells] == ["cornell", "tabletop:3", "tabletop:4"]
+    assert [cell.values["scene"] for cell in cells] == ["cornell:0", "tabletop:03", "tabletop:4"]
+
+
+def test_a_scene_file_by_two_paths_is_listed_twice(tmp_path: Path) -> None:
+    (tmp_path / "rooms").mkdir()
+    (tmp_path / "a.xml").write_text("<scene version='3.0.0'/>")
+    (tmp_path / "link.xml").symlink_to("a.xml")
+    for other in ("rooms/../a.xml", "link.xml"):
+        with pytest.raises(ValueError, match=f"'a.xml' is listed twice, also as '{other}': leave one out"):
+            read(tmp_path, f"[grid]\nscene = ['a.xml', '{other}']")
+
+
 WRONG: dict[str, tuple[str, str]] = {
     "no toml": ("[grid", "is not a readable TOML file"),
     "table": ("[gird]\nseed = 0", "unknown table or key 'gird'; did you mean 'grid'"),
@@ -146,9 +161,12 @@ WRONG: dict[str, tuple[str, str]] = {
     "type": ("[grid]\nelectrons = ['many']", "[grid] electrons: it must be a number or none, got 'many'"),
     "whole": ("[grid]\nseed = [0.5]", "[grid] seed: it must be a whole number or none, got 0.5"),
     "range": ("[grid]\nelectrons = [5, -1]", "[grid] electrons: electrons must be > 0 and finite, got -1"),
-    "seed": ("[grid]\nseed = [-1]", "[grid] seed: seed must be >= 0, got -1"),
+    "seed": ("[grid]\nseed = [-1]", "[grid] seed: seed must be >= 0 and < 2**64, got -1"),
+    "large seed": (f"[grid]\nseed = [{2**64}]", f"[grid] seed: seed must be >= 0 and < 2**64, got {2**64}"),
     "empty": ("[grid]\nseed = []", "[grid] seed: it has no values"),
     "twice": ("[grid]\nelectrons = [5, 5.0]", "[grid] electrons: 5 is listed twice"),
+    "scene twice": ("[grid]\nscene = ['cornell', 'cornell:0']", "[grid] scene: 'cornell' is listed twice, also as"),
+    "variation twice": ("[grid]\nscene = ['hall:1', 'hall:01']", "'hall:1' is listed twice, also as 'hall:01'"),
     "nested": ("[grid]\nelectrons = [[5, 6]]", "[grid] electrons: each value must be text, a number, or true or false"),
     "setting of a stage": ("[grid]\n'capture.jpeg_qualty' = 9", "CaptureConfig has no setting 'jpeg_qualty'; did"),
     "seed of the capture": ("[grid]\n'capture.seed' = [1]", "capture.seed: the seed of the noise is that of the run"),
@@ -183,6 +201,9 @@ WRONG: dict[str, tuple[str, str]] = {
     "exclude axis": ("[[exclude]]\nscnee='cornell'", "[[exclude]] 1: unknown axis 'scnee'"),
     "exclude value": (
         "[grid]\nelectrons=[5]\n[[exclude]]\nelectrons=6", "1: electrons: 6 is not among its values in [grid] (5)"
+    ),
+    "exclude truth": (
+        "[grid]\nelectrons=[1, 5]\n[[exclude]]\nelectrons=true", "1: electrons: True is not among its values in [grid]"
     ),
     "exclude nothing": ("[grid]\nelectrons=[5]\n[[exclude]]\nelectrons=[]", "1: electrons has no values"),
     "exclude shape": ("exclude = 3", "[[exclude]]: each must be a table"),

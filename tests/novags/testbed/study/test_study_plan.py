@@ -1,10 +1,14 @@
 """Claims about the plan of a study: what is shared, what a key depends on, what is refused, what it will take."""
 
+from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from novags.methods.variant import Variant
 from novags.testbed.console import Console
 from novags.testbed.study import store
 from novags.testbed.study.costs import Costs, default, longest_after, time_left
@@ -53,6 +57,26 @@ def test_stages_that_runs_share_are_planned_once(tmp_path: Path) -> None:
     for key, task in found.tasks.items():  # what a task needs comes before it
         assert seen >= set(task.needs)
         seen.add(key)
+
+
+def test_what_runs_share_is_made_and_hashed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    hashed, made = Counter[str](), list[str]()
+
+    def key_of(kind: str, recipe: dict[str, Any], code: str | None = None) -> str:
+        hashed[kind] += 1
+        return store.key_of(kind, recipe, code)
+
+    def config(variant: Variant, default: Any, shared: Mapping[str, Any]) -> Any:
+        made.append(variant.name)
+        return original(variant, default, shared)
+
+    original = Variant.config
+    monkeypatch.setattr("novags.testbed.study.plan.key_of", key_of)
+    monkeypatch.setattr(Variant, "config", config)
+    found = plan(tmp_path, f"{GRID.replace('[0, 1]', str(list(range(20))))}[override]\niterations = 123\n")
+    assert len(found.runs) == 160
+    assert hashed == {"set": 2, "capture": 80, "run": 160}
+    assert len(made) < 20  # of the two methods, and of those of the preset
 
 
 def test_a_key_stays_the_same_and_changes_with_settings_above_it_and_with_its_code(
