@@ -107,6 +107,25 @@ def test_a_part_of_a_view_is_timed_when_its_kernel_is_compiled(
     assert traced == [drawn] * 2
 
 
+def test_a_pilot_is_timed_without_the_compilation_of_its_kernel_and_drawn_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """60 s of compilation, then 1/8 s a sample of a pixel: 24 pixels take 3 s for one sample in each."""
+    clock, traced = Clock(), []
+    monkeypatch.setattr(radiance, "time", SimpleNamespace(perf_counter=clock))
+    monkeypatch.setattr(radiance, "compilation", lambda: nullcontext(lambda: 60.0))
+
+    def draw(self: Any, more: Any) -> None:
+        clock.now += 60 + 2 * more.sum() / 8
+        self.samples.count += more
+        traced.append(int(more.sum()))
+
+    monkeypatch.setattr(radiance.View, "_draw", draw)
+    view = radiance.View(SimpleNamespace(variant="llvm", subframes=1), RIG, 0)  # type: ignore[arg-type]
+    assert view.pilot.seconds == pytest.approx(3)
+    assert traced == [24 * radiance.PILOT_SPP // 2]
+
+
 def test_versions_and_memory_are_those_of_this_process() -> None:
     assert versions()["numpy"] == np.__version__
     assert versions()["python"] == ".".join(map(str, sys.version_info[:3]))
