@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sensor_model import PRESETS, Exposure, Sensor, expose, mosaic
+from sensor_model import PRESETS, Banding, Exposure, Sensor, expose, mosaic
 
 EXPOSURE = Exposure(time=0.02)
 
@@ -138,3 +138,14 @@ def test_light_of_the_wrong_shape_or_type_is_refused(photons, cfa, message):
         expose(photons, sensor, EXPOSURE, seed=0, view=0)
     with pytest.raises(ValueError, match="shot must be one of"):
         expose(np.zeros((4, 4)), sensor, EXPOSURE, seed=0, view=0, shot="gauss")
+
+
+def test_a_crop_has_its_own_part_of_the_banding():
+    sensor = Sensor(
+        gain=2.0, eta=0.5, mu_e_sat=1800.0, black_level=64, bits=12, sigma_d=1.5, cfa=None,
+        banding=Banding(amplitude=4.0, period=7.3),
+    )  # fmt: skip
+    photons = np.full((40, 30), 200.0)
+    whole = expose(photons, sensor, EXPOSURE, seed=7, view=1)
+    part = expose(photons[3:, 5:], sensor, Exposure(time=EXPOSURE.time, origin=(3, 5)), seed=7, view=1)
+    np.testing.assert_array_equal(part.dn, whole.dn[3:, 5:])

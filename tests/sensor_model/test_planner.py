@@ -141,6 +141,26 @@ def test_prnu_rule_matches_its_closed_form():
     assert shared.is_on("prnu")
 
 
+def test_the_most_sensitive_hot_pixel_says_what_the_droop_costs():
+    s, low, high = EVERYTHING, 50.0, 500.0
+    found = plan_effects(s, EXPOSURE, [low, high], Limits(sd=0.05))["nonlinearity"]
+    most = high * (1 + 5 * s.prnu) + 30 * s.dark_e(EXPOSURE)
+    want = {"relative standard deviation": 2 * s.droop * (most + 1), "relative signal": s.droop * (most + 1)}
+    assert found.contribution == pytest.approx(want[found.unit])
+
+
+def test_banding_adds_half_of_its_amplitudes_square():
+    found = plan_effects(EVERYTHING, EXPOSURE, [50.0, 500.0], Limits(sd=0.05, row_length=7))["banding"]
+    assert found.contribution == pytest.approx(7 * 0.1**2 / 2 / (2 * kept_variance(EVERYTHING, 50.0)))
+
+
+def test_crosstalk_is_counted_to_and_from_four_neighbours():
+    s, low, high = EVERYTHING, 50.0, 500.0
+    found, spill = plan_effects(s, EXPOSURE, [low, high], Limits(sd=0.05))["crosstalk"], 4 * 0.001 * (high - low)
+    want = {"relative standard deviation": spill**2 / (2 * kept_variance(s, high)), "DN of bias": s.gain * spill}
+    assert found.contribution == pytest.approx(want[found.unit])
+
+
 def test_row_noise_counts_by_the_length_of_the_rows_that_get_averaged():
     """One per cent of a pixel's variance is six times the variance of a row mean of 500 pixels."""
     sensor = replace(PRESETS["imx900-hcg"], sigma_row=0.1 * math.sqrt(kept_variance(PRESETS["imx900-hcg"], 20)))
