@@ -1,6 +1,7 @@
 """A field learns what it is shown, to the same bits however often it is stopped, and says where it cannot."""
 
 import dataclasses
+import importlib
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -20,6 +21,7 @@ from novags.splats.training.guard import NotFinite
 from novags.splats.views import Views
 
 SIZE = 24
+fitting = importlib.import_module("novags.fields.training.fit")
 TINY = FieldFitConfig(
     iterations=150,
     rays=256,
@@ -211,3 +213,32 @@ def test_a_field_without_views_is_refused() -> None:
     none = Views(views.viewmats[:0], views.Ks[:0], SIZE, SIZE)
     with pytest.raises(ValueError, match="at least one view on the CPU, got 0"):
         fit_field(none, points, box_of(views.centers, points), mse(images), TINY)
+
+
+def test_gradients_fall_with_the_square_of_the_distance_before_near_scale_and_nowhere_else(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    views, _, _, points = ball()
+    box, distances, told, real = box_of(views.centers, points), [], [], fitting.gradients
+    monkeypatch.setattr(fitting, "gradients", lambda *given: told.append(given[-1].copy()) or real(*given))
+
+    def first_colour(batch: Batch) -> Tensor:
+        distances.append(batch.samples.distances)
+        return batch.raw[..., 1].sum()
+
+    config = dataclasses.replace(TINY, iterations=1, distortion=0.0, near_scale=0.5)
+    fit_field(views, points, box, first_colour, config)
+    want = torch.clamp_max((distances[0] / (0.5 * box.middle)) ** 2, 1).flatten()
+    assert 0.1 < float((want < 1).float().mean()) < 0.9
+    np.testing.assert_allclose(told[0][:, 1], want, rtol=1e-6)
+
+
+def test_the_distortion_takes_places_and_widths_in_one_unit(monkeypatch: pytest.MonkeyPatch) -> None:
+    views, images, _, points = ball()
+    seen, real = [], fitting.distortion
+    monkeypatch.setattr(fitting, "distortion", lambda *given: seen.append(given) or real(*given))
+    fit_field(views, points, box_of(views.centers, points), mse(images), dataclasses.replace(TINY, iterations=1))
+    _, along, widths = seen[0]
+    inside = along[:, 1:] < 0.99  # a sample lies in the middle of its interval
+    between = (widths[:, 1:] + widths[:, :-1]) / 2
+    torch.testing.assert_close(along.diff(dim=1)[inside], between[inside], rtol=1e-3, atol=1e-6)

@@ -230,3 +230,13 @@ def test_rows_sum_to_one_or_to_nothing() -> None:
     for rules in (STRICT, LENIENT, replace(STRICT, kernel="linear")):
         weights, seen = warp(world.camera(TARGET), world.camera(AROUND[2]), EVERY, rules)
         assert np.allclose(weights.sum(1), seen)
+
+
+def test_of_two_surfaces_that_fall_onto_one_pixel_the_nearer_is_seen() -> None:
+    K, wide = np.diag([8.0, 8.0, 1.0]), np.diag([2.0, 2.0, 1.0])
+    K[:2, 2], wide[:2, 2] = 4.0, 1.0  # 8 x 8 pixels, of which the other camera has 2 x 2
+    for y, x in ((0, 0), (1, 1), (2, 1)):
+        depth = np.full((8, 8), 4.0)
+        depth[y::4, x::4] = 2.0  # one in each of the large pixels
+        known = Camera.of(np.eye(4), K, depth, np.broadcast_to([0.0, 0.0, -1.0], (8, 8, 3)))
+        np.testing.assert_allclose(seen_together([known], np.eye(4), wide, 2, 2).inverse_depth, 1 / 2.0)

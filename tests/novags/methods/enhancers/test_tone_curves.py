@@ -8,7 +8,13 @@ import torch
 
 from novags.methods import METHODS, chosen
 from novags.methods.enhancers import ENHANCERS, enhanced_like, enhancement_record, recorded
-from novags.methods.enhancers.tone_curves import DragoConfig, EqualiseConfig, GainConfig, GammaConfig
+from novags.methods.enhancers.tone_curves import (
+    DragoConfig,
+    EqualiseConfig,
+    GainConfig,
+    GammaConfig,
+    geometric_mean_params,
+)
 from novags.testbed.cache import jsonable
 
 CURVES = [GammaConfig(), GammaConfig(gamma=None), GainConfig(), DragoConfig(), EqualiseConfig()]
@@ -121,6 +127,11 @@ def test_typical_parameters_lie_between_those_they_are_of(config):
     middle = enhanced_like(dark, config, enhancer.typical(params))
     low, high = (bound([s.numpy() for s in shown], axis=0) for bound in (np.min, np.max))
     assert ((middle.numpy() >= low - 1e-9) & (middle.numpy() <= high + 1e-9)).all()
+
+
+def test_typical_factors_are_geometric_means_of_the_pictures_with_light():
+    params = [np.array([1.0, 4.0]), np.zeros(2), np.array([100.0, 9.0])]
+    np.testing.assert_allclose(geometric_mean_params(params), [10, 6])
 
 
 @pytest.mark.parametrize("config", CURVES, ids=repr)

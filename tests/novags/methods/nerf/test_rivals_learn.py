@@ -84,3 +84,24 @@ def test_i2_takes_statistics_of_the_truth_only_where_it_is_told_to(problem: Call
     told = dataclasses.replace(seen, lit_mean=0.3)
     assert i2.train(told, config).found["mean"] == 0.3
     assert i2.train(told, dataclasses.replace(config, truth_statistics=False)).found["mean"] == 0.45
+
+
+def test_raw_nerfs_epsilon_is_a_share_of_white_whatever_the_unit_of_the_field(
+    dark: SeenDark, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked, real = [], raw.raw_loss
+    monkeypatch.setattr(raw, "first_unit", lambda data: 0.25)
+    monkeypatch.setattr(raw, "raw_loss", lambda *given: asked.append(given[2]) or real(*given))
+    raw.train(dark()[0], raw.RawNerfConfig(fit=dataclasses.replace(QUICK, iterations=1), epsilon=1e-3))
+    assert asked == [pytest.approx(4e-3)]
+
+
+@pytest.mark.parametrize(("truth", "mean"), [(True, 0.3), (False, 0.45)])
+def test_i2_aims_at_the_true_mean_only_where_it_may_know_it(
+    problem: Callable[..., Problem], monkeypatch: pytest.MonkeyPatch, truth: bool, mean: float
+) -> None:
+    asked, real = [], i2.mapped
+    monkeypatch.setattr(i2, "mapped", lambda *given: asked.append(given[2]) or real(*given))
+    config = i2.I2Config(fit=dataclasses.replace(QUICK, iterations=1), truth_statistics=truth, mean=0.45)
+    i2.train(dataclasses.replace(problem(), lit_mean=0.3), config)
+    assert asked == [mean]

@@ -174,3 +174,15 @@ def test_the_chosen_bandwidth_is_near_the_best_and_follows_the_noise() -> None:
         assert len(found) > 3
         chosen.append(h)
     assert chosen[1] > 1.5 * chosen[0]
+
+
+def test_each_judging_view_is_compared_with_its_own_guide() -> None:
+    truth = texture(side=24)
+    turned = torch.stack([torch.from_numpy(np.roll(truth, 3 * i, 0)).float() for i in range(7)])  # no two alike
+    data = exposures_of(truth, 0.06, seed=6, views=7)
+    data = replace(data, light=data.light - torch.from_numpy(truth).float() + turned)
+    _, found = choose_bandwidth(turned, data, CURVE)
+    views = [0, 2, 4, 6]
+    some = replace(data, light=data.light[views], held=data.held[views])
+    want = errors_of_average(turned[views], some, CURVE, found[5]["h"])
+    assert (found[5]["bias2"], found[5]["variance"]) == pytest.approx(want)

@@ -15,7 +15,7 @@ from novags.methods.nova_plus.likelihood import FLOOR, Likelihood
 from novags.methods.problem import LacksInput, Problem, RawPictures
 from novags.methods.tone import ToneCurve
 from novags.splats.views import Views
-from sensor_model import PRESETS, Exposure, develop_linear, expose, mosaic
+from sensor_model import PRESETS, DualGain, Exposure, develop_linear, expose, mosaic
 from sensor_model.isp import white_balance
 
 CURVE = ToneCurve(top=0.2, k=4.0)
@@ -88,6 +88,22 @@ def test_the_variance_is_that_of_the_light_over_many_exposures(name: str) -> Non
     for c in range(3):
         ratio = (variance[..., c][there[..., c]] / claimed[..., c][there[..., c]]).mean()
         assert abs(float(ratio) - 1) < 5 * math.sqrt(2 / 300 / int(there[..., c].sum())) + 0.02, c
+
+
+def test_two_gains_switch_at_the_same_datum_in_light_as_in_raw_frames() -> None:
+    gains = DualGain(threshold=500.0, sigma_d=9.0, ratio=8.0)
+    sensor = replace(PRESETS["a7s2-iso6400-3chip"], dual_gain=gains)
+    problem, _ = problem_of(sensor)
+    assert problem.raw is not None
+    assert problem.noise is not None
+    assert problem.noise.raw is not None
+    found = exposures(problem, problem.noise, 0.0).noise
+    dn = sensor.black_level + sensor.gain * torch.linspace(100, 900, 80, dtype=torch.float64)[:, None].expand(-1, 3)
+    unit = (sensor.white_dn - sensor.black_level) / torch.tensor(problem.raw.balance, dtype=torch.float64)
+    want = problem.noise.raw(dn) / unit**2
+    torch.testing.assert_close(found((dn - sensor.black_level) / unit), want, rtol=1e-5, atol=0)
+    rise = want.diff(dim=0)
+    assert bool((rise.amax(0) > 5 * rise[0]).all())  # both gains are there
 
 
 def test_the_held_out_share_is_drawn_by_the_seed_and_no_fit_sees_it() -> None:
@@ -163,11 +179,11 @@ def some_data() -> tuple[Exposures, torch.Tensor, torch.Tensor]:
     return data, data.fitted, tones
 
 
-@pytest.mark.parametrize("dual", [False, True])
-def test_the_loss_follows_its_equation_on_what_there_is(dual: bool) -> None:
+@pytest.mark.parametrize(("dual", "black"), [(False, 0.0), (True, 0.0), (True, 0.02)])
+def test_the_loss_follows_its_equation_on_what_there_is(dual: bool, black: float) -> None:
     data, fitted, tones = some_data()
     if dual:  # a camera that reads bright pixels at a lower gain, with more noise
-        curve = replace(data.noise.curve, switch=(0.02, 0.03, 0.04), step=(1e-4, 2e-4, 3e-4))
+        curve = replace(data.noise.curve, black=(black,) * 3, switch=(0.02, 0.03, 0.04), step=(1e-4, 2e-4, 3e-4))
         data = replace(data, noise=Variance(curve))
     loss = Likelihood(data, CURVE)
     # the loss is a mean over all data of an average picture: of both together it is that of the data

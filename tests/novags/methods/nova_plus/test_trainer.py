@@ -282,3 +282,16 @@ def test_judges_weigh_errors_as_the_enhanced_pictures_show_them(dark: Any, monke
         # the enhancement lifts dark parts most: there errors show
         bright = light > light.median()
         assert float(weights[~bright].mean()) > 1.5 * float(weights[bright].mean())
+
+
+def test_the_light_of_a_camera_is_shown_in_srgb(dark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    inputs, light = dark()
+    matrix = torch.tensor([[0.7, 0.2, 0.1], [0.0, 0.9, 0.1], [0.05, 0.15, 0.8]])
+    data = dataclasses.replace(exposures(inputs, inputs.noise, CONFIG.held_share), matrix=matrix)
+    work = trainer._Work(inputs, CONFIG, data, tone_curve(data.greens), None, None)
+    monkeypatch.setattr(trainer, "encode", lambda linear: linear)
+    monkeypatch.setattr(trainer, "enhanced_like", lambda code, config, params: code)
+    red = torch.zeros_like(light)
+    red[..., 0] = 0.1
+    shown = work.shown(work.curve.tone(red)).float()
+    torch.testing.assert_close(shown, (0.1 * matrix[:, 0]).expand_as(shown), rtol=1e-4, atol=1e-6)
