@@ -156,6 +156,17 @@ def test_errors_are_those_of_the_one_wrong_camera():
     torch.testing.assert_close(found.centre_error, want, atol=1e-7, rtol=0)
 
 
+def test_of_six_cameras_the_spread_is_taken_for_wider_than_their_median_says():
+    """Rousseeuw's factor for them is 1 + 5 / 4: one that is off by seven times the median still counts."""
+    true = orbit(6)
+    for off, counts in ((3.6, True), (12.0, False)):
+        angles = np.radians([0.5, -0.5, 0.5, -0.5, 0.5, off])  # about each camera's own axis
+        turns = Rotation.from_rotvec(angles[:, None] * [0.0, 0.0, 1.0]).as_matrix()
+        estimated = true.clone()
+        estimated[:, :3] = torch.from_numpy(turns) @ true[:, :3]
+        assert align(estimated, true).inliers.tolist() == [True] * 5 + [counts]
+
+
 def test_equal_cameras_give_the_exact_identity():
     true = orbit(7)
     found = align(true.clone(), true)

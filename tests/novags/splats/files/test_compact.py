@@ -134,6 +134,16 @@ def test_an_spz_scene_looks_as_the_ply_does_to_readers_that_take_its_axes_as_the
     assert (rasterize(*shape, wrong, view, **camera)[0] - image).abs().mean() > 0.1
 
 
+def test_harmonics_of_spz_are_multiples_of_the_step_of_their_degree(tmp_path):
+    write_spz(tmp_path / "a.spz", cloud(120, 3))
+    columns, *_ = decode_spz((tmp_path / "a.spz").read_bytes())
+    steps = np.round(128 * columns["rest"] + 128).astype(int)
+    for part, step in ((steps[:, :3], 8), (steps[:, 3:], 16)):
+        inner = part[part < 255]  # 255 is cut off
+        assert not (inner % step).any()
+        assert (inner % (2 * step)).any()
+
+
 def test_positions_take_as_many_bits_as_fit_and_are_refused_beyond(tmp_path):
     g = cloud(5, 0)
     for size, expected in ((1e-3, 20), (100.0, 16), (8e6, 0)):

@@ -243,6 +243,12 @@ def test_gaussians_from_points_are_as_wide_as_the_points_are_apart():
         Gaussians.from_points(grid[:1], colors[:1], sh_degree=0)
 
 
+def test_first_gaussians_are_as_wide_as_the_root_mean_square_to_their_neighbours():
+    points = torch.tensor([[0.0, 0, 0], [1.0, 0, 0], [4.0, 0, 0]])
+    gaussians = Gaussians.from_points(points, torch.zeros(3, 3), sh_degree=0, init_scale=2.0, n_neighbors=2)
+    torch.testing.assert_close(gaussians.scales[:, 0], 2 * torch.tensor([8.5, 5.0, 12.5]).sqrt())
+
+
 def test_views_know_their_centres_and_extent():
     views = ring(4)
     torch.testing.assert_close(views.centers.norm(dim=1), torch.full((4,), 3.5))
@@ -285,3 +291,9 @@ def test_what_a_fit_gives_back_asks_for_no_gradient():
     result = fit(start, views, images.__getitem__, config(iterations=3, refine_cameras=CameraRefinement(start=0)))
     assert not result.viewmats.requires_grad
     assert not any(tensor.requires_grad for tensor in result.gaussians.tensors().values())
+
+
+def test_another_seed_gives_another_order_of_the_views():
+    one, other = ([FitConfig(seed=seed).view_at(i, 20) for i in range(20)] for seed in (0, 1))
+    assert one != other
+    assert sorted(one) == sorted(other) == list(range(20))
