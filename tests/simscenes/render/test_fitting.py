@@ -8,6 +8,7 @@ import pytest
 
 from simscenes import Rig, fit_rig
 from simscenes.backend import activate
+from simscenes.render.fitting import _middle_distance
 from simscenes.rigs import invert_rigid
 
 Scene = dict[str, Any]
@@ -108,3 +109,8 @@ def test_cameras_turn_about_what_is_near_and_not_about_the_sky(
     distance = np.linalg.norm(target - c2w[:, :3, 3], axis=1)
     assert reach[0] < distance.min() <= distance.max() < reach[1]
     assert turn(rig) > 10
+
+
+def test_the_middle_distance_halves_the_squared_disparities() -> None:
+    assert _middle_distance(np.array([1.0] + [10.0] * 50)) == 1.0  # 1 against 0.5
+    assert _middle_distance(np.array([1.0] + [10.0] * 150)) == 10.0  # 1 against 1.5

@@ -13,8 +13,10 @@ import pytest
 
 from simscenes import EXPORTS, MultiviewSet, export_blender, export_llff, load_set, orbit_rig, write_cameras, write_exr
 from simscenes.rigs import opencv_to_opengl
+from simscenes.sets.geometry.depth_range import Depths
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.pictures.png import write_png
+from simscenes.sets.readers.llff import llff_cameras
 from simscenes.sets.writers.camera_files import write_json
 from simscenes.sets.writers.neighbours import instant_ngp_box, write_depth
 
@@ -185,6 +187,20 @@ def test_the_blender_scene_lies_between_near_2_and_far_6_about_the_origin(mkdirs
             assert reach.max() <= 6
             assert np.abs(np.linalg.norm(world, axis=1) - size * meta["scene_scale"]).max() < 0.2
     assert np.abs(np.linalg.norm(world, axis=1)).max() < 2
+
+
+def test_near_is_the_least_depth_and_far_the_largest_distance(mkdirs: Path) -> None:
+    views, _ = make_set(mkdirs)
+    z, distance = np.array([sphere(views.rig, i, np.zeros(3), 1.0) for i in range(9)]).swapaxes(0, 1)
+    found = Depths.of(views)
+    assert (found.nearest, found.farthest) == (z.min(), distance[np.isfinite(distance)].max())
+
+
+def test_poses_for_llff_are_read_back_as_the_cameras(mkdirs: Path) -> None:
+    views, _ = make_set(mkdirs)
+    viewmats, sizes = llff_cameras(export_llff(views, mkdirs / "llff") / "poses_bounds.npy")
+    np.testing.assert_allclose(viewmats, views.rig.viewmats, atol=1e-9)
+    assert sizes[0] == (SIZE[1], SIZE[0], pytest.approx(views.rig.Ks[0, 0, 0]))
 
 
 def test_blender_pictures_are_transparent_where_no_surface_is(mkdirs: Path) -> None:

@@ -83,6 +83,12 @@ def test_photographs_in_no_order_are_visited_along_the_shorter_way() -> None:
     assert shorter_order(distances(given, given)) == list(range(9))
 
 
+def test_ways_between_cameras_count_in_extents() -> None:
+    cameras = np.tile(np.eye(4), (2, 1, 1))
+    cameras[1, 0, 3] = -3.0
+    assert distances(cameras, cameras)[0, 1] == pytest.approx(3 / (1.1 * 1.5))
+
+
 def test_cameras_that_stand_twice_at_a_place_do_not_stop_the_flight() -> None:
     given = ring(4)
     flight = fly(given[[0, 1, 1, 2, 3]], 20)

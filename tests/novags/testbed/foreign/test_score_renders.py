@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from novags.testbed.console import Console
+from novags.testbed.foreign.pictures import read_picture
 from novags.testbed.foreign.score import Truth, score_renders
 from novags.testbed.metrics import image_scores
 from sensor_model import srgb_to_linear
@@ -49,6 +50,13 @@ def test_pictures_of_every_kind_score_as_their_values_do(photographs: Path, tmp_
         assert found["views"][name]["lit"]["psnr"] == pytest.approx(scores["psnr"], abs=0.3)  # of rounding to 8 bits
     assert found["mean"]["lit"]["ssim"] == pytest.approx(np.mean([s["ssim"] for s in expected]), abs=1e-3)
     assert found["about"]["pictures"] == [kind[:6].strip()]
+
+
+@pytest.mark.parametrize("name", ["alpha", "A"])
+def test_the_opacity_of_an_exr_file_is_its_channel_alpha_or_a(tmp_path: Path, name: str) -> None:
+    plane = np.full((4, 6), 0.25, np.float32)
+    write_exr(tmp_path / "a.exr", {**dict.fromkeys("RGB", plane), "Z": 2 * plane, name: 3 * plane})
+    np.testing.assert_array_equal(read_picture(tmp_path / "a.exr", 6, 4).alpha, 0.75)
 
 
 def test_a_capture_has_the_light_and_the_noise_free_exposure_too(capture: Path, tmp_path: Path) -> None:

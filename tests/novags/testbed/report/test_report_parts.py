@@ -25,7 +25,7 @@ from novags.testbed.folders.capture import Capture, open_capture  # noqa: E402
 from novags.testbed.report.look.album import Album, files_of  # noqa: E402
 from novags.testbed.report.look.maps import colour_map, normal_map, normals_of_depth  # noqa: E402
 from novags.testbed.report.look.probe import probe_of  # noqa: E402
-from novags.testbed.report.signal_chart import by_filter, signal  # noqa: E402
+from novags.testbed.report.signal_chart import _chart, by_filter, signal  # noqa: E402
 from novags.testbed.report.tables import per_view, ranks, score_table  # noqa: E402
 from novags.testbed.stages.capturing import CaptureConfig  # noqa: E402
 from sensor_model import srgb_to_linear  # noqa: E402
@@ -316,6 +316,13 @@ def plot(chart: str) -> Any:
     found = re.search(r'data-plot="([^"]*)"', chart)
     assert found is not None
     return json.loads(html.unescape(found[1]))
+
+
+@pytest.mark.parametrize(("logarithmic", "middle"), [(True, "10"), (False, "50.5")])
+def test_a_bin_of_a_chart_is_named_by_its_middle_on_the_axis(logarithmic: bool, middle: str) -> None:
+    chart = _chart({"red": np.array([1.0])}, np.array([1.0, 100.0]), "electrons", logarithmic=logarithmic)
+    ((_, _, named, _),) = plot(chart)["lines"][0]["points"]
+    assert named == middle
 
 
 def test_light_is_shown_at_the_exposures_of_the_dark_and_of_the_well_lit_pictures(captures: dict[str, Capture]) -> None:

@@ -4,6 +4,7 @@ import math
 import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Iterable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from novags.testbed.report.charts import line_chart, linear_ticks, log_ticks
 from novags.testbed.report.facts import duration, fits, join, number, signed, size, smoothed
 from novags.testbed.report.look.maps import ERROR_CEILING, depth_map, error_map
 from novags.testbed.report.tables import score_table
+from novags.testbed.stages import scoring
 from novags.testbed.stages.scoring import merge, recovered_fractions
 
 
@@ -102,6 +104,23 @@ def test_the_best_method_is_marked_and_the_oracle_does_not_compete() -> None:
     none = score_table(metrics, "enhanced", {"nova": True, "naive": True, "oracle": False}, lambda name, key: False)
     assert not any(cell["best"] or cell["rank"] for row in none for cell in row["cells"])
     assert [row["competes"] for row in none] == [False, True, True]  # who is a bound stays known
+
+
+def test_depth_is_scored_in_the_scale_of_the_true_cameras(monkeypatch: pytest.MonkeyPatch) -> None:
+    depth, alpha = np.full((4, 4), 1.5), np.ones((4, 4))
+    stand_ins: dict[str, Any] = {
+        "references": {"lit": None}, "image_scores": {"psnr": 30.0}, "as_compared": None, "true_depth": 3.0 * alpha,
+        "missing_references": {}, "view_consistency": {},
+    }  # fmt: skip
+    for name, value in stand_ins.items():
+        monkeypatch.setattr(scoring, name, lambda *given, value=value: value)
+    run: Any = SimpleNamespace(
+        space="lit", has_depth=True, depth_scale=2.0, rendering=lambda name: None, depth=lambda name: (depth, alpha)
+    )
+    capture: Any = SimpleNamespace(names=("0000",), cameras=SimpleNamespace(test_indices=(0,)))
+    nothing: Any = None
+    found = scoring.score_test_views(run, capture, nothing, None, lambda *given: None)["geometry"]
+    assert (found["abs_rel"], found["within_5_percent"]) == (0.0, 1.0)
 
 
 def test_a_chart_is_well_formed_and_draws_every_series() -> None:

@@ -1,5 +1,6 @@
 """Scores of the noise that is left: exposures taken again are the capture's own, and each number is of what it says."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -83,6 +84,17 @@ def test_the_bias_floor_is_of_new_exposures_each_with_its_own_enhancement(dark, 
         errors.append((bright - enhance(torch.from_numpy(capture.clean(i)), CONFIG, params)[0]).double().numpy())
     squared = np.mean(errors, 0) ** 2 - np.var(errors, 0, ddof=1) / len(errors)
     assert bias_floor(capture, lit, ENHANCEMENT) == pytest.approx(-10 * np.log10(squared.mean()), abs=1e-6)
+
+
+def test_the_bias_floor_is_the_mean_over_views_spread_over_the_training_views(dark, monkeypatch):
+    capture, lit = dark
+    seen, biases, real = [], iter((0.01, 0.09)), module.exposed_again
+    monkeypatch.setattr(module, "exposed_again", lambda *given: seen.append(given[2]) or real(*given))
+    monkeypatch.setattr(module, "squared_bias", lambda *given: next(biases))
+    monkeypatch.setattr(module, "EXPOSURES", 2)
+    every = replace(capture, cameras=replace(capture.cameras, held_out=()))
+    assert bias_floor(every, lit, ENHANCEMENT) == pytest.approx(-10 * np.log10(0.05))
+    assert seen == [0, 0, 2, 2]
 
 
 def a_run(folder: Path, capture: Capture, *, rendered: float, denoised: float | None, trained: bool = True):

@@ -12,6 +12,7 @@ import pytest
 from simscenes import load_set, orbit_rig
 from simscenes.rigs import opencv_to_opengl
 from simscenes.sets.pictures.png import write_png
+from simscenes.sets.readers.photographs import transforms_lens
 
 WIDTH, HEIGHT = 40, 30
 X, Y = 0.9, 0.5  # rad
@@ -96,6 +97,18 @@ def test_a_principal_point_of_larger_pictures_asks_for_their_size(tmp_path: Path
     np.testing.assert_allclose(off[:2, 2], [29, 8])
     cropped = load_set(folder_of(tmp_path, fl_x=40.0, cx=39.0, cy=8.0, w=WIDTH, h=HEIGHT)).rig.Ks[0]
     np.testing.assert_allclose(cropped[:2, 2], [39, 8])
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [
+        {"k1": 0.1, "k2": 0.02, "k3": 0.003, "p1": 0.004, "p2": 0.005},
+        {"distortion_params": [0.1, 0.02, 0.003, 0.0, 0.004, 0.005]},  # k1 k2 k3 k4 p1 p2
+    ],
+)
+def test_coefficients_of_distortion_come_in_the_order_of_opencv(stated: dict[str, Any]) -> None:
+    lens = transforms_lens({"fl_x": 90.0, **stated}, WIDTH, HEIGHT, Path("transforms.json"))
+    assert lens.distortion == (0.1, 0.02, 0.004, 0.005, 0.003)
 
 
 def test_masks_are_not_used_and_that_is_said_once_with_their_count(tmp_path: Path) -> None:
