@@ -1,5 +1,6 @@
 """A training stops at the first number that is not finite, and a resume from its checkpoint stops there again."""
 
+import dataclasses
 import math
 import sys
 from collections.abc import Callable, Iterator
@@ -111,7 +112,7 @@ def test_a_gradient_that_is_not_finite_is_named_before_it_does_harm(scene, tmp_p
 
 def fitting_settings(scene) -> dict[str, object]:
     start, views, _ = scene
-    return FITTING._identity(start, views, config(), views.extent)
+    return FITTING._identity(start, views, dataclasses.replace(config(), extent=views.extent))
 
 
 @pytest.mark.parametrize("name", ["means", "quats", "log_scales", "logit_opacities", "sh"])
