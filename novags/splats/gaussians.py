@@ -122,7 +122,8 @@ class Gaussians:
         place = points.detach().cpu().double().numpy()
         distances, _ = cKDTree(place).query(place, k=n_neighbors + 1)
         squared = torch.from_numpy(distances[:, 1:] ** 2).mean(1).to(points.device)
-        # Coinciding points would start with scale 0, whose log is -inf. In small scenes all points are that close.
+        # Coinciding points would start with scale 0, whose log is -inf. The floor shrinks with a small scene, where all
+        # points are close; 1e-30 is for a scene whose points all coincide.
         spread = float(np.square(place - place.mean(0)).sum(1).mean())
         scale = init_scale * torch.sqrt(squared.clamp_min(max(1e-7 * min(1.0, spread), 1e-30)))
         sh = torch.zeros(len(points), n_coefficients(sh_degree), 3, device=points.device)

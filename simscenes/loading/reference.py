@@ -59,7 +59,7 @@ class SceneRef:
         """The same scene with "name=value" for its parameters, and another of its sensors.
 
         Raises:
-            ValueError: If one is no "name=value", a name is given twice, or the scene is no file.
+            ValueError: If a parameter does not read "name=value", a name is given twice, or the scene is not a file.
         """
         pairs = [text.partition("=") for text in parameters]
         for text, (name, equals, _) in zip(parameters, pairs, strict=True):

@@ -96,7 +96,7 @@ def _arc_around(loaded: LoadedScene, mi: Any, own: Rig, n_views: int, sweep_deg:
 
 
 def _rays(loaded: LoadedScene, mi: Any, origins: Float, directions: Float) -> Float:
-    """Distance to the first surface along each ray, inf where there is none; [n]."""
+    """Distance to the first surface along each ray, [n]; inf for rays that hit nothing."""
     if mi.variant().startswith("scalar"):
         hits = [
             loaded.scene.ray_intersect_preliminary(mi.Ray3f(o, d))
@@ -109,7 +109,7 @@ def _rays(loaded: LoadedScene, mi: Any, origins: Float, directions: Float) -> Fl
 
 
 def _seen(loaded: LoadedScene, mi: Any, own: Rig) -> Float:
-    """Surface points [n,3] that the sensor sees in the middle third of its image; in all of it, if there are none."""
+    """Surface points [n,3] in the middle third of the sensor's image, or in the whole image if the middle is empty."""
     origin, directions = pixel_rays(shrunk(own, 0, GRID), 0)
     distances = _rays(loaded, mi, np.broadcast_to(origin, directions.shape), directions)
     inner = np.zeros((GRID, GRID), dtype=bool)

@@ -35,9 +35,9 @@ def geometry_channels(mi: Any, loaded: LoadedScene, rig: Rig, i: int) -> Channel
     """Geometry buffers of view `i` as EXR channels, each [h,w].
 
     Returns:
-        Z and distance (float32, inf where there is no surface), N.X/Y/Z (shading) and Ng.X/Y/Z (geometric) unit
-        normals in the world, facing the camera, albedo.R/G/B (what the surface reflects diffusely), id and material
-        (uint32, 0 where there is no surface). Normals and albedo are 0 there.
+        Z and distance (float32), N.X/Y/Z (shading) and Ng.X/Y/Z (geometric) unit normals in the world, facing the
+        camera, albedo.R/G/B (what the surface reflects diffusely), id and material (uint32). Pixels without a surface
+        have an infinite Z and distance, and 0 in all other channels.
     """
     origin, directions = pixel_rays(rig, i)
     find = _intersect_scalar if mi.variant().startswith("scalar") else _intersect_wide

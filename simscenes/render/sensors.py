@@ -57,8 +57,8 @@ def sensor_dict(mi: Any, rig: Rig, i: int, loaded: LoadedScene, optics: Optics =
 def medium_at(mi: Any, loaded: LoadedScene, position: NDArray[np.float64]) -> Any:
     """The medium around a point, or None: Mitsuba has to know that a camera is in fog.
 
-    Found from the first boundary of a medium along +z; if there is none, from the first one towards the scene's own
-    sensor; if there is none either, it is that sensor's own medium.
+    The first boundary of a medium along +z tells. A ray that meets no boundary is followed by one towards the scene's
+    own sensor; if that meets no boundary either, both places are in the same medium, that of the sensor.
     """
     if not media_in(loaded.scene, mi):
         return None

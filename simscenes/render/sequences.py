@@ -111,8 +111,8 @@ class Sequences:
     def error(self, margin: float = 0.0) -> float:
         """Relative RMSE of the mean so far; with `margin` standard errors of its square more, pixels being independent.
 
-        Whoever stops at the first estimate that is low enough stops at one that is too low, where few pixels have most
-        of the noise.
+        The margin is for stopping rules: where few pixels have most of the noise, the first estimate below a target
+        tends to be an underestimate.
         """
         each = self.variance().mean(-1)
         more = margin * each.std() / np.sqrt(each.size)

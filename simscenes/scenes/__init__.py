@@ -53,7 +53,7 @@ MEASURED_LIGHTS = frozenset({"market"})  # scenes whose lamps have measured spec
 
 
 def split_name(name: str) -> tuple[str, int]:
-    """Split "tabletop:3" into the scene's name and its seed (0 if there is none).
+    """Split "tabletop:3" into the scene's name and its seed, which is 0 if the name has no number.
 
     Raises:
         ValueError: If the scene is not in the catalogue or the seed is not a whole number >= 0.
