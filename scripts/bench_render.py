@@ -6,17 +6,18 @@
     python scripts/bench_render.py --equal-size 64 --equal-views 3 --target-error 0.05 --fresh hall tabletop
 
 Writes JSON lines {"knob", "setting", "seconds", "error", "error_unit", "error_sd", "default"}, knob "method", that
-compare whole jobs: `render_set` to a target error, everything included (reading the scene,
-planning, predicting, geometry, writing), and what `mi.render` needs with an independent and with a multijittered
-sampler, depth 8 and roulette from 5, for the same error in every view, reading the scene included. All errors are
-measured: of ours against a render of --reference-spp samples by another seed, whose own variance is subtracted, of the
-others from the spread between seeds. Their time is scaled up from what --plain-spp samples take: exactly, since their
-noise falls as one over the root of the samples; that of multijittered ones falls faster, so their --plain-spp should
-be near what is needed (see "needed_spp"). Kernels are compiled beforehand for all. With --predict: what `render_set`
-foretold of its time, and what it took, once with a number of samples and once towards the target error. With --starts,
-and nothing else: the same job with roulette from each of these path lengths, twice each, in turn. With --fresh, and
-nothing else: what `novags render` takes for these scenes in a new process, stage by stage, on a machine that has never
-seen the scene, so that every kernel has to be compiled, and once more when the kernels are kept.
+compare whole jobs: `render_set` to a target error, everything included (reading the scene, planning, predicting,
+geometry, writing), and what `mi.render` needs with an independent and with a multijittered sampler, depth 8 and
+roulette from 5, for the same error in every view, reading the scene included. All errors are measured: of ours against
+a render of --reference-spp samples by another seed, whose own variance is subtracted, of the others from the spread
+between seeds. Their time is scaled from what --plain-spp samples take: exactly, since their noise falls as one over the
+root of the samples; that of multijittered ones falls faster, so that they are rendered once more, with about the
+samples that were found to be needed, and scaled from there (see "needed_spp"). Kernels are compiled beforehand for all.
+With --predict: what `render_set` foretold of its time, and what it took, once with a number of samples and once towards
+the target error. With --starts, and nothing else: the same job with roulette from each of these path lengths, twice
+each, in turn. With --fresh, and nothing else: what `novags render` takes for these scenes in a new process, stage by
+stage, on a machine that has never seen the scene, so that every kernel has to be compiled, and once more when the
+kernels are kept.
 """
 
 from __future__ import annotations
@@ -40,12 +41,14 @@ from numpy.typing import NDArray
 from simscenes import activate, default_rig, plan_transport, render_set
 from simscenes.job.curves import NOISE
 from simscenes.loading.load import build_scene
+from simscenes.render.radiance import grid_spp
 from simscenes.render.sensors import sensor_dict
 from simscenes.rigs import Rig
 from simscenes.transport.plan import TransportPlan
 
 PLAIN = {"type": "path", "max_depth": 8}
 PEERS = ("independent", "multijitter")
+MOST_SPP = 1024  # of a plain render; beyond, its film of 32 bits rounds
 
 
 class Clock:
@@ -112,10 +115,14 @@ def equal_error(
     yield {**shared, "setting": "render_set", "seconds": seconds[0], "error": reached, "default": True}
     for sampler in peers:
         needed, error, samples = plain(scene, rig, errors, spp, sampler, seeds)
+        near = spp
+        if sampler == "multijitter":
+            near = grid_spp(min(max(samples, 4), MOST_SPP))
+            needed, error, samples = plain(scene, rig, errors, near, sampler, seeds)
         setting = f"plain mi.render, {sampler}"
         yield {**shared, "setting": setting, "seconds": needed[0], "error": reached, "default": False}
         yield {
-            "scene": scene, "size": size, "views": views, "sampler": sampler, "plain_spp": spp, "plain_error": error,
+            "scene": scene, "size": size, "views": views, "sampler": sampler, "plain_spp": near, "plain_error": error,
             "needed_spp": samples, "processor_seconds": [seconds[1], needed[1]],
             "equal_error_speedup": needed[0] / seconds[0], "equal_error_speedup_cpu": needed[1] / seconds[1],
         }  # fmt: skip

@@ -84,7 +84,7 @@ def _paired(p: Pilot, colors: tuple[str, str], media: bool) -> pilot.Share:
         kind = "path" if not media else "volpath" if "spectral_polarized" in colors else "volpathmis"
         settings = {"type": kind, "max_depth": DEPTHS[0], "rr_depth": 4, **p.hiding}
         with p.in_color(color) as (other, loaded):
-            images.append(pilot.render_pilot(other, loaded, p.rig, settings, p.seed))
+            images.append(pilot.render_pilot(other, loaded, p.rig, settings, p.seed, p.spp))
     return pilot.changed_light(images[0], images[1])
 
 

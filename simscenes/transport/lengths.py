@@ -17,7 +17,7 @@ from simscenes.loading.load import LoadedScene
 from simscenes.render.radiance import view_seed
 from simscenes.render.sampler import sampler_class
 from simscenes.render.sensors import sensor_dict
-from simscenes.render.wavefront import camera_rays
+from simscenes.render.wavefront import camera_rays, from_numpy
 from simscenes.rigs import Rig
 
 SPECULAR = 0x8 | 0x10 | 0x20 | 0x40 | 0x80 | 0x100  # BSDFFlags: glossy and delta lobes, which polarise
@@ -54,33 +54,40 @@ def light_by_length(
         spp: Samples per pixel.
         seed: Of the random numbers.
     """
-    pixels = rig.width * rig.height
-    light, chained = np.zeros((longest, len(rig), pixels)), 0.0
+    pixels, views = rig.width * rig.height, range(len(rig))
+    sensors = [mi.load_dict(sensor_dict(mi, rig, i, loaded)) for i in views]
+    seeds = [view_seed(rig, i, seed, 0) for i in views]
+    light, chained = np.zeros((longest, len(rig) * pixels)), 0.0
     step = max(1, MOST_BOOKED // (longest * spp))
-    for i in range(len(rig)):
-        sensor, number = mi.load_dict(sensor_dict(mi, rig, i, loaded)), view_seed(rig, i, seed, 0)
-        for start in range(0, pixels, step):
-            chosen = slice(start, min(start + step, pixels))
-            booked, passed = _follow(mi, loaded.scene, sensor, chosen, longest, rr_depth, spp, number)
-            light[:, i, chosen] = booked
-            chained += passed / (len(rig) * pixels * spp)
+    for start in range(0, light.shape[1], step):
+        chosen = slice(start, min(start + step, light.shape[1]))
+        booked, passed = _follow(mi, loaded.scene, sensors, seeds, chosen, longest, rr_depth, spp)
+        light[:, chosen] = booked
+        chained += passed / (light.shape[1] * spp)
     return Lengths(light.reshape(longest, len(rig), rig.height, rig.width, 1), chained)
 
 
 def _follow(
-    mi: Any, scene: Any, sensor: Any, chosen: slice, longest: int, rr_depth: int, spp: int, seed: int
+    mi: Any, scene: Any, sensors: list[Any], seeds: list[int], chosen: slice, longest: int, rr_depth: int, spp: int
 ) -> tuple[NDArray[np.float64], float]:
-    """Mean light by length of some pixels of a view, [length,pixel], and the sum of what specular chains passed on."""
+    """Mean light by length of some pixels of all views, [length,pixel], and the sum of what specular chains passed on.
+
+    All views in one launch, which takes longer to prepare than the samples of a pilot take.
+    """
     import drjit as dr
 
-    count = chosen.stop - chosen.start
+    count, pixels = chosen.stop - chosen.start, int(np.prod(sensors[0].film().crop_size()))
     lanes = count * spp
     # Opaque: as literals these would be compiled into the kernel.
-    first, each, limit, start, width = (dr.opaque(mi.UInt32, n) for n in (chosen.start, spp, longest, rr_depth, lanes))
+    first, each, of_view, limit, start, width = (
+        dr.opaque(mi.UInt32, n) for n in (chosen.start, spp, pixels, longest, rr_depth, lanes)
+    )
     lane = dr.arange(mi.UInt32, lanes)
-    pixel = first + lane // each
-    sampler = sampler_class(mi, mi.variant())(pixel, lane % each, dr.opaque(mi.UInt32, seed))
-    ray, weight = camera_rays(mi, sensor, sampler, pixel)
+    place = first + lane // each
+    view = place // of_view
+    seed = dr.gather(mi.UInt32, from_numpy(mi.UInt32, np.array(seeds, dtype=np.uint32)), view)
+    sampler = sampler_class(mi, mi.variant())(place - view * of_view, lane % each, seed)
+    ray, weight = _rays(mi, sensors, sampler, place - view * of_view, view)
     account = dr.zeros(mi.Float, longest * lanes)  # a lane's light by length, then by lane: no two lanes meet in it
     chain = dr.zeros(mi.Float, lanes)
 
@@ -140,7 +147,7 @@ def _follow(
         return (onwards, si.spawn_ray(si.to_world(sample.wo)), through, eta, length, sampler.drawn, dr.detach(si),
                 sample.pdf, mi.has_flag(sample.sampled_type, mi.BSDFFlags.Delta), lobes, fresh, real)  # fmt: skip
 
-    begin = (mi.Bool(True), mi.Ray3f(ray), mi.Color3f(weight), mi.Float(1), mi.UInt32(1), sampler.drawn,
+    begin = (mi.Bool(True), ray, weight, mi.Float(1), mi.UInt32(1), sampler.drawn,
              dr.zeros(mi.SurfaceInteraction3f), mi.Float(1), mi.Bool(True), mi.UInt32(0), mi.Bool(False),
              mi.Bool(scene.environment() is not None))  # fmt: skip
     *_, real = dr.while_loop(begin, lambda active, *rest: active, bounce)
@@ -149,3 +156,16 @@ def _follow(
     counts = np.array(real)
     booked = (np.array(account).reshape(longest, lanes) * counts).reshape(longest, count, spp)
     return booked.mean(-1, dtype=np.float64), float(np.array(chain, dtype=np.float64)[counts].sum())
+
+
+def _rays(mi: Any, sensors: list[Any], sampler: Any, pixel: Any, view: Any) -> tuple[Any, Any]:
+    """The rays of the camera that each lane belongs to, and their weights; all cameras draw the same numbers."""
+    import drjit as dr
+
+    begun, ray, weight = sampler.drawn, dr.zeros(mi.Ray3f), dr.zeros(mi.Color3f)
+    for k, sensor in enumerate(sensors):
+        sampler.drawn = begun
+        own, part = camera_rays(mi, sensor, sampler, pixel)
+        ray = dr.select(view == k, mi.Ray3f(own), ray)
+        weight = dr.select(view == k, mi.Color3f(part), weight)
+    return ray, weight

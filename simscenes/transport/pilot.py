@@ -27,7 +27,9 @@ from simscenes.transport.lengths import Lengths, light_by_length
 N_VIEWS = 3
 MOST = 0.99  # of the light that anything reflects; without a limit below 1 a closed room has no bound
 SIZE = 32  # pixels along the longer side
-SPP = 64
+SPP = 64  # of pilots
+PER_PIXEL = 4  # samples of a pilot for every pixel of the views, at most: a short job is not planned for longer
+FEWEST_SPP = 16  # of pilots all the same
 RR_DEPTH = 2  # where Russian roulette starts in pilots
 DEEPEST = 64  # pilot paths end here, where that is deep enough
 
@@ -46,6 +48,7 @@ class Pilot:
     allow_outside: bool = False
     hide_emitters: bool = False
     base: str = "rgb"  # the fewest colours that the scene can be loaded in
+    spp: int = SPP
     scenes: dict[str, LoadedScene] = field(default_factory=dict)
     images: dict[tuple[str, int, int], NDArray[np.float64]] = field(default_factory=dict)
     by_length: dict[int, Lengths] = field(default_factory=dict)
@@ -60,7 +63,7 @@ class Pilot:
         key = (kind, depth, rr_depth)
         if key not in self.images:
             integrator = {"type": kind, "max_depth": depth, "rr_depth": rr_depth, **self.hiding}
-            self.images[key] = render_pilot(self.mi, self.loaded, self.rig, integrator, self.seed)
+            self.images[key] = render_pilot(self.mi, self.loaded, self.rig, integrator, self.seed, self.spp)
         return self.images[key]
 
     def cut(self, kind: str, depth: int, deepest: int) -> NDArray[np.float64]:
@@ -78,7 +81,7 @@ class Pilot:
         """The light that paths over surfaces find, by their length; followed once. In an RGB JIT variant."""
         if deepest not in self.by_length:
             start = _roulette_until(deepest)
-            found = light_by_length(self.mi, self.loaded, self.rig, deepest, start, SPP, self.seed)
+            found = light_by_length(self.mi, self.loaded, self.rig, deepest, start, self.spp, self.seed)
             check_finite(found.light, self.loaded.name)
             self.by_length[deepest] = found
         return self.by_length[deepest]
@@ -139,13 +142,21 @@ def pilot_rig(rig: Rig) -> Rig:
     return Rig(viewmats=rig.viewmats[chosen], Ks=Ks, width=width, height=height)
 
 
-def render_pilot(mi: Any, loaded: LoadedScene, rig: Rig, integrator: dict[str, Any], seed: int) -> NDArray[np.float64]:
+def pilot_spp(rig: Rig, small: Rig) -> int:
+    """Samples per pixel of the pilot views `small` of a rig: a power of two, since Sobol points are even then."""
+    share = PER_PIXEL * len(rig) * rig.width * rig.height / (len(small) * small.width * small.height)
+    return int(np.clip(1 << int(np.log2(max(share, 1))), FEWEST_SPP, SPP))
+
+
+def render_pilot(
+    mi: Any, loaded: LoadedScene, rig: Rig, integrator: dict[str, Any], seed: int, spp: int = SPP
+) -> NDArray[np.float64]:
     """Radiance of all pilot views, [c,h,w,3]; the same `seed` follows the same paths."""
     method = mi.load_dict(integrator)
     views = []
     for i in range(len(rig)):
         sensor = mi.load_dict(sensor_dict(mi, rig, i, loaded))
-        image = mi.render(loaded.scene, sensor=sensor, integrator=method, spp=SPP, seed=view_seed(rig, i, seed, 0))
+        image = mi.render(loaded.scene, sensor=sensor, integrator=method, spp=spp, seed=view_seed(rig, i, seed, 0))
         views.append(np.array(image, dtype=np.float64)[..., :3])
     result = np.stack(views)
     check_finite(result, loaded.name)

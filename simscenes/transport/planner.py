@@ -69,7 +69,8 @@ def plan_transport(
 
     Returns:
         The plan; print it for the table. Contributions are shares of all light (or pixels, for blur); `plan.bound` sums
-        those left out. Pilots see only what paths find: a caustic that all of some 10^5 paths miss is not counted.
+        those left out. Pilots see only what paths find: a caustic that all of 50,000 to 200,000 paths
+        miss is not counted.
 
     Raises:
         ValueError: If the scene cannot be loaded, a camera is inside an object, `tolerance` is not in (0, 1), or a
@@ -109,7 +110,8 @@ def plan_loaded(
         warnings.warn(own.note, stacklevel=2)
     with using_variant(loaded.variant) as mi:
         small = pilot.pilot_rig(rig)
-        p = Pilot(mi, source, loaded, small, backend, tolerance / 5, seed, allow_outside, base=loaded.color)
+        p = Pilot(mi, source, loaded, small, backend, tolerance / 5, seed, allow_outside, base=loaded.color,
+                  spp=pilot.pilot_spp(rig, small))  # fmt: skip
         if own is not None:
             p = replace(p, hide_emitters=own.hide_emitters)
             max_depth = own.max_depth if max_depth is None else max_depth

@@ -126,9 +126,25 @@ def test_pilots_render_every_view_with_the_seed_of_its_camera(rig: Rig) -> None:
     assert [(a["seed"], a["spp"], a["integrator"]) for a in mi.asked] == [
         (seed, 64, {"type": "path"}) for seed in (7, 107, 207, 307)
     ]
+    mi = Renderer()
+    pilot.render_pilot(mi, LOADED, rig, {"type": "path"}, 7, 16)
+    assert {a["spp"] for a in mi.asked} == {16}
     for bad in (np.nan, np.inf):
         with pytest.raises(ValueError, match="'custom' renders to nan"):
             pilot.render_pilot(Renderer(bad=bad), LOADED, rig, {"type": "path"}, 7)
+
+
+@pytest.mark.parametrize(
+    ("views", "width", "height", "spp"),
+    [(3, 16, 16, 16), (3, 64, 64, 16), (5, 64, 64, 16), (6, 64, 64, 32), (11, 64, 64, 32), (12, 64, 64, 64),
+     (8, 256, 256, 64), (1, 32, 8, 16), (3, 128, 64, 64)],
+)  # fmt: skip
+def test_a_pilot_takes_four_samples_for_a_pixel_of_the_job_at_most(
+    views: int, width: int, height: int, spp: int
+) -> None:
+    """Rounded down to a power of two, and from 16 to 64: 6 views of 64 x 64 are 98,304 / 3,072 pixels of the pilot."""
+    whole = orbit_rig(views, width, height, 40, radius=3.0)
+    assert pilot.pilot_spp(whole, pilot.pilot_rig(whole)) == spp
 
 
 @pytest.mark.parametrize("variant", ["llvm_ad_rgb", "cuda_ad_rgb"])
@@ -158,10 +174,10 @@ def test_paths_over_surfaces_are_followed_once_for_all_cuts_and_others_rendered(
 
     monkeypatch.setattr(pilot, "light_by_length", by_length)
     monkeypatch.setattr(pilot, "render_pilot", lambda mi, loaded, rig, *a: rendered.append(a) or np.ones(1))
-    p = Pilot(None, None, LOADED, None, "llvm_ad", 0.004, 5)  # type: ignore[arg-type]
+    p = Pilot(None, None, LOADED, None, "llvm_ad", 0.004, 5, spp=32)  # type: ignore[arg-type]
     assert [p.cut("path", d, 64).item() for d in (1, 3, 64)] == [0, 3, 63 * 32]
     assert p.cut("path", 256, 256).item() == 255 * 128
-    assert (followed, rendered) == ([(64, 2, 64, 5), (256, 257, 64, 5)], [])
+    assert (followed, rendered) == ([(64, 2, 32, 5), (256, 257, 32, 5)], [])
     others = [("volpath", {}), ("path", {"backend": "scalar"}), ("path", {"base": "spectral"}),
               ("path", {"hide_emitters": True})]  # fmt: skip
     for kind, more in others:
@@ -169,7 +185,7 @@ def test_paths_over_surfaces_are_followed_once_for_all_cuts_and_others_rendered(
         q.cut(kind, 8, 64)
         q.cut(kind, 128, 256)
         expected = [{"type": kind, "max_depth": d, "rr_depth": start, **q.hiding} for d, start in ((8, 2), (128, 257))]
-        assert rendered == [(settings, 5) for settings in expected]
+        assert rendered == [(settings, 5, 32) for settings in expected]
         rendered.clear()
     assert len(followed) == 2
 
@@ -185,12 +201,12 @@ def test_light_by_length_that_is_not_finite_is_refused(monkeypatch: pytest.Monke
 def test_a_pilot_renders_each_kind_of_path_once(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[Any] = []
 
-    def rendered(mi: Any, loaded: Any, rig: Any, integrator: dict[str, Any], seed: int) -> Any:
-        asked.append((*integrator.values(), seed))
+    def rendered(mi: Any, loaded: Any, rig: Any, integrator: dict[str, Any], seed: int, spp: int) -> Any:
+        asked.append((*integrator.values(), seed, spp))
         return np.full(3, len(asked))
 
     monkeypatch.setattr(pilot, "render_pilot", rendered)
-    p = Pilot(None, None, None, None, "scalar", 0.004, 5)  # type: ignore[arg-type]
+    p = Pilot(None, None, None, None, "scalar", 0.004, 5, spp=32)  # type: ignore[arg-type]
     assert not p.allow_outside  # unless it is told so, it reads no file outside the folder of the scene
     assert [p.render(*a)[0] for a in (("path", 8), ("path", 8, 5), ("path", 8), ("volpath", 8))] == [1, 2, 1, 3]
-    assert asked == [("path", 8, 2, 5), ("path", 8, 5, 5), ("volpath", 8, 2, 5)]
+    assert asked == [("path", 8, 2, 5, 32), ("path", 8, 5, 5, 32), ("volpath", 8, 2, 5, 32)]

@@ -114,18 +114,19 @@ def test_polarisation_is_measured_by_paired_pilots(
     monkeypatch.setattr(colors, "_has_measured_spectra", lambda p: measured_spectra)
     asked: list[Any] = []
 
-    def rendered(mi: Any, loaded: Any, rig: Any, settings: dict[str, Any], seed: int) -> Any:
-        asked.append((mi, loaded, settings, seed))
+    def rendered(mi: Any, loaded: Any, rig: Any, settings: dict[str, Any], seed: int, spp: int) -> Any:
+        asked.append((mi, loaded, settings, seed, spp))
         return np.full((2, 3, 4, 3), 2.0 * (1 + change if loaded == "polarised" else 1))
 
     monkeypatch.setattr(pilot, "render_pilot", rendered)
-    found = polarisation_effect(pilots(), media, [], measure)
+    found = polarisation_effect(replace(pilots(), spp=32), media, [], measure)
     assert found.on == on
     assert found.contribution == pytest.approx(change)
     assert found.reason == f"paired pilots with and without differ by {change:.2%}"
     settings = {"type": kind, "max_depth": 8, "rr_depth": 4}
     assert asked == [
-        ("llvm_ad_spectral", "in spectra", settings, 5), ("llvm_ad_spectral_polarized", "polarised", settings, 5)
+        ("llvm_ad_spectral", "in spectra", settings, 5, 32),
+        ("llvm_ad_spectral_polarized", "polarised", settings, 5, 32),
     ]  # fmt: skip
 
 
