@@ -34,6 +34,8 @@ def direction_numbers(degree: int, inner: int, first: tuple[int, ...], count: in
     return [sum((m[k] >> (k - digit) & 1) << digit for digit in range(k + 1)) for k in range(count)]
 
 
+LENS = 1 << 30  # number of its draw: no path draws as many times
+
 THIRD, FOURTH = direction_numbers(2, 1, (1, 3)), direction_numbers(3, 1, (1, 3, 1))
 
 
@@ -103,6 +105,11 @@ def sampler_class(mi: Any, variant: str) -> Any:
         def next_1d(self, active: Any = True) -> Any:
             seed, self.drawn = self._seed(self.drawn), self.drawn + 1
             return unit(scrambled(shuffled(self.index, seed), mixed(seed)))
+
+        def next_lens(self) -> Any:
+            """A place on the lens, by a set of its own: the second half of the film's is that of the first light."""
+            self.drawn = u32(LENS)
+            return self.next_2d()
 
         def begin_path(self) -> None:
             """Whatever the camera needed: what comes next belongs to the first surface."""

@@ -123,7 +123,7 @@ def camera_rays(mi: Any, sensor: Any, sampler: Any, pixel: Any, part: float = 1.
     corner = mi.Vector2f(mi.Float(pixel - row * width), mi.Float(row))
     inside = 0.5 + dr.opaque(mi.Float, part) * (sampler.next_2d() - 0.5)
     place = (corner + inside) / mi.Vector2f(width, height)
-    lens = sampler.next_2d() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
+    lens = sampler.next_lens() if sensor.needs_aperture_sample() else mi.Point2f(0.5)
     wavelength = sampler.next_1d() if mi.is_spectral else mi.Float(0)
     ray, weight = sensor.sample_ray_differential(0.0, wavelength, place, lens)
     ray.scale_differential(FOOTPRINT * part)

@@ -90,6 +90,15 @@ def test_sets_sequences_and_seeds_are_independent() -> None:
     assert np.array([c.var() for c in columns]) == pytest.approx(1 / 12, rel=0.1)
 
 
+def test_the_lens_and_what_the_path_draws_are_independent() -> None:
+    """Over 4096 sequences: were lens and first light one point, a lens would see a lamp from one side alone."""
+    made = sampler(np.arange(4096), np.full(4096, 5))
+    columns = [*np.array(made.next_2d()), *np.array(made.next_lens())]
+    made.begin_path()
+    columns += [*np.array(made.next_2d()), np.array(made.next_1d()), *np.array(made.next_2d())]
+    assert np.abs(np.corrcoef(np.stack(columns)) - np.eye(len(columns))).max() < 5 / 64
+
+
 def test_points_within_a_sequence_do_not_follow_each_other_across_sets() -> None:
     """Film and lobe, say: over 64 points of 256 sequences their correlation is what chance leaves."""
     made = sampler(np.repeat(np.arange(256), 64), np.tile(np.arange(64), 256))

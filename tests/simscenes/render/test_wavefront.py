@@ -45,12 +45,19 @@ def view(mi: Any, loaded: LoadedScene, seed: int = 0, size: int = SIZE) -> View:
     return View(Method(mi, mi.variant(), loaded, integrator, seed=seed), rig(size), 0)
 
 
-@pytest.mark.parametrize(("color", "camera"), [("rgb", None), ("spectral", None), ("spectral", "Nikon 5100 (NPL)")])
-def test_the_light_is_what_mitsuba_renders(color: str, camera: str | None) -> None:
+LENS = Optics(aperture_radius=0.8, focus_distance=3.0)
+
+
+@pytest.mark.parametrize(
+    ("color", "optics"),
+    [("rgb", Optics()), ("spectral", Optics()), ("spectral", Optics(camera="Nikon 5100 (NPL)")), ("rgb", LENS),
+     ("spectral", LENS)],
+)  # fmt: skip
+def test_the_light_is_what_mitsuba_renders(color: str, optics: Optics) -> None:
     """Pixel by pixel, 1024 samples each, against the spread between 16 parts of ours."""
     with using_variant(color=color) as mi:
         loaded = shiny_corner(mi, "diffuse")  # whose noise is nearly normal
-        settings = sensor_dict(mi, rig(), 0, loaded, Optics(camera=camera))
+        settings = sensor_dict(mi, rig(), 0, loaded, optics)
         sensor, integrator = mi.load_dict(settings), mi.load_dict({"type": "path", "max_depth": 6, "rr_depth": 2})
         film = np.array(mi.render(loaded.scene, sensor=sensor, integrator=integrator, spp=1024, seed=5))[..., :3]
         fresh = mi.load_dict(settings)  # one that mi.render has not prepared
