@@ -211,7 +211,7 @@ def activate(variant: str = "auto", color: str = "rgb") -> Any:
     import mitsuba as mi
 
     if mi.variant() != name:
-        mi.set_variant(name)
+        _switch(mi, name)
         # Below errors Mitsuba prints to stdout, past Python's warnings; what matters is checked on our side.
         mi.set_log_level(mi.LogLevel.Error)
     return mi
@@ -233,4 +233,11 @@ def using_variant(variant: str = "auto", color: str = "rgb") -> Iterator[Any]:
         yield mi
     finally:
         if before is not None and mi.variant() != before:
-            mi.set_variant(before)
+            _switch(mi, before)
+
+
+def _switch(mi: Any, variant: str) -> None:
+    """Set a variant, without what Dr.Jit says from the 72nd time on about how Mitsuba loads its own Python code."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "The AST-transforming decorator", RuntimeWarning)
+        mi.set_variant(variant)

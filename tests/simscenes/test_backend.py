@@ -147,3 +147,15 @@ def test_rendering_and_planning_leave_the_callers_variant_set(tmp_path: Path) ->
 def test_the_backend_of_any_variant_is_known() -> None:
     assert backend.backend_of("scalar_spectral") == "scalar"
     assert backend.backend_of("auto") == backend.choose_variant().removesuffix("_rgb")
+
+
+@pytest.mark.usefixtures("jit")
+def test_many_changes_of_variants_say_nothing(
+    recwarn: pytest.WarningsRecorder, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Scenes in spectra change twice a view; Dr.Jit would tell the user to change his program."""
+    with backend.using_variant("scalar"):
+        monkeypatch.setattr("drjit.ast._syntax_counter", 1000)
+        with backend.using_variant("auto", "spectral"):
+            pass
+    assert not recwarn.list
