@@ -133,9 +133,11 @@ def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> Load
     params = parameters_in(loaded, mi)
     check_faces(params)
     check_parameters(loaded, params, mi)
-    shapes = shape_names(loaded.shapes())
-    called = dict(zip(loaded.shapes(), shapes, strict=True))
-    materials = tuple(_material_name(s, called.get(s, s.id())) for s in unique_materials(loaded, mi))
+    painted = unique_materials(loaded, mi)  # shapes within groups are among them, which have no name but by this
+    named = list(dict.fromkeys([*loaded.shapes(), *painted]))
+    called = dict(zip(named, shape_names(named), strict=True))
+    shapes = tuple(called[shape] for shape in loaded.shapes())
+    materials = tuple(_material_name(shape, called[shape]) for shape in painted)
     if 0 < len(loaded.sensors()) <= source.sensor:
         raise ValueError(f"scene {name!r} has {len(loaded.sensors())} sensors, numbered from 0; got {source.sensor}")
     digest, own = content_digest(description, params), _own_integrator(source, mi, allow_outside)

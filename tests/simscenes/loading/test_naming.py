@@ -4,6 +4,8 @@ import json
 from pathlib import Path
 
 from simscenes import Rig, render_set
+from simscenes.backend import using_variant
+from simscenes.loading.load import build_scene
 from simscenes.rigs import intrinsics, look_at
 
 FILE = """<scene version="3.0.0">
@@ -29,3 +31,13 @@ def test_every_shape_of_a_file_has_a_name_of_its_own(tmp_path: Path) -> None:
     meta = json.loads((tmp_path / "set" / "set.json").read_text())
     assert meta["shapes"] == ["Ball", "Sphere", "Sphere_2", "Sphere_3", "teapot lid", "table", "copy"]
     assert meta["materials"][:2] == ["Red-BSDF", "Sphere.SmoothDiffuse"]
+
+
+def test_materials_within_groups_are_told_apart(tmp_path: Path) -> None:
+    group = "".join('<shape type="sphere"><bsdf type="diffuse"/></shape>' for _ in range(2))
+    scene = f'<shape type="shapegroup" id="group">{group}</shape><shape type="instance"><ref id="group"/></shape>'
+    (tmp_path / "scene.xml").write_text(f'<scene version="3.0.0">{scene}<emitter type="constant"/></scene>')
+    with using_variant("scalar") as mi:
+        loaded = build_scene(tmp_path / "scene.xml", mi)
+    assert loaded.shapes == ("group",)
+    assert loaded.materials == ("Sphere.SmoothDiffuse", "Sphere_2.SmoothDiffuse")
