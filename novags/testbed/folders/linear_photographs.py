@@ -181,9 +181,13 @@ def _size(file: Path) -> tuple[int, int]:
 
     try:
         with OpenEXR.File(str(file), header_only=True) as image:
-            low, high = image.header()["dataWindow"]
+            (low, high), whole = (image.header()[window] for window in ("dataWindow", "displayWindow"))
     except Exception as error:  # OpenEXR raises several types
         raise ValueError(f"{file} is not a readable EXR file ({error})") from error
+    if not np.array_equal((low, high), whole):  # cameras are of the whole picture: a part has another centre
+        raise ValueError(f"{file} holds a part of its picture, or more than it (data window {low.tolist()} to "
+                         f"{high.tolist()}, display window {whole[0].tolist()} to {whole[1].tolist()}): save whole "
+                         "pictures")  # fmt: skip
     return int(high[0] - low[0] + 1), int(high[1] - low[1] + 1)
 
 

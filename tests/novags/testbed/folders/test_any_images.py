@@ -107,6 +107,13 @@ def test_margins_around_the_picture_in_a_raw_file_are_cut_off_and_not_scaled(tmp
     np.testing.assert_array_equal(part.radiance(1), whole.radiance(1)[0:29, 1:39])
 
 
+# The picture of 80 x 30 px that an EXR file of 40 x 30 px holds the right half of.
+RIGHT_HALF = {
+    "dataWindow": (np.array([40, 0], np.int32), np.array([79, 29], np.int32)),
+    "displayWindow": (np.array([0, 0], np.int32), np.array([79, 29], np.int32)),
+}
+
+
 def spoilt(value: float) -> dict[str, np.ndarray]:
     """An EXR image of light 1 with another value in one pixel."""
     channel = np.ones((30, 40), np.float32)
@@ -148,6 +155,7 @@ def test_images_too_small_to_be_scored_are_refused_before_the_work(tmp_path: Pat
         (lambda f: write_exr(f / "images" / "0001.exr", spoilt(-0.5)), "got -0.5 at .* correct 0001.exr, or remove it"),
         (lambda f: write_exr(f / "images" / "0001.exr", spoilt(np.nan)), "got nan at .* correct 0001.exr"),
         (lambda f: (f / "images" / "0001.exr").write_bytes(b"no picture"), "not a readable EXR"),
+        (lambda f: write_exr(f / "images" / "0001.exr", spoilt(0.5), RIGHT_HALF), "holds a part of its picture"),
         (lambda f: write_view(f / "images" / "0001.exr", 0, (20, 30)), "must share one size"),
         (lambda f: write_exr(f / "images" / "0001.exr", {"Y": np.ones((30, 40), np.float32)}), "channels R, G, B"),
         (
