@@ -16,8 +16,8 @@ from novags.testbed.metrics.tone import Image, check_pair
 def exposure_gain(pairs: Iterable[tuple[Image, Image]], white: float = 1.0) -> float:
     """The one factor on all images that minimises the squared error to their references over all views.
 
-    Values where the reference exceeds `white` do not count: a picture clips them, and a lamp in view would otherwise
-    decide alone.
+    Values where the reference has `white` or more do not count: a picture clips them, and a lamp in view would
+    otherwise decide alone. Where nothing is darker, those at `white` itself do.
 
     Args:
         pairs: (image, reference) of each view; read once, so a generator needs memory for one view only.
@@ -27,12 +27,14 @@ def exposure_gain(pairs: Iterable[tuple[Image, Image]], white: float = 1.0) -> f
         ValueError: If shapes differ, a value is not finite, or the sum of image times reference is not positive.
     """
     _check_positive("white", white)
-    views, cross, energy = 0, 0.0, 0.0
+    views, darker, up_to_white = 0, np.zeros(2), np.zeros(2)
     for image, reference in pairs:
         check_pair(image, reference)
-        counts = reference <= white
-        x, y = image[counts].astype(np.float64), reference[counts].astype(np.float64)
-        views, cross, energy = views + 1, cross + float(x @ y), energy + float(x @ x)
+        for sums, counts in ((darker, reference < white), (up_to_white, reference <= white)):
+            x, y = image[counts].astype(np.float64), reference[counts].astype(np.float64)
+            sums += x @ y, x @ x
+        views += 1
+    cross, energy = (float(each) for each in (darker if darker[0] > 0 else up_to_white))
     if not cross > 0:
         raise ValueError(
             f"the sum of image times reference must be > 0 to match exposures, got {cross:g} over {views} views: "

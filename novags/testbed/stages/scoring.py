@@ -6,9 +6,10 @@ from typing import Any
 import numpy as np
 
 from novags.methods import METHODS
+from novags.methods.problem import encode
 from novags.testbed.cache import run_stage
 from novags.testbed.console import Console, Update
-from novags.testbed.exposures import as_compared, exposures_of
+from novags.testbed.exposures import Exposures, as_compared, exposures_of
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import METRICS, Run, open_run
 from novags.testbed.folders.set import Source
@@ -26,7 +27,7 @@ from novags.testbed.metrics import (
     mean_scores,
     psnr,
 )
-from novags.testbed.references import LINEAR, missing_references, pictured, references, true_depth
+from novags.testbed.references import LINEAR, missing_references, references, true_depth
 from novags.testbed.stages.noise_scores import noise_scores
 from sensor_model.files.lock import locked
 from simscenes.sets.geometry.correspondence import flow
@@ -113,10 +114,11 @@ def score_test_views(
         progress(done + 1, len(indices), f"view {name}")
     missing: dict[str, Any] = dict.fromkeys(missing_references(run, capture, lit))
     kinds = next(iter(views.values())).keys()
+    consistency = view_consistency(run, capture, lit, exposures) if depths else None
     return {
         "mean": missing | {kind: mean_scores([scores[kind] for scores in views.values()]) for kind in kinds},
         "views": views,
-        "geometry": {**mean_scores(depths), "consistency": view_consistency(run, capture, lit)} if depths else None,
+        "geometry": {**mean_scores(depths), "consistency": consistency} if depths else None,
     }
 
 
@@ -138,10 +140,13 @@ def shows_nothing(views: dict[str, Any]) -> dict[str, str]:
     return found
 
 
-def view_consistency(run: Run, capture: Capture, lit: Source) -> dict[str, float | None]:
+def view_consistency(
+    run: Run, capture: Capture, lit: Source, exposures: Exposures | None
+) -> dict[str, float | None]:  # fmt: skip
     """Mean colour change along true correspondences from each held-out view to the view after it.
 
-    None of a run whose training views were not rendered: the view after is one of them.
+    `exposures`: of a run in linear light. None of a run whose training views were not rendered: the view after is one
+    of them.
     """
     if not run.shows_training_views:
         return dict.fromkeys(ConsistencyScores.__annotations__)
@@ -149,12 +154,19 @@ def view_consistency(run: Run, capture: Capture, lit: Source) -> dict[str, float
     for i in capture.cameras.test_indices:
         j = i + 1 if i + 1 < len(capture.names) else i - 1
         moved = flow(lit.views, i, j)
-        rendered = [pictured(run, capture, run.rendering(capture.names[k])) for k in (i, j)]
-        first = [next(iter(references(run, capture, lit, k).values())) for k in (i, j)]
-        found.append(
-            consistency_scores((rendered[0], rendered[1]), (first[0], first[1]), moved.displacement, moved.visible)
-        )
+        (here, true_here), (there, true_there) = (_in_code(run, capture, lit, k, exposures) for k in (i, j))
+        found.append(consistency_scores((here, there), (true_here, true_there), moved.displacement, moved.visible))
     return dict(mean_scores(found))
+
+
+def _in_code(run: Run, capture: Capture, lit: Source, i: int, exposures: Exposures | None) -> tuple[Image, Image]:
+    """View `i` as rendered and its first reference, both as pictures of one exposure."""
+    kind, reference = next(iter(references(run, capture, lit, i).items()))
+    rendered = run.rendering(capture.names[i])
+    if kind not in LINEAR:
+        return as_compared(rendered, run, capture, kind, exposures), reference
+    gain = 1.0 if exposures is None or exposures.dark is None else exposures.dark
+    return encode(gain * rendered), encode(reference)
 
 
 def score_training_images(run: Run, capture: Capture, lit: Source) -> dict[str, Any] | None:

@@ -35,6 +35,19 @@ def test_a_lamp_beyond_white_does_not_decide_the_exposure() -> None:
     assert exposure_gain([(image, truth)], white=1000.0) > 20
 
 
+def test_a_saturated_reference_does_not_decide_the_exposure() -> None:
+    truth = views(9, 1)[0]
+    truth[0, 0] = 10.0  # a lamp, which the noise-free exposure shows as white itself and no brighter
+    saturated = np.minimum(truth, 1.0)
+    assert exposure_gain([(truth / 8, saturated)]) == pytest.approx(8.0, rel=1e-12)
+    assert linear_psnr(truth / 8, saturated, gain=8.0) == PSNR_CEILING
+
+
+def test_pictures_that_are_white_all_over_are_exposed_to_white() -> None:
+    white = np.ones((6, 6, 3))
+    assert exposure_gain([(white / 4, white)]) == pytest.approx(4.0, rel=1e-12)
+
+
 def test_the_unit_of_the_reference_is_its_white() -> None:
     truth = views(4, 1)[0] * 300
     image = truth / 9 + np.random.default_rng(5).normal(0, 0.5, truth.shape)

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from novags.methods.problem import encode
+from novags.testbed.exposures import Exposures
 from novags.testbed.report.charts import line_chart, linear_ticks, log_ticks
 from novags.testbed.report.facts import duration, fits, join, number, signed, size, smoothed
 from novags.testbed.report.look.maps import ERROR_CEILING, depth_map, error_map
@@ -104,6 +106,22 @@ def test_the_best_method_is_marked_and_the_oracle_does_not_compete() -> None:
     none = score_table(metrics, "enhanced", {"nova": True, "naive": True, "oracle": False}, lambda name, key: False)
     assert not any(cell["best"] or cell["rank"] for row in none for cell in row["cells"])
     assert [row["competes"] for row in none] == [False, True, True]  # who is a bound stays known
+
+
+def test_light_without_an_enhancement_is_as_consistent_as_the_truth_that_it_is_at_another_exposure(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    light = dict(enumerate(np.random.default_rng(0).uniform(0.01, 0.1, (2, 4, 4, 3))))
+    still = SimpleNamespace(displacement=np.zeros((4, 4, 2)), visible=np.ones((4, 4), bool))
+    monkeypatch.setattr(scoring, "flow", lambda *given: still)
+    monkeypatch.setattr(scoring, "references", lambda run, capture, lit, i: {"linear": light[i]})
+    run: Any = SimpleNamespace(space="linear", enhancement=None, shows_training_views=True,
+                               rendering=lambda name: light[int(name)] / 7)  # fmt: skip
+    capture: Any = SimpleNamespace(names=("0", "1"), cameras=SimpleNamespace(test_indices=(0,)))
+    source: Any = SimpleNamespace(views=None)
+    found = scoring.view_consistency(run, capture, source, Exposures(dark=7.0, lit=None))
+    assert found["excess"] == pytest.approx(0, abs=1e-6)
+    assert found["reference"] == pytest.approx(np.abs(encode(light[1]) - encode(light[0])).mean(), rel=1e-5)
 
 
 def test_depth_is_scored_in_the_scale_of_the_true_cameras(monkeypatch: pytest.MonkeyPatch) -> None:
