@@ -1,5 +1,6 @@
 """What every camera source returns: cameras for the views it could place, and points to start from, in one frame."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -85,14 +86,16 @@ def near_origin(viewmats: Array) -> tuple[float, float, float]:
     """Where the zero of the world should lie, so that float32 resolves a scene with these cameras [C, 4, 4].
 
     Zero itself, which changes no bit of anything, unless the mean camera is more than `FAR` scene extents away from it,
-    as in national grids (UTM); then the mean camera, in whole units.
+    as in national grids (UTM); then the mean camera in whole units; of a small scene in tenths, hundredths and so on,
+    none of them longer than `FAR` extents.
     """
     centers = centers_of(viewmats)
     middle = centers.mean(0)
     extent = float(np.linalg.norm(centers - middle, axis=1).max()) or 1.0
     if np.abs(middle).max() <= FAR * extent:
         return 0.0, 0.0, 0.0
-    x, y, z = (float(v) for v in np.round(middle))
+    digits = max(0, -math.floor(math.log10(FAR * extent)))
+    x, y, z = (float(v) for v in np.round(middle, digits))
     return x, y, z
 
 

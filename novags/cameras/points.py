@@ -36,7 +36,7 @@ def project(points: Array, viewmat: Array, K: Array) -> tuple[Array, Array]:
     camera = points @ viewmat[:3, :3].T + viewmat[:3, 3]
     z = camera[:, 2]
     # Behind the camera, projections are mirror images; on its plane they are at infinity.
-    return (camera @ K.T)[:, :2] / np.where(z > 1e-6, z, np.nan)[:, None], z
+    return (camera @ K.T)[:, :2] / np.where(z > 0, z, np.nan)[:, None], z
 
 
 def inside(pixels: Array, height: int, width: int) -> NDArray[np.bool_]:

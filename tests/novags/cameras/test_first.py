@@ -107,6 +107,19 @@ def test_a_world_of_another_size_place_and_direction_gives_the_same_points(scene
     assert np.median(distance) < 1e-3 * scale
 
 
+@pytest.mark.parametrize("scale", [1e-8, 1e8])
+def test_a_model_in_other_units_is_filled_up_and_coloured_alike(scene: Any, scale: float) -> None:
+    viewmats, Ks = cameras(scene)
+    small = viewmats.copy()
+    small[:, :3, 3] *= scale
+    one, other = (
+        from_model(unit * model(scene, 60), pictures(scene), mats, Ks, 200, np.random.default_rng(0))
+        for unit, mats in ((1.0, viewmats), (scale, small))
+    )
+    np.testing.assert_allclose(other.xyz / scale, one.xyz, atol=1e-6)
+    np.testing.assert_allclose(other.colors, one.colors, atol=1e-6)
+
+
 def test_pictures_that_show_nothing_still_give_points_in_front_of_the_cameras(scene: Any) -> None:
     viewmats, Ks = cameras(scene)
     first = from_pictures(

@@ -103,6 +103,14 @@ def test_the_zero_of_a_set_stays_unless_it_is_far_away() -> None:
     assert near_origin(np.asarray(rig.about([-1e7, 0, 0]).viewmats)) == (1e7, 0.0, pytest.approx(1, abs=1))
 
 
+@pytest.mark.parametrize("extent", [1e-6, 3e-5, 0.002, 0.9, 40.0])
+def test_the_zero_of_a_small_set_is_as_near_as_that_of_a_large_one(extent: float) -> None:
+    viewmats = np.asarray(orbit_rig(9, 32, 32, 50.0, radius=extent).viewmats).copy()
+    place = 1e5 * extent * np.array([0.71, -0.33, 0.52])
+    viewmats[:, :3, 3] -= viewmats[:, :3, :3] @ place
+    assert np.abs(place - near_origin(viewmats)).max() < FAR * extent
+
+
 def test_near_sets_keep_every_bit_of_their_cameras(tmp_path: Path) -> None:
     stages.capture(build(tmp_path / "set", np.zeros(3)), tmp_path / "cap", CaptureConfig(electrons=200.0), QUIET)
     capture = open_capture(tmp_path / "cap")
