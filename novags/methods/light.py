@@ -46,7 +46,8 @@ def measured_light(
 ) -> MeasuredLight:
     """The measurements of a capture: raw frames, else the linear 16-bit pictures.
 
-    Raw frames of another size than the pictures, and those whose white balance is unknown, are left alone.
+    Their zero is the black that the noise states, which of a camera with an error of its black level is not that of its
+    files. Raw frames of another size than the pictures, and those whose white balance is unknown, are left alone.
 
     Args:
         noise: Of its pictures.
@@ -59,56 +60,61 @@ def measured_light(
     """
     fits = raw is not None and (linear16 is None or raw.dn.shape[:3] == linear16.shape[:3])
     if raw is not None and fits and raw.balance is not None and noise.raw is not None:
-        light, curve = _of_raw(raw, noise.raw.curve)
+        light, curve, zero = _of_raw(raw, noise.raw.curve)
         matrix = None if raw.matrix is None else light.new_tensor(raw.matrix)
-        return MeasuredLight(
-            light=light, noise=Variance(curve), white=light.new_tensor(raw.balance), matrix=matrix
-        )  # fmt: skip
+        white = light.new_tensor(raw.balance) - zero
+        return MeasuredLight(light=light, noise=Variance(curve), white=white, matrix=matrix)
     if linear16 is None:
         lacking = "this capture has neither" if raw is None else "its raw frames have no known white balance or noise"
         raise LacksInput(f"this method needs raw frames or 16-bit linear pictures, and {lacking}")
     curve = noise.linear16.curve
-    white = linear16.new_tensor(curve.white)
     shared = channels_share or (("demosaicing",) if curve.interpolated else ())
+    zero = linear16.new_tensor(curve.black)
     if curve.matrix is not None:
-        curve = _of_grey(noise.linear16)
-    return MeasuredLight(light=linear16, noise=Variance(curve), white=white, matrix=None, shared=shared)
+        zero = linear16.new_tensor(curve.matrix) @ zero
+    white = linear16.new_tensor(curve.white) - zero
+    curve = _scaled(curve, [1.0] * 3) if curve.matrix is None else _of_grey(noise.linear16, zero)
+    return MeasuredLight(light=linear16 - zero, noise=Variance(curve), white=white, matrix=None, shared=shared)
 
 
-def _of_raw(raw: RawPictures, curve: NoiseCurve) -> tuple[Tensor, NoiseCurve]:
-    """Light [C, H, W, 3] of raw frames, nan in the channels that a pixel's filter hides, and its noise."""
+def _of_raw(raw: RawPictures, curve: NoiseCurve) -> tuple[Tensor, NoiseCurve, Tensor]:
+    """Light [C, H, W, 3] of raw frames, nan in the channels that a pixel's filter hides, its noise, and its zero [3]
+    as light over the black level of the files.
+    """
     assert raw.balance is not None
     unit = [(raw.white - raw.black) / factor for factor in raw.balance]  # DN of light 1
     dn = raw.dn if raw.dn.ndim == 4 else raw.dn[..., None].expand(*raw.dn.shape, 3)
-    light = (dn - raw.black) / dn.new_tensor(unit)
+    light = (dn - dn.new_tensor(curve.black)) / dn.new_tensor(unit)
     if raw.cfa is not None:
         height, width = dn.shape[1:3]
         index = torch.from_numpy(channel_index((height, width), raw.cfa)).long().to(dn.device)
         light = torch.where(torch.nn.functional.one_hot(index, 3).bool(), light, torch.nan)
-    return light, _scaled(curve, raw.black, unit)
+    zero = (dn.new_tensor(curve.black) - raw.black) / dn.new_tensor(unit)
+    return light, _scaled(curve, unit), zero
 
 
-def _scaled(curve: NoiseCurve, black: float, unit: list[float]) -> NoiseCurve:
+def _scaled(curve: NoiseCurve, unit: list[float]) -> NoiseCurve:
     """The noise of (datum - black) / unit."""
 
-    def each(values: tuple[float, ...], power: int, shift: float = 0.0) -> tuple[float, ...]:
-        return tuple((value - shift) / u**power for value, u in zip(values, unit, strict=True))
+    def each(values: tuple[float, ...], power: int, shift: tuple[float, ...] = (0.0,) * 3) -> tuple[float, ...]:
+        return tuple((value - s) / u**power for value, s, u in zip(values, shift, unit, strict=True))
 
     return replace(
-        curve, black=each(curve.black, 1, black), white=each(curve.white, 1, black),
-        switch=each(curve.switch, 1, black), offset=each(curve.offset, 2), slope=each(curve.slope, 1),
-        step=each(curve.step, 2),
+        curve, black=(0.0,) * 3, white=each(curve.white, 1, curve.black), switch=each(curve.switch, 1, curve.black),
+        offset=each(curve.offset, 2), slope=each(curve.slope, 1), step=each(curve.step, 2),
     )  # fmt: skip
 
 
-def _of_grey(variance: Variance) -> NoiseCurve:
-    """The noise of pictures after a colour matrix as that of a camera without one: right where the light is grey."""
-    ends = torch.tensor([0.0, 0.5]).double()[:, None].expand(2, 3)
+def _of_grey(variance: Variance, zero: Tensor) -> NoiseCurve:
+    """The noise of pictures after a colour matrix, from their `zero` [3] on, as that of a camera without one: right
+    where the light is grey.
+    """
+    ends = torch.tensor([0.0, 0.5]).double()[:, None].expand(2, 3) + zero.cpu()
     dark, middle = variance(ends).tolist()
     slope = tuple(2 * (m - d) for d, m in zip(dark, middle, strict=True))
-    zero, never = (0.0,) * 3, (float("inf"),) * 3
+    nothing, never = (0.0,) * 3, (float("inf"),) * 3
     return NoiseCurve(
-        black=zero, white=(1.0,) * 3, offset=tuple(dark), slope=slope, quadratic=zero, switch=never, step=zero
+        black=nothing, white=(1.0,) * 3, offset=tuple(dark), slope=slope, quadratic=nothing, switch=never, step=nothing
     )
 
 

@@ -8,6 +8,7 @@ import pytest
 import torch
 
 from novags.methods.denoised.measured import measured
+from novags.methods.light import measured_light
 from novags.methods.noise import Noise, Variance, camera_noise
 from novags.methods.noise_estimate import estimate_noise
 from novags.methods.problem import LacksInput, Problem, RawPictures
@@ -78,6 +79,25 @@ def test_linear_pictures_serve_where_there_are_no_raw_frames() -> None:
     raw, linear = measured(given), measured(replace(given, raw=None))
     torch.testing.assert_close(linear.electrons, raw.electrons, atol=0.03, rtol=0)  # they were rounded to 16 bits
     torch.testing.assert_close(linear.linear(linear.electrons), given.linear16)
+
+
+@pytest.mark.parametrize("matrix", [None, MATRIX])
+@pytest.mark.parametrize("with_raw", [True, False])
+def test_a_known_error_of_the_black_level_is_no_light(matrix: list[list[float]] | None, with_raw: bool) -> None:
+    even = replace(PRESETS["a7s2-iso6400-3chip"], sigma_d=0.0, sigma_row=0.0, tukey_lambda=None)
+    off = replace(even, rgb_bias=(12.0, -30.0, 25.0))
+    found = []
+    for sensor in (even, off):
+        given = problem(sensor, matrix=matrix)
+        assert given.noise is not None
+        raw = given.raw if with_raw else None
+        found.append(measured_light(given.noise, raw, given.linear16, given.channels_share))
+    right, wrong = found
+    torch.testing.assert_close(wrong.light, right.light, atol=1e-4, rtol=0)  # a code, and 16 bits; off by 2e-3 else
+    mean = torch.full((3,), 0.1)
+    torch.testing.assert_close(wrong.noise(mean), right.noise(mean), rtol=1e-3, atol=0)
+    assert wrong.noise.curve.black == (0.0,) * 3
+    assert right.white[1] < wrong.white[1]  # a black that is lower leaves more room below white
 
 
 def test_noise_that_does_not_grow_with_the_signal_is_taken_as_read_noise() -> None:
