@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from novags.cameras.first import FirstPoints, _around_focus, from_depths, from_model, from_pictures
+from novags.cameras.points import fill, project, unproject
 from novags.methods import METHODS
 from novags.methods.gaussian_fit import fit_for
 from novags.methods.problem import Problem
@@ -105,6 +106,17 @@ def test_a_world_of_another_size_place_and_direction_gives_the_same_points(scene
     moved = from_pictures(pictures(scene), other, Ks, 200, np.random.default_rng(0))
     distance = np.linalg.norm(moved.xyz - (scale * first.xyz @ turn.T + move), axis=1)
     assert np.median(distance) < 1e-3 * scale
+
+
+def test_between_points_inverse_depths_are_averaged_by_inverse_distance() -> None:
+    viewmats, Ks = np.eye(4)[None], np.array([[[10.0, 0, 8], [0, 10.0, 6], [0, 0, 1]]])
+    at, z = np.array([[2.0, 3.0], [14.0, 9.0]]), np.array([1.0, 5.0])
+    seen = unproject(at, z, np.repeat(viewmats, 2, 0), np.repeat(Ks, 2, 0))
+    xyz, colors = fill([seen], np.zeros((1, 12, 16, 3), np.float32), viewmats, Ks, 50, np.random.default_rng(0))
+    pixels, depth = project(xyz, viewmats[0], Ks[0])
+    near = 1 / np.linalg.norm(pixels[:, None] - at, axis=-1)
+    np.testing.assert_allclose(1 / depth, (near / z).sum(1) / near.sum(1), rtol=1e-9)
+    assert colors.shape == (50, 3)
 
 
 @pytest.mark.parametrize("scale", [1e-8, 1e8])

@@ -107,6 +107,27 @@ def test_depth_errors_scale_the_depth_of_each_view_as_a_whole():
     assert abs(float(factors.mean()) - 1) > 0.05
 
 
+def test_depth_errors_of_the_views_are_independent_and_of_the_stated_size():
+    multiview, logs = FakeSet(cameras()), []
+    config = KnownConfig(depth_error=0.1)
+    for seed in range(60):
+        start = known(multiview, [0, 1], shaded(2), n_points=200, seed=seed, config=config)
+        factors = []
+        for i in (0, 1):
+            viewmat, K = start.viewmats[i], start.Ks[i]
+            inside = start.points.double() @ viewmat[:3, :3].T + viewmat[:3, 3]
+            pixels = inside @ K.T
+            pixels = pixels[:, :2] / pixels[:, 2:]
+            own = ((pixels % 1 - 0.5).abs() < 1e-3).all(1) & ((pixels > 0) & (pixels < SIZE)).all(1)
+            column, row = pixels[own].long().T
+            true = torch.from_numpy(multiview.geometry(i)["z"])[row, column]
+            factors.append(float((inside[own, 2] / true).median()))
+        logs.append(np.log(factors))
+    first, second = np.array(logs).T
+    assert np.std(np.array(logs)) == pytest.approx(0.1, rel=0.3)
+    assert abs(np.corrcoef(first, second)[0, 1]) < 0.5  # of 60: four standard errors
+
+
 def test_perturbations_have_the_stated_root_mean_square():
     exact = orbit_rig(2000, SIZE, SIZE, 50.0, radius=3.0).viewmats
     moved = perturb(exact, 2.0, 0.1, np.random.default_rng(0))

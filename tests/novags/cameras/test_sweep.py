@@ -21,3 +21,41 @@ def test_a_plane_costs_the_mean_over_the_two_neighbours_that_agree_best(
 def test_between_planes_the_lowest_point_of_a_parabola_is_found(lowest: float) -> None:
     cost = ((np.arange(5.0) - lowest) ** 2)[:, None, None]
     np.testing.assert_allclose(sweep.between(cost, cost.argmin(0)), lowest)
+
+
+def test_neighbours_look_the_same_way_and_stand_elsewhere_the_nearest_first() -> None:
+    viewmats = np.tile(np.eye(4), (6, 1, 1))
+    for k, (angle, distance) in enumerate([(0, 0), (59, 3), (61, 1), (0, 2), (30, 0), (-50, 1)]):
+        c, s = np.cos(np.radians(angle)), np.sin(np.radians(angle))
+        viewmats[k, :3, :3] = [[c, 0, -s], [0, 1, 0], [s, 0, c]]
+        viewmats[k, :3, 3] = -viewmats[k, :3, :3] @ [distance, 0, 0]
+    assert sweep.neighbours(viewmats, 0).tolist() == [5, 3, 1]
+
+
+def test_paths_of_semi_global_matching_are_those_of_its_recursion() -> None:
+    cost = np.random.default_rng(0).uniform(0, 1, (7, 5, 6)).astype(np.float32)
+    planes, height, width = cost.shape
+    want = np.zeros(cost.shape)
+    for dy, dx in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        path = np.zeros(cost.shape)
+        for y in range(height)[:: dy or 1]:
+            for x in range(width)[:: dx or 1]:
+                path[:, y, x] = cost[:, y, x]
+                if not (0 <= y - dy < height and 0 <= x - dx < width):
+                    continue
+                before = path[:, y - dy, x - dx]
+                for d in range(planes):
+                    beside = [before[e] + sweep.SMOOTH for e in (d - 1, d + 1) if 0 <= e < planes]
+                    path[d, y, x] += min(before[d], *beside, before.min() + sweep.JUMP) - before.min()
+        want += path
+    np.testing.assert_allclose(sweep.semi_global(cost), want, rtol=1e-5)
+
+
+def test_what_lies_outside_of_the_other_picture_does_not_correlate() -> None:
+    image = np.random.default_rng(0).uniform(0, 1, (12, 16)).astype(np.float32)
+    other = np.stack([image, np.ones_like(image)], -1)
+    shift = np.array([[1.0, 0.0, 5.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])  # a pixel here is 5 px further right there
+    found = sweep._Windows.of(image).correlation(other, shift)
+    assert np.isfinite(found[:, :11]).all()
+    assert np.isneginf(found[:, 11:]).all()
+    np.testing.assert_allclose(sweep._Windows.of(image).correlation(other, np.eye(3)), 1, atol=1e-3)

@@ -174,6 +174,18 @@ def test_what_a_view_does_not_see_does_not_leak() -> None:
     assert (hidden.views > 0).mean() < 0.75  # the far sides of the box, and its shadow
 
 
+def test_less_than_half_of_the_kernel_on_the_surface_is_not_enough() -> None:
+    """In the corner of a surface, two fifths of a pixel away from what shows it alone, a third of it is left."""
+    depth, facing = np.full((SIZE, SIZE), 2.0), np.broadcast_to([0.0, 0.0, -1.0], (SIZE, SIZE, 3))
+    target = Camera.of(np.eye(4), World.K, depth, facing)
+    corner = depth.copy()
+    corner[8:], corner[:, 8:] = 5.0, 5.0
+    moved = World.K + np.array([[0, 0, 0.45], [0, 0, 0.45], [0, 0, 0]])
+    source = Camera.of(np.eye(4), moved, corner, facing)
+    rows = np.array([6 * SIZE + 6, 6 * SIZE + 4, 4 * SIZE + 6, 4 * SIZE + 4])  # of whole pixels up to row and column 6
+    assert warp(target, source, rows, STRICT)[1].tolist() == [False, True, True, True]
+
+
 def test_holes_are_counted_and_take_the_colour_beside_them() -> None:
     world = World()
     scene = gathered(world)

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from novags.cameras import parse_cameras
 from novags.methods import METHODS, chosen
@@ -68,6 +69,17 @@ def test_held_out_exposures_are_no_part_of_it(captures: Path) -> None:
     scene = METHODS["averaging"].train(problem, config.config).scene
     for camera, viewmat in zip(scene.sources, problem.views.viewmats, strict=True):
         assert np.allclose(camera.viewmat, viewmat.numpy(), atol=1e-5)
+
+
+def test_variances_are_those_at_the_true_mean_and_not_at_noisy_values(captures: Path) -> None:
+    config = adapted(EXPERIMENTS["demo"], **TINY, methods=("averaging",)).reconstruct("averaging")
+    capture = open_capture(captures / "2")
+    problem = prepare(capture, capture.source(QUIET), config, QUIET).problem
+    assert problem.noise is not None
+    scene = METHODS["averaging"].train(problem, config.config).scene
+    clean = np.stack([capture.clean_linear(i) for i in capture.cameras.train_indices])
+    want = problem.noise.linear16(torch.from_numpy(clean.clip(0, 1)).double()).numpy()
+    np.testing.assert_allclose(scene.variances, want, rtol=1e-3)
 
 
 @pytest.mark.parametrize("name", ["averaging", "averaging-clean"])

@@ -81,6 +81,15 @@ def test_linear_pictures_serve_where_there_are_no_raw_frames() -> None:
     torch.testing.assert_close(linear.linear(linear.electrons), given.linear16)
 
 
+def test_after_a_colour_matrix_the_noise_is_that_of_grey_light_from_black_to_half_of_white() -> None:
+    given = problem(PRESETS["a7s2-iso6400-3chip"], matrix=MATRIX)
+    assert given.noise is not None
+    found = measured_light(given.noise, None, given.linear16, ())
+    for level in (0.0, 0.1, 0.4):
+        grey = torch.full((3,), level, dtype=torch.float64)
+        torch.testing.assert_close(found.noise(grey), given.noise.linear16(grey), rtol=1e-3, atol=0)
+
+
 @pytest.mark.parametrize("matrix", [None, MATRIX])
 @pytest.mark.parametrize("with_raw", [True, False])
 def test_a_known_error_of_the_black_level_is_no_light(matrix: list[list[float]] | None, with_raw: bool) -> None:

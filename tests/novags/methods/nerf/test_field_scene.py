@@ -3,6 +3,7 @@
 import dataclasses
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,8 +14,10 @@ from novags.fields.layout import Layout, first_field
 from novags.fields.march import Proposal
 from novags.fields.training.config import FieldFitConfig
 from novags.methods.enhancers import enhanced, enhanced_clean
+from novags.methods.light import MeasuredLight
 from novags.methods.nerf import clean, plain
 from novags.methods.nerf.fitting import NerfConfig
+from novags.methods.nerf.raw import numbers_of
 from novags.methods.nerf.scene import FILE, FieldScene, load_field
 from novags.methods.nerf.shading import SHADINGS
 from novags.methods.problem import LacksInput, Problem
@@ -69,6 +72,10 @@ def test_light_is_shown_in_its_unit_through_its_matrix() -> None:
     expected = 2 * matrix @ (0.25 * np.exp([0.1, 0.2, 0.3]) + 0.5 * np.exp([-1.0, 0.0, 1.0]))
     found = SHADINGS["light"](raw, weights, numbers)[0].numpy()
     np.testing.assert_allclose(found, expected, rtol=1e-6)
+    noise: Any = None
+    data = MeasuredLight(light=raw, noise=noise, white=torch.ones(3), matrix=torch.from_numpy(matrix))
+    assert numbers_of(data, 2.0) == numbers
+    assert numbers_of(dataclasses.replace(data, matrix=None), 2.0) == {"unit": 2.0}
 
 
 def test_nerf_learns_the_enhanced_pictures_and_its_ceiling_the_clean_ones(problem: Callable[..., Problem]) -> None:
