@@ -5,6 +5,7 @@ import importlib
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import torch
 from torch import Tensor
 
 from novags.fields.box import Box, box_of
-from novags.fields.layout import Layout
+from novags.fields.layout import SIDE, Layout
 from novags.fields.render import render_field
 from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
@@ -206,6 +207,22 @@ def test_what_a_bad_step_leaves_is_the_state_before_it(tmp_path: Path, bad: int,
     np.testing.assert_array_equal(mended.proposal.density, whole.proposal.density)
     assert (mended.looked, mended.steps) == (whole.looked, whole.steps)
     assert all(torch.equal(tensor, mended.tensors()[name]) for name, tensor in whole.tensors().items())
+
+
+def test_the_map_is_looked_at_cell_after_cell_and_then_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[np.ndarray] = []
+
+    def learn(places: np.ndarray, *given: object) -> None:
+        x, y, z = (places * SIDE).astype(int).T
+        seen.append((z * SIDE + y) * SIDE + x)
+
+    monkeypatch.setattr(fitting, "evaluate", lambda field, places, basis: (np.zeros((len(places), 1)), None))
+    state = SimpleNamespace(looked=0, field=None, proposal=SimpleNamespace(learn=learn))
+    rng = SimpleNamespace(random=lambda shape: np.full(shape, 0.5))  # at the middle of cells
+    for _ in range(3):
+        fitting.refresh(state, rng, 400_000)
+    np.testing.assert_array_equal(np.concatenate(seen), np.arange(1_200_000) % SIDE**3)
+    assert state.looked == 1_200_000 % SIDE**3
 
 
 def test_a_field_without_views_is_refused() -> None:

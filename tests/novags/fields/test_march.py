@@ -63,6 +63,16 @@ def test_samples_lie_where_the_inverse_of_the_weights_sum_puts_them() -> None:
     np.testing.assert_allclose(found.positions, places, atol=1e-5)
 
 
+def test_the_map_takes_denser_finds_at_once_and_forgets_what_was_denser_by_and_by() -> None:
+    proposal = Proposal(np.full(SIDE**3, 2.0, np.float32))
+    places = np.array([[0.1, 0.2, 0.3], [0.6, 0.7, 0.8], [0.6, 0.7, 0.8]], np.float32)
+    proposal.learn(places, np.log(np.array([5.0, 1.0, 0.5], np.float32)), 0.75)
+    cells = [int((int(z * SIDE) * SIDE + int(y * SIDE)) * SIDE + int(x * SIDE)) for x, y, z in places.astype(float)]
+    assert proposal.density[cells[0]] == pytest.approx(5.0, rel=1e-5)
+    assert proposal.density[cells[1]] == pytest.approx(0.5 + (1.75 - 0.5) * 0.75, rel=1e-5)  # 1 + (2 - 1) 0.75 first
+    assert (np.delete(proposal.density, cells) == 2).all()
+
+
 def test_an_empty_map_spreads_samples_evenly_and_a_wall_draws_them() -> None:
     rays, jitter = Rays(torch.tensor([[0.5, 0.0, -3.0]]), torch.tensor([[0.0, 0.0, 1.0]]), torch.ones(1)), None
     jitter = np.full((1, 25), 0.5, np.float32)

@@ -100,6 +100,17 @@ def test_the_curve_is_within_a_decibel_of_the_cameras_own(camera: str, electrons
     assert figures.black == sensor.black_level
 
 
+def test_the_rounding_to_whole_codes_is_no_read_noise() -> None:
+    """Half an electron of it at 0.8 DN an electron: with the variance of rounding it would seem to be 0.62."""
+    rng, gain, read = np.random.default_rng(0), 0.8, 0.5
+    mean = np.broadcast_to(np.geomspace(0.5, 60, 300), (6, 300, 300))  # electrons
+    dn = np.round(100 + gain * (rng.poisson(mean) + read * rng.standard_normal(mean.shape)))
+    raw = RawPictures(dn=torch.from_numpy(dn).float(), cfa=None, black=100.0, white=4095.0)
+    figures = camera_figures(raw)
+    assert figures.gain == pytest.approx(gain, rel=0.03)
+    assert figures.read_noise == pytest.approx(read, abs=0.07)
+
+
 @pytest.mark.parametrize("electrons", [2.0, 20.0])
 def test_a_black_level_that_nobody_states_is_found_in_the_dark(electrons: float) -> None:
     """Expectation: from noise below it to the light of the darkest hundredth, 4 % of the mean, above it."""

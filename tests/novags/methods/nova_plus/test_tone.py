@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods.tone import BRIGHTEST, KNEE, ToneCurve, tone_curve
+from novags.methods.tone import BRIGHTEST, KNEE, ToneCurve, median_light, tone_curve
 
 CURVE = ToneCurve(top=0.3, k=5.0)
 
@@ -45,6 +45,11 @@ def test_the_knee_follows_the_median_and_the_top_the_brightest_pixels() -> None:
     lamp[:60] = 100.0  # a lamp in view moves the top, not the knee
     assert tone_curve(lamp).top == 100.0
     assert tone_curve(lamp).knee == pytest.approx(curve.knee, rel=0.01)
+
+
+def test_neighbours_are_those_in_a_row() -> None:
+    rows = torch.tensor([[-1.0, -1.0, 5.0 + k, -1.0] for k in range(4)], dtype=torch.float64)  # means 0.5, 0.75, ...
+    assert median_light(rows.flatten()) == 0.75  # torch's median is the lower one in the middle
 
 
 def test_where_most_data_are_black_the_median_is_that_of_means_of_neighbours() -> None:
