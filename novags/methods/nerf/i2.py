@@ -5,7 +5,7 @@
     loss = 2 RawNeRF's(I, y)
            + 1 - SSIM(J, luminance-mapped y) over stochastic squares (S3IM)
            + 1e-3 bright channel: (1 - max of J over channels and a square)^2
-           + 1e-3 overlap: mean of w_i s_i (1 - exp(-s_i d_i)): the medium is where the surface is not
+           + 1e-3 overlap: mean over rays of sum_i w_i (1 - exp(-s_i d_i)): the medium is where the surface is not
            + 0.1 variation of s along a ray
 
 The mapping of y brings its mean to `mean` and its contrast to `contrast` times what it was. Liu et al. 2025, "I2-NeRF:
