@@ -101,6 +101,25 @@ def test_what_the_held_out_data_dislike_is_dropped(dark: Any, monkeypatch: pytes
         assert torch.equal(tensor, first.scene.gaussians.tensors()[name]), name  # type: ignore[attr-defined]
 
 
+def test_the_merged_set_is_what_is_judged_and_its_first_seed_the_measure(
+    dark: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    inputs, _ = dark()
+    config = dataclasses.replace(CONFIG, stages="likelihood")
+    judged: list[tuple[torch.Tensor, torch.Tensor]] = []
+
+    def spy(tones: torch.Tensor, other: torch.Tensor, *_: Any) -> Verdict:
+        judged.append((tones, other))
+        return Verdict(0.0, 1.0)
+
+    monkeypatch.setattr(trainer, "compare", spy)
+    scenes: list[Any] = [train(inputs, dataclasses.replace(config, seeds=seeds)).scene for seeds in (2, 1)]
+    (found,) = judged
+    for scene, tones in zip(scenes, found, strict=True):
+        assert torch.equal(dataclasses.replace(scene, tone=None).render(inputs.views)[0], tones)
+    assert not torch.equal(*found)
+
+
 def test_a_run_stopped_anywhere_ends_as_if_it_had_not_been(
     dark: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
