@@ -59,6 +59,13 @@ def test_a_bias_that_follows_brightness_another_exposure_and_blur_hold_nearly_no
         assert abs(noise_share(image, noisy, reference)) < 0.03
 
 
+def test_what_is_added_to_dark_places_alone_is_no_noise():
+    rng = np.random.default_rng(6)
+    reference = rng.uniform(0, 1, (100, 100, 3))
+    biased = reference + 0.3 * np.exp(-reference / 0.1)  # about one mean of all pixels it would be 0.6 of the noise
+    assert abs(noise_share(biased, biased + rng.normal(0, 0.05, reference.shape), reference)) < 0.03
+
+
 def test_without_noise_there_is_no_share():
     _, reference = pictures()
     assert noise_share(reference + 0.1, reference, reference) is None
