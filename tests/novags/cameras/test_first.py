@@ -93,6 +93,19 @@ def test_pictures_alone_tell_where_the_surface_is_in_the_dark_too(scene: Any, el
     assert np.quantile(distance, 0.8) < 0.12
 
 
+def test_points_from_pictures_have_the_colour_of_the_pixel_that_they_were_found_at(scene: Any) -> None:
+    viewmats, Ks = cameras(scene)
+    marked = np.random.default_rng(3).uniform(0, 1e-6, (VIEWS, SIZE, SIZE, 3)).astype(np.float32)  # every pixel its own
+    images = pictures(scene) + marked
+    first = from_pictures(images, viewmats, Ks, 100, np.random.default_rng(0))
+    found = np.zeros(100, bool)
+    for image, viewmat, K in zip(images, viewmats, Ks, strict=True):
+        x, y = np.nan_to_num(project(first.xyz, viewmat, K)[0], nan=-1).T
+        inside = (x >= 0) & (x < SIZE) & (y >= 0) & (y < SIZE)
+        found[inside] |= (image[y[inside].astype(int), x[inside].astype(int)] == first.colors[inside]).all(1)
+    assert found.mean() > 0.97  # rounding at the border of a pixel
+
+
 def test_a_world_of_another_size_place_and_direction_gives_the_same_points(scene: Any) -> None:
     """Depths are tried in units of the cameras' own distances: nothing depends on the unit of length."""
     viewmats, Ks = cameras(scene)
