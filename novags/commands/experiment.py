@@ -63,7 +63,7 @@ def run(
         out: Folder of the experiment; if not given, out/PRESET, with scene, electrons and budget where they are given.
         methods: Methods and variants to compare; `novags list methods` names them.
         variant: A method with settings changed, NAME=METHOD:SETTING=VALUE,SETTING=VALUE, compared as well; may be given
-            several times. Or a TOML file with tables [variant.NAME].
+            several times. Or a TOML file with tables [variant.NAME], of which --methods may name some.
         cameras: Where cameras come from: known, known:rotation_deg=1, sfm, dust3r:checkpoint=FILE; see `novags help
             cameras`.
         refine_cameras: Let every fit correct its training cameras.
@@ -86,7 +86,7 @@ def run(
 
     chosen = adapted(
         EXPERIMENTS[preset], scene=scene, photos=photos, fps=fps, level=level, sensor=sensor, electrons=electrons,
-        methods=methods, n_views=views,
+        methods=_compared(methods, variant), n_views=views,
         width=width, height=height, spp=spp, max_size=max_size, points=points, iterations=iterations,
         denoiser_steps=denoiser_steps, seed=seed,
         variants=variants_of(variant), cameras=cameras_of(cameras), refine_cameras=refine_cameras, device=device,
@@ -107,6 +107,12 @@ def run(
     }  # fmt: skip
     given = frozenset(name for name, value in decided.items() if value is not None)
     _within(chosen, budget, given, curves, out, whole, wait, overwrite)
+
+
+def _compared(methods: tuple[str, ...] | None, variant: Repeated) -> tuple[str, ...] | None:
+    """What `--methods` names and the variants that are spelled out; from a file of variants `--methods` chooses."""
+    spelled = variants_of(tuple(text for text in variant if not text.endswith(".toml")))
+    return methods and (*methods, *(each.name for each in spelled if each.name not in methods))
 
 
 def _within(

@@ -47,6 +47,20 @@ def test_variants_and_cameras_reach_the_experiment(call: Call, monkeypatch: pyte
     assert found.device == "cpu"
 
 
+def test_a_variant_that_is_spelled_out_is_compared_beside_the_methods_that_are_named(
+    call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """As `novags help variants` has it; a file may hold more variants than one wants."""
+    from novags.testbed import experiment
+
+    seen = []
+    monkeypatch.setattr(experiment, "run", lambda preset, *_, **__: seen.append(preset.methods) or tmp_path)
+    (tmp_path / "more.toml").write_text('[variant.x]\nmethod = "naive"\n[variant.y]\nmethod = "naive"\n')
+    words = ["run", "--methods", "naive", "x", "--variant", "l1=naive:fit.dssim_weight=0", "--out", str(tmp_path)]
+    assert call(*words, "--variant", str(tmp_path / "more.toml")) == 0
+    assert seen == [("naive", "x", "l1")]
+
+
 @pytest.mark.parametrize(
     ("words", "message"),
     [
