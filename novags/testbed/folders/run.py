@@ -92,6 +92,11 @@ class Run:
         return float((self.record.get("cameras") or {}).get("depth_scale", 1.0))
 
     @property
+    def peak_bytes(self) -> int:
+        """The most memory that its reconstruction held: of a program its own, not that of the process that waited."""
+        return int(self.record.get("peak_bytes", self.record["stage"]["peak_bytes"]))
+
+    @property
     def has_depth(self) -> bool:
         """Whether it gives a depth for every held-out view; programs need not."""
         return bool(self.record.get("depth", True))

@@ -183,7 +183,7 @@ def _seconds(run: Run) -> float:
 
 
 def _memory(run: Run) -> int:
-    return int(run.record.get("peak_bytes", run.record["stage"]["peak_bytes"]))
+    return run.peak_bytes
 
 
 def encoded(values: Sequence[float]) -> str:

@@ -72,5 +72,6 @@ def _rows(group: Group, material: Material, views: Sequence[ViewTiles]) -> list[
         geometry = scores.get("geometry")
         rows.append({"name": name, **row, "competes": material.rows[name].competes,
                      "depth": geometry and geometry["abs_rel"], "seconds": run.record["stage"]["seconds"],
-                     "again": score_again(run, material.folder), "view": views[0].name if views else None})  # fmt: skip
+                     "again": score_again(run, material.folder, name),
+                     "view": views[0].name if views else None})  # fmt: skip
     return rows

@@ -195,7 +195,8 @@ def costs(material: Material) -> list[dict[str, Any]]:
     stages.append(("import" if material.capture.imported else "capture", "", material.capture.record["stage"], {}))
     for name, run in material.runs.items():
         key = material.rows[name].key
-        stages.append((f"reconstruct: {name}", key, run.record["stage"], run.record["seconds"]))
+        spent = {**run.record["stage"], "peak_bytes": run.peak_bytes}
+        stages.append((f"reconstruct: {name}", key, spent, run.record["seconds"]))
     scored = [read_json(run.path / METRICS)["stage"] for run in material.runs.values() if (run.path / METRICS).exists()]
     if scored:
         total = {"seconds": sum(s["seconds"] for s in scored), "peak_bytes": max(s["peak_bytes"] for s in scored)}

@@ -182,7 +182,7 @@ def commands(material: Material) -> dict[str, str]:
     """What makes the results again in the folder of the report: one command of an experiment, else one of each run."""
     if (command := material.experiment.get("command")) is not None:
         return {"": str(command)}
-    found = {name: run_again(run, material.folder) for name, run in material.runs.items()}
+    found = {name: run_again(run, material.folder, name) for name, run in material.runs.items()}
     return {name: command for name, command in found.items() if command is not None}
 
 
@@ -247,6 +247,6 @@ def score_context(material: Material) -> dict[str, Any]:
         "bounds": [material.bound("floor"), material.bound("ceiling")],
         "in_linear_light": list(material.exposures),
         "training_2d": training_table(material),
-        "commands_of": {name: score_again(run, material.folder) for name, run in material.runs.items()},
+        "commands_of": {name: score_again(run, material.folder, name) for name, run in material.runs.items()},
         "deltas": {kind: deltas_of(material.metrics, methods, kind) if kind in MAIN else ({}, "") for kind in COLUMNS},
     }

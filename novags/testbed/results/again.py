@@ -54,10 +54,11 @@ def _path(value: str, folder: Path) -> str:
     return found if os.sep in found else os.path.join(".", found)
 
 
-def run_again(run: Run, folder: Path) -> str | None:
+def run_again(run: Run, folder: Path, name: str | None = None) -> str | None:
     """The command that reconstructs as `run` was, from its capture, when it is run in `folder`.
 
-    None where no command of this version leads to the same configuration.
+    None where no command of this version leads to the same configuration. `name`: what tells the run from the others
+    on its page, so that the result of each goes to a folder of its own; if not given, the run's own.
     """
     asked: dict[str, Any] = run.record["stage"]["config"]
     if run.method not in METHODS or not {"points", "seed", "cameras", "config"} <= asked.keys():
@@ -69,13 +70,17 @@ def run_again(run: Run, folder: Path) -> str | None:
     cameras = _moved(str(asked["cameras"]), "--cameras", folder)
     words += ["--points", str(asked["points"]), "--seed", str(asked["seed"])]
     words += [] if cameras == "known" else ["--cameras", cameras]
-    return shlex.join([*words, "--out", f"{run.name}-{AGAIN}"])
+    return shlex.join([*words, "--out", _place(name or run.name)])
 
 
-def score_again(run: Run, folder: Path) -> str | None:
-    """The commands that reconstruct and score as `run` was, when they are run in `folder`; None as for `run_again`."""
-    command = run_again(run, folder)
-    return None if command is None else f"{command} && {shlex.join(['novags', 'score', f'{run.name}-{AGAIN}'])}"
+def score_again(run: Run, folder: Path, name: str | None = None) -> str | None:
+    """The commands that reconstruct and score as `run` was, when they are run in `folder`; rest as for `run_again`."""
+    command = run_again(run, folder, name)
+    return None if command is None else f"{command} && {shlex.join(['novags', 'score', _place(name or run.name)])}"
+
+
+def _place(name: str) -> str:
+    return f"{name.replace('/', '-')}-{AGAIN}"  # names of runs in several folders hold a slash
 
 
 def _named(name: str, method: str, wanted: Mapping[str, Any]) -> list[str]:

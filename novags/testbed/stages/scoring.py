@@ -64,7 +64,7 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
             "noise": noise_scores(run, captured, lit),
             "cameras": run.record.get("cameras"),
             "seconds": stage_seconds(run, captured, lit),
-            "peak_bytes": run.record.get("peak_bytes", run.record["stage"]["peak_bytes"]),  # of a program: its own
+            "peak_bytes": run.peak_bytes,
         }
         unavailable = {} if missing is None else {"lpips": missing}
         if scores["geometry"] is None:

@@ -2,11 +2,12 @@
 
 The knee of a curve is the light at which it has fallen by a stated amount from its own value at the most light of the
 study: searched from the most light downwards, between two levels linearly in the logarithm of the electrons, for every
-seed by itself. A level that a seed has no score at, because the run failed, counts as fallen.
+seed by itself. A level that a seed has no score at, as of a run that failed, counts as fallen.
 """
 
 import math
 import statistics
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -165,14 +166,17 @@ def light_curves(rows: Sequence[Mapping[str, Any]], axes: Mapping[str, Sequence[
 
 def _curve(measure: Measure, place: dict[str, Any], method: str, rows: Iterable[Mapping[str, Any]]) -> Curve:
     seeds: dict[Any, dict[float, float | None]] = {}
+    failed = Counter[float]()
     for row in rows:
         if row["state"] in ("done", "failed", "skipped"):
-            seeds.setdefault(row.get(SEED), {})[float(row[ELECTRONS])] = _value(row, measure)
+            electrons, value = float(row[ELECTRONS]), _value(row, measure)
+            seeds.setdefault(row.get(SEED), {})[electrons] = value
+            failed[electrons] += row["state"] != "done" and value is None  # of a finished run not every score is known
     levels = []
-    for electrons in sorted({level for seed in seeds.values() for level in seed}):
+    for electrons in sorted(failed):
         each = [seed[electrons] for seed in seeds.values() if electrons in seed]
         values = tuple(value for value in each if value is not None)
-        levels.append(Level(electrons, values, len(each) - len(values)))
+        levels.append(Level(electrons, values, failed[electrons]))
     knee = None if measure.breaks is None else common_knee([knee_of(seed, measure) for seed in seeds.values()])
     return Curve(measure, place, method, tuple(levels), knee)
 

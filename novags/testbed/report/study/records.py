@@ -43,7 +43,7 @@ class Records:
 
     def commands(self, page: Path) -> dict[int, str]:
         """The command that makes each run again, in the folder of the page; runs without one are missing."""
-        found = {number: score_again(run, page.parent) for number, run in self.runs.items()}
+        found = {number: score_again(run, page.parent, f"{run.name}-{number}") for number, run in self.runs.items()}
         return {number: command for number, command in found.items() if command is not None}
 
     def costs(self) -> list[dict[str, Any]]:
@@ -55,7 +55,8 @@ class Records:
         for path, facts in self.captures.values():
             made.setdefault("capture", {})[path] = facts["stage"]
         for run in self.runs.values():
-            made.setdefault(f"reconstruct: {run.name}", {})[run.path] = run.record["stage"]
+            spent = {**run.record["stage"], "peak_bytes": run.peak_bytes}
+            made.setdefault(f"reconstruct: {run.name}", {})[run.path] = spent
         return [
             {"label": label, "count": len(stages), "seconds": sum(stage["seconds"] for stage in stages.values()),
              "each": sum(stage["seconds"] for stage in stages.values()) / len(stages),

@@ -1,6 +1,7 @@
 """Claims about the page on runs of several captures: its tables, and the pictures of each capture."""
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -36,6 +37,13 @@ def comparison(experiment: Path, tmp_path_factory: pytest.TempPathFactory) -> Pa
         run["stage"]["inputs"]["capture"] = captured.content
         (folder / "second" / name / "run.json").write_text(json.dumps(run))
     return write_reports([folder / "first", folder / "second"], QUIET)
+
+
+def test_the_commands_of_runs_of_one_name_write_to_different_folders(comparison: Path) -> None:
+    places = re.findall(r'data-command="[^"]* --out ([^ ]+) &amp;', comparison.read_text(encoding="utf-8"))
+    assert sorted(places) == sorted(
+        f"{folder}-{name}-again" for folder in ("first", "second") for name in ("naive", "better", "oracle")
+    )
 
 
 def shown(tab: Any, *ids: str) -> list[str]:

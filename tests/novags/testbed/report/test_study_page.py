@@ -4,6 +4,7 @@ import csv
 import json
 import os
 import re
+import shlex
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -123,6 +124,23 @@ def test_shared_stages_count_once(study: Path) -> None:
         "render": 1, "capture": 1, "reconstruct: naive": 1, "reconstruct: better": 1, "reconstruct: oracle": 1
     }  # fmt: skip
     assert costs["reconstruct: naive"]["seconds"] == 2.0
+
+
+def test_the_costs_of_a_program_are_its_own_memory(study: Path) -> None:
+    table = json.loads((study / "results.json").read_text())["rows"]
+    records = read_records(study, table)
+    for run in records.runs.values():
+        run.record["peak_bytes"] = 7_000_000_000
+    found = {row["label"]: row["peak"] for row in records.costs()}
+    assert found["reconstruct: naive"] == 7_000_000_000
+
+
+def test_the_commands_of_a_study_can_be_run_one_after_the_other(study: Path) -> None:
+    records = read_records(study, json.loads((study / "results.json").read_text())["rows"])
+    commands = [shlex.split(command) for command in records.commands(study / "report.html").values()]
+    places = [words[words.index("--out") + 1] for words in commands]
+    assert len(commands) == len(set(places)) == len(records.runs)
+    assert [words[-1] for words in commands] == places  # each scores what it has made
 
 
 def copied(study: Path, experiment: Path, folder: Path) -> None:

@@ -79,6 +79,12 @@ def test_points_average_over_seeds_alone_and_name_what_failed() -> None:
     assert (found["a", "psnr"].knee.broken, found["a", "psnr"].knee.seeds) == (1, 2)
 
 
+def test_a_finished_run_without_a_score_has_not_failed() -> None:
+    rows = [row(e, m, 0, 20 + e, **({"recovered": 0.5} if (e, m) == (4, "a") else {})) for e in (1, 4) for m in "ab"]
+    shares = [c for c in light_curves(rows, axes(rows)) if c.measure.key == "recovered"]
+    assert [[(level.values, level.failed) for level in c.levels] for c in shares] == [[((), 0), ((0.5,), 0)]]
+
+
 def test_a_run_that_found_no_cameras_registers_no_views() -> None:
     """Any other failure says nothing about registration."""
     share = "cameras.registered_share"
@@ -143,6 +149,17 @@ def test_a_picture_for_each_place_where_places_differ(study: Callable[..., Path]
     folder = study(rows)
     write_study(folder)
     assert sorted(path.name for path in folder.glob("*.svg")) == ["light-psnr-scene-a.svg", "light-psnr-scene-b-c.svg"]
+
+
+def test_a_curve_of_one_level_has_no_slope_and_the_table_does_not_say_that_it_was_not_reached(
+    study: Callable[..., Path],
+) -> None:
+    page = write_study(study([row(1, "naive", 0, 20.0), row(2, "mine", 0, 21.0)])).read_text(encoding="utf-8")
+    table = page[page.index('data-name="knees"') :]
+    rows = re.findall(r"<tr>(.*?)</tr>", table[table.index("<tbody>") : table.index("</tbody>")])
+    told = [re.sub("<[^>]+>", "|", text).replace("||", "|").strip("|").split("|") for text in rows]
+    never = ["not reached"] * 3
+    assert [cells[4:] for cells in told] == [["20", *never, "1", "0"], ["21", *never, "1", "0"]]  # and no slope
 
 
 def test_a_study_with_nothing_done_says_so(study: Callable[..., Path]) -> None:
