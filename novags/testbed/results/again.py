@@ -15,7 +15,7 @@ from novags.testbed.presets import EXPERIMENTS, Preset
 from novags.testbed.stages.reconstructing import ReconstructConfig
 
 PRESET = "demo"  # what `novags reconstruct` starts from
-PATHS = ("--scene", "--photos", "--sensor", "--variant")  # options whose value may name a file or folder
+PATHS = ("--scene", "--photos", "--sensor", "--variant", "--curves")  # options whose value may name a file or folder
 DROPPED = {"--out": 1, "--wait": 0, "--overwrite": 0}  # options, and their values, that are about the first time
 SHORT = {"fit.iterations": "--iterations", "denoiser.warmup_steps": "--denoiser-steps"}
 AGAIN = "again"  # the folder that a repeated result goes to
@@ -45,6 +45,10 @@ def _moved(value: str, option: str, folder: Path) -> str:
     """A value with the path that it is, or holds, made relative to the folder."""
     if option == "--cameras":
         return re.sub(r"((?:checkpoint|home)=)([^,]+)", lambda m: m[1] + _path(m[2], folder), value)
+    if option == "--variant" and not value.endswith(".toml"):
+        name, colon, settings = value.partition(":")
+        moved = re.sub(r"(?<=[=,])[^=,;]+", lambda m: _path(m[0], folder) if Path(m[0]).is_file() else m[0], settings)
+        return f"{name}{colon}{moved}"
     return _path(value, folder) if option in PATHS and Path(value).exists() else value
 
 
@@ -64,7 +68,7 @@ def run_again(run: Run, folder: Path, name: str | None = None) -> str | None:
     if run.method not in METHODS or not {"points", "seed", "cameras", "config"} <= asked.keys():
         return None
     capture = os.path.relpath((run.path / run.record["capture"]).resolve(), folder.resolve())
-    words = ["novags", "reconstruct", capture, *_named(run.name, run.method, asked["config"])]
+    words = ["novags", "reconstruct", capture, *_named(run.name, run.method, _with_own_weights(run, folder, asked))]
     if len(words) == 3:
         return None
     cameras = _moved(str(asked["cameras"]), "--cameras", folder)
@@ -81,6 +85,15 @@ def score_again(run: Run, folder: Path, name: str | None = None) -> str | None:
 
 def _place(name: str) -> str:
     return f"{name.replace('/', '-')}-{AGAIN}"  # names of runs in several folders hold a slash
+
+
+def _with_own_weights(run: Run, folder: Path, asked: Mapping[str, Any]) -> dict[str, Any]:
+    """The configuration that a run was asked for, with its own copy of weights that it was given as a file."""
+    config: dict[str, Any] = asked["config"]
+    if not _at(config, "enhance.weights") or run.enhancement is None:
+        return config
+    copies = [os.path.relpath(Path(file).resolve(), folder.resolve()) for file in run.enhancement["config"]["weights"]]
+    return {**config, "enhance": {**config["enhance"], "weights": copies}}
 
 
 def _named(name: str, method: str, wanted: Mapping[str, Any]) -> list[str]:

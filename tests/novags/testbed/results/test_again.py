@@ -88,6 +88,35 @@ def test_a_typed_command_is_made_relative_to_the_folder_of_its_result(tmp_path: 
     ]  # fmt: skip
 
 
+def test_files_among_the_settings_of_a_variant_and_the_folder_of_curves_are_made_relative(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("a.pt", "b.pt", "naive"):
+        (tmp_path / name).write_text("")
+    (tmp_path / "curves").mkdir()
+    monkeypatch.chdir(tmp_path)
+    typed = ["run", "--budget", "60s", "--curves", "curves", "--variant", "l=naive:enhance.weights=a.pt,b.pt;points=3"]
+    assert shlex.split(relative_command(typed, Path("out/x")))[4:8] == [
+        "--curves", "../../curves", "--variant", "l=naive:enhance.weights=../../a.pt,../../b.pt;points=3"
+    ]  # fmt: skip
+
+
+def test_a_run_with_weights_from_a_file_is_made_again_with_its_own_copy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "sci.pt").write_bytes(b"")
+    monkeypatch.chdir(tmp_path)
+    given = parse_variant("given=sci-gs:enhance.weights=sci.pt")
+    run = made(tmp_path, adapted(EXPERIMENTS["demo"], methods=("given",), variants=(given,)).reconstruct("given"))
+    run.record["enhancement"] = {"enhancer": "sci", "pictures": "8bit", "config": {"weights": ["enhancer.safetensors"]}}
+    run.path.mkdir(parents=True)
+    (run.path / "enhancer.safetensors").write_bytes(b"")
+    command = run_again(run, tmp_path / "experiment")
+    assert command is not None
+    found = asked(command, monkeypatch, tmp_path / "experiment")["config"]["config"]["enhance"]["weights"]
+    assert [(tmp_path / "experiment" / path).resolve() for path in found] == [run.path / "enhancer.safetensors"]
+
+
 def test_every_path_among_the_settings_of_a_camera_source_is_made_relative(tmp_path: Path) -> None:
     typed = f"run --cameras vggsfm:home={tmp_path}/clone,checkpoint={tmp_path}/w.bin,python=/envs/x/bin/python"
     command = relative_command(shlex.split(typed), tmp_path / "out" / "x")
