@@ -180,7 +180,7 @@ def _shapes(s: Sensor, low: float, most: float, limits: Limits, exempt: bool) ->
     if s.tukey_lambda is not None and s.sigma_d:
         tails = abs(excess_kurtosis(s.tukey_lambda)) * (s.sigma_d**2 / kept_variance(s, low)) ** 2
     # Skewness (1 / (6 sqrt(2 pi)) of it, by Edgeworth's expansion), plus the steps of whole electrons where the read
-    # noise does not blur them
+    # noise does not blur them; what no distance exceeds, without any light, is 1
     skew = (0.0665 + 0.2 * exp(-2 * (pi * s.sigma_d) ** 2)) / sqrt(low) if low > 0 else inf
     full = max(0.0, CLEAR - _sd_to_white(s, most, limits))
     switch = inf if s.dual_gain is None else _ratio(s.dual_gain.threshold - most, sqrt(most))
@@ -188,7 +188,7 @@ def _shapes(s: Sensor, low: float, most: float, limits: Limits, exempt: bool) ->
     keep_tails, keep_poisson = tails > (0 if exempt else limits.kurtosis), exempt or skew > limits.distance
     return [
         _decided("read_tails", keep_tails, tails, limits.kurtosis, KURTOSIS, "Gaussian read noise without"),
-        _decided("poisson", keep_poisson, skew, limits.distance, DISTANCE, "normal shot noise without"),
+        _decided("poisson", keep_poisson, min(skew, 1.0), limits.distance, DISTANCE, "normal shot noise without"),
         _decided("full_well", full > 0, full, 0.0, ROOM, "room between the brightest signal and saturation"),
         _decided("blooming", s.blooming and full > 0, full * s.blooming, 0.0, ROOM, "follows full well"),
         _decided("dual_gain", gains > 0, gains, 0.0, ROOM, "room below the switch of the gains"),

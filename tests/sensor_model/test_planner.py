@@ -124,6 +124,14 @@ def test_a_tighter_tolerance_never_leaves_more_out():
     assert counts[0] > counts[-1] + 5
 
 
+@pytest.mark.parametrize("electrons", [0.0, 1e-6, 0.01])
+def test_no_distance_between_distributions_exceeds_one(electrons):
+    plan = plan_effects(PRESETS["a7s2-iso6400"], EXPOSURE, [electrons, 5.0], 0.05)
+    (poisson,) = (effect for effect in plan.effects if effect.name == "poisson")
+    assert poisson.on
+    assert poisson.contribution <= 1
+
+
 def test_effects_a_camera_has_not_are_off_and_cost_nothing():
     plan = plan_effects(PRESETS["ideal"], EXPOSURE, [1.0, 100.0], 1e-9)
     assert [e.name for e in plan.effects if e.on] == ["photon_shot", "read_noise", "poisson"]
