@@ -9,6 +9,7 @@ import errno
 import faulthandler
 import importlib
 import os
+import pickle
 import queue
 import signal
 import sys
@@ -82,7 +83,7 @@ def main() -> None:
     _end_with_parent()
     if os.getppid() != parent:
         return  # it ended before that
-    tasks: queue.SimpleQueue[Mapping[str, Any] | None] = queue.SimpleQueue()
+    tasks: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(connection, tasks), daemon=True).start()
     try:
         connection.send(Outcome("ready"))
@@ -90,7 +91,7 @@ def main() -> None:
         with suppress(Exception):  # said with the first task, whose function it is
             function_at(place)
         signal.signal(signal.SIGTERM, _stop)
-        while (request := tasks.get()) is not None:
+        while (request := pickle.loads(tasks.get())) is not None:
             connection.send(_outcome(place, request, connection))
     except (KeyboardInterrupt, BrokenPipeError):
         pass
@@ -99,11 +100,14 @@ def main() -> None:
     os._exit(0)  # without the seconds that the libraries take to clear up
 
 
-def _listen(connection: Connection, tasks: "queue.SimpleQueue[Mapping[str, Any] | None]") -> None:
-    """Pass on tasks. When the parent is gone, so is this process, whatever it is at."""
+def _listen(connection: Connection, tasks: "queue.SimpleQueue[bytes]") -> None:
+    """Pass on tasks. When the parent is gone, so is this process, whatever it is at.
+
+    They stay packed: unpacking imports modules, and two threads that import the same ones meet them half made.
+    """
     while True:
         try:
-            tasks.put(connection.recv())
+            tasks.put(connection.recv_bytes())
         except (EOFError, OSError):  # the parent is gone
             os.kill(os.getpid(), signal.SIGKILL)
 

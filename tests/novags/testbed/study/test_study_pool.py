@@ -38,6 +38,27 @@ def test_jobs_come_after_those_they_need_side_by_side_and_the_longest_first(
     assert (tmp_path / "logs" / "a.log").read_text() == "making a\n"
 
 
+def test_a_worker_imports_modules_in_one_thread_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two threads met modules half made: the one that listened ended, and the study waited for ever."""
+    (tmp_path / "doing.py").write_text("def make(task, console):\n    return task['of'].name\n")
+    (tmp_path / "asking.py").write_text(
+        "import threading\nfrom dataclasses import dataclass\n"
+        "if threading.current_thread() is not threading.main_thread():\n    raise ImportError('half made')\n"
+        "@dataclass\nclass Thing:\n    name: str\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    from asking import Thing  # type: ignore[import-not-found]
+
+    worker = processes.Worker.start("doing:make", {})
+    try:
+        worker.give("a", {"task": {"of": Thing("it")}, "log": str(tmp_path / "log")}, 0.0)
+        said = [worker.connection.recv() for _ in range(2) if worker.connection.poll(60)]
+        assert [(outcome.state, outcome.said) for outcome in said] == [("ready", None), ("done", "it")]
+    finally:
+        worker.ask_to_stop()
+        worker.stop(0.0)
+
+
 @pytest.mark.parametrize(
     ("how", "said"),
     [
