@@ -43,7 +43,7 @@ def _enhanced(enhance: EnhancerConfig, title: str, color: str, source: str) -> M
 
 
 def _rival(config: Callable[[], Any], train: Any, *, title: str, color: str, source: str) -> Method:
-    """A method of other people whose work is one fit of Gaussians."""
+    """Another group's method that consists of one fit of Gaussians."""
     return Method(title=title, family="3DGS", color=color, source=source, config=config, train=train, parts=fit_parts)
 
 
@@ -61,8 +61,8 @@ METHODS: dict[str, Method] = {
         cameras="vggt",
     ),
     "nova-plus": Method(
-        title="the light of the scene, fitted to the raw data by their known noise, then to averages of them that the "
-        "first fit guides and to denoised ones; two seeds, merged",
+        title="the light of the scene, fitted to the raw data by their known noise, then to denoised data and to "
+        "averages guided by the first fit; two seeds, merged",
         family="ours",
         color="#7a3fb0",
         config=nova_plus.NovaPlusConfig,
@@ -212,7 +212,7 @@ METHODS: dict[str, Method] = {
         source="RawNeRF (Mildenhall et al. 2022)",
     ),
     "aleth-nerf": Method(
-        title="a radiance field whose dark views are seen through a learned concealing field, which is then left away",
+        title="a radiance field whose dark views are seen through a learned concealing field, which is then removed",
         family="NeRF",
         color="#a0483c",
         config=aleth.AlethConfig,
@@ -221,7 +221,7 @@ METHODS: dict[str, Method] = {
         source="Aleth-NeRF (Cui et al. 2024)",
     ),
     "ll-nerf": Method(
-        title="a radiance field of reflectance times illumination, of which the illumination is then brightened",
+        title="a radiance field of reflectance times illumination; the illumination is then brightened",
         family="NeRF",
         color="#5a63b8",
         config=llnerf.LlnerfConfig,
@@ -230,7 +230,7 @@ METHODS: dict[str, Method] = {
         source="LLNeRF (Wang et al. 2023)",
     ),
     "i2-nerf": Method(
-        title="a radiance field in a medium that absorbs light, which is then left away",
+        title="a radiance field in a medium that absorbs light, which is then removed",
         family="NeRF",
         color="#2a8a8f",
         config=i2.I2Config,

@@ -242,7 +242,7 @@ def beyond(cut: Share, bounces: int, most: float) -> Share:
 
 
 def most_reflected(mi: Any, loaded: LoadedScene) -> float:
-    """The most of the light that a bounce keeps: the largest albedo of any surface, or 0.99 where that is not known."""
+    """The largest share of the light that a bounce keeps: the largest albedo of any surface, 0.99 where not known."""
     if media_in(loaded.scene, mi) or not mi.is_rgb:  # spectra are kept as coefficients of curves
         return MOST
     lobes, matt = int(mi.BSDFFlags.All), int(mi.BSDFFlags.DiffuseReflection)

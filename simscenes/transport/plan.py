@@ -34,7 +34,7 @@ NEEDS = {
 
 
 def settle(effects: Iterable[Effect], force: dict[str, bool]) -> tuple[Effect, ...]:
-    """The effects with the user's wishes, and with what follows from all that is on now."""
+    """The effects after the user's choices, and after what the effects that are on require of others."""
     settled = {
         e.name: replace(e, on=force[e.name], forced=True, reason=f"forced by name; {e.reason}")
         if e.name in force
@@ -62,8 +62,8 @@ class TransportPlan(Plan):
         max_depth: Longest path followed, as Mitsuba counts (2 is direct light).
         rr_depth: Path length from which Russian roulette may end a path; changes noise and time, never the mean.
         subframes: Poses that are averaged if motion blur is on.
-        seconds: Processor time (on a GPU: time) of a million samples, "planned" and with "everything on"; {} if not
-            measured.
+        seconds: Processor time (on a GPU: wall time) of a million samples, "planned" and with "everything on"; {} if
+            not measured.
         hide_emitters: Whether lamps and skies are black when seen directly, as a scene's own integrator may want it.
         tolerance: The share of all light that may be left out; nan if it was not asked.
         rms: What leaving an effect out costs as an error of pixels, effect -> five numbers: the root mean square over

@@ -62,7 +62,7 @@ def plan_transport(
         max_depth: Longest path, decided by the user; else that of the scene's own integrator, if it sets one.
         measure: Measure polarisation, where Russian roulette pays, what made-up spectra would change, and the time the
             plan saves, with pilots of their own (some seconds); else polarisation is bounded from the surfaces, where
-            that suffices, roulette starts at path length 2, and the rest is not known.
+            that suffices, roulette starts where it usually pays (`RR_USUAL`), and the rest is not known.
         variant: Mitsuba variant for the pilots.
         seed: Of the pilots' random numbers.
         allow_outside: Let an XML scene read files outside its folder.

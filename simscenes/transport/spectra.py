@@ -41,7 +41,7 @@ def has_measured(mi: Any, loaded: LoadedScene) -> bool:
 def measured_elsewhere(mi: Any, loaded: LoadedScene) -> list[str]:
     """Where a scene, loaded in spectra, has measured ones besides lights, matt surfaces and metals; in order.
 
-    There no product of light and reflectance says what RGB would cost.
+    For these, no product of light and reflectance says what RGB would cost.
     """
     found = {name for name in _measured_parameters(mi, loaded) if name not in (*MATT, *METAL)}
     if any(SKY in str(light) for light in loaded.scene.emitters()):

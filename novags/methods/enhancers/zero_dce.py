@@ -84,7 +84,7 @@ def smoothness(maps: Tensor) -> Tensor:
 
 
 def constancy(bright: Tensor) -> Tensor:
-    """The mean colours of a picture shall be grey: root of the sum of the fourth powers of their differences."""
+    """The mean colour of a picture should be grey: root of the sum of the fourth powers of channel differences."""
     red, green, blue = bright.mean((2, 3)).unbind(1)
     powers = (red - green) ** 4 + (red - blue) ** 4 + (green - blue) ** 4
     # Without the floor the root of a grey picture has an infinite slope, and 0 times that is NaN.
@@ -97,7 +97,7 @@ def exposure(bright: Tensor, target: float = EXPOSURE) -> Tensor:
 
 
 def spatial(dark: Tensor, bright: Tensor) -> Tensor:
-    """Slopes between neighbouring regions shall stay: mean over regions of the sum over four neighbours."""
+    """Slopes between neighbouring regions should stay: mean over regions of the sum over four neighbours."""
     change = _pooled(bright, REGION) - _pooled(dark, REGION)
     # Each slope has two regions, and counts in both.
     steps = [2 * change.diff(dim=d).square().sum() for d in (2, 3)]

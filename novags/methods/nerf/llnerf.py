@@ -1,4 +1,4 @@
-"""LLNeRF: a field whose colour is reflectance times illumination, of which the illumination is brightened.
+"""LLNeRF: a field whose colour is reflectance times illumination; the illumination is then brightened.
 
     c    = R L                                 R: [3], of the place;  L: of the place and the direction
     c_e  = R (L / (a + 1e-4))^(1 / (g + 2.2))  a, g [3]: of the place, sigmoids

@@ -31,15 +31,15 @@ class ConsistencyConfig:
     every: int = 1  # iterations between two evaluations, each weighted `every` times; one costs a second rendering
     occlusion_tolerance: float = 0.1  # relative depth difference
     min_alpha: float = 0.5  # pixels the Gaussians cover less have no depth
-    # Which views are the candidates of one: those whose centres are nearest, those whose optical axes differ least, or
-    # all that keep to the limits below. The paper does not say.
+    # Which views may be the source of a target view: those with the nearest centres, those whose optical axes differ
+    # least, or all within the limits below. The paper does not say.
     pairs: Literal["nearest", "angle", "random"] = "nearest"
-    neighbours: int = 8  # candidates of a view, at most; of "random" all are
+    neighbours: int = 8  # candidates per view, at most; "random" has no such limit
     max_angle: float = 30.0  # degrees between optical axes
     min_distance: float = 0.002  # between camera centres, in scene extents: closer ones carry no parallax
     max_distance: float = 1.5  # same unit
-    # What is brought over, and compared with the same of the target: pseudo-clean pictures, noisy enhanced ones, or
-    # renderings. The rendering of the source is a constant, as its depth is; that of the target is not.
+    # What is warped from the source and compared with its counterpart in the target: pseudo-clean pictures, noisy
+    # enhanced ones, or renderings. The source's rendering is a constant, like its depth; the target's is not.
     warped: Literal["clean", "enhanced", "render"] = "clean"
     confidence: bool = True  # False: C = 1, and so no L_conf
     learning_rate: float = 1e-3  # Adam, confidence network

@@ -19,7 +19,7 @@ KNOBS = {
     ),
     "denoiser cadence": MethodKnob.of(
         "denoiser.denoise_every", (None, 64, 16), parts=("fit",),
-        why="fit iterations between two more steps of the denoiser; none trains it before the fit alone",
+        why="fit iterations between two further steps of the denoiser; none trains it before the fit only",
     ),
     "width": MethodKnob(
         settings={

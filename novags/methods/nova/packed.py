@@ -30,8 +30,8 @@ def packed(pictures: Tensor, cfa: Cfa) -> Tensor:
         cfa: Colour filter array.
 
     Returns:
-        [C, 4, ceil(H / 2), ceil(W / 2)]; of odd sides the last cells are completed by reflection, which keeps the
-        pattern.
+        [C, 4, ceil(H / 2), ceil(W / 2)]; where a side is odd, the last cells are completed by reflection, which keeps
+        the pattern.
     """
     height, width = pictures.shape[1:3]
     down, right = height % 2, width % 2

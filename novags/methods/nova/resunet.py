@@ -77,7 +77,7 @@ class SqueezeExcite(nn.Module):
 class Level(nn.Module):
     """One encoder or decoder level: convolution with LeakyReLU(0.2), then a ResBlock gated before its addition.
 
-    Of a plain U-Net: two such convolutions.
+    With `blocks="plain"`: two such convolutions.
     """
 
     def __init__(self, channels_in: int, channels: int, config: ResUNetConfig) -> None:

@@ -32,7 +32,7 @@ def sh_penalty(sh: Tensor, means2d: Tensor, radii: Tensor, noise: Tensor) -> Ten
     """L_SH: mean over visible Gaussians of w_i sum over k > 0 of |c_ik|² (equation 16).
 
     Args:
-        sh: [N, K, 3]; the first coefficient is the base colour and goes free.
+        sh: [N, K, 3]; the first coefficient is the base colour and is not penalised.
         means2d: [N, 2] projected centres in pixels.
         radii: [N], 0 where a Gaussian is not visible.
         noise: E_noise of this view, [H, W].

@@ -204,7 +204,7 @@ class _Training:
             self.save()
 
     def save_stopped(self, stop: NotFinite) -> None:
-        """Save the networks as they were before the step that stopped, if the splats are saved so, too."""
+        """Save the networks as they were before the step that stopped, if the splats are saved in that state too."""
         if not stop.resumable:
             return
         if not self.stepping:  # what this iteration's backward pass has left would count twice when it is done again

@@ -1,7 +1,7 @@
 """Averages over pixels that look alike in a guide: of the guide itself (non-local means), or of raw data.
 
-Weights follow the guide alone, so an average of data does not depend on their noise but through the weights of its own
-render, in which that of one pixel hardly shows:
+Weights depend on the guide alone. The noise of the data reaches their average only through the guide, a render fitted
+to them, in which the noise of a single pixel hardly shows:
 
     w(x, y) = exp(-D(x, y) / h**2),    D = mean squared difference of the patches around x and y over pixels, channels
 """
@@ -20,7 +20,7 @@ from torch import Tensor
 from novags.splats.cpu.compiler import kernel
 
 REACH = 7  # px, half the window that is searched
-LEAST = 1e-4  # weights below it are dropped: they change no average, and cost its time
+LEAST = 1e-4  # weights below it are dropped: they hardly change an average, but cost time
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def averages(guide: Tensor, data: Tensor, *, h: float, patch: int, own: bool = T
 
 
 def non_local_means(image: Tensor, h: float) -> Tensor:
-    """Pictures [C, H, W, 3] averaged over what looks alike in themselves (Buades et al. 2005)."""
+    """Pictures [C, H, W, 3], each pixel averaged over those like it in the same picture (Buades et al. 2005)."""
     return averages(image, image, h=h, patch=2).mean(image)
 
 

@@ -1,12 +1,12 @@
-"""How alike two pixels must be to be averaged: what the data themselves say is best.
+"""How alike two pixels must be to be averaged, chosen from the data themselves.
 
-An average of raw data has a bias, where what looked alike is not, and a variance. Both are known without truth: of a
-datum y with variance v and the average q of the others, whose variance is v_q,
+An average of raw data has a bias, where pixels that look alike are not, and a variance. Both can be estimated without
+the truth. For a datum y of variance v, and the average q of the others, of variance v_q,
 
     E (y - q)**2 = v + v_q + bias**2
 
-The bias is common to all views; the variance is not, and the fit to the averages of all views takes it down again:
-VIEWS times. Too wide a window costs more than a picture by itself would show, so the best h is smaller than for one.
+The bias is common to all views. The variance is not: the fit to the averages of all views reduces it by a factor VIEWS.
+Too wide a window therefore costs more than a single picture would show, and the best h is smaller than for one picture.
 """
 
 import dataclasses
@@ -18,10 +18,10 @@ from novags.methods.nova_plus.average import averages
 from novags.methods.nova_plus.data import Exposures
 from novags.methods.tone import ToneCurve
 
-VIEWS = 3.0  # what the fit to all averages takes their variance down by
+VIEWS = 3.0  # the factor by which the fit to all averages reduces their variance
 STEP = math.sqrt(2)
 SMALLEST, LARGEST = 0.007, 0.32  # in tone
-JUDGES = 4  # views that are looked at
+JUDGES = 4  # views that are examined
 
 
 def choose_bandwidth(guide: Tensor, data: Exposures, curve: ToneCurve) -> tuple[float, list[dict[str, float]]]:

@@ -1,4 +1,4 @@
-"""The measurements of a problem, and which of them judge: all that this method is ever fitted to."""
+"""The measurements of a problem, split into those that fits may see and those held out to judge them."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from novags.methods.light import MeasuredLight, measured_light
 from novags.methods.noise import Noise
 from novags.methods.problem import Problem
 
-FULL = 0.98  # of white: a datum above it is taken for saturated
+FULL = 0.98  # of white: a datum at or above it counts as saturated
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,7 +17,7 @@ class Exposures(MeasuredLight):
     """The training pictures as measurements of light.
 
     Attributes:
-        held: Pixels that no fit sees, bool [C, H, W]: they judge.
+        held: Pixels that no fit sees, bool [C, H, W]; they judge the fits.
     """
 
     held: Tensor

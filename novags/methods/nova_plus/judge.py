@@ -1,4 +1,4 @@
-"""Which of two reconstructions the held-out data like better: a test that needs no truth."""
+"""Which of two reconstructions agrees better with the held-out data: a test that needs no truth."""
 
 import math
 from dataclasses import dataclass
@@ -31,12 +31,13 @@ class Verdict:
 def compare(tones: Tensor, other: Tensor, data: Exposures, curve: ToneCurve, weights: Tensor) -> Verdict:
     """What held-out data say of two reconstructions of the training views.
 
-    A datum y that no fit has seen misses mu by v + (mu - truth)**2 on average, so of two the difference is that of
-    their errors, and most of the noise cancels: (y - a)**2 - (y - b)**2 = (b - a) (2 y - a - b).
+    For a datum y that no fit has seen, (y - mu)**2 is v + (mu - truth)**2 on average. The difference between two
+    reconstructions a and b is therefore that of their squared errors, and most of the noise cancels:
+    (y - a)**2 - (y - b)**2 = (b - a) (2 y - a - b).
 
     Args:
-        tones: Rendered views of the one [C, H, W, 3].
-        other: Of the other.
+        tones: Rendered views of the first [C, H, W, 3].
+        other: Of the second.
         data: The measurements.
         curve: From tones to light.
         weights: Of each datum [C, H, W, 3].

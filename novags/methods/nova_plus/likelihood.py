@@ -1,11 +1,11 @@
-"""Stage 1: Gaussians whose light, counted by this camera, would most likely give these data.
+"""Stage 1: the Gaussians under which this camera would most likely have recorded these data.
 
 With the tone r of a pixel, its light mu = lin(r), the slope g = d lin / d r and the variance v(mu) of a datum y:
 
     loss = mean of  w ((y - mu) / g)**2,    n = v(mu) / g**2,    w = FLOOR / (n + FLOOR),    w and g held fixed
 
-Without the floor, w = 1 / n is the chi-squared of the data, in which bright parts, measured best, outweigh the rest of
-the picture; w = 1 lets the noise of dark parts in. FLOOR is the squared tone that counts as exact enough.
+w = 1 / n would be the chi-squared of the data, in which bright parts, measured best, outweigh the rest of the picture;
+w = 1 would let in the noise of dark parts. FLOOR is the variance, in squared tone, that counts as exact enough.
 """
 
 # mypy: allow-untyped-defs
@@ -27,7 +27,7 @@ FLOOR = 0.01
 
 
 class Likelihood:
-    """The loss of a picture of tones against data, of which nan are left out. A `PixelLoss`."""
+    """The loss of a picture of tones against data; nan data are left out. A `PixelLoss`."""
 
     def __init__(self, data: Exposures, curve: ToneCurve) -> None:
         self.data, self.curve = data, curve
@@ -48,7 +48,7 @@ class Likelihood:
         there = ~target.isnan() & ~((target >= FULL * self.data.white) & (light > target))
         weight = FLOOR / (self.data.noise(light) / slope.square() + FLOOR)
         residual = torch.where(there, (target - light) / slope, 0.0)
-        # (r + a - r)^2 with the a of this moment: the value of the loss, and its gradient with w and g held fixed
+        # render - tone is 0 and only carries the gradient: this is the loss, with its gradient for fixed w and g
         return (weight * there * (step.render - tone - residual).square()).mean() / self.share
 
     def compare(self, image: np.ndarray, target: np.ndarray) -> tuple[np.float32, np.ndarray]:
@@ -83,7 +83,7 @@ def compare_tones(tones, light, knee, k, steepest, camera, floor, scale, v_tones
             rise = math.exp(min(k * tones[i, c], steepest))
             mean, slope = knee * (rise - 1), knee * k * rise
             if datum >= camera[7, c] and mean > datum:
-                continue  # brighter than what the sensor can say
+                continue  # a saturated datum is only a lower bound
             signal = min(max(mean - camera[0, c], 0.0), camera[1, c])
             variance = camera[2, c] + (camera[3, c] + camera[4, c] * signal) * signal
             if mean > camera[5, c]:

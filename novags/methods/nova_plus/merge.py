@@ -11,12 +11,12 @@ INSIDE = (1e-12, 1 - torch.finfo(torch.float64).eps)  # an opacity of 0 or 1 has
 
 
 def merged(sets: Sequence[Gaussians]) -> Gaussians:
-    """All Gaussians of all sets, each so thin that as many as there are sets, one over the other, look like one.
+    """All Gaussians of all n sets, each thinned so that n copies of it in one place look like the original.
 
-    That is what 3DGS-MCMC does with copies of a Gaussian: see `relocation`.
+    3DGS-MCMC does the same with copies of a Gaussian: see `relocation`.
 
     Args:
-        sets: n >= 1 sets of one degree, over one another in space.
+        sets: n >= 1 sets of one SH degree, in one world frame.
     """
     parts = [each.detach().tensors() for each in sets]
     joined = {name: torch.cat([part[name] for part in parts]) for name in parts[0]}

@@ -1,4 +1,4 @@
-"""What the training views shall show in stage 2: estimates of their light that differ in what they go by."""
+"""What the training views should show in stage 2: estimates of their light from different evidence."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from novags.methods.tone import ToneCurve
 
 
 def guided_light(guide: Tensor, data: Exposures, curve: ToneCurve, h: float, share: float) -> Tensor:
-    """Raw data averaged along the guide, mixed with the guide: by the scene, as far as it is known.
+    """Raw data averaged along the guide, mixed with the guide itself: what is known of this scene.
 
     Args:
         guide: Tones [C, H, W, 3].
@@ -33,7 +33,7 @@ def guided_light(guide: Tensor, data: Exposures, curve: ToneCurve, h: float, sha
 def denoised_light(
     data: Exposures, expected: Tensor, config: DenoiseConfig, *, seed: int, progress: Progress | None = None
 ) -> Tensor:
-    """The measurements through the trained denoiser: by other pictures, and each view by itself.
+    """The measurements through the trained denoiser, which knows other pictures and sees each view by itself.
 
     Args:
         data: The measurements. What is held out is not seen.

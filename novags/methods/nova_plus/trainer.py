@@ -36,9 +36,9 @@ FIT = FitConfig(rates=FAST, eps2d=0.1, mcmc=MCMC, opacity_reg_fall=1.0)
 PIXELS_PER_GAUSSIAN = 11  # of all training views: more Gaussians gain little, fewer lose
 PARTS = {"likelihood": 10, "structure": 10, "merged": 2}  # what each fit takes, in 24ths of `fit.iterations`
 CHECKPOINTS = "checkpoints"
-CHANGE = 0.03  # of a tone, about the error of a render: by how much an enhanced picture answers to it
-SMOOTH = 0.02  # bandwidth, in tone, of what that is found from
-GUIDE_BANDWIDTH = 0.7  # of the averages', for the guide's own
+CHANGE = 0.03  # step in tone, about the error of a render, at which an enhanced picture's response is measured
+SMOOTH = 0.02  # bandwidth, in tone, that smooths the render before that
+GUIDE_BANDWIDTH = 0.7  # share of the averages' bandwidth that smooths the guide
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -50,16 +50,16 @@ class NovaPlusConfig:
             is the weight in stage 2, and in stage 1 where every pixel measures all channels; merged sets have none.
         init_scale: Of an initial Gaussian, in distances to its nearest neighbours.
         gaussians: How many each seed has; None: one for every `PIXELS_PER_GAUSSIAN` of all views, at least as many as
-            there are points at the start. `fit.cap_max`, where it is given, is never passed.
+            there are points at the start. `fit.cap_max`, where it is given, is never exceeded.
         seeds: Independent reconstructions that are merged.
-        held_share: Of the pixels that judge.
+        held_share: Share of the pixels that is held out to judge.
         bandwidth: Of the guided averages, in tone; None: chosen by `choose_bandwidth`.
         averaged_share: Of the guided averages beside their guide, in the targets of stage 2.
         denoise: The trained denoiser, for data whose noise is independent; None: without it.
         denoised_share: Of its pictures in the targets of stage 2.
         stages: How far to go: "likelihood" alone, or "all".
-        noise: "camera": as known, where it is; "pictures": as estimated from them.
-        pictures: Through whose enhancement the result is shown, and compared with methods that enhance.
+        noise: "camera": the known noise, where there is one; "pictures": estimated from the pictures.
+        pictures: Whose enhancement the result is shown through, and compared with methods that enhance.
         enhance: That enhancement.
     """
 
@@ -183,7 +183,7 @@ class _Work:
         return self._fit("likelihood", seed, self._first(), fitted, config, loss).gaussians
 
     def structure(self, firsts: list[Gaussians]) -> tuple[list[Gaussians], Tensor | None]:
-        """Stage 2 of all seeds, and its targets; stage 1 itself, and None, if held-out data like that better.
+        """Stage 2 of all seeds, and its targets; stage 1 itself, and None, if held-out data favour stage 1.
 
         It starts from the first points again: the thin, many-layered surfaces of stage 1 average noise well, but show
         the right colours from the wrong depth, and no loss would pull them out of it.
@@ -216,7 +216,7 @@ class _Work:
         return torch.as_tensor(self.curve.tone(light), dtype=torch.float32)
 
     def denoised(self, expected: Tensor) -> Tensor | None:
-        """The light of denoised data; None if denoising is off, or the data have no independent noise."""
+        """The light of the denoised data; None if denoising is off, or the data have no independent noise."""
         before = self.done
         self.done += parts(self.config)["denoiser"]
 
@@ -234,7 +234,7 @@ class _Work:
             return None
 
     def joined(self, sets: list[Gaussians], targets: Tensor | None) -> Gaussians:
-        """All seeds as one set, trained on a little; the first seed alone, if held-out data like that better."""
+        """All seeds as one set, trained a little further; the first seed alone, if held-out data favour that."""
         joined, loss = merged(sets), None
         if targets is None:
             targets, loss = self.data.fitted, Likelihood(self.data, self.curve)
@@ -249,7 +249,7 @@ class _Work:
         return sets[0] if verdict.worse else joined
 
     def weights(self, tones: Tensor) -> Tensor:
-        """How strongly the enhanced pictures answer to a change of a tone, squared; of mean 1."""
+        """How strongly the enhanced pictures respond to a change in tone, squared; with mean 1."""
         answer = ((self.shown(tones + CHANGE) - self.shown(tones - CHANGE)) / (2 * CHANGE)).square()
         return answer / answer.mean()
 
@@ -274,7 +274,7 @@ class _Work:
         )
 
     def _config(self, part: str, seed: int, **changes: Any) -> FitConfig:
-        # seeds of one run and those of the next must not be the same
+        # the seeds within one run must not coincide with those of runs with the next seeds
         seed = self.base.seed + 1000 * seed
         common = {"iterations": self.config.iterations(part), "cap_max": self.count, "seed": seed}
         return dataclasses.replace(self.base, **{**common, **changes})

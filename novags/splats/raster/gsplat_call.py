@@ -23,7 +23,7 @@ RASTERIZE_MODES = ("classic", "antialiased")
 
 
 def check_others(others: dict[str, Any]) -> None:
-    """Raise for arguments of gsplat's that are asked for and cannot be had here.
+    """Raise for arguments of gsplat's that are asked for and not supported here.
 
     Raises:
         TypeError: For a name that gsplat does not know either.
@@ -43,7 +43,7 @@ def check_choices(
     *, render_mode: Any, rasterize_mode: Any, camera_model: Any, tile_size: Any, channel_chunk: Any, sparse_grad: bool,
     packed: bool,
 ) -> None:  # fmt: skip
-    """Raise ValueError for a choice of gsplat's that cannot be had here, naming it and the reason."""
+    """Raise ValueError for a choice of gsplat's that is not supported here, naming it and the reason."""
     if camera_model not in CAMERA_MODELS:
         raise ValueError(f"camera_model={camera_model!r} is not supported by rasterize: {_PINHOLE}")
     if render_mode in HIT_DISTANCES:

@@ -1,4 +1,4 @@
-"""What `rasterize` tells beside the image: the third of its results, with the names and shapes of gsplat's."""
+"""What `rasterize` returns besides image and alpha: its third result, with the names and shapes of gsplat's."""
 
 import weakref
 from collections.abc import Callable, Iterator, Mapping

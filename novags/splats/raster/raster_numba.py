@@ -110,7 +110,7 @@ class _Render(torch.autograd.Function):
         v_alpha = np.zeros(size, np.float32) if v_alpha is None else _array(v_alpha)[..., 0]
         shape, v_pixels = _shape(means, quats, scales, opacities), (v_image, v_alpha)
         if ctx.watch.wanted:
-            from ..cpu.raster.screen_gradient import screen_gradient  # compiled for those alone who look at it
+            from ..cpu.raster.screen_gradient import screen_gradient  # compiled only where it is asked for
 
             ctx.watch.add(ctx.number, *(torch.from_numpy(v) for v in screen_gradient(frame, *v_pixels)))
         gradients = pipeline.backward(frame, shape, _array(colors), *v_pixels, ctx.needs_input_grad[5])

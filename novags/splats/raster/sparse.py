@@ -8,9 +8,9 @@ from torch import Tensor
 
 
 def sparse_gradients(gaussians: tuple[Any, ...]) -> tuple[tuple[Any, ...], Callable[[list[Tensor]], None]]:
-    """The same means, quats, scales [N, ...], whose gradients become sparse, and opacities, whose do not, as in gsplat.
+    """Means, quats and scales [N, ...] with sparse gradients, and opacities with a dense one, as in gsplat.
 
-    Beside them, what is to be told the radii [N] of each camera after rendering.
+    Also returns the function to call with the radii [N] of each camera after rendering.
     """
     *shape, opacities = gaussians
     rows: list[Tensor] = []

@@ -117,8 +117,8 @@ def ellipsoids(covars: Tensor) -> tuple[Tensor, Tensor]:
     """
     if covars.requires_grad and torch.is_grad_enabled():
         raise ValueError(
-            "covars must not require a gradient on the CPU, whose kernels know rotations and scales, of which equal "
-            "ones have no gradient for the covariance: pass quats and scales, or use backend='gsplat'"
+            "covars must not require a gradient on the CPU: its kernels take rotations and scales, and where scales "
+            "are equal these have no gradient for the covariance; pass quats and scales, or use backend='gsplat'"
         )
     if covars.ndim != 3 or covars.shape[1:] != (3, 3):
         raise ValueError(f"covars must have shape [N, 3, 3], got {list(covars.shape)}")

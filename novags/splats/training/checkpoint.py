@@ -98,8 +98,8 @@ def load_checkpoint(
     Args:
         path: File to read.
         settings: What the run is started with now.
-        device: Where its tensors shall be.
-        companion: Takes the state of the one that was trained in that run.
+        device: Of the tensors read.
+        companion: Receives the state of the companion that was trained in that run.
 
     Raises:
         ValueError: If the file is not a training checkpoint, or belongs to a run with other settings.

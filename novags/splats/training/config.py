@@ -11,9 +11,9 @@ from .updates.adam import LearningRates
 from .updates.camera_refinement import CameraRefinement
 from .updates.mcmc import McmcConfig
 
-NEAR = 0.01  # in units: what `rasterize` takes if it is not told
-USUAL = (0.5, 8.0)  # extents of scenes in units that nobody has to think of; those measured have 0.8 to 4.5
-UNUSUAL = 2.0  # what other extents are taken for
+NEAR = 0.01  # in units: the default of `rasterize`
+USUAL = (0.5, 8.0)  # extents of scenes that are fitted in their own units; those measured have 0.8 to 4.5
+UNUSUAL = 2.0  # the extent that all other scenes are scaled to
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +24,7 @@ class FitConfig:
         iterations: Optimiser steps.
         cap_max: Largest number of Gaussians; None is as many as there are at the start.
         sh_degree: Highest spherical-harmonics degree, 0..3.
-        sh_every: Iterations between two steps of the degree, from 0.
+        sh_every: Iterations after which the degree rises by one; it starts at 0.
         dssim_weight: w in (1 - w) L1 + w (1 - SSIM); 0 is L1 alone.
         opacity_reg: Weight of the mean opacity.
         opacity_reg_fall: p in `opacity_reg` * (1 - t)**p, its weight after the share t of the run; 0 keeps it.
@@ -36,7 +36,7 @@ class FitConfig:
             it from the cameras where it is None.
         seed: Of the order of views, of relocation and of noise.
         eps2d: Variance added to every splat on the image, px^2.
-        antialiased: Whether opacities fall by what that makes a splat larger; `rasterize_mode` of `rasterize`.
+        antialiased: Whether opacities fall where `eps2d` makes a splat larger; `rasterize_mode` of `rasterize`.
         backend: As in `rasterize`.
         checkpoint_every: Iterations between checkpoints.
     """
@@ -83,10 +83,10 @@ class FitConfig:
 
     @property
     def unit(self) -> float:
-        """World units that lengths count as one: 1 for a scene of usual size, and so many that others have such a size.
+        """World units per unit of length of the fit: 1 for a scene of usual size, else what gives it extent `UNUSUAL`.
 
-        Millimetres instead of metres would else press all splats flat, and a scene of a thousandth of a unit would lie
-        before the near plane.
+        Otherwise, in millimetres instead of metres, regularisation would flatten all splats, and a scene a thousandth
+        of a unit in size would lie in front of the near plane.
         """
         if self.extent is None or USUAL[0] <= self.extent <= USUAL[1]:
             return 1.0
@@ -99,7 +99,7 @@ class FitConfig:
 
     @property
     def splatting(self) -> dict[str, Any]:
-        """What `rasterize` has to be told to show the Gaussians as they were trained."""
+        """Arguments of `rasterize` that show the Gaussians as they were trained."""
         mode = "antialiased" if self.antialiased else "classic"
         return {"eps2d": self.eps2d, "rasterize_mode": mode, "near_plane": self.near_plane}
 

@@ -1,8 +1,8 @@
 """An iteration on the CPU without autograd: the kernels, chained, from the parameters to their Adam step.
 
-For the plain fit alone, whose loss is of the picture, plus regularisers; bit for bit what `iteration` does in general,
-at two thirds of its time. What is out of the ordinary (bad numbers, very large ones) changes nothing here and is left
-to `iteration`, which finds out what it is and says so.
+For the plain fit only, whose loss is one of the picture plus regularisers: the same bits as `iteration`, in two thirds
+of the time. Anything out of the ordinary (numbers that are not finite, or very large) changes nothing here and is left
+to `iteration`, which finds out what is wrong and says so.
 """
 
 from collections.abc import Callable
@@ -24,7 +24,7 @@ from .config import FitConfig
 from .updates.adam import Adam, LearningRates
 
 FAR = 1e10  # the default of `rasterize`
-STEPS = 10  # iterations after which the coefficients are looked at again
+STEPS = 10  # iterations after which the coefficients are checked again
 
 
 class DirectFit:
@@ -60,7 +60,7 @@ class DirectFit:
         self.calm = 0  # iterations for which the coefficients are known to be small
 
     def takes(self, gaussians: Gaussians, target: Tensor, rates: LearningRates) -> bool:
-        """Whether an iteration is one for `step`; if not, it is one for autograd."""
+        """Whether `step` can do this iteration; if not, autograd does."""
         plain = target.shape == self.image_shape and not target.requires_grad
         plain = plain and target.dtype == torch.float32 and target.device.type == "cpu"
         plain = plain and all(tensor.is_contiguous() for tensor in gaussians.tensors().values())
@@ -87,7 +87,7 @@ class DirectFit:
             opacity_reg: Weight of the mean opacity.
 
         Returns:
-            Loss and its photometric part, or None, and nothing has changed, if a number was out of the ordinary.
+            Loss and its photometric part; None, with nothing changed, if a number was out of the ordinary.
         """
         self.calm -= 1
         n, sh = len(gaussians), _rows(gaussians.sh)

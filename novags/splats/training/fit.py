@@ -37,8 +37,8 @@ class FitResult:
     Attributes:
         gaussians: The scene.
         viewmats: Training cameras at the end [C, 4, 4]: refined, or as they were given. The Gaussians belong to them.
-        losses: One entry per LOG_EVERY iterations: "iteration", "loss", "photometric", "n_gaussians", and "norm_means",
-            "norm_quats", ...: the Euclidean norm of each tensor of the Gaussians.
+        losses: One entry per LOG_EVERY iterations and one for the last: "iteration", "loss", "photometric",
+            "n_gaussians", and "norm_means", "norm_quats", ...: the Euclidean norm of each tensor of the Gaussians.
         seconds: Wall time, of the stopped runs before this one too.
         peak_bytes: Largest resident memory of the process (CPU) or largest allocation (CUDA) so far.
     """
@@ -77,7 +77,7 @@ def fit(
         companion: What the losses use and train beside the Gaussians; changed in place.
         before_step: Called with the iteration number before it starts.
         needs_depth: Render expected depth too; a function is asked in every iteration, by its number.
-        progress: Called every LOG_EVERY iterations with (iterations done, of how many, log entry).
+        progress: Called with (iterations done, of how many, log entry) for each entry of `FitResult.losses`.
         checkpoint: File of the training state. Written every `checkpoint_every` iterations and at the end; if it is
             there already, and of a run with this start, these views and this config (but maybe other targets and
             losses), the run goes on from it. State kept by `target` or the losses is not saved.

@@ -105,7 +105,7 @@ def compare(image: np.ndarray, target: np.ndarray, dssim_weight: float) -> tuple
         l1_sums, v_image,
     )  # fmt: skip
     value = (1 - dssim_weight) * l1_sums.sum() / x.size + dssim_weight * (1 - score_sums.sum() / x.size)
-    with np.errstate(over="ignore"):  # an infinite loss is reported by who looks at it
+    with np.errstate(over="ignore"):  # an infinite loss is reported by the caller
         return np.float32(value), v_image.reshape(image.shape)
 
 

@@ -1,4 +1,4 @@
-"""How much of the known noise is left, and what no average of noisy pictures can be rid of.
+"""How much of the known noise is left, and what no average of noisy pictures can remove.
 
 The test bed knows the noise of each picture itself, not its variance alone: it is the picture less its noise-free twin
 through the same enhancement. Images are float [h,w,3], sRGB-encoded.
@@ -17,9 +17,9 @@ LEVELS = 32  # of brightness, within each of which noise has the mean 0
 def noise_share(image: Image, noisy: Image, reference: Image) -> float | None:
     """Share of the noise of `noisy` that is still in `image`: 1 for the noisy picture itself, 0 for the reference.
 
-    The regression of the image's error on the known noise. Noise counts about its mean at each brightness of the
-    reference: what clipping adds to dark pixels is a bias that every exposure shares, and no noise. Blur, a wrong tone
-    and the noise of other exposures do not follow this noise, and so count nothing.
+    The regression of the image's error on the known noise. The noise is centred at each brightness of the reference:
+    what clipping adds to dark pixels is a bias that every exposure shares, not noise. Blur, a wrong tone and the noise
+    of other exposures are uncorrelated with this noise, and so do not count.
 
     Returns:
         The share; None if `noisy` equals the reference, apart from its mean at each brightness.

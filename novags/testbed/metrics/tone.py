@@ -1,4 +1,4 @@
-"""Alignments of an image to its reference, which remove what a choice of tone may change.
+"""Alignments of an image to its reference, which remove what is a matter of tone.
 
 Images are float [h,w,3], sRGB-encoded. Both alignments work per image and channel, in the least-squares sense, and see
 the image as it is, values outside 0..1 included: clipping first would lose what the fit brings back into range.

@@ -121,7 +121,7 @@ class Adam:
 
     @staticmethod
     def numbers(count: int) -> tuple[np.float32, ...]:
-        """What the kernels want to know for the step of this number, from 1."""
+        """Scalar arguments of the kernels for step number `count`, from 1."""
         corrections = 1 - BETA1**count, math.sqrt(1 - BETA2**count)
         return tuple(np.float32(x) for x in (BETA1, BETA2, *corrections, EPS))
 

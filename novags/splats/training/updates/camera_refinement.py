@@ -4,10 +4,10 @@ A twist (turn, move) turns a camera about its own three axes and moves its centr
 extents, so that a scene in other units, or in another world frame, is refined alike. All twists start at zero, where
 the cameras are exactly the given ones.
 
-What no picture can show stays free: one rigid motion (and scale) of all cameras together with the scene. Gaussians
-that start at given points keep it small, `pull` smaller; what is left goes when the cameras are aligned to the truth,
-which has to be done before poses, or renders from true test cameras, are compared. Weakly visible is a turn that a
-sideways move compensates: pictures agree long before that pair is right, and it takes most of the iterations.
+No picture shows one rigid motion (and scale) of all cameras together with the scene. Gaussians that start at given
+points keep it small, `pull` keeps it smaller; the rest is removed by aligning the cameras to the truth, which must be
+done before poses, or renders from true test cameras, are compared. A turn that a sideways move compensates shows only
+weakly: pictures agree long before that pair is right, and getting it right takes most of the iterations.
 """
 
 import math
@@ -51,7 +51,7 @@ class CameraRefinement:
             raise ValueError(f"decay of camera refinement must lie in (0, 1], got {self.decay}")
 
     def factor_at(self, iteration: int, iterations: int) -> float:
-        """What the rates are multiplied with at `iteration` of a run of `iterations`; 0 before `start`."""
+        """Factor of both rates at `iteration` of a run of `iterations`; 0 before `start`."""
         if iteration < self.start:
             return 0.0
         return self.decay ** ((iteration - self.start) / max(1, iterations - self.start))

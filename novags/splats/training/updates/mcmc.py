@@ -23,8 +23,8 @@ class McmcConfig:
     """When and how Gaussians move.
 
     Attributes:
-        refine_start: First iteration that may relocate and grow.
-        refine_stop: Iteration after which the population stays; None is 5/6 of the run (25,000 of 30,000).
+        refine_start: Iteration after which Gaussians may be relocated and added.
+        refine_stop: Iteration from which the population stays; None is 5/6 of the run (25,000 of 30,000).
         refine_every: Iterations between refinements.
         growth: Factor of growth per refinement, until the cap.
         noise_lr: Langevin noise in units of the learning rate of the means; None switches it off.
