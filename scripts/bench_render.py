@@ -1,4 +1,4 @@
-"""Equal error against plain Mitsuba, and how well times are foretold. The knobs' curves: `novags pareto render`.
+"""Equal error against plain Mitsuba, and how well times are predicted. The knobs' curves: `novags pareto render`.
 
     python scripts/bench_render.py --equal-size 96 --equal-views 8 --target-error 0.03 [--out FILE]
     python scripts/bench_render.py --equal-views 0 --predict tabletop gallery street
@@ -13,7 +13,7 @@ a render of --reference-spp samples by another seed, whose own variance is subtr
 between seeds. Their time is scaled from what --plain-spp samples take: exactly, since their noise falls as one over the
 root of the samples; that of multijittered ones falls faster, so that they are rendered once more, with about the
 samples that were found to be needed, and scaled from there (see "needed_spp"). Kernels are compiled beforehand for all.
-With --predict: what `render_set` foretold of its time, and what it took, once with a number of samples and once towards
+With --predict: the time that `render_set` predicted, and what it took, once with a number of samples and once towards
 the target error. With --starts, and nothing else: the same job with roulette from each of these path lengths, twice
 each, in turn. With --fresh, and nothing else: what `novags render` takes for these scenes in a new process, stage by
 stage, on a machine that has never seen the scene, so that every kernel has to be compiled, and once more when the
@@ -129,7 +129,7 @@ def equal_error(
 
 
 def predictions(scenes: Sequence[str], size: int, target: float) -> Iterator[dict[str, Any]]:
-    """Seconds of radiance foretold and spent, for a fixed number of samples and for a target error."""
+    """Seconds of radiance predicted and spent, for a fixed number of samples and for a target error."""
     for scene in scenes:
         rig = default_rig(scene, 8, size, size)
         for quality in ({"spp": 256}, {"target_error": target}):

@@ -110,8 +110,8 @@ def expose(
         plan: Effects to leave out, from `plan_effects`; None simulates all. The others keep their draws.
         shot: "poisson" is exact; "normal" approximates large signals; "none" leaves shot noise out.
         backend: "numba" is fast, "numpy" the readable reference; both give the same frame.
-        precision: "float64" takes float32 where that gives the same codes; "float32" does not look, and for each DN
-            of noise up to a code in a million is one off (Gaussian read noise and normal shot noise; "numba" only).
+        precision: "float64" uses float32 only where that gives the same codes; "float32" always does, and then up to
+            one code in a million per DN of noise is off by one (Gaussian read noise, normal shot noise; "numba" only).
         threads: How many to use; None: one per core. The frame does not depend on it.
 
     Returns:

@@ -80,8 +80,8 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
             must be proportional to the exposure time, unless all carry their photon numbers.
 
     Returns:
-        The estimates. The largest stacks count most for `dsnu` and `prnu`: give one dark and one at half saturation of
-        ten frames or more, at the same exposure time.
+        The estimates. `dsnu` and `prnu` come from the stacks with the most frames alone: give one dark and one at half
+        saturation, of ten frames or more, at the same exposure time.
 
     Raises:
         ValueError: if there are too few stacks, or no flat stack is between dark and saturation.

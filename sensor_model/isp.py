@@ -130,7 +130,7 @@ def interpolate(mosaic: NDArray, cfa: Cfa, demosaic: Demosaic) -> NDArray[np.flo
 
 
 def through_jpeg(srgb8: NDArray[np.uint8], quality: int) -> NDArray[np.uint8]:
-    """What is left of an 8-bit picture after JPEG, [h, w] or [h, w, 3]."""
+    """An 8-bit picture after JPEG compression, [h, w] or [h, w, 3]."""
     import cv2  # slow to import and rarely needed
 
     require(1 <= quality <= 100, "jpeg_quality", "in 1..100", quality)

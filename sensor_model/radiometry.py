@@ -146,7 +146,7 @@ def electrons_from_luminance(luminance: float, lens: Lens, exposure: Exposure, *
 
 
 def photons_for_electrons(radiance: ArrayLike, *, electrons: float, mean_green: float, sensor: Sensor) -> Array:
-    """Scale a radiance image so that a mid-grey pixel collects a given number of electrons.
+    """Scale a radiance image so that a green pixel of a given radiance collects a given number of electrons.
 
     Args:
         radiance: Linear [h, w, 3], any unit, finite and >= 0.

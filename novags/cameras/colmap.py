@@ -11,7 +11,7 @@ Progress = Callable[[int, int, str], None]
 """Steps done, total steps, and the current activity."""
 
 LOWER_EDGE = 1.5  # scales
-SEEDS = 2**31  # that COLMAP knows
+SEEDS = 2**31  # number of seeds that COLMAP accepts
 
 
 @contextmanager

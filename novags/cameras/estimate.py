@@ -83,11 +83,11 @@ FAR = 100.0  # scene extents; float32 then places a point to 1e-5 of the extent,
 
 
 def near_origin(viewmats: Array) -> tuple[float, float, float]:
-    """Where the zero of the world should lie, so that float32 resolves a scene with these cameras [C, 4, 4].
+    """Where the origin of the world should lie, so that float32 resolves a scene with these cameras [C, 4, 4].
 
-    Zero itself, which changes no bit of anything, unless the mean camera is more than `FAR` scene extents away from it,
-    as in national grids (UTM); then the mean camera in whole units; of a small scene in tenths, hundredths and so on,
-    none of them longer than `FAR` extents.
+    It stays at zero, which changes no bit, unless the mean camera is more than `FAR` scene extents away from zero, as
+    in national grids (UTM). Then it is the mean camera, rounded to whole units or, for a small scene, to the largest
+    decimal step (tenths, hundredths, ...) that is not longer than `FAR` extents.
     """
     centers = centers_of(viewmats)
     middle = centers.mean(0)

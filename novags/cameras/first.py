@@ -89,7 +89,7 @@ def _seen(xyz: Array, viewmats: Array, Ks: Array, height: int, width: int) -> li
 
 
 def from_pictures(images: Float, viewmats: Array, Ks: Array, count: int, rng: np.random.Generator) -> FirstPoints:
-    """Points at depths found by comparing the pictures; where no two see one place from two, around where they look.
+    """Points at depths found by comparing the pictures; around where the cameras look if no two can be compared.
 
     Args:
         images: [C, h, w, 3], 0..1.

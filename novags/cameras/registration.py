@@ -1,4 +1,4 @@
-"""Cameras of photographs of which nothing is known, by COLMAP (pycolmap): features, matches, mapping with the lens.
+"""Unknown cameras of photographs, by COLMAP (pycolmap): features, matches, mapping with the lens.
 
 `sfm` places dark pictures whose lens is known. Here lens, distortion included, and poses are found together, from large
 and bright photographs. Everything runs on the CPU with one thread, and is the same for the same seed.

@@ -28,8 +28,8 @@ ADVICE = "the other mapper, a lower peak_threshold, larger pictures, more light,
 class SfmConfig:
     """What is matched and how reliable a match must be.
 
-    Chosen on 20 dark pictures of tabletop, 160 x 160. At 5 electrons this registers all 20 raw ones; with
-    COLMAP's peak threshold it is 4, with its 15 matches 11. With first_octave=0 it is 5 at 20 electrons.
+    Chosen on 20 dark pictures of tabletop, 160 x 160. At 5 electrons these settings register all 20 raw ones, 4 with
+    COLMAP's peak threshold and 11 with its 15 matches. At 20 electrons first_octave=0 registers 5.
     """
 
     pictures: Pictures = "raw"  # which pictures are used; the caller provides them

@@ -2,7 +2,7 @@
 
 Each picture is compared, on planes of every depth in front of it, with its neighbours; the score is the normalised
 cross-correlation of small windows, which neither noise nor exposure biases. Semi-global matching (Hirschmueller 2008)
-carries depths from where pictures agree to where nothing is to be seen.
+carries depths from where pictures agree to where they show nothing.
 """
 
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ class Sweep:
 
 
 def sweep(images: Float, viewmats: Array, Ks: Array) -> Sweep | None:
-    """Depth maps of some of the views; None if no two of them look at one place from two.
+    """Depth maps of some of the views; None if no two of them see one place from different positions.
 
     Args:
         images: [C, h, w, 3], any exposure.

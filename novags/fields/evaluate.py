@@ -15,7 +15,7 @@ GRAIN = 2048  # samples: of a range of work, and of a partial sum of the weights
 
 
 def evaluate(field: Field, positions: np.ndarray, basis: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The raw outputs of a field, and the encoding that their gradient wants again.
+    """The raw outputs of a field, and the encoding, which their gradient needs again.
 
     Args:
         field: The field.

@@ -23,7 +23,7 @@ BASIS = 4  # of a direction: 1, x, y, z
 DENSITY_MAX = 15.0  # of the logarithm of a density: e^15 is opaque within 1e-6 of the box, and its gradient finite
 FIRST_DENSITY = -4.0  # its logarithm at the start: a fog that every ray still gets through
 SIDE = 96  # cells along an axis of the map of the first points, and of the one that rays are sampled after
-SEEDED = 6.0  # more than elsewhere is the logarithm of the density at the start in a cell of first points
+SEEDED = 6.0  # added to the logarithm of the density in cells near first points
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -15,7 +15,7 @@ from simscenes.rigs import Rig
 from simscenes.sets.pictures.exr import read_exr
 
 VIEW_KEY = "novagsKey"
-CLAIMS = ("seconds", "tolerance", "rms")  # of a plan, which say no more than how good and how dear it is
+CLAIMS = ("seconds", "tolerance", "rms")  # parts of a plan that only state how accurate and how costly it is
 SPENT = "seconds.json"  # cost of an unfinished job so far; not in the EXRs, whose bytes must not depend on the clock
 
 
@@ -25,7 +25,7 @@ def plan_identity(plan: str | Plan) -> Any:
         return plan
     told = {key: value for key, value in plan.to_dict().items() if key not in CLAIMS}
     if not told.get("hide_emitters"):
-        told.pop("hide_emitters", None)  # as in plans made before it could be said
+        told.pop("hide_emitters", None)  # as in plans made before this option existed
     return without_nan(told)
 
 

@@ -1,4 +1,4 @@
-"""The views of a job, one after the other: those an earlier call finished are taken over, the rest are rendered."""
+"""The views of a job, one after the other: those that an earlier call finished are kept, the rest are rendered."""
 
 from __future__ import annotations
 

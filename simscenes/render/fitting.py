@@ -1,7 +1,7 @@
 """Cameras for a scene that comes with one sensor: an arc around what that sensor sees, in the space that is free.
 
-What is free is told by rays, not by a bounding box: a new camera can be reached from the sensor in a straight line,
-keeps clear of surfaces, and sees most of what it should see, which it does not from outside of a room.
+Rays decide what is free, not a bounding box: a new camera can be reached from the sensor in a straight line, keeps
+clear of surfaces, and sees most of what it should see, which it would not from outside a room.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ GRID = 48  # rays across the sensor's image, that find what it sees
 SEEN = 0.8  # of the things near the sensor's centre that each camera must see, and of its image that the sensor sees
 PROBE = 16  # rays across the image of a new camera, that find what it shows
 BACKDROP = 2.0  # times the target's distance: what is farther leaves the image as the camera turns about the target
-NARROWINGS = 0.8 ** np.arange(24)  # of the arc, until all of its cameras are free: to a two-hundredth
+NARROWINGS = 0.8 ** np.arange(24)  # of the arc, until all of its cameras are free: down to 0.6 %
 
 
 def fit_rig(

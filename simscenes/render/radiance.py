@@ -180,7 +180,7 @@ class View:
     def seconds(self, spp: int, part: float) -> float:
         """Seconds that rendering with `spp` samples takes, from about `part` of them, timed when the kernel is there.
 
-        The part is one of the pixels, in a scalar variant one of the samples. This view cannot be rendered afterwards.
+        The part is a share of the pixels; in a scalar variant, of the samples. This view cannot be rendered afterwards.
         """
         more = self.samples.even(spp)
         if self.scalar:

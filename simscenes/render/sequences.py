@@ -1,7 +1,7 @@
 """The samples of one view: two independent sequences in every pixel, continued where a pilot saw noise.
 
 A pilot that decides how many samples a pixel gets must not count among them: a pixel whose pilot came out dark would
-get few others, and stay dark. Here its neighbours decide how many it gets beside others, and all of its samples count.
+get few others, and stay dark. Here the neighbours of a pixel decide its share of the samples, so all of its own count.
 Only the total follows from all pixels, as wherever samples are drawn until an error is reached.
 """
 
@@ -43,9 +43,9 @@ def sample_shares(variance: NDArray[np.float64]) -> NDArray[np.float64]:
     """Share of the samples that each pixel [h,w] of this variance should get, 1 on average.
 
     The error of the whole view is least with shares in proportion to the standard deviation. That of a pixel is taken
-    from those around it, without its own, and no pixel gets less than some `LEAST` of an even share. How far around is
-    decided by the variance that the view would have, each pixel's own now, which its share does not know: so noise that
-    neighbours say nothing of is left to even shares.
+    from those around it, without its own, and no pixel gets less than about `LEAST` of an even share. The width of the
+    neighbourhood is the one with the least variance of the view, which is computed from each pixel's own variance, on
+    which its share does not depend: noise that neighbours do not predict is left to even shares.
     """
     choices = [np.ones_like(variance), *(_shares_around(variance, width) for width in AROUND)]
     return min(choices, key=lambda shares: float((variance / shares).mean()))

@@ -1,7 +1,7 @@
 """Samples where they are needed: any number of them in each pixel of one view, in a JIT variant.
 
-`mi.render` gives every pixel the same number. Here each pixel continues its own sequence by as many as it is told, and
-the samples are added up outside of Mitsuba's film, in float64 and in a fixed order, so that the same seed gives the
+`mi.render` gives every pixel the same number. Here each pixel continues its own sequence by as many as are asked for,
+and the samples are added up outside Mitsuba's film, in float64 and in a fixed order, so that the same seed gives the
 same bits.
 """
 
@@ -35,7 +35,7 @@ def from_numpy(kind: Any, values: NDArray[Any]) -> Any:
 
 @contextmanager
 def compilation() -> Iterator[Callable[[], float]]:
-    """Keep the account of kernels; what it gives says how many seconds their compilation has taken since."""
+    """Record kernels; yields a function that returns how many seconds their compilation has taken since."""
     import drjit as dr
 
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory):

@@ -61,7 +61,7 @@ def test_an_experiment_with_a_budget_is_chosen_done_and_said(tmp_path: Path) -> 
     state = json.loads((tmp_path / "out" / "x" / "budget.json").read_text())
     assert "points" not in state["shares"]  # it was given
     assert all(0 < share <= 1 for share in state["shares"].values())
-    assert f"budget 150 s: took {state['seconds']:.0f} s, foretold {state['foretold']['seconds']:.0f} s" in done.stdout
+    assert f"budget 150 s: took {state['seconds']:.0f} s, predicted {state['foretold']['seconds']:.0f} s" in done.stdout
     assert (tmp_path / "out" / "x" / "report.html").exists()
     assert done.stderr.index("against the preset") < done.stderr.index("reconstruct")
     again = novags(*words, cwd=tmp_path)

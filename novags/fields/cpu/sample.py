@@ -101,7 +101,7 @@ def _cumulate(weights, sums, even):
 
 @kernel
 def learn(positions, found, side, kept, density):
-    """Tell the map [side^3] the densities found [S] at positions [S, 3]; in order, by one thread.
+    """Update the map [side^3] with the densities found [S] at positions [S, 3]; in order, by one thread.
 
     A cell becomes at least as dense as what was found in it, and otherwise keeps the share `kept` of what it had beyond
     that: what was fog once must not be sampled for ever.

@@ -27,8 +27,8 @@ from novags.splats.training.updates.adam import Adam
 from novags.splats.views import Views
 
 LOG_EVERY = 10
-REFRESH = 8  # steps between two looks at cells of the map that no ray need have met
-KEPT_WHEN_MET, KEPT_WHEN_LOOKED_AT = 0.9, 0.5  # of what a cell of the map had beyond the density that is found in it
+REFRESH = 8  # steps between two updates of cells of the map that rays may not have met
+KEPT_WHEN_MET, KEPT_WHEN_LOOKED_AT = 0.9, 0.5  # share that a map cell keeps of its excess over the density found in it
 POINT_DENSITY = 10.0  # of the map at first points: opaque within a few cells
 
 Loss = Callable[[Batch], Tensor]
@@ -67,7 +67,7 @@ def fit_field(
             its weight; None: rays alone say what the field shows.
         extra: Further tensors to be trained, by name, at their start; the loss reads what `fit_field` has trained from
             these same tensors, which it changes in place.
-        progress: Called every LOG_EVERY steps with (steps done, of how many, log entry).
+        progress: Called every LOG_EVERY steps and at the end with (steps done, of how many, log entry).
         checkpoint: File of the training state; see `splats.fit`.
 
     Raises:
@@ -194,7 +194,7 @@ def _update(state: FieldState, slopes: Mapping[str, np.ndarray], rate: float) ->
 
 
 def refresh(state: FieldState, rng: np.random.Generator, count: int) -> None:
-    """Look again at `count` cells of the map, each at a random place."""
+    """Evaluate the field in the next `count` cells of the map, each at a random place, and update them."""
     cells = SIDE**3
     begin = state.looked % cells
     chosen = np.arange(begin, begin + min(count, cells)) % cells

@@ -20,7 +20,7 @@ from sensor_model.files.lock import locked
 from sensor_model.files.reading import brief
 
 RECORD = "budget.json"
-RESERVE = 0.1  # of the budget: by so much a trial may foretell too little
+RESERVE = 0.1  # of the budget: by how much a trial may underestimate
 TRIAL = 0.5  # of the budget: a trial that takes longer shows that the budget is too small
 FORETOLD = {"seconds": float, "lost": float, "sd": float}
 SHAPE = {
@@ -48,10 +48,10 @@ class Request:
 
     def __post_init__(self) -> None:
         if self.preset.photos is not None:
-            raise ValueError("a budget cannot foretell how long the cameras of bare photographs take: novags poses "
+            raise ValueError("a budget cannot predict how long the cameras of bare photographs take: novags poses "
                              "first, then --scene SET with the budget")  # fmt: skip
         if not isinstance(self.preset.cameras, KnownConfig):
-            raise ValueError("a budget cannot foretell how long finding cameras takes: leave out --cameras or --budget")
+            raise ValueError("a budget cannot predict how long finding cameras takes: leave out --cameras or --budget")
 
     def identity(self) -> str:
         """Hash of all that the choice depends on, apart from machine and curves."""
@@ -63,7 +63,7 @@ class Plan:
     """A choice, and what it was made of.
 
     Attributes:
-        tried: What the trial foretells.
+        tried: What the trial predicts.
         options: What there is to choose.
         choice: What was chosen.
         facts: Where the curves come from.
@@ -82,7 +82,7 @@ def run(request: Request, out: Path, console: Console, *, command: str | None = 
 
     Args:
         request: What is asked for.
-        out: The experiment folder; `budget.json` in it has what was chosen, foretold and taken.
+        out: The experiment folder; `budget.json` in it has what was chosen, predicted and taken.
         console: Where progress goes.
         command: The command line, for the record.
         overwrite: Replace finished results of another request.

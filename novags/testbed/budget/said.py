@@ -33,7 +33,7 @@ def before(preset: Preset, chosen: Preset, state: State) -> list[str]:
     """The choice, the time it takes, what it loses, and where that is known from."""
     return [
         f"budget {state['budget']:g} s: changed against the preset: {changes(preset, chosen)}",
-        f"  foretold {state['foretold']['seconds']:.0f} s, of which {state['trial']:.0f} s are spent on the trial; "
+        f"  predicted {state['foretold']['seconds']:.0f} s, of which {state['trial']:.0f} s are spent on the trial; "
         f"the preset takes {state['preset_seconds']:.0f} s here",
         f"  {_foretold(state)}",
         f"  losses from the curves {state['curves']}; times from the trial on this machine",
@@ -44,7 +44,7 @@ def again(preset: Preset, chosen: Preset, state: State, spent: float) -> list[st
     """A new choice for the rest."""
     return [
         f"budget: the pictures are taken after {spent:.0f} s; for the time that is left: {changes(preset, chosen)}",
-        f"  foretold {state['foretold']['seconds']:.0f} s in all; {_foretold(state)}",
+        f"  predicted {state['foretold']['seconds']:.0f} s in all; {_foretold(state)}",
     ]
 
 
@@ -54,12 +54,12 @@ def after(preset: Preset, out: Path, state: State, against: Path | None) -> list
     Args:
         preset: The experiment that was asked for.
         out: The folder of what was done.
-        state: What was foretold.
+        state: What was predicted.
         against: A folder that may hold a finished run of the preset itself.
     """
     took, budget = state["seconds"], state["budget"]
     over = f": {took - budget:.0f} s more than the budget" if took > budget else ""
-    lines = [f"budget {budget:g} s: took {took:.0f} s, foretold {state['foretold']['seconds']:.0f} s{over}"]
+    lines = [f"budget {budget:g} s: took {took:.0f} s, predicted {state['foretold']['seconds']:.0f} s{over}"]
     full = None if against is None else _scores(against, preset)
     if not any(share != 1 for share in state["shares"].values()):
         return [*lines, "  the preset itself was run: nothing is lost"]
@@ -71,7 +71,7 @@ def after(preset: Preset, out: Path, state: State, against: Path | None) -> list
         if name in full:
             lines.append(f"  {name}: {here:.2f} dB, {full[name]:.2f} dB with the preset's settings in {against}: lost "
                          f"{full[name] - here:.2f} dB")  # fmt: skip
-    return [*lines, f"  {_foretold(state)}, foretold for the method that the curves were measured with"]
+    return [*lines, f"  {_foretold(state)}, predicted for the method that the curves were measured with"]
 
 
 def _scores(folder: Path, preset: Preset | None) -> dict[str, float] | None:

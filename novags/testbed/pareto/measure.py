@@ -73,7 +73,7 @@ def measure(
 
 
 def time_left(samples: Samples, missing: Sequence[Step]) -> str:
-    """What measurements took so far foretells the rest: those of the same setting first, then of the same knob."""
+    """What measurements took so far predicts the rest: those of the same setting first, then of the same knob."""
     rows = list(samples.spent())
     if not rows:
         return ""

@@ -22,7 +22,7 @@ MODULES = {
 
 
 def __getattr__(name: str) -> Any:
-    """A stage, whose module is loaded when it is first asked for: to render takes no torch, which takes seconds."""
+    """A stage; its module is loaded on first use: rendering needs no torch, whose import takes seconds."""
     if name not in MODULES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module(f"{__name__}.{MODULES[name]}"), name)

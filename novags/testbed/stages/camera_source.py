@@ -158,5 +158,5 @@ def true_cameras(capture: Capture) -> Tensor:
 
 
 def origin_of(capture: Capture) -> tuple[float, float, float]:
-    """Where the zero of reconstructions lies in the capture's coordinates: elsewhere than at zero if that is far."""
+    """Where the origin of reconstructions lies in the capture's coordinates: not at zero if the set is far from it."""
     return near_origin(np.asarray(capture.cameras.rig.viewmats, np.float64))

@@ -57,7 +57,7 @@ class CaptureConfig:
     seed: int = 0
     max_size: int | None = None  # px; scale larger images down to this longest side
     demosaic: Demosaic = "menon"  # for sensors with a colour filter array
-    jpeg_quality: int | None = None  # 1..100: the 8-bit pictures show what JPEG leaves of them
+    jpeg_quality: int | None = None  # 1..100: the 8-bit pictures go through JPEG; None: they do not
     tolerance: float | None = 0.05  # leave out effects that change the noise by less; None simulates all
     export: tuple[str, ...] = ()  # further layouts of the capture: "blender", "llff"
     camera: Sensor = field(init=False)  # what `sensor` stands for: a file is read once, and its content is hashed
@@ -135,7 +135,7 @@ def capture(
         console: Where progress goes.
         stale: See `stages`.
         overwrite: Replace a finished result of another request.
-        for_runs: Methods will read it, which need its raw files.
+        for_runs: Whether methods will read the capture; they need its raw files.
 
     Raises:
         ValueError: If the set cannot be read or is black, its images are too small `for_runs`, or `out` holds other
@@ -298,11 +298,11 @@ def expose_view(
 def expose_with_truth(
     radiance: np.ndarray, sensor: Sensor, exposure: Exposure, *, electrons: float, mean_green: float, **how: Any
 ) -> tuple[RawFrame, np.ndarray | None]:
-    """One exposure as `expose_view` takes it; of a mosaic also what its three channels give without noise.
+    """One exposure as `expose_view` takes it; for a mosaic also what its three channels give without noise.
 
     Returns:
-        The frame; and DN [h,w,3] as from three chips of the same camera, without what the plan leaves out. None of
-        three chips, whose frame tells it.
+        The frame; and DN [h,w,3] as from three chips of the same camera, without what the plan leaves out. None for
+        three chips, whose frame holds it already (`RawFrame.clean_dn`).
     """
     frame = expose_view(radiance, sensor, exposure, electrons=electrons, mean_green=mean_green, **how)
     if sensor.cfa is None:

@@ -30,7 +30,7 @@ from simscenes.sets.pictures.png import write_png
 
 @dataclass(frozen=True, kw_only=True)
 class ImportConfig:
-    """What is known about dark photographs beside their files."""
+    """What is known about dark photographs besides their files."""
 
     lit: Path | None = None  # well-lit pictures of the same views
     clean: Path | None = None  # long exposures of the same views in the same light
@@ -70,7 +70,7 @@ class ImportConfig:
         return self.sensor if self.sensor is None or self.sensor in PRESETS else Path(self.sensor).stem
 
     def resolved(self) -> dict[str, Any]:
-        """What determines the result beside the content of folders."""
+        """What determines the result besides the content of folders."""
         return {
             "sensor": self.sensor_name, "camera": self.camera, "time": self.time, "black": self.black,
             "white": self.white, "curve": self.curve, "demosaic": self.demosaic, "max_size": self.max_size,

@@ -1,4 +1,4 @@
-"""Poses: photographs or a video of which nothing is known in, a multiview set of undistorted pictures out."""
+"""Poses: photographs or a video with unknown cameras in, a multiview set of undistorted pictures out."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ class PosesConfig:
     photographs: Path  # a folder, or a video file
     fps: float = 2.0  # frames taken from each second of a video
     max_size: int | None = 1600  # px; photographs are scaled down to this longest side before anything else
-    max_features: int = 4096  # a picture, the largest ones
+    max_features: int = 4096  # per picture, the largest ones
     peak_threshold: float = 0.0067  # contrast of a feature, 0..1; COLMAP's own
     seed: int = 0
 

@@ -124,10 +124,10 @@ def files_of(config: Any) -> dict[str, str]:
 
 
 def prepare(capture: Capture, source: Source, config: ReconstructConfig, console: Console) -> Prepared:
-    """The problem: pictures and cameras of the training views. Truth goes to the methods alone whose row says so.
+    """The problem: pictures and cameras of the training views. Truth goes only to methods whose row says so.
 
     Raises:
-        LacksInput: If the method needs the noise-free ones or the true surface, and they are not known.
+        LacksInput: If the method needs the noise-free exposures or the true surface, and they are not known.
         ValueError: If the capture has too few views, the camera source fails, or a file cannot be read.
     """
     method = METHODS[config.variant.method]

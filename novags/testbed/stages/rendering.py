@@ -79,7 +79,7 @@ class RenderConfig:
         kept = {name: value for name, value in asdict(self).items() if name != "export"}
         for name in ("parameters", "sensor_index", "own_cameras"):
             if not kept[name]:
-                del kept[name]  # what was rendered before these could be said stays valid
+                del kept[name]  # sets rendered before these options existed stay valid
         return kept | {"scene": self.source.name}
 
     @property

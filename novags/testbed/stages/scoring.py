@@ -44,7 +44,7 @@ def score(run_path: Path, console: Console) -> dict[str, Any]:
         ValueError: If the run, its capture or its set cannot be read, or they have changed since the run was made.
         BlockingIOError: If another process is writing to the run.
     """
-    with locked(run_path, make=False):  # before anything is read: it may just be reconstructed anew
+    with locked(run_path, make=False):  # before anything is read: a new reconstruction may be under way
         return _score(run_path, console)
 
 
@@ -123,7 +123,7 @@ def score_test_views(
 
 
 def shows_nothing(views: dict[str, Any]) -> dict[str, str]:
-    """Why scores that only a reference with something to see can have are missing, by the name of the score."""
+    """Why scores are missing that need a reference with something to see, by the name of the score."""
     found = {}
     for kind in next(iter(views.values())):
         number = "linear_psnr" if kind in LINEAR else "aligned_psnr"
@@ -145,8 +145,8 @@ def view_consistency(
 ) -> dict[str, float | None]:  # fmt: skip
     """Mean colour change along true correspondences from each held-out view to the view after it.
 
-    `exposures`: of a run in linear light. None of a run whose training views were not rendered: the view after is one
-    of them.
+    `exposures`: of a run in linear light. All scores are None for a run whose training views were not rendered: the
+    view after is one of them.
     """
     if not run.shows_training_views:
         return dict.fromkeys(ConsistencyScores.__annotations__)
@@ -295,7 +295,7 @@ def bounds_of(methods: dict[str, str]) -> dict[str, list[str]]:
 
 
 def deltas(scores: dict[str, Any], methods: dict[str, str], kind: str, number: str) -> tuple[dict[str, float], str]:
-    """How much more each run reaches than the floor, or without one than the first run; and the name of that.
+    """How far each run is above the floor (without one: above the first run), and the name of that baseline.
 
     Args:
         scores: The scores of each run, by its name.

@@ -88,7 +88,7 @@ def test_choice_and_loss_are_said_before_the_work_which_keeps_the_budget(work: W
     assert (done.settings["fit.iterations"], done.render.spp) == (500, 100)
     text = "\n".join(console.lines)
     assert "iterations 1000 -> 500" in text
-    assert "foretold 100 s, of which 10 s are spent on the trial; the preset takes 130 s here" in text
+    assert "predicted 100 s, of which 10 s are spent on the trial; the preset takes 130 s here" in text
     assert "expected to lose 0.8 ± 0.4 dB of aligned PSNR against the preset" in text
     assert "made up" in text
     state = json.loads((tmp_path / "x" / "budget.json").read_text())
@@ -147,7 +147,7 @@ def test_an_excess_is_never_silent(work: Work, tmp_path: Path) -> None:
     conduct.run(request, tmp_path / "x", console)
     assert any("it will take about 30 s more than the budget" in line for line in console.lines)
     lines = conduct.result(request, tmp_path / "x", None)
-    assert lines[0] == "budget 120 s: took 150 s, foretold 150 s: 30 s more than the budget"
+    assert lines[0] == "budget 120 s: took 150 s, predicted 150 s: 30 s more than the budget"
 
 
 def test_an_interrupted_experiment_goes_on_with_what_was_chosen(work: Work, tmp_path: Path) -> None:
