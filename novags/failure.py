@@ -1,4 +1,4 @@
-"""What the command line says when a command fails: one line, and for what nobody foresaw a file with the traceback."""
+"""What the command line says when a command fails: one line, and for unexpected errors a file with the traceback."""
 
 import os
 import select

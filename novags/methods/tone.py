@@ -1,4 +1,4 @@
-"""What colours of Gaussians stand for where they are no picture: tones of light, or radiance that a camera responds to.
+"""What the colours of Gaussians stand for if not for a picture: tones of light, or radiance that a camera responds to.
 
 Tones are about logarithmic, so that dark and bright parts take their share of the Gaussians:
 

@@ -43,8 +43,8 @@ from simscenes.transport.planner import default_plan, plan_loaded
 DEFAULT_SPP = 256
 FORMAT = 4  # of the folder; sets of another format are rendered again
 LENS_FORMAT = 5  # of one taken through a lens; earlier ones are biased, because lens and first light shared numbers
-# Samples in a job, at 1.5 to 3 microseconds of processor time each: some ten minutes, of which the planner's slower
-# measurements, up to a minute of them, are a tenth.
+# Samples in a job, at 1.5 to 3 microseconds of processor time each: some ten minutes. The planner's slower
+# measurements, up to a minute, are a tenth of that.
 MEASURE_FROM = 3 * 10**8
 ERROR_SEEN = (
     "relative_error is the spread between two or more independent passes: noise only; var.R/G/B is their variance over "

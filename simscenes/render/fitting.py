@@ -21,9 +21,9 @@ from simscenes.scenes import default_rig
 
 Float = NDArray[np.float64]
 CLEARANCE = 0.05  # of the distance to the target: nearer things would fill a new camera's image
-GRID = 48  # rays across the sensor's image, that find what it sees
+GRID = 48  # rays across the sensor's image that find what it sees
 SEEN = 0.8  # of the things near the sensor's centre that each camera must see, and of its image that the sensor sees
-PROBE = 16  # rays across the image of a new camera, that find what it shows
+PROBE = 16  # rays across the image of a new camera that find what it shows
 BACKDROP = 2.0  # times the target's distance: what is farther leaves the image as the camera turns about the target
 NARROWINGS = 0.8 ** np.arange(24)  # of the arc, until all of its cameras are free: down to 0.6 %
 

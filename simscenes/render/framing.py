@@ -25,19 +25,19 @@ WHY_NOT = {  # of the sensors that have no pinhole camera's rays
     "BatchSensor": " (name the sensors within it one by one)",
 }
 MAX_PIXELS = 1 << 26  # an untrusted file must not ask for all memory
-GRID = 32  # rays across a sensor's image, that find what its clip planes hide
+GRID = 32  # rays across a sensor's image that find what its clip planes hide
 
 
 def own_rig(loaded: LoadedScene, mi: Any, width: int | None = None, height: int | None = None) -> Rig:
     """The scene's own sensor as a rig of one view.
+
+    A clip plane of the sensor that hides a surface is not kept; a warning says so.
 
     Args:
         loaded: The scene.
         mi: The mitsuba module.
         width: Image width in pixels; None for the sensor's film. The horizontal field of view is kept.
         height: Image height in pixels; None for the sensor's film.
-
-    A clip plane of the sensor that hides a surface is not kept, which a warning says.
 
     Raises:
         ValueError: If the scene has no sensor, or not a perspective one, or it is mirrored.
@@ -69,7 +69,7 @@ def own_rig(loaded: LoadedScene, mi: Any, width: int | None = None, height: int 
 
 
 def _say_what_was_hidden(loaded: LoadedScene, mi: Any, rig: Rig, which: str) -> None:
-    """Warn if the sensor's clip planes hide surfaces, which our cameras show: they have none that could."""
+    """Warn if the sensor's clip planes hide surfaces; our cameras show these, as their own planes hide nothing."""
     params = mi.traverse(loaded.own_sensor)
     near, far = (float(np.array(params[f"{plane}_clip"]).item()) for plane in ("near", "far"))
     z = geometry_channels(mi, loaded, shrunk(rig, 0, GRID), 0)["Z"]
@@ -90,14 +90,14 @@ def own_cameras(
 ) -> Rig:
     """All of a scene's own sensors as a rig, in the order of the scene.
 
-    A warning says where a film has not the shape of the pictures: the field of view is kept across, so that more or
-    less is seen above and below.
+    A warning says where the shape of a film differs from that of the pictures: the horizontal field of view is kept,
+    so more or less is seen above and below.
 
     Args:
         scene: As for `fit_rig`.
         width: As for `own_rig`.
         height: As for `own_rig`.
-        own_lenses: They count: the user has not chosen a lens for all cameras.
+        own_lenses: Whether the sensors' lenses count; False where the user has chosen one lens for all cameras.
         allow_outside: As for `render_set`.
 
     Raises:

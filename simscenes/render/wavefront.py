@@ -64,7 +64,7 @@ def sample_sums(
         integrator: A sampling integrator.
         first: Samples that each pixel had before in each of its sequences, row by row, [h*w].
         more: Samples to draw in each pixel and sequence, [h*w].
-        seeds: Of the sequences, each of which all pixels have one of; 32 bits.
+        seeds: One for each sequence that a pixel has, shared by all pixels; 32 bits.
         part: Of the width of a pixel, its middle, where samples fall.
 
     Yields:

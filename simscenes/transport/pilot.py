@@ -221,14 +221,19 @@ def scaled(rms: tuple[float, ...], upper: float, estimate: float) -> tuple[float
 
 def _blocks(image: NDArray[np.float64], block: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Mean over channels and over blocks of pixels of views [c,h,w,3], flat; and its variance, from the pixels."""
-    c, h, w, _ = image.shape
-    y, x = np.arange(h) // block, np.arange(w) // block
-    label = (np.arange(c)[:, None, None] * (h * w) + (y[:, None] * w + x[None])).ravel()
-    _, label = np.unique(label, return_inverse=True)
+    label = _block_numbers(image, block)
     values, counts = image.mean(-1).ravel(), np.bincount(label)
     mean = np.bincount(label, values) / counts
     scatter = np.bincount(label, (values - mean[label]) ** 2)
     return mean, scatter / (counts * np.maximum(counts - 1, 1))
+
+
+def _block_numbers(image: NDArray[np.float64], block: int) -> NDArray[np.intp]:
+    """Number of the block of pixels, from 0, that each pixel of views [c,h,w,3] lies in, flat."""
+    c, h, w, _ = image.shape
+    y, x = np.arange(h) // block, np.arange(w) // block
+    label = (np.arange(c)[:, None, None] * (h * w) + (y[:, None] * w + x[None])).ravel()
+    return np.unique(label, return_inverse=True)[1]
 
 
 def beyond(cut: Share, bounces: int, most: float) -> Share:
@@ -281,10 +286,7 @@ def changed_light(full: NDArray[np.float64], other: NDArray[np.float64], block: 
     total = float(full.mean())
     if total <= 0:
         return Share(0.0, 0.0)
-    c, h, w, _ = full.shape
-    y, x = np.arange(h) // block, np.arange(w) // block
-    label = (np.arange(c)[:, None, None] * (h * w) + (y[:, None] * w + x[None])).ravel()
-    _, label = np.unique(label, return_inverse=True)
+    label = _block_numbers(full, block)
     change = (other - full).mean(-1).ravel()
     counts = np.bincount(label)
     blocks = np.abs(np.bincount(label, change) / counts)

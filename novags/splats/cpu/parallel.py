@@ -16,7 +16,7 @@ import torch
 
 from .chains.stages import CHUNKS_PER_THREAD, give_up, new_control
 
-CHAIN_GRAIN = 512  # Gaussians or pixels per thread below which a chain costs less than to wake it
+CHAIN_GRAIN = 512  # Gaussians or pixels per thread; for fewer, waking a thread costs more than it saves
 
 
 class _Job:

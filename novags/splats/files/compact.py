@@ -51,8 +51,8 @@ def write_spz(path: str | Path, gaussians: Gaussians, *, version: int = 3, antia
     Args:
         path: File to write.
         gaussians: Log scales outside `SPZ_SCALES` are clipped.
-        version: 2, which old readers want too, or 3, whose rotations are finer.
-        antialiased: They were trained with rasterize_mode="antialiased".
+        version: 2, for old readers, or 3, whose rotations are finer.
+        antialiased: Whether they were trained with rasterize_mode="antialiased".
 
     Raises:
         ValueError: For another version, or positions of 2^23 and more, which the format cannot hold.

@@ -42,7 +42,7 @@ def curve(subject: Subject, knob: Knob, samples: Samples) -> list[Point]:
 
 
 def curves(subject: Subject, samples: Samples) -> list[Point]:
-    """All of a subject; a knob of which the default alone is measured, for another one's sake, has none."""
+    """All curves of a subject; a knob measured only at its default, for the sake of another knob, has none."""
     found = [curve(subject, knob, samples) for knob in subject.knobs]
     return [jsonable(point) for points in found if not all(point["default"] for point in points) for point in points]
 

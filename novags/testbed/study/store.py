@@ -26,7 +26,7 @@ SHAPE: Any = {
     "cost": {"seconds": {"*": float}, "peak_bytes": int, "bytes": int, "work": float, "pixels": float, "group": str,
              "threads": int},
 }  # fmt: skip
-# The code whose change makes entries of a kind other entries. Tables and reports are no part of what they show.
+# The code that is part of the key of each kind of entry. Tables and reports do not affect what entries hold.
 _SETS = ("simscenes/sets", "simscenes/rigs.py", "sensor_model", "novags/settings.py")
 CODE = {
     "set": ("simscenes", "sensor_model", "novags/testbed/stages/rendering.py"),

@@ -77,7 +77,7 @@ def project_and_list(
 
 @inline
 def _size_wave(numbers):
-    """How many Gaussians the wave takes: no rest is left that is shorter."""
+    """Set how many Gaussians the wave takes, a remainder shorter than the wave included; the next is twice as long."""
     left = numbers[VISIBLE] - numbers[FIRST]
     numbers[COUNT] = left if left < 2 * numbers[LENGTH] else numbers[LENGTH]
     numbers[LENGTH] *= 2

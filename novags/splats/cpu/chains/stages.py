@@ -75,7 +75,7 @@ def _nap(typingctx):
 
 @inline
 def wait(control, stage, n):
-    """Until n items of a stage are done: soon, unless the system has taken the core from who does them."""
+    """Wait until n items of a stage are done: not long, unless the system has suspended a thread at work on them."""
     tries = 0
     while _fetch_add(control, stage * SLOT + DONE, 0) < n:
         tries += 1
@@ -93,7 +93,7 @@ def alone(control, stage):
 
 @inline
 def done(control, stage):
-    """What was done `alone` is done."""
+    """Mark what one thread does `alone` as done."""
     _fetch_add(control, stage * SLOT + DONE, 1)
 
 

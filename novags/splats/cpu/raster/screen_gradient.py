@@ -1,7 +1,7 @@
 """Gradients with respect to the projected centres, and the sums of their absolute values over pixels (AbsGS).
 
-Ye et al. 2024, "AbsGS". Only strategies of densification look at these, so this is a walk of its own, of scalars: the
-fast backward pass does not pay for it.
+Ye et al. 2024, "AbsGS". Only densification strategies use these, so this is a separate scalar walk: the fast backward
+pass does not pay for it.
 """
 
 # mypy: allow-untyped-defs

@@ -65,7 +65,7 @@ def adam_harmonics(
     begin, end, block_size, degree, means, sh, first, second, center, v_colors, v_means, rates, beta1, beta2,
     correction1, correction2, eps,
 ):  # fmt: skip
-    """`harmonics.backward` and `adam_columns` for blocks begin..end-1, without the gradient's way through memory.
+    """`harmonics.backward` and `adam_columns` for blocks begin..end-1, without writing the gradient to memory.
 
     sh and its moments [N, 3 K] change in place, and the gradient is added to v_means [N, 3].
     """

@@ -192,7 +192,7 @@ def known_noise(setting: Setting) -> float:
 
 
 @PART.case(
-    "noise of pictures that are black, white, of one code or of two", bound=0, unit="variances that are no number"
+    "noise of pictures that are black, white, of one code or of two", bound=0, unit="variances that are not a number"
 )
 def noise_of_nothing(setting: Setting) -> float:
     """Where nothing varies there are ratios of 0 and 0 everywhere: what comes out is finite and not negative."""

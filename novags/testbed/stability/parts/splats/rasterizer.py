@@ -108,7 +108,7 @@ def needles(setting: Setting) -> float:
 
 @PART.case("needles by the readable rasteriser, in float64", bound=1e-8, unit=LARGEST, backends=("torch",))
 def needles_in_float64(setting: Setting) -> float:
-    """It inverts the covariance and so loses digits, of which it has 16: it is to be used so, and says so."""
+    """It inverts the covariance and so loses digits; float64, in which it is meant to check others, has 16 of them."""
     lengths = [(100.0, 1e-3, 1e-3), (1.0, 1e-5, 1e-5), (10.0, 10.0, 1e-4), (3.0, 1e-3, 0.0)]
     return max(_error(setting, _single(scales=torch.tensor(length)), SMALL, torch.float64) for length in lengths)
 
