@@ -54,7 +54,7 @@ def fit_for(problem: Problem, config: FitConfig) -> FitConfig:
 def reconstructed(
     result: FitResult, config: Any, scene: Scene, space: Space, started: float, **more: Any
 ) -> Reconstruction:
-    """What a method gives back whose work is one fit.
+    """The reconstruction of a method that consists of one fit.
 
     Args:
         result: Of the fit.

@@ -80,7 +80,7 @@ def noise_of(
 
 
 def noise_from(srgb8: Tensor, linear16: Tensor | None, raw: RawPictures | None, *, mixed: bool) -> Noise:
-    """The noise of the pictures of one camera, by themselves.
+    """The noise of the pictures of one camera, estimated from them alone.
 
     Args:
         srgb8: The 8-bit pictures [C, H, W, 3], sRGB-encoded in 0..1; used where there are no 16-bit ones.

@@ -23,6 +23,6 @@ def train(
     """Reconstruct from exposures that no real method can see; see `fit_enhanced`.
 
     Raises:
-        ValueError: If the problem has no noise-free exposures.
+        LacksInput: If the problem has no noise-free exposures.
     """
     return fit_enhanced(problem, config, partial(enhanced_clean, demosaiced=config.demosaiced), progress, checkpoint)

@@ -26,7 +26,7 @@ class Scene(Protocol):
     def render(self, views: Views) -> tuple[Tensor, Tensor, Tensor]:
         """Image [C, H, W, 3], alpha [C, H, W] in 0..1, z-depth [C, H, W] (0 where there is nothing).
 
-        The depth is what the primitives of a pixel have on average (Gaussians), or what halves them (fields).
+        The depth is the weighted mean along the ray (Gaussians), or the depth that halves its weight (fields).
         """
         ...
 

@@ -78,7 +78,7 @@ def tone_curve(light: Tensor) -> ToneCurve:
 
 
 def median_light(values: Tensor) -> float:
-    """The median of noisy values [n], or, where that is not above 0, of means of as few neighbours as bring it there.
+    """The median of noisy values [n]; if it is not above 0, that of means over just enough neighbours to be so.
 
     Where most of a picture has a fraction of an electron, most data are the code of black or below: only the mean of
     several of them is above it.

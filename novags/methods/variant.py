@@ -33,7 +33,7 @@ class Method:
         cameras: The camera source that the publication uses; None if it does not matter.
         sees_clean: Whether it is given the noise-free exposures; a bound, never a rival.
         sees_surface: Whether it is given the true surface and cameras too; it takes no other cameras.
-        bound: The end of the scale that "recovered" is measured on: what noise costs lies between the two.
+        bound: Which end of the scale of "recovered" it is, "floor" or "ceiling": what noise costs lies between the two.
     """
 
     title: str

@@ -88,7 +88,7 @@ class Network(nn.Module):
         return base - noise[..., :height, :width]
 
     def noise(self, base: Tensor, mask: Tensor, read_variance: Tensor) -> Tensor:
-        """What is to be taken away from pictures without gaps, whose sides every level divides, [B, 3, H, W]."""
+        """The noise to subtract from pictures without gaps, whose sides every level divides, [B, 3, H, W]."""
         smooth = F.avg_pool2d(base, WINDOW, 1, WINDOW // 2, count_include_pad=False)
         x = pack(base - smooth)
         # 1/8: cameras without read noise have a level, too. Beyond what it was trained with, noise is as good as all

@@ -133,7 +133,7 @@ def to_ycbcr(rgb: Tensor) -> Tensor:
 
 
 def smoothness(x: Tensor, light: Tensor) -> Tensor:
-    """Light [B, 3, H, W] shall be alike where the picture x is: sum over 24 neighbours of means of w |difference|."""
+    """Light [B, 3, H, W] should be alike where the picture x is: sum over 24 neighbours of means of w |difference|."""
     colors, total = to_ycbcr(x), light.new_zeros(())
     height, width = x.shape[2:]
     for down in range(RADIUS + 1):

@@ -1,7 +1,7 @@
 """Tone curves: every pixel by itself, one curve a picture. Pictures are sRGB code in 0..1, [H, W, 3].
 
-None of them knows what is noise. Each chooses its curve from one picture, so that neighbouring views get other curves;
-the parameters of a noisy picture bring its noise-free twin through the same curve.
+None of them can tell noise from signal. Each chooses its curve from one picture, so neighbouring views get different
+curves; the parameters of a noisy picture bring its noise-free twin through the same curve.
 """
 
 import math

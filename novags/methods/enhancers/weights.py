@@ -83,7 +83,7 @@ def digest_of(paths: Sequence[Path]) -> str:
 
 
 def fill(network: nn.Module, tensors: Mapping[str, Tensor], paths: Sequence[Path]) -> None:
-    """Give a network its weights; further tensors are passed over.
+    """Give a network its weights; further tensors are ignored.
 
     Raises:
         ValueError: If one is missing or has another shape.

@@ -1,4 +1,4 @@
-"""Aleth-NeRF: a field whose dark views are seen through a concealing field; leaving that away lights the scene up.
+"""Aleth-NeRF: a field whose dark views are seen through a concealing field; removing that lights the scene up.
 
     dark colour   C  = sum_i  w_i g_i O_i c_i        w: weights of the samples      g: one number per place along a ray
     lit colour    C* = sum_i  w_i c_i                O: local concealing, sigmoid of an output of the field, smoothed by

@@ -15,6 +15,6 @@ def train(
     """Reconstruct from exposures that no real method can see; see `fit_enhanced_field`.
 
     Raises:
-        ValueError: If the problem has no noise-free exposures.
+        LacksInput: If the problem has no noise-free exposures.
     """
     return fit_enhanced_field(problem, config, enhanced_clean, progress, checkpoint)

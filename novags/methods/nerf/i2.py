@@ -18,8 +18,8 @@ and such runs are marked as seeing truth.
 
 What differs from it besides: the forms of S3IM, of the bright channel and of the overlap are our reading of short
 descriptions; the field is that of docs/fields.md, which starts dense at the first points, in a
-medium that already makes pictures as dark as they are; the loss of depth (weight 0.1) is left out, for it wants a
-network for depth from one picture that is not here; the squares of S3IM are made of rays at random, as there, of
+medium that already makes pictures as dark as they are; the loss of depth (weight 0.1) is left out, because it needs
+a network for monocular depth, which is not here; the squares of S3IM are made of rays at random, as there, of
 64 x 64 pixels or fewer.
 """
 

@@ -8,7 +8,7 @@
            + 0.1 smoothness of each of a and g: mean of 1.5 D^2 / ((D log L)^2 + 1e-4), D between neighbouring pixels
            + 0.01 mean(g^2)
 
-The terms of the enhancement come in when the colours are learnt. Wang et al. 2023, "Lighting up NeRF via
+The terms of the enhancement are added once the colours are learnt. Wang et al. 2023, "Lighting up NeRF via
 unsupervised decomposition and enhancement", and the constants of its published code. It uses no statistic of a well-lit
 picture.
 

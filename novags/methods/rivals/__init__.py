@@ -1,1 +1,1 @@
-"""Methods of other people on our Gaussians, one file each: from their equations and published constants."""
+"""Published methods on our Gaussians, one file each, written from their equations and published constants."""

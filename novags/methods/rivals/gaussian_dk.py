@@ -105,7 +105,7 @@ def radiance_of(codes: Tensor) -> Tensor:
 
 @torch.no_grad()
 def lit_exposure(response: Response, radiance: Tensor, target: float) -> float:
-    """The exposure that brings the mean of pictures to the target; of those that are looked at, the nearest.
+    """The exposure that brings the mean of pictures to the target; the nearest of those tried.
 
     The response need not rise everywhere: bisection on the logarithm finds one of the exposures at which it does.
     """

@@ -116,7 +116,7 @@ def lit(gaussians: Gaussians, gamma: float) -> Gaussians:
 
 
 def chosen_gamma(scene: GaussianScene, views: Views, target: float) -> float:
-    """The gamma that brings the mean of the lit views to the target; of those that are looked at, the nearest."""
+    """The gamma that brings the mean of the lit views to the target; the nearest of those tried."""
     low, high = GAMMAS
     for _ in range(20):
         middle = (low + high) / 2

@@ -95,7 +95,7 @@ class ViewCurves(nn.Module):
         Args:
             pictures: The dark pictures [C, H, W, 3], 0..1.
             viewmats: World-to-camera matrices [C, 4, 4].
-            size: Longest side of the pictures that the attentions look at, px.
+            size: Longest side of the pictures that the attention layers see, px.
         """
         super().__init__()
         self.register_buffer("pictures", pictures, persistent=False)

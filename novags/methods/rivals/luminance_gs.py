@@ -8,8 +8,8 @@ that equalises the histogram. With G = (1 - w) L1 + w (1 - SSIM),
 
 What differs from the publication: Gaussians are relocated as in 3DGS-MCMC instead of being split and pruned by
 gradients, and regularised as there, as for all methods here; the iterations are those of the experiment, not 10,000;
-the attentions look at pictures of at most `seen` px a side, which a CPU can pay; and the bias of the dark colour
-changes the constant harmonic alone.
+the attention layers see pictures of at most `seen` px a side, which a CPU can afford; and the bias of the dark colour
+changes only the constant harmonic.
 """
 
 import dataclasses
@@ -47,9 +47,9 @@ class LuminanceGsConfig:
         contrast_weight: Of the contrasts.
         histogram_weight: Of what the curve is drawn to.
         curve_rate: Learning rate of the curve that all views share.
-        attention_rate: Of the attentions.
+        attention_rate: Of the attention layers.
         axes_rate: Of the axes of colour.
-        seen: Longest side of the pictures that the attentions look at, px.
+        seen: Longest side of the pictures that the attention layers see, px.
     """
 
     pictures: Pictures = "8bit"

@@ -58,7 +58,7 @@ class RawGsConfig:
 
 
 class RawLoss:
-    """The loss of a render against data, of which nan are left out. A `PixelLoss`.
+    """The loss of a render against data; nan data are left out. A `PixelLoss`.
 
     Attributes:
         white: Where each channel saturates, [3], unit of the render.

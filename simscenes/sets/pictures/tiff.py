@@ -68,7 +68,7 @@ def retagged(file: Path, values: Mapping[int, int]) -> bytes | None:
 
     Args:
         file: Any file.
-        values: What each tag shall be, where the file has it.
+        values: What each tag must be, where the file has it.
 
     Returns:
         The content; None where nothing had to be changed.
