@@ -28,8 +28,8 @@ def response_map(serial: int, prnu: float, shape: Shape, origin: tuple[int, int]
 def offset_map(serial: int, dsnu: float, shape: Shape, origin: tuple[int, int]) -> NDArray[np.float32]:
     """Dark offset of each pixel (DSNU), 0 on average, e-.
 
-    An offset of the readout: signed, and without shot noise of its own. At the short exposures of a photograph that is
-    where the dark non-uniformity an EMVA 1288 report gives comes from.
+    An offset of the readout: signed, and without shot noise of its own. At the short exposures of a photograph, the
+    dark non-uniformity in an EMVA 1288 report comes from it.
     """
     return _frozen(dsnu * _normal(serial, shape, origin, streams.DSNU))
 

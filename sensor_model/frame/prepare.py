@@ -82,7 +82,7 @@ def on_sensor(light: NDArray, sensor: Sensor, exposure: Exposure) -> NDArray:
 
 
 def charge_cap(sensor: Sensor) -> float:
-    """A mean charge so far over saturation that every frame is full; keeps huge lights in what Poisson can count."""
+    """A mean charge so far over saturation that every frame is full; keeps bright light within the Poisson sampler."""
     if sensor.blooming and np.isfinite(sensor.mu_e_sat):
         return streams.SIDE * sensor.mu_e_sat  # what does not fit goes elsewhere: enough to fill the longest column
     top = sensor.capacity_e / (1 - sensor.nonlinearity) + 20 * (sensor.sigma_d + sensor.sigma_row + sensor.dsnu)

@@ -123,7 +123,7 @@ def _seen(loaded: LoadedScene, mi: Any, own: Rig) -> Float:
 
 
 def _middle_distance(distances: Float) -> float:
-    """The distance that halves the disparity seen, by its square: of things, not of the sky or the dome behind them.
+    """Median distance, weighted by squared disparity: that of things, not of the sky or the dome behind them.
 
     A plain median of a small thing before a far backdrop is the backdrop's distance, and cameras would circle that.
     """

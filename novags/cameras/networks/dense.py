@@ -1,4 +1,4 @@
-"""Pictures as a network expects them, and cameras and points of what it then says of every pixel.
+"""Pictures as a network expects them, and cameras and points from what it then returns for every pixel.
 
 Positions have pixel centres at +0.5. A position p of a picture is at p * scale - offset in the prepared one.
 """

@@ -56,7 +56,7 @@ def check_installed(config: VggsfmConfig) -> None:
             "https://github.com/facebookresearch/vggsfm, install it by its install.sh into an environment of its own "
             "(CC BY-NC 4.0: non-commercial use only), and give vggsfm:home=FOLDER,python=FILE,checkpoint=FILE"
         )
-    # Of a relative path, it would depend on the folder of the moment which interpreter that is.
+    # With a relative path, the current folder would decide which interpreter that is.
     if shutil.which(config.python) is None or (os.sep in config.python and not os.path.isabs(config.python)):
         raise ValueError(
             f"VGGSfM runs in its own Python, and {config.python} cannot be run: give the absolute path of the "
@@ -83,7 +83,7 @@ def vggsfm_cameras(
             points of their view are added.
         config: Where it is, weights and settings.
         seed: Of its random choices and of the choice of points.
-        device: Where it runs: on the CPU it gets no GPU to see.
+        device: Where it runs; on the CPU, GPUs are hidden from it.
 
     Returns:
         In its own frame and unit. `Ks` are its own, at the size of `pictures`.

@@ -138,7 +138,7 @@ class Pool:
     def _answered(self, worker: Worker, key: str, outcome: Outcome) -> None:
         worker.key = None
         if outcome.state == "machine":
-            raise OSError(f"{outcome.said}: what is finished is kept; mend that and run the same command again")
+            raise OSError(f"{outcome.said}: what is finished is kept; fix that and run the same command again")
         if outcome.state == "busy":
             self.queue.busy(key, outcome.said)
         else:
