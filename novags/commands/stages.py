@@ -88,7 +88,7 @@ def poses(
     photographs: Folder, *, out: Path, fps: float = 2.0, max_size: int | None = 1600, max_features: int = 4096,
     peak_threshold: float = 0.0067, seed: int = 0, overwrite: bool = False, wait: bool = False,
 ) -> None:  # fmt: skip
-    """Find the cameras of photographs of which nothing is known, and make a multiview set of them.
+    """Find the unknown cameras of photographs, and make a multiview set of them.
 
     Args:
         photographs: A folder of photographs of one scene, or a video file.

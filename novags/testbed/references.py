@@ -89,7 +89,7 @@ def pictured(run: Made, capture: Capture, rendered: Image) -> Image:
 
 
 def missing_references(run: Run, capture: Capture, lit: Source) -> dict[str, str]:
-    """The references that a run of its kind has elsewhere and here has not, each with the reason."""
+    """The references that runs of this kind usually have and this one lacks, each with the reason."""
     found = {}
     if not capture.holds("truth"):
         wanted = {"enhanced": run.enhancement is not None, "linear": run.space == "linear"}

@@ -12,7 +12,7 @@ AROUND = ("aov", "moment", "stokes")  # each holds another integrator and adds c
 OTHERS = ("depth", "ptracer", "prb", "prb_basic", "prbvolpath", "prb_projective", "direct_projective",
           "volprim_rf_basic")  # fmt: skip
 COUNTS = ("emitter_samples", "bsdf_samples", "shading_samples")  # of `direct`
-ENDLESS = 1000  # a longest path beyond this is meant as none
+ENDLESS = 1000  # a limit on paths beyond this counts as none
 KEPT = ("max_depth", "rr_depth", "hide_emitters")
 
 

@@ -1,4 +1,4 @@
-"""What a capture folder of kind "imported" holds beside its pictures: photographs of somebody else's camera.
+"""What a capture folder of kind "imported" holds besides its pictures: photographs of somebody else's camera.
 
 lit/NNNN.png          the same views in good light, 8-bit sRGB, if they were given
 truth/NNNN.exr        clean.R, clean.G, clean.B: clean long exposures in linear light, brought to that of the dark

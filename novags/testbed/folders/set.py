@@ -25,7 +25,7 @@ from simscenes.sets.pictures.image_file import WITH_ALPHA, has_alpha
 from simscenes.sets.readers.llff import POSES
 from simscenes.sets.readers.nerf_synthetic import PARTS
 
-# What a set is read from beside its images: our own record and truth, and the cameras in every supported form.
+# What a set is read from besides its images: our own record and truth, and the cameras in every supported form.
 MODEL = tuple(f"{part}.{suffix}" for part in ("cameras", "images", "points3D") for suffix in ("bin", "txt"))
 READ_FROM = ("set.json", "capture.json", "transforms.json", *PARTS, POSES, "nb-info.json", "sparse", "sparse/0",
              "colmap_sparse", "colmap/sparse", "gt", *MODEL)  # fmt: skip
