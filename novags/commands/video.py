@@ -26,8 +26,8 @@ def video(
     from novags.testbed.folders.run import open_run
     from novags.testbed.stages.paths import keep_apart
 
-    opened = open_run(run)
-    path = out or run.resolve().with_suffix(".mp4")
+    opened, place = open_run(run), run.resolve()
+    path = out or place.with_name(f"{place.name}.mp4")  # not with_suffix: a name may hold a dot, as sh0.5 does
     keep_apart(path, run)
     if path.exists() and not overwrite:
         raise ValueError(f"{path} is there already: choose another --out, or add --overwrite")

@@ -64,10 +64,10 @@ class Console:
 
     def _bar(self) -> Progress:
         return Progress(
-            TextColumn("{task.description:<22}"),
+            TextColumn("{task.description:<22}", markup=False),  # the name of a folder may hold brackets
             BarColumn(bar_width=30),
             MofNCompleteColumn(),
-            TextColumn("{task.fields[what]}", markup=False),  # the name of a view may hold brackets
+            TextColumn("{task.fields[what]}", markup=False),  # and so may that of a view
             TimeElapsedColumn(),
             TextColumn("{task.fields[left]}"),
             console=self._rich,

@@ -1,6 +1,8 @@
 """Run an experiment in a given time: try it in small, choose settings, say so, run, and say what came of it."""
 
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -25,7 +27,7 @@ TRIAL = 0.5  # of the budget: a trial that takes longer shows that the budget is
 FORETOLD = {"seconds": float, "lost": float, "sd": float}
 SHAPE = {
     "request": str, "budget": float, "trial": float, "curves": str, "shares": {"*": float}, "foretold": FORETOLD,
-    "preset_seconds": float, "seconds?": float,
+    "preset_seconds": float, "seconds?": float, "spent?": float,
 }  # fmt: skip
 State = dict[str, Any]
 
@@ -96,22 +98,41 @@ def run(request: Request, out: Path, console: Console, *, command: str | None = 
         state = begun(request, out)
         if state is not None:
             console.note(f"budget: going on with what was chosen before ({out / RECORD})")
-        else:
-            if (out / EXPERIMENT).exists() and not overwrite:
-                raise ValueError(f"{out} holds a finished experiment of another request: choose another --out, or add "
-                                 "--overwrite to replace it")  # fmt: skip
-            plan = _planned(request, console)
-            state = _write(out, _state(request, plan))
+            start -= state.get("spent", 0.0)
+        elif (out / EXPERIMENT).exists() and not overwrite:
+            raise ValueError(f"{out} holds a finished experiment of another request: choose another --out, or add "
+                             "--overwrite to replace it")  # fmt: skip
+        with _counted(request, out, start):
+            if state is None:
+                state = _begin(request, out, console, start, overwrite)
             preset = turned(request.preset, state["shares"])
-            for line in said.before(request.preset, preset, state):
-                console.note(line)
-            experiment.photograph(preset, out, console, overwrite=overwrite)
-            state = _adjusted(request, plan, state, time.perf_counter() - start, out, console)
-        preset = turned(request.preset, state["shares"])
-        report = experiment.run(preset, out, console, command=command, overwrite=overwrite)
+            report = experiment.run(preset, out, console, command=command, overwrite=overwrite)
         if "seconds" not in state:
-            state = _write(out, {**state, "seconds": time.perf_counter() - start})
+            _write(out, {**state, "seconds": time.perf_counter() - start})
     return report
+
+
+@contextmanager
+def _counted(request: Request, out: Path, start: float) -> Iterator[None]:
+    """Keep the time of a call that is interrupted: what all calls together took is what is compared with the budget."""
+    try:
+        yield
+    except BaseException:
+        with suppress(OSError, ValueError):  # a full disk, say: why it ended is what must be said
+            if (state := begun(request, out)) is not None and "seconds" not in state:
+                _write(out, {**state, "spent": time.perf_counter() - start})
+        raise
+
+
+def _begin(request: Request, out: Path, console: Console, start: float, overwrite: bool) -> State:
+    """Choose, say so, take the pictures, and choose the rest again."""
+    plan = _planned(request, console)
+    state = _write(out, _state(request, plan))
+    preset = turned(request.preset, state["shares"])
+    for line in said.before(request.preset, preset, state):
+        console.note(line)
+    experiment.photograph(preset, out, console, overwrite=overwrite)
+    return _adjusted(request, plan, state, time.perf_counter() - start, out, console)
 
 
 def begun(request: Request, out: Path) -> State | None:

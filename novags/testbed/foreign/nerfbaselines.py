@@ -12,7 +12,7 @@ import base64
 import hashlib
 import shutil
 import struct
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Literal
@@ -72,9 +72,8 @@ def export_results(
     with console.progress("export") as progress:
         for done, run in enumerate(runs):
             capture, lit = run.inputs(console)
-            scene, method = scene_of(capture), run.name
-            if scene in table.get(method, {}).get("scenes", {}):  # the same method with other settings
-                method = f"{run.name}@{run.path.name}"
+            scene = scene_of(capture)
+            method = _method_of(run, {name for name, row in table.items() if scene in row["scenes"]})
             place = out / safe_name(method) / scene
             found = _results_of(run, capture, lit, reference, place, lpips)
             write_json(place / RESULTS, _record(run, method, identity, scene, found, place / PREDICTIONS))
@@ -113,6 +112,13 @@ def scene_of(capture: Capture) -> str:
     if not capture.imported:
         parts += [f"{record['electrons']:g}e", f"s{record.get('seed', 0)}"]
     return safe_name("-".join(parts))
+
+
+def _method_of(run: Run, taken: Collection[str]) -> str:
+    """The method of a run; where other runs of it show the same scene, with as much of its folder as differs."""
+    parts = run.path.resolve().parts[1:]
+    names = (run.name, *(f"{run.name}@{safe_name('_'.join(parts[-k:]))}" for k in range(1, len(parts) + 1)))
+    return next(name for name in names if name not in taken)
 
 
 def _results_of(

@@ -51,7 +51,9 @@ def test_the_example_of_the_page_is_a_method(capture: Path, tmp_path: Path, monk
         name: stages.reconstruct(capture, tmp_path / name, preset.reconstruct(name), QUIET) for name in preset.methods
     }
     assert [records[name]["config"]["gamma"] for name in ("gamma", "dim")] == [0.4, 0.8]
-    assert [records[name]["config"]["fit"]["iterations"] for name in ("gamma", "dim")] == [10, 10]
+    fits = [records[name]["config"]["fit"] for name in ("gamma", "dim")]
+    assert [fit["iterations"] for fit in fits] == [10, 10]
+    assert [records[name]["eps2d"] for name in ("gamma", "dim")] == [fit["eps2d"] for fit in fits] == [0.1, 0.1]
     scores = {name: stages.score(tmp_path / name, QUIET)["methods"][name]["mean"] for name in preset.methods}
     assert all(mean.keys() == {"lit"} for mean in scores.values())
     assert scores["gamma"] != scores["dim"]

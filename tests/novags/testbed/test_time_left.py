@@ -122,3 +122,14 @@ def test_the_console_extrapolates_the_parts_it_is_told(monkeypatch: pytest.Monke
             progress(done, 500, "")
     assert [line.partition("left")[2] for line in stream.getvalue().splitlines()] == ["", ", then fit", "", ""]
     assert stream.getvalue().splitlines()[3].endswith(" s left")
+
+
+def test_a_live_bar_shows_names_with_brackets_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rationale: of `novags score --renders 'mine [red]'` the name of the folder was taken for markup, and left out."""
+    monkeypatch.setenv("TERM", "xterm")
+    stream = io.StringIO()
+    monkeypatch.setattr(stream, "isatty", lambda: True, raising=False)
+    with console.Console(stream=stream).progress("score mine [red]") as progress:
+        progress(1, 2, "view [a]")
+    assert "score mine [red]" in stream.getvalue()
+    assert "view [a]" in stream.getvalue()

@@ -159,6 +159,8 @@ def test_an_interrupted_experiment_goes_on_with_what_was_chosen(work: Work, tmp_
     assert work.tried == 1
     assert work.ran[0].settings["fit.iterations"] == 500
     assert "going on with what was chosen before" in console.lines[0]
+    state = json.loads((tmp_path / "x" / "budget.json").read_text())
+    assert state["seconds"] == 100.0  # of both calls, as if there had been one
 
 
 def test_a_finished_experiment_of_another_request_is_refused_before_the_trial(work: Work, tmp_path: Path) -> None:

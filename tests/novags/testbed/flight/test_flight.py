@@ -1,6 +1,7 @@
 """Claims about films: the path goes smoothly through the cameras, frames show what they say, files are readable."""
 
 import json
+import shutil
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -191,6 +192,18 @@ def test_frames_show_the_gaussians_from_there_and_the_nearest_pictures(
     assert notes[0] == ["reconstruction", "view 0000", "view 0000"]
     assert notes[1][1:] == ["no picture from here; nearest: view 0000"] * 2
     assert notes[-1][1] == "view 0002"
+
+
+def test_the_film_of_a_run_with_a_dot_in_its_name_has_that_name(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Rationale: variants like sh0.5 and sh0.7 both became sh0.mp4."""
+    shutil.copytree(run.parent, tmp_path / "x")
+    (tmp_path / "x" / run.name).rename(tmp_path / "x" / "sh0.5")
+    monkeypatch.setattr(video, "make_video", lambda opened, path, *_, **__: path.write_bytes(b"film") and 1)
+    monkeypatch.setattr(sys, "argv", ["novags", "video", str(tmp_path / "x" / "sh0.5")])
+    cli.main()
+    assert (tmp_path / "x" / "sh0.5.mp4").read_bytes() == b"film"
 
 
 def test_a_run_without_gaussians_and_files_that_are_there_are_refused_in_one_line(

@@ -7,6 +7,7 @@ import os
 import shlex
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +75,20 @@ def test_a_program_makes_a_run_that_is_scored_and_exported_like_any_other(captur
     assert raw.mean() == pytest.approx(row["psnr"], abs=1e-4)
     with pytest.raises(ValueError, match=r"results.json already: choose another --out"):
         export_results([run], tmp_path / "nb", QUIET)
+
+
+def test_runs_of_one_method_and_one_scene_keep_a_row_each(capture: Path, tmp_path: Path) -> None:
+    """Rationale: the third of them took the name, the folder and the row of the second."""
+    for name, seed in (("a", 1), ("b", 2), ("c", 3)):
+        config = replace(method(tmp_path, BRIGHTEN), seed=seed)
+        run_command(capture, tmp_path / name / "mine", config, QUIET)
+    table = json.loads(export_results([tmp_path / name for name in "abc"], tmp_path / "nb", QUIET).read_text())
+    names = [row["id"] for row in table["methods"]]
+    assert names == ["mine", "mine@mine", "mine@c_mine"]
+    for name, row in zip(names, table["methods"], strict=True):
+        (scene,) = row["scenes"]
+        one = json.loads((tmp_path / "nb" / name / scene / "results.json").read_text())
+        assert one["nb_info"]["method"] == name
 
 
 def test_scores_are_encoded_and_summed_as_the_other_side_reads_them() -> None:
