@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 OURS = ("novags.", "simscenes.", "sensor_model.")
+INTERRUPTED = "interrupted; the same command again continues where this one stopped"
 
 
 @contextmanager
@@ -27,7 +28,7 @@ def errors_in_one_line() -> Iterator[None]:
         yield
         _end_if_nobody_reads()
     except KeyboardInterrupt:
-        sys.exit(_say("interrupted; the same command again continues where this one stopped", 130))
+        sys.exit(_say(INTERRUPTED, 130))
     except SystemExit as end:
         if not end.code:
             _end_if_nobody_reads()
@@ -37,9 +38,18 @@ def errors_in_one_line() -> Iterator[None]:
             _end_if_nobody_reads()
         if os.environ.get("NOVAGS_TRACEBACK"):
             raise
+        if _is_interruption(error):
+            sys.exit(_say(INTERRUPTED, 130))
         if isinstance(error, ValueError | OSError) or (isinstance(error, MemoryError) and str(error)):
             sys.exit(_say(f"error: {error}", 2 if isinstance(error, ValueError) else 1))
         sys.exit(_say(f"error: {explained(error)}", 1))
+
+
+def _is_interruption(error: BaseException | None) -> bool:
+    """Whether Ctrl-C caused an error: libraries in C++ that are being loaded make an ImportError of it, and say so."""
+    while error is not None and not isinstance(error, KeyboardInterrupt):
+        error = error.__cause__
+    return error is not None
 
 
 def _end_if_nobody_reads() -> None:

@@ -308,3 +308,22 @@ def test_commands_that_messages_advise_are_such_that_a_shell_takes(
     ):
         with pytest.raises(ValueError, match=re.escape(advice.format(f"'{folder}'"))):
             attempt()
+
+
+def test_ctrl_c_while_a_library_loads_is_an_interruption(
+    call: Call, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Rationale: pycolmap makes "Cannot import the C++ backend" of it, which was to be reported with a traceback."""
+
+    def load(what: str) -> str:
+        try:
+            try:
+                raise KeyboardInterrupt
+            except KeyboardInterrupt as key:
+                raise ImportError("initialization failed") from key
+        except ImportError as error:
+            raise RuntimeError("Cannot import the C++ backend") from error
+
+    monkeypatch.setattr("novags.testbed.help.catalogue.listing", load)
+    assert call("list") == 130
+    assert capsys.readouterr().err.startswith("novags: interrupted; the same command again continues")

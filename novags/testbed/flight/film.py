@@ -35,8 +35,8 @@ def film(path: Path, fps: float) -> Iterator[Film]:
             yield made
         finally:
             made.close()
-        if not temporary.exists() or not temporary.stat().st_size:
-            raise OSError(f"{path}: nothing was written; is the disk full?")
+        if not made.is_whole():
+            raise OSError(f"{path}: not all of it was written; is the disk full?")
 
 
 def check_suffix(path: Path) -> None:
@@ -47,22 +47,33 @@ def check_suffix(path: Path) -> None:
 
 class _Mp4:
     def __init__(self, path: Path, fps: float) -> None:
-        self._path, self._fps = path, fps
+        self._path, self._fps, self._frames = path, fps, 0
         self._writer: Any = None
 
     def add(self, frame: np.ndarray) -> None:
         import cv2
 
         if self._writer is None:
+            self._path.touch()  # says why, where nothing can be written; OpenCV says no more than that it cannot
             size = (frame.shape[1], frame.shape[0])
             self._writer = cv2.VideoWriter(str(self._path), cv2.VideoWriter.fourcc(*"mp4v"), self._fps, size)
             if not self._writer.isOpened():
                 raise ValueError(f"this OpenCV cannot write {self._path.suffix}: give --out a name that ends in .webp")
         self._writer.write(np.ascontiguousarray(frame[..., ::-1]))
+        self._frames += 1
 
     def close(self) -> None:
         if self._writer is not None:
             self._writer.release()
+
+    def is_whole(self) -> bool:
+        """Whether the file lists every frame: OpenCV says nothing of a full disk, and the list is written last."""
+        import cv2
+
+        reader = cv2.VideoCapture(str(self._path))
+        count = int(reader.get(cv2.CAP_PROP_FRAME_COUNT)) if reader.isOpened() else 0
+        reader.release()
+        return count == self._frames > 0
 
 
 class _WebP:
@@ -79,3 +90,7 @@ class _WebP:
             first, *rest = self._frames
             first.save(self._path, "webp", save_all=True, append_images=rest, duration=round(1000 / self._fps), loop=0,
                        quality=80, method=2)  # fmt: skip
+
+    def is_whole(self) -> bool:
+        """Whether there is a file: Pillow raises where it cannot write all of it."""
+        return self._path.exists() and self._path.stat().st_size > 0

@@ -27,6 +27,7 @@ from simscenes.sets.readers.bare import SUFFIXES, Bare, picture_files, survey
 from simscenes.sets.writers.camera_files import write_cameras
 
 NAMED = 8  # suffixes of other files in a message
+BETTER = "take them with more overlap, from places that differ, sharp and with texture"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -153,8 +154,7 @@ def place(files: dict[str, Path], out: Path, config: PosesConfig, console: Conso
             )  # fmt: skip
         if found is None:
             raise ValueError(
-                f"fewer than {PLACED} of the {len(bare)} photographs of {config.photographs} fit together: take them "
-                "with more overlap, from places that differ, sharp and with texture"
+                f"fewer than {PLACED} of the {len(bare)} photographs of {config.photographs} fit together: {BETTER}"
             )
         names = write_set(out, list(files.values()), bare, levelled(found), size, config.name)
     return _facts(config.name, list(files), bare, found, size, names)
@@ -195,6 +195,9 @@ def write_set(
         picture = lens.undistort(pixels, pinhole)[top : top + height, left : left + width]
         write_png(out / "images" / file_of(names[k]), np.ascontiguousarray(picture))
         Ks[k] = pinhole - [[0, 0, left], [0, 0, top], [0, 0, 0]]
+    if not (Ks[:, (0, 1), (0, 1)] > 0).all():  # what fits a few chance matches need not be a lens
+        raise ValueError(f"the {len(names)} photographs of {scene} that fit together do so only through a lens whose "
+                         f"distortion cannot be undone: {BETTER}")  # fmt: skip
     order = sorted(range(len(names)), key=lambda k: file_of(names[k]))
     rig = Rig(viewmats=found.viewmats[order], Ks=Ks[order], width=width, height=height)
     shown = np.round(colors / np.maximum(count, 1)[:, None])

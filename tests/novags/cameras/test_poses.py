@@ -13,16 +13,18 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from novags.cameras.align import align
-from novags.cameras.registration import Registered, pairs_of
+from novags.cameras.registration import Observed, Registered, pairs_of
 from novags.testbed import stages
 from novags.testbed.cache import folder_digest
 from novags.testbed.console import Console
 from novags.testbed.folders.set import open_source
 from novags.testbed.folders.video import write_frames
+from novags.testbed.stages import posing
 from novags.testbed.stages.posing import PosesConfig, levelled
 from simscenes import load_set, orbit_rig
 from simscenes.sets.multiview import is_rendered
 from simscenes.sets.readers.bare import picture_files, survey
+from simscenes.sets.readers.photographs import DistortedPinhole
 
 QUIET = Console(quiet=True)
 WIDTH, HEIGHT, FOCAL, K1 = 200, 150, 190.0, -0.12
@@ -170,6 +172,21 @@ def test_pictures_that_do_not_belong_together_are_refused_with_advice(tmp_path: 
     (tmp_path / "empty").mkdir()
     with pytest.raises(ValueError, match="holds 0 photographs .* at least 3 are needed"):
         stages.poses(tmp_path / "set", PosesConfig(photographs=tmp_path / "empty"), QUIET)
+
+
+def test_a_lens_that_cannot_be_undone_is_refused_with_advice(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rationale: chance matches of eight pictures of two places were fitted by this one; a rig was said to be wrong."""
+    (photos := tmp_path / "photos").mkdir()
+    for k in range(3):
+        cv2.imwrite(str(photos / f"{k}.png"), np.full((48, 48, 3), 80 * k, np.uint8))
+    K = np.array([[38.93, 0, 24], [0, 221.46, 24], [0, 0, 1]])
+    lens = DistortedPinhole(K, (-0.68075, 0.118315, -0.059702, 0.014953, 0.0))
+    seen = Observed(np.zeros(1, np.intp), np.full((1, 2), 24.0), np.zeros((1, 2)))
+    rig = orbit_rig(3, 48, 48, 50.0, radius=3.0)
+    found = Registered((0, 1, 2), rig.viewmats, (lens,) * 3, np.zeros((1, 3)), (seen,) * 3, 0.5)
+    monkeypatch.setattr(posing, "register", lambda *_, **__: found)
+    with pytest.raises(ValueError, match=r"a lens whose distortion cannot be undone: take them with more overlap"):
+        stages.poses(tmp_path / "set", PosesConfig(photographs=photos), Console(quiet=True))
 
 
 def test_sizes_are_brought_together_and_a_focal_length_in_the_header_is_used(tmp_path: Path) -> None:

@@ -1,6 +1,8 @@
 """Claims about films: the path goes smoothly through the cameras, frames show what they say, files are readable."""
 
+import errno
 import json
+import resource
 import shutil
 import sys
 from collections.abc import Iterator
@@ -134,6 +136,38 @@ def test_a_film_that_fails_leaves_no_file(tmp_path: Path) -> None:
     with pytest.raises(RuntimeError):
         shoot()
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("room", [300, 20_000])
+@pytest.mark.parametrize("suffix", [".mp4", ".webp"])
+def test_a_film_that_the_disk_has_no_room_for_is_an_error_and_no_file(tmp_path: Path, suffix: str, room: int) -> None:
+    """Rationale: OpenCV says nothing of a full disk, and half a film, which nothing plays, was called 24 frames."""
+    pictures = np.random.default_rng(0).integers(0, 255, (24, 64, 96, 3)).astype(np.uint8)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+
+    def shoot() -> None:
+        with film(tmp_path / f"f{suffix}", 10) as made:
+            for picture in pictures:
+                made.add(picture)
+
+    resource.setrlimit(resource.RLIMIT_FSIZE, (room, hard))
+    try:
+        with pytest.raises(OSError, match=r"is the disk full|File too large"):
+            shoot()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_film_where_nothing_can_be_written_says_why(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Rationale: OpenCV says no more than that it cannot, and was said to be unable to write MP4 at all."""
+
+    def refused(path: Path) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "touch", refused)
+    with pytest.raises(PermissionError, match=r"Permission denied: '.*/f\.mp4'"), film(tmp_path / "f.mp4", 10) as made:
+        made.add(np.zeros((64, 96, 3), np.uint8))
 
 
 @pytest.fixture(scope="module")
