@@ -94,6 +94,8 @@ def _without_cameras(folder: Path) -> NoReturn:
         which = "that folder" if len(posed or below) == 1 else "one of these folders"
         raise ValueError(f"{folder} holds no pictures itself; pictures {'with cameras ' if posed else ''}are in {names}"
                          f"{more}: give {which}")  # fmt: skip
+    if not count:
+        raise ValueError(f"{folder} holds no pictures ({', '.join(PICTURES)})")
     raise ValueError(
         f"{folder} holds {count} pictures and no cameras (transforms.json or a COLMAP model in sparse/0): make them "
         f"by novags poses {quote(str(folder))} --out SET, then novags import SET; where it is too dark for that, put "

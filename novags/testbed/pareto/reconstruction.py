@@ -192,7 +192,8 @@ def held_out_error(result: Reconstruction, prepared: Prepared, capture: Capture,
         ValueError: If no held-out view has contrast, or the method works on pictures that are not enhanced.
     """
     if result.enhancement is None:
-        raise ValueError("the method states no enhancement, through which the noise-free exposure would be compared")
+        raise ValueError("a method that states no enhancement cannot be measured: its pictures are compared with the "
+                         "noise-free exposure through the same enhancement")  # fmt: skip
     scale = truth.cameras.rig.width / capture.cameras.rig.width
     scene = result.scene
     if isinstance(scene, GaussianScene):

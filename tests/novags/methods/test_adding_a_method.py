@@ -44,7 +44,8 @@ def example() -> dict[str, Any]:
 
 
 def test_the_example_of_the_page_is_a_method(capture: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(METHODS, "gamma", example()["METHODS"]["gamma"])
+    monkeypatch.setitem(METHODS, "gamma", method := example()["METHODS"]["gamma"])
+    assert method.parts(method.config()) == {"fit": method.config().fit.iterations}  # budgets count by them
     own = parse_variant("dim=gamma:gamma=0.8")
     preset = adapted(EXPERIMENTS["demo"], **TINY, variants=(own,), methods=("gamma", "dim"))
     records = {

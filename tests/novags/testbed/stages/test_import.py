@@ -290,6 +290,7 @@ def test_twins_that_do_not_fit_are_refused_by_name(
     ("spoil", "config", "message"),
     [
         (lambda f: (f / "transforms.json").unlink(), {}, "holds 9 pictures and no cameras .* novags poses .* --out"),
+        (lambda f: (shutil.rmtree(f), f.mkdir()), {}, r"dark holds no pictures \(.png"),
         (lambda f: (f / "raw" / "0002.dng").unlink(), {}, r"raw has no file of 1 of 9 views \(0002\)"),
         (lambda f: None, {"sensor": "imx686-iso6400"}, r"states the black level 512 DN, --sensor 64 DN"),
         (lambda f: None, {"sensor": "a7s2-iso6400-3chip"}, "has a colour filter array, --sensor three full channels"),
