@@ -136,6 +136,9 @@ def _default_name(preset: str, source: str | None, level: str | None, electrons:
     """Of the folder of an experiment: different scenes and light do not meet in one."""
     from simscenes.sets.names import safe_name
 
-    parts = [preset, *([] if source is None else [safe_name(Path(source).resolve().stem)])]
+    parts = [preset]
+    if source is not None:
+        path = Path(source).resolve()
+        parts.append(safe_name(path.name if path.is_dir() else path.stem))  # a dot in a folder's name begins no suffix
     parts += [] if level is None else [level]
     return "-".join([*parts, *([] if electrons is None else [f"{electrons:g}e"])])

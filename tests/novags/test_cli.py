@@ -327,3 +327,19 @@ def test_ctrl_c_while_a_library_loads_is_an_interruption(
     monkeypatch.setattr("novags.testbed.help.catalogue.listing", load)
     assert call("list") == 130
     assert capsys.readouterr().err.startswith("novags: interrupted; the same command again continues")
+
+
+def test_folders_that_differ_after_a_dot_have_experiments_of_their_own(
+    call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Rationale: garden.v1 and garden.v2 both went to out/demo-garden, where the second was refused."""
+    from novags.testbed import experiment
+
+    seen = []
+    monkeypatch.setattr(experiment, "run", lambda preset, out, *_, **__: seen.append(out.name) or out / "report.html")
+    monkeypatch.chdir(tmp_path)
+    for name in ("garden.v1", "garden.v2"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "transforms.json").write_text("{}")
+        assert call("run", "--scene", name) == 0
+    assert seen == ["demo-garden.v1", "demo-garden.v2"]
