@@ -1,4 +1,4 @@
-"""What is compared. `METHODS` is the only place that names methods; `VARIANTS` names useful settings of them."""
+"""What is compared. `METHODS` is the only place that names methods; `variant/named.py` names settings of them."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
@@ -15,21 +15,19 @@ from novags.methods.enhancers.retinexformer import RetinexformerConfig
 from novags.methods.enhancers.sci import SciConfig
 from novags.methods.enhancers.uretinex import URetinexConfig
 from novags.methods.enhancers.zero_dce import ZeroDceConfig
-from novags.methods.gaussian_fit import ORIGINAL_FIT, EnhancedFitConfig, fit_parts
+from novags.methods.gaussian_fit import EnhancedFitConfig, fit_parts
 from novags.methods.nerf import aleth, i2, llnerf
 from novags.methods.nerf import clean as clean_nerf
 from novags.methods.nerf import fitting as nerf
 from novags.methods.nerf import plain as plain_nerf
 from novags.methods.nerf import raw as raw_nerf
 from novags.methods.nova import trainer as nova
-from novags.methods.nova.denoiser import FAST_DENOISER
 from novags.methods.nova.knobs import KNOBS as NOVA_KNOBS
-from novags.methods.nova.knobs import TUNED
 from novags.methods.nova_plus import trainer as nova_plus
 from novags.methods.nova_plus.knobs import KNOBS as NOVA_PLUS_KNOBS
 from novags.methods.rivals import gaussian_dk, lita_gs, ll_gaussian, luminance_gs, raw_gs
 from novags.methods.variant import Method, Variant, spelled
-from novags.settings import flattened
+from novags.methods.variant.named import VARIANTS as VARIANTS
 from sensor_model.files.reading import brief
 
 
@@ -260,96 +258,6 @@ METHODS: dict[str, Method] = {
         sees_surface=True,
     ),
 }
-
-_PUBLISHED = flattened(nova.NovaConfig())
-_FAST = {f"denoiser.{name}": value for name, value in flattened(FAST_DENOISER).items()} | {"consistency.every": 16}
-_ORIGINAL = flattened(ORIGINAL_FIT)
-_QUICK = {
-    f"fit.{name}": value
-    for name, value in flattened(nova_plus.FIT).items()
-    if name.startswith(("rates.", "mcmc.")) and value != _ORIGINAL[name]
-}
-
-
-def _variant(name: str, method: str, title: str, settings: Mapping[str, Any]) -> tuple[str, Variant]:
-    return name, Variant(name=name, method=method, title=title, settings=settings)
-
-
-VARIANTS: dict[str, Variant] = dict(
-    (
-        _variant(
-            "nova-fast",
-            "nova",
-            "NOVA-GS with a small denoiser that trains before the fit only, and a third of the noisy picture in its "
-            "target: not the paper's network",
-            {name: value for name, value in _FAST.items() if value != _PUBLISHED[name]},
-        ),
-        _variant("nova-tuned", "nova", "NOVA-GS with the best settings that were measured (docs/choices.md)", TUNED),
-        _variant("nova-no-sh", "nova", "NOVA-GS without the penalty on view-dependent colour", {"sh_weight": None}),
-        _variant("nova-no-geo", "nova", "NOVA-GS without geometric consistency", {"consistency": None}),
-        _variant(
-            "nova-no-n2v-sh",
-            "nova",
-            "NOVA-GS without the denoiser, and so without the penalty that its residual steers",
-            {"denoiser": None, "sh_weight": None},
-        ),
-        _variant(
-            "naive-l1",
-            "naive",
-            "enhance, then fit the noisy pictures with L1 alone, which averages noise over the views",
-            {"fit.dssim_weight": 0.0},
-        ),
-        _variant(
-            "gamma-auto-gs",
-            "gamma-gs",
-            "raise every code to the power that brings the mean of the picture to 0.5, then fit as naive does",
-            {"enhance.gamma": None},
-        ),
-        _variant(
-            "sci-plus-gs",
-            "sci-gs",
-            "SCI with this project's reading of the additivity condition of SCI++ (Ma et al. 2025), then fit as naive "
-            "does",
-            {"enhance.additivity": 1.0},
-        ),
-        _variant(
-            "oracle-demosaiced",
-            "oracle",
-            "the same from noise-free mosaics, interpolated as the pictures are: what demosaicing costs by itself",
-            {"demosaiced": True},
-        ),
-        _variant(
-            "naive-l1-fast-rates",
-            "naive",
-            "as naive-l1, with the learning rates and the growth of nova-plus",
-            {"fit.dssim_weight": 0.0, **_QUICK},
-        ),
-        _variant(
-            "oracle-fast-rates",
-            "oracle",
-            "the ceiling with the learning rates and the growth of nova-plus",
-            _QUICK,
-        ),
-        _variant(
-            "i2-nerf-truth",
-            "i2-nerf",
-            "I2-NeRF as published: the brightness that it aims at comes from well-lit pictures of the scene",
-            {"truth_statistics": True},
-        ),
-        _variant(
-            "denoise-gs-plain",
-            "denoise-gs",
-            "the same network without being adapted to the capture",
-            {"denoise.adapt": None},
-        ),
-        _variant(
-            "averaging-clean",
-            "averaging",
-            "the same average of the noise-free exposures: what bringing them to the view costs by itself",
-            {"exposures": "noise-free"},
-        ),
-    )
-)
 
 
 def names() -> tuple[str, ...]:
