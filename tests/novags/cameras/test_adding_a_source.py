@@ -1,0 +1,46 @@
+"""The example of docs/adding-a-camera-source.md finds the cameras of a turntable, in any frame."""
+
+import re
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from novags.cameras import SOURCES, CameraSource, check_cameras, estimate_cameras, parse_cameras, spell_cameras
+from novags.cameras.align import align
+from simscenes.rigs import Rig, intrinsics, look_at
+
+PAGE = Path(__file__).resolve().parents[3] / "docs" / "adding-a-camera-source.md"
+
+
+@pytest.fixture
+def source(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The page's row among the others."""
+    code, row = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.S)
+    space: dict[str, Any] = {"__name__": "example", "SOURCES": {}, "CameraSource": CameraSource}
+    exec(compile(code + row, str(PAGE), "exec"), space)
+    monkeypatch.setitem(SOURCES, "turntable", space["SOURCES"]["turntable"])
+
+
+@pytest.mark.usefixtures("source")
+def test_the_example_of_the_page_is_a_source_of_cameras() -> None:
+    middle, turns = np.array([5.0, -2.0, 1.0]), np.radians(40.0 * np.arange(9) + 17)
+    eyes = middle + 3 * np.stack([np.cos(turns), np.sin(turns), np.full(9, 0.4)], -1)
+    Ks = np.tile(intrinsics(24, 24, 40.0), (9, 1, 1))
+    rig = Rig(viewmats=np.stack([look_at(eye, middle) for eye in eyes]), Ks=Ks, width=24, height=24)
+    seen = list(range(8))
+    dark = torch.from_numpy(np.random.default_rng(0).uniform(0, 0.1, (8, 3, 24, 24)).astype(np.float32))
+
+    config = parse_cameras("turntable:step_deg=40,height=0.4")
+    check_cameras(config)
+    assert spell_cameras(config) == "turntable:step_deg=40.0,height=0.4"
+    multiview: Any = SimpleNamespace(rig=rig)
+    found = estimate_cameras(config, multiview, seen, dark, n_points=50)
+    fitted = align(found.viewmats, torch.from_numpy(np.asarray(rig.viewmats)[seen]))
+    assert fitted.similarity.scale == pytest.approx(3, rel=1e-6)
+    assert fitted.rotation_deg.max() < 1e-5
+    assert fitted.centre_error.max() < 1e-6
+    assert found.points.shape == (50, 3)
