@@ -297,6 +297,7 @@ def test_commands_that_messages_advise_are_such_that_a_shell_takes(
     folder = tmp_path / "Fotos ä (1)"
     folder.mkdir()
     (folder / "curves.jsonl").write_text("")
+    (folder / "one.png").touch()  # photographs without cameras
     monkeypatch.setattr(page, "find_runs", lambda _: {})
     run: Any = SimpleNamespace(path=folder, scores=lambda: None)
     quiet = Console(quiet=True)
