@@ -17,7 +17,7 @@ from novags.testbed.console import Console
 from novags.testbed.presets import EXPERIMENTS, adapted
 from sensor_model import linear_to_srgb
 
-PAGE = Path(__file__).resolve().parents[3] / "docs" / "adding-an-enhancer.md"
+PAGE = Path(__file__).resolve().parents[4] / "docs" / "adding-an-enhancer.md"
 QUIET = Console(quiet=True)
 TINY = {"scene": "cornell", "n_views": 9, "width": 24, "height": 24, "spp": 8, "points": 200, "iterations": 10}
 
