@@ -48,7 +48,7 @@ from simscenes.transport.plan import TransportPlan
 
 PLAIN = {"type": "path", "max_depth": 8}
 PEERS = ("independent", "multijitter")
-MOST_SPP = 1024  # of a plain render; beyond, its film of 32 bits rounds
+MOST_SPP = 1024  # of a plain render; beyond that, its 32-bit film rounds
 
 
 class Clock:

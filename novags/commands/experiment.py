@@ -139,6 +139,6 @@ def _default_name(preset: str, source: str | None, level: str | None, electrons:
     parts = [preset]
     if source is not None:
         path = Path(source).resolve()
-        parts.append(safe_name(path.name if path.is_dir() else path.stem))  # a dot in a folder's name begins no suffix
+        parts.append(safe_name(path.name if path.is_dir() else path.stem))  # a folder's name has no suffix
     parts += [] if level is None else [level]
     return "-".join([*parts, *([] if electrons is None else [f"{electrons:g}e"])])

@@ -46,8 +46,8 @@ def measured_light(
 ) -> MeasuredLight:
     """The measurements of a capture: raw frames, else the linear 16-bit pictures.
 
-    Their zero is the black that the noise states, which of a camera with an error of its black level is not that of its
-    files. Raw frames of another size than the pictures, and those whose white balance is unknown, are left alone.
+    Zero is the black level that the noise model states; the files of a camera with a black-level error state another.
+    Raw frames of another size than the pictures, and those whose white balance is unknown, are left alone.
 
     Args:
         noise: Of its pictures.

@@ -138,7 +138,7 @@ def assert_noise(views: PosedViews, frames: ArrayLike, *, sigmas: float = 5.0) -
     dn = _numbers("frames", frames, views.raw.shape)
     assert np.isfinite(dn).all(), "frames must be finite"
     mean, variance = views.mean_dn.astype(np.float64), views.variance_dn.astype(np.float64)
-    noisy = variance > 1e-6  # DN²; below this there is no noise (saturated pixels), and dividing by it would blow up
+    noisy = variance > 1e-6  # DN²; smaller variances are those of saturated pixels, and dividing by them would blow up
     still = float(np.abs(dn - mean)[~noisy].max(initial=0.0))
     assert still <= 0.5, f"pixels without noise (saturated ones) are up to {still:.3g} DN off their mean"
     sd = np.sqrt(np.where(noisy, variance, 1.0))

@@ -42,7 +42,7 @@ from simscenes.transport.planner import default_plan, plan_loaded
 
 DEFAULT_SPP = 256
 FORMAT = 4  # of the folder; sets of another format are rendered again
-LENS_FORMAT = 5  # of one taken through a lens; earlier ones are biased, because lens and first light shared numbers
+LENS_FORMAT = 5  # of sets with depth of field; earlier ones are biased, since lens and first light shared numbers
 # Samples in a job, at 1.5 to 3 microseconds of processor time each: some ten minutes. The planner's slower
 # measurements, up to a minute, are a tenth of that.
 MEASURE_FROM = 3 * 10**8

@@ -133,7 +133,7 @@ def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> Load
     params = parameters_in(loaded, mi)
     check_faces(params)
     check_parameters(loaded, params, mi)
-    painted = unique_materials(loaded, mi)  # shapes within groups are among them, which have no name but by this
+    painted = unique_materials(loaded, mi)  # includes shapes within groups, which get their names only here
     named = list(dict.fromkeys([*loaded.shapes(), *painted]))
     called = dict(zip(named, shape_names(named), strict=True))
     shapes = tuple(called[shape] for shape in loaded.shapes())

@@ -34,7 +34,7 @@ def direction_numbers(degree: int, inner: int, first: tuple[int, ...], count: in
     return [sum((m[k] >> (k - digit) & 1) << digit for digit in range(k + 1)) for k in range(count)]
 
 
-LENS = 1 << 30  # number of its draw: no path draws as many times
+LENS = 1 << 30  # index of the lens draw; no path draws as often
 
 THIRD, FOURTH = direction_numbers(2, 1, (1, 3)), direction_numbers(3, 1, (1, 3, 1))
 
@@ -107,7 +107,7 @@ def sampler_class(mi: Any, variant: str) -> Any:
             return unit(scrambled(shuffled(self.index, seed), mixed(seed)))
 
         def next_lens(self) -> Any:
-            """A place on the lens, by a set of its own: the second half of the film's is that of the first light."""
+            """A place on the lens, from a set of its own: the second half of the film's set serves the first light."""
             self.drawn = u32(LENS)
             return self.next_2d()
 

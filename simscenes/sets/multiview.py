@@ -128,9 +128,9 @@ class MultiviewSet:
         """What the ray through each pixel centre hits; None for photographs.
 
         Returns:
-            "z" and "distance" float32 [h,w], inf where there is no surface; "normals" (shading) and
-            "geometric_normals", both in world axes and facing the camera, and "albedo", float32 [h,w,3], 0 where there
-            is no surface; "id" and "material" uint32 [h,w], 0 where there is no surface (legends in `meta`).
+            "z" and "distance" float32 [h,w]; "normals" (shading) and "geometric_normals", both in world axes and facing
+            the camera, and "albedo", float32 [h,w,3]; "id" and "material" uint32 [h,w] (legends in `meta`). Rays that
+            hit nothing have an infinite "z" and "distance", and 0 elsewhere.
         """
         if self.kind != "rendered":
             return None
@@ -146,7 +146,7 @@ class MultiviewSet:
         }
 
     def points(self) -> SparsePoints | None:
-        """Sparse points with their tracks through the views; None if there are none in the views' frame."""
+        """Sparse points with their tracks through the views; None if the set has none in the frame of its cameras."""
         if (model := self.model()) is None:
             return None
         x, y, z = self.origin
@@ -154,7 +154,7 @@ class MultiviewSet:
         return None if found is None else found.about(self.origin)
 
     def model(self) -> tuple[Path, Path] | None:
-        """The folder of the images of a COLMAP model in the views' frame, and of the model; None if there is none."""
+        """Folders of the images and of the COLMAP model in the frame of the cameras; None without such a model."""
         # Beside a foreign transforms.json a COLMAP model may be in another frame (nerfstudio re-orients), so only our
         # own folders, which name it in nb-info.json, and pure COLMAP folders give points.
         ours = (self.path / "nb-info.json").is_file() or not (self.path / "transforms.json").is_file()

@@ -72,7 +72,7 @@ def _follow(
 ) -> tuple[NDArray[np.float64], float]:
     """Mean light by length of some pixels of all views, [length,pixel], and the sum of what specular chains passed on.
 
-    All views in one launch, which takes longer to prepare than the samples of a pilot take.
+    All views share one launch: preparing a launch takes longer than tracing the samples of a pilot.
     """
     import drjit as dr
 
@@ -85,9 +85,10 @@ def _follow(
     lane = dr.arange(mi.UInt32, lanes)
     place = first + lane // each
     view = place // of_view
+    pixel = place - view * of_view
     seed = dr.gather(mi.UInt32, from_numpy(mi.UInt32, np.array(seeds, dtype=np.uint32)), view)
-    sampler = sampler_class(mi, mi.variant())(place - view * of_view, lane % each, seed)
-    ray, weight = _rays(mi, sensors, sampler, place - view * of_view, view)
+    sampler = sampler_class(mi, mi.variant())(pixel, lane % each, seed)
+    ray, weight = _rays(mi, sensors, sampler, pixel, view)
     account = dr.zeros(mi.Float, longest * lanes)  # a lane's light by length, then by lane: no two lanes meet in it
     chain = dr.zeros(mi.Float, lanes)
 

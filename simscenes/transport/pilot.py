@@ -28,8 +28,8 @@ N_VIEWS = 3
 MOST = 0.99  # of the light that anything reflects; without a limit below 1 a closed room has no bound
 SIZE = 32  # pixels along the longer side
 SPP = 64  # of pilots
-PER_PIXEL = 4  # samples of a pilot for every pixel of the views, at most: a short job is not planned for longer
-FEWEST_SPP = 16  # of pilots all the same
+PER_PIXEL = 4  # pilot samples per pixel of the job, at most: planning a short job must not outlast it
+FEWEST_SPP = 16  # of pilots, however short the job
 RR_DEPTH = 2  # where Russian roulette starts in pilots
 DEEPEST = 64  # pilot paths end here, where that is deep enough
 

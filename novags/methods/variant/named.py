@@ -21,12 +21,13 @@ _QUICK = {
 }
 
 
-def _variant(name: str, method: str, title: str, settings: Mapping[str, Any]) -> tuple[str, Variant]:
-    return name, Variant(name=name, method=method, title=title, settings=settings)
+def _variant(name: str, method: str, title: str, settings: Mapping[str, Any]) -> Variant:
+    return Variant(name=name, method=method, title=title, settings=settings)
 
 
-VARIANTS: dict[str, Variant] = dict(
-    (
+VARIANTS: dict[str, Variant] = {
+    variant.name: variant
+    for variant in (
         _variant(
             "nova-fast",
             "nova",
@@ -99,4 +100,4 @@ VARIANTS: dict[str, Variant] = dict(
             {"exposures": "noise-free"},
         ),
     )
-)
+}

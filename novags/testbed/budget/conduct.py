@@ -118,7 +118,7 @@ def _counted(request: Request, out: Path, start: float) -> Iterator[None]:
     try:
         yield
     except BaseException:
-        with suppress(OSError, ValueError):  # a full disk, say: why it ended is what must be said
+        with suppress(OSError, ValueError):  # such as a full disk: the first error is the one to report
             if (state := begun(request, out)) is not None and "seconds" not in state:
                 _write(out, {**state, "spent": time.perf_counter() - start})
         raise

@@ -54,7 +54,7 @@ class _Mp4:
         import cv2
 
         if self._writer is None:
-            self._path.touch()  # says why, where nothing can be written; OpenCV says no more than that it cannot
+            self._path.touch()  # raises with the system's reason; OpenCV gives none
             size = (frame.shape[1], frame.shape[0])
             self._writer = cv2.VideoWriter(str(self._path), cv2.VideoWriter.fourcc(*"mp4v"), self._fps, size)
             if not self._writer.isOpened():

@@ -184,7 +184,7 @@ def _size(file: Path) -> tuple[int, int]:
             (low, high), whole = (image.header()[window] for window in ("dataWindow", "displayWindow"))
     except Exception as error:  # OpenEXR raises several types
         raise ValueError(f"{file} is not a readable EXR file ({error})") from error
-    if not np.array_equal((low, high), whole):  # cameras are of the whole picture: a part has another centre
+    if not np.array_equal((low, high), whole):  # a part has another principal point than its camera
         raise ValueError(f"{file} holds a part of its picture, or more than it (data window {low.tolist()} to "
                          f"{high.tolist()}, display window {whole[0].tolist()} to {whole[1].tolist()}): save whole "
                          "pictures")  # fmt: skip

@@ -171,7 +171,7 @@ def _curve(measure: Measure, place: dict[str, Any], method: str, rows: Iterable[
         if row["state"] in ("done", "failed", "skipped"):
             electrons, value = float(row[ELECTRONS]), _value(row, measure)
             seeds.setdefault(row.get(SEED), {})[electrons] = value
-            failed[electrons] += row["state"] != "done" and value is None  # of a finished run not every score is known
+            failed[electrons] += row["state"] != "done" and value is None  # a finished run may lack a score
     levels = []
     for electrons in sorted(failed):
         each = [seed[electrons] for seed in seeds.values() if electrons in seed]

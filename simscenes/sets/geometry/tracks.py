@@ -76,7 +76,7 @@ class SparsePoints:
             rig: The cameras.
             xyz: [P,3].
             rgb: [P,3].
-            visible: [C,P]; a projection outside the picture is no observation.
+            visible: [C,P]; projections outside the picture do not count as observations.
             exact: Whether the points are known to lie there (a rendered surface): their error is then that of the
                 projections, which is rounding; otherwise it is unknown.
         """

@@ -22,8 +22,8 @@ def write_exr(path: str | Path, channels: dict[str, NDArray[Any]], header: dict[
         header: Extra attributes: str, int, float or float matrices [4,4].
 
     Raises:
-        ValueError: If there is no channel, shapes differ, a type is one EXR cannot hold, or a float16 channel has
-            overflowed to inf.
+        ValueError: If `channels` is empty, shapes differ, EXR cannot hold a type, or a float16 channel has overflowed
+            to inf.
         OSError: If the file cannot be written.
     """
     import OpenEXR

@@ -26,7 +26,7 @@ VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")
 # Of EXIF: camera's maker and model, the part with the exposure, and in it focal length in mm and as of 35 mm film.
 MAKE, MODEL, EXPOSURE, FOCAL, FOCAL_35 = 0x010F, 0x0110, 0x8769, 0x920A, 0xA405
 DIAGONAL_35 = 43.267  # mm, of 36 x 24
-FOCALS = (1.0, 5000.0)  # mm; anything else in a header is no focal length
+FOCALS = (1.0, 5000.0)  # mm; a header's value outside this range is not a focal length
 
 
 @dataclass(frozen=True)

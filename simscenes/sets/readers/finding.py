@@ -24,8 +24,8 @@ def find_file(folder: Path, listed: str) -> Path | None:
 def find_files(folder: Path, listed: Sequence[str]) -> list[Path | None]:
     r"""The images that a camera file lists; None: not there.
 
-    A name is taken as it is, with / for \, with its suffix added, and in either form of Unicode. Where none of this is
-    there, the one file is taken that differs in upper and lower case alone and is no other listed name's.
+    A name is tried as it is, with / for \, with its suffix added, and in either form of Unicode. If none of these
+    exists, a file whose name differs only in case is taken, if there is just one and no other listed name has it.
 
     Args:
         folder: What the names are relative to.

@@ -115,7 +115,7 @@ class Photographs:
 
 
 def held_out(files: Sequence[Path], tested: Collection[Path], source: Path) -> tuple[int, ...] | None:
-    """The places of the tested files; None if there are none.
+    """Indices of the tested files; None if no file is tested.
 
     Raises:
         ValueError: Naming `source`, if nothing is left to train on.
