@@ -20,6 +20,11 @@ from novags.testbed.report.rows import OTHER, distinct
 from novags.testbed.study.light import ELECTRONS, Curve, Measure, light_curves
 
 DATA, POINTS, KNEES = "light.json", "light.csv", "light-knees.csv"
+HEADINGS = {  # columns of KNEES as the page calls them
+    "measure": "score", "rule": "breaks at", "bright": "value at the most light", "electrons": "electrons, mean",
+    "low": "least of the seeds", "high": "most of the seeds", "broken": "seeds that break",
+    "slope_per_doubling": "change per doubling there",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -64,8 +69,11 @@ def light_report(folder: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[
     write_json(folder / DATA, {"curves": [as_record(curve) for curve in curves]})
     write_text(folder / POINTS, as_csv(point_rows(curves)))
     knees = knee_rows(curves)
+    labels = {curve.measure.key: curve.measure.label for curve in curves}
     write_text(folder / KNEES, as_csv(knees))
-    return {"charts": charts, "drawn": drawn, "knees": knees,
+    shown = [{HEADINGS.get(key, key): value for key, value in row.items()} | {"score": labels[row["measure"]]}
+             for row in knees]  # fmt: skip
+    return {"charts": charts, "drawn": drawn, "knees": shown,
             "files": {"points": POINTS, "knees": KNEES, "data": DATA}}  # fmt: skip
 
 

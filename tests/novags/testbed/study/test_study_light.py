@@ -141,6 +141,10 @@ def test_the_report_of_a_study_shows_the_curves_and_writes_their_numbers(study: 
     assert points[1].startswith("psnr,a,naive,1.0,20.5,0.7071")
     assert len(points) == 1 + 6
     assert (folder / "light-knees.csv").read_text().count("\n") == 3
+    table = page[page.index('data-name="knees"') :]
+    head, body = table[table.index("<thead>") : table.index("</thead>")], table[table.index("<tbody>") :]
+    assert re.findall(r">([^<>]+)</th>", head)[:2] == ["score", "scene"]  # words, and no names of columns
+    assert body.count(">aligned PSNR against the noise-free exposure<") == 2
     assert not re.search(r"https?://(?!www\.w3\.org)", page + drawn)
 
 
