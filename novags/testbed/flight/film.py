@@ -28,7 +28,7 @@ def film(path: Path, fps: float) -> Iterator[Film]:
         ValueError: If the suffix is neither .mp4 nor .webp, or this OpenCV cannot write MP4.
         OSError: If the file cannot be written.
     """
-    check_suffix(path)
+    check_path(path)
     with atomic(path) as temporary:
         made: Any = _Mp4(temporary, fps) if path.suffix == ".mp4" else _WebP(temporary, fps)
         try:
@@ -39,8 +39,10 @@ def film(path: Path, fps: float) -> Iterator[Film]:
             raise OSError(f"{path}: not all of it was written; is the disk full?")
 
 
-def check_suffix(path: Path) -> None:
-    """Raise ValueError for a file of another kind."""
+def check_path(path: Path) -> None:
+    """Raise ValueError where no film can be written: a folder, or a file of another kind."""
+    if path.is_dir():
+        raise ValueError(f"a video is a file, and {path} is a folder: choose another --out")
     if path.suffix not in SUFFIXES:
         raise ValueError(f"a video must be called {' or '.join(SUFFIXES)}, got {path.name}: choose another --out")
 

@@ -10,7 +10,7 @@ from novags.methods.nerf.scene import FILE
 from novags.methods.problem import encode
 from novags.splats import Views
 from novags.testbed.console import Console
-from novags.testbed.flight.film import check_suffix, film
+from novags.testbed.flight.film import check_path, film
 from novags.testbed.flight.panels import Panel, frame
 from novags.testbed.flight.path import SAME, fly
 from novags.testbed.folders.capture import Capture
@@ -102,7 +102,7 @@ def make_video(run: Run, out: Path, console: Console, *, seconds: float, fps: fl
             number is refused.
         OSError: If the file cannot be written.
     """
-    check_suffix(out)
+    check_path(out)
     if not (0 < seconds and 0 < fps <= 240 and seconds * fps <= LONGEST):
         raise ValueError(f"a film takes > 0 s at up to 240 frames a second, and at most {LONGEST} frames, got "
                          f"{seconds:g} s at {fps:g} frames a second")  # fmt: skip

@@ -258,3 +258,5 @@ def test_a_run_without_gaussians_and_files_that_are_there_are_refused_in_one_lin
     assert "only Gaussians and fields can be rendered from new places, and naive has made neither" in said(
         "--out", str(tmp_path / "g.mp4"))  # fmt: skip
     assert [path.name for path in tmp_path.iterdir()] == ["f.mp4"]
+    (tmp_path / "d.mp4").mkdir()
+    assert "d.mp4 is a folder: choose another --out" in said("--out", str(tmp_path / "d.mp4"), "--overwrite")
