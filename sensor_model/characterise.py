@@ -16,6 +16,8 @@ from sensor_model.params import Sensor, require
 
 Array = NDArray[np.float64]
 QUANTISATION = 1 / 12  # DN**2
+UNDERFLOW = 0.005  # of the dark pixels that may be 0: more, and what is left of their noise is no longer the camera's
+CROOKED = 0.2  # linearity error beyond which the stated light, and not the camera, must be what is wrong
 UNITS = {"gain": "DN/e-", "black_level": "DN", "dark_current": "e-/s"} | dict.fromkeys(
     ("sigma_d", "sigma_row", "sigma_column", "dsnu", "mu_e_sat"), "e-"
 )
@@ -84,14 +86,19 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
         saturation, of ten frames or more, at the same exposure time.
 
     Raises:
-        ValueError: if there are too few stacks, or no flat stack is between dark and saturation.
+        ValueError: if there are too few stacks, no flat stack is between dark and saturation, dark frames are cut off
+            at 0, or the flat frames do not follow the light that is stated.
 
     Source: EMVA 1288 release 4, linear: gain from the photon transfer curve up to 70 % of saturation (its section 6),
     dark noise from the variance extrapolated to zero time, DSNU and PRNU from the spatial variance of averaged stacks
-    less the temporal variance that remains in them (section 8). A bent response is straightened first.
+    less the temporal variance that remains in them (section 8). A bent response is straightened first. A lamp or a
+    shutter may vary from frame to frame, and light may fall off smoothly towards the corners: neither is noise.
     """
     require(len({s.time for s in dark}) >= 2, "dark", "stacks at two exposure times or more", len(dark))
     require(len(flat) >= 3, "flat", "three stacks or more", len(flat))
+    cut = max(float(np.mean(np.asarray(s.frames) <= 0)) for s in dark)
+    remedy = "noise is cut off there: raise the black level (offset) of the camera"
+    require(cut <= UNDERFLOW, "the share of dark pixels at 0 DN", f"at most {UNDERFLOW}", round(cut, 4), remedy)
     dark_line, dark_noise = _line(dark, _mean), _line(dark, _temporal_variance)
     time = np.array([s.time for s in flat])
     signal = np.array([_mean(s) for s in flat]) - (dark_line[0] + dark_line[1] * time)
@@ -102,15 +109,20 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
     used = (signal > 0) & (signal <= 0.7 * peak)
     require(bool(used.any()), "flat", "with a stack below 70 % of saturation", np.round(signal, 1).tolist())
     photons = np.array([np.nan if s.photons is None else s.photons for s in flat])
-    light = time if np.isnan(photons).any() else photons
+    known = not np.isnan(photons).any()
+    light = photons if known else time
     bend, error = _linearity(light, signal, peak)
+    told = "the stated photons" if known else "the exposure times"
+    remedy = "" if known else "; or keep the lamp as it is and vary the time, or state the photons of every stack"
+    require(error <= CROOKED, f"the relative error of a straight line through flat signals over {told}",
+            f"at most {CROOKED}", round(error, 3), f"correct them{remedy}")  # fmt: skip
     straight, slope = _straightened(signal, bend)
     gain = _proportional(straight[used], (noise / slope**2)[used])
     row, column, pixel = _noise_parts(dark, dark_noise[0])
     top = _straightened(np.array([max(_mean(s) for s in flat) - dark_line[0]]), bend)[0][0]
     return Characterisation(
         gain=gain,
-        eta=None if np.isnan(photons).any() else _proportional(light[used], straight[used]) / gain,
+        eta=None if not known else _proportional(light[used], straight[used]) / gain,
         sigma_d=_root(pixel - QUANTISATION) / gain,
         sigma_row=_root(row) / gain,
         sigma_column=_root(column) / gain,
@@ -144,13 +156,30 @@ def _mean(stack: Stack) -> float:
 
 
 def _temporal_variance(stack: Stack) -> float:
-    return float(np.var(stack.frames, axis=0, ddof=1, dtype=np.float64).mean())
-
-
-def _spatial_variance(stack: Stack) -> float:
-    """Variance over the pixels of their temporal mean: of the average frame, less the temporal noise left in it."""
+    """Of the pixels, less what all pixels of a frame share, as of a lamp that flickers (EMVA 1288, section 6)."""
     average = np.mean(stack.frames, axis=0, dtype=np.float64)
-    return float(average.var(ddof=1)) - _temporal_variance(stack) / len(stack.frames)
+    pattern = average - average.mean()
+    squares = [np.square(frame - frame.mean(dtype=np.float64) - pattern).sum() for frame in stack.frames]
+    return float(np.sum(squares)) / ((len(squares) - 1) * (pattern.size - 1))
+
+
+def _spatial_variance(stack: Stack, shading: bool = False) -> float:
+    """Variance over the pixels of their temporal mean: of the average frame, less the temporal noise left in it.
+
+    Args:
+        stack: The frames.
+        shading: Take out a parabola over rows and columns first: how a lens or a lamp fades towards the corners.
+    """
+    average = np.mean(stack.frames, axis=0, dtype=np.float64)
+    smooth = _parabola(average.shape) if shading else np.ones((average.size, 1))
+    rest = average.ravel() - smooth @ np.linalg.lstsq(smooth, average.ravel(), rcond=None)[0]
+    return float(rest @ rest) / (rest.size - smooth.shape[1]) - _temporal_variance(stack) / len(stack.frames)
+
+
+def _parabola(shape: tuple[int, ...]) -> Array:
+    """The six surfaces 1, x, y, x**2, xy, y**2 over a frame, [pixels, 6]."""
+    y, x = (axis.ravel() for axis in np.meshgrid(*(np.linspace(-1, 1, n) for n in shape), indexing="ij"))
+    return np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], 1)
 
 
 def _line(stacks: Sequence[Stack], quantity: Callable[[Stack], float]) -> tuple[float, float]:
@@ -167,6 +196,8 @@ def _linearity(light: Array, signal: Array, peak: float) -> tuple[float, float]:
     require(inside.sum() >= 3, "flat", "three stacks or more from 5 % to 95 % of saturation", int(inside.sum()))
     x, y = light[inside], signal[inside]
     response, bend = np.linalg.lstsq(np.stack([x, -(x**2)], 1) / y[:, None], np.ones_like(y), rcond=None)[0]
+    if np.ptp(x) == 0:
+        return 0.0, np.inf  # no line goes through different signals of one light
     slope, start = np.polyfit(x, y, 1, w=1 / y)
     straight = slope * x + start
     return float(bend / response**2), float(np.abs(y / straight - 1).max())
@@ -202,7 +233,8 @@ def _prnu(dark: Sequence[Stack], flat: Sequence[Stack], dark_line: tuple[float, 
     shade = min(dark, key=lambda s: (abs(s.time - bright.time), -len(s.frames)))
     signal = np.array([_mean(bright) - dark_line[0] - dark_line[1] * bright.time])
     straight, slope = _straightened(signal, bend)
-    return float(_root(_spatial_variance(bright) - _spatial_variance(shade)) / (straight * slope)[0])
+    variance = _spatial_variance(bright, shading=True) - _spatial_variance(shade, shading=True)
+    return _root(variance) / float((straight * slope)[0])
 
 
 def _root(variance: float) -> float:
