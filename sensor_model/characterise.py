@@ -7,16 +7,18 @@ mean and of the temporal variance, in DN and DN**2.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_model.params import Sensor, require
+from sensor_model.params import Defects, Sensor, require
 
 Array = NDArray[np.float64]
 QUANTISATION = 1 / 12  # DN**2
 UNDERFLOW = 0.005  # of the dark pixels that may be 0: more, and what is left of their noise is no longer the camera's
+HOT = 6  # robust standard deviations beyond which a pixel's dark current sets it apart: 1e-9 of normal ones are
+COLD = 1e-6  # least dark current of the others, as a share of that of hot pixels, which is stated as a multiple of it
 CROOKED = 0.2  # linearity error beyond which the stated light, and not the camera, must be what is wrong
 UNITS = {"gain": "DN/e-", "black_level": "DN", "dark_current": "e-/s"} | dict.fromkeys(
     ("sigma_d", "sigma_row", "sigma_column", "dsnu", "mu_e_sat"), "e-"
@@ -49,9 +51,11 @@ class Characterisation:
     sigma_row: float  # e-
     sigma_column: float  # e-
     black_level: float  # DN
-    dark_current: float  # e-/s
-    dsnu: float  # e-
+    dark_current: float  # e-/s, of pixels that are not hot
+    dsnu: float  # e-, of these
     prnu: float
+    hot_fraction: float  # of the pixels
+    hot_factor: float  # their mean dark current over that of the others
     mu_e_sat: float | None  # e-; None if no stack saturates
     nonlinearity: float  # relative loss of response at the largest signal seen (full well), from a parabola
     linearity_error: float  # largest deviation from the straight line between 5 % and 95 % of saturation, relative
@@ -67,6 +71,8 @@ class Characterisation:
         measured = {name: getattr(self, name) for name in (*names, "mu_e_sat")}
         if self.mu_e_sat is not None:  # the non-linearity is relative to it
             measured["nonlinearity"] = self.nonlinearity
+        if self.hot_fraction > 0:
+            measured["defects"] = Defects(hot_fraction=self.hot_fraction, hot_factor=self.hot_factor)
         values = {"bits": bits, "cfa": None} | measured | assumed
         for name in ("eta", "mu_e_sat"):
             require(values[name] is not None, name, "known", None, f"measure it, or pass {name}=")
@@ -92,13 +98,19 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
     Source: EMVA 1288 release 4, linear: gain from the photon transfer curve up to 70 % of saturation (its section 6),
     dark noise from the variance extrapolated to zero time, DSNU and PRNU from the spatial variance of averaged stacks
     less the temporal variance that remains in them (section 8). A bent response is straightened first. A lamp or a
-    shutter may vary from frame to frame, and light may fall off smoothly towards the corners: neither is noise.
+    shutter may vary from frame to frame, and light may fall off smoothly towards the corners: neither is noise. Hot
+    pixels, which EMVA 1288 leaves in its averages, are counted by themselves: one in a thousand can make six electrons
+    of DSNU out of one.
     """
     require(len({s.time for s in dark}) >= 2, "dark", "stacks at two exposure times or more", len(dark))
     require(len(flat) >= 3, "flat", "three stacks or more", len(flat))
     cut = max(float(np.mean(np.asarray(s.frames) <= 0)) for s in dark)
     remedy = "noise is cut off there: raise the black level (offset) of the camera"
     require(cut <= UNDERFLOW, "the share of dark pixels at 0 DN", f"at most {UNDERFLOW}", round(cut, 4), remedy)
+    shapes = {np.shape(s.frames)[1:] for s in (*dark, *flat)}
+    require(len(shapes) == 1, "frames", "of one shape in all stacks", sorted(shapes))
+    hot, excess = _hot_pixels(dark)
+    dark, flat = [_without(s, hot) for s in dark], [_without(s, hot) for s in flat]
     dark_line, dark_noise = _line(dark, _mean), _line(dark, _temporal_variance)
     time = np.array([s.time for s in flat])
     signal = np.array([_mean(s) for s in flat]) - (dark_line[0] + dark_line[1] * time)
@@ -119,6 +131,7 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
     straight, slope = _straightened(signal, bend)
     gain = _proportional(straight[used], (noise / slope**2)[used])
     row, column, pixel = _noise_parts(dark, dark_noise[0])
+    current = max(dark_line[1], COLD * excess, 0.0)  # below 0, where there is next to none, by chance
     top = _straightened(np.array([max(_mean(s) for s in flat) - dark_line[0]]), bend)[0][0]
     return Characterisation(
         gain=gain,
@@ -127,9 +140,11 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
         sigma_row=_root(row) / gain,
         sigma_column=_root(column) / gain,
         black_level=dark_line[0],
-        dark_current=dark_line[1] / gain,
+        dark_current=current / gain,
         dsnu=_root(_spatial_variance(_largest(dark))) / gain,
         prnu=_prnu(dark, [s for s, keep in zip(flat, used, strict=True) if keep], dark_line, bend),
+        hot_fraction=float(hot.mean()),
+        hot_factor=1 + excess / current if excess > 0 else 1.0,
         mu_e_sat=float(top) / gain if saturated.any() else None,
         nonlinearity=max(bend * float(top), 0.0),
         linearity_error=error,
@@ -221,6 +236,30 @@ def _noise_parts(stacks: Sequence[Stack], at_zero_time: float) -> tuple[float, f
             columns.append(by_column - pixel / h)
     row, column = max(float(np.mean(rows)), 0.0), max(float(np.mean(columns)), 0.0)
     return row, column, at_zero_time - row - column
+
+
+def _hot_pixels(dark: Sequence[Stack]) -> tuple[NDArray[np.bool_], float]:
+    """Pixels whose signal grows much faster in the dark than that of others, [h, w], and by how much, DN/s."""
+    short, long = (
+        [s for s in dark if s.time == time] for time in (min(s.time for s in dark), max(s.time for s in dark))
+    )
+    first, last = (max(stacks, key=lambda s: len(s.frames)) for stacks in (short, long))
+    grown: Array = np.mean(last.frames, axis=0, dtype=np.float64) - np.mean(first.frames, axis=0, dtype=np.float64)
+    grown = grown - np.median(grown)
+    # Where noise is below a DN, most pixels have grown by exactly as much, and any other would be hot
+    spread = max(1.4826 * float(np.median(np.abs(grown))), QUANTISATION**0.5)
+    hot = grown > HOT * spread
+    return hot, float(grown[hot].mean()) / (last.time - first.time) if hot.any() else 0.0
+
+
+def _without(stack: Stack, hot: NDArray[np.bool_]) -> Stack:
+    """The stack with another pixel, the next that is not hot, in the place of each hot one."""
+    good, bad = np.flatnonzero(~hot), np.flatnonzero(hot)
+    if len(bad) == 0:
+        return stack
+    frames = np.reshape(stack.frames, (len(stack.frames), -1)).copy()
+    frames[:, bad] = frames[:, good[np.searchsorted(good, bad) % len(good)]]
+    return replace(stack, frames=frames.reshape(np.shape(stack.frames)))
 
 
 def _largest(stacks: Sequence[Stack]) -> Stack:

@@ -3,25 +3,28 @@
 As laboratories have it: lamps flicker, light falls off towards the corners, and some cameras cut noise off at black.
 """
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from sensor_model import Stack, characterise
+from sensor_model import Exposure, Stack, characterise, expose, read_sensor, write_sensor
 
 SIDE, FULL, RATE, ETA = 160, 8000, 40_000.0, 0.6  # px, e-, e-/s, e- per photon
 TRUE = {"gain": 2.0, "sigma_d": 3.0, "dark_current": 50.0, "prnu": 0.01, "dsnu": 1.0, "black_level": 100.0}
 Y, X = np.mgrid[-1 : 1 : SIDE * 1j, -1 : 1 : SIDE * 1j]
 
 
-def stack(electrons, time, n, seed, *, flicker=0.0, drift=0.0, shade=1.0, black=100.0):
+def stack(electrons, time, n, seed, *, flicker=0.0, drift=0.0, shade=1.0, black=100.0, dark=50.0, hot=0.0):
     """Frames of one light. A lamp flickers by a share, a black level drifts by DN, a shade lies over the field."""
     fixed, rng = np.random.default_rng(1), np.random.default_rng(seed)
     response = 1 + TRUE["prnu"] * fixed.normal(size=X.shape)
     offset = TRUE["dsnu"] * fixed.normal(size=X.shape)
+    dark = np.where(fixed.random(X.shape) < hot, 2000.0, dark)  # e-/s
     frames = []
     for _ in range(n):
         light = electrons * (1 + flicker * rng.normal()) * shade * response
-        charge = np.minimum(rng.poisson(light) + rng.poisson(TRUE["dark_current"] * time, X.shape), FULL)
+        charge = np.minimum(rng.poisson(light) + rng.poisson(dark * time, X.shape), FULL)
         voltage = charge + offset + TRUE["sigma_d"] * rng.normal(size=X.shape)
         frames.append(np.clip(np.rint(TRUE["gain"] * voltage + black + drift * rng.normal()), 0, 65535))
     return np.stack(frames).astype(np.uint16)
@@ -54,6 +57,48 @@ def test_what_a_laboratory_cannot_hold_still_is_not_taken_for_noise(wrong):
     reached = ETA * np.mean(wrong.get("shade", 1.0))  # photons are stated for the middle
     assert found.eta == pytest.approx(reached, rel=0.01 + 2 * wrong.get("flicker", 0.0) / 6**0.5)
     assert found.mu_e_sat == pytest.approx(FULL, rel=0.01)
+
+
+def test_hot_pixels_are_counted_by_themselves(tmp_path):
+    """One in a thousand made 6.5 electrons of DSNU out of 1, and a dark current of 7 out of 5."""
+    dark, flat = laboratory(hot=0.002)
+    truth = float((np.mean(dark[2].frames, axis=0) > 2000).mean())
+    assert 0.001 < truth < 0.003
+    found = characterise(dark, flat)
+    assert found.hot_fraction == truth
+    assert found.hot_factor == pytest.approx(2000 / TRUE["dark_current"], rel=0.03)
+    for name, tolerance in (("sigma_d", 0.03), ("dark_current", 0.03), ("prnu", 0.03), ("dsnu", 0.05), ("gain", 0.01)):
+        assert getattr(found, name) == pytest.approx(TRUE[name], rel=tolerance), name
+
+    write_sensor(tmp_path / "hot.toml", found.sensor(bits=16))
+    camera = read_sensor(tmp_path / "hot.toml")
+    assert (camera.defects.hot_fraction, camera.defects.hot_factor) == (found.hot_fraction, found.hot_factor)
+    seen = [expose(np.zeros((400, 400)), camera, Exposure(time=1.0), seed=1, view=0, frame=i).dn for i in range(4)]
+    mean, theirs = np.mean(seen), np.mean(dark[1].frames)  # with all its pixels it is as dark as the frames were
+    assert mean == pytest.approx(theirs, abs=1.0)
+
+
+@pytest.mark.parametrize("hot", [0.0, 0.002])
+def test_a_camera_without_dark_current_is_one(hot):
+    """By chance its estimate is below 0 half of the time, and no camera could be made of it."""
+    for seed in range(4):
+        dark = [Stack(stack(0.0, t, n, 40 + 3 * seed + k, dark=0.0, hot=hot), t)
+                for k, (t, n) in enumerate([(0.1, 20), (0.2, 6), (0.4, 6)])]  # fmt: skip
+        found = characterise(dark, laboratory(dark=0.0, hot=hot)[1])
+        camera = found.sensor(bits=16)
+        assert 0 <= camera.dark_current < 0.5
+        assert (camera.defects is None) == (hot == 0)
+        if camera.defects is not None:
+            reached = camera.dark_current * camera.defects.hot_factor
+            assert reached == pytest.approx(2000, rel=0.03)
+
+
+def test_frames_of_several_shapes_are_refused():
+    dark, flat = laboratory()
+    with pytest.raises(
+        ValueError, match=r"frames must be of one shape in all stacks, got \[\(80, 160\), \(160, 160\)\]"
+    ):
+        characterise(dark, [replace(flat[0], frames=flat[0].frames[:, :80]), *flat[1:]])
 
 
 def test_a_camera_that_cuts_its_noise_off_at_black_is_refused():
