@@ -170,9 +170,13 @@ def _mean(stack: Stack) -> float:
     return float(np.mean(stack.frames, dtype=np.float64))
 
 
+def _average(stack: Stack) -> Array:
+    return np.asarray(np.mean(stack.frames, axis=0, dtype=np.float64))
+
+
 def _temporal_variance(stack: Stack) -> float:
     """Of the pixels, less what all pixels of a frame share, as of a lamp that flickers (EMVA 1288, section 6)."""
-    average = np.mean(stack.frames, axis=0, dtype=np.float64)
+    average = _average(stack)
     pattern = average - average.mean()
     squares = [np.square(frame - frame.mean(dtype=np.float64) - pattern).sum() for frame in stack.frames]
     return float(np.sum(squares)) / ((len(squares) - 1) * (pattern.size - 1))
@@ -185,7 +189,7 @@ def _spatial_variance(stack: Stack, shading: bool = False) -> float:
         stack: The frames.
         shading: Take out a parabola over rows and columns first: how a lens or a lamp fades towards the corners.
     """
-    average = np.mean(stack.frames, axis=0, dtype=np.float64)
+    average = _average(stack)
     smooth = _parabola(average.shape) if shading else np.ones((average.size, 1))
     rest = average.ravel() - smooth @ np.linalg.lstsq(smooth, average.ravel(), rcond=None)[0]
     return float(rest @ rest) / (rest.size - smooth.shape[1]) - _temporal_variance(stack) / len(stack.frames)
@@ -244,8 +248,8 @@ def _hot_pixels(dark: Sequence[Stack]) -> tuple[NDArray[np.bool_], float]:
         [s for s in dark if s.time == time] for time in (min(s.time for s in dark), max(s.time for s in dark))
     )
     first, last = (max(stacks, key=lambda s: len(s.frames)) for stacks in (short, long))
-    grown: Array = np.mean(last.frames, axis=0, dtype=np.float64) - np.mean(first.frames, axis=0, dtype=np.float64)
-    grown = grown - np.median(grown)
+    grown = _average(last) - _average(first)
+    grown -= np.median(grown)
     # Where noise is below a DN, most pixels have grown by exactly as much, and any other would be hot
     spread = max(1.4826 * float(np.median(np.abs(grown))), QUANTISATION**0.5)
     hot = grown > HOT * spread
