@@ -15,7 +15,9 @@ import csv
 import json
 import sys
 from collections.abc import Mapping, Sequence
+from math import inf
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))  # so that it is found where this file is loaded by its path
@@ -33,6 +35,7 @@ Row = Mapping[str, Any]
 STUDIES = [Path(__file__).resolve().parents[2] / "docs" / "studies" / f"table1{end}.toml" for end in ("", "-weights")]
 PLACE = ("scene", "level", "method", "seed")
 MAIN = "lit.tone_aligned_psnr"
+SECONDS = "seconds.reconstruct"
 # column of the study -> heading, factor, digits, whether the first three are coloured
 SCORES = {
     MAIN: ("tone-aligned PSNR, dB", 1, 2, True),
@@ -41,7 +44,7 @@ SCORES = {
     "lit.lpips": ("LPIPS", 1, 3, True),
     "lit.flip": ("FLIP", 1, 3, True),
     "geometry.abs_rel": ("depth error, %", 100, 1, True),
-    "seconds.reconstruct": ("seconds", 1, 0, False),
+    SECONDS: ("seconds", 1, 0, False),
     "peak_bytes": ("memory, MB", 1, 0, False),
 }
 FAMILIES = {
@@ -95,11 +98,13 @@ def families(names: Sequence[str], study: Mapping[str, Any]) -> dict[str, str]:
 
 
 def cell(line: Line, score: str) -> str:
-    """A score with its spread over the seeds and its colour."""
+    """A score with its spread over the seeds and its colour; of times the least, to which other work only adds."""
     if score not in line.spread:
         return "–"
     _, factor, digits, colored = SCORES[score]
     mean, sd = line.spread[score]
+    if score == SECONDS:
+        mean, sd = min(row[SECONDS] for row in line.runs if row.get(SECONDS) is not None), None
     text = f"{factor * mean:.{digits}f}" + ("" if sd is None else f" ± {factor * sd:.{digits}f}")
     text += " ‡" if score in HELPED and LINEAR in line.spread else ""
     rank = line.places.get(score) if colored else None
@@ -114,7 +119,7 @@ def level_table(lines: Sequence[Line], family: Mapping[str, str], competes: Mapp
     text = [f"{done} of {sum(len(line.runs) for line in lines)} runs.{lpips}", ""]
     text += ["| | " + " | ".join(SCORES[score][0] for score in scores) + " |", "|---" * (len(scores) + 1) + "|"]
     for name, title in FAMILIES.items():
-        members = [line for line in lines if family[line.method] == name]
+        members = sorted((line for line in lines if family[line.method] == name), key=_worse)
         if members:
             text.append(f"| *{title}* |" + " |" * len(scores))
         for line in members:
@@ -125,12 +130,19 @@ def level_table(lines: Sequence[Line], family: Mapping[str, str], competes: Mapp
     return "\n".join([*text, *(["", "Failed: " + "; ".join(failed)] if failed else [])])
 
 
+def _worse(line: Line) -> float:
+    """Sorts the best first, and what has no score last."""
+    return -line.spread[MAIN][0] if MAIN in line.spread else inf
+
+
 def all_levels(lines: Sequence[Line], family: Mapping[str, str], competes: Mapping[str, bool]) -> str:
     """Tone-aligned PSNR of every method at every level."""
     levels = list(dict.fromkeys(line.place["level"] for line in lines))
     text = ["| tone-aligned PSNR, dB | " + " | ".join(levels) + " |", "|---" * (len(levels) + 1) + "|"]
-    for name in sorted(dict.fromkeys(line.method for line in lines), key=lambda m: list(FAMILIES).index(family[m])):
-        at = {line.place["level"]: line for line in lines if line.method == name}
+    rows = {name: {line.place["level"]: line for line in lines if line.method == name}
+            for name in dict.fromkeys(line.method for line in lines)}  # fmt: skip
+    mean = {name: fmean(_worse(line) for line in at.values()) for name, at in rows.items()}
+    for name, at in sorted(rows.items(), key=lambda row: (list(FAMILIES).index(family[row[0]]), mean[row[0]])):
         cells = [cell(at[level], MAIN) if level in at else "–" for level in levels]
         text.append(f"| `{name}`{'' if competes[name] else ' †'} | " + " | ".join(cells) + " |")
     return "\n".join(text)
