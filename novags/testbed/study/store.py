@@ -26,15 +26,17 @@ SHAPE: Any = {
     "cost": {"seconds": {"*": float}, "peak_bytes": int, "bytes": int, "work": float, "pixels": float, "group": str,
              "threads": int},
 }  # fmt: skip
-# The code that is part of the key of each kind of entry. Tables and reports do not affect what entries hold.
+# The code that is part of the key of each kind of entry, with the data beside it. Tables and reports do not affect what
+# entries hold.
 _SETS = ("simscenes/sets", "simscenes/rigs.py", "sensor_model", "novags/settings.py")
 CODE = {
     "set": ("simscenes", "sensor_model", "novags/testbed/stages/rendering.py"),
     "poses": (*_SETS, "novags/cameras", "novags/testbed/stages/posing.py", "novags/testbed/folders"),
     "capture": (*_SETS, "novags/testbed/stages/capturing.py", "novags/testbed/folders"),
     "import": (*_SETS, "novags/testbed/stages/importing.py", "novags/testbed/importing", "novags/testbed/folders"),
-    "run": (*_SETS, "novags/splats", "novags/cameras", "novags/methods", "novags/testbed/stages",
-            "novags/testbed/folders", "novags/testbed/metrics", "novags/testbed/references.py"),
+    "run": (*_SETS, "novags/splats", "novags/fields", "novags/cameras", "novags/methods", "novags/testbed/stages",
+            "novags/testbed/folders", "novags/testbed/foreign", "novags/testbed/metrics", "novags/testbed/exposures.py",
+            "novags/testbed/references.py"),
 }  # fmt: skip
 ROOT = Path(__file__).resolve().parents[3]  # of the packages
 
@@ -45,11 +47,16 @@ def code_of(kind: str) -> str:
     found = hashlib.blake2b(digest_size=16)
     for place in CODE[kind]:
         path = ROOT / place
-        files = sorted(path.rglob("*.py")) if path.is_dir() else [path]
-        for file in files:
+        for file in _kept(path) if path.is_dir() else [path]:
             found.update(f"{file.relative_to(ROOT).as_posix()}\0".encode())
             found.update(hashlib.blake2b(file.read_bytes()).digest())
     return found.hexdigest()
+
+
+def _kept(folder: Path) -> list[Path]:
+    """The files of a package: code and what it reads, such as weights; neither hidden nor compiled ones."""
+    found = [path for path in sorted(folder.rglob("*")) if path.is_file()]
+    return [p for p in found if not any(n[0] == "." or n == "__pycache__" for n in p.relative_to(folder).parts)]
 
 
 @cache

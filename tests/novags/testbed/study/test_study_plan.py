@@ -100,6 +100,26 @@ def test_the_code_of_an_entry_is_there_and_covers_what_makes_it() -> None:
     assert len({store.code_of(kind) for kind in store.KINDS}) == 3
 
 
+def test_the_weights_that_come_with_a_method_are_part_of_the_key_of_its_runs(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for place in store.CODE["run"]:
+        for file in [path] if (path := store.ROOT / place).is_file() else path.rglob("*.*"):
+            if "__pycache__" not in file.parts:
+                copy = tmp_path / file.relative_to(store.ROOT)
+                copy.parent.mkdir(parents=True, exist_ok=True)
+                copy.write_bytes(file.read_bytes())
+    before = store.code_of("run")
+    monkeypatch.setattr(store, "ROOT", tmp_path)
+    monkeypatch.setattr(store, "code_of", store.code_of.__wrapped__)  # as of another start
+    (tmp_path / "novags" / "methods" / "__pycache__").mkdir()
+    (tmp_path / "novags" / "methods" / "__pycache__" / "noise.cpython.pyc").write_bytes(b"compiled")
+    assert store.code_of("run") == before
+    weights = tmp_path / "novags" / "methods" / "denoised" / "weights.safetensors"
+    weights.write_bytes(weights.read_bytes()[:-1] + b"x")
+    assert store.code_of("run") != before
+
+
 def test_a_set_that_is_there_is_photographed_and_its_content_counts(tmp_path: Path) -> None:
     photographs(tmp_path / "photos")
     text = "[grid]\nscene = 'photos'\nelectrons = [5, 20]\nmethod = 'naive'"
