@@ -100,7 +100,7 @@ def reconstruct(
         f"reconstruct {config.variant.name}",
         out,
         run_folder.RECORD,
-        inputs={"capture": capture.content, "set": source.digest(), **files_of(config.config)},
+        inputs={"capture": capture.content, "set": source.digest(), **files_of(config)},
         config=config.resolved(),
         owns=run_folder.OWNS,
         prepare=lambda: prepare(capture, source, config, console),
@@ -112,15 +112,16 @@ def reconstruct(
     )
 
 
-def files_of(config: Any) -> dict[str, str]:
-    """Content hash of every file that a configuration names, by setting and name of the file.
+def files_of(config: ReconstructConfig) -> dict[str, str]:
+    """Content hash of every file that the settings of the method and of the cameras name, by setting and file.
 
     Raises:
-        ValueError: If one is not there.
+        ValueError: If one of the method is not there. A source of cameras says itself what it lacks, and what helps.
     """
-    refuse_lost_files(config, "settings")
+    refuse_lost_files(config.config, "settings")
+    named = files_among(config.config) | {f"cameras.{name}": p for name, p in files_among(config.cameras).items()}
     return {f"{setting}: {path.name}": folder_digest(path.parent, (), beside={path.name: path})
-            for setting, paths in files_among(config).items() for path in paths}  # fmt: skip
+            for setting, paths in named.items() for path in paths if path.is_file()}  # fmt: skip
 
 
 def prepare(capture: Capture, source: Source, config: ReconstructConfig, console: Console) -> Prepared:

@@ -18,6 +18,7 @@ from novags.testbed.presets import Preset
 from novags.testbed.stages.capturing import CaptureConfig
 from novags.testbed.stages.importing import ImportConfig, material_of
 from novags.testbed.stages.posing import PosesConfig, photographs_of
+from novags.testbed.stages.reconstructing import files_of
 from novags.testbed.stages.rendering import RenderConfig, scene_digest
 from novags.testbed.study.entry import Task
 from novags.testbed.study.grid import Cell, Study
@@ -122,7 +123,8 @@ class Planner:
         if (command := preset.command(name)) is not None:
             return self._command(command, captured)
         config = preset.reconstruct(name)
-        key = key_of("run", {"name": name, "config": config.resolved(), "capture": captured})
+        recipe = {"name": name, "config": config.resolved(), "capture": captured, "files": files_of(config)}
+        key = key_of("run", recipe)
         pixels = self.tasks[captured].pixels
         iterations = sum(v for k, v in flattened(config.config).items() if k.rpartition(".")[2] == "iterations")
         views = max(1, self._views(captured))

@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from novags.cameras.networks.vggt import VggtConfig
 from novags.methods.variant import Variant
 from novags.testbed.console import Console
+from novags.testbed.stages.reconstructing import ReconstructConfig, files_of
 from novags.testbed.study import store
 from novags.testbed.study.costs import Costs, default, longest_after, time_left
 from novags.testbed.study.engines.choice import OneMachine
@@ -118,6 +120,26 @@ def test_the_weights_that_come_with_a_method_are_part_of_the_key_of_its_runs(
     weights = tmp_path / "novags" / "methods" / "denoised" / "weights.safetensors"
     weights.write_bytes(weights.read_bytes()[:-1] + b"x")
     assert store.code_of("run") != before
+
+
+def test_weights_that_are_replaced_under_their_name_make_other_runs(tmp_path: Path) -> None:
+    text = "[grid]\nmethod = 'sci-gs'\n[override]\nenhance.weights = 'w.pt'"
+    (tmp_path / "w.pt").write_bytes(b"first")
+    first = plan(tmp_path, text)
+    assert list(plan(tmp_path, text).tasks) == list(first.tasks)
+    (tmp_path / "w.pt").write_bytes(b"other")
+    kept = plan(tmp_path, text).tasks.keys() & first.tasks.keys()
+    assert [first.tasks[key].kind for key in first.tasks if key in kept] == ["set", "capture"]
+
+
+def test_the_checkpoint_of_a_camera_source_counts_by_its_content(tmp_path: Path) -> None:
+    checkpoint = tmp_path / "vggt.safetensors"
+    checkpoint.write_bytes(b"first")
+    config = ReconstructConfig(variant=Variant(name="naive", method="naive"), cameras=VggtConfig(checkpoint=checkpoint))
+    first = files_of(config)
+    checkpoint.write_bytes(b"other")
+    assert first.keys() == files_of(config).keys() == {"cameras.checkpoint: vggt.safetensors"}
+    assert first != files_of(config)
 
 
 def test_a_set_that_is_there_is_photographed_and_its_content_counts(tmp_path: Path) -> None:
