@@ -90,7 +90,7 @@ def digest(value: Any) -> str:
 
 
 def folder_digest(folder: Path, names: Sequence[str] | None = None, *, beside: Mapping[str, Path] | None = None) -> str:
-    """Hash of every file's relative name and content; hidden files are left out.
+    """Hash of every file's relative name and content; hidden files are left out, unless they are named.
 
     Of a record, costs and versions are left out as well: repeated work with the same outcome does not make the
     stages after it stale.
@@ -107,12 +107,12 @@ def folder_digest(folder: Path, names: Sequence[str] | None = None, *, beside: M
         raise ValueError(f"{folder} is not a folder")
     roots = [folder] if names is None else [folder / name for name in names]
     found = {path for root in roots for path in (root, *root.rglob("*")) if path.is_file()}
-    files = {path.relative_to(folder).as_posix(): path for path in found} | dict(beside or {})
+    named = {path.relative_to(folder).as_posix(): path for path in found}
+    shown = {n: p for n, p in named.items() if n != UNFINISHED and not any(part[0] == "." for part in n.split("/"))}
     total = hashlib.blake2b(digest_size=16)
-    for name, path in sorted(files.items()):
-        if name != UNFINISHED and not any(part.startswith(".") for part in name.split("/")):
-            total.update(f"{name}\0".encode())
-            total.update(_content_digest(path))
+    for name, path in sorted({**shown, **(beside or {})}.items()):
+        total.update(f"{name}\0".encode())
+        total.update(_content_digest(path))
     return total.hexdigest()
 
 

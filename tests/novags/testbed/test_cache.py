@@ -292,6 +292,15 @@ def test_folder_digest_follows_links_and_sees_files_elsewhere(tmp_path: Path) ->
     assert len(before | digests()) == 4
 
 
+@pytest.mark.parametrize("name", [".hidden.png", "../up/0.png", UNFINISHED])
+def test_folder_digest_sees_a_file_that_is_named_whatever_it_is_called(tmp_path: Path, name: str) -> None:
+    image, found = tmp_path / "0.png", set()
+    for content in (b"1", b"2"):
+        image.write_bytes(content)
+        found.add(folder_digest(tmp_path, (), beside={name: image}))
+    assert len(found) == 2
+
+
 def test_folder_digest_takes_only_records_of_stages_for_records(tmp_path: Path) -> None:
     def changes(first: object, second: object) -> bool:
         seen = set()
