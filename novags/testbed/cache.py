@@ -33,8 +33,9 @@ Prepared = TypeVar("Prepared")
 
 UNFINISHED = "unfinished.json"
 STATE = {"stage?": str, "record?": str, "key?": (str, None), "seconds?": float}  # what that holds
-KEYED = {"stage?": {"key?": str}}  # what a record of any stage holds
-MADE = {"stage?": {"key?": str, "config?": dict, "inputs?": {"*": str}, "versions?": {"*": str}}}
+FILES = {"files?": {"*": str}}  # checksums of what the stage wrote
+KEYED = {"stage?": {"key?": str, **FILES}}  # what a record of any stage holds
+MADE = {"stage?": {"key?": str, "config?": dict, "inputs?": {"*": str}, "versions?": {"*": str}, **FILES}}
 # Entries of a record that say what it cost, not what it is.
 VOLATILE = ("stage", "seconds", "predicted_seconds", "peak_bytes", "versions")
 
@@ -105,15 +106,41 @@ def folder_digest(folder: Path, names: Sequence[str] | None = None, *, beside: M
     """
     if not folder.is_dir():
         raise ValueError(f"{folder} is not a folder")
-    roots = [folder] if names is None else [folder / name for name in names]
-    found = {path for root in roots for path in (root, *root.rglob("*")) if path.is_file()}
-    named = {path.relative_to(folder).as_posix(): path for path in found}
-    shown = {n: p for n, p in named.items() if n != UNFINISHED and not any(part[0] == "." for part in n.split("/"))}
     total = hashlib.blake2b(digest_size=16)
-    for name, path in sorted({**shown, **(beside or {})}.items()):
+    for name, path in sorted({**_shown(folder, names), **(beside or {})}.items()):
         total.update(f"{name}\0".encode())
         total.update(_content_digest(path))
     return total.hexdigest()
+
+
+def _shown(folder: Path, names: Sequence[str] | None) -> dict[str, Path]:
+    """The files of a folder that are not hidden, by relative name."""
+    roots = [folder] if names is None else [folder / name for name in names]
+    found = {path for root in roots for path in (root, *root.rglob("*")) if path.is_file()}
+    named = {path.relative_to(folder).as_posix(): path for path in found}
+    return {n: p for n, p in named.items() if n != UNFINISHED and not any(part[0] == "." for part in n.split("/"))}
+
+
+def damaged(folder: Path, stage: Mapping[str, Any]) -> str:
+    """Which files of a finished stage are not as it wrote them, in words; "" if all are. Later files do not count.
+
+    Args:
+        folder: Of the stage.
+        stage: That entry of its record; those of earlier versions hold no checksums.
+    """
+    wrong = [name for name, known in stage.get("files", {}).items() if not _is(folder / name, known)]
+    return f"{listed(wrong)} not as written (checksum)" if wrong else ""
+
+
+def _is(path: Path, known: str) -> bool:
+    try:
+        return _checksum(path) == known
+    except OSError:  # missing, a folder, or not to be read
+        return False
+
+
+def _checksum(path: Path) -> str:
+    return hashlib.blake2b(_content_digest(path), digest_size=16).hexdigest()
 
 
 _CONTENTS: dict[
@@ -209,7 +236,7 @@ def run_stage(
 def refuse_other(
     folder: Path, record_name: str, config: Mapping[str, Any], inputs: Mapping[str, str] | None = None
 ) -> None:
-    """Refuse to replace a finished result by that of another request.
+    """Refuse to replace a finished result by that of another request, or to believe one that was damaged.
 
     Args:
         folder: Where the request would write.
@@ -218,7 +245,7 @@ def refuse_other(
         inputs: Content hash of each of its inputs; None: not known yet, configurations alone count.
 
     Raises:
-        ValueError: If `folder` holds a finished result of another one; says what differs.
+        ValueError: If `folder` holds a finished result of another one, which says what differs, or damaged files.
     """
     stage = _finished(folder, record_name)
     if stage is None:
@@ -226,6 +253,8 @@ def refuse_other(
     found = differences(stage.get("config", {}), jsonable(config))
     before = stage.get("inputs", {})
     found += [f"another {name}" for name, content in (inputs or {}).items() if before.get(name) != content]
+    if not found and (wrong := damaged(folder, stage)):
+        raise ValueError(f"{folder}: {wrong}; put back what was there, or add --overwrite to make it again")
     if not found and inputs is not None:
         made, here = stage.get("versions", {}).get("novags"), package_version("novags")
         found.append(f"made by novags {made}, this is {here}" if made != here else "made by another stage")
@@ -272,13 +301,18 @@ class _Stage:
         """As `run_stage` says."""
         about = {"stage": self.name, "version": package_version("novags"), "inputs": inputs, "config": config}
         key, record_path = digest(about), self.folder / self.record_name
-        if record_path.exists() and (record := read_json(record_path, KEYED)).get("stage", {}).get("key") == key:
+        record = read_json(record_path, KEYED) if record_path.exists() else {}
+        made = record.get("stage", {}).get("key") == key
+        wrong = damaged(self.folder, record["stage"]) if made else ""
+        if made and not wrong:
             self._forget_interruption()
             self.console.note(f"{self.name}: unchanged, kept {self.folder}")
             return record
         if not self.overwrite:
             refuse_other(self.folder, self.record_name, config, inputs)
-        earlier = self._earlier_seconds(key)
+        if wrong:
+            self.console.note(f"{self.name}: {self.folder}: {wrong}, doing it again")
+        earlier = None if wrong else self._earlier_seconds(key)  # damaged files are no beginning
         start, memory = time.perf_counter(), PeakMemory()
         prepared = prepare()
         if earlier is None:
@@ -292,10 +326,16 @@ class _Stage:
             raise
         seconds = (earlier or 0.0) + time.perf_counter() - start
         cost = {"seconds": seconds, "peak_bytes": memory.peak_bytes(), **environment()}
-        body["stage"] = {"name": self.name, "key": key, "inputs": inputs, "config": config, **cost}
+        body["stage"] = {
+            "name": self.name, "key": key, "inputs": inputs, "config": config, **cost, "files": self._checksums(),
+        }  # fmt: skip
         write_json(record_path, body)
         self._tidy()
         return read_json(record_path)
+
+    def _checksums(self) -> dict[str, str]:
+        names = [name for name in self.owns if name not in (self.record_name, *self.scrap)]
+        return {name: _checksum(path) for name, path in sorted(_shown(self.folder, names).items())}
 
     @property
     def _unfinished(self) -> Path:

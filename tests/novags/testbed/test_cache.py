@@ -51,6 +51,51 @@ def test_a_finished_stage_is_not_run_again(tmp_path: Path) -> None:
     assert first["answer"] == 42
 
 
+def remove(file: Path) -> None:
+    file.unlink()
+
+
+def flip(file: Path) -> None:
+    file.write_bytes(bytes([file.read_bytes()[0] ^ 1]))
+
+
+def replace_by_folder(file: Path) -> None:
+    file.unlink()
+    file.mkdir()
+
+
+@pytest.mark.parametrize("harm", [remove, flip, replace_by_folder])
+def test_damaged_files_of_a_finished_stage_are_refused_and_made_again_on_request(tmp_path: Path, harm) -> None:
+    calls: list[str] = []
+    first = stage(tmp_path, writes(tmp_path, calls))
+    (tmp_path / "parts").mkdir()  # what came later is not the stage's
+    (tmp_path / "parts" / "later.txt").write_text("later")
+    harm(tmp_path / "a.txt")
+    for check in (
+        lambda: stage(tmp_path, writes(tmp_path, calls), overwrite=False),
+        lambda: cache.refuse_other(tmp_path, "record.json", {}),
+    ):
+        with pytest.raises(ValueError, match=r"a\.txt not as written \(checksum\); put back .* add --overwrite"):
+            check()
+    assert calls == ["called"]
+    write_json(tmp_path / UNFINISHED, {"stage": "toy", "record": "record.json", "key": first["stage"]["key"]})
+    again = stage(tmp_path, writes(tmp_path, calls))
+    assert calls == ["called", "called"]
+    assert (tmp_path / "a.txt").read_text() == "a"
+    assert again["stage"]["files"] == first["stage"]["files"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.txt", "record.json"]
+
+
+def test_results_of_earlier_versions_which_kept_no_checksums_stay(tmp_path: Path) -> None:
+    calls: list[str] = []
+    record = stage(tmp_path, writes(tmp_path, calls))
+    del record["stage"]["files"]
+    write_json(tmp_path / "record.json", record)
+    (tmp_path / "a.txt").write_text("b")
+    assert stage(tmp_path, writes(tmp_path, calls), overwrite=False) == record
+    assert calls == ["called"]
+
+
 @pytest.mark.parametrize("change", [{"config": {"x": 2}}, {"inputs": {"in": "2"}}])
 def test_a_changed_configuration_or_input_runs_the_stage_on_a_clean_folder(tmp_path: Path, change: dict) -> None:
     calls: list[str] = []

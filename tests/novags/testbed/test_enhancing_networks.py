@@ -52,5 +52,5 @@ def test_a_run_is_scored_with_its_own_copy_of_the_weights(tmp_path: Path) -> Non
 
     (moved.path / "enhancer.safetensors").write_bytes(b"no weights")
     (moved.path / "metrics.json").unlink()
-    with pytest.raises(ValueError, match="enhancer.safetensors is damaged .*fetch or make it anew"):
+    with pytest.raises(ValueError, match="enhancer.safetensors not as written .*make the run again"):
         stages.score(moved.path, QUIET)
