@@ -21,7 +21,7 @@ import numpy as np
 
 from novags.methods.enhancers import located
 from novags.methods.reconstruction import NETWORK
-from novags.testbed.cache import folder_digest, read_json
+from novags.testbed.cache import damaged, folder_digest, read_json
 from novags.testbed.console import Console
 from novags.testbed.folders import shapes
 from novags.testbed.folders.capture import Capture, open_capture
@@ -145,6 +145,15 @@ class Run:
         if (capture.content, source.digest()) != (made_from["capture"], made_from["set"]):
             raise ValueError(f"{path} has changed since {self.path} was made from it: put it back or reconstruct again")
         return capture, source
+
+    def refuse_damage(self) -> None:
+        """Refuse a run whose files are not as its method wrote them: scores of it would be of something else.
+
+        Raises:
+            ValueError: Naming them.
+        """
+        if wrong := damaged(self.path, self.record["stage"]):
+            raise ValueError(f"{self.path}: {wrong}; put back what was there, or make the run again, with --overwrite")
 
     def scores(self) -> dict[str, Any] | None:
         """Its part of metrics.json; None if it has not been scored since it was made."""

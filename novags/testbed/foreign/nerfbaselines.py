@@ -71,6 +71,7 @@ def export_results(
     runs = runs_of(folders)
     with console.progress("export") as progress:
         for done, run in enumerate(runs):
+            run.refuse_damage()
             capture, lit = run.inputs(console)
             scene = scene_of(capture)
             method = _method_of(run, {name for name, row in table.items() if scene in row["scenes"]})

@@ -7,7 +7,7 @@ import numpy as np
 
 from novags.methods import METHODS
 from novags.methods.problem import encode
-from novags.testbed.cache import damaged, run_stage
+from novags.testbed.cache import run_stage
 from novags.testbed.console import Console, Update
 from novags.testbed.exposures import Exposures, as_compared, exposures_of
 from novags.testbed.folders.capture import Capture
@@ -50,8 +50,7 @@ def score(run_path: Path, console: Console) -> dict[str, Any]:
 
 def _score(run_path: Path, console: Console) -> dict[str, Any]:
     run = open_run(run_path)
-    if wrong := damaged(run.path, run.record["stage"]):
-        raise ValueError(f"{run.path}: {wrong}; put back what was there, or make the run again, with --overwrite")
+    run.refuse_damage()
     captured, lit = run.inputs(console)
     missing = PerceptualDistance.missing()
     inputs = {"run": run.digest(), "capture": captured.content, "set": lit.digest()}

@@ -77,6 +77,20 @@ def test_a_program_makes_a_run_that_is_scored_and_exported_like_any_other(captur
         export_results([run], tmp_path / "nb", QUIET)
 
 
+def test_a_run_with_a_flipped_bit_is_neither_scored_nor_exported(capture: Path, tmp_path: Path) -> None:
+    """Rationale: half of the flipped bits of an EXR are read without a word, as other colours."""
+    run = tmp_path / "run"
+    run_command(capture, run, method(tmp_path, BRIGHTEN), QUIET)
+    stages.score(run, QUIET)
+    picture = run / "exr" / "0008.exr"
+    content = bytearray(picture.read_bytes())
+    content[-5] ^= 1
+    picture.write_bytes(content)
+    for refused in (lambda: stages.score(run, QUIET), lambda: export_results([run], tmp_path / "nb", QUIET)):
+        with pytest.raises(ValueError, match=r"exr/0008\.exr not as written .* or make the run again"):
+            refused()
+
+
 def test_runs_of_one_method_and_one_scene_keep_a_row_each(capture: Path, tmp_path: Path) -> None:
     """Rationale: the third of them took the name, the folder and the row of the second."""
     for name, seed in (("a", 1), ("b", 2), ("c", 3)):
