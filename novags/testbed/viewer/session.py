@@ -1,7 +1,7 @@
 """One browser: what it has chosen, and the thread that shows it."""
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -47,22 +47,28 @@ class Session:
 
     def _update(self, parts: frozenset[str]) -> None:
         """Show what is chosen now. What goes wrong, a folder that was removed say, is said in the panel."""
+        if "capture" in parts:
+            parts |= {"splats", "pictures", "light"}
+        steps = (
+            ({"capture"}, self._enter),
+            (parts, self._offer),
+            ({"splats"}, self._show_splats),
+            ({"light", "move"}, self._show_light),
+            ({"pictures"}, self._show_pictures),
+            (parts, self._clear_the_view),
+        )
+        troubles = [trouble for asked, step in steps if parts & asked and (trouble := self._trouble_of(step))]
+        none = "" if self.has_gaussians else f"{self.panel.method.value} made no Gaussians: see its pictures"
+        if not self.latest.over:  # else the browser has gone, and with it all that could be changed
+            self._say(troubles[0] if troubles else none)
+
+    def _trouble_of(self, step: Callable[[], None]) -> str:
+        """Take a step, and say what went wrong; "": nothing. A black model has no light, but pictures."""
         try:
-            if "capture" in parts:
-                self._enter()
-                parts |= {"splats", "pictures", "light"}
-            self._offer()
-            if "splats" in parts:
-                self._show_splats()
-            if parts & {"light", "move"}:
-                self._show_light()
-            if "pictures" in parts:
-                self._show_pictures()
-            self._clear_the_view()
-            self._say("" if self.has_gaussians else f"{self.panel.method.value} made no Gaussians: see its pictures")
+            step()
         except Exception as error:  # the thread must outlive every file that is missing
-            if not self.latest.over:  # else the browser has gone, and with it all that could be changed
-                self._say(f"**{type(error).__name__}**: {brief(error, 500)}")
+            return f"**{type(error).__name__}**: {brief(error, 500)}"
+        return ""
 
     def _say(self, trouble: str) -> None:
         self.panel.trouble.content, self.panel.trouble.visible = trouble, bool(trouble)

@@ -83,8 +83,9 @@ class Shown:
         return encode(self._gain(name) * image)
 
     def _gain(self, name: str) -> float:
-        """Of a run in linear light, to the screen."""
-        return GREY / self.run_green(name)
+        """Of a run in linear light, to the screen. Black needs none, and no gain would brighten it."""
+        green = self.run_green(name)
+        return GREY / green if green > 0 else 1.0
 
     def scene(self, name: str) -> tuple[Scene, Similarity, Drawn | None] | None:
         """A run's scene, the way from its frame to the viewer's, and what the browser draws, if Gaussians; else None.

@@ -2,18 +2,20 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
-from novags.splats import read_ply
+from novags.splats import read_ply, write_ply
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.viewer.light import GREY, expose_again
 from novags.testbed.viewer.shown import Shown, shown_of
 from sensor_model import PRESETS, develop, expose, mosaic, photons_for_electrons, srgb_to_linear
-from simscenes.sets.pictures.exr import read_exr
+from simscenes.sets.pictures.exr import read_exr, write_exr
 from simscenes.sets.pictures.png import read_png
 
 QUIET = Console(quiet=True)
@@ -127,3 +129,21 @@ def test_a_run_in_linear_light_is_shown_with_its_mean_green_at_middle_grey(runs:
         code = np.where(code <= 0.0031308, 12.92 * code, 1.055 * np.maximum(code, 1e-9) ** (1 / 2.4) - 0.055)
         assert np.allclose(found, code, atol=1e-4)
     assert shown.kinds("naive") == ("dark", "rendered", "true")
+
+
+def test_a_black_run_in_linear_light_is_shown_black(runs: Runs, tmp_path: Path) -> None:
+    for part in ("photos", "capture", "first"):
+        shutil.copytree(runs["capture"].parent / part, tmp_path / part)
+    first = tmp_path / "first"
+    record = json.loads((first / "run.json").read_text())
+    (first / "run.json").write_text(json.dumps({**record, "space": "linear", "enhancement": None}))
+    for file in (first / "exr").iterdir():
+        channels, _ = read_exr(file)
+        write_exr(file, {name: 0 * plane if name in "RGB" else plane for name, plane in channels.items()})
+    gaussians = read_ply(first / "point_cloud.ply")
+    black = torch.zeros_like(gaussians.sh)
+    black[:, 0] = -0.5 / 0.28209479
+    write_ply(first / "point_cloud.ply", replace(gaussians, sh=black))
+    (shown,) = shown_of([first], QUIET)
+    assert shown.scene("naive")[2].colors.max() < 1e-3  # type: ignore[index]
+    assert np.all(shown.picture("rendered", "naive", 2) == 0)
