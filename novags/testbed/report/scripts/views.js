@@ -29,7 +29,7 @@ novags.views = {
     const text = (content, attributes) => Object.assign(svg("text", attributes), { textContent: content });
     methods.forEach((name, m) => {
       const y = m * line + 16, look = novags.data.looks[name];
-      drawing.append(text(name + (look.competes ? "" : "†"), { x: left - 14, y: y + 4, "text-anchor": "end" }));
+      drawing.append(text(name + (look.competes ? "" : "†"), { class: "name", x: left - 14, y: y + 4, "text-anchor": "end" }));
       drawing.append(svg("line", { class: "rule", x1: left, x2: width - 20, y1: y, y2: y }));
       score.values.forEach((row, v) => {
         if (typeof row[m] !== "number") return;
@@ -45,6 +45,16 @@ novags.views = {
       drawing.append(text(`${value.toFixed(score.digits)}${unit}`, { x: x(value), y: height - 6, "text-anchor": "middle" }));
     }
     box.append(drawing);
+    for (const label of drawing.querySelectorAll("text.name")) this.fit(label, left - 14);
+  },
+
+  // Names of variants differ at their beginnings or at their ends: what does not fit is cut out of the middle.
+  fit(label, space) {
+    const whole = label.textContent, long = label.getComputedTextLength();
+    if (long <= space) return;
+    const half = Math.max(1, Math.floor((0.5 * whole.length * space) / long) - 1);
+    label.textContent = `${whole.slice(0, half)}…${whole.slice(-half)}`;
+    label.append(Object.assign(novags.plots.svg("title", {}), { textContent: whole }));
   },
 };
 

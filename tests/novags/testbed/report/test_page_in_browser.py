@@ -324,6 +324,41 @@ def test_the_theme_can_be_switched(visit: Callable[..., Any], experiment: Path) 
     assert tab.get_by_role("button", name="Theme").text_content() == "Theme: dark"
 
 
+def test_a_printed_page_is_light_and_its_tables_have_headings_and_all_columns(
+    visit: Callable[..., Any], experiment: Path
+) -> None:
+    """Rationale: paper cannot be moved sideways. Printers shrink pages that are wider, if nothing is cut off."""
+    tab = visit(experiment / "report.html", width=700, theme="dark")
+    tab.get_by_role("button", name="Theme").click()
+    tab.get_by_role("button", name="Theme").click()
+    tab.emulate_media(media="print")
+    assert tab.get_by_role("button", name="PSNR aligned").first.is_visible()
+    assert not tab.get_by_role("button", name="CSV").first.is_visible()
+    cut = "boxes => boxes.filter(box => box.scrollWidth > box.clientWidth).map(box => getComputedStyle(box).overflowX)"
+    assert set(tab.eval_on_selector_all(".scroll", cut)) == {"visible"}
+    assert sum(map(int, tab.evaluate("getComputedStyle(document.body).backgroundColor")[4:-1].split(","))) > 600
+
+
+def test_a_name_too_long_for_the_strip_of_views_is_cut_in_its_middle(
+    visit: Callable[..., Any], experiment: Path
+) -> None:
+    tab = visit(experiment / "report.html", width=390)
+    name = "with-" + "a-long-" * 20 + "name"
+    label = tab.evaluate("""name => {
+        const found = novags.data.views.enhanced;
+        novags.data.looks[name] = novags.data.looks[found.methods[0]];
+        found.methods[0] = name;
+        novags.views.strip("enhanced", found.scores.aligned_psnr);
+        const text = document.querySelector("[data-strip=enhanced] text.name");
+        const beyond = text.ownerSVGElement.getBoundingClientRect().left - text.getBoundingClientRect().left;
+        return [text.firstChild.textContent, text.querySelector("title").textContent, beyond];
+    }""", name)  # fmt: skip
+    assert label[0].startswith("with-a-")
+    assert label[0].endswith("g-name")
+    assert label[1] == name
+    assert label[2] <= 0
+
+
 def test_many_pictures_lie_beside_the_page_and_thumbnails_in_it(
     visit: Callable[..., Any], experiment: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
