@@ -19,6 +19,7 @@ from simscenes.sets.pictures.tiff import (
     EXTRA_SAMPLES,
     ORIENTATION,
     PREMULTIPLIED,
+    misread,
     retagged,
     tiff_tags,
     unread,
@@ -83,6 +84,8 @@ def read_image(file: Path, flags: int) -> NDArray[Any]:
         raise ValueError(f"{file} is missing or not a readable image")
     image_size(file)
     check_whole(file)
+    if flags & cv2.IMREAD_ANYDEPTH and (problem := misread(file)):  # a part of IMREAD_UNCHANGED, too
+        raise ValueError(f"{file} {problem}")
     try:
         with _quiet_opencv():
             pixels = _decoded(file, flags | cv2.IMREAD_IGNORE_ORIENTATION)

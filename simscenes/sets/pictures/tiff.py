@@ -13,8 +13,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-BITS, ORIENTATION, EXTRA_SAMPLES, SAMPLE_FORMAT = 258, 274, 338, 339
-TAGS = (BITS, ORIENTATION, EXTRA_SAMPLES, SAMPLE_FORMAT)
+BITS, PHOTOMETRIC, ORIENTATION, PLANAR, EXTRA_SAMPLES, SAMPLE_FORMAT = 258, 262, 274, 284, 338, 339
+TAGS = (BITS, PHOTOMETRIC, ORIENTATION, PLANAR, EXTRA_SAMPLES, SAMPLE_FORMAT)
+MIN_IS_WHITE = 0  # of PHOTOMETRIC: gray whose code 0 is white
+SEPARATE = 2  # of PLANAR: each channel is stored as a picture of its own
 AS_STORED = 1  # the first row at the top, the first column at the left
 PREMULTIPLIED = 1  # the first extra sample is alpha, and colours are multiplied by it
 FLOAT = 3
@@ -60,6 +62,27 @@ def unread(file: Path) -> str:
                 "16-bit TIFF or PNG, or as EXR where its light is linear")  # fmt: skip
     if bits == (16, 16) and extra:
         return "is a TIFF of 16-bit gray with alpha, which is not read: save it as RGBA, or without alpha"
+    return ""
+
+
+def misread(file: Path) -> str:
+    """Why OpenCV gets codes of a TIFF file wrong where more than 8 bits are asked for, and what to do; "": it does not.
+
+    Of 8 bits libtiff makes the pixels; of more OpenCV takes the bytes as if channels were interleaved and 0 black.
+
+    Raises:
+        OSError: If it cannot be read.
+    """
+    tags = tiff_tags(file)
+    bits, kind, planar = (tags[tag].values if tag in tags else () for tag in (BITS, PHOTOMETRIC, PLANAR))
+    if max(bits, default=0) <= 8:
+        return ""
+    if SEPARATE in planar and len(bits) > 1:
+        return (f"is a {bits[0]}-bit TIFF whose channels are stored one after the other, which is not read at that "
+                "depth: save it with interleaved channels (PlanarConfiguration 1), or as PNG")  # fmt: skip
+    if MIN_IS_WHITE in kind:
+        return (f"is a {bits[0]}-bit TIFF of gray in which 0 is white, which is not read at that depth: save it with "
+                "0 as black, or as PNG")  # fmt: skip
     return ""
 
 

@@ -115,6 +115,25 @@ def test_kinds_that_are_not_read_are_refused_by_what_they_are(
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.parametrize("kind", ["planes", "planes and alpha", "0 is white"])
+def test_deep_files_whose_codes_opencv_confuses_are_refused_and_read_at_8_bits(kind: str, tmp_path: Path) -> None:
+    """Rationale: planes came out interleaved, and 0 as black, without a word."""
+    tifffile = pytest.importorskip("tifffile")
+    file, codes = tmp_path / "a.tif", RNG.integers(0, 256, (4 if "alpha" in kind else 3, 6, 5), np.uint16) * 257
+    if kind == "0 is white":
+        tifffile.imwrite(file, 65535 - codes[0], photometric="miniswhite")
+        codes, problem = codes[[0, 0, 0]], "is a 16-bit TIFF of gray in which 0 is white, which is not read at that"
+    else:
+        more = {"extrasamples": ["unassalpha"]} if "alpha" in kind else {}
+        tifffile.imwrite(file, codes, photometric="rgb", planarconfig="separate", **more)
+        problem = "is a 16-bit TIFF whose channels are stored one after the other, which is not read at that depth"
+    for flags in (cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH, cv2.IMREAD_UNCHANGED):
+        with pytest.raises(ValueError, match=rf"a\.tif {problem}"):
+            read_image(file, flags)
+    if "alpha" not in kind:  # which takes its alpha at full depth
+        assert np.array_equal(read_rgb(file), (codes // 257).transpose(1, 2, 0))
+
+
 def test_opencv_writes_no_lines_of_its_own_of_a_damaged_picture(
     tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
