@@ -12,6 +12,8 @@ from sensor_model.files.dng import SMALLEST
 from sensor_model.params import CFAS, Cfa
 
 SUFFIXES = (".dng", ".nef", ".nrw", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw")
+CLIPPED = 0.5  # of the white level: pixels of many cameras are full at 0.8 to 1 of it
+LOST = 0.01  # of the rows: where more of them repeat their first two codes, a part of the picture is missing
 IDENTITY = 1e-3  # files keep matrices as float32 and short fractions; the eye sees nothing of it
 
 
@@ -154,6 +156,29 @@ def size(path: Path) -> tuple[int, int]:
         return raw.sizes.width, raw.sizes.height
 
 
+def _check_whole(raw: Any, path: Path) -> None:
+    """Refuse what LibRaw makes of a file whose end is missing or full of zeros: it says nothing in many formats.
+
+    Every code has noise, so that a row repeats its first two (of a mosaic, one for each filter) only where all of it is
+    clipped, or as black as noise below a code leaves it.
+
+    Raises:
+        ValueError: If too many rows hold such codes that are neither black nor clipped.
+    """
+    codes = raw.raw_image_visible
+    if codes is None or codes.shape[1] < 4:
+        return
+    codes = codes if codes.ndim == 2 else codes[..., :3]  # LibRaw adds an empty fourth channel
+    repeats = (codes[:, 2:] == codes[:, :-2]).reshape(len(codes), -1).all(1)
+    pairs = codes[repeats, :2].astype(np.int64)
+    blacks = raw.black_level_per_channel
+    natural = (pairs >= CLIPPED * raw.white_level) | ((pairs >= min(blacks) - 1) & (pairs <= max(blacks) + 1))
+    lost = np.count_nonzero(~natural.all(axis=tuple(range(1, pairs.ndim))))
+    if lost > LOST * len(codes):
+        raise ValueError(f"{path} holds no picture in {lost} of {len(codes)} rows, which repeat their first codes: it "
+                         "is cut short or damaged, copy it again")  # fmt: skip
+
+
 @contextmanager
 def _opened(path: Path, *, pixels: bool = True) -> Iterator[Any]:
     import rawpy
@@ -163,6 +188,7 @@ def _opened(path: Path, *, pixels: bool = True) -> Iterator[Any]:
             raw.open_file(str(path))
             if pixels:
                 raw.unpack()
+                _check_whole(raw, path)
             yield raw
     except (rawpy.LibRawError, OSError) as error:
         raise ValueError(
