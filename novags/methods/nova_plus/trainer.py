@@ -148,6 +148,7 @@ def train(
         enhancement=enhancement_record(config.enhance, config.pictures),
         enhanced=enhanced(problem, config.enhance, config.pictures),
         targets=None if targets is None else work.shown(targets),
+        viewmats=None if config.fit.refine_cameras is None else work.views.viewmats,
         losses=work.losses,
         seconds={"fit": work.seconds, "averages": max(0.0, total - work.seconds)},
         found=work.found,
@@ -164,6 +165,7 @@ class _Work:
         self.problem, self.config, self.data, self.curve = problem, config, data, curve
         self.progress, self.checkpoint = progress, checkpoint
         self.base = fit_for(problem, config.fit)
+        self.views = problem.views
         pixels = len(data) * problem.views.height * problem.views.width
         wanted = config.gaussians or max(len(problem.start.points), pixels // PIXELS_PER_GAUSSIAN)
         self.count = wanted if config.fit.cap_max is None else min(wanted, config.fit.cap_max)
@@ -180,7 +182,11 @@ class _Work:
         # the loss is a mean: beside a third of the data, as of a mosaic, a prior weighs three times as much
         share = float(self.data.measured.float().mean())
         config = self._config("likelihood", seed, opacity_reg=self.base.opacity_reg / share)
-        return self._fit("likelihood", seed, self._first(), fitted, config, loss).gaussians
+        if seed == 0:
+            config = dataclasses.replace(config, refine_cameras=self.base.refine_cameras)
+        result = self._fit("likelihood", seed, self._first(), fitted, config, loss)
+        self.views = dataclasses.replace(self.views, viewmats=result.viewmats)
+        return result.gaussians
 
     def structure(self, firsts: list[Gaussians]) -> tuple[list[Gaussians], Tensor | None]:
         """Stage 2 of all seeds, and its targets; stage 1 itself, and None, if held-out data favour stage 1.
@@ -276,11 +282,13 @@ class _Work:
     def _config(self, part: str, seed: int, **changes: Any) -> FitConfig:
         # the seeds within one run must not coincide with those of runs with the next seeds
         seed = self.base.seed + 1000 * seed
-        common = {"iterations": self.config.iterations(part), "cap_max": self.count, "seed": seed}
+        # one fit corrects the cameras, for all others: guides, merged seeds and renders need one frame
+        common = {"iterations": self.config.iterations(part), "cap_max": self.count, "seed": seed,
+                  "refine_cameras": None}  # fmt: skip
         return dataclasses.replace(self.base, **{**common, **changes})
 
     def _tones(self, gaussians: Gaussians) -> Tensor:
-        return GaussianScene.of(gaussians, self.base).render(self.problem.views)[0]
+        return GaussianScene.of(gaussians, self.base).render(self.views)[0]
 
     def _fit(
         self, part: str, seed: int, start: Gaussians, targets: Tensor, config: FitConfig,
@@ -293,7 +301,7 @@ class _Work:
                 self.progress(self.done + done, self.total, entry)
 
         result = fit(
-            start, self.problem.views, lambda i: targets[i], config, photometric=loss, checkpoint=path, progress=report
+            start, self.views, lambda i: targets[i], config, photometric=loss, checkpoint=path, progress=report
         )
         self.losses += [{**entry, "iteration": self.done + entry["iteration"]} for entry in result.losses]
         self.done += config.iterations

@@ -25,6 +25,7 @@ from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.tone import tone_curve
 from novags.splats import McmcConfig
 from novags.splats.files.ply import read_ply
+from novags.splats.training.updates.camera_refinement import CameraRefinement
 
 fitting = importlib.import_module("novags.splats.training.fit")  # the package has a function of that name
 MCMC = McmcConfig(refine_start=4, refine_every=4)
@@ -243,6 +244,37 @@ def test_stages_follow_one_another_with_rates_and_seeds_of_their_own(
     clean = denoised_light(data, curve.light(guide), CONFIG.denoise, seed=7)
     want = curve.tone(2 / 3 * guided_light(guide, data, curve, h, 0.5) + 1 / 3 * clean)
     torch.testing.assert_close(calls[2][1], want, rtol=1e-4, atol=1e-5)
+
+
+def test_the_first_fit_corrects_the_cameras_for_all_others(dark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    inputs, _ = dark()
+    used: list[Any] = []
+    rendered: list[torch.Tensor] = []
+    render = GaussianScene.render
+
+    def spy(start: Any, views: Any, target: Any, config: Any, **options: Any) -> Any:
+        result = fitting.fit(start, views, target, config, **options)
+        used.append((views.viewmats, config.refine_cameras, result.viewmats))
+        return result
+
+    def seen(scene: GaussianScene, views: Any) -> Any:
+        rendered.append(views.viewmats)
+        return render(scene, views)
+
+    monkeypatch.setattr(trainer, "fit", spy)
+    monkeypatch.setattr(GaussianScene, "render", seen)
+    refinement = CameraRefinement(start=2)
+    result = train(inputs, dataclasses.replace(CONFIG, fit=dataclasses.replace(CONFIG.fit, refine_cameras=refinement)))
+    corrected = used[0][2]
+    assert torch.equal(used[0][0], inputs.views.viewmats)
+    assert not torch.equal(corrected, inputs.views.viewmats)
+    assert [refine for _, refine, _ in used] == [refinement, None, None, None, None]
+    assert all(torch.equal(viewmats, corrected) for viewmats, _, _ in used[1:])
+    assert rendered
+    assert all(torch.equal(viewmats, corrected) for viewmats in rendered)
+    assert result.viewmats is not None
+    assert torch.equal(result.viewmats, corrected)
+    assert train(inputs, CONFIG).viewmats is None
 
 
 def test_a_third_of_the_data_has_three_times_the_regulariser(dark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
