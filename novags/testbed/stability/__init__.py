@@ -15,6 +15,7 @@ from novags.testbed.stability.parts.methods import (
     enhance,
     enhancers,
     long_runs,
+    losses,
     nova_plus,
     raw_denoiser,
     rivals,
@@ -23,7 +24,7 @@ from novags.testbed.stability.parts.splats import harmonics, rasterizer, updates
 from novags.testbed.stability.table import embedded, has_place, markdown
 
 _FILES = (
-    enhance, enhancers, blind_spot, denoiser, raw_denoiser, consistency, nova_plus, average, rivals, fields,
+    enhance, enhancers, blind_spot, denoiser, raw_denoiser, consistency, losses, nova_plus, average, rivals, fields,
     harmonics, rasterizer, updates, sensor, render, score, cameras, long_runs,
 )  # fmt: skip
 PARTS: dict[str, Part] = {file.PART.name: file.PART for file in _FILES}
