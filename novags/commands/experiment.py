@@ -66,7 +66,8 @@ def run(
             several times. Or a TOML file with tables [variant.NAME], of which --methods may name some.
         cameras: Where cameras come from: known, known:rotation_deg=1, sfm, dust3r:checkpoint=FILE; see `novags help
             cameras`.
-        refine_cameras: Let every fit correct its training cameras.
+        refine_cameras: Let every fit of Gaussians correct its training cameras. Radiance fields, and averaging, take
+            them as they are given.
         views: Number of views.
         width: Image width in pixels.
         height: Image height in pixels.

@@ -176,7 +176,8 @@ def reconstruct(
         pictures: Which pictures the method sees: 8-bit sRGB, or 16-bit linear ones; its own choice if not given.
         cameras: Where cameras come from: known, known:rotation_deg=1, sfm, dust3r:checkpoint=FILE; see `novags help
             cameras`.
-        refine_cameras: Let the fit correct its training cameras.
+        refine_cameras: Let a fit of Gaussians correct its training cameras. Radiance fields, and averaging, take them
+            as they are given.
         points: Gaussians at the start.
         iterations: Of the fit.
         denoiser_steps: Of the denoiser before the fit starts.
