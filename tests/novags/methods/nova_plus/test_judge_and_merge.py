@@ -1,13 +1,14 @@
 """Held-out data as a judge, and several sets of Gaussians as one."""
 
 import math
+import statistics
 
 import pytest
 import torch
 
 from novags.methods.noise import Variance
 from novags.methods.nova_plus.data import Exposures
-from novags.methods.nova_plus.judge import compare, mean_tone
+from novags.methods.nova_plus.judge import Verdict, compare, mean_tone
 from novags.methods.nova_plus.merge import merged
 from novags.methods.tone import ToneCurve
 from novags.splats import Gaussians, rasterize
@@ -45,6 +46,32 @@ def test_the_excess_is_the_difference_of_the_true_errors_within_its_standard_err
     # the scatter of the estimate over many draws is what it says
     found = [compare(far, near, measured(truth, 0.1, 0.5, seed=s), CURVE, even).excess for s in range(3, 43)]
     assert float(torch.tensor(found).std()) == pytest.approx(verdict.deviation, rel=0.5)
+
+
+def test_excess_and_standard_error_are_those_of_a_loop_over_the_held_out_data() -> None:
+    generator = torch.Generator().manual_seed(4)
+    truth, weights = (torch.rand(1, 3, 3, 3, generator=generator) for _ in range(2))
+    data = measured(truth, 0.1, 0.5, seed=5)
+    data.light[0, 1, 1, 0] = math.nan  # a mosaic
+    data.held[0, 1, 1] = True
+    a, b = truth + 0.2, truth - 0.1
+    differences = []
+    for y, x in data.held[0].nonzero().tolist():
+        for c in range(3):
+            datum, r, s = (float(values[0, y, x, c]) for values in (data.light, a, b))
+            first, second = (math.expm1(3 * tone) / math.expm1(3) for tone in (r, s))
+            slope = 3 * math.exp(3 * (r + s) / 2) / math.expm1(3)
+            if not math.isnan(datum):
+                errors = [((datum - light) / slope) ** 2 for light in (first, second)]
+                differences.append((errors[0] - errors[1]) * float(weights[0, y, x, c]))
+    verdict = compare(a, b, data, CURVE, weights)
+    assert verdict.excess == pytest.approx(statistics.mean(differences), rel=1e-4)
+    assert verdict.deviation == pytest.approx(statistics.stdev(differences) / math.sqrt(len(differences)), rel=1e-4)
+
+
+@pytest.mark.parametrize(("excess", "worse"), [(0.19, False), (0.21, True), (-0.5, False)])
+def test_worse_is_what_exceeds_two_standard_errors(excess: float, worse: bool) -> None:
+    assert Verdict(excess, 0.1).worse is worse
 
 
 def test_data_that_fits_have_seen_have_no_say() -> None:

@@ -15,11 +15,12 @@ from novags.methods.nova_plus.likelihood import FLOOR, Likelihood
 from novags.methods.problem import LacksInput, Problem, RawPictures
 from novags.methods.tone import ToneCurve
 from novags.splats.views import Views
-from sensor_model import PRESETS, DualGain, Exposure, develop_linear, expose, mosaic
+from sensor_model import PRESETS, DualGain, Exposure, develop_linear, expose, linear_noise, mosaic
 from sensor_model.isp import white_balance
 
 CURVE = ToneCurve(top=0.2, k=4.0)
 SIDE = 12
+MATRIX = [[1.6, -0.5, -0.1], [-0.2, 1.4, -0.2], [0.0, -0.6, 1.6]]
 
 
 def problem_of(sensor: Any, seed: int = 0, **more: Any) -> tuple[Problem, np.ndarray]:
@@ -146,6 +147,21 @@ def test_noise_that_data_share_is_named_and_raw_frames_share_none() -> None:
     found = [exposures(p, problem.noise, 0.0).shared for p in
              (problem, replace(problem, raw=None), replace(problem, raw=None, channels_share=()))]  # fmt: skip
     assert found == [(), ("JPEG",), ("demosaicing",)]
+
+
+def test_after_a_colour_matrix_the_variance_of_grey_light_is_that_of_its_channels_mixed() -> None:
+    sensor, matrix = replace(PRESETS["a7s2-iso6400-3chip"], prnu=0.0), np.array(MATRIX)
+    problem, _ = problem_of(sensor)
+    noise = camera_noise(sensor, Exposure(time=1 / 30), demosaic="menon", color_matrix=MATRIX)
+    pictures = torch.rand(2, SIDE, SIDE, 3, generator=torch.Generator().manual_seed(0))
+    data = exposures(replace(problem, raw=None, linear16=pictures), noise, 0.0)
+    before = linear_noise(sensor, Exposure(time=1 / 30), demosaic="menon", color_matrix=None)
+    for grey in (0.0, 0.05, 0.2, 0.45):
+        camera = before.variance(np.full((1, 3), grey) + before.black)[0]
+        found = data.noise(torch.full((1, 3), grey).double())[0].numpy()
+        for c in range(3):
+            mixed = sum(matrix[c, k] ** 2 * camera[k] for k in range(3))
+            assert found[c] == pytest.approx(mixed, rel=1e-4)
 
 
 def slow_loss(tones: np.ndarray, light: np.ndarray, curve: ToneCurve, variance: Variance, white: float) -> float:

@@ -277,6 +277,17 @@ def test_the_first_fit_corrects_the_cameras_for_all_others(dark: Any, monkeypatc
     assert train(inputs, CONFIG).viewmats is None
 
 
+@pytest.mark.parametrize("last", [4e-6, 4e-5, 4e-4])
+def test_the_means_of_a_merged_set_move_less_than_in_the_stages_and_ever_more_slowly(last: float) -> None:
+    before = dataclasses.replace(FIT.rates, means_final=last)
+    slower = trainer._scaled(before, 0.1)
+    found = [rates.means_at(i, 20, 1.0) for rates in (before, slower) for i in range(21)]
+    assert all(b <= a * (1 + 1e-9) for a, b in zip(found[:20], found[1:21], strict=True))
+    assert all(b <= a * (1 + 1e-9) for a, b in zip(found[21:41], found[22:], strict=True))
+    assert found[21] == pytest.approx(max(0.1 * 4e-4, last))
+    assert found[41] == pytest.approx(last)
+
+
 def test_a_third_of_the_data_has_three_times_the_regulariser(dark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     inputs, _ = dark()
     data = exposures(inputs, inputs.noise, CONFIG.held_share)
