@@ -160,23 +160,25 @@ def _check_whole(raw: Any, path: Path) -> None:
     """Refuse what LibRaw makes of a file whose end is missing or full of zeros: it says nothing in many formats.
 
     Every code has noise, so that a row repeats its first two (of a mosaic, one for each filter) only where all of it is
-    clipped, or as black as noise below a code leaves it.
+    clipped, or as black as noise below a code leaves it. What is missing is the last rows: others may be the blank sky
+    of a simulated camera without noise.
 
     Raises:
-        ValueError: If too many rows hold such codes that are neither black nor clipped.
+        ValueError: If too many of the last rows hold such codes that are neither black nor clipped.
     """
     codes = raw.raw_image_visible
     if codes is None or codes.shape[1] < 4:
         return
     codes = codes if codes.ndim == 2 else codes[..., :3]  # LibRaw adds an empty fourth channel
     repeats = (codes[:, 2:] == codes[:, :-2]).reshape(len(codes), -1).all(1)
-    pairs = codes[repeats, :2].astype(np.int64)
+    pairs = codes[:, :2].reshape(len(codes), -1).astype(np.int64)
     blacks = raw.black_level_per_channel
     natural = (pairs >= CLIPPED * raw.white_level) | ((pairs >= min(blacks) - 1) & (pairs <= max(blacks) + 1))
-    lost = np.count_nonzero(~natural.all(axis=tuple(range(1, pairs.ndim))))
+    there = np.flatnonzero(~repeats | natural.all(1))
+    lost = len(codes) - 1 - (there[-1] if len(there) else -1)
     if lost > LOST * len(codes):
-        raise ValueError(f"{path} holds no picture in {lost} of {len(codes)} rows, which repeat their first codes: it "
-                         "is cut short or damaged, copy it again")  # fmt: skip
+        raise ValueError(f"{path} holds no picture in the last {lost} of {len(codes)} rows, which repeat their first "
+                         "codes: it is cut short or damaged, copy it again")  # fmt: skip
 
 
 @contextmanager
