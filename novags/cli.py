@@ -40,7 +40,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
         characterise,
         doctor,
         help_,
-    )  # fmt: skip
+    )
 }
 
 

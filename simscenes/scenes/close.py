@@ -59,7 +59,7 @@ def glassware(seed: int = 0) -> dict[str, Any]:
     for k in range(4):
         skin = s.diffuse(t.cells((64, 128), rng, count=60, colors=("6d1f3c", "a83a52", "d98f6f"), joint=0.4))
         parts[f"berry_{k}"] = s.ball((-0.6 + 0.13 * k, 0.6 - 0.05 * (k % 2), 0.07), 0.07, skin)
-    return parts_of(parts)  # fmt: skip
+    return parts_of(parts)
 
 
 def thicket(seed: int = 0) -> dict[str, Any]:

@@ -44,4 +44,4 @@ def cornell(seed: int = 0) -> dict[str, Any]:
         "short_block": s.box((0.38, -0.15, -0.72), (0.55, 0.55, 0.56), s.diffuse(short), yaw=yaw_short),
         "ball": s.ball((0.38, -0.15, -0.24), 0.2, s.metal("Au", 0.25)),
         "small_ball": s.ball((-0.2, -0.45, -0.84), 0.16, s.plastic(leather, 0.1)),
-    }  # fmt: skip
+    }

@@ -99,7 +99,7 @@ def _houses(rng: t.Rng) -> dict[str, Any]:
                     )
         door = -_WALL * out + (-2.6, -0.9, 0.9, 2.6)[k % 4] * along + np.array([0, 0, 0.85])
         parts[f"door_{k}"] = s.box(door, (0.1, 0.8, 1.7), wood, yaw=side)
-    return parts  # fmt: skip
+    return parts
 
 
 def _fountain(rng: t.Rng) -> dict[str, Any]:
@@ -171,7 +171,7 @@ def _tree(rng: t.Rng) -> dict[str, Any]:
         t.ramp(np.clip(0.5 + 0.3 * t.fractal((64, 64), rng), 0, 1), ("24401a", "4c7a2a", "86a845", "b9b95a")), rng
     )
     parts["leaves"] = s.mesh(corners.reshape(-1, 3), faces, shade.reshape(-1, 2), s.twosided(s.diffuse(green)))
-    return parts  # fmt: skip
+    return parts
 
 
 def _garden(rng: t.Rng) -> dict[str, Any]:
@@ -201,4 +201,4 @@ def _garden(rng: t.Rng) -> dict[str, Any]:
         parts[f"bench_{k}"] = s.box((0.1, 2.3 + dy, z), (1.5, 0.11, 0.04), plank, tilt=80 if z > 0.5 else 0)
     for k, x in enumerate((-0.55, 0.75)):
         parts[f"bench_leg_{k}"] = s.box((x, 2.35, 0.2), (0.07, 0.4, 0.4), iron)
-    return parts  # fmt: skip
+    return parts

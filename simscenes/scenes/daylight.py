@@ -67,7 +67,7 @@ def studio(seed: int = 0) -> dict[str, Any]:
         parts[f"cube_{k}"] = s.box(
             center, (0.3 - 0.04 * k, 0.3 - 0.04 * k, 0.22), face, yaw=float(rng.uniform(-40, 40))
         )
-    return parts_of(parts)  # fmt: skip
+    return parts_of(parts)
 
 
 def parts_of(parts: dict[str, Any]) -> dict[str, Any]:
@@ -128,7 +128,7 @@ def gallery(seed: int = 0) -> dict[str, Any]:
     ):
         picture = t.bordered(t.painting((160, 224), rng, colors=_PAINTS), "7a5a2c", 0.06)
         parts[f"picture_{k}"] = s.box(center, size, s.diffuse(picture))
-    return parts_of(parts)  # fmt: skip
+    return parts_of(parts)
 
 
 def hall(seed: int = 0) -> dict[str, Any]:

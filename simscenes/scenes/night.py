@@ -70,7 +70,7 @@ def street(seed: int = 0) -> dict[str, Any]:
     for k, (x, y) in enumerate([(-2.17, 1.0), (-2.17, 2.6), (-2.17, 4.6), (2.17, 2.2), (2.17, 4.0)]):
         poster = s.diffuse(t.painting((128, 96), rng, colors=("f1e4c8", "c0392b", "1d3557", "e2a73b")))
         parts[f"poster_{k}"] = s.box((x, y, 1.5), (0.04, 0.7, 1.0), poster)
-    return parts_of(parts)  # fmt: skip
+    return parts_of(parts)
 
 
 def market(seed: int = 0) -> dict[str, Any]:
@@ -115,7 +115,7 @@ def market(seed: int = 0) -> dict[str, Any]:
         parts[f"card_{k}"] = s.box(
             (x, -0.28, 0.72), (0.2, 0.02, 0.22), s.diffuse(chips), yaw=float(rng.uniform(-20, 20))
         )
-    return parts_of(parts)  # fmt: skip
+    return parts_of(parts)
 
 
 def lantern(seed: int = 0) -> dict[str, Any]:
@@ -160,4 +160,4 @@ def lantern(seed: int = 0) -> dict[str, Any]:
             (0.4, 0.02, 0.5),
             s.diffuse(t.painting((96, 80), rng, colors=("f1e4c8", "457b9d", "c0392b", "e2a73b"))),
         )
-    return parts_of(parts)  # fmt: skip
+    return parts_of(parts)

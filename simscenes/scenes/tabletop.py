@@ -78,7 +78,7 @@ def _room(rng: t.Rng) -> dict[str, Any]:
         "picture_south": s.box((-0.9, -w + 0.02, 0.7), (1.1, 0.05, 0.9), art[3]),
         "bookshelf_east": s.box((w - 0.18, -1.0, 0.15), (0.36, 1.3, 1.75), shelf),
         "bookshelf_west": s.box((-w + 0.18, 1.1, 0.1), (0.36, 1.2, 1.7), shelf),
-    }  # fmt: skip
+    }
 
 
 def _table(rng: t.Rng) -> dict[str, Any]:
@@ -143,7 +143,7 @@ def _vessels(rng: t.Rng) -> dict[str, Any]:
         "brass_goblet": s.lathe(cup, s.metal("Au", 0.3), (0.56, 0.1, 0.0)),
         "glass_ball": s.ball((0.2, -0.26, 0.105), 0.1, s.glass()),
         "steel_ball": s.ball((-0.12, -0.42, 0.055), 0.05, s.metal("Cr", 0.2)),
-    }  # fmt: skip
+    }
 
 
 def _toys(rng: t.Rng) -> dict[str, Any]:
@@ -194,7 +194,7 @@ def _toys(rng: t.Rng) -> dict[str, Any]:
         parts[f"pawn_{k}"] = s.lathe(
             pawn, s.diffuse(t.wood((64, 64), rng, planks=1, colors=shade)), (x, -0.5 + 0.06 * (k % 2), 0.0)
         )
-    return parts  # fmt: skip
+    return parts
 
 
 def _fruit(rng: t.Rng) -> dict[str, Any]:
@@ -239,4 +239,4 @@ def _fruit(rng: t.Rng) -> dict[str, Any]:
         s.diffuse(t.cells((64, 128), rng, count=90, colors=("5a1f33", "8c2f4a", "b5566b"), joint=0.3)),
         squash=0.95,
     )
-    return parts  # fmt: skip
+    return parts

@@ -74,4 +74,4 @@ def stage(mi: Any, light: Node | None = None, **things: Any) -> Node:
         "wall": {"type": "rectangle", "to_world": upright, "bsdf": matt(0.6)},
         **({"lamp": lamp} if light is None else light),
         **things,
-    }  # fmt: skip
+    }

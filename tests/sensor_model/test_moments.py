@@ -47,7 +47,7 @@ PATTERNED = {
     "imx900-hcg": PRESETS["imx900-hcg"],
     "a7s2-iso1600": PRESETS["a7s2-iso1600"],
     "a7s2-iso25600": PRESETS["a7s2-iso25600"],
-}  # fmt: skip
+}
 
 
 def camera(description):

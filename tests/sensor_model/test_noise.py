@@ -34,7 +34,7 @@ CAMERAS = {name: replace(s, **EVEN) for name, s in PRESETS.items() if not name.e
     "coupled": replace(NOISY, dsnu=0.0, prnu=0.0, coupling=0.04),
     "coarse codes": Sensor(gain=0.5, eta=1.0, mu_e_sat=8000.0, black_level=64.0, bits=12, sigma_d=2.0, cfa=None),
     "two gains": replace(NOISY, dsnu=0.0, prnu=0.0, dual_gain=DualGain(threshold=1500.0, sigma_d=30.0, ratio=8)),
-}  # fmt: skip
+}
 MATRIX = np.array([[1.6, -0.4, -0.2], [-0.3, 1.5, -0.2], [0.1, -0.6, 1.5]])
 
 
@@ -186,7 +186,7 @@ def test_below_black_and_above_white_the_variance_stays_that_of_black_and_white(
             "channels must be None for pictures after",
         ),
     ],
-)  # fmt: skip
+)
 def test_what_does_not_fit_the_camera_is_refused(call, message):
     with pytest.raises(ValueError, match=message):
         call()

@@ -45,7 +45,7 @@ def ball_on_plane() -> dict[str, Any]:
         "ball": {"type": "sphere", "center": [0, 0, 1], "radius": 1.0, "bsdf": ref},
         "lamp": {"type": "rectangle", "to_world": lamp, "emitter": glow},
         "sky": {"type": "constant", "radiance": {"type": "rgb", "value": [0.2, 0.3, 0.4]}},
-    }  # fmt: skip
+    }
 
 
 def small_job(out: Path, rig: Rig | None = None, **more: Any) -> Any:

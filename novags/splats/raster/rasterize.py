@@ -143,7 +143,7 @@ def _render_each(
             *gaussians, colors[i] if for_each else colors, viewmats[i], Ks[i], width, height, camera=i, **options
         )
         for i in range(len(viewmats))
-    ]  # fmt: skip
+    ]
     images, alphas, projected = zip(*views, strict=True)
     return _batch(list(images)), _batch(list(alphas)), list(projected)
 

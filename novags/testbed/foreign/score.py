@@ -145,7 +145,7 @@ def score_renders(folder: Path, truth: Truth, reference: Reference, console: Con
         "views": {name: {reference: scores} for name, scores in views.items()},
         "geometry": mean_scores(depths) if len(depths) == len(views) else None,
         "about": {"reference": reference, "meaning": MEANING[reference], "pictures": kinds, "gain": gain},
-    }  # fmt: skip
+    }
 
 
 def _gain(read: Callable[[int], Image], pictures: Callable[[], Any]) -> float:

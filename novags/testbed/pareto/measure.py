@@ -38,7 +38,7 @@ def steps(subject: Subject, repeats: int, only: Sequence[str] = ()) -> list[Step
 
 def measure(
     subject: Subject, folder: Path, repeats: int, console: Console, *, only: Sequence[str] = (), overwrite: bool = False
-) -> Samples:  # fmt: skip
+) -> Samples:
     """Measure what is missing.
 
     Args:

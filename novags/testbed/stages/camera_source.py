@@ -45,7 +45,7 @@ def cameras_of(
         asked = ("cameras", config, source.digest(), tuple(indices), points, seed, device)
         found = capture.memo.once(
             asked, lambda: _found(config, capture, source, indices, points, seed, device, console)
-        )  # fmt: skip
+        )
     return copy.deepcopy(found)
 
 

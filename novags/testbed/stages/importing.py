@@ -291,4 +291,4 @@ def record_of(material: Material, prepared: Prepared, config: ImportConfig) -> d
         "views": len(dark.source.views),
         "width": darkroom.rig.width,
         "height": darkroom.rig.height,
-    }  # fmt: skip
+    }

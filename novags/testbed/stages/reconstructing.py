@@ -168,7 +168,7 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
         n_gaussians=config.points,
         names=tuple(capture.names[i] for i in indices),
         shared=capture.memo,
-    )  # fmt: skip
+    )
     return Prepared(problem.to(device), estimate, indices, device)
 
 

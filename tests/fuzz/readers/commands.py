@@ -36,7 +36,7 @@ LINES = [
     "doctor --stability --part enhance --out t.md",
     "list scenes",
     "help electrons",
-]  # fmt: skip
+]
 
 
 def make(folder: Path) -> None:

@@ -147,7 +147,7 @@ def test_entity_bombs_are_refused_in_bounded_time(tmp_path: Path) -> None:
         (GREY, '<emitter type="point"><rgb name="intensity" value="-3"/></emitter>', ">= 0"),
     ],
     ids=["missing texture", "unknown plugin", "broken xml", "albedo < 0", "albedo > 1", "nan light", "dark light"],
-)  # fmt: skip
+)
 def test_broken_scenes_are_refused_with_the_reason(reflectance: str, more: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match=message):
         build_scene(write_scene(tmp_path, reflectance, more), activate())

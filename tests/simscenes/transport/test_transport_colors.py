@@ -127,7 +127,7 @@ def test_polarisation_is_measured_by_paired_pilots(
     assert asked == [
         ("llvm_ad_spectral", "in spectra", settings, 5, 32),
         ("llvm_ad_spectral_polarized", "polarised", settings, 5, 32),
-    ]  # fmt: skip
+    ]
 
 
 def test_a_short_job_in_rgb_is_not_loaded_in_spectra_for_a_bound(

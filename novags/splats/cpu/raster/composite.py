@@ -79,7 +79,7 @@ def _start_tile(trans, color, last, tile, x0, y0, width, height):
 @kernel
 def forward(
     begin, end, rows, members, starts, ends, base, width, height, tiles_x, trans, color, last, reached, finished
-):  # fmt: skip
+):
     """Composite tiles begin..end-1 behind what they hold; behind nothing if base, the number of earlier entries, is 0.
 
     Reads the flat rows [N * ROW] and lists members[starts[tile] : ends[tile]]. Changes the tile state; ends becomes

@@ -34,7 +34,7 @@ CONFIG = NovaPlusConfig(
     gaussians=160,
     held_share=0.1,
     denoise=DenoiseConfig(adapt=AdaptConfig(steps=2, batch=1, crop=16), turns=1),
-)  # fmt: skip
+)
 
 
 def light_of(result: Reconstruction, problem: Problem) -> torch.Tensor:

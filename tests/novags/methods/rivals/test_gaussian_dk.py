@@ -22,7 +22,7 @@ from novags.methods.rivals.gaussian_dk import (
     radiance_of,
     table_of,
     train,
-)  # fmt: skip
+)
 from novags.methods.tone import ResponseTable
 from novags.splats import FitConfig, LearningRates
 from novags.splats.training.losses import ssim

@@ -25,7 +25,7 @@ from novags.methods.rivals.lita_gs import (
     parts_of,
     structures_of,
     train,
-)  # fmt: skip
+)
 from novags.splats import FitConfig, Gaussians, LearningRates, Views, rasterize
 from novags.splats.training.fit import fit
 from novags.splats.training.losses import ssim

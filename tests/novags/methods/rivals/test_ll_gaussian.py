@@ -21,7 +21,7 @@ from novags.methods.rivals.ll_gaussian import (
     parts_of,
     shaded,
     train,
-)  # fmt: skip
+)
 from novags.methods.rivals.retinex import smoothness
 from novags.splats import FitConfig, Gaussians, LearningRates
 from novags.splats.sh import sh_basis

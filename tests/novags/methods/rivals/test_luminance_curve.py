@@ -15,7 +15,7 @@ from novags.methods.rivals.luminance_curve import (
     mapped,
     orthogonal_axes,
     power_then_s,
-)  # fmt: skip
+)
 
 
 def picture(height: int = 9, width: int = 7) -> torch.Tensor:

@@ -19,7 +19,7 @@ from novags.methods.rivals.luminance_gs import (
     dark_colors,
     histogram_loss,
     train,
-)  # fmt: skip
+)
 from novags.splats import LearningRates
 from novags.splats.training.losses import ssim
 from tests.novags.methods.rivals.short import SHORT

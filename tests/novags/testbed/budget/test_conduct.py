@@ -20,7 +20,7 @@ LOSSES = ((0.25, 2.0, 0.3), (0.5, 0.8, 0.4), (1.0, 0.0, 0.0))
 OPTIONS = {
     "iterations": [Option("iterations", s, {"fit": s}, lost, sd) for s, lost, sd in LOSSES],
     "spp": [Option("spp", 0.25, {"render": 0.25}, 1.0, 0.3), Option("spp", 1.0, {}, 0.0, 0.0)],
-}  # fmt: skip
+}
 PRESET = adapted(EXPERIMENTS["demo"], iterations=1000, spp=100)
 
 
@@ -110,7 +110,7 @@ def test_options_that_the_user_set_stay(work: Work, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("budget", "message"),
     [(50.0, "the least that this experiment takes here is about 56 s"), (10.0, "trying the experiment in small alone")],
-)  # fmt: skip
+)
 def test_a_budget_that_is_too_small_is_refused_with_the_least_time(
     work: Work, tmp_path: Path, budget: float, message: str
 ) -> None:

@@ -53,7 +53,7 @@ def test_a_forecast_scales_views_samples_and_steps_and_nothing_else(tmp_path: Pa
         f"reconstruct {second}": {k: 30 + 0.03 * k for k in range(1, 61)},
         f"render {first}": {k: 0.1 * k for k in range(1, 5)},
         f"render {second}": {k: 0.1 * k for k in range(1, 5)},
-    }  # fmt: skip
+    }
     found = scaled(large, small, tmp_path, stamps, 25.0)
     assert found.before["render"] == pytest.approx(1.5 * 5 * 16)
     assert found.before["fixed"] == pytest.approx(2 + 3 + 0.2 * 5 + 0.3 * 5 + 0.4 * 5)

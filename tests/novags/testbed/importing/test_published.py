@@ -35,7 +35,7 @@ from tests.miniatures import (
     mvtv,
     poses_bounds,
     write16,
-)  # fmt: skip
+)
 
 QUIET = Console(quiet=True)
 

@@ -67,7 +67,7 @@ def test_every_capture_has_views_with_the_pictures_of_its_own_runs(visit: Callab
             const context = canvas.getContext("2d");
             context.drawImage(image, 0, 0);
             return [...context.getImageData(0, 0, 32, 24).data];
-        }""")  # fmt: skip
+        }""")
         dark = read_png(comparison.parent / name / "capture" / "images" / "0000.png")
         assert (np.array(codes).reshape(24, 32, 4)[..., :3] == np.round(255 * dark)).all()
 

@@ -222,7 +222,7 @@ def test_of_a_mosaic_the_probe_shows_the_channel_of_the_filter(visit: Callable[.
             return [[0, 0], [1, 0], [2, 0], [0, 1], [1, 1]].map(([x, y]) => novags.probe.at(found, "dn", x, y));
         }""",
         codes,
-    )  # fmt: skip
+    )
     assert found == [[None, 0, None], [1, None, None], [None, 2, None], [None, None, 300], [None, 301, None]]
 
 

@@ -85,7 +85,7 @@ def test_settings_of_the_import_reach_it_and_other_pictures_are_another_capture(
         ('["data:MVTV/*", "data:LLRS/*"]', True, "holds none of LLRS, MVTV: download .*github.com/XuJiacong"),
         ('"tabletop"', True, "no scene begins with 'data:', so that nothing is read there"),
     ],
-)  # fmt: skip
+)
 def test_what_cannot_be_found_is_one_line_that_says_what_to_do(
     scene: str, given: bool, message: str, tmp_path: Path, data: Path
 ) -> None:

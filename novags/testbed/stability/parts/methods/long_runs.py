@@ -50,7 +50,7 @@ def problem() -> Problem:
     views = Views(viewmats, K.repeat(VIEWS, 1, 1), SIZE, SIZE)
     light, _, _ = rasterize(
         wall.means, wall.quats, wall.scales, wall.opacities, wall.sh, views.viewmats, views.Ks, SIZE, SIZE, sh_degree=0
-    )  # fmt: skip
+    )
     sensor, exposure = PRESETS["a7s2-iso6400-3chip"], Exposure(time=1 / 30)
     photons = light.double().numpy() * ELECTRONS / (float(light.mean()) * np.mean(sensor.eta))
     frames = [expose(view, sensor, exposure, seed=0, view=i) for i, view in enumerate(photons)]
