@@ -17,13 +17,14 @@ class TimeLeft:
     def __init__(
         self, work: str, parts: Mapping[str, int], paces: dict[str, float], clock: Callable[[], float] = time.monotonic
     ) -> None:
-        """
+        """Start the clock.
+
         Args:
             work: Its name.
             parts: Steps of each part, in order; none: there is one part.
             paces: Seconds per step by part, measured so far; read and written.
             clock: Seconds.
-        """  # noqa: D205, D212
+        """
         self.work, self.parts, self.paces, self.clock = work, dict(parts), paces, clock
         self.part: str | None = None
         self.last = clock()  # report

@@ -17,7 +17,7 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))  # so that it is found where this file is loaded by its path
 
-from settle import BASE, write_table  # noqa: E402
+from settle import BASE, write_table
 
 Row = Mapping[str, Any]
 OWN, LIT = "enhanced.aligned_psnr", "lit.tone_aligned_psnr"

@@ -25,10 +25,10 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))  # so that it is found where this file is loaded by its path
 
-from verdict import Finding, findings, going_on, markdown  # noqa: E402
+from verdict import Finding, findings, going_on, markdown
 
-from novags.methods.variant import dotted  # noqa: E402
-from sensor_model.files.toml_file import read_toml  # noqa: E402
+from novags.methods.variant import dotted
+from sensor_model.files.toml_file import read_toml
 
 BASE = "base"
 RUNGS = (1, 2, 3)

@@ -22,14 +22,14 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parent))  # so that it is found where this file is loaded by its path
 
-from scipy.stats import spearmanr  # noqa: E402
-from settle import write_table  # noqa: E402
+from scipy.stats import spearmanr
+from settle import write_table
 
-from novags.methods import METHODS, chosen, with_variants  # noqa: E402
-from novags.methods.variant import Variant  # noqa: E402
-from novags.testbed.report.study.grid import HELPED, LINEAR, Line, by_place, lines_of  # noqa: E402
-from novags.testbed.report.study.light import looks_of  # noqa: E402
-from sensor_model.files.toml_file import read_toml  # noqa: E402
+from novags.methods import METHODS, chosen, with_variants
+from novags.methods.variant import Variant
+from novags.testbed.report.study.grid import HELPED, LINEAR, Line, by_place, lines_of
+from novags.testbed.report.study.light import looks_of
+from sensor_model.files.toml_file import read_toml
 
 Row = Mapping[str, Any]
 STUDIES = [Path(__file__).resolve().parents[2] / "docs" / "studies" / f"table1{end}.toml" for end in ("", "-weights")]

@@ -25,7 +25,7 @@ def parameters_in(scene: Any, mi: Any) -> dict[str, Any]:
     A hair without its own absorption has such a one, and Mitsuba fails to read it.
     """
     params, found = mi.traverse(scene), {}
-    for key in params.keys():  # noqa: SIM118  mitsuba's SceneParameters does not iterate over keys
+    for key in params.keys():  # mitsuba's SceneParameters does not iterate over keys
         try:
             found[key] = params[key]
         except TypeError:

@@ -27,7 +27,7 @@ def content_digest(description: dict[str, Any] | tuple[Path, ...], params: Any) 
         for file in description:
             digest.update(f"{file.stat().st_size}:".encode() + file.read_bytes())
     # Mitsuba names an object without an id by its address, which differs from load to load.
-    names = {key: re.sub(r"object_\d+", "object", key).encode() for key in params.keys()}  # noqa: SIM118
+    names = {key: re.sub(r"object_\d+", "object", key).encode() for key in params.keys()}
     for part in sorted(hashlib.sha256(name + b":" + _content(params[key])).digest() for key, name in names.items()):
         digest.update(part)
     return digest.hexdigest()

@@ -73,7 +73,7 @@ def in_file(nodes: Iterable[Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """The same of a file, from the nodes that Mitsuba's parser made of it."""
     for node in nodes:
         properties = node.props
-        known = {str(key) for key in properties.keys()}  # noqa: SIM118  no iteration over Properties
+        known = {str(key) for key in properties.keys()}  # no iteration over Properties
         yield properties.plugin_name(), {name: properties[name] for name in known if name in (*KEPT, *COUNTS)}
 
 

@@ -165,7 +165,7 @@ def _film_intrinsics(params: Any, film: Any) -> Float:
     """Intrinsics [3,3] of a sensor in pixels of its crop; Mitsuba's angle and offsets belong to the whole film."""
 
     def number(key: str) -> float:
-        return float(np.array(params[key]).ravel()[0]) if key in params.keys() else 0.0  # noqa: SIM118
+        return float(np.array(params[key]).ravel()[0]) if key in params.keys() else 0.0
 
     ppx, ppy = number("principal_point_offset_x"), number("principal_point_offset_y")
     K = mitsuba_to_intrinsics(number("x_fov"), ppx, ppy, *(int(n) for n in film.size()))

@@ -150,7 +150,7 @@ def screens_before_points(scene: Any, mi: Any) -> list[str]:
 def _is_chromatic(mi: Any, medium: Any) -> bool:
     """Whether a medium's extinction differs between colours; Mitsuba's own flag is set for every RGB medium."""
     params = mi.traverse(medium)
-    keys = [k for k in params.keys() if k.startswith("sigma_t") and not k.endswith(("to_world", "filename"))]  # noqa: SIM118
+    keys = [k for k in params.keys() if k.startswith("sigma_t") and not k.endswith(("to_world", "filename"))]
     values = [np.array(params[k]) for k in keys]
     # A colour is three numbers; a grid of them is [z,y,x,3], and one of plain densities has another last axis.
     colors = [v.reshape(-1, 3) for v in values if v.size == 3 or (v.ndim == 4 and v.shape[-1] == 3)]

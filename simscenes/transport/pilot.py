@@ -254,7 +254,7 @@ def most_reflected(mi: Any, loaded: LoadedScene) -> float:
     albedos = []
     for bsdf in (shape.bsdf() for shape in unique_materials(loaded.scene, mi)):
         params = mi.traverse(bsdf)
-        names = [k for k in params.keys() if "reflectance" in k and k.endswith((".value", ".data"))]  # noqa: SIM118
+        names = [k for k in params.keys() if "reflectance" in k and k.endswith((".value", ".data"))]
         if bsdf.flags() & lobes & ~matt or not names:
             return MOST
         albedos += [float(np.array(params[k]).max()) for k in names]

@@ -1,6 +1,6 @@
 """A process that is killed at any moment costs nothing finished and leaves nothing behind: the same command again ends
 with the folder that it would have made at once, logs and hidden files included.
-"""  # noqa: D205
+"""
 
 import signal
 from collections.abc import Callable

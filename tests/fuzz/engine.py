@@ -117,7 +117,7 @@ def _place(error: BaseException) -> str:
     return f"{Path(own[-1].filename).relative_to(ROOT)}:{own[-1].lineno} {own[-1].name}" if own else ""
 
 
-def run(cases: Cases, numbers: Sequence[int], folder: Path, limits: Limits = Limits()) -> Iterator[Finding]:  # noqa: B008
+def run(cases: Cases, numbers: Sequence[int], folder: Path, limits: Limits = Limits()) -> Iterator[Finding]:
     """Run cases; yields what is wrong as it is found.
 
     Args:

@@ -81,7 +81,7 @@ def load_state(path: Path, settings: dict[str, object], layout: Layout, extra: M
     try:
         with safe_open(path, framework="pt") as file:
             rest = json.loads((file.metadata() or {})["state"])
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # not a dict
         check_shape(rest, STATE, "its state")
     except (SafetensorError, KeyError, TypeError, ValueError, RecursionError) as error:
         reason = brief(f"{type(error).__name__}: {error}")

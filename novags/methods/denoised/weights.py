@@ -56,7 +56,7 @@ def _read(path: Path) -> tuple[NetworkConfig, dict[str, torch.Tensor]]:
     try:
         config = NetworkConfig(**{name: tuple(value) for name, value in facts["config"].items()})
         with safe_open(path, "pt") as file:
-            return config, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 - the file cannot be iterated
+            return config, {name: file.get_tensor(name) for name in file.keys()}  # not a dict
     except (TypeError, AttributeError) as error:
         raise ValueError(f"{path} names no network of this version ({brief(error)}): make or fetch it anew") from error
 

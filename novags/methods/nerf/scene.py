@@ -83,7 +83,7 @@ def load_field(folder: Path) -> FieldScene | None:
     try:
         with safe_open(path, framework="pt") as file:
             record = json.loads((file.metadata() or {})["field"])
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # not a dict
         check_shape(record, RECORD, "its record")
         found = _assembled(record, tensors)
         shading_of(found.shading, found.numbers)

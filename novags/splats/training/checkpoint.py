@@ -107,7 +107,7 @@ def load_checkpoint(
     try:
         with safe_open(path, framework="pt", device=str(device)) as file:
             rest = json.loads((file.metadata() or {})["state"])
-            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a dict)
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # not a dict
         check_shape(rest, STATE, "its state")
         saved = rest["settings"]
     except (SafetensorError, KeyError, TypeError, ValueError, RecursionError) as error:  # ValueError: malformed JSON

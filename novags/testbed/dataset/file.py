@@ -7,7 +7,7 @@ split_by = "scene"                 what never lies in two splits: a scene with a
 shard_mb = 256                     WebDataset shards of this size; none if left out
 description, version, creators, url, date
 [dataset.split]                    train = 0.8, val = 0.1, test = 0.1 if left out; or lists of scenes
-"""  # noqa: D214
+"""
 
 import math
 import os

@@ -7,7 +7,7 @@ preset = "demo"                    where all that is not said comes from
 [variant.NAME]                     a method with settings of its own
 [method.NAME]                      a method that is a program: command, timeout, ...
 [[exclude]]                        combinations that are left out: values, or lists of values, of some axes
-"""  # noqa: D214
+"""
 
 import itertools
 import math

@@ -37,7 +37,7 @@ def check_parameters(scene: Any, params: Any, mi: Any) -> None:
     """
     if "spectral" in mi.variant():
         return  # colours are stored there as the coefficients of fitted curves, of any sign and size
-    for key in params.keys():  # noqa: SIM118  mitsuba's SceneParameters does not iterate over keys
+    for key in params.keys():  # mitsuba's SceneParameters does not iterate over keys
         numbers = _numbers(params[key], mi)
         lowest, highest = float(numbers.min()), float(numbers.max())  # nan in any element makes both nan
         if not np.isfinite([lowest, highest]).all():

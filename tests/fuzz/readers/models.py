@@ -79,7 +79,7 @@ def read_checkpoint(folder: Path, file: Path) -> None:
     load_checkpoint(file, SETTINGS, torch.device("cpu"))
 
 
-def _network():  # noqa: ANN202
+def _network():
     import torch
 
     torch.manual_seed(0)
@@ -177,7 +177,7 @@ def read_field(folder: Path, file: Path) -> None:
         found.render(_view())
 
 
-def _view():  # noqa: ANN202
+def _view():
     import torch
 
     from novags.splats import Views
@@ -185,7 +185,7 @@ def _view():  # noqa: ANN202
     return Views(torch.eye(4)[None], torch.tensor([[[4.0, 0, 1], [0, 4, 1], [0, 0, 1]]]), 2, 2)
 
 
-def _wall():  # noqa: ANN202
+def _wall():
     import torch
 
     from novags.methods.reconstruction import GaussianScene

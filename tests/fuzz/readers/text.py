@@ -9,7 +9,7 @@ import numpy as np
 from tests.fuzz.case import Reader
 
 
-def some_rig(views: int = 4, width: int = 24, height: int = 18):  # noqa: ANN201
+def some_rig(views: int = 4, width: int = 24, height: int = 18):
     from simscenes.rigs import orbit_rig
 
     return orbit_rig(views, width, height, 60, radius=3)

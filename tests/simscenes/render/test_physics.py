@@ -47,7 +47,7 @@ def test_a_convex_body_in_a_furnace_shows_its_albedo() -> None:
             "ball": {"type": "sphere", "radius": 9.0, "bsdf": diffuse(0.5)},
         },
         eye=(0, -20, 0),
-    )  # noqa: E501
+    )
     check_level(result, 0.5)
 
 
@@ -55,12 +55,12 @@ def test_white_bodies_vanish_in_a_furnace_however_light_bounces_between_them() -
     balls = {
         f"ball_{k}": {"type": "sphere", "center": [0.9 * k - 0.9, 0, 0], "radius": 0.5, "bsdf": diffuse(1.0)}
         for k in range(3)
-    }  # noqa: E501
+    }
     floor = {
         "type": "rectangle",
         "to_world": activate().ScalarTransform4f().translate([0, 0, -0.5]).scale(3),
         "bsdf": diffuse(1.0),
-    }  # noqa: E501
+    }
     check_level(rendered({"sky": {"type": "constant", "radiance": WHITE}, **balls, "floor": floor}), 1.0, floor=1e-4)
 
 
@@ -78,7 +78,7 @@ def test_a_sphere_light_lights_a_plane_by_the_inverse_square_law() -> None:
         "center": [0, 0, 2.0],
         "radius": 0.5,
         "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 7.0}},
-    }  # noqa: E501
+    }
     plane = {"type": "rectangle", "to_world": activate().ScalarTransform4f().scale(50), "bsdf": diffuse(0.6)}
     result = rendered({"lamp": lamp, "plane": plane}, spp=256, eye=(0, -3, 3.5))
     rig = Rig(viewmats=look_at((0, -3, 3.5), (0, 0, 0))[None], Ks=intrinsics(48, 48, 40)[None], width=48, height=48)
@@ -124,7 +124,7 @@ def test_white_fog_in_a_furnace_is_invisible() -> None:
     cloud = {"type": "sphere", "radius": 1.0, "bsdf": {"type": "null"}, "interior": fog}
     check_level(
         rendered({"sky": {"type": "constant", "radiance": WHITE}, "cloud": cloud}, integrator="volpath"), 1.0, 1e-4
-    )  # noqa: E501
+    )
 
 
 def test_a_camera_inside_fog_sees_through_it_from_where_it_is() -> None:

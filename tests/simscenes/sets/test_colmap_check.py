@@ -143,7 +143,7 @@ def broken(old: bytes, new: bytes) -> object:
         ("cameras", lambda c: c + b"\0\0\0", "3 bytes after its last record"),
     ],
 )
-def test_what_refers_to_nothing_or_is_no_number_is_refused(name: str, change, message: str, model: Path) -> None:  # noqa: ANN001
+def test_what_refers_to_nothing_or_is_no_number_is_refused(name: str, change, message: str, model: Path) -> None:
     file = model / f"{name}.bin"
     file.write_bytes(change(file.read_bytes()))
     with pytest.raises(ValueError, match=message):

@@ -262,7 +262,7 @@ def cut_model(folder: Path) -> None:
         (cut_model, "COLMAP"), (listed_fisheye, "k4 = 0.2"), (short_list, "distortion_params"),
     ],
 )  # fmt: skip
-def test_broken_folders_are_refused_with_the_reason(breakage, message: str, tmp_path: Path) -> None:  # noqa: ANN001
+def test_broken_folders_are_refused_with_the_reason(breakage, message: str, tmp_path: Path) -> None:
     breakage(tmp_path)
     with pytest.raises(ValueError, match=message):
         load_set(tmp_path)

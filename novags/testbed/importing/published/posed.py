@@ -21,7 +21,7 @@ def has_cameras(folder: Path) -> bool:
     return (folder / "transforms.json").is_file() or find_colmap(folder) is not None or is_llff(folder)
 
 
-def open_scene(folder: Path, split: Split) -> MultiviewSet:  # noqa: ARG001 - none of these data sets publishes a split
+def open_scene(folder: Path, split: Split) -> MultiviewSet:  # none of these data sets publishes a split
     """The pictures of a scene with their cameras.
 
     Raises:

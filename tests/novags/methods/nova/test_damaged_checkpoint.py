@@ -26,13 +26,13 @@ CHECKPOINT = "run.denoiser.safetensors"
 
 
 @pytest.fixture
-def tensors(problem, tmp_path: Path) -> dict[str, Tensor]:  # noqa: ANN001
+def tensors(problem, tmp_path: Path) -> dict[str, Tensor]:
     """Those of a finished run in `tmp_path`."""
     train(problem(), CONFIG, checkpoint=tmp_path / "run.safetensors")
     return read(tmp_path / CHECKPOINT)
 
 
-def test_every_missing_or_odd_tensor_is_refused_by_name(problem, tensors: dict[str, Tensor], tmp_path: Path) -> None:  # noqa: ANN001
+def test_every_missing_or_odd_tensor_is_refused_by_name(problem, tensors: dict[str, Tensor], tmp_path: Path) -> None:
     weight = next(name for name in tensors if name.startswith("denoiser.weights.") and tensors[name].ndim == 4)
     name = weight.removeprefix("denoiser.weights.")
     damages: dict[str, Tensor | None] = {

@@ -38,7 +38,7 @@ def rewritten(source: Path, target: Path, tensors: dict[str, Tensor | None], **s
     """A copy with some tensors replaced (None: left out) and some entries of its state."""
     with safe_open(source, framework="pt") as file:
         rest = json.loads(file.metadata()["state"]) | state
-        own = {name: file.get_tensor(name) for name in file.keys()} | tensors  # noqa: SIM118 (not a dict)
+        own = {name: file.get_tensor(name) for name in file.keys()} | tensors  # not a dict
     kept = {name: tensor for name, tensor in own.items() if tensor is not None}
     save_file(kept, target, metadata={"state": json.dumps(rest)})
     return target
