@@ -88,12 +88,10 @@ for _iso, (_gain, _variance, _bias) in IMX385.items():
     _add(f"imx385-iso{_iso}", _imx385, "PMN", **_UNPUBLISHED)
 
 # PMN, Sony IMX686 (telephone), 10 bit: log-linear fits of Gaussian sigma and row noise in DN against the gain, made for
-# ISO 640 to 6400. At ISO 6400 the fit says 12.51 DN, and its own scatter (IMX686_SCATTER of ln sigma) makes that agree
+# ISO 640 to 6400. At ISO 6400 the fit says 12.51 DN, and its own scatter (0.029 of ln sigma) makes that agree
 # with the 12.89 DN that PMN's table of the highest ISO measures (`get_camera_noisy_params_max`). A third table, which
 # nothing in PMN calls (`get_specific_noise_params`: 0.693 DN at ISO 100, 14.30 DN at ISO 6400), lies 4.6 scatters above
 # it, and disagrees with the second one as well: not taken.
-IMX686_SCATTER = 0.02921
-IMX686_MEASURED_6400 = 12.8901  # DN
 _IMX686_READ = "PMN, get_camera_noisy_params: the fit over ISO 640 to 6400"
 for _iso in (800, 1600, 6400):
     _gain = 8.74253 * _iso / 6400

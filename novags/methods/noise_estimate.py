@@ -17,7 +17,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from novags.methods.noise import Noise, Variance
-from novags.methods.problem import LacksInput, Pictures, Problem, RawPictures
+from novags.methods.problem import LacksInput, Problem, RawPictures
 from sensor_model import NoiseCurve, srgb_to_linear
 
 BINS = 16  # of brightness, each with its own estimate of the variance
@@ -52,18 +52,15 @@ class CameraFigures:
     read_noise: float
 
 
-def noise_of(
-    problem: Problem, source: Literal["camera", "pictures"] = "camera", pictures: Pictures | None = None
-) -> Noise:
+def noise_of(problem: Problem, source: Literal["camera", "pictures"] = "camera") -> Noise:
     """The noise of a problem's pictures.
 
     Args:
         problem: The problem.
         source: "camera": by the camera where it is known, else from the pictures; "pictures": from them in any case.
-        pictures: From which pictures: "16bit", "8bit", or None for the best there are.
 
     Raises:
-        LacksInput: If the camera is asked for and the problem has no noise, or the pictures are not there.
+        LacksInput: If the camera is asked for and the problem has no noise.
     """
     if source not in ("camera", "pictures"):
         raise ValueError(f"source must be camera or pictures, got {source!r}")
@@ -71,12 +68,9 @@ def noise_of(
         if problem.noise is None:
             raise LacksInput("the noise of this capture is not known: take it from the pictures (source = pictures)")
         return problem.noise
-    if pictures == "16bit" and problem.linear16 is None:
-        raise LacksInput("pictures = 16bit needs the 16-bit linear pictures, and this capture has none: use 8bit")
-    linear = None if pictures == "8bit" else problem.linear16
     mixed = "a colour matrix" in problem.channels_share
-    key = ("noise from pictures", problem.names, pictures)
-    return problem.once(key, lambda: noise_from(problem.srgb8, linear, problem.raw, mixed=mixed))
+    key = ("noise from pictures", problem.names)
+    return problem.once(key, lambda: noise_from(problem.srgb8, problem.linear16, problem.raw, mixed=mixed))
 
 
 def noise_from(srgb8: Tensor, linear16: Tensor | None, raw: RawPictures | None, *, mixed: bool) -> Noise:

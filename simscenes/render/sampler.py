@@ -16,22 +16,21 @@ from typing import Any
 BITS = 24  # of an index that the third and fourth dimension see: a float has no more, so the points end there anyway
 
 
-def direction_numbers(degree: int, inner: int, first: tuple[int, ...], count: int = BITS) -> list[int]:
+def direction_numbers(degree: int, inner: int, first: tuple[int, ...]) -> list[int]:
     """Columns of the generator matrix of one dimension, digit k (from the binary point) in bit k.
 
     Args:
         degree: Of the primitive polynomial.
         inner: Its inner coefficients, as bits.
         first: The initial direction numbers m_1 .. m_degree.
-        count: Columns wanted.
     """
     m = list(first)
-    for k in range(degree, count):
+    for k in range(degree, BITS):
         number = m[k - degree] ^ (m[k - degree] << degree)
         for j in range(1, degree):
             number ^= (inner >> (degree - 1 - j) & 1) * (m[k - j] << j)
         m.append(number)
-    return [sum((m[k] >> (k - digit) & 1) << digit for digit in range(k + 1)) for k in range(count)]
+    return [sum((m[k] >> (k - digit) & 1) << digit for digit in range(k + 1)) for k in range(BITS)]
 
 
 LENS = 1 << 30  # index of the lens draw; no path draws as often

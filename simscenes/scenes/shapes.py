@@ -132,13 +132,12 @@ def grid_faces(rows: int, columns: int) -> NDArray[np.int64]:
     return np.concatenate([lower, np.stack([first, first + columns + 1, first + columns], -1)])
 
 
-def smooth_profile(points: Sequence[tuple[float, float]], samples: int = 32) -> Floats:
-    """A curve [samples,2] through (radius, height) points, for turned objects."""
+def _smoothed(knots: Floats) -> Floats:
+    """A curve [32,2] through (radius, height) points [n,2], for turned objects."""
     from scipy.interpolate import PchipInterpolator
 
-    knots = np.asarray(points, dtype=np.float64)
     along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(knots, axis=0), axis=1))])
-    return PchipInterpolator(along, knots)(np.linspace(0, along[-1], samples))
+    return PchipInterpolator(along, knots)(np.linspace(0, along[-1], 32))
 
 
 def _revolve(half: Floats, around: Floats) -> Floats:
@@ -170,9 +169,8 @@ def lathe(
         smooth: Resample the profile to a smooth curve first.
         emitter: Makes it glow.
     """
-    points = (
-        smooth_profile([(r, z) for r, z in np.asarray(profile)]) if smooth else np.asarray(profile, dtype=np.float64)
-    )
+    points = np.asarray(profile, dtype=np.float64)
+    points = _smoothed(points) if smooth else points
     along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     tangent = np.gradient(points, along, axis=0)
     slope = np.stack([tangent[:, 1], -tangent[:, 0]], -1) / np.linalg.norm(tangent, axis=1, keepdims=True)

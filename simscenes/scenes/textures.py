@@ -163,8 +163,8 @@ def painting(shape: tuple[int, int], rng: Rng, *, colors: Sequence[str], strokes
 
 
 @remembered
-def lettering(shape: tuple[int, int], rng: Rng, text: str, *, ink: str, paper: str, frame: bool = True) -> Texels:
-    """Text as large as fits, printed on worn paper or paint."""
+def lettering(shape: tuple[int, int], rng: Rng, text: str, *, ink: str, paper: str) -> Texels:
+    """Framed text as large as fits, printed on worn paper or paint."""
     import cv2
 
     canvas = np.zeros(shape, dtype=np.uint8)
@@ -173,8 +173,7 @@ def lettering(shape: tuple[int, int], rng: Rng, text: str, *, ink: str, paper: s
     scale = 0.72 * min(shape[1] / w, shape[0] / h)
     origin = (int((shape[1] - w * scale) / 2), int((shape[0] + h * scale) / 2))
     cv2.putText(canvas, text, origin, cv2.FONT_HERSHEY_DUPLEX, scale, 255, thickness, cv2.LINE_AA)
-    if frame:
-        cv2.rectangle(canvas, (thickness, thickness), (shape[1] - thickness, shape[0] - thickness), 255, thickness)
+    cv2.rectangle(canvas, (thickness, thickness), (shape[1] - thickness, shape[0] - thickness), 255, thickness)
     mask = canvas[..., None] / 255.0
     return finish(color(paper) * (1 - mask) + color(ink) * mask, rng, grain=0.15, hue=0.08)
 

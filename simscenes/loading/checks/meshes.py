@@ -12,7 +12,7 @@ import numpy as np
 
 PLY_BYTES = {"char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2, "int": 4,
              "uint": 4, "int32": 4, "uint32": 4, "float": 4, "float32": 4, "double": 8, "float64": 8}  # fmt: skip
-MAX_HEADER = 1 << 16  # bytes of a PLY file
+MAX_HEADER = 1 << 16  # bytes of a PLY or `serialized` file that are looked at
 DEFLATE = 1032  # zlib cannot make data smaller than by this factor
 
 
@@ -69,13 +69,13 @@ def _serialized_bytes(start: bytes) -> int:
     return int(vertices * 3 * each + faces * 3 * 4)
 
 
-def _inflated(data: bytes, most: int = 1 << 16) -> bytes:
+def _inflated(data: bytes) -> bytes:
     """The start of a zlib stream, up to where it is damaged: Mitsuba believes the counts before that."""
     stream, found = zlib.decompressobj(), b""
     try:
         for byte in data:  # one by one: an error takes what the same call has already decompressed with it
-            found += stream.decompress(bytes([byte]), most - len(found))
-            if len(found) >= most or stream.eof:
+            found += stream.decompress(bytes([byte]), MAX_HEADER - len(found))
+            if len(found) >= MAX_HEADER or stream.eof:
                 break
     except zlib.error:
         pass

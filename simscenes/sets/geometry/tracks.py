@@ -86,12 +86,6 @@ class SparsePoints:
         found = replace(points, view=view, point=point, pixel=pixels[view, point])
         return replace(found, error=reprojection_errors(rig, found)) if exact else found
 
-    def without_unseen(self) -> SparsePoints:
-        """The points that some view sees."""
-        kept = self.lengths > 0
-        number = np.cumsum(kept) - 1
-        return replace(self, xyz=self.xyz[kept], rgb=self.rgb[kept], error=self.error[kept], point=number[self.point])
-
     def about(self, origin: tuple[float, float, float]) -> SparsePoints:
         """The same points in a world whose zero lies at `origin` of this one."""
         return replace(self, xyz=self.xyz - origin) if any(origin) else self

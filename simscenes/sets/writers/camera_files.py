@@ -1,6 +1,6 @@
 """The outer files of a set folder: cameras in the form COLMAP, nerfstudio, gsplat's trainer and nerfbaselines read.
 
-A set and a capture share these files; images are named `<image_dir>/<name>.png`.
+A set and a capture share these files; images are named `images/<name>.png`.
 """
 
 from __future__ import annotations
@@ -47,7 +47,6 @@ def write_cameras(
     *,
     points: SparsePoints | None = None,
     held_out: Sequence[int] | None = None,
-    image_dir: str = "images",
     depth_dir: str | None = None,
     scene: str | None = None,
 ) -> None:
@@ -61,8 +60,7 @@ def write_cameras(
         rig: The cameras.
         points: Sparse points with their tracks and errors, which are written as they are.
         held_out: Places of the views for testing; None: every 8th, from 0.
-        image_dir: Folder of the images, relative to `folder`.
-        depth_dir: Folder of the depth images of all views, likewise; None: there are none.
+        depth_dir: Folder of the depth images of all views, relative to `folder`; None: there are none.
         scene: What the scene is called.
 
     Raises:
@@ -76,7 +74,7 @@ def write_cameras(
     test = [f for i, f in enumerate(files) if i in tested]
     train = [f for i, f in enumerate(files) if i not in tested]
     _write_colmap(folder / "sparse" / "0", files, rig, points)
-    transforms = _transforms(rig, files, train, test, image_dir, depth_dir)
+    transforms = _transforms(rig, files, train, test, depth_dir)
     xyz = np.zeros((0, 3)) if points is None else points.xyz
     transforms |= instant_ngp_box(rig.positions, xyz)
     if points is not None and len(points):
@@ -87,21 +85,19 @@ def write_cameras(
     write_json(folder / "transforms.json", transforms)
     for name, split in zip(LISTS, (train, test, test), strict=True):
         write_text(folder / name, "".join(f"{f}\n" for f in split))
-    write_json(folder / "nb-info.json", nerfbaselines_info(scene, image_dir))
+    write_json(folder / "nb-info.json", nerfbaselines_info(scene))
 
 
-def nerfbaselines_info(scene: str | None, image_dir: str = "images") -> dict[str, Any]:
+def nerfbaselines_info(scene: str | None) -> dict[str, Any]:
     """What nerfbaselines is told of a folder with a COLMAP model: its loader, and what the scene is called."""
-    loader = {"loader": "colmap", "loader_kwargs": {"images_path": image_dir, "colmap_path": "sparse/0"}}
+    loader = {"loader": "colmap", "loader_kwargs": {"images_path": "images", "colmap_path": "sparse/0"}}
     return {**loader, "id": "novags", **({} if scene is None else {"scene": scene})}
 
 
-def _transforms(
-    rig: Rig, files: list[str], train: list[str], test: list[str], image_dir: str, depth_dir: str | None
-) -> dict[str, Any]:
+def _transforms(rig: Rig, files: list[str], train: list[str], test: list[str], depth_dir: str | None) -> dict[str, Any]:
     """Camera file of nerfstudio; all distortion keys are there because nerfbaselines fails on a partial set."""
     frames: list[dict[str, Any]] = [
-        {"file_path": f"{image_dir}/{f}", "transform_matrix": pose.tolist()}
+        {"file_path": f"images/{f}", "transform_matrix": pose.tolist()}
         for f, pose in zip(files, opencv_to_opengl(rig.viewmats), strict=True)
     ]
     one_lens = bool((rig.Ks == rig.Ks[0]).all())
@@ -119,9 +115,9 @@ def _transforms(
         **shared,
         **dict.fromkeys(("k1", "k2", "k3", "k4", "p1", "p2"), 0.0),
         "orientation_override": "none",
-        "train_filenames": [f"{image_dir}/{f}" for f in train],
-        "val_filenames": [f"{image_dir}/{f}" for f in test],
-        "test_filenames": [f"{image_dir}/{f}" for f in test],
+        "train_filenames": [f"images/{f}" for f in train],
+        "val_filenames": [f"images/{f}" for f in test],
+        "test_filenames": [f"images/{f}" for f in test],
         "frames": frames,
     }
 

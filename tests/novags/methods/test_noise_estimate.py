@@ -211,7 +211,5 @@ def test_a_problem_says_which_noise_it_has_and_what_its_pictures_say(problem) ->
     assert noise_of(informed, "pictures") is told  # once for all methods
     with pytest.raises(LacksInput, match="noise of this capture is not known"):
         noise_of(grown)
-    with pytest.raises(LacksInput, match="16-bit linear pictures"):
-        noise_of(grown, "pictures", "16bit")
     with pytest.raises(ValueError, match="source must be camera or pictures, got 'truth'"):
         noise_of(informed, "truth")  # type: ignore[arg-type]
