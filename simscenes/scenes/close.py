@@ -8,7 +8,6 @@ import numpy as np
 
 from simscenes.scenes import shapes as s
 from simscenes.scenes import textures as t
-from simscenes.scenes.daylight import parts_of, stage
 
 
 def glassware(seed: int = 0) -> dict[str, Any]:
@@ -28,26 +27,17 @@ def glassware(seed: int = 0) -> dict[str, Any]:
     walls = [t.painting((256, 320), rng, colors=("1d3557", "e63946", "f1e4c8", "457b9d", "ffb703")) for _ in range(3)]
     clear = s.glass()
     goblet = [
-        (0, 0),
-        (0.11, 0),
-        (0.11, 0.012),
-        (0.02, 0.035),
-        (0.018, 0.2),
-        (0.09, 0.28),
-        (0.13, 0.4),
-        (0.11, 0.52),
-        (0.1, 0.52),
-        (0.118, 0.4),
-        (0.08, 0.3),
-        (0, 0.26),
-    ]
+        (0, 0), (0.11, 0), (0.11, 0.012), (0.02, 0.035), (0.018, 0.2), (0.09, 0.28), (0.13, 0.4), (0.11, 0.52),
+        (0.1, 0.52), (0.118, 0.4), (0.08, 0.3), (0, 0.26),
+    ]  # fmt: skip
     decanter = [(0, 0), (0.16, 0), (0.18, 0.05), (0.15, 0.22), (0.05, 0.36), (0.045, 0.5), (0.07, 0.54), (0, 0.54)]
     ring = np.linspace(0, 2 * np.pi, 17)
     torus = np.stack([0.12 + 0.03 * np.cos(-ring), 0.03 + 0.03 * np.sin(-ring)], -1)[::-1]
     parts: dict[str, Any] = {
+        "type": "scene",
         "lamp": s.area_light((0.7, -0.9, 2.2), (0.4, 0, 0), (0, -0.4, 0), (19.0, 17.0, 14.0)),
         "window": s.area_light((-1.95, 0.0, 1.4), (0, 0.6, 0), (0, 0, 0.6), (1.2, 1.5, 2.0)),
-        **stage(rng, cloth, walls, half=2.0, height=2.4),
+        **s.stage(cloth, walls, half=2.0, height=2.4),
         "decanter": s.lathe(decanter, clear, (-0.35, 0.25, 0.002)),
         "crystal": s.ball((0.02, -0.3, 0.162), 0.16, clear),
         "ring_0": s.lathe(torus, s.metal("Au", 0.15), (0.45, -0.35, 0.0), smooth=False),
@@ -59,7 +49,7 @@ def glassware(seed: int = 0) -> dict[str, Any]:
     for k in range(4):
         skin = s.diffuse(t.cells((64, 128), rng, count=60, colors=("6d1f3c", "a83a52", "d98f6f"), joint=0.4))
         parts[f"berry_{k}"] = s.ball((-0.6 + 0.13 * k, 0.6 - 0.05 * (k % 2), 0.07), 0.07, skin)
-    return parts_of(parts)
+    return parts
 
 
 def thicket(seed: int = 0) -> dict[str, Any]:
@@ -93,12 +83,13 @@ def thicket(seed: int = 0) -> dict[str, Any]:
     lattice = np.concatenate([vertical, level])
     hoops = np.linspace(0, 2 * np.pi, 33)
     circle = np.column_stack([0.75 * np.cos(hoops), 0.75 * np.sin(hoops), 0.6 + 0.25 * np.sin(3 * hoops)])
-    return parts_of({
+    return {
+        "type": "scene",
         "sky": s.area_light((0.2, -0.4, 2.55), (0.9, 0, 0), (0, -0.9, 0), (3.6, 3.5, 3.2)),
-        **stage(rng, ground, walls),
+        **s.stage(ground, walls),
         "grass": s.ribbons(foot, tip, 0.014, straw),
         "lattice": s.ribbons(lattice[:, 0], lattice[:, 1], 0.014, wire),
         "hoop": s.ribbons(circle[:-1], circle[1:], 0.012, wire),
         "stone": s.ball((0.5, -0.35, 0.12), 0.2, stone, squash=0.7),
         "post": s.box((-0.55, -0.3, 0.4), (0.08, 0.08, 0.8), s.diffuse(t.wood((128, 32), rng, planks=1)), yaw=30),
-    })  # fmt: skip
+    }

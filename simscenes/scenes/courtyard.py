@@ -70,7 +70,7 @@ def _houses(rng: t.Rng) -> dict[str, Any]:
         wood = s.diffuse(t.wood((64, 128), rng, planks=6, colors=shutter_colors))
         stone = s.diffuse(t.marble((64, 64), rng, colors=("cfc6b4", "a99f8c", "857c6c")))
         pane = s.plastic(
-            t.finish(t.ramp(np.clip(0.5 + 0.3 * t.fractal((64, 64), rng), 0, 1), ("0c1216", "26343c", "4a5a60")), rng),
+            t.mottled((64, 64), rng, ("0c1216", "26343c", "4a5a60")),
             0.05,
         )
         a = np.radians(side)
@@ -105,33 +105,15 @@ def _houses(rng: t.Rng) -> dict[str, Any]:
 def _fountain(rng: t.Rng) -> dict[str, Any]:
     stone = s.diffuse(t.marble((192, 384), rng, colors=("d8cfbd", "a79c88", "6f675a")))
     basin = [
-        (0, 0),
-        (0.9, 0),
-        (0.95, 0.05),
-        (0.9, 0.1),
-        (0.86, 0.32),
-        (0.95, 0.38),
-        (0.93, 0.42),
-        (0.8, 0.42),
-        (0.78, 0.3),
-        (0, 0.28),
-    ]
+        (0, 0), (0.9, 0), (0.95, 0.05), (0.9, 0.1), (0.86, 0.32), (0.95, 0.38), (0.93, 0.42), (0.8, 0.42),
+        (0.78, 0.3), (0, 0.28),
+    ]  # fmt: skip
     column = [
-        (0.2, 0.28),
-        (0.16, 0.4),
-        (0.1, 0.6),
-        (0.12, 0.85),
-        (0.42, 1.0),
-        (0.45, 1.06),
-        (0.4, 1.06),
-        (0.1, 0.98),
-        (0.06, 1.2),
-        (0.12, 1.32),
-        (0.1, 1.42),
-        (0, 1.5),
-    ]
+        (0.2, 0.28), (0.16, 0.4), (0.1, 0.6), (0.12, 0.85), (0.42, 1.0), (0.45, 1.06), (0.4, 1.06), (0.1, 0.98),
+        (0.06, 1.2), (0.12, 1.32), (0.1, 1.42), (0, 1.5),
+    ]  # fmt: skip
     water = s.plastic(
-        t.finish(t.ramp(np.clip(0.5 + 0.3 * t.fractal((128, 128), rng), 0, 1), ("10302f", "2a5a55", "5f8f86")), rng),
+        t.mottled((128, 128), rng, ("10302f", "2a5a55", "5f8f86")),
         0.05,
     )
     return {
@@ -167,9 +149,7 @@ def _tree(rng: t.Rng) -> dict[str, Any]:
     corners = np.stack([center - size * u, center - 0.45 * size * v, center + size * u, center + 0.45 * size * v], 1)
     faces = (4 * np.arange(count)[:, None, None] + np.array([[0, 1, 2], [0, 2, 3]])).reshape(-1, 3)
     shade = rng.uniform(0, 1, (count, 1, 2)) * [0.96, 0.96] + np.array([[0, 0], [0.04, 0], [0.04, 0.04], [0, 0.04]])
-    green = t.finish(
-        t.ramp(np.clip(0.5 + 0.3 * t.fractal((64, 64), rng), 0, 1), ("24401a", "4c7a2a", "86a845", "b9b95a")), rng
-    )
+    green = t.mottled((64, 64), rng, ("24401a", "4c7a2a", "86a845", "b9b95a"))
     parts["leaves"] = s.mesh(corners.reshape(-1, 3), faces, shade.reshape(-1, 2), s.twosided(s.diffuse(green)))
     return parts
 
@@ -177,9 +157,7 @@ def _tree(rng: t.Rng) -> dict[str, Any]:
 def _garden(rng: t.Rng) -> dict[str, Any]:
     """An iron fence, pots with plants, and a bench."""
     iron = s.plastic(t.finish(np.full((32, 32, 3), 0.05), rng, grain=0.3), 0.2)
-    clay = s.diffuse(
-        t.finish(t.ramp(np.clip(0.5 + 0.25 * t.fractal((64, 64), rng), 0, 1), ("6e3320", "a85a38", "cf8a5e")), rng)
-    )
+    clay = s.diffuse(t.mottled((64, 64), rng, ("6e3320", "a85a38", "cf8a5e"), contrast=0.25))
     plank = s.diffuse(t.wood((96, 192), rng, planks=3, colors=("5a2f1d", "8a5233", "b98357")))
     parts: dict[str, Any] = {}
     for k in range(15):

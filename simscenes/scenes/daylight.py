@@ -13,16 +13,6 @@ _CANVAS = (("b9bfb8", "a9b1ab", "949e99"), ("c9bda9", "bbae98", "a89a84"))
 _PAINTS = ("1d3557", "c0392b", "f1e4c8", "457b9d", "e2a73b", "3f7d58")
 
 
-def stage(rng: t.Rng, floor: t.Texels, walls: list[t.Texels], half: float = 2.0, height: float = 2.6) -> dict[str, Any]:
-    """Floor z = 0 and up to four walls (north, east, west, south) around the origin."""
-    sides = {"north": (0, 1), "east": (1, 0), "west": (-1, 0), "south": (0, -1)}
-    parts: dict[str, Any] = {"floor": s.quad((0, 0, 0), (half, 0, 0), (0, half, 0), s.diffuse(floor))}
-    for (name, (x, y)), texels in zip(sides.items(), walls, strict=False):
-        center = (half * x, half * y, height / 2)
-        parts[f"wall_{name}"] = s.quad(center, (half * y, -half * x, 0), (0, 0, height / 2), s.diffuse(texels))
-    return parts
-
-
 def studio(seed: int = 0) -> dict[str, Any]:
     """Matt things on a carpet before plain screens and one painted one, under two large softboxes.
 
@@ -43,10 +33,11 @@ def studio(seed: int = 0) -> dict[str, Any]:
     screens = [t.bordered(t.painting((256, 320), rng, colors=_PAINTS, strokes=12), "d8d0c0", 0.12), *canvas]
     urn = [(0, 0), (0.12, 0), (0.14, 0.04), (0.1, 0.1), (0.22, 0.3), (0.25, 0.42), (0.16, 0.56), (0.2, 0.62), (0, 0.6)]
     cone = [(0.2, 0), (0.2, 0.02), (0.02, 0.6), (0, 0.62)]
-    parts = {
+    parts: dict[str, Any] = {
+        "type": "scene",
         "key": s.area_light((-1.2, -1.2, 2.6), (0.6, 0.6, 0), (0.5, -0.5, -0.2), (6.5, 6.0, 5.4)),
         "fill": s.area_light((1.4, -0.6, 2.6), (0.4, -0.6, 0), (-0.5, -0.3, 0.1), (2.4, 2.9, 3.6)),
-        **stage(rng, carpet, screens),
+        **s.stage(carpet, screens),
         "plinth": s.box((-0.45, 0.25, 0.2), (0.55, 0.55, 0.4), s.diffuse(t.marble((192, 192), rng)), yaw=20),
         "urn": s.lathe(
             urn,
@@ -67,12 +58,7 @@ def studio(seed: int = 0) -> dict[str, Any]:
         parts[f"cube_{k}"] = s.box(
             center, (0.3 - 0.04 * k, 0.3 - 0.04 * k, 0.22), face, yaw=float(rng.uniform(-40, 40))
         )
-    return parts_of(parts)
-
-
-def parts_of(parts: dict[str, Any]) -> dict[str, Any]:
-    """A scene dict of these parts."""
-    return {"type": "scene", **parts}
+    return parts
 
 
 def gallery(seed: int = 0) -> dict[str, Any]:
@@ -91,22 +77,15 @@ def gallery(seed: int = 0) -> dict[str, Any]:
     pale = [t.marble((256, 320), rng, colors=("efece6", "e8e4da", "c4bdb0")) for _ in range(5)]
     floor = t.cells((320, 320), rng, count=120, colors=("d9d2c4", "a89c88", "eee8da"), joint=0.12)
     figure = [
-        (0, 0),
-        (0.2, 0),
-        (0.2, 0.3),
-        (0.1, 0.34),
-        (0.16, 0.6),
-        (0.08, 0.85),
-        (0.12, 1.0),
-        (0.06, 1.14),
-        (0, 1.16),
-    ]
+        (0, 0), (0.2, 0), (0.2, 0.3), (0.1, 0.34), (0.16, 0.6), (0.08, 0.85), (0.12, 1.0), (0.06, 1.14), (0, 1.16),
+    ]  # fmt: skip
     parts: dict[str, Any] = {
+        "type": "scene",
         "cove_north": s.area_light((0, 1.78, 1.7), (1.9, 0, 0), (0, 0.18, 0), (11.0, 10.4, 9.1)),
         "lip_north": s.box((0, 1.57, 1.75), (4.0, 0.03, 0.2), s.diffuse(pale[4])),
         "cove_south": s.area_light((0, -1.78, 1.7), (1.9, 0, 0), (0, 0.18, 0), (7.0, 7.8, 9.1)),
         "lip_south": s.box((0, -1.57, 1.75), (4.0, 0.03, 0.2), s.diffuse(pale[4])),
-        **stage(rng, floor, pale[:4]),
+        **s.stage(floor, pale[:4]),
         "ceiling": s.quad((0, 0, 2.6), (2, 0, 0), (0, -2, 0), s.diffuse(pale[4])),
         "figure": s.lathe(
             figure, s.diffuse(t.marble((192, 192), rng, colors=("f2eee4", "cfc4ae", "8d8068"))), (-0.5, 0.3, 0)
@@ -128,7 +107,7 @@ def gallery(seed: int = 0) -> dict[str, Any]:
     ):
         picture = t.bordered(t.painting((160, 224), rng, colors=_PAINTS), "7a5a2c", 0.06)
         parts[f"picture_{k}"] = s.box(center, size, s.diffuse(picture))
-    return parts_of(parts)
+    return parts
 
 
 def hall(seed: int = 0) -> dict[str, Any]:
@@ -147,8 +126,9 @@ def hall(seed: int = 0) -> dict[str, Any]:
     bare = np.full((2, 2, 3), 0.55, dtype=np.float32)
     floor = t.wood((320, 320), rng, planks=9)
     parts: dict[str, Any] = {
+        "type": "scene",
         "lamp": s.area_light((0.6, -0.8, 2.55), (0.5, 0, 0), (0, -0.5, 0), (9.5, 8.6, 7.2)),
-        **stage(rng, floor, [bare, bare, t.bricks((320, 320), rng)]),
+        **s.stage(floor, [bare, bare, t.bricks((320, 320), rng)]),
         "poster": s.box((-1.45, 1.98, 1.5), (0.5, 0.02, 0.65), s.diffuse(t.painting((224, 160), rng, colors=_PAINTS))),
         "skirting": s.box((0, 1.98, 0.06), (4.0, 0.03, 0.12), s.diffuse(t.wood((32, 256), rng, planks=1))),
         **_left_behind(rng),
@@ -156,16 +136,16 @@ def hall(seed: int = 0) -> dict[str, Any]:
     for k, (x, y, size) in enumerate([(-0.4, 0.5, 0.5), (0.35, 0.75, 0.4), (0.75, 0.1, 0.3), (-0.1, -0.2, 0.25)]):
         card = t.lettering((96, 128), rng, f"BOX {k}", ink="4a2f1b", paper="c9a06b")
         parts[f"box_{k}"] = s.box((x, y, size / 2), (size, size, size), s.diffuse(card), yaw=float(rng.uniform(0, 90)))
-    return parts_of(parts)
+    return parts
 
 
 def _left_behind(rng: t.Rng) -> dict[str, Any]:
     """What is still to be carried out of the hall."""
     wood = s.diffuse(t.wood((96, 96), rng, planks=2, colors=("3a2413", "6b4526", "94663c")))
     rug = s.diffuse(t.motif((256, 256), rng, repeats=(2, 6), colors=("6d1f2c", "a3473f", "e0c79a")))
-    leaves = s.twosided(s.diffuse(t.finish(np.broadcast_to(t.color("3f6b35"), (64, 64, 3)).copy(), rng, grain=0.4)))
-    brass = s.diffuse(t.finish(np.broadcast_to(t.color("8a6a2c"), (32, 32, 3)).copy(), rng, grain=0.3))
-    shade = s.diffuse(t.finish(np.broadcast_to(t.color("e6d8b8"), (96, 192, 3)).copy(), rng, grain=0.2))
+    leaves = s.twosided(s.diffuse(t.plain((64, 64), rng, "3f6b35", grain=0.4)))
+    brass = s.diffuse(t.plain((32, 32), rng, "8a6a2c", grain=0.3))
+    shade = s.diffuse(t.plain((96, 192), rng, "e6d8b8", grain=0.2))
     clay = s.diffuse(t.cells((96, 192), rng, count=50, colors=("7a3b26", "9a5236", "b56a48"), joint=0.3))
     roll = [(0, -0.65), (0.11, -0.65), (0.11, 0.65), (0, 0.65)]
     parts: dict[str, Any] = {

@@ -10,7 +10,6 @@ import numpy as np
 from simscenes.scenes import sculpture
 from simscenes.scenes import shapes as s
 from simscenes.scenes import textures as t
-from simscenes.scenes.daylight import parts_of, stage
 from simscenes.scenes.printed import CHART, NOTICES, VERSES, page
 
 _JACKETS = ("1d3557", "8c2f39", "2f5d50", "d9a441", "5b3a6b", "e8dcc0", "36454f")
@@ -38,9 +37,10 @@ def bookshop(seed: int = 0) -> dict[str, Any]:
     rng = np.random.default_rng([seed, 13])
     plaster = [t.marble((256, 256), rng, colors=("d8cdb8", "cfc3ab", "c3b598")) for _ in range(3)]
     parts: dict[str, Any] = {
+        "type": "scene",
         "ceiling_lamp": s.area_light((0.3, -0.2, 2.55), (0.5, 0, 0), (0, -0.4, 0), (7.0, 6.2, 5.0)),
         "desk_lamp": s.area_light((-1.5, 0.6, 2.0), (0.15, 0, 0), (0, -0.13, 0.07), (9.0, 6.5, 3.6)),
-        **stage(rng, t.wood((384, 384), rng, planks=10), plaster, half=2.4),
+        **s.stage(t.wood((384, 384), rng, planks=10), plaster, half=2.4),
         "ceiling": s.box((0, 0, 2.62), (4.8, 4.8, 0.04), s.diffuse(plaster[0])),
         "board": s.box((0.05, 2.38, 1.5), (1.7, 0.04, 1.15), s.diffuse(_cork(rng))),
     }
@@ -54,7 +54,7 @@ def bookshop(seed: int = 0) -> dict[str, Any]:
         (0.05, 2.39, 2.3), (1.3, 0.32), page((160, 640), rng, ("BOOKS",), paper="2f5d50", ink="efe2b8")
     )
     parts |= _shelves(rng) | _table(rng)
-    return parts_of(parts)
+    return parts
 
 
 def _cork(rng: t.Rng) -> t.Texels:
@@ -89,12 +89,12 @@ def _table(rng: t.Rng) -> dict[str, Any]:
         parts[f"leaf_{side}"] = s.quad(
             (0.25 + 0.155 * side, 0.95, 0.775), (0.15, 0, 0.02 * side), (0, 0.19, 0.035), leaf
         )
-    parts["cover"] = s.box((0.25, 0.95, 0.735), (0.64, 0.4, 0.02), s.diffuse(t.finish(_plain("6b2330"), rng)))
+    parts["cover"] = s.box((0.25, 0.95, 0.735), (0.64, 0.4, 0.02), s.diffuse(t.plain((96, 96), rng, "6b2330")))
     for k, x in enumerate((-0.35, 0.95)):
         z = 0.72
         for j in range(4):
             thick, jacket = float(rng.uniform(0.03, 0.06)), _JACKETS[int(rng.integers(len(_JACKETS)))]
-            cover = s.diffuse(t.bordered(t.finish(_plain(jacket), rng), "d9c58a", 0.03))
+            cover = s.diffuse(t.bordered(t.plain((96, 96), rng, jacket), "d9c58a", 0.03))
             parts[f"pile_{k}_{j}"] = s.box(
                 (x, 1.2, z + thick / 2), (0.24, 0.3, thick), cover, yaw=float(rng.uniform(-25, 25))
             )
@@ -102,10 +102,6 @@ def _table(rng: t.Rng) -> dict[str, Any]:
         card = page((128, 192), rng, (("NEW", "4.50"), ("SALE", "1.20"))[k], paper="f6e9a8", ink="8c1c13")
         parts[f"card_{k}"] = s.quad((x + 0.02, 0.93, 0.8), (0.11, 0, 0), (0, 0.03, 0.075), s.diffuse(card))
     return parts
-
-
-def _plain(hex_code: str, shape: tuple[int, int] = (96, 96)) -> t.Field:
-    return np.broadcast_to(t.color(hex_code), (*shape, 3)).copy()
 
 
 def busts(seed: int = 0) -> dict[str, Any]:
@@ -121,17 +117,18 @@ def busts(seed: int = 0) -> dict[str, Any]:
         Mitsuba scene dict without sensor. A variant must be active.
     """
     rng = np.random.default_rng([seed, 14])
-    walls = [t.finish(_plain(c, (256, 256)), rng, grain=0.3) for c in ("4a5a52", "56635a", "56635a")]
+    walls = [t.plain((256, 256), rng, c, grain=0.3) for c in ("4a5a52", "56635a", "56635a")]
     floor = t.cells((320, 320), rng, count=60, colors=("8d857a", "a79f93", "bcb4a6"), joint=0.08)
     parts: dict[str, Any] = {
+        "type": "scene",
         "window": s.area_light((-1.95, -0.5, 1.6), (0, 0.7, 0), (0, 0, 0.8), (6.5, 7.0, 7.8)),
         "lamp": s.area_light((1.2, -0.8, 2.5), (0.25, 0, 0), (0, -0.22, 0.1), (8.0, 6.2, 4.0)),
-        **stage(rng, floor, walls),
+        **s.stage(floor, walls),
     }
     stones = (
         s.diffuse(t.marble((256, 512), rng, colors=("e6e0d4", "d6cebf", "b3a998"))),
-        s.diffuse(t.finish(_plain("9a6a4a", (256, 512)), rng, grain=0.2)),
-        s.plastic(t.finish(_plain("4f3d24", (256, 512)), rng, grain=0.3), 0.25),
+        s.diffuse(t.plain((256, 512), rng, "9a6a4a", grain=0.2)),
+        s.plastic(t.plain((256, 512), rng, "4f3d24", grain=0.3), 0.25),
         s.diffuse(t.marble((256, 512), rng, colors=("7d8488", "8f979b", "5d6468"))),
     )
     sitters = (sculpture.person, sculpture.person, sculpture.dog, sculpture.cat)
@@ -144,4 +141,4 @@ def busts(seed: int = 0) -> dict[str, Any]:
         parts[f"bust_{k}"] = make(rng).mesh(stones[k], place, yaw)
         plinth = s.diffuse(t.marble((160, 160), rng, colors=("c9c2b4", "b5ad9e", "958d80")))
         parts[f"plinth_{k}"] = s.box((place[0], y, top / 2), (0.46, 0.42, top), plinth, yaw=yaw)
-    return parts_of(parts)
+    return parts

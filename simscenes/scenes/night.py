@@ -8,7 +8,6 @@ import numpy as np
 
 from simscenes.scenes import shapes as s
 from simscenes.scenes import textures as t
-from simscenes.scenes.daylight import parts_of, stage
 
 
 def street(seed: int = 0) -> dict[str, Any]:
@@ -32,6 +31,7 @@ def street(seed: int = 0) -> dict[str, Any]:
     end = t.bricks((256, 256), rng, rows=16, columns=10, colors=("3f3a36", "6d625a", "9b8d7e"))
     paving = t.cells((512, 512), rng, count=260, colors=("4a4640", "77706a", "9c948a", "5f5a52"), joint=0.2)
     parts: dict[str, Any] = {
+        "type": "scene",
         "fog": {
             "type": "cube",
             "to_world": s.place((0, 3.0, 2.0), 0, (2.6, 4.2, 2.3)),
@@ -70,7 +70,7 @@ def street(seed: int = 0) -> dict[str, Any]:
     for k, (x, y) in enumerate([(-2.17, 1.0), (-2.17, 2.6), (-2.17, 4.6), (2.17, 2.2), (2.17, 4.0)]):
         poster = s.diffuse(t.painting((128, 96), rng, colors=("f1e4c8", "c0392b", "1d3557", "e2a73b")))
         parts[f"poster_{k}"] = s.box((x, y, 1.5), (0.04, 0.7, 1.0), poster)
-    return parts_of(parts)
+    return parts
 
 
 def market(seed: int = 0) -> dict[str, Any]:
@@ -93,9 +93,10 @@ def market(seed: int = 0) -> dict[str, Any]:
         t.marble((256, 256), rng, colors=("c9c0ae", "b8ae9a", "a1977f")),
     ]
     parts: dict[str, Any] = {
+        "type": "scene",
         "sodium": s.area_light((-0.9, -0.4, 2.4), (0.3, 0, 0), (0, -0.3, 0), s.lamp_spectrum("HP1", 16.0)),
         "led": s.area_light((1.0, -0.2, 2.4), (0.25, 0, 0), (0, -0.25, 0), s.lamp_spectrum("LED-B5", 17.0)),
-        **stage(rng, t.cells((320, 320), rng, count=120, colors=("5b5a58", "8c8880", "b7ae9e")), walls, height=2.6),
+        **s.stage(t.cells((320, 320), rng, count=120, colors=("5b5a58", "8c8880", "b7ae9e")), walls, height=2.6),
         "stall": s.box((0, 0.25, 0.3), (2.2, 1.2, 0.6), s.diffuse(cloth)),
     }
     goods = [
@@ -111,11 +112,11 @@ def market(seed: int = 0) -> dict[str, Any]:
         x, y = -0.8 + 0.32 * k, 0.05 + 0.3 * (k % 2)
         for j, (dx, dy, dz) in enumerate([(-0.07, -0.06, 0), (0.07, -0.05, 0), (0.0, 0.07, 0), (0.0, -0.01, 0.11)]):
             parts[f"fruit_{k}_{j}"] = s.ball((x + dx, y + dy, 0.67 + dz), 0.075, skin, yaw=float(rng.uniform(0, 360)))
-        chips = t.stacked([t.finish(np.broadcast_to(t.color(c), (32, 32, 3)).copy(), rng) for c in colors], 1)
+        chips = t.stacked([t.plain((32, 32), rng, c) for c in colors], 1)
         parts[f"card_{k}"] = s.box(
             (x, -0.28, 0.72), (0.2, 0.02, 0.22), s.diffuse(chips), yaw=float(rng.uniform(-20, 20))
         )
-    return parts_of(parts)
+    return parts
 
 
 def lantern(seed: int = 0) -> dict[str, Any]:
@@ -134,11 +135,12 @@ def lantern(seed: int = 0) -> dict[str, Any]:
     boards = [t.wood((320, 320), rng, planks=7, colors=("2c1a0e", "553519", "7c532c", "a27746")) for _ in range(3)]
     steel = s.metal("Cr", 0.35)
     parts: dict[str, Any] = {
+        "type": "scene",
         "bulb": s.ball(
             (0.1, 0.1, 1.35), 0.035, s.diffuse(np.full((2, 2, 3), 0.3)), emitter=s.glow((900.0, 640.0, 380.0))
         ),
         "cord": s.box((0.1, 0.1, 2.0), (0.012, 0.012, 1.2), s.diffuse(t.finish(np.full((16, 16, 3), 0.06), rng))),
-        **stage(rng, t.cells((320, 320), rng, count=90, colors=("3f3a35", "6d665c", "8a8174")), boards, height=3.4),
+        **s.stage(t.cells((320, 320), rng, count=90, colors=("3f3a35", "6d665c", "8a8174")), boards, height=3.4),
         "bench": s.box((0, 0.55, 0.4), (2.2, 0.8, 0.8), s.diffuse(t.wood((192, 320), rng, planks=4))),
     }
     for k in range(6):
@@ -160,4 +162,4 @@ def lantern(seed: int = 0) -> dict[str, Any]:
             (0.4, 0.02, 0.5),
             s.diffuse(t.painting((96, 80), rng, colors=("f1e4c8", "457b9d", "c0392b", "e2a73b"))),
         )
-    return parts_of(parts)
+    return parts

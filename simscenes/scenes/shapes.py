@@ -1,4 +1,4 @@
-"""Short names for the pieces of a Mitsuba scene dict: materials, placed shapes, meshes of revolution.
+"""Short names for the pieces of a Mitsuba scene dict: materials, placed shapes, meshes of revolution, rooms.
 
 Everything here returns Mitsuba objects or dicts, so a variant must be active (`simscenes.backend.activate`). Lengths
 are in scene units, angles in degrees, rotations are about +z unless said otherwise.
@@ -207,6 +207,16 @@ def lamp_spectrum(name: str, level: float) -> Dict:
     weight = colour.MSDS_CMFS["CIE 1931 2 Degree Standard Observer"].copy().align(table.shape).values[:, 1]
     values = level * table.values * weight.sum() / (table.values * weight).sum()
     return {"type": "spectrum", "value": list(zip(table.wavelengths.tolist(), values.tolist(), strict=True))}
+
+
+def stage(floor: ArrayLike, walls: Sequence[ArrayLike], half: float = 2.0, height: float = 2.6) -> Dict:
+    """Floor z = 0 and up to four walls (north, east, west, south) around the origin, from their textures [h,w,3]."""
+    sides = {"north": (0, 1), "east": (1, 0), "west": (-1, 0), "south": (0, -1)}
+    parts: Dict = {"floor": quad((0, 0, 0), (half, 0, 0), (0, half, 0), diffuse(floor))}
+    for (name, (x, y)), texels in zip(sides.items(), walls, strict=False):
+        center = (half * x, half * y, height / 2)
+        parts[f"wall_{name}"] = quad(center, (half * y, -half * x, 0), (0, 0, height / 2), diffuse(texels))
+    return parts
 
 
 def ribbons(starts: Floats, ends: Floats, width: float, bsdf: Any) -> Any:

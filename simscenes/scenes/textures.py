@@ -60,6 +60,18 @@ def finish(rgb: Field, rng: Rng, *, grain: float = 0.12, hue: float = 0.05, beta
     return np.clip(rgb * np.exp(shade + tint), 0.02, 0.85).astype(np.float32)
 
 
+def plain(shape: tuple[int, int], rng: Rng, hex_code: str, **wear: float) -> Texels:
+    """One colour, weathered; `wear` as for `finish`."""
+    return finish(np.broadcast_to(color(hex_code), (*shape, 3)), rng, **wear)
+
+
+def mottled(
+    shape: tuple[int, int], rng: Rng, colors: Sequence[str], *, contrast: float = 0.3, beta: float = 1.2, **wear: float
+) -> Texels:
+    """Clouds of 1/f noise through a colour ramp; `beta` as for `fractal`, `wear` as for `finish`."""
+    return finish(ramp(np.clip(0.5 + contrast * fractal(shape, rng, beta=beta), 0, 1), colors), rng, **wear)
+
+
 def _grid(shape: tuple[int, int]) -> tuple[Field, Field]:
     y, x = np.mgrid[: shape[0], : shape[1]]
     return (y + 0.5) / shape[0], (x + 0.5) / shape[1]
