@@ -25,7 +25,7 @@ from novags.testbed.console import Console
 from novags.testbed.machine.memory import memory_shortage_said
 from novags.testbed.machine.provenance import PeakMemory, environment, package_version
 from novags.testbed.results.difference import differences, listed
-from sensor_model.files.atomic import atomic
+from sensor_model.files.atomic import write_text
 from sensor_model.files.lock import locked
 from sensor_model.files.records import read_record
 
@@ -61,12 +61,6 @@ def jsonable(value: Any) -> Any:
     if value is None or isinstance(value, str | int | float | bool):
         return value
     raise TypeError(f"{type(value).__name__} has no JSON form: {value!r}")
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write UTF-8 text atomically."""
-    with atomic(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -143,9 +137,8 @@ def _checksum(path: Path) -> str:
     return hashlib.blake2b(_content_digest(path), digest_size=16).hexdigest()
 
 
-_CONTENTS: dict[
-    tuple[Path, int, int, int, int], bytes
-] = {}  # hashes of files seen before: every method reads the same inputs
+# Hashes of files seen before: every method reads the same inputs.
+_CONTENTS: dict[tuple[Path, int, int, int, int], bytes] = {}
 SETTLED = 2_000_000_000  # ns; a file changed more recently may change again without its time stamp showing it
 
 
@@ -377,9 +370,9 @@ class _Stage:
                 raise ValueError(f"{record} is there, and novags {name} did not write it: choose another --out")
             self.console.note(f"{name}: inputs or configuration changed, doing {self.folder} again")
         elif taken := sorted(owned for owned in self.owns if (self.folder / owned).exists()):
-            listed = ", ".join(taken)
             raise ValueError(
-                f"{self.folder} already holds {listed}, and novags {name} did not write them: choose another --out"
+                f"{self.folder} already holds {', '.join(taken)}, and novags {name} did not write them: choose another "
+                "--out"
             )
         return None
 

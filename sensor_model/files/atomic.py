@@ -43,6 +43,12 @@ def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
         _remove(temporary)
 
 
+def write_text(path: Path, text: str) -> None:
+    """Write UTF-8 text atomically."""
+    with atomic(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
 def sweep(folder: str | os.PathLike[str], inside: Iterable[str] = (), *, own: bool = False) -> None:
     """Remove what killed processes left half-written. Call it only where nobody else writes: under the folder's lock.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 WORDS: dict[type[Exception], str] = {
@@ -17,6 +17,12 @@ def brief(found: object, length: int = 300) -> str:
     """What a file holds, or a library says of it, as one line of at most `length` characters."""
     text = " ".join(str(found).split())
     return text if len(text) <= length else f"{text[: length - 4]} ..."
+
+
+def some(names: Sequence[str], most: int = 3) -> str:
+    """The first `most` names of a list for a message: one line, whatever they are."""
+    shown = [name if name.isprintable() else repr(name) for name in names[:most]]
+    return ", ".join([*shown, "..."] if len(names) > most else shown)
 
 
 @contextmanager

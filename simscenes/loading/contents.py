@@ -19,6 +19,11 @@ def objects_in(scene: Any, mi: Any) -> list[Any]:
     return list(found)
 
 
+def class_of(thing: Any) -> str:
+    """Name of an object's class, without the number type that some names carry."""
+    return str(thing.class_name()).partition("[")[0]
+
+
 def parameters_in(scene: Any, mi: Any) -> dict[str, Any]:
     """What `mi.traverse` finds in a loaded scene, by name, without optional parameters that are not set.
 

@@ -8,13 +8,12 @@ from typing import Any
 import numpy as np
 
 from sensor_model.plan import Effect
-from simscenes.loading.contents import media_in, unique_materials
+from simscenes.loading.contents import class_of, media_in, unique_materials
 from simscenes.optics import Optics
 from simscenes.render.motion import image_motion
 from simscenes.rigs import Rig
 from simscenes.transport import pilot, plan
 from simscenes.transport.pilot import DEEPEST, Pilot
-from simscenes.transport.plugins import class_of
 from simscenes.transport.roulette import TOGETHER, most_efficient, path_lengths, path_noise
 
 UNIT = plan.UNIT

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from simscenes.loading.contents import objects_in
+from simscenes.loading.contents import class_of, objects_in
 
 # By the names of their classes, which loaded objects know; "BitmapTextureImpl[float32]" counts as the part before "[".
 UNDERSTOOD = frozenset({
@@ -29,11 +29,6 @@ UNDERSTOOD = frozenset({
 })  # fmt: skip
 # What polarises is all they are there for: how much that changes is measured, never guessed.
 FILTERS = frozenset({"CircularPolarizer", "LinearPolarizer", "LinearRetarder", "MeasuredPolarized"})
-
-
-def class_of(thing: Any) -> str:
-    """Name of an object's class, without the number type that some names carry."""
-    return str(thing.class_name()).partition("[")[0]
 
 
 def not_understood(scene: Any, mi: Any) -> list[str]:

@@ -12,9 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed import cache
-from novags.testbed.cache import run_stage, write_text
+from novags.testbed.cache import run_stage
 from novags.testbed.console import Console
 from novags.testbed.study.entry import Order, Step, ensure
+from sensor_model.files.atomic import write_text
 
 cache.environment = dict  # type: ignore[assignment]  # the real one loads torch to look for a GPU
 SIZE = 8000  # bytes; of the larger file of an entry

@@ -11,7 +11,7 @@ import torch
 
 from novags.splats import Gaussians, write_ply
 from novags.splats.training.checkpoint import write_tensors
-from novags.testbed.cache import write_text
+from sensor_model.files.atomic import write_text
 from simscenes import write_exr
 from simscenes.sets.pictures.png import write_png
 

@@ -9,7 +9,7 @@ import shutil
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import write_json, write_text
+from novags.testbed.cache import write_json
 from novags.testbed.console import Console
 from novags.testbed.dataset.card import card
 from novags.testbed.dataset.croissant import croissant
@@ -22,6 +22,7 @@ from novags.testbed.study.conduct import STUDY
 from novags.testbed.study.grid import Study
 from novags.testbed.study.plan import Plan
 from novags.testbed.study.session import jsonable_table
+from sensor_model.files.atomic import write_text
 
 MANIFEST, CARD, CROISSANT = "manifest.json", "README.md", "croissant.json"
 

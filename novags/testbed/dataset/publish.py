@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import read_json, write_text
+from novags.testbed.cache import read_json
 from novags.testbed.dataset.file import spelled
 from novags.testbed.folders.capture import RECORD as CAPTURE
 from novags.testbed.stages.rendering import RECORD as SET
@@ -20,6 +20,7 @@ from novags.testbed.study.entry import Task
 from novags.testbed.study.grid import Value
 from novags.testbed.study.plan import Plan
 from novags.testbed.study.store import Seal, damaged, read_seal
+from sensor_model.files.atomic import write_text
 from simscenes.sets.multiview import MultiviewSet, load_set
 
 INDEX = "index.csv"

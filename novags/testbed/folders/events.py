@@ -5,7 +5,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, TextIO
 
-from novags.testbed.cache import jsonable, write_text
+from novags.testbed.cache import jsonable
+from sensor_model.files.atomic import write_text
 
 
 class EventLog:

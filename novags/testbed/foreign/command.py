@@ -15,7 +15,7 @@ from novags.methods import METHODS, VARIANTS
 from novags.methods.problem import encode
 from novags.methods.variant import Variant
 from novags.settings import converted
-from novags.testbed.cache import folder_digest, run_stage, write_text
+from novags.testbed.cache import folder_digest, run_stage
 from novags.testbed.console import Console
 from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import RECORD, Capture, open_capture
@@ -23,6 +23,7 @@ from novags.testbed.foreign.pictures import Picture, find_renders, read_picture
 from novags.testbed.foreign.process import Spent, run_program
 from novags.testbed.metrics import Image
 from novags.testbed.stages.paths import keep_apart
+from sensor_model.files.atomic import write_text
 from sensor_model.files.reading import brief
 from simscenes.sets.pictures.exr import write_exr
 from simscenes.sets.pictures.png import write_png

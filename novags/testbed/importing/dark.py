@@ -17,6 +17,7 @@ from novags.testbed.importing.published.datasets import DEPTH, Dataset, scene_na
 from novags.testbed.importing.published.posed import has_cameras
 from novags.testbed.importing.split import Split, divided
 from novags.testbed.importing.stored import PICTURES, Depth, depth_of
+from sensor_model.files.reading import some
 from simscenes.sets.readers.nerf_synthetic import is_nerf_synthetic
 
 SHOWN = 4  # folders in a message
@@ -89,11 +90,10 @@ def _without_cameras(folder: Path) -> NoReturn:
     count = sum(file.suffix.lower() in PICTURES for file in found)
     if not count and (below := list(islice(_with_pictures(folder), SHOWN + 1))):
         posed = [place for place in below if has_cameras(place) or is_nerf_synthetic(place)]
-        names = ", ".join(str(place.relative_to(folder)) for place in (posed or below)[:SHOWN])
-        more = ", ..." if len(posed or below) > SHOWN else ""
+        names = some([str(place.relative_to(folder)) for place in posed or below], SHOWN)
         which = "that folder" if len(posed or below) == 1 else "one of these folders"
-        raise ValueError(f"{folder} holds no pictures itself; pictures {'with cameras ' if posed else ''}are in {names}"
-                         f"{more}: give {which}")  # fmt: skip
+        raise ValueError(f"{folder} holds no pictures itself; pictures {'with cameras ' if posed else ''}are in "
+                         f"{names}: give {which}")  # fmt: skip
     if not count:
         raise ValueError(f"{folder} holds no pictures ({', '.join(PICTURES)})")
     raise ValueError(

@@ -9,11 +9,10 @@ from novags.testbed.console import Console
 from novags.testbed.folders.linear_photographs import load_linear_set
 from novags.testbed.folders.set import warnings_as_notes
 from novags.testbed.importing.stored import PICTURES
+from sensor_model.files.reading import some
 from simscenes.sets.multiview import MultiviewSet, load_set
 from simscenes.sets.names import file_of, view_names
 from simscenes.sets.readers.colmap import find_colmap
-
-SHOWN = 4  # names in a message
 
 
 @dataclass(frozen=True)
@@ -87,13 +86,13 @@ def twins_of(dark: MultiviewSet, folder: Path, option: str, console: Console) ->
         return Twins(folder, tuple(found[name] for name in dark.names), "names")
     if len(missing) < len(dark):
         raise ValueError(
-            f"{option} {folder} has no picture of {len(missing)} of {len(dark)} views ({_some(missing)}): names must "
+            f"{option} {folder} has no picture of {len(missing)} of {len(dark)} views ({some(missing, 4)}): names must "
             "be those of the dark pictures"
         )
     if len(found) != len(dark):
         raise ValueError(
-            f"{option} {folder} has {len(found)} pictures ({_some(list(found))}), the dark set {len(dark)} "
-            f"({_some(list(dark.names))}), with no name in common: give them the same names, or as many, in the same "
+            f"{option} {folder} has {len(found)} pictures ({some(list(found), 4)}), the dark set {len(dark)} "
+            f"({some(list(dark.names), 4)}), with no name in common: give them the same names, or as many, in the same "
             "order"
         )
     first = f"{dark.names[0]} with {next(iter(found.values())).name}"
@@ -122,7 +121,3 @@ def twins_by_order(dark: MultiviewSet, folder: Path) -> Twins:
             f"{len(places)} ({first} to {last}): this data set pairs them by order alone, so there must be as many"
         )
     return Twins(folder, tuple(found[places[file]] for file in dark.files), "order")
-
-
-def _some(names: list[str]) -> str:
-    return f"{', '.join(names[:SHOWN])}{', ...' if len(names) > SHOWN else ''}"

@@ -7,10 +7,11 @@ from pathlib import Path
 from statistics import mean, median, stdev
 from typing import Any
 
-from novags.testbed.cache import jsonable, write_text
+from novags.testbed.cache import jsonable
 from novags.testbed.pareto.front import front
 from novags.testbed.pareto.knob import Knob, Subject
 from novags.testbed.pareto.samples import NUMBER, Samples
+from sensor_model.files.atomic import write_text
 from sensor_model.files.reading import reading
 from sensor_model.files.records import check_shape
 

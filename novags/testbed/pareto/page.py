@@ -2,12 +2,12 @@
 
 from pathlib import Path
 
-from novags.testbed.cache import write_text
 from novags.testbed.pareto.curve import Point, curves, read_curves, write_curves
 from novags.testbed.pareto.figure import figure
 from novags.testbed.pareto.knob import Subject
 from novags.testbed.pareto.samples import Samples
 from novags.testbed.pareto.table import heading, tables
+from sensor_model.files.atomic import write_text
 
 TITLES = {
     "render": "Renderer: error of a view", "sensor": "Sensor model: error of a frame",

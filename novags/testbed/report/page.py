@@ -11,7 +11,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
-from novags.testbed.cache import digest, jsonable, read_json, write_text
+from novags.testbed.cache import digest, jsonable, read_json
 from novags.testbed.console import Console, Update
 from novags.testbed.folders import shapes
 from novags.testbed.folders.experiment import EXPERIMENT, REPORT, experiments_in, find_runs
@@ -46,6 +46,7 @@ from novags.testbed.report.tables import COLUMNS, GEOMETRY, NOISE, per_view, sco
 from novags.testbed.report.verdict import cards, compared, verdict
 from novags.testbed.results.again import run_again, score_again
 from novags.testbed.results.comparison import MAIN, Group, deltas_of, groups_of
+from sensor_model.files.atomic import write_text
 from sensor_model.files.lock import locked
 
 

@@ -18,6 +18,7 @@ from novags.testbed.folders.set import left_out
 from novags.testbed.folders.video import is_video, write_frames
 from novags.testbed.stages.paths import keep_apart
 from novags.testbed.stages.rendering import RECORD, SET_FILES
+from sensor_model.files.reading import some
 from sensor_model.files.scratch import scratch
 from simscenes.rigs import Rig
 from simscenes.sets.geometry.tracks import SparsePoints
@@ -26,7 +27,6 @@ from simscenes.sets.pictures.png import write_png
 from simscenes.sets.readers.bare import SUFFIXES, Bare, picture_files, survey
 from simscenes.sets.writers.camera_files import write_cameras
 
-NAMED = 8  # suffixes of other files in a message
 BETTER = "take them with more overlap, from places that differ, sharp and with texture"
 
 
@@ -122,10 +122,9 @@ def _others(folder: Path) -> str:
     counts = Counter(path.suffix.lower() for path in shown if path.suffix)
     if not counts:
         return ""
-    named = ", ".join(f"{count} {suffix}" for suffix, count in counts.most_common(NAMED))
-    more = ", ..." if len(counts) > NAMED else ""
+    named = some([f"{count} {suffix}" for suffix, count in counts.most_common()], 8)
     raw = "develop camera raw files, " if counts.keys() & set(RAW) else ""
-    return f"; it also holds {named}{more}: {raw}convert pictures to PNG or JPEG"
+    return f"; it also holds {named}: {raw}convert pictures to PNG or JPEG"
 
 
 def place(files: dict[str, Path], out: Path, config: PosesConfig, console: Console) -> dict[str, Any]:

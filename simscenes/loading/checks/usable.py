@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+from simscenes.loading.contents import class_of
+
 # What a path tracer cannot use, by class.
 UNUSABLE = {
     "DirectionalArea": (
@@ -32,7 +34,7 @@ def why_unusable(scene: Any, mi: Any) -> str:
     """
     spectral = "spectral" in mi.variant()
     for _, part in _parts(scene, mi):
-        kind = _class(part)
+        kind = class_of(part)
         if kind in UNUSABLE:
             return UNUSABLE[kind]
         if kind in SPECTRAL and not spectral:
@@ -48,12 +50,8 @@ def why_unusable(scene: Any, mi: Any) -> str:
 def raw_color(scene: Any, mi: Any) -> str:
     """The parameter that the first raw bitmap used as a colour belongs to; "" without such a bitmap."""
     labels = (label for label, part in _parts(scene, mi)
-              if label in COLORS and _class(part) == "BitmapTextureImpl" and "raw = 1" in str(part))  # fmt: skip
+              if label in COLORS and class_of(part) == "BitmapTextureImpl" and "raw = 1" in str(part))  # fmt: skip
     return next(labels, "")
-
-
-def _class(part: Any) -> str:
-    return str(part.class_name()).partition("[")[0]
 
 
 def _parts(scene: Any, mi: Any) -> list[tuple[str, Any]]:

@@ -12,14 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sensor_model.files.reading import some
 from simscenes.rigs import Rig
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.readers.colmap_check import check_model, count_images, with_points
 from simscenes.sets.readers.finding import spelt
 from simscenes.sets.readers.photographs import DistortedPinhole, Photographs, check_pose, collect, rescaled
 from simscenes.sets.readers.resized import named_pictures, picture_folder
-
-SHOWN = 8  # models in a message
 
 
 def find_colmap(folder: Path) -> Path | None:
@@ -71,9 +70,9 @@ def colmap_views(model: Path) -> list[tuple[str, NDArray[np.float64], Any]]:
     """
     beside = models_in(model.parent)
     if model in beside and len(beside) > 1:
-        counts = ", ".join(f"{path.name} has {count_images(path)} images" for path in beside[:SHOWN])
-        warnings.warn(f"load_set: of {len(beside)} COLMAP models in {model.parent}, {model.name} is taken: {counts}"
-                      f"{', ...' if len(beside) > SHOWN else ''}; the others have no part", stacklevel=4)  # fmt: skip
+        counts = [f"{path.name} has {count_images(path)} images" for path in beside]
+        warnings.warn(f"load_set: of {len(beside)} COLMAP models in {model.parent}, {model.name} is taken: "
+                      f"{some(counts, 8)}; the others have no part", stacklevel=4)  # fmt: skip
     reconstruction, names = read_reconstruction(model)
     found = []
     for image in reconstruction.images.values():

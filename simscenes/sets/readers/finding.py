@@ -13,7 +13,6 @@ from simscenes.sets.readers.bare import SUFFIXES
 
 # What a listed name may lack. Case decides here only where a folder holds several of them.
 ADDED = ("", ".png", ".jpg", ".jpeg", ".JPG", ".JPEG", ".PNG")
-SHOWN = 3  # names in a message
 
 
 def find_file(folder: Path, listed: str) -> Path | None:
@@ -57,12 +56,6 @@ def spelt(folder: Path, listed: Sequence[str], files: Sequence[Path | None]) -> 
         near = _another_suffix(folder, name, folders) if file is None else None
         names.append(name if near is None else f"{name} ({Path(os.path.relpath(near, folder)).as_posix()} is there)")
     return names
-
-
-def some(names: Sequence[str]) -> str:
-    """The first names of a list, for a message: one line, whatever they are."""
-    shown = [name if name.isprintable() else repr(name) for name in names[:SHOWN]]
-    return f"{', '.join(shown)}{', ...' if len(names) > SHOWN else ''}"
 
 
 def _exact(folder: Path, listed: str) -> Path | None:

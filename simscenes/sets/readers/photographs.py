@@ -16,13 +16,13 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_model.files.reading import reading
+from sensor_model.files.reading import reading, some
 from sensor_model.files.records import Numbers, read_record
 from simscenes.rigs import MAX_ROTATION_ERROR, Rig, opengl_to_opencv, rotation_error
 from simscenes.sets.names import file_of, view_names
 from simscenes.sets.pictures.image_file import image_size
 from simscenes.sets.readers.finding import find_file as find_file
-from simscenes.sets.readers.finding import find_files, some, spelt
+from simscenes.sets.readers.finding import find_files, spelt
 from simscenes.sets.readers.split import SPLIT, split_of
 
 # What states a focal length along x and along y, in the order in which they count: px, rad, degrees.

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from simscenes.sets.readers.finding import ADDED, find_file, find_files, some
+from sensor_model.files.reading import some
+from simscenes.sets.readers.finding import ADDED, find_file, find_files
 
 TRAIN, VAL, TEST = LISTS = ("train_filenames", "val_filenames", "test_filenames")
 SPLIT = {f"{key}?": [str] for key in LISTS}

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_model.files.atomic import atomic
+from sensor_model.files.atomic import atomic, write_text
 from simscenes.rigs import TEST_EVERY, Rig, opencv_to_opengl
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.names import check_names, file_of
@@ -27,12 +27,6 @@ CAMERA_FILES = ("transforms.json", "sparse", *LISTS, "nb-info.json", POINTS)
 def is_test_view(index: int) -> bool:
     """Whether the view at this place in the order of names is held out for testing."""
     return index % TEST_EVERY == 0
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write UTF-8 text atomically."""
-    with atomic(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
 
 
 def write_json(path: Path, content: Any) -> None:

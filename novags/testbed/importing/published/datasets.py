@@ -10,11 +10,11 @@ from pathlib import Path
 
 from novags.testbed.importing.published import lom, posed
 from novags.testbed.importing.split import Split
+from sensor_model.files.reading import some
 from simscenes.sets.multiview import MultiviewSet
 
 DEPTH = 4  # folders below the one that is searched
 NEAR = 3  # folders above a scene whose names count: farther up a name says where somebody works, not on what
-SHOWN = 8  # scenes in a message
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -119,5 +119,4 @@ def expected(names: Iterable[str]) -> str:
 
 def scene_names(scenes: dict[str, dict[str, Path]]) -> str:
     """Some scenes, for messages."""
-    names = [f"{dataset}/{scene}" for dataset, found in scenes.items() for scene in found]
-    return f"{', '.join(names[:SHOWN])}{', ...' if len(names) > SHOWN else ''}"
+    return some([f"{dataset}/{scene}" for dataset, found in scenes.items() for scene in found], 8)

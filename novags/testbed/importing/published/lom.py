@@ -15,16 +15,16 @@ from typing import Any
 import numpy as np
 
 from novags.testbed.importing.split import Split
+from sensor_model.files.reading import some
 from simscenes.rigs import opengl_to_opencv
 from simscenes.sets.multiview import MultiviewSet
-from simscenes.sets.readers.colmap import colmap_lens, colmap_views
+from simscenes.sets.readers.colmap import colmap_lens, colmap_views, is_model
 from simscenes.sets.readers.nerf_synthetic import PARTS
 from simscenes.sets.readers.photographs import Frame, Photographs, collect, transforms_frames, transforms_lens
 from simscenes.sets.readers.resized import sorted_pictures
 
 DARK, LIT, MODEL = "low", "high", "colmap_sparse"
 SAME_POSE = 1e-6  # entries of a pose that two files list; they are copies, in decimal digits
-SHOWN = 4  # names in a message
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,7 +66,7 @@ def open_scene(folder: Path, split: Split) -> MultiviewSet:
     tested_part = next((part for part in PARTS[1:] if any(part in view.parts for view in views.values())), "")
     tested = {stem for stem, view in views.items() if tested_part in view.parts}
     if twice := sorted(stem for stem in tested if split == "own" and PARTS[0] in views[stem].parts):
-        warnings.warn(f"{folder} lists {len(twice)} pictures for training and for testing ({_some(twice)}): they are "
+        warnings.warn(f"{folder} lists {len(twice)} pictures for training and for testing ({some(twice, 4)}): they are "
                       "held out", stacklevel=2)  # fmt: skip
     if split == "own":
         views = {stem: view for stem, view in views.items() if stem in tested or PARTS[0] in view.parts}
@@ -97,22 +97,14 @@ def _listed(folder: Path) -> dict[str, _View]:
 
 def _photographs(folder: Path, views: dict[str, _View], dark: dict[str, Path]) -> tuple[Photographs, Path | None]:
     """The listed views with the cameras of the model, if it has all of them, else with those of the JSON files."""
-    model = next((path for path in (folder / MODEL / "0", folder / MODEL) if _holds_model(path)), None)
+    model = next((path for path in (folder / MODEL / "0", folder / MODEL) if is_model(path)), None)
     if model is not None:
         posed = {Path(name).stem: (viewmat, camera) for name, viewmat, camera in colmap_views(model)}
         if not (lacking := sorted(views.keys() - posed.keys())):
             entries: list[Any] = [(dark.get(stem), *posed[stem]) for stem in views]
             return collect(entries, model, lambda c, w, h: colmap_lens(c, w, h, model)), model
-        warnings.warn(f"{model} lacks {len(lacking)} of {len(views)} listed views ({_some(lacking)}): cameras are "
+        warnings.warn(f"{model} lacks {len(lacking)} of {len(views)} listed views ({some(lacking, 4)}): cameras are "
                       f"taken from {PARTS[0]}, and there are no first points", stacklevel=2)  # fmt: skip
     entries = [(dark.get(stem), opengl_to_opencv(view.frame.pose), view.frame.camera) for stem, view in views.items()]
     source = folder / PARTS[0]
     return collect(entries, source, lambda c, w, h: transforms_lens(c, w, h, source)), None
-
-
-def _holds_model(path: Path) -> bool:
-    return any((path / f"cameras.{suffix}").is_file() for suffix in ("bin", "txt"))
-
-
-def _some(names: list[str]) -> str:
-    return f"{', '.join(names[:SHOWN])}{', ...' if len(names) > SHOWN else ''}"

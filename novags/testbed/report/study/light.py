@@ -14,10 +14,11 @@ from typing import Any
 
 from novags.methods import METHODS, chosen, with_variants
 from novags.methods.variant import Variant, sees_statistics
-from novags.testbed.cache import write_json, write_text
+from novags.testbed.cache import write_json
 from novags.testbed.report.level_chart import Line, alone, level_chart
 from novags.testbed.report.rows import OTHER, distinct
 from novags.testbed.study.light import ELECTRONS, Curve, Measure, light_curves
+from sensor_model.files.atomic import write_text
 
 DATA, POINTS, KNEES = "light.json", "light.csv", "light-knees.csv"
 HEADINGS = {  # columns of KNEES as the page calls them

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from novags.testbed.cache import write_text
 from novags.testbed.study.costs import Costs
 from novags.testbed.study.elsewhere import nodes
 from novags.testbed.study.engines.cluster import Cluster, Terms
@@ -18,6 +17,7 @@ from novags.testbed.study.engines.worker import Outcome
 from novags.testbed.study.entry import Order, Task
 from novags.testbed.study.plan import Plan
 from novags.testbed.study.store import KINDS, version
+from sensor_model.files.atomic import write_text
 
 MARKER = ".novags-store"  # in a store that nodes share: what they see must be the same folder
 

@@ -11,6 +11,7 @@ from typing import Any
 from novags.testbed import cache
 from novags.testbed.console import Console
 from novags.testbed.study.entry import Order, Step, Task, ensure
+from sensor_model.files.atomic import write_text
 
 cache.environment = dict  # type: ignore[assignment]  # the real one loads torch to look for a GPU
 PIECES = 4
@@ -48,7 +49,7 @@ def write_pieces(order: Order, source: str, console: Console) -> dict[str, Any]:
     with console.progress("write") as progress:
         for k in range(PIECES):
             time.sleep(config.seconds / PIECES)
-            cache.write_text(piece(order.folder, k), f"{config.text}{k}({source})")
+            write_text(piece(order.folder, k), f"{config.text}{k}({source})")
             progress(k + 1, PIECES, "")
     if config.fails:
         FAILURES[config.fails](order)

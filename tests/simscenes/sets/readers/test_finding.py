@@ -5,9 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sensor_model.files.reading import some
 from simscenes import load_set, orbit_rig
 from simscenes.sets.pictures.png import write_png
-from simscenes.sets.readers.finding import find_file, find_files, some, spelt
+from simscenes.sets.readers.finding import find_file, find_files, spelt
 from tests.miniatures import colmap
 from tests.simscenes.sets.test_names import folder_of
 
