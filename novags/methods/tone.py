@@ -47,11 +47,11 @@ class ToneCurve:
         return self.knee * torch.expm1((self.k * tone).clamp_max(self.STEEPEST))
 
     def slope(self, tone: Tensor) -> Tensor:
-        """D lin / d r, > 0."""
+        """The derivative d lin / d r, > 0."""
         return self.knee * self.k * torch.exp((self.k * tone).clamp_max(self.STEEPEST))
 
     def tone(self, light: Tensor) -> Tensor:
-        """R of light that is above -knee; darker light (noise) is taken for the darkest."""
+        """The tone r of light above -knee; darker light (noise) is taken for the darkest."""
         # 1e-3 of the knee: at -knee itself the logarithm is -inf
         return torch.log1p((light / self.knee).clamp_min(-1 + 1e-3)) / self.k
 

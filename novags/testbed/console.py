@@ -11,9 +11,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from novags.testbed.time_left import TimeLeft
 
-Update = Callable[[int, int, str], None]
-"""Steps done, total steps, and the current activity (a view, a loss)."""
-
+Update = Callable[[int, int, str], None]  # steps done, total steps, and the current activity (a view, a loss)
 PLAIN_INTERVAL = 5.0  # s between two plain lines of one stage: shows progress, and suits a log file
 
 

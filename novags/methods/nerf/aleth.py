@@ -95,7 +95,7 @@ def loss_of(dark: Tensor, lit: Tensor, target: Tensor, patch: int, config: Aleth
 def train(
     problem: Problem, config: AlethConfig, *, progress: Progress | None = None, checkpoint: Path | None = None
 ) -> Reconstruction:
-    """Reconstruct a scene as it would look lit, from dark pictures alone; arguments as for `fit_field`.
+    """Reconstruct a scene as it would look lit, from dark pictures alone; see `Method.train`.
 
     Returns:
         A reconstruction in the space "lit". `found`: the share of light that is let through, on average over the

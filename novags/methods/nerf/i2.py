@@ -88,7 +88,7 @@ class I2Config:
 
 
 def first_absorption(images: Tensor, box: Box) -> float:
-    """S that makes dark pictures of this mean out of the field's first colours, 1/2, halfway through the scene.
+    """The absorption s that makes dark pictures of this mean out of the first colours, 1/2, halfway through the scene.
 
     In clear air, a field that begins brighter than the pictures becomes darker by becoming thinner, and loses the
     first surfaces.
@@ -98,7 +98,7 @@ def first_absorption(images: Tensor, box: Box) -> float:
 
 
 def absorption(raw: Tensor, first: float) -> Tensor:
-    """S, per unit of the box [R, N]; first: where the output of the field is 0."""
+    """The absorption s [R, N], per unit of the box; first: where the output of the field is 0."""
     return torch.exp((raw[..., 1] + math.log(first)).clamp_max(DENSITY_MAX))
 
 
@@ -139,7 +139,7 @@ def _shuffled(count: int, iteration: int) -> np.ndarray:
 def train(
     problem: Problem, config: I2Config, *, progress: Progress | None = None, checkpoint: Path | None = None
 ) -> Reconstruction:
-    """Reconstruct a scene without the medium that hides it; arguments as for `fit_field`.
+    """Reconstruct a scene without the medium that hides it; see `Method.train`.
 
     Returns:
         A reconstruction in the space "lit". `found`: the mean that was aimed at, and the share of light that gets

@@ -40,9 +40,7 @@ from novags.methods.reconstruction import Reconstruction
 EPSILON = 1e-3  # of RawNeRF's loss, for pictures in 0..1
 SMOOTH, LEAST_STEP, LEAST_SPREAD = 1.5, 1e-4, 0.5  # of the smoothness and of the grey term, as published
 DARKEST = 1e-6  # of an illumination whose logarithm is taken
-FIRST = (
-    1e-3  # mean of pictures, from 0 and from 1/2, that the first illumination is made for at most: a logit has no end
-)
+FIRST = 1e-3  # nearest to 0 and 1/2 that the mean of pictures counts for the first illumination: its logit diverges
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -130,7 +128,7 @@ def enhancement_loss(seen: Decomposed, patch: int, config: LlnerfConfig) -> Tens
 def train(
     problem: Problem, config: LlnerfConfig, *, progress: Progress | None = None, checkpoint: Path | None = None
 ) -> Reconstruction:
-    """Reconstruct a scene as it would look lit, from dark pictures alone; arguments as for `fit_field`.
+    """Reconstruct a scene as it would look lit, from dark pictures alone; see `Method.train`.
 
     Returns:
         A reconstruction in the space "lit". `found`: mean illumination of the last rays.

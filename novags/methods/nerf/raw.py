@@ -57,7 +57,7 @@ class RawNerfConfig:
 def train(
     problem: Problem, config: RawNerfConfig, *, progress: Progress | None = None, checkpoint: Path | None = None
 ) -> Reconstruction:
-    """Reconstruct the light of a scene from raw frames or linear 16-bit pictures; arguments as for `fit_field`.
+    """Reconstruct the light of a scene from raw frames or linear 16-bit pictures; see `Method.train`.
 
     Returns:
         A reconstruction in linear light, in the unit of the linear 16-bit pictures.

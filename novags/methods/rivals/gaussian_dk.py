@@ -74,13 +74,13 @@ class Response(nn.Module):
         nn.init.zeros_(self.outer.bias)
 
     def forward(self, logs: Tensor) -> Tensor:
-        """G(logs)."""
+        """The codes, g(logs)."""
         bend = self.outer(torch.tanh(self.inner(logs[..., None])))[..., 0]
         return torch.sigmoid(logs + bend)
 
 
 def logarithm(radiance: Tensor) -> Tensor:
-    """Ln of radiance, finite for black."""
+    """Natural logarithm of radiance, finite for black."""
     return torch.log(radiance.clamp_min(0) + FAINT)
 
 
@@ -129,21 +129,10 @@ def table_of(response: Response, exposure: float) -> ResponseTable:
 def train(
     problem: Problem, config: GaussianDkConfig, *, progress: Progress | None = None, checkpoint: Path | None = None
 ) -> Reconstruction:
-    """Reconstruct radiance and camera response from dark pictures.
-
-    Args:
-        problem: The problem; its seed and extent override those of `config.fit`.
-        config: All choices.
-        progress: As in `splats.fit`.
-        checkpoint: As in `splats.fit`.
+    """Reconstruct radiance and camera response from dark pictures; see `Method.train`.
 
     Returns:
         A reconstruction that is shown under the lit exposure; `found` has it.
-
-    Raises:
-        LacksInput: If `config.pictures` is "16bit" and the problem has no 16-bit pictures.
-        ValueError: If a checkpoint is damaged or belongs to another run.
-        NotFinite: As `fit` says.
     """
     started = time.perf_counter()
     config = dataclasses.replace(config, fit=fit_for(problem, config.fit))

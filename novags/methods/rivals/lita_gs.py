@@ -94,7 +94,7 @@ class ToneMap(nn.Module):
         nn.init.zeros_(self.outer.bias)
 
     def forward(self, colors: Tensor) -> Tensor:
-        """H(colors)."""
+        """The mapped colours, h(colors)."""
         out: Tensor = colors + self.outer(torch.tanh(self.inner(colors)))
         return out
 
@@ -174,21 +174,10 @@ def companion_of(networks: Networks, config: LitaGsConfig) -> Companion:
 def train(
     problem: Problem, config: LitaGsConfig, *, progress: Progress | None = None, checkpoint: Path | None = None
 ) -> Reconstruction:
-    """Reconstruct a lit scene from dark pictures.
-
-    Args:
-        problem: The problem; its seed and extent override those of `config.fit`.
-        config: All choices.
-        progress: As in `splats.fit`.
-        checkpoint: As in `splats.fit`.
+    """Reconstruct a lit scene from dark pictures; see `Method.train`.
 
     Returns:
         A reconstruction whose pictures are lit and denoised.
-
-    Raises:
-        LacksInput: If `config.pictures` is "16bit" and the problem has no 16-bit pictures.
-        ValueError: If a checkpoint is damaged or belongs to another run.
-        NotFinite: As `fit` says.
     """
     started = time.perf_counter()
     config = dataclasses.replace(config, fit=fit_for(problem, config.fit))

@@ -128,21 +128,10 @@ def chosen_gamma(scene: GaussianScene, views: Views, target: float) -> float:
 def train(
     problem: Problem, config: LlGaussianConfig, *, progress: Progress | None = None, checkpoint: Path | None = None
 ) -> Reconstruction:
-    """Reconstruct reflectance and illumination from dark pictures.
-
-    Args:
-        problem: The problem; its seed and extent override those of `config.fit`.
-        config: All choices.
-        progress: As in `splats.fit`.
-        checkpoint: As in `splats.fit`.
+    """Reconstruct reflectance and illumination from dark pictures; see `Method.train`.
 
     Returns:
         A reconstruction in lit colours; `found` has gamma.
-
-    Raises:
-        LacksInput: If `config.pictures` is "16bit" and the problem has no 16-bit pictures.
-        ValueError: If a checkpoint is damaged or belongs to another run.
-        NotFinite: As `fit` says.
     """
     started = time.perf_counter()
     config = dataclasses.replace(config, fit=fit_for(problem, config.fit))

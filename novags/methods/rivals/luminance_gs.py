@@ -139,21 +139,10 @@ def companion_of(curves: ViewCurves, config: LuminanceGsConfig) -> Companion:
 def train(
     problem: Problem, config: LuminanceGsConfig, *, progress: Progress | None = None, checkpoint: Path | None = None
 ) -> Reconstruction:
-    """Reconstruct a lit scene from dark pictures.
-
-    Args:
-        problem: The problem; its seed and extent override those of `config.fit`.
-        config: All choices.
-        progress: As in `splats.fit`.
-        checkpoint: As in `splats.fit`.
+    """Reconstruct a lit scene from dark pictures; see `Method.train`.
 
     Returns:
         A reconstruction whose colours are the lit ones; `targets` are the dark pictures through their curves.
-
-    Raises:
-        LacksInput: If `config.pictures` is "16bit" and the problem has no 16-bit pictures.
-        ValueError: If a checkpoint is damaged or belongs to another run.
-        NotFinite: As `fit` says.
     """
     started = time.perf_counter()
     config = dataclasses.replace(config, fit=fit_for(problem, config.fit))

@@ -87,21 +87,14 @@ class RawLoss:
 def train(
     problem: Problem, config: RawGsConfig, *, progress: Progress | None = None, checkpoint: Path | None = None
 ) -> Reconstruction:
-    """Reconstruct the light of a scene from raw frames, or from linear 16-bit pictures.
-
-    Args:
-        problem: The problem; its seed and extent override those of `config.fit`.
-        config: All choices.
-        progress: As in `splats.fit`.
-        checkpoint: As in `splats.fit`.
+    """Reconstruct the light of a scene from raw frames, or from linear 16-bit pictures; see `Method.train`.
 
     Returns:
         A reconstruction in linear light, in the unit of the linear 16-bit pictures. Seconds: "fit".
 
     Raises:
         LacksInput: If the problem has neither raw frames nor 16-bit linear pictures.
-        ValueError: If the pictures hold no light, or a checkpoint is damaged or belongs to another run.
-        NotFinite: As `fit` says.
+        ValueError: If the pictures hold no light; and as `Method.train` says.
     """
     started = time.perf_counter()
     config = dataclasses.replace(config, fit=fit_for(problem, config.fit))

@@ -25,7 +25,10 @@ class Method:
         family: Where it belongs in a table.
         color: Of its lines and dots, "#rrggbb".
         config: Makes its configuration as published, a frozen dataclass: the class, or a function of its own.
-        train: (problem, config, *, progress, checkpoint) -> Reconstruction.
+        train: (problem, config, *, progress, checkpoint) -> Reconstruction. The problem's seed and extent override
+            those of `config.fit`; progress is called with (steps done, of how many, losses); checkpoint is the file
+            that an interrupted run goes on from. Raises LacksInput if the problem lacks what the method needs,
+            ValueError for a checkpoint that is damaged or of another run, NotFinite as `splats.fit` does.
         source: The publication or text that it follows.
         parts: The parts of `train` whose steps its progress counts through, and how many each has, for a configuration;
             None: their steps all take the same time.

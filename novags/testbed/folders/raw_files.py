@@ -42,9 +42,7 @@ def read_mosaic(path: Path) -> Mosaic:
         dn = raw.raw_image_visible
         if dn is None or dn.ndim != 2:
             raise ValueError(f"{path} holds no mosaic of the sensor's own pixels: give unprocessed raw files")
-        shutter = raw.other.shutter_speed if hasattr(raw, "other") else 0.0
-        time = float(f"{shutter:.6g}") if shutter > 0 else None  # LibRaw keeps it in float32
-        return Mosaic(np.array(dn), _pattern(raw, path), time, int(raw.white_level).bit_length())
+        return Mosaic(np.array(dn), _pattern(raw, path), _time(raw), int(raw.white_level).bit_length())
 
 
 @dataclass(frozen=True)
@@ -76,7 +74,6 @@ def read_format(path: Path) -> RawFormat:
         black, white = tuple(float(blacks[k]) for k in places), float(raw.white_level)
         if not 0 <= max(black) < white <= 65535:
             raise ValueError(f"{path} states black levels {black} and the white level {white:g}: they must be rising")
-        shutter = raw.other.shutter_speed if hasattr(raw, "other") else 0.0
         return RawFormat(
             shape=codes.shape if mosaic else (*codes.shape[:2], 3),
             cfa=_pattern(raw, path) if mosaic else None,
@@ -84,8 +81,13 @@ def read_format(path: Path) -> RawFormat:
             white=white,
             response=_response(raw, path),
             color_matrix=_color_matrix(raw, path),
-            time=float(f"{shutter:.6g}") if shutter > 0 else None,
+            time=_time(raw),
         )
+
+
+def _time(raw: Any) -> float | None:
+    shutter = raw.other.shutter_speed if hasattr(raw, "other") else 0.0
+    return float(f"{shutter:.6g}") if shutter > 0 else None  # LibRaw keeps it in float32
 
 
 def _response(raw: Any, path: Path) -> tuple[float, float, float]:
