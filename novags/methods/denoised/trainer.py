@@ -14,11 +14,11 @@ from torch import Tensor
 from novags.methods.denoised.denoiser import DenoiseConfig, denoised
 from novags.methods.denoised.measured import Measured, measured
 from novags.methods.denoised.weights import PACKAGED
-from novags.methods.enhancers import EnhancerConfig, enhanced, enhanced_like, enhanced_view
+from novags.methods.enhancers import EnhancerConfig, enhanced, enhanced_light
 from novags.methods.enhancers.guided import EnhanceConfig
 from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, EnhancedFitConfig, Progress, fit_enhanced
 from novags.methods.nova.checkpoint import read
-from novags.methods.problem import Pictures, Problem, encode
+from novags.methods.problem import Pictures, Problem
 from novags.methods.reconstruction import Reconstruction
 from novags.splats import FitConfig
 from novags.splats.training.checkpoint import digest, write_tensors
@@ -70,7 +70,7 @@ def train(
     adapting = parts(config)["denoiser"]
 
     def targets(problem: Problem, enhancer: EnhancerConfig, pictures: Pictures) -> Tensor:
-        return _enhanced(problem, linear, enhancer, pictures)
+        return enhanced_light(problem, linear, enhancer, pictures)
 
     def report(done: int, total: int, entry: dict[str, float]) -> None:
         if progress is not None:
@@ -84,16 +84,6 @@ def train(
     result.enhanced = enhanced(problem, config.enhance, config.pictures)
     result.seconds = {"denoise": denoising, **result.seconds}
     return result
-
-
-def _enhanced(problem: Problem, linear: Tensor, config: EnhancerConfig, pictures: Pictures) -> Tensor:
-    """Denoised pictures through the enhancement of their noisy twins, [C, H, W, 3]."""
-    found = []
-    for name, dark, light in zip(problem.names, problem.encoded(pictures), linear, strict=True):
-        _, params = enhanced_view(problem.shared, name, dark, config, pictures, problem.noise)
-        code = torch.from_numpy(encode(light.cpu().numpy())).to(dark)
-        found.append(enhanced_like(code, config, params))
-    return torch.stack(found)
 
 
 def _kept(problem: Problem, config: DenoisedConfig, progress: Progress | None, checkpoint: Path | None) -> Tensor:

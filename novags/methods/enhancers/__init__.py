@@ -1,7 +1,7 @@
 """A dark picture in, a bright one out: one file per enhancer, one row in `ENHANCERS`; networks also in `NETWORKS`."""
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -18,7 +18,7 @@ from novags.methods.enhancers.uretinex import URETINEX, URetinexConfig
 from novags.methods.enhancers.zero_dce import ZERO_DCE, ZeroDceConfig
 from novags.methods.memo import Memo
 from novags.methods.noise import Noise, Variance
-from novags.methods.problem import LacksInput, Pictures, Problem
+from novags.methods.problem import LacksInput, Pictures, Problem, encode
 from novags.settings import changed
 from sensor_model.files.reading import brief
 
@@ -187,6 +187,16 @@ def enhanced_view(
 def enhanced_like(dark: Tensor, config: EnhancerConfig, params: Any) -> Tensor:
     """A picture [H, W, 3], sRGB-encoded in 0..1, through the enhancement of another one with these parameters."""
     return _enhance(dark, config, params)[0]
+
+
+def enhanced_light(problem: Problem, light: Iterable[Tensor], config: EnhancerConfig, pictures: Pictures) -> Tensor:
+    """Linear pictures [H, W, 3] of a problem's views, each through the enhancement that its view got, [C, H, W, 3]."""
+    found = []
+    for name, dark, view in zip(problem.names, problem.encoded(pictures), light, strict=True):
+        _, params = enhanced_view(problem.shared, name, dark, config, pictures, problem.noise)
+        code = torch.from_numpy(encode(view.cpu().numpy())).to(dark)
+        found.append(enhanced_like(code, config, params))
+    return torch.stack(found)
 
 
 def _enhance(dark: Tensor, config: EnhancerConfig, params: Any, noise: Noise | None = None) -> tuple[Tensor, Any]:

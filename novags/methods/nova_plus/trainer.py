@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from novags.methods.denoised.denoiser import DenoiseConfig
-from novags.methods.enhancers import EnhancerConfig, enhanced, enhanced_like, enhanced_view, enhancement_record
+from novags.methods.enhancers import EnhancerConfig, enhanced, enhanced_light, enhancement_record
 from novags.methods.enhancers.guided import EnhanceConfig
 from novags.methods.gaussian_fit import Progress, fit_for
 from novags.methods.light import first_light
@@ -22,7 +22,7 @@ from novags.methods.nova_plus.judge import compare, mean_tone
 from novags.methods.nova_plus.likelihood import Likelihood
 from novags.methods.nova_plus.merge import merged
 from novags.methods.nova_plus.targets import denoised_light, guided_light
-from novags.methods.problem import LacksInput, Pictures, Problem, encode
+from novags.methods.problem import LacksInput, Pictures, Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.tone import ToneCurve, tone_curve
 from novags.splats import FitConfig, Gaussians, LearningRates, McmcConfig
@@ -261,15 +261,9 @@ class _Work:
 
     def shown(self, tones: Tensor) -> Tensor:
         """Tones of the training views as pictures, each through the enhancement of its own view."""
-        pictures, config = self.config.pictures, self.config.enhance
-        dark, found = self.problem.encoded(pictures), []
-        for i, name in enumerate(self.problem.names):
-            _, params = enhanced_view(self.problem.shared, name, dark[i], config, pictures, self.problem.noise)
-            light = self.curve.light(tones[i])
-            light = light if self.data.matrix is None else light @ self.data.matrix.T
-            code = torch.from_numpy(encode(light.cpu().numpy())).to(dark)
-            found.append(enhanced_like(code, config, params))
-        return torch.stack(found)
+        matrix = self.data.matrix
+        light = (self.curve.light(view) if matrix is None else self.curve.light(view) @ matrix.T for view in tones)
+        return enhanced_light(self.problem, light, self.config.enhance, self.config.pictures)
 
     def _first(self) -> Gaussians:
         """The first points, in the tones that the data have there."""
