@@ -149,7 +149,7 @@ def linear_noise(
     of a cell is the mean of two pixels. A colour matrix M mixes the channels: the curve gives M**2 (element by element)
     times their variances, each at the mean that the inverse of M says, as if the channels were independent, which they
     are for three chips and for "half"; of interpolated pictures it is an estimate. `linear16` itself ends at -6.7 % of
-    white: noise that reaches further, such as of the loudest presets with a digital gain, is cut there.
+    white: noise that reaches further, such as that of the loudest presets with a digital gain, is cut there.
 
     Args:
         sensor: The camera.

@@ -130,7 +130,7 @@ def luminance_from_ev(ev: float) -> float:
 def electrons_from_luminance(luminance: float, lens: Lens, exposure: Exposure, *, eta: float) -> float:
     """Charge of a green pixel that sees a surface of this luminance: the `electrons` of `photons_for_electrons`.
 
-    All light is counted as of 555 nm. For a green channel 100 nm wide (full width at half maximum, at 535 nm) that is
+    All light is taken as 555 nm. For a green channel 100 nm wide (full width at half maximum, at 535 nm) that is
     right to 1 % under D65 and 22 % too high under tungsten; use `photons_from_spectrum` where it matters.
 
     Args:

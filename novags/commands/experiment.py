@@ -134,7 +134,7 @@ def _within(
 
 
 def _default_name(preset: str, source: str | None, level: str | None, electrons: float | None) -> str:
-    """Of the folder of an experiment: different scenes and light do not meet in one."""
+    """Name of an experiment's folder: different scenes and light do not share one."""
     from simscenes.sets.names import safe_name
 
     parts = [preset]

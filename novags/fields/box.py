@@ -85,7 +85,7 @@ def box_of(centers: Tensor, points: Tensor) -> Box:
 
 
 def _quantile(values: Tensor, q: float) -> Tensor:
-    """Of every column; `torch.quantile` refuses more than 16 million."""
+    """Quantile of every column; `torch.quantile` refuses more than 16 million values."""
     place = min(len(values), max(1, 1 + round(q * (len(values) - 1))))
     return values.kthvalue(place, dim=0).values
 

@@ -172,7 +172,7 @@ def _raw_planes(raw: RawPictures) -> list[Tensor]:
 
 
 def _measured(plane: Tensor, cfa: str | None, letter: str) -> Tensor:
-    """Of a plane [C, H, W] the pixels behind filters of one colour, as pictures of their own [n, h, w]."""
+    """The pixels of a plane [C, H, W] behind filters of one colour, as pictures of their own [n, h, w]."""
     if cfa is None:
         return plane
     height, width = (size - size % 2 for size in plane.shape[1:])

@@ -69,8 +69,7 @@ def plan_transport(
 
     Returns:
         The plan; print it for the table. Contributions are shares of all light (or pixels, for blur); `plan.bound` sums
-        those left out. Pilots see only what paths find: a caustic that all 50,000 to
-        200,000 paths miss is not counted.
+        those left out. Pilots see only what paths find: a caustic that all 50,000 to 200,000 paths miss does not count.
 
     Raises:
         ValueError: If the scene cannot be loaded, a camera is inside an object, `tolerance` is not in (0, 1), or a

@@ -26,7 +26,7 @@ from novags.splats.training.checkpoint import digest, write_tensors
 
 @dataclass(frozen=True, kw_only=True)
 class DenoisedConfig:
-    """Denoising, then enhancement and fit as of the method that fits the noisy pictures.
+    """Denoising, then enhancement and fit as in the method that fits the noisy pictures.
 
     What is denoised are the raw data, or linear pictures; `pictures` are those whose enhancement the denoised ones go
     through, so that they are compared with the same reference as the noisy ones.

@@ -43,7 +43,7 @@ class _File:
         return struct.unpack_from(form, self.content, place)
 
     def tensors(self) -> dict[str, Tensor]:
-        """Of the whole file; the root's entry begins at byte 56."""
+        """All tensors of the file by name; the root's entry begins at byte 56."""
         return self.object(self.at("<Q", 56 + 8)[0], "", 0)
 
     def object(self, place: int, path: str, depth: int) -> dict[str, Tensor]:

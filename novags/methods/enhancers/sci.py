@@ -115,7 +115,7 @@ class Sci(nn.Module):
         return (x / self.enhance(x)).clamp(0, 1)
 
     def stages(self, y: Tensor) -> list[tuple[Tensor, Tensor, Tensor]]:
-        """Of every stage: the calibrator's addition s, the input x = y + s, and its illumination."""
+        """The calibrator's addition s of every stage, the input x = y + s, and its illumination."""
         found, s = [], torch.zeros_like(y)
         for _ in range(STAGES):
             x = y + s

@@ -77,7 +77,7 @@ class ZeroDce(nn.Module):
 
 
 def smoothness(maps: Tensor) -> Tensor:
-    """Of maps [B, D, H, W]: twice the mean square of the differences along rows and columns, summed over D."""
+    """Twice the mean square of the differences of maps [B, D, H, W] along rows and columns, summed over D."""
     rows, columns = (maps.diff(dim=d).square() for d in (2, 3))
     per_map = [2 * part.sum() / max(1, part[0, 0].numel()) for part in (rows, columns)]
     return (per_map[0] + per_map[1]) / len(maps)

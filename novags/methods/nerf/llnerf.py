@@ -98,7 +98,7 @@ def first_illumination(images: Tensor) -> float:
 
 
 def decomposed(batch: Batch, first: float) -> Decomposed:
-    """What the rays of a batch show; first: as of `first_illumination`."""
+    """What the rays of a batch show; first: from `first_illumination`."""
     reflectance, illumination, level, gamma = split(batch.raw, first)
     values = (
         reflectance * illumination, reflectance * brightened(illumination, level, gamma), reflectance, illumination,

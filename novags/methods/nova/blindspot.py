@@ -26,7 +26,7 @@ class BlindSpotConfig:
     per_channel: bool | None = False
     # Blind the sensor's samples, packed as four channels of half the size, instead of demosaiced pictures, whose noise
     # neighbours share; the result is demosaiced. This needs a known colour filter array, and neither JPEG nor a colour
-    # matrix. None: wherever that holds. Sizes, as of windows, crops and blurs, are then in cells of 2 px.
+    # matrix. None: wherever that holds. Sizes of windows, crops and blurs are then in cells of 2 px.
     packed: bool | None = False
 
     def __post_init__(self) -> None:

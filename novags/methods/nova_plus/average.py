@@ -38,7 +38,7 @@ class Sums:
 
     @property
     def variance(self) -> Tensor:
-        """Of the average of data of variance 1."""
+        """Variance of the average if that of the data is 1."""
         return self.squares / self.weights.clamp_min(0.01).square()
 
 

@@ -93,7 +93,7 @@ class NovaPlusConfig:
             raise ValueError(f"gaussians must be >= 1 or None, got {self.gaussians}")
 
     def iterations(self, part: str) -> int:
-        """Of one fit of a part; "merged" comes once."""
+        """How many one fit of a part takes; "merged" comes once."""
         return max(1, round(self.fit.iterations * PARTS[part] / 24))
 
 
@@ -179,7 +179,7 @@ class _Work:
     def likelihood(self, seed: int) -> Gaussians:
         """Stage 1 of one seed."""
         fitted, loss = self.data.fitted, Likelihood(self.data, self.curve)
-        # the loss is a mean: beside a third of the data, as of a mosaic, a prior weighs three times as much
+        # the loss is a mean: beside a third of the data, as with a mosaic, a prior weighs three times as much
         share = float(self.data.measured.float().mean())
         config = self._config("likelihood", seed, opacity_reg=self.base.opacity_reg / share)
         if seed == 0:

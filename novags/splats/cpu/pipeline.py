@@ -254,7 +254,7 @@ def _further_pass(frame: Frame, features: np.ndarray, first: int, image: np.ndar
 
 @dataclass(kw_only=True)
 class Gradients:
-    """Of the inputs of `forward`."""
+    """Gradients of the inputs of `forward`."""
 
     shape: Shape
     colors: np.ndarray

@@ -51,7 +51,7 @@ class Choice:
     sd: float
 
     def share(self, name: str) -> float:
-        """Of the preset's own value; 1 of an option that is not there."""
+        """Share of the preset's own value; 1 for an option that is not there."""
         return next((option.share for option in self.options if option.name == name), 1.0)
 
 

@@ -106,7 +106,7 @@ def _remove_others(entries: list[Entry], out: Path) -> None:
 
 
 def _checksums(out: Path, console: Console) -> dict[str, dict[str, Any]]:
-    """Of the files that data lie in: those of the splits, and the index."""
+    """Checksums of the files that hold data: those of the splits, and the index."""
     found = [path for split in SPLITS for path in sorted((out / split).rglob("*")) if path.is_file()]
     result = {}
     with console.progress("checksums") as progress:

@@ -253,7 +253,7 @@ class Capture:
 
     @property
     def levels(self) -> tuple[Cfa | None, float, float]:
-        """Of the raw frames: colour filter array (None: three chips), DN without light, DN of saturation."""
+        """Colour filter array of the raw frames (None: three chips), DN without light, DN of saturation."""
         if self.imported:
             raw = self.record["raw"]
             return raw["cfa"], float(raw["black"]), float(raw["white"])

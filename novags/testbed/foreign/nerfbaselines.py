@@ -147,7 +147,7 @@ def _results_of(
 
 
 def scores(picture: np.ndarray, truth: np.ndarray, lpips: PerceptualDistance | None) -> dict[str, float]:
-    """Of 8-bit pictures [h,w,3]."""
+    """Scores of 8-bit pictures [h,w,3]."""
     a, b = (codes.astype(np.float32) / np.float32(255) for codes in (picture, truth))
     error = a.astype(np.float64) - b
     found = {

@@ -55,7 +55,7 @@ def read_stored(file: Path) -> np.ndarray:
 
 
 def refuse_transparent(file: Path) -> None:
-    """Raise ValueError if pixels of a picture are transparent: nobody knows what light is there.
+    """Raise ValueError if pixels of a picture are transparent: what light is there is unknown.
 
     White, which is taken to be behind pictures in good light, would be a lamp in a dark one, and the colour that the
     file stores there is whatever a program left. Of 16-bit alpha the upper 8 bits count.

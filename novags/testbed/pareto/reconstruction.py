@@ -184,7 +184,7 @@ def parts_of(stamps: Mapping[int, float], parts: Mapping[str, int]) -> dict[str,
 
 
 def held_out_error(result: Reconstruction, prepared: Prepared, capture: Capture, truth: Capture) -> float:
-    """Of the held-out views at the size of `truth`: 10^(-mean aligned PSNR / 20), % of white.
+    """Error of the held-out views at the size of `truth`: 10^(-mean aligned PSNR / 20), % of white.
 
     A splat is dilated by as much of the picture there as in training.
 

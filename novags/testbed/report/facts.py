@@ -57,7 +57,7 @@ def _what_was_imported(material: Material) -> str:
 
 
 def photographs_text(material: Material) -> list[str]:
-    """Of imported photographs: what they are, what is known of the camera, and where the truth comes from."""
+    """What imported photographs are, what is known of their camera, and where the truth comes from."""
     record = material.capture.record
     forms = [{"8bit": "8-bit", "16bit": "16-bit", "raw": "raw"}[record["depth"]]]
     if "raw" in record["parts"] and record["depth"] != "raw":

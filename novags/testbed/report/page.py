@@ -117,7 +117,7 @@ def write_reports(
 
 
 def report_path(folders: Sequence[Path]) -> Path:
-    """Where the report on several folders goes if nobody says: beside them, under a name that no stage uses."""
+    """Where the report on several folders goes by default: beside them, under a name that no stage uses."""
     if len(folders) == 1:
         return folders[0] / REPORT
     return Path(os.path.commonpath([folder.resolve().parent for folder in folders])) / "comparison.html"

@@ -89,7 +89,7 @@ class CaptureConfig:
 
     @property
     def noise_seed(self) -> int:
-        """Of the random numbers. Captures of one camera and `seed` share them, so that studies compare pairs."""
+        """Seed of the random numbers. Captures of one camera and `seed` share them, so that studies compare pairs."""
         return self.seed
 
     @property
@@ -112,7 +112,7 @@ class OwnNoiseConfig(CaptureConfig):
 
     @property
     def noise_seed(self) -> int:
-        """Of the random numbers."""
+        """Seed of the random numbers."""
         return self.drawn
 
 

@@ -26,7 +26,7 @@ _FLOORS = Memo()  # by capture and enhancement: the runs of an experiment are sc
 
 
 def noise_scores(run: Run, capture: Capture, lit: Source) -> dict[str, float | None] | None:
-    """Of the training views of a run that enhances its pictures, where the noise-free exposure is known; else None.
+    """Scores of the training views of a run that enhances its pictures; None if the noise-free exposure is not known.
 
     Returns:
         `known`: root mean square of the noise in the enhanced pictures, sRGB code. `targets`, `renders`: the share of

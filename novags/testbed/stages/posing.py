@@ -59,7 +59,7 @@ class PosesConfig:
 
     @property
     def name(self) -> str:
-        """Of the scene: that of the folder (of the one above, if it is one of many called images), or of the video."""
+        """Name of the scene: the folder's (of the one above, if it is one of many called images), or the video's."""
         path = self.photographs.resolve()
         return path.parent.name if path.name in ("images", "input", "photos") else path.stem
 

@@ -66,7 +66,7 @@ class Costs:
 
     @staticmethod
     def of(entries: Iterable[Mapping[str, Any]], threads: Mapping[str, int]) -> "Costs":
-        """Of the entries of a store, as `store.costs` gives them."""
+        """The costs of the entries of a store, as `store.costs` gives them."""
         costs = Costs(threads=threads)
         for entry in entries:
             costs.add(entry["kind"], entry)

@@ -2,7 +2,7 @@
 
 The knee of a curve is the light at which it has fallen by a stated amount from its own value at the most light of the
 study: searched from the most light downwards, between two levels linearly in the logarithm of the electrons, for every
-seed by itself. A level that a seed has no score at, as of a run that failed, counts as fallen.
+seed by itself. A level at which a seed has no score, because its run failed, counts as fallen.
 """
 
 import math

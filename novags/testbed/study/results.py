@@ -91,7 +91,7 @@ class Table:
         return self._scores[key]
 
     def _costs(self, key: str) -> dict[str, Any]:
-        """Of a capture, which has no scores."""
+        """Costs of a capture, which has no scores."""
         seal = read_seal(self.plan.tasks[key].folder(self.store))
         assert seal is not None  # it is done
         return {**dict(_flat({"seconds": seal.cost["seconds"]}, "")), "peak_bytes": seal.cost["peak_bytes"]}

@@ -58,7 +58,7 @@ def expose_again(
         radiance: Linear [h, w, 3], any unit.
         camera: The camera.
         electrons: Mean signal of green, e- per pixel, of a pixel whose radiance is `mean_green`.
-        mean_green: Usually the mean over all views, as of a capture.
+        mean_green: Usually the mean over all views, as in a capture.
         view: Number of the view, which with the camera's seed fixes the noise.
         brighten: Whether to develop with a digital gain that brings `mean_green` to middle grey.
 

@@ -83,7 +83,7 @@ class Shown:
         return encode(self._gain(name) * image)
 
     def _gain(self, name: str) -> float:
-        """Of a run in linear light, to the screen. Black needs none, and no gain would brighten it."""
+        """Factor that brings the light of a run to the screen. Black needs none, and no gain would brighten it."""
         green = self.run_green(name)
         return GREY / green if green > 0 else 1.0
 

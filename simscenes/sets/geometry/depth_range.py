@@ -38,7 +38,7 @@ class Depths:
 
     @staticmethod
     def of(views: MultiviewSet, truth: MultiviewSet | None = None) -> Depths:
-        """Of a set, or of a capture and the rendered set it was made of.
+        """The depths of a set, or of a capture and the rendered set that it was made from.
 
         Raises:
             ValueError: As `of_points`.
@@ -100,7 +100,7 @@ class Depths:
 
 
 def _of_points(rig: Rig, points: SparsePoints, i: int) -> tuple[Float, Float]:
-    """z-depth and distance of the points that view `i` has seen or, where nobody knows, that lie in its picture."""
+    """z-depth and distance of the points that view `i` has seen or, where that is unknown, that lie in its picture."""
     one = Rig(viewmats=rig.viewmats[i : i + 1], Ks=rig.Ks[i : i + 1], width=rig.width, height=rig.height)
     pixels, depths = (values[0] for values in one.project(points.xyz))
     inside = (depths > 0) & (pixels >= 0).all(-1) & (pixels <= (rig.width, rig.height)).all(-1)

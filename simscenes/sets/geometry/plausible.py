@@ -1,4 +1,4 @@
-"""Which views see a point that no features were matched for: tracks that are tested, since nobody measured them.
+"""Which views see a point for which no features were matched: tracks that are tested, since none were measured.
 
 Where there is depth, it decides. In photographs a view counts if the point lies inside the picture, no other point
 hides it (hidden point removal, Katz, Tal and Basri 2007) and the picture shows its colour there.

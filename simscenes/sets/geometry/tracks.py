@@ -1,7 +1,7 @@
 """Sparse points of a scene and their tracks: which views see each point, and at which pixels.
 
 A track is measured (features that structure from motion matched), exact (the depth of a rendered set says who sees the
-point) or tested (`plausible`: nobody measured it). Only the first two have a reprojection error.
+point) or tested (`plausible`: it was not measured). Only the first two have a reprojection error.
 """
 
 from __future__ import annotations
@@ -131,5 +131,5 @@ def reprojection_errors(rig: Rig, points: SparsePoints) -> Float:
             projected = (camera @ rig.Ks[i].T)[:, :2] / camera[:, 2:]
             np.add.at(total, point, np.linalg.norm(projected - points.pixel[mine], axis=1))
     lengths = points.lengths
-    # A point in the plane of a camera that is said to see it projects nowhere: nobody knows its error.
+    # A point in the plane of a camera that is said to see it projects nowhere: its error is unknown.
     return np.where((lengths > 0) & np.isfinite(total), total / np.maximum(lengths, 1), UNKNOWN)

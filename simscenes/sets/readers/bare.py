@@ -23,7 +23,7 @@ from simscenes.sets.pictures.image_file import header, image_size, read_rgb
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp")
 VIDEOS = (".mp4", ".mov", ".avi", ".mkv", ".webm", ".m4v", ".mpg", ".mpeg")
-# Of EXIF: camera's maker and model, the part with the exposure, and in it focal length in mm and as of 35 mm film.
+# Of EXIF: camera's maker and model, the part with the exposure, and in it focal length in mm and its 35 mm equivalent.
 MAKE, MODEL, EXPOSURE, FOCAL, FOCAL_35 = 0x010F, 0x0110, 0x8769, 0x920A, 0xA405
 DIAGONAL_35 = 43.267  # mm, of 36 x 24
 FOCALS = (1.0, 5000.0)  # mm; a header's value outside this range is not a focal length
@@ -108,7 +108,7 @@ def _covering(size: tuple[int, int], most: tuple[int, int], common: tuple[int, i
 
 
 def _lens(file: Path) -> tuple[tuple[Any, ...], float | None]:
-    """What tells lenses apart in the header, and the focal length as of 35 mm film."""
+    """What tells lenses apart in the header, and the 35 mm equivalent of the focal length."""
     lens: tuple[Any, ...] = ()
     focal: float | None = None
     with header(file) as image, suppress(Exception):  # metadata of any kind of damage is as good as none

@@ -93,7 +93,7 @@ def check_model(folder: Path) -> dict[int, str]:
 
 
 def model_suffix(folder: Path) -> str:
-    """Of a model's files: "bin" or "txt", whichever is more nearly whole.
+    """Suffix of a model's files: "bin" or "txt", whichever is more nearly whole.
 
     Raises:
         ValueError: If cameras or images are missing.

@@ -57,7 +57,7 @@ def export_blender(views: MultiviewSet, folder: str | Path, *, truth: MultiviewS
     Raises:
         ValueError: If the cameras are not all one centred pinhole, which is all this layout can describe. Where no
             scale can bring all of the scene between `NEAR` and `FAR`, a warning says how much stays outside; the world
-            stays as it is, with a warning, where nobody knows how far the scene is.
+            stays as it is, with a warning, where it is not known how far away the scene is.
     """
     folder, rig = Path(folder), views.rig
     check_blender(rig)

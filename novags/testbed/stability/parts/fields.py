@@ -25,7 +25,7 @@ LARGEST = "of the largest value"
 
 
 def _weights(log_density: list[list[float]], widths: list[list[float]]) -> float:
-    """Of the weights, and of the slope of their weighted sum along each log density."""
+    """Error of the weights, and of the slope of their weighted sum along each log density."""
     raw, steps = torch.tensor(log_density, requires_grad=True), torch.tensor(widths)
     shares = torch.arange(1.0, raw.shape[1] + 1)
     found = weights_of(raw, steps)

@@ -74,7 +74,7 @@ class Engine(Protocol):
 
     @property
     def threads(self) -> Mapping[str, int]:
-        """Of a task, by its kind."""
+        """Threads of a task, by its kind."""
 
     def run(self, work: Work) -> None:
         """Do them all; errors as `Pool.run`."""

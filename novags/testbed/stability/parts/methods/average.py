@@ -50,7 +50,7 @@ def _squares(shift: tuple[float, float]) -> float:
 
 
 def _error(found: Average, variances: list[float], offsets: list[float]) -> float:
-    """Of the average of exposures that are too bright by `offsets`, and of its variance; the target has no shift."""
+    """Error of the average of exposures that are too bright by `offsets`, and of its variance; the target is not."""
     weights = [1 / (variance * _squares(shift)) for variance, shift in zip(variances, SHIFTS, strict=True)]
     bias = sum(weight * offset for weight, offset in zip(weights, offsets, strict=True)) / sum(weights)
     mean = (_light((0.0, 0.0)) + bias)[INNER]

@@ -35,7 +35,7 @@ def _prior(image: np.ndarray) -> np.ndarray:
 
 
 def _prior_error(image: Tensor) -> float:
-    """Of [H, W, 3]."""
+    """Error of the prior of an image [H, W, 3]."""
     return relative_error(laplacian_prior(image.movedim(-1, 0)[None])[0], _prior(image.numpy()))
 
 

@@ -81,7 +81,7 @@ def _loss(warped: Array, target: Array, confidence: Array, weight: float) -> flo
 
 
 def _error(depth_t: Array, depth_s: Array, view_t: Array, view_s: Array) -> float:
-    """Of the mask, the warped picture where it counts, the loss, and its gradient in the target depth."""
+    """Error of the mask, the warped picture where it counts, the loss, and its gradient in the target depth."""
     rng = np.random.default_rng(0)
     source, target, confidence = rng.random((H, W, 3)), rng.random((H, W, 3)), rng.random((H, W))
     x = torch.tensor(depth_t, dtype=torch.float32, requires_grad=True)
@@ -113,7 +113,7 @@ def _error(depth_t: Array, depth_s: Array, view_t: Array, view_s: Array) -> floa
 
 
 def _depths() -> Array:
-    """Of a wavy wall, none of whose pixels falls on a threshold."""
+    """Depths of a wavy wall, none of whose pixels falls on a threshold."""
     y, x = np.mgrid[:H, :W]
     return 3 + 0.13 * np.sin(x + 0.5 * y)
 

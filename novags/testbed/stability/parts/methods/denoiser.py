@@ -82,7 +82,7 @@ def _stream(seed: int = 0) -> torch.Generator:
 
 
 def _error(images: Tensor, config: ResUNetConfig, share: float = 0.3) -> float:
-    """Of the prediction, and of the blind-spot loss's gradient in all weights together."""
+    """Error of the prediction, and of the blind-spot loss's gradient in all weights together."""
     torch.manual_seed(0)
     network = ResUNet(config)
     mask = sample_mask(images, share, 0.0, _stream())

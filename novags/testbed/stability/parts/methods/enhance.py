@@ -67,7 +67,7 @@ def reference(dark: Tensor, radius: int, epsilon: float, config: EnhanceConfig) 
 
 
 def _error(dark: Tensor, config: EnhanceConfig | None = None) -> float:
-    """Of the enhanced picture and of the gradient of a random weighting of it."""
+    """Error of the enhanced picture and of the gradient of a random weighting of it."""
     config = config or EnhanceConfig()
     x = dark.clone().requires_grad_()
     weights = torch.rand(dark.shape, generator=torch.Generator().manual_seed(1), dtype=torch.float64)

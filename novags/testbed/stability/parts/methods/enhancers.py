@@ -104,7 +104,7 @@ def _root(falls: Callable[[float], float], low: float, high: float) -> float:
 
 
 def _error(dark: Tensor) -> float:
-    """Of all curves; the result is rounded to float32 once."""
+    """Error of all curves; the result is rounded to float32 once."""
     worst = 0.0
     for config in CURVES:
         wanted = np.array(_slow(config, dark.double().reshape(-1, 3).tolist()))

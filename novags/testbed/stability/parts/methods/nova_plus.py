@@ -41,7 +41,7 @@ def _exposures(light: Array) -> Exposures:
 
 
 def _likelihood(setting: Setting, tones: Array, light: Array, curve: ToneCurve) -> float:
-    """Of the loss and its gradient."""
+    """Error of the loss and its gradient."""
     data = _exposures(light)
     loss, target = Likelihood(data, curve), data.light[0]
     render = torch.tensor(tones, dtype=torch.float32)
@@ -99,7 +99,7 @@ def lamp(setting: Setting) -> float:
 
 @PART.case("one electron, and data far below black", bound=200 * EPS, unit=LARGEST, backends=BOTH)
 def below_black(setting: Setting) -> float:
-    """Of full well 3,333: light 3e-4, noise as large."""
+    """Full well is 3,333 e-: light 3e-4, noise as large."""
     rng = np.random.default_rng(1)
     light = 3e-4 + 4e-4 * rng.normal(size=(8, 9, 3))
     return _likelihood(setting, rng.uniform(-0.2, 0.4, light.shape), light, ToneCurve(1e-3, 5.0))

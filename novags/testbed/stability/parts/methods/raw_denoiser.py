@@ -38,7 +38,7 @@ def _exact(electrons: float, read_variance: float) -> tuple[float, float]:
 
 
 def _transform_errors(electrons: np.ndarray, read_variance: float) -> float:
-    """Of each value relative to itself, and of its slope."""
+    """Error of each value relative to itself, and of its slope."""
     given = torch.from_numpy(electrons.astype(np.float32)).requires_grad_()
     found = Anscombe(torch.tensor(read_variance))(given)
     found.sum().backward()
@@ -81,7 +81,7 @@ def _doubled(network: Network) -> Network:
 
 
 def _estimate_error(electrons: Tensor, cfa: Cfa | None, read_variance: float) -> float:
-    """Of the trained network in float32, beside the same one in float64."""
+    """Error of the trained network in float32 against the same one in float64."""
     network = load_weights()
     mask = mask_of(electrons.shape[2:], cfa)
     variance = torch.full((3,), read_variance)

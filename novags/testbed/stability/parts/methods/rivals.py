@@ -27,7 +27,7 @@ LARGEST = "of the largest value"
 
 
 def _raw(render: np.ndarray, data: np.ndarray, white: float, epsilon: float) -> float:
-    """Of the loss of RawNeRF and its gradient, by the kernel's way and by autograd."""
+    """Error of the loss of RawNeRF and its gradient, by the kernel and by autograd."""
     image, target = (torch.tensor(a, dtype=torch.float32) for a in (render, data))
     loss = RawLoss(torch.full((3,), white), epsilon)
     value, gradient = loss.compare(image.numpy(), target.numpy())

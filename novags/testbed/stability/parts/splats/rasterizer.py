@@ -97,7 +97,7 @@ SMALL = Camera(20, 18, 30.0)
 
 @PART.case("needles: near-singular covariances", bound=1e-4, unit=LARGEST, backends=("numba",))
 def needles(setting: Setting) -> float:
-    """Of condition 1e10; on the image up to 750 px long and 0.5 px wide, the width that is added to every splat.
+    """Condition 1e10; up to 750 px long on the image and 0.5 px wide, the width that is added to every splat.
 
     c_xx c_yy - c_xy^2 would lose six of seven digits. What is left is the position across the needle: a rounding of its
     direction, times its length where it crosses the image.
