@@ -161,11 +161,8 @@ def _costs(s: Sensor, exposure: Exposure, low: float, high: float, limits: Limit
     costs["telegraph_noise"] = ({SD: _telegraph_variance(s, limits) / dark}, "in a pixel with telegraph noise")
     corner = 0.0 if o is None else 1 - (min(o.falloff) if o.falloff else cos(radians(o.corner_angle)) ** 4)
     costs["vignetting"] = ({SD: corner / 2, SIGNAL: corner}, "in the corners")
-    spill = (
-        (4 * o.crosstalk + (1 - o.psf[len(o.psf) // 2][len(o.psf[0]) // 2] if o.psf else 0)) * (high - low)
-        if o
-        else 0.0
-    )
+    kept = o.psf[len(o.psf) // 2][len(o.psf[0]) // 2] if o and o.psf else 1.0
+    spill = (4 * o.crosstalk + (1 - kept)) * (high - low) if o else 0.0
     # of the light alone; bias of the brightest edge against its own noise: 4 c dS <= sqrt(2 eps V) in the first budget
     costs["crosstalk"] = ({SD: spill**2 / bright, BIAS: s.gain * spill}, "at the strongest edge")
     shown = 4 * s.coupling * (most - low)  # of any charge, that of a hot pixel too
