@@ -8,7 +8,7 @@ from typing import Any
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.presets import EXPERIMENTS
-from novags.testbed.study.axes import Changes, applied, changes_of
+from novags.testbed.study.axes import OF_RUNS, Changes, applied, changes_of
 from novags.testbed.study.engines.processes import cores_here
 from novags.testbed.study.entry import Order, Task, ensure
 from novags.testbed.study.plan import Planner
@@ -19,7 +19,6 @@ from sensor_model.files.lock import locked
 
 SMALL: dict[str, Any] = {"views": 9, "width": 48, "height": 48, "spp": 32}
 QUIET = Console(quiet=True)
-OF_RUNS = ("method", "cameras", "points", "iterations", "denoiser_steps", "pictures", "refine_cameras", "device")
 
 
 def make_capture(store: Path, scene: str, electrons: float, settings: Mapping[str, Any]) -> DarkCapture:

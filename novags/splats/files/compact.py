@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from sensor_model.files.atomic import atomic
 
 from ..gaussians import Gaussians
+from ..sh import C0
 
-SH_C0 = 0.28209479177387814  # the harmonic of degree 0
 SPZ_MAGIC, SPZ_VERSIONS = 0x5053474E, (2, 3)
 SPZ_COLOR = 0.15  # of the base coefficient, so that values a bit outside 0..1 survive
 SPZ_BITS = 20  # most fractional bits of a position
@@ -36,7 +36,7 @@ def write_splat(path: str | Path, gaussians: Gaussians) -> None:
     g = gaussians.detach()
     weight = g.log_scales.sum(1).exp() * g.opacities
     order = torch.argsort(-weight, stable=True).cpu().numpy()
-    colors = torch.cat([0.5 + SH_C0 * g.sh[:, 0], g.opacities[:, None]], 1)
+    colors = torch.cat([0.5 + C0 * g.sh[:, 0], g.opacities[:, None]], 1)
     table = np.empty(len(g), np.dtype([("place", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("turn", "u1", 4)]))
     table["place"], table["scale"] = _array(g.means)[order], _array(g.scales)[order]
     table["rgba"] = _byte(_array(colors)[order] * 255)

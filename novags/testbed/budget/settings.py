@@ -7,13 +7,8 @@ from novags.settings import flattened
 from novags.testbed.budget.choice import Option
 from novags.testbed.presets import Preset, adapted
 
-LEAST = {
-    "iterations": 10,
-    "points": 100,
-    "denoiser_steps": 1,
-    "spp": 2,
-    "size": 16,
-}  # of a value that still makes sense
+# The smallest value that still makes sense.
+LEAST = {"iterations": 10, "points": 100, "denoiser_steps": 1, "spp": 2, "size": 16}
 OF_A_RENDER = ("spp", "size")
 WORDS = {
     "iterations": "iterations", "points": "Gaussians", "denoiser_steps": "denoiser steps", "spp": "samples per pixel",

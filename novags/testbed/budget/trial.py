@@ -17,10 +17,10 @@ from novags.testbed.console import Console, Update
 from novags.testbed.folders.run import METRICS, RECORD
 from novags.testbed.presets import Preset, adapted
 from sensor_model.files.scratch import scratch
+from simscenes.rigs import TEST_EVERY
 
 VIEWS, STEPS, DENOISER_STEPS, SAMPLES = 4, 60, 10, 6
 WARM = 5  # first steps of a part, in which machine code is loaded
-HELD_OUT = 8  # every 8th view is scored
 
 
 class OutOfTime(Exception):
@@ -155,7 +155,7 @@ def of_method(
     shown = pace_of(views, 0, max(views, default=0)) * max(views, default=0)
     each = shown + float(record["seconds"].get("enhance", 0.0)) if method.parts is not None else spent
     found["fixed"] += max(spent - trained, 0.0) + (ratio - 1) * each
-    count = -(-preset.render.n_views // HELD_OUT) if preset.folder is None else 1
+    count = -(-preset.render.n_views // TEST_EVERY) if preset.folder is None else 1
     found["fixed"] += scored * count
     return found
 

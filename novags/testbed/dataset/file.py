@@ -20,14 +20,13 @@ from typing import Any, Literal, get_type_hints
 from novags.methods.variant import dotted
 from novags.settings import converted
 from novags.testbed.dataset.noise import with_own_noise
-from novags.testbed.study.axes import changes_of, scene_identity, scene_of
+from novags.testbed.study.axes import OF_RUNS, changes_of, scene_identity, scene_of
 from novags.testbed.study.grid import Cell, Study, study_of
 from sensor_model.files.reading import brief
 from sensor_model.files.toml_file import read_toml
 
 SPLITS = ("train", "val", "test")
 SHARES: dict[str, Any] = {"train": 0.8, "val": 0.1, "test": 0.1}
-OF_RUNS = ("method", "cameras", "points", "iterations", "denoiser_steps", "pictures", "refine_cameras", "device")
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 

@@ -7,6 +7,9 @@ from typing import Any
 import numpy as np
 import torch
 
+EPS = float(np.finfo(np.float32).eps)
+LARGEST = "of the largest value"  # the unit of `relative_error`
+
 
 def relative_error(found: Any, wanted: Any) -> float:
     """The largest difference over the largest value of the reference; infinite where a number found is not finite.

@@ -22,6 +22,8 @@ NOT_AXES = ("preset", "return", "methods", "variants", "n_views", "dark")
 STAGES = {"render": "render", "capture": "capture", "import": "imported"}  # render.max_depth -> of `Changes`, `Preset`
 OF_RENDER = ("views", "width", "height", "spp")  # of no use to a set that is there already
 OF_CAPTURE = ("sensor", "electrons")  # of no use to photographs that are dark already
+# Of use to reconstructions alone.
+OF_RUNS = ("method", "cameras", "points", "iterations", "denoiser_steps", "pictures", "refine_cameras", "device")
 
 
 @dataclass(frozen=True)

@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
+from simscenes.sets.pictures.whole import DEFLATE
+
 PLY_BYTES = {"char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2, "int": 4,
              "uint": 4, "int32": 4, "uint32": 4, "float": 4, "float32": 4, "double": 8, "float64": 8}  # fmt: skip
 MAX_HEADER = 1 << 16  # bytes of a PLY or `serialized` file that are looked at
-DEFLATE = 1032  # zlib cannot make data smaller than by this factor
 
 
 def check_mesh_file(path: Path) -> None:

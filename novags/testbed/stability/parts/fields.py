@@ -16,12 +16,9 @@ from novags.fields.reference import evaluate_reference
 from novags.methods.nerf import aleth
 from novags.methods.nerf.shading import DARKEST, LEAST_LEVEL, SRGB_GAMMA, brightened
 from novags.testbed.stability.case import Part, Setting
-from novags.testbed.stability.errors import relative_error, worst_error
+from novags.testbed.stability.errors import EPS, LARGEST, relative_error, worst_error
 
 PART = Part("fields")
-
-EPS = float(torch.finfo(torch.float32).eps)
-LARGEST = "of the largest value"
 
 
 def _weights(log_density: list[list[float]], widths: list[list[float]]) -> float:

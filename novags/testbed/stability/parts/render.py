@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from novags.testbed.stability.case import Part, Setting, worse
+from novags.testbed.stability.errors import EPS
 from simscenes import Rig, read_exr, write_exr
 from simscenes.backend import using_variant
 from simscenes.loading.load import build_scene
@@ -21,7 +22,6 @@ from simscenes.render.sequences import Radiance
 from simscenes.rigs import intrinsics, look_at
 
 PART = Part("render")
-EPS = float(np.finfo(np.float32).eps)
 BOTH = ("llvm_ad_rgb", "scalar_rgb")
 SIZE = 4  # px
 

@@ -24,9 +24,9 @@ from novags.testbed.metrics import (
     tone_aligned,
 )
 from novags.testbed.stability.case import Part, Setting, refusal, worse
+from novags.testbed.stability.errors import EPS
 
 PART = Part("score")
-EPS = float(np.finfo(np.float32).eps)
 
 
 def noise(low: float = 0.0, high: float = 1.0, seed: int = 0, size: int = 16) -> NDArray[np.float32]:

@@ -10,13 +10,12 @@ from novags.methods.averaging.scene import Average, AveragedScene, average
 from novags.methods.averaging.surface import Camera
 from novags.methods.averaging.warp import Rules
 from novags.testbed.stability.case import Part, Setting
-from novags.testbed.stability.errors import relative_error, worst_error
+from novags.testbed.stability.errors import LARGEST, relative_error, worst_error
 
 PART = Part("average")
 
 EPS = float(np.finfo(np.float64).eps)
 NUMPY = ("numpy",)
-LARGEST = "of the largest value"
 HEIGHT, WIDTH, FOCAL = 11, 14, 16.0
 SHIFTS = [(0.0, 0.0), (0.3, -0.4), (-0.7, 0.2), (1.6, 1.1)]  # of the cameras, in pixels
 SLOPES = np.array([[0.02, 0.01], [-0.015, 0.03], [0.0, 0.0]])  # of the light, per pixel, of each channel

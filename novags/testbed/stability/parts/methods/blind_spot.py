@@ -13,12 +13,9 @@ from novags.methods.nova.blindspot import BlindSpotConfig, laplacian_prior, n2v_
 from novags.methods.nova.denoiser import Denoiser, DenoiserConfig, donut_blur
 from novags.methods.nova.resunet import ResUNetConfig
 from novags.testbed.stability.case import Part, Setting, refusal
-from novags.testbed.stability.errors import relative_error, worst_error
+from novags.testbed.stability.errors import EPS, LARGEST, relative_error, worst_error
 
 PART = Part("blind_spot")
-
-EPS = float(torch.finfo(torch.float32).eps)
-LARGEST = "of the largest value"
 
 
 def _stream() -> torch.Generator:

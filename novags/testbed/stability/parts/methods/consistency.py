@@ -19,12 +19,10 @@ from novags.methods.nova.consistency import (
 )
 from novags.splats.views import Views
 from novags.testbed.stability.case import Part, Setting
-from novags.testbed.stability.errors import relative_error, worst_error
+from novags.testbed.stability.errors import EPS, LARGEST, relative_error, worst_error
 
 PART = Part("consistency")
 
-EPS = float(torch.finfo(torch.float32).eps)
-LARGEST = "of the largest value"
 H, W, FOCAL = 9, 11, 10.0
 # A projection takes some ten roundings of a pixel position of up to 11, and the picture changes by 1 within a pixel.
 WARPED = 200 * EPS

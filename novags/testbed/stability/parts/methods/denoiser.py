@@ -16,12 +16,10 @@ from novags.methods.nova.blindspot import BlindSpotConfig, n2v_loss, sample_mask
 from novags.methods.nova.denoiser import FAST_DENOISER, Denoiser, DenoiserConfig
 from novags.methods.nova.resunet import ResUNet, ResUNetConfig
 from novags.testbed.stability.case import Part, Setting
-from novags.testbed.stability.errors import relative_error, worst_error
+from novags.testbed.stability.errors import EPS, LARGEST, relative_error, worst_error
 
 PART = Part("denoiser")
 
-EPS = float(torch.finfo(torch.float32).eps)
-LARGEST = "of the largest value"
 # 27 normalised layers in a row. Each adds some roundings, and a normalisation hands on relative errors as they are; max
 # pooling and rectifiers have slopes that jump where two values are as good as equal.
 LAYERS = 1e-4

@@ -19,15 +19,13 @@ from novags.methods.noise import Variance
 from novags.methods.noise_estimate import _before_8_bits, noise_from
 from novags.methods.problem import RawPictures
 from novags.testbed.stability.case import Part, Setting, refusal
-from novags.testbed.stability.errors import relative_error, worst_error
+from novags.testbed.stability.errors import EPS, LARGEST, relative_error, worst_error
 from sensor_model import NoiseCurve
 
 PART = Part("enhance")
 
-EPS = float(torch.finfo(torch.float32).eps)
 # The ratio L^gamma / (L + eta) and its slope take about ten float32 operations, each within EPS / 2.
 ROUNDINGS = 20 * EPS
-LARGEST = "of the largest value"
 
 
 def _window_means(length: int, radius: int) -> Tensor:

@@ -17,12 +17,10 @@ from novags.methods.enhancers.mbllen import MbllenConfig, adjust
 from novags.methods.enhancers.networks import Kind
 from novags.methods.enhancers.tone_curves import DARKEST, DragoConfig, EqualiseConfig, GainConfig, GammaConfig
 from novags.testbed.stability.case import Part, Setting, refusal, worse
-from novags.testbed.stability.errors import relative_error
+from novags.testbed.stability.errors import EPS, LARGEST, relative_error
 
 PART = Part("enhancers")
 
-EPS = float(torch.finfo(torch.float32).eps)
-LARGEST = "of the largest value"
 CURVES: tuple[EnhancerConfig, ...] = (
     GammaConfig(), GammaConfig(gamma=None), GainConfig(), DragoConfig(), EqualiseConfig(),
 )  # fmt: skip

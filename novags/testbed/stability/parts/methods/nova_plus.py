@@ -18,13 +18,11 @@ from novags.methods.nova_plus.merge import merged
 from novags.methods.tone import ToneCurve, tone_curve
 from novags.splats import Gaussians
 from novags.testbed.stability.case import Part, Setting
-from novags.testbed.stability.errors import relative_error, worst_error
+from novags.testbed.stability.errors import EPS, LARGEST, relative_error, worst_error
 from sensor_model import NoiseCurve
 
 PART = Part("nova_plus")
 
-EPS = float(torch.finfo(torch.float32).eps)
-LARGEST = "of the largest value"
 BOTH = ("torch", "numba")
 SLOPE, OFFSET = 3e-4, 1e-8  # of the variance: read noise of a third of an electron, 3,333 electrons of full well
 Array = np.ndarray

@@ -17,14 +17,12 @@ from novags.methods.denoised.recorrupted import Adaptation, AdaptConfig
 from novags.methods.denoised.weights import load_weights
 from novags.methods.noise import Noise, Variance
 from novags.testbed.stability.case import Part, Setting, refusal
-from novags.testbed.stability.errors import relative_error
+from novags.testbed.stability.errors import EPS, LARGEST, relative_error
 from sensor_model import NoiseCurve
 from sensor_model.params import Cfa
 
 PART = Part("raw_denoiser")
 
-EPS = float(torch.finfo(torch.float32).eps)
-LARGEST = "of the largest value"
 # Twenty convolutions in a row. Each sums some hundred products of either sign, whose roundings partly cancel.
 LAYERS = 1e-4
 

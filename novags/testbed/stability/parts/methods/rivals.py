@@ -18,12 +18,9 @@ from novags.methods.rivals.luminance_curve import BINS, ViewCurves, mapped, orth
 from novags.methods.rivals.luminance_gs import LuminanceGsConfig, LuminanceLoss, contrast_loss
 from novags.methods.rivals.raw_gs import RawLoss
 from novags.testbed.stability.case import Part, Setting
-from novags.testbed.stability.errors import relative_error, worst_error
+from novags.testbed.stability.errors import EPS, LARGEST, relative_error, worst_error
 
 PART = Part("rivals")
-
-EPS = float(torch.finfo(torch.float32).eps)
-LARGEST = "of the largest value"
 
 
 def _raw(render: np.ndarray, data: np.ndarray, white: float, epsilon: float) -> float:

@@ -17,12 +17,10 @@ from novags.splats.cpu.raster import harmonics
 from novags.splats.cpu.raster.record import CHANNEL, ROW
 from novags.splats.sh import sh_colors
 from novags.testbed.stability.case import Part, Setting
-from novags.testbed.stability.errors import relative_error, worst_error
+from novags.testbed.stability.errors import EPS, LARGEST, relative_error, worst_error
 
 PART = Part("harmonics")
 
-EPS = float(torch.finfo(torch.float32).eps)
-LARGEST = "of the largest value"
 BOTH = ("torch", "numba", "gsplat")
 # A colour is a sum of up to 17 terms, each a product of some five numbers.
 COLORS = 20 * EPS

@@ -13,13 +13,11 @@ from torch import Tensor
 
 from novags.splats import rasterize
 from novags.testbed.stability.case import Part, Setting, refusal
-from novags.testbed.stability.errors import worst_error
+from novags.testbed.stability.errors import EPS, LARGEST, worst_error
 from novags.testbed.stability.parts.splats.dense import NAMES, Camera, render
 
 PART = Part("splats")
 
-EPS = float(torch.finfo(torch.float32).eps)
-LARGEST = "of the largest value"
 ALL = ("numba", "torch", "gsplat")
 # A splat's exponent is at most 5.5 (255 e^-5.5 = 1) and has some ten roundings; gradients in quaternions are sums over
 # pixels that cancel: some hundred roundings.

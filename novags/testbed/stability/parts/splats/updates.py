@@ -20,11 +20,10 @@ from novags.splats.cpu.training import noise
 from novags.splats.training.updates import adam, mcmc
 from novags.splats.training.updates.activate import activate
 from novags.testbed.stability.case import Part, Setting
-from novags.testbed.stability.errors import relative_error, worst_error
+from novags.testbed.stability.errors import EPS, relative_error, worst_error
 
 PART = Part("updates")
 
-EPS = float(torch.finfo(torch.float32).eps)
 TINY = float(torch.finfo(torch.float32).tiny)  # smallest normal number
 BOTH = ("numba", "torch")
 Array = np.ndarray
