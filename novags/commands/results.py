@@ -23,7 +23,7 @@ def score(
 
     Args:
         runs: Folders of runs, of experiments, or folders that hold such.
-        renders: Instead: a folder of pictures of the test views, called like these: 8-bit, 16-bit or EXR.
+        renders: Instead: a folder of pictures of the test views, named like them: 8-bit, 16-bit or EXR.
         set: The set or the capture whose test views they show.
         reference: What they are compared with: lit (the views in good light, sRGB), linear (the light of the scene,
             after one gain for all views; 16-bit and EXR files hold linear light then), clean (of a capture: the dark

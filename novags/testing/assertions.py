@@ -25,7 +25,7 @@ def assert_scores(
 
     Args:
         views: What they show: `dark.test`.
-        pictures: [C,h,w,3], floats in 0..1, uint8 or uint16; or a folder of files called like the views.
+        pictures: [C,h,w,3], floats in 0..1, uint8 or uint16; or a folder of files named like the views.
         against: "lit": the views in good light; "clean": the dark exposures without noise, both sRGB-encoded;
             "linear": these in linear light, after one gain for all views, exposed so that few of their values are
             beyond white.

@@ -73,7 +73,7 @@ class MultiviewSet:
 
     @property
     def renamed(self) -> dict[str, str]:
-        """File, relative to the folder, of the views that could not be called like it, by the view's name."""
+        """File, relative to the folder, of the views that could not have its name, by the view's name."""
         pairs = zip(self.names, self.files, strict=True)
         return {name: os.path.relpath(file, self.path) for name, file in pairs if file.stem != name}
 

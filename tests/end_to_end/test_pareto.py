@@ -75,5 +75,5 @@ def test_a_budget_that_nothing_fits_into_is_one_line_with_the_least_time(tmp_pat
     assert done.returncode == 2
     last = done.stderr.strip().splitlines()[-1]
     assert last.startswith(
-        "novags: error: a budget of 3 s is too small: trying the experiment in small alone takes more"
+        "novags: error: a budget of 3 s is too small: trying the experiment on a small scale alone takes more"
     )

@@ -1,4 +1,4 @@
-"""Run an experiment in a given time: try it in small, choose settings, say so, run, and say what came of it."""
+"""Run an experiment in a given time: try it on a small scale, choose settings, say so, run, and say what came of it."""
 
 import time
 from collections.abc import Iterator
@@ -152,7 +152,7 @@ def _write(out: Path, state: State) -> State:
 
 
 def _planned(request: Request, console: Console) -> Plan:
-    """Try the experiment in small, and choose.
+    """Try the experiment on a small scale, and choose.
 
     Raises:
         ValueError: If the budget is too small.
@@ -162,11 +162,11 @@ def _planned(request: Request, console: Console) -> Plan:
     start, facts = time.perf_counter(), known(request.curves, methods)
     what = f"a budget of {request.budget:g} s is too small"
     remedy = "give more time, fewer methods, or smaller pictures"
-    console.note(f"budget {request.budget:g} s: trying the experiment in small, to see how fast this machine is")
+    console.note(f"budget {request.budget:g} s: trying the experiment on a small scale to see this machine's pace")
     try:
         tried = forecast(request.preset, TRIAL * request.budget)
     except OutOfTime:
-        raise ValueError(f"{what}: trying the experiment in small alone takes more than "
+        raise ValueError(f"{what}: trying the experiment on a small scale alone takes more than "
                          f"{_seconds(TRIAL * request.budget)} here; {remedy}") from None  # fmt: skip
     options = open_options(request.preset, facts.options, request.decided)
     spent = time.perf_counter() - start

@@ -1,4 +1,4 @@
-"""The experiment in small, with a stopwatch: what each of its parts will take here, at the preset's own settings.
+"""The experiment on a small scale, with a stopwatch: what each of its parts will take here at the preset's settings.
 
 Pictures have their real size and fits their real number of Gaussians; views, samples and steps are few. What is done
 once per view, sample or step is scaled up; the rest counts as it is.
@@ -83,7 +83,7 @@ def in_small(preset: Preset) -> Preset:
 
 
 def forecast(preset: Preset, limit: float) -> Forecast:
-    """Try the experiment in small.
+    """Try the experiment on a small scale.
 
     Args:
         preset: The experiment.
@@ -132,7 +132,7 @@ def scaled(
 def of_method(
     preset: Preset, small: Preset, name: str, folder: Path, stamps: Mapping[str, Mapping[int, float]], ratio: float
 ) -> dict[str, float]:
-    """Seconds by part of one method with its score, and `took`: what it took in small."""
+    """Seconds by part of one method with its score, and `took`: what it took on a small scale."""
     record, metrics = read_json(folder / RECORD), read_json(folder / METRICS)
     spent, scored = float(record["stage"]["seconds"]), float(metrics["stage"]["seconds"])
     found = {"took": spent + scored, "fixed": 0.0}

@@ -75,7 +75,7 @@ def gather(folders: Sequence[Path]) -> dict[str, Run]:
         parents = [part for part in reversed(run.path.resolve().parent.parts) if part != run.path.anchor]
         name = run.name
         if count[run.name] > 1 or name in named:
-            # From below upwards until nobody else is called like it.
+            # Parent folders are added until no other run has that name.
             alike = [other.path.resolve().parent.parts[::-1] for other in runs if other.name == run.name]
             depth = next((d for d in range(1, len(parents) + 1)
                           if sum(other[:d] == tuple(parents[:d]) for other in alike) == 1), None)  # fmt: skip

@@ -12,7 +12,7 @@ MOST = 100_000  # frames that are counted on; a damaged header can announce any 
 
 
 def is_video(path: Path) -> bool:
-    """Whether a file is called like a video."""
+    """Whether a file's name is that of a video."""
     return path.suffix.lower() in VIDEOS and path.is_file()
 
 

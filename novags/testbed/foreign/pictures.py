@@ -1,4 +1,4 @@
-"""Pictures of views that any program made: a folder of files that are called like the views."""
+"""Pictures of views that any program made: a folder of files that are named like the views."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass

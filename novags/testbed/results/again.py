@@ -108,7 +108,7 @@ def _named(name: str, method: str, wanted: Mapping[str, Any]) -> list[str]:
     own = Variant(name=name, method=method, settings=settings)
     try:
         if settings and _asked(own, {}) == wanted:
-            other = f"{name}-{AGAIN}" if name in METHODS else name  # a variant cannot be called like a method
+            other = f"{name}-{AGAIN}" if name in METHODS else name  # a variant cannot have the name of a method
             return ["--variant", f"{other}={method}:{';'.join(f'{key}={value}' for key, value in settings.items())}"]
     except ValueError:  # a setting that this version does not have
         pass

@@ -23,7 +23,7 @@ class Dataset:
 
     Attributes:
         name: As its authors write it.
-        home: Where it is to be had.
+        home: Where it is available.
         layout: A scene in a few words.
         named: Whether a folder above a scene bears the name; else what the scene holds is enough.
         fits: Whether a folder holds what a scene does.
@@ -113,7 +113,7 @@ def _owner(folder: Path) -> str | None:
 
 
 def expected(names: Iterable[str]) -> str:
-    """Where these data sets are to be had, and what a scene of each holds; for messages."""
+    """Where these data sets are available, and what a scene of each holds; for messages."""
     return "; ".join(f"{name}: {DATASETS[name].layout} ({DATASETS[name].home})" for name in names)
 
 

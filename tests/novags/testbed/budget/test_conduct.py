@@ -109,7 +109,10 @@ def test_options_that_the_user_set_stay(work: Work, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ("budget", "message"),
-    [(50.0, "the least that this experiment takes here is about 56 s"), (10.0, "trying the experiment in small alone")],
+    [
+        (50.0, "the least that this experiment takes here is about 56 s"),
+        (10.0, "trying the experiment on a small scale alone"),
+    ],
 )
 def test_a_budget_that_is_too_small_is_refused_with_the_least_time(
     work: Work, tmp_path: Path, budget: float, message: str
