@@ -33,7 +33,7 @@ def errors_in_one_line() -> Iterator[None]:
         if not end.code:
             _end_if_nobody_reads()
         raise
-    except BaseException as error:  # the panics of libraries written in Rust are no Exceptions
+    except BaseException as error:  # panics of libraries written in Rust are not Exceptions
         if isinstance(error, BrokenPipeError):
             _end_if_nobody_reads()
         if os.environ.get("NOVAGS_TRACEBACK"):

@@ -1,4 +1,4 @@
-"""What tests of several parts share, and what not every machine has: said once, and why its absence is no failure."""
+"""What tests of several parts share, and what not every machine has: said once, and why lacking it is not a failure."""
 
 import os
 import re

@@ -190,6 +190,6 @@ def between(cost: Float, best: NDArray[np.intp]) -> Array:
     inner = np.clip(best, 1, len(cost) - 2)
     below, here, above = (np.take_along_axis(cost, (inner + k)[None], 0)[0].astype(np.float64) for k in (-1, 0, 1))
     bend = below - 2 * here + above
-    # 1e-6: three equal costs are no parabola. At the ends of the range the lowest point may lie outside it.
+    # 1e-6: three equal costs are not a parabola. At the ends of the range the lowest point may lie outside it.
     shift = np.where(bend > 1e-6, (below - above) / np.maximum(2 * bend, 1e-6), 0.0)
     return np.where(inner == best, inner + np.clip(shift, -0.5, 0.5), best)

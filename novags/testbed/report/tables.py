@@ -101,7 +101,7 @@ def ranks(values: Mapping[str, float], more_is_better: bool) -> dict[str, int]:
 
 
 def measured(value: float | str | None) -> float | None:
-    """A score as a number: JSON has infinity as text; None and NaN are no scores.
+    """A score as a number: JSON has infinity as text; None and NaN are not scores.
 
     Raises:
         ValueError: If it is another text.

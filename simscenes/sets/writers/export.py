@@ -46,7 +46,7 @@ def export_blender(views: MultiviewSet, folder: str | Path, *, truth: MultiviewS
 
     The world is moved and scaled, x' = scene_scale (x - scene_center), so that the scene is about the origin and what
     the pixels see lies between `NEAR` and `FAR`; both numbers are in every file. Alpha is 0 where a pixel's centre sees
-    no surface, which takes a rendered set; photographs are opaque. Of pictures that are no squares nerfbaselines 1.2
+    no surface, which takes a rendered set; photographs are opaque. Of pictures that are not square nerfbaselines 1.2
     puts the optical axis at row width / 2; other readers do not.
 
     Args:

@@ -101,7 +101,7 @@ def run(kernel, u, mean):
     from sensor_model.fast.kernels import CHUNK, MU, N, U, W
 
     b, f, where = blocks.scratch()
-    f[:] = 0  # not every kernel leaves quantiles, and what lay in that memory may be no number that can be cast
+    f[:] = 0  # not every kernel leaves quantiles, and what lay in that memory may not be castable
     counts, quantiles, bounded = np.empty(u.size), np.empty(u.size), True
     for i in range(0, u.size, CHUNK):
         n = min(CHUNK, u.size - i)

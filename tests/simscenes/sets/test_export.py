@@ -127,7 +127,7 @@ def test_instant_ngp_finds_cameras_and_scene_inside_its_box(mkdirs: Path, size, 
     inside = [x * meta["scale"] + np.array(meta["offset"]) for x in (poses[:, :3, 3], points.xyz)]
     for places in inside:  # nerf_matrix_to_ngp; the cube is the same for any order of the axes
         assert np.abs(places - 0.5).max() <= meta["aabb_scale"] / 2
-    assert meta["aabb_scale"] == 1  # a sphere that cameras circle is no background
+    assert meta["aabb_scale"] == 1  # a sphere that cameras circle is not a background
     assert np.ptp(inside[0], axis=0).max() > 0.5  # and is not lost in the cube
 
 

@@ -109,7 +109,7 @@ def test_a_chain_counts_what_its_second_surface_sees_and_borders_are_no_links(bo
 
 
 def test_a_chain_ends_at_a_matt_surface_and_lamps_that_are_chosen_count_after_it_only() -> None:
-    """A rough metal floor lit by a sky of 1: one lobe is no chain. Behind glass, which is two of them, all light is."""
+    """A rough metal floor lit by a sky of 1: one lobe is not a chain. Behind glass, which is two, all light is."""
     mi = activate()
     sky = {"type": "constant", "radiance": 1.0}
     floor = {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(50),

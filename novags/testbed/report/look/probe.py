@@ -35,7 +35,7 @@ def probe_of(capture: Capture, i: int) -> Probe | None:
 
     Planes: `dn`, the digital numbers; of a simulated exposure `mean`, the mean of all exposures like it above black,
     and `noise`, their temporal standard deviation, both in electrons; `linear` and `linear_mean`, the developed light
-    of this exposure and of the noise-free one, 1 = white, where they are no multiple of the digital numbers.
+    of this exposure and of the noise-free one, 1 = white, where they are not a multiple of the digital numbers.
     """
     if not capture.holds("raw"):
         return None

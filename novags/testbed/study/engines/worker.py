@@ -137,7 +137,7 @@ def _outcome(place: str, request: Mapping[str, Any], connection: Connection) -> 
         return Outcome("busy", brief(error))
     except (KeyboardInterrupt, BrokenPipeError):
         raise
-    except BaseException as error:  # the panics of libraries written in Rust are no Exceptions
+    except BaseException as error:  # panics of libraries written in Rust are not Exceptions
         traceback.print_exc()
         return _failure(error, getattr(error, "stage", ""))
 

@@ -146,7 +146,7 @@ def test_knobs_that_are_named_are_measured_alone_and_what_the_folder_has_stays(
 ) -> None:
     first = measure(made, tmp_path, 1, QUIET, only=("shape",))
     assert [config["fit.sh_degree"] for config in asked.configs] == [0, 1]
-    lines = curves(made, first)  # the default is that of the other knobs too, which are no curves with it alone
+    lines = curves(made, first)  # the default is that of the other knobs too, which alone are not curves
     assert [(line["knob"], line["setting"]) for line in lines] == [("mine.shape", "low"), ("mine.shape", "own")]
     measure(made, tmp_path, 1, QUIET, only=("resolution",))
     found = {line["knob"] for line in curves(made, Samples(tmp_path / "mine.samples.json", made))}
