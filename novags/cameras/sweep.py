@@ -17,10 +17,8 @@ SIZE = 64  # px, longest side: averaging is what makes dark pictures comparable,
 PLANES = 64  # depths tried, about a pixel of parallax apart at this size
 NEIGHBOURS = 4  # pictures that each one is compared with
 WINDOW = 5  # px
-SMOOTH, JUMP = (
-    0.1,
-    0.6,
-)  # costs of a depth that changes by one plane, or by more, from pixel to pixel; a match costs 0..1
+# Costs of a depth that changes by one plane, or by more, from pixel to pixel; a match costs 0..1.
+SMOOTH, JUMP = 0.1, 0.6
 REFERENCES = 48  # views with a depth map, at most
 FARTHEST = 30.0  # of a plane, in extents of the cameras
 

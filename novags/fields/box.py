@@ -76,9 +76,8 @@ def box_of(centers: Tensor, points: Tensor) -> Box:
     some = points[:: max(1, len(points) // 5000)]
     distances = (some[None] - centers[:, None]).norm(dim=-1).flatten()[:, None]
     middle = MARGIN * float(_quantile(distances, 1 - OUTLIERS)) or longest
-    near = max(
-        CLOSEST * float(_quantile(distances, OUTLIERS / 5)), 1e-3 * middle
-    )  # 0: a camera on a point divides by 0
+    # The floor: a camera on a point would divide by 0.
+    near = max(CLOSEST * float(_quantile(distances, OUTLIERS / 5)), 1e-3 * middle)
     x, y, z = ((low + high) / 2).tolist()
     a, b, c = half.tolist()
     return Box(center=(x, y, z), half=(a, b, c), near=min(near, 0.5 * middle), middle=middle, far=FARTHEST * middle)

@@ -20,12 +20,11 @@ from numpy.typing import NDArray
 from sensor_model.files.atomic import atomic
 
 from ..gaussians import Gaussians
-from ..sh import C0
+from ..sh import sh_to_rgb
 
 SPZ_MAGIC, SPZ_VERSIONS = 0x5053474E, (2, 3)
 SPZ_COLOR = 0.15  # of the base coefficient, so that values a bit outside 0..1 survive
 SPZ_BITS = 20  # most fractional bits of a position
-SPZ_SCALES = (-10.0, 255 / 16 - 10)  # log scales that its bytes hold
 SH_BUCKETS = (8, 16)  # steps of 1/128 at degree 1, and above
 
 Bytes = NDArray[np.uint8]
@@ -36,7 +35,7 @@ def write_splat(path: str | Path, gaussians: Gaussians) -> None:
     g = gaussians.detach()
     weight = g.log_scales.sum(1).exp() * g.opacities
     order = torch.argsort(-weight, stable=True).cpu().numpy()
-    colors = torch.cat([0.5 + C0 * g.sh[:, 0], g.opacities[:, None]], 1)
+    colors = torch.cat([sh_to_rgb(g.sh[:, 0]), g.opacities[:, None]], 1)
     table = np.empty(len(g), np.dtype([("place", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("turn", "u1", 4)]))
     table["place"], table["scale"] = _array(g.means)[order], _array(g.scales)[order]
     table["rgba"] = _byte(_array(colors)[order] * 255)
@@ -50,7 +49,7 @@ def write_spz(path: str | Path, gaussians: Gaussians, *, version: int = 3, antia
 
     Args:
         path: File to write.
-        gaussians: Log scales outside `SPZ_SCALES` are clipped.
+        gaussians: Log scales outside -10..5.9375, which its bytes hold, are clipped.
         version: 2, for old readers, or 3, whose rotations are finer.
         antialiased: Whether they were trained with rasterize_mode="antialiased".
 

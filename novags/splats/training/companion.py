@@ -102,9 +102,8 @@ def unpack(prefix: str, tensors: dict[str, Tensor], network: nn.Module, adam: Ad
             # torch keeps Adam's step count on the CPU whatever the device of the weights.
             adam.state[parameter] = {k: v if k == "step" else v.to(parameter) for k, v in moments.items()}
         if gradient is not None:
-            parameter.grad = torch.zeros_like(parameter).copy_(
-                gradient
-            )  # in the layout that autograd continues adding to
+            # A copy in the layout of the parameter, to which autograd goes on adding.
+            parameter.grad = torch.zeros_like(parameter).copy_(gradient)
 
 
 def _alike(value: Tensor, like: Tensor) -> bool:

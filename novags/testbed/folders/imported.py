@@ -69,10 +69,10 @@ def channels_share(record: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(reason for reason, holds in reasons.items() if holds)
 
 
-MISSING = {
+MISSING = {  # of `PARTS`: why a score or a method has nothing to go by, and what would give it
     "truth": "no noise-free exposure is known of these photographs: novags import takes --clean FOLDER (long exposures "
     "of the same views)",
     "lit": "nothing shows these views in good light: novags import takes --lit FOLDER (pictures of the same views)",
     "images16": "there are no 16-bit linear pictures: novags import takes 16-bit or raw files",
     "raw": "there are no raw frames: novags import takes raw files of undistorted pictures in their own size",
-}  # of `PARTS`: why a score or a method has nothing to go by, and what would give it
+}

@@ -10,14 +10,14 @@ from novags.testbed.report.charts import plot_data
 
 WIDTH, HEIGHT = 720, 340
 LEFT, RIGHT, TOP, BOTTOM = 62, 170, 14, 46
-MARKS = (
+MARKS = (  # of lines one after the other: not by colour alone
     "M-4,-4h8v8h-8z",
     "M0,-5L5,4H-5z",
     "M0,-5.5L5.5,0L0,5.5L-5.5,0z",
     "M-4,0a4,4 0 1,0 8,0a4,4 0 1,0 -8,0",
     "M0,5L5,-4H-5z",
     "M-5,-1.5h3.5v-3.5h3v3.5h3.5v3h-3.5v3.5h-3v-3.5h-3.5z",
-)  # of lines one after the other: not by colour alone
+)
 LEGEND = 22  # px between two lines of it
 ALONE = """
 svg { background: #fff; font-family: system-ui, sans-serif; --line: #e2e2df; --muted: #63666d; }

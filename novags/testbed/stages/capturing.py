@@ -40,10 +40,10 @@ from simscenes.sets.multiview import write_cameras
 QUANTILES = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
 PIXELS_PER_VIEW, PIXELS = 1365, 350_000  # kept for the quantiles of the signal: enough for the 1 % ones
 FULL_SIZE = tuple(name for name in DEMOSAIC if name != "half")  # pictures must be as large as their cameras say
-NO_LIGHT = {
+NO_LIGHT = {  # what to do about a black set of each kind
     "rendered": "none reaches its cameras: add an emitter to the scene, or check that one faces what they see",
     "photographs": "check that its pictures are right",
-}  # what to do about a black set of each kind
+}
 ROW_LENGTH = 33  # px; the enhancement averages over such windows, so noise that rows share adds up in them
 
 
