@@ -27,7 +27,7 @@ from torch import Tensor
 from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
 from novags.methods.gaussian_fit import Progress
-from novags.methods.nerf.fitting import fitted_scene, with_outputs
+from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs
 from novags.methods.nerf.losses import differences, grey_of
 from novags.methods.problem import Pictures, Problem
 from novags.methods.reconstruction import Reconstruction
@@ -116,9 +116,5 @@ def train(
     scene, found = fitted_scene(
         problem, loss, config.fit, "display", extra=extra, progress=progress, checkpoint=checkpoint
     )
-    other = max(0.0, time.perf_counter() - started - found.seconds)
     last = None if math.isnan(through[0]) else through[0]
-    return Reconstruction(
-        scene=scene, space="lit", config=config, losses=found.state.losses,
-        seconds={"fit": found.seconds, "other": other}, found={"let_through": last},
-    )  # fmt: skip
+    return reconstructed(scene, found, config, "lit", started, found={"let_through": last})

@@ -5,6 +5,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from torch import Tensor
 
@@ -21,7 +22,7 @@ from novags.methods.nerf.losses import robust
 from novags.methods.nerf.scene import FieldScene
 from novags.methods.nerf.shading import at, display
 from novags.methods.problem import Pictures, Problem
-from novags.methods.reconstruction import Reconstruction
+from novags.methods.reconstruction import Reconstruction, Space
 from novags.methods.start import brightened
 
 RENDERED = 2  # samples of a picture's ray, for each that trained: a sample too few shows in every pixel
@@ -68,6 +69,15 @@ def fitted_scene(
     )  # fmt: skip
     state = found.state
     return FieldScene(state.field, box, state.proposal, RENDERED * fit.samples, shading, dict(numbers or {})), found
+
+
+def reconstructed(
+    scene: FieldScene, fitted: FieldFit, config: Any, space: Space, started: float, **more: Any
+) -> Reconstruction:
+    """The reconstruction of a method that consists of one fit; as `gaussian_fit.reconstructed`."""
+    other = max(0.0, time.perf_counter() - started - fitted.seconds)
+    seconds = {"fit": fitted.seconds, "other": other}
+    return Reconstruction(scene=scene, space=space, config=config, losses=fitted.state.losses, seconds=seconds, **more)
 
 
 def fit_enhanced_field(

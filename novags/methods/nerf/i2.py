@@ -39,7 +39,7 @@ from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
 from novags.methods.gaussian_fit import Progress
 from novags.methods.light import raw_loss
-from novags.methods.nerf.fitting import fitted_scene, with_outputs
+from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs
 from novags.methods.nerf.losses import grey_of
 from novags.methods.problem import LacksInput, Pictures, Problem
 from novags.methods.reconstruction import Reconstruction
@@ -166,8 +166,4 @@ def train(
         return loss_of(dark, lit, medium, batch, batch.of(images), batch.of(aims), config)
 
     scene, found = fitted_scene(problem, loss, config.fit, "display", progress=progress, checkpoint=checkpoint)
-    other = max(0.0, time.perf_counter() - started - found.seconds)
-    return Reconstruction(
-        scene=scene, space="lit", config=config, losses=found.state.losses,
-        seconds={"fit": found.seconds, "other": other}, found=dict(last),
-    )  # fmt: skip
+    return reconstructed(scene, found, config, "lit", started, found=dict(last))

@@ -31,7 +31,7 @@ from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
 from novags.methods.gaussian_fit import Progress
 from novags.methods.light import raw_loss
-from novags.methods.nerf.fitting import fitted_scene, with_outputs
+from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs
 from novags.methods.nerf.losses import differences
 from novags.methods.nerf.shading import brightened, split
 from novags.methods.problem import Pictures, Problem
@@ -150,9 +150,5 @@ def train(
     scene, found = fitted_scene(
         problem, loss, config.fit, "retinex", numbers={"illumination": first}, progress=progress, checkpoint=checkpoint
     )
-    other = max(0.0, time.perf_counter() - started - found.seconds)
     last = None if math.isnan(seen_last[0]) else seen_last[0]
-    return Reconstruction(
-        scene=scene, space="lit", config=config, losses=found.state.losses,
-        seconds={"fit": found.seconds, "other": other}, found={"illumination": last},
-    )  # fmt: skip
+    return reconstructed(scene, found, config, "lit", started, found={"illumination": last})

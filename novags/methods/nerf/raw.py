@@ -23,7 +23,7 @@ from novags.methods.enhancers import EnhancerConfig, enhanced, enhancement_recor
 from novags.methods.enhancers.guided import EnhanceConfig
 from novags.methods.gaussian_fit import Progress
 from novags.methods.light import MeasuredLight, brightness, measured_light, raw_loss
-from novags.methods.nerf.fitting import fitted_scene, with_outputs
+from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs
 from novags.methods.nerf.shading import light_of
 from novags.methods.noise_estimate import noise_of
 from novags.methods.problem import Pictures, Problem
@@ -80,11 +80,9 @@ def train(
     scene, found = fitted_scene(
         problem, loss, config.fit, "light", numbers=numbers_of(data, unit), progress=progress, checkpoint=checkpoint
     )
-    other = max(0.0, time.perf_counter() - started - found.seconds)
-    return Reconstruction(
-        scene=scene, space="linear", config=config, enhanced=shown, losses=found.state.losses,
+    return reconstructed(
+        scene, found, config, "linear", started, enhanced=shown, found={"unit": unit},
         enhancement=enhancement_record(config.enhance, config.pictures),
-        seconds={"fit": found.seconds, "other": other}, found={"unit": unit},
     )  # fmt: skip
 
 
