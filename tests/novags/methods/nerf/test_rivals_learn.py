@@ -105,3 +105,15 @@ def test_i2_aims_at_the_true_mean_only_where_it_may_know_it(
     config = i2.I2Config(fit=dataclasses.replace(QUICK, iterations=1), truth_statistics=truth, mean=0.45)
     i2.train(dataclasses.replace(problem(), lit_mean=0.3), config)
     assert asked == [mean]
+
+
+def test_i2_brings_the_luminance_of_coloured_pictures_to_its_mean(
+    problem: Callable[..., Problem], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    aims, real = [], i2.mapped
+    monkeypatch.setattr(i2, "mapped", lambda *given: aims.append(real(*given)) or aims[-1])
+    seen = problem()
+    red = dataclasses.replace(seen, srgb8=seen.srgb8 * torch.tensor([1.0, 0.3, 0.1]))
+    i2.train(red, i2.I2Config(fit=dataclasses.replace(QUICK, iterations=1), mean=0.4, contrast=1.0))
+    luminance = sum(share * float(aims[0][..., c].mean()) for c, share in enumerate((0.299, 0.587, 0.114)))
+    assert luminance == pytest.approx(0.4, abs=1e-4)
