@@ -15,7 +15,10 @@ picture.
 What differs from it: the field is that of docs/fields.md, which starts dense at the first points and as dark as the
 pictures, with its steps and rays; the enhancement comes in for the last quarter of the steps, not for the last 5,000 of
 105,000, which is a twentieth: of as few steps as ours, at rates that have fallen, that would be too short to move a and
-g; pixels come in squares of four. Exponents, sigmoids and weights are as published.
+g; pixels come in squares of four. Exponents, sigmoids and weights are as published. The terms of the enhancement are
+those of the code but for this: there the exposure is compared ray by ray, (mean of a ray's C_e - 0.55)^2; the grey term
+is a root, sqrt(3 var C_e / (var(R / largest R) + 0.5)); R and L are held fixed in all of them, so that colours learn
+nothing but a and g from the enhancement; the smoothness takes log(L + 1e-4); and g^2 is a mean over samples, not rays.
 """
 
 import dataclasses
