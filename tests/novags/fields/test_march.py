@@ -150,6 +150,15 @@ def test_the_box_holds_the_points_but_not_the_one_that_is_wrong() -> None:
     assert box.near < 2.6
 
 
+def test_rays_begin_before_the_nearest_points_and_change_their_spacing_behind_the_farthest() -> None:
+    """Of 1,001 points on a line before a camera, one of the nearest and five of the farthest count as outliers."""
+    points = torch.stack([torch.zeros(1001), torch.zeros(1001), 10 + torch.arange(1001.0)], 1)
+    box = box_of(torch.zeros(1, 3), points)
+    assert box.near == pytest.approx(0.5 * 11)
+    assert box.middle == pytest.approx(1.1 * 1005)
+    assert box.far == pytest.approx(50 * box.middle)
+
+
 @pytest.mark.parametrize("points", [torch.zeros(5, 3), torch.ones(1, 3)])
 def test_points_in_one_place_still_give_a_box(points: torch.Tensor) -> None:
     box = box_of(torch.tensor([[0.0, 0.0, 2.0]]), points)
