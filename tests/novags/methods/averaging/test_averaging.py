@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pytest
 import torch
 from numpy.typing import NDArray
 
@@ -201,6 +202,31 @@ def test_holes_are_counted_and_take_the_colour_beside_them() -> None:
     assert np.array_equal(alpha[0].numpy() > 0, seen & surface)
     true = world.hit(TARGET, _centres())[0]
     assert np.allclose(depth[0].numpy()[seen & surface], true[seen & surface], rtol=1e-5)
+
+
+@pytest.mark.parametrize("unit", [0.01, 1.0, 100.0])
+@pytest.mark.parametrize(("turn", "nearest"), [(0.2, 0), (0.5, 1)])
+def test_the_enhancement_is_that_of_the_nearest_camera_whatever_the_unit_of_length(
+    unit: float, turn: float, nearest: int
+) -> None:
+    """One camera stands where the target does but is turned, the other looks alike, a quarter of the reach away."""
+
+    def camera(turn: float, place: float) -> Camera:
+        viewmat = np.eye(4)
+        viewmat[:3, :3] = [[np.cos(turn), 0, np.sin(turn)], [0, 1, 0], [-np.sin(turn), 0, np.cos(turn)]]
+        viewmat[:3, 3] = -viewmat[:3, :3] @ [place * unit, 0, 0]
+        return Camera(viewmat, World.K, np.zeros((4, 4, 3)), 0.01)
+
+    sources, target = [camera(turn, 0.0), camera(0.0, 1 / 3)], camera(0.0, 0.0)
+    known = [*sources, target, camera(0.0, 1.0), camera(0.0, -4 / 3)]  # their mean is the target's place
+    pictures, seen = np.ones((2, 4, 4, 3)), []
+    scene = AveragedScene(
+        sources=sources, exposures=pictures, variances=pictures, known=known, rules=LENIENT,
+        enhance=lambda image, view: seen.append(view) or image,
+    )  # fmt: skip
+    viewmats, Ks = (torch.from_numpy(matrix)[None].float() for matrix in (target.viewmat, World.K))
+    scene.render(Views(viewmats, Ks, 4, 4))
+    assert seen == [nearest]
 
 
 def test_a_camera_between_the_known_ones_sees_their_surface() -> None:
