@@ -14,6 +14,7 @@ from torch import Tensor
 
 from novags.fields.box import Box, box_of
 from novags.fields.layout import SIDE, Layout
+from novags.fields.march import Proposal, cells_near
 from novags.fields.render import render_field
 from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
@@ -223,6 +224,24 @@ def test_the_map_is_looked_at_cell_after_cell_and_then_again(monkeypatch: pytest
         fitting.refresh(state, rng, 400_000)
     np.testing.assert_array_equal(np.concatenate(seen), np.arange(1_200_000) % SIDE**3)
     assert state.looked == 1_200_000 % SIDE**3
+
+
+def test_the_map_keeps_nine_tenths_of_its_excess_where_rays_meet_it_and_half_where_it_is_looked_at(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    views, images, _, points = ball()
+    box, learnt, real = box_of(views.centers, points), [], Proposal.learn
+    monkeypatch.setattr(Proposal, "learn", lambda self, *given: learnt.append(given[:2]) or real(self, *given))
+    state = fit_field(views, points, box, mse(images), dataclasses.replace(TINY, iterations=1)).state
+    density = np.where(cells_near(points, box), 10.0, 0.05)
+    (looked, _), (met, _) = learnt
+    assert len(looked) == TINY.rays * TINY.samples // 2
+    assert len(met) == TINY.rays * TINY.samples
+    for (places, logarithms), kept in zip(learnt, (0.5, 0.9), strict=True):
+        for (x, y, z), found in zip((places * SIDE).astype(int).clip(0, SIDE - 1), np.exp(logarithms), strict=True):
+            at = (z * SIDE + y) * SIDE + x
+            density[at] = max(found, found + kept * (density[at] - found))
+    np.testing.assert_allclose(state.proposal.density, density, rtol=1e-4)
 
 
 def test_a_field_without_views_is_refused() -> None:

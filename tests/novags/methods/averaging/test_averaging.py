@@ -7,7 +7,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from novags.methods.averaging.scene import AveragedScene, average
+from novags.methods.averaging.scene import AveragedScene, _apart, average
 from novags.methods.averaging.surface import Camera, seen_together
 from novags.methods.averaging.warp import Rules, warp
 from novags.splats import Views
@@ -202,6 +202,15 @@ def test_holes_are_counted_and_take_the_colour_beside_them() -> None:
     assert np.array_equal(alpha[0].numpy() > 0, seen & surface)
     true = world.hit(TARGET, _centres())[0]
     assert np.allclose(depth[0].numpy()[seen & surface], true[seen & surface], rtol=1e-5)
+
+
+@pytest.mark.parametrize("angle", [1e-7, 0.3, 2.0, 3.1])
+def test_how_far_cameras_are_apart_is_their_angle_and_the_distance_of_their_centres(angle: float) -> None:
+    axis, one, other = np.array([0.36, 0.48, 0.8]), looking((1, 2, 3)), np.eye(4)
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    other[:3, :3] = (np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross) @ one[:3, :3]  # Rodrigues
+    other[:3, 3] = -other[:3, :3] @ np.array([1, 2, 5])
+    assert _apart(one, other) == pytest.approx((angle, 2.0), rel=1e-6)
 
 
 @pytest.mark.parametrize("unit", [0.01, 1.0, 100.0])

@@ -1,5 +1,8 @@
 """The network before training, at every size, and what it may not look at."""
 
+import math
+
+import numpy as np
 import pytest
 import torch
 
@@ -36,6 +39,27 @@ def test_values_where_nothing_was_measured_do_not_matter(cfa: Cfa | None) -> Non
     network, variance = random_network(), torch.ones(1, 3)
     with torch.no_grad():
         torch.testing.assert_close(network(other, mask, variance), network(values, mask, variance))
+
+
+def test_it_is_shown_differences_from_local_means_these_means_the_mask_and_the_level_of_read_noise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    network, shown = random_network(), list[np.ndarray]()
+    monkeypatch.setattr(network, "_run", lambda x: shown.append(x[0].numpy()) or torch.zeros(1, 12, 4, 4))
+    values, mask = torch.randn(1, 3, 8, 8, generator=torch.Generator().manual_seed(0)), mask_of((8, 8), None)
+    network(values, mask, torch.tensor([[0.2, 0.5, 2.3]]))
+    (found,) = shown
+    picture, local = values[0].numpy(), np.empty((3, 8, 8))
+    for c, y, x in np.ndindex(local.shape):
+        local[c, y, x] = picture[c, max(0, y - 2) : y + 3, max(0, x - 2) : x + 3].mean()
+    for c, y, x in np.ndindex(local.shape):
+        place = 4 * c + 2 * (y % 2) + x % 2
+        assert found[place, y // 2, x // 2] == pytest.approx(picture[c, y, x] - local[c, y, x], abs=1e-5)
+    for c, y, x in np.ndindex(3, 4, 4):
+        cell = local[c, 2 * y : 2 * y + 2, 2 * x : 2 * x + 2]
+        assert found[12 + c, y, x] == pytest.approx(cell.mean() / 8, abs=1e-6)
+    assert (found[15:27] == 1).all()
+    np.testing.assert_allclose(found[27], math.log2((0.2 + 0.5 + 2.3) / 3 + 0.125) / 4, rtol=1e-6)
 
 
 def test_a_picture_of_any_size_is_the_corner_of_a_mirrored_one() -> None:
