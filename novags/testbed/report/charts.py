@@ -7,7 +7,7 @@ from html import escape
 from itertools import groupby
 
 WIDTH, HEIGHT = 640, 300
-LEFT, RIGHT, TOP, BOTTOM = 62, 16, 14, 46
+LEFT, RIGHT, TOP, BOTTOM = 96, 16, 14, 46  # room for the larger letters that telephones get
 
 DASHES = 4  # patterns of lines, one after the other: colours alone do not tell lines apart for everybody
 Series = Mapping[str, Sequence[tuple[float, float]]]
@@ -50,7 +50,7 @@ def line_chart(series: Series, keys: Mapping[str, str], *, x_label: str, y_label
         )
     middle, centre = (LEFT + WIDTH - RIGHT) / 2, (TOP + HEIGHT - BOTTOM) / 2
     parts.append(f'<text class="axis" x="{middle}" y="{HEIGHT - 6}" text-anchor="middle">{escape(x_label)}</text>')
-    turned = f'transform="translate(14 {centre}) rotate(-90)"'
+    turned = f'transform="translate(20 {centre}) rotate(-90)"'
     parts.append(f'<text class="axis" {turned} text-anchor="middle">{escape(y_label)}</text>')
     return "".join([*parts, "</svg>"])
 

@@ -9,7 +9,7 @@ from html import escape
 from novags.testbed.report.charts import plot_data
 
 WIDTH, HEIGHT = 720, 340
-LEFT, RIGHT, TOP, BOTTOM = 62, 170, 14, 46
+LEFT, RIGHT, TOP, BOTTOM = 96, 205, 14, 46  # room for the larger letters that telephones get
 MARKS = (  # of lines one after the other: not by colour alone
     "M-4,-4h8v8h-8z",
     "M0,-5L5,4H-5z",
@@ -19,6 +19,7 @@ MARKS = (  # of lines one after the other: not by colour alone
     "M-5,-1.5h3.5v-3.5h3v3.5h3.5v3h-3.5v3.5h-3v-3.5h-3.5z",
 )
 LEGEND = 22  # px between two lines of it
+NAME = 17  # letters of a name in it, which `RIGHT` has room for on telephones, too
 ALONE = """
 svg { background: #fff; font-family: system-ui, sans-serif; --line: #e2e2df; --muted: #63666d; }
 .chart .rule { stroke: var(--line); stroke-width: 1; }
@@ -123,7 +124,7 @@ class _Frame:
                 parts.append(f'<text class="tick" x="{last:.1f}" y="{below}" text-anchor="middle">{level:g}</text>')
         middle, centre = (LEFT + end) / 2, (TOP + HEIGHT - BOTTOM) / 2
         parts.append(f'<text class="axis" x="{middle}" y="{HEIGHT - 6}" text-anchor="middle">{escape(x_label)}</text>')
-        turned = f'transform="translate(14 {centre}) rotate(-90)"'
+        turned = f'transform="translate(20 {centre}) rotate(-90)"'
         parts.append(f'<text class="axis" {turned} text-anchor="middle">{escape(y_label)}</text>')
         return parts
 
@@ -158,7 +159,14 @@ def _legend(line: Line, place: int) -> list[str]:
     dashes = ' stroke-dasharray="6 4"' if line.dashed else ""
     return [f'<line class="line {escape(line.key)}"{dashes} x1="{x}" x2="{x + 24}" y1="{y}" y2="{y}"/>',
             _mark(line, MARKS[place % len(MARKS)], x + 12, y),
-            f'<text class="name" x="{x + 30}" y="{y + 4}">{escape(line.name)}</text>']  # fmt: skip
+            f'<text class="name" x="{x + 30}" y="{y + 4}"><title>{escape(line.name)}</title>'
+            f"{escape(_shortened(line.name))}</text>"]  # fmt: skip
+
+
+def _shortened(name: str) -> str:
+    """What does not fit is cut out of the middle: names of variants differ at their beginnings or at their ends."""
+    half = (NAME - 1) // 2
+    return name if len(name) <= NAME else f"{name[: NAME - 1 - half]}…{name[-half:]}"
 
 
 def _between(line: Line, x: float) -> float:

@@ -9,7 +9,7 @@ from novags.testbed.folders.capture import Capture
 from novags.testbed.report.charts import plot_data
 
 WIDTH, HEIGHT = 640, 240
-LEFT, RIGHT, TOP, BOTTOM = 62, 16, 14, 46
+LEFT, RIGHT, TOP, BOTTOM = 96, 16, 14, 46  # room for the larger letters that telephones get
 CLASSES = {"red": "red", "green": "green", "blue": "blue"}
 BINS = 60
 
@@ -81,7 +81,7 @@ def _chart(shares: dict[str, np.ndarray], edges: np.ndarray, x_label: str, *, lo
     parts.append(f'<text class="tick" x="{LEFT - 8}" y="{TOP + 10}" text-anchor="end">{top:.1%}</text>')
     middle_x = (LEFT + WIDTH - RIGHT) / 2
     parts.append(f'<text class="axis" x="{middle_x}" y="{HEIGHT - 6}" text-anchor="middle">{escape(x_label)}</text>')
-    turned = f'transform="translate(14 {(TOP + floor) / 2}) rotate(-90)"'
+    turned = f'transform="translate(20 {(TOP + floor) / 2}) rotate(-90)"'
     parts.append(f'<text class="axis" {turned} text-anchor="middle">share of the pixels</text>')
     label = f"Histogram of {x_label}"
     opened = f'<svg class="chart" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{label}"'

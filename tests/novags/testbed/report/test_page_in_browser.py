@@ -359,6 +359,28 @@ def test_a_name_too_long_for_the_strip_of_views_is_cut_in_its_middle(
     assert label[2] <= 0
 
 
+@pytest.mark.parametrize("width", [390, 1300])
+def test_no_two_texts_of_a_chart_overlap_and_none_leaves_it(
+    visit: Callable[..., Any], experiment: Path, width: int
+) -> None:
+    """Rationale: "57.6%" was cut to ".6%" on a telephone, under the name of its axis."""
+    tab = visit(experiment / "report.html", width=width)
+    found = tab.eval_on_selector_all(
+        "svg.chart",
+        """charts => charts.map(chart => {
+            const box = chart.getBoundingClientRect(), texts = [...chart.querySelectorAll("text")];
+            const boxes = texts.map(text => [text.textContent, text.getBoundingClientRect()]);
+            const beyond = boxes.filter(([, b]) => b.left < box.left - 1 || b.right > box.right + 1).map(([t]) => t);
+            const over = boxes.flatMap(([t, a], i) => boxes.slice(i + 1).filter(([, b]) => a.left < b.right - 1 &&
+                b.left < a.right - 1 && a.top < b.bottom - 2 && b.top < a.bottom - 2).map(([u]) => [t, u]));
+            return {texts: texts.length, beyond, over};
+        })""",
+    )
+    assert len(found) >= 2
+    assert all(chart["texts"] > 5 for chart in found)
+    assert [(chart["beyond"], chart["over"]) for chart in found] == [([], [])] * len(found)
+
+
 def test_many_pictures_lie_beside_the_page_and_thumbnails_in_it(
     visit: Callable[..., Any], experiment: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

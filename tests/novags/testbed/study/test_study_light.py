@@ -192,3 +192,12 @@ def test_lines_lie_where_their_values_are() -> None:
     assert knee is not None
     assert float(knee[1]) == pytest.approx((x0 + x1) / 2, abs=0.11)
     assert float(knee[2]) == pytest.approx((y0 + y1) / 2, abs=0.11)
+
+
+def test_long_names_in_the_legend_of_a_chart_keep_both_ends() -> None:
+    """Rationale: the edge of the picture cut them, and variants often differ at their ends."""
+    names = ["nova-fast", "nova-plus-without-averages", "nova-plus-without-denoiser"]
+    lines = [Line(name, f"m{i}", [(1.0, 20.0, 19.0, 21.0)]) for i, name in enumerate(names)]
+    svg = level_chart(lines, x_label="x", y_label="y", title="t")
+    shown = re.findall(r'<text class="name"[^>]*><title>([^<]*)</title>([^<]*)</text>', svg)
+    assert shown == list(zip(names, ["nova-fast", "nova-plu…averages", "nova-plu…denoiser"], strict=True))
