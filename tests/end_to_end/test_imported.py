@@ -95,6 +95,8 @@ def test_without_any_truth_nothing_is_scored_and_the_report_shows_the_renders(
     page = write_report(tmp_path / "run", quiet).read_text(encoding="utf-8")
     assert "These photographs have no ground truth, so the renders are not scored" in page
     assert "Nothing is scored, because no truth is known" in page
+    assert "<span>error 0</span>" not in page  # the legend of maps that there are not
+    assert "PSNR: higher is closer" not in page
     assert page.count("held out; not scored, because no truth is known") == 2 * 2  # note and alternative text
     assert 'class="scores"' not in page
     assert 'data-key="error-naive"' not in page

@@ -66,7 +66,15 @@ class ViewTiles:
     @property
     def has_depth(self) -> bool:
         """Whether there is a map of depth among its pictures."""
-        return any(tile.key.startswith("depth-") for tile in self.tiles)
+        return self._has("depth-")
+
+    @property
+    def has_error(self) -> bool:
+        """Whether there is a map of errors among its pictures, which needs a truth."""
+        return self._has("error-")
+
+    def _has(self, kind: str) -> bool:
+        return any(tile.key.startswith(kind) for tile in self.tiles)
 
 
 @dataclass
