@@ -41,7 +41,7 @@ def errors_in_one_line() -> Iterator[None]:
         if _is_interruption(error):
             sys.exit(_say(INTERRUPTED, 130))
         if isinstance(error, ValueError | OSError) or (isinstance(error, MemoryError) and str(error)):
-            sys.exit(_say(f"error: {error}", 2 if isinstance(error, ValueError) else 1))
+            sys.exit(_say(f"error: {_brief(error, 2000)}", 2 if isinstance(error, ValueError) else 1))
         sys.exit(_say(f"error: {explained(error)}", 1))
 
 
@@ -107,7 +107,8 @@ def _check_encoding(words: list[str]) -> None:
 
 
 def _say(text: str, code: int) -> int:
-    print(f"novags: {_brief(text, 2000)}", file=sys.stderr)
+    """Say it, importing nothing: an interruption can leave numpy half loaded, which fails once more when asked for."""
+    print(f"novags: {text}", file=sys.stderr)
     return code
 
 

@@ -330,6 +330,20 @@ def test_ctrl_c_while_a_library_loads_is_an_interruption(
     assert capsys.readouterr().err.startswith("novags: interrupted; the same command again continues")
 
 
+def test_ctrl_c_while_numpy_loads_is_said_without_it(
+    call: Call, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Rationale: numpy, half loaded, ended the command with a thousand lines of its recursion and the exit code 1."""
+
+    def load(what: str) -> str:
+        monkeypatch.setitem(sys.modules, "sensor_model.files.reading", None)  # importing that fails from here on
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("novags.testbed.help.catalogue.listing", load)
+    assert call("list") == 130
+    assert capsys.readouterr().err == "novags: interrupted; the same command again continues where this one stopped\n"
+
+
 def test_folders_that_differ_after_a_dot_have_experiments_of_their_own(
     call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
