@@ -6,6 +6,7 @@ pixel, until the set is finished), so that no EXR file is decoded again; the exp
 
 from __future__ import annotations
 
+import io
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -15,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sensor_model.files.atomic import atomic
 from sensor_model.isp import to_srgb8
 from simscenes.camera import camera_color
 from simscenes.job.exposure import BELOW_WHITE, RunningQuantile, exposure_scale
@@ -48,8 +50,8 @@ class ViewStore:
         if self.color is not None:
             light = light @ np.linalg.inv(self.color.matrix).T.astype(np.float32)
         self._white.add(light.max(-1))
-        np.save(self.folder / f"{i}.light.npy", light)
-        np.save(self.folder / f"{i}.depth.npy", channels["Z"])
+        _save(self.folder / f"{i}.light.npy", light)
+        _save(self.folder / f"{i}.depth.npy", channels["Z"])
 
     def light(self, i: int) -> NDArray[np.float32]:
         """Linear sRGB of view `i`, [h,w,3]."""
@@ -62,6 +64,14 @@ class ViewStore:
     def exposure_scale(self) -> float:
         """One exposure for the set, once all its views are in."""
         return exposure_scale(self._white.value())
+
+
+def _save(path: Path, values: NDArray[Any]) -> None:
+    """As np.save, which does not say that the disk is full."""
+    content = io.BytesIO()
+    np.save(content, values)
+    with atomic(path) as temporary:
+        temporary.write_bytes(content.getbuffer())
 
 
 @contextmanager

@@ -35,10 +35,23 @@ def read_codes(path: Path) -> np.ndarray:
 
 
 def write_png(path: Path, image: np.ndarray) -> None:
-    """Write [h,w,3] or, with alpha, [h,w,4]: integer codes as they are, floats in 0..1 as 8-bit ones, clipped."""
+    """Write [h,w,3] or, with alpha, [h,w,4]: integer codes as they are, floats in 0..1 as 8-bit ones, clipped.
+
+    Raises:
+        OSError: If the file cannot be written.
+    """
     if image.dtype.kind == "f":
         image = np.round(np.clip(image, 0.0, 1.0) * 255).astype(np.uint8)
+    order = [2, 1, 0, *range(3, image.shape[2])]  # OpenCV's: blue, green, red, alpha
+    write_codes(path, np.ascontiguousarray(image[..., order]))
+
+
+def write_codes(path: Path, codes: np.ndarray) -> None:
+    """Write codes [h,w] or [h,w,c], channels in OpenCV's order. Python writes the file: it says why it could not.
+
+    Raises:
+        OSError: If the file cannot be written.
+    """
+    encoded = cv2.imencode(".png", codes)[1]
     with atomic(path) as temporary:
-        order = [2, 1, 0, *range(3, image.shape[2])]  # OpenCV's: blue, green, red, alpha
-        if not cv2.imwrite(str(temporary), np.ascontiguousarray(image[..., order])):
-            raise OSError(f"cannot write {path}")
+        temporary.write_bytes(encoded.tobytes())

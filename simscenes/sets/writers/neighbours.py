@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensor_model.files.atomic import atomic
+from simscenes.sets.pictures.png import write_codes
 
 POINTS, DEPTHS = "points3D.ply", "depths"
 DEPTH_UNIT = 1e-3  # world units a code of a depth PNG: nerfstudio's millimetres
@@ -40,13 +41,8 @@ def write_points(path: Path, xyz: NDArray[np.floating], rgb: NDArray[np.uint8]) 
 
 def write_depth(path: Path, z: NDArray[np.float32]) -> None:
     """Write z-depth [h,w] (inf: no surface) in units of `DEPTH_UNIT`; 0 is no surface, or one beyond 65.535 units."""
-    import cv2
-
     codes = np.round(np.where(np.isfinite(z), z, 0) / DEPTH_UNIT)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with atomic(path) as temporary:
-        if not cv2.imwrite(str(temporary), np.where(codes < 2**16, codes, 0).astype(np.uint16)):
-            raise OSError(f"cannot write {path}")
+    write_codes(path, np.where(codes < 2**16, codes, 0).astype(np.uint16))
 
 
 def instant_ngp_box(centers: NDArray[np.floating], xyz: NDArray[np.floating]) -> dict[str, Any]:

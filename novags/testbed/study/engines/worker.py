@@ -150,11 +150,18 @@ def function_at(place: str) -> Callable[[Any, Console], Any]:
 
 
 def _failure(error: BaseException, stage: str) -> Outcome:
-    if isinstance(error, MachineError) or (isinstance(error, OSError) and error.errno in OF_MACHINE):
+    if isinstance(error, MachineError) or (isinstance(error, OSError) and _is_of_machine(error)):
         return Outcome("machine", brief(error), stage)
     said = brief(error) or "no message"
     expected = isinstance(error, ValueError | OSError | MemoryError)
     return Outcome("failed", said if expected else f"unexpected {type(error).__name__}: {said}", stage)
+
+
+def _is_of_machine(error: OSError) -> bool:
+    """By its number, or by the system's words where a library in C++ has passed on no number."""
+    if error.errno is not None:
+        return error.errno in OF_MACHINE
+    return any(os.strerror(number) in str(error) for number in OF_MACHINE)
 
 
 def _log_to(path: Path) -> None:

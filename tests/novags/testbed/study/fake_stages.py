@@ -68,6 +68,10 @@ def full(order: Order) -> None:
     raise OSError(28, "No space left on device", str(order.folder / "x"))
 
 
+def full_said_in_words(order: Order) -> None:
+    raise OSError(f"cannot write {order.folder / 'x.exr'}: Failed to write pixel data. No space left on device.")
+
+
 def crashed(order: Order) -> None:
     os.kill(os.getpid(), signal.SIGSEGV)
 
@@ -114,8 +118,8 @@ def too_large(order: Order) -> None:
     raise MemoryError("reconstruct: memory is not enough")
 
 
-FAILURES = {f.__name__: f for f in (refused, full, crashed, unforeseen, left, first_time, too_large,
-                                   killed_once, parent_killed_once, killed_always)}  # fmt: skip
+FAILURES = {f.__name__: f for f in (refused, full, full_said_in_words, crashed, unforeseen, left,
+                                   first_time, too_large, killed_once, parent_killed_once, killed_always)}  # fmt: skip
 
 
 def task(text: str, *needs: str, **config: Any) -> Task:

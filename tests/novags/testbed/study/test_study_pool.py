@@ -84,10 +84,11 @@ def test_a_failure_costs_what_needs_it_and_nothing_else(
         assert "Traceback" in (tmp_path / "logs" / "a.log").read_text()
 
 
+@pytest.mark.parametrize("how", ["full", "full_said_in_words"])
 def test_a_fault_of_the_machine_stops_everything_and_is_no_failure(
-    pool: Callable[..., Any], fake: ModuleType, diary: Any
+    pool: Callable[..., Any], fake: ModuleType, diary: Any, how: str
 ) -> None:
-    tasks = [fake.task("a", fails="full"), fake.task("b", "a")]
+    tasks = [fake.task("a", fails=how), fake.task("b", "a")]
     with pytest.raises(OSError, match=r"No space left on device.*what is finished is kept"):
         pool(tasks).run(tasks)
     assert not [event for event, *_ in diary.events if event in ("failed", "skipped")]
