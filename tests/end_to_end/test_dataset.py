@@ -162,7 +162,15 @@ def test_the_same_command_does_nothing_again_and_mends_what_is_damaged(
     damaged.unlink()  # a link: the store keeps its own
     damaged.write_bytes(b"damaged")
     (place / "data" / "manifest.json").unlink()
+    others = [place / "data" / "train" / name for name in (".DS_Store", "set/.DS_Store", "capture/mine/notes.txt")]
+    for other in others:  # those of a file manager, or of the user: neither part of the data set nor in its way
+        other.parent.mkdir(exist_ok=True)
+        other.write_text("mine")
+    earlier = place / "data" / "train" / "set" / f"earlier-{'0f' * 8}"
+    earlier.mkdir()
     assert call(*words) == 0
+    assert not earlier.exists()
+    assert [other.read_text() for other in others] == ["mine"] * 3
     assert damaged.read_bytes() == whole
     assert {path: (path.stat().st_mtime_ns, path.stat().st_ino) for path in before} == before
     assert json.loads((place / "data" / "manifest.json").read_text())["files"] == sums

@@ -5,6 +5,7 @@ README.md  manifest.json  croissant.json  index.csv  shards/  SPLIT/set/  SPLIT/
 
 import hashlib
 import os
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from novags.testbed.study.session import jsonable_table
 from sensor_model.files.atomic import write_text
 
 MANIFEST, CARD, CROISSANT = "manifest.json", "README.md", "croissant.json"
+ENTRY = re.compile(".*-[0-9a-f]{16}")  # the name of a set or a capture, as the store has it
 
 
 def scenes_of(study: Study) -> list[str]:
@@ -66,7 +68,7 @@ def publish(plan: Plan, config: DatasetConfig, store: Path, out: Path, console: 
             progress(done + 1, len(entries), entry.task.name)
     views = list(views_of(entries, out))
     write_index(views, out)
-    files = _checksums(out, console)
+    files = _checksums(entries, out, console)
     shards: list[str] = []
     if config.shard_mb is None:
         remove_shards(out)
@@ -96,18 +98,20 @@ def refuse_foreign(out: Path, making: Path) -> None:
 
 
 def _remove_others(entries: list[Entry], out: Path) -> None:
-    """Remove sets and captures that an earlier file of this data set had: folders of this layout alone."""
+    """Remove sets and captures that an earlier file of this data set had: folders named like entries, nothing else."""
     kept = {entry.place for entry in entries}
     for split in SPLITS:
         for kind in ("set", "capture"):
             for path in sorted((out / split / kind).glob("*")):
-                if path.relative_to(out).as_posix() not in kept:
+                ours = ENTRY.fullmatch(path.name) and path.is_dir() and not path.is_symlink()
+                if ours and path.relative_to(out).as_posix() not in kept:
                     shutil.rmtree(path)
 
 
-def _checksums(out: Path, console: Console) -> dict[str, dict[str, Any]]:
-    """Checksums of the files that hold data: those of the splits, and the index."""
-    found = [path for split in SPLITS for path in sorted((out / split).rglob("*")) if path.is_file()]
+def _checksums(entries: list[Entry], out: Path, console: Console) -> dict[str, dict[str, Any]]:
+    """Checksums of the files that hold data: those of the entries, and the index."""
+    places = [place for split in SPLITS for place in sorted(entry.place for entry in entries if entry.split == split)]
+    found = [path for place in places for path in sorted((out / place).rglob("*")) if path.is_file()]
     result = {}
     with console.progress("checksums") as progress:
         for done, path in enumerate([*found, out / INDEX]):
