@@ -30,8 +30,8 @@ def cameras_of(text: str | None) -> Any:
 
 
 def typed(path: Path) -> str:
-    """A path as it is typed into a shell."""
-    return shlex.quote(str(path))
+    """A path as it is typed into a shell, so that a dash at its beginning starts no option."""
+    return shlex.quote(f"./{path}" if str(path).startswith("-") else str(path))
 
 
 def next_(command: str) -> None:

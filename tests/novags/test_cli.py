@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from novags import cli, options
+from novags.commands.shared import typed
 
 Call = Callable[..., int]
 
@@ -328,6 +329,13 @@ def test_ctrl_c_while_a_library_loads_is_an_interruption(
     monkeypatch.setattr("novags.testbed.help.catalogue.listing", load)
     assert call("list") == 130
     assert capsys.readouterr().err.startswith("novags: interrupted; the same command again continues")
+
+
+@pytest.mark.parametrize(
+    ("path", "shown"), [("-dash", "./-dash"), ("a b", "'a b'"), ("out/-x", "out/-x"), ("-a b", "'./-a b'")]
+)
+def test_next_commands_name_paths_that_can_be_typed(path: str, shown: str) -> None:
+    assert typed(Path(path)) == shown
 
 
 def test_ctrl_c_while_numpy_loads_is_said_without_it(

@@ -26,6 +26,7 @@ from novags.methods.problem import LacksInput, Pictures, RawPictures, encode
 from novags.testbed.cache import folder_digest, read_json
 from novags.testbed.console import Console
 from novags.testbed.folders import imported, shapes
+from novags.testbed.folders.place import place_of
 from novags.testbed.folders.raw_files import read_digital_numbers
 from novags.testbed.folders.set import Source, open_source
 from sensor_model import (
@@ -316,7 +317,7 @@ class Capture:
         if self.imported:
             return self._twins(console)
         made_of = self.record["set"]
-        path = (self.path / made_of["path"]).resolve()
+        path = place_of(self.path, made_of["path"])
         if not path.is_dir():
             raise ValueError(
                 f"{self.path} was made from the set {made_of['path']} (relative to it), which is not there: put it "

@@ -25,6 +25,7 @@ from novags.testbed.cache import damaged, folder_digest, read_json
 from novags.testbed.console import Console
 from novags.testbed.folders import shapes
 from novags.testbed.folders.capture import Capture, open_capture
+from novags.testbed.folders.place import place_of
 from novags.testbed.folders.set import Source
 from sensor_model.files.reading import brief
 from sensor_model.files.records import check_shape
@@ -133,7 +134,7 @@ class Run:
         Raises:
             ValueError: If they are no longer where they were, or no longer what they were.
         """
-        path = (self.path / self.record["capture"]).resolve()
+        path = place_of(self.path, self.record["capture"])
         if not path.is_dir():
             raise ValueError(
                 f"{self.path} was made from the capture {self.record['capture']} (relative to it), which is not there: "

@@ -10,6 +10,7 @@ from typing import Any
 from novags.methods import METHODS, VARIANTS, chosen
 from novags.methods.variant import Variant
 from novags.testbed.cache import jsonable
+from novags.testbed.folders.place import place_of
 from novags.testbed.folders.run import Run
 from novags.testbed.presets import EXPERIMENTS, Preset
 from novags.testbed.stages.reconstructing import ReconstructConfig
@@ -67,7 +68,7 @@ def run_again(run: Run, folder: Path, name: str | None = None) -> str | None:
     asked: dict[str, Any] = run.record["stage"]["config"]
     if run.method not in METHODS or not {"points", "seed", "cameras", "config"} <= asked.keys():
         return None
-    capture = os.path.relpath((run.path / run.record["capture"]).resolve(), folder.resolve())
+    capture = os.path.relpath(place_of(run.path, run.record["capture"]), folder.resolve())
     words = ["novags", "reconstruct", capture, *_named(run.name, run.method, _with_own_weights(run, folder, asked))]
     if len(words) == 3:
         return None

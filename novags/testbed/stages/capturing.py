@@ -14,6 +14,7 @@ from novags.testbed.cache import run_stage
 from novags.testbed.console import Console, Update
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders.capture import has_view, write_view
+from novags.testbed.folders.place import keep_place
 from novags.testbed.folders.set import Source, open_source
 from novags.testbed.stages.layouts import LAYOUTS, check_layouts, check_source_of, truth_of, write_layouts
 from novags.testbed.stages.paths import keep_apart
@@ -167,6 +168,7 @@ def capture(
             stale=stale,
             overwrite=overwrite,
         )
+        keep_place(out, record["set"]["path"], source.views.path)
         write_layouts(out, config.export, console, truth=truth_of(source))
     return record
 

@@ -23,6 +23,7 @@ from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.events import EventLog
 from novags.testbed.folders.imported import MISSING
+from novags.testbed.folders.place import keep_place
 from novags.testbed.folders.run import CAMERAS, CHECKPOINTS, EVENTS
 from novags.testbed.folders.set import Source
 from novags.testbed.machine.devices import chosen_device
@@ -30,6 +31,7 @@ from novags.testbed.references import pictured
 from novags.testbed.stages.camera_source import Frame, cameras_of, true_cameras
 from novags.testbed.stages.paths import keep_apart
 from novags.testbed.stages.viewers import viewer_cameras
+from sensor_model.files.lock import locked
 from simscenes.sets.pictures.exr import write_exr
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.writers.camera_files import write_json
@@ -96,7 +98,7 @@ def reconstruct(
     keep_apart(out, capture_path)
     capture = open_capture(capture_path)
     source = capture.source(console)
-    return run_stage(
+    record = run_stage(
         f"reconstruct {config.variant.name}",
         out,
         run_folder.RECORD,
@@ -110,6 +112,9 @@ def reconstruct(
         scrap=CHECKPOINTS,
         overwrite=overwrite,
     )
+    with locked(out):
+        keep_place(out, record["capture"], capture.path)
+    return record
 
 
 def files_of(config: ReconstructConfig) -> dict[str, str]:

@@ -8,6 +8,7 @@ from typing import Any
 from novags.testbed.cache import read_json
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders import shapes
+from novags.testbed.folders.place import place_of
 from novags.testbed.folders.run import Run, open_run
 from novags.testbed.report.rows import deviations
 from novags.testbed.report.study.grid import Line, by_place
@@ -102,7 +103,7 @@ def read_records(folder: Path, rows: Sequence[Mapping[str, Any]]) -> Records:
         path = folder / str(row.get("folder"))
         try:
             run = open_run(path)
-            capture = (path / run.record["capture"]).resolve()
+            capture = place_of(path, run.record["capture"])
             if capture not in known:
                 known[capture] = read_json(capture / capture_folder.RECORD, CAPTURE)
             made_of = (capture / str((known[capture].get("set") or {}).get("path", "."))).resolve()
