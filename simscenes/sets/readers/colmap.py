@@ -20,6 +20,8 @@ from simscenes.sets.readers.finding import spelt
 from simscenes.sets.readers.photographs import DistortedPinhole, Photographs, check_pose, collect, rescaled
 from simscenes.sets.readers.resized import named_pictures, picture_folder
 
+MASKS = "masks"  # where COLMAP's users and trainers of Gaussians keep what is to be left out of each picture
+
 
 def find_colmap(folder: Path) -> Path | None:
     """The folder of a COLMAP model (binary or text) inside `folder`, if there is one: of several the largest."""
@@ -59,6 +61,8 @@ def read_colmap(folder: Path, model: Path) -> Photographs:
     files = named_pictures(pictures, names)
     entries = [(file, viewmat, camera) for file, (_, viewmat, camera) in zip(files, views, strict=True)]
     below = [f"{pictures.name}/{name}" for name in names]
+    if next((folder / MASKS).glob("*"), None) is not None:
+        warnings.warn(f"load_set: {folder / MASKS} is not used: all pixels count", stacklevel=3)
     return collect(entries, model, lambda c, w, h: colmap_lens(c, w, h, model), spelt(folder, below, files))
 
 

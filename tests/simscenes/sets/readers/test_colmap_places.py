@@ -70,6 +70,15 @@ def test_one_model_is_read_without_a_word_whatever_its_number(tmp_path: Path) ->
     assert len(load_set(tmp_path)) == VIEWS
 
 
+def test_masks_beside_the_pictures_are_said_not_to_be_used(tmp_path: Path) -> None:
+    piece(pictures(tmp_path) / "sparse" / "0", VIEWS)
+    (tmp_path / "masks").mkdir()
+    load_set(tmp_path)
+    write_png(tmp_path / "masks" / "0.png", dark_picture(0))
+    with pytest.warns(UserWarning, match="masks is not used: all pixels count"):
+        load_set(tmp_path)
+
+
 def test_the_model_in_the_place_of_nerfstudio_is_found_beside_pictures_alone(tmp_path: Path) -> None:
     model = piece(tmp_path / "colmap" / "sparse" / "0", VIEWS)
     assert find_colmap(tmp_path) is None
