@@ -2,14 +2,14 @@
 
 from pathlib import Path
 
-from novags.commands import shared
-from novags.commands.shared import next_, typed
+from novags.commands.shared import next_, typed, writing
 from novags.options import Folder
 
 
 def video(
-    run: Folder, *, out: Path | None = None, seconds: float = 8.0, fps: float = 24.0, overwrite: bool = False
-) -> None:
+    run: Folder, *, out: Path | None = None, seconds: float = 8.0, fps: float = 24.0, overwrite: bool = False,
+    wait: bool = False,
+) -> None:  # fmt: skip
     """Film a flight through a run, on a smooth path through its training cameras, beside truth and dark pictures.
 
     Truth and dark pictures are known at the cameras alone: in between, those of the nearest one are shown, and the
@@ -21,16 +21,20 @@ def video(
         seconds: How long it takes.
         fps: Frames a second.
         overwrite: Replace a file that is there.
+        wait: If another process is making the same film, wait until it is done instead of refusing.
     """
     from novags.testbed.flight.video import make_video
     from novags.testbed.folders.run import open_run
     from novags.testbed.stages.paths import keep_apart
+    from sensor_model.files.atomic import sweep_file
 
     opened, place = open_run(run), run.resolve()
     path = out or place.with_name(f"{place.name}.mp4")  # not with_suffix: a name may hold a dot, as sh0.5 does
     keep_apart(path, run)
-    if path.exists() and not overwrite:
-        raise ValueError(f"{path} is there already: choose another --out, or add --overwrite")
-    frames = make_video(opened, path, shared.console(), seconds=seconds, fps=fps)
+    with writing(path.parent, wait, name=f".{path.name}.lock") as console:
+        if path.exists() and not overwrite:
+            raise ValueError(f"{path} is there already: choose another --out, or add --overwrite")
+        sweep_file(path)
+        frames = make_video(opened, path, console, seconds=seconds, fps=fps)
     print(f"{path}: {frames} frames")
     next_(f"novags report {typed(run)}")

@@ -7,6 +7,7 @@ import re
 import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from glob import escape
 from pathlib import Path
 
 _PARTIAL = re.compile(r"\..*\.(\d+)\.partial")  # the beginning of a temporary name, with the number of its process
@@ -65,6 +66,15 @@ def sweep(folder: str | os.PathLike[str], inside: Iterable[str] = (), *, own: bo
         process = int(match.group(1))
         if own if process == os.getpid() else not _is_alive(process):
             _remove(path)
+
+
+def sweep_file(path: str | os.PathLike[str]) -> None:
+    """Remove what killed processes left half-written of one file. Call it where nobody else writes that file."""
+    target = Path(path)
+    for left in target.parent.glob(f".{escape(target.stem)}.*.partial{escape(target.suffix)}"):
+        match = _PARTIAL.match(left.name)
+        if match is not None and not _is_alive(int(match.group(1))):
+            _remove(left)
 
 
 def _is_alive(process: int) -> bool:

@@ -4,6 +4,7 @@ import errno
 import json
 import resource
 import shutil
+import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -238,6 +239,28 @@ def test_the_film_of_a_run_with_a_dot_in_its_name_has_that_name(
     monkeypatch.setattr(sys, "argv", ["novags", "video", str(tmp_path / "x" / "sh0.5")])
     cli.main()
     assert (tmp_path / "x" / "sh0.5.mp4").read_bytes() == b"film"
+
+
+def test_a_film_is_made_by_one_process_which_removes_what_a_killed_one_left(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    left = tmp_path / f".f.{2**30}.partial.mp4"  # of a process that is no more: there are no such numbers
+    left.write_bytes(b"half")
+    monkeypatch.setattr(video, "make_video", lambda opened, path, *_, **__: path.write_bytes(b"film") and 1)
+    monkeypatch.setattr(sys, "argv", ["novags", "video", str(run), "--out", str(tmp_path / "f.mp4")])
+    holder = (
+        f"import sys; from sensor_model.files.lock import locked\nwith locked({str(tmp_path)!r}, name='.f.mp4.lock'):"
+    )
+    with subprocess.Popen([sys.executable, "-c", f"{holder}\n print(flush=True); sys.stdin.read()"],
+                          stdin=subprocess.PIPE, stdout=subprocess.PIPE) as other:  # fmt: skip
+        assert other.stdout is not None
+        other.stdout.readline()
+        with pytest.raises(SystemExit):
+            cli.main()
+        other.communicate()
+    assert "is in use by" in capsys.readouterr().err
+    cli.main()
+    assert [path.name for path in tmp_path.iterdir()] == ["f.mp4"]
 
 
 def test_a_run_without_gaussians_and_files_that_are_there_are_refused_in_one_line(
