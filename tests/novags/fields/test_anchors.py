@@ -1,8 +1,10 @@
 """First points say what a field shows there: gradients of plain torch, and places that no ray has seen."""
 
 import dataclasses
+import importlib
 
 import numpy as np
+import pytest
 import torch
 from torch import Tensor
 
@@ -16,6 +18,7 @@ from novags.fields.training.config import FieldFitConfig
 from novags.fields.training.fit import fit_field
 from novags.splats.views import Views
 
+fitting = importlib.import_module("novags.fields.training.fit")  # the package has a function of that name
 BOX = box_of(torch.tensor([[0.0, 0.0, -4.0]]), torch.from_numpy(np.random.default_rng(2).normal(size=(400, 3))))
 QUICK = FieldFitConfig(
     iterations=150, rays=128, samples=16, warm=10, layout=Layout(finest=64, log2_rows=12), distortion=0.0
@@ -43,6 +46,22 @@ def test_gradients_are_those_of_the_weighted_loss_at_the_points_in_plain_torch()
         scale = float(tensor.grad.abs().max())
         assert scale > 0
         np.testing.assert_allclose(found[name], tensor.grad.numpy(), atol=1e-4 * scale, rtol=1e-3, err_msg=name)
+
+
+def test_what_points_ask_for_is_added_to_what_rays_ask_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`anchored` is a weight of the loss at the points, and nothing weighs their gradients again."""
+    points, real = torch.randn(50, 3, dtype=torch.float64), fitting.gradients
+    views = Views(torch.eye(4)[None], torch.tensor([[[20.0, 0, 8], [0, 20.0, 8], [0, 0, 1]]]), 16, 16)
+    asked, taken = [], []
+    monkeypatch.setattr(fitting, "gradients", lambda *given: asked.append(real(*given)) or asked[-1])
+    monkeypatch.setattr(
+        Anchors, "slopes", lambda *_: {name: np.float32(3) for name in ("table", "w1", "b1", "w2", "b2")}
+    )
+    monkeypatch.setattr(fitting, "_update", lambda state, slopes, rate: taken.append(slopes))
+    config = dataclasses.replace(QUICK, iterations=1)
+    fit_field(views, points, BOX, lambda batch: batch.raw.square().mean(), config, at_points=lambda *_: torch.zeros(()))
+    for name, slope in asked[0].items():
+        np.testing.assert_allclose(taken[0][name], slope + 3, rtol=1e-6)
 
 
 def test_what_no_ray_has_seen_has_the_colours_of_the_first_points_and_what_rays_see_is_theirs() -> None:

@@ -244,6 +244,13 @@ def test_the_map_keeps_nine_tenths_of_its_excess_where_rays_meet_it_and_half_whe
     np.testing.assert_allclose(state.proposal.density, density, rtol=1e-4)
 
 
+def test_the_rate_rises_in_the_first_steps_and_then_falls_by_one_factor_a_step() -> None:
+    config = FieldFitConfig(iterations=100, rate=0.01, rate_end=0.01, warm=4)
+    found = [config.rate_at(i) for i in (0, 1, 3, 50, 100)]
+    assert found == pytest.approx([0.0025, 0.005 * 10**-0.02, 0.01 * 10**-0.06, 0.001, 0.0001])
+    assert dataclasses.replace(config, warm=0).rate_at(0) == 0.01
+
+
 def test_a_field_without_views_is_refused() -> None:
     views, images, _, points = ball()
     none = Views(views.viewmats[:0], views.Ks[:0], SIZE, SIZE)

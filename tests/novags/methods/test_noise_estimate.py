@@ -8,9 +8,11 @@ import pytest
 import torch
 from scipy import integrate
 
+from novags.methods import noise_estimate
 from novags.methods.memo import Memo
 from novags.methods.noise import Noise, camera_noise
 from novags.methods.noise_estimate import (
+    BINS,
     _before_8_bits,
     _binned,
     camera_figures,
@@ -136,6 +138,17 @@ def test_noise_that_neighbours_share_is_seen_as_such(demosaic: str, least: float
     found = estimate_noise(linear).linear16(at)[:, 1].numpy()
     assert np.abs(10 * np.log10(found / true)).mean() < 2.0
     assert 10 * np.log10(found / blind).mean() > least - 1.5
+
+
+@pytest.mark.parametrize(("ratios", "reach"), [([1.3] * 7 + [4.5], 1), ([1.7] * 8, 2), ([3.2] * 8, 3)])
+def test_one_range_with_texture_does_not_make_noise_shared(
+    monkeypatch: pytest.MonkeyPatch, ratios: list[float], reach: int
+) -> None:
+    """The mean of the first ratios is 1.70, above the limit of 1.6; their geometric one is 1.52."""
+    mean, near = torch.linspace(0.1, 0.9, BINS), torch.full((BINS,), 1e-6)
+    far = near * torch.tensor(ratios + [50.0] * (BINS - 8))  # the brighter half has no say
+    monkeypatch.setattr(noise_estimate, "_binned", lambda plane, distance: (mean, near if distance == 1 else far))
+    assert noise_estimate._reach(torch.zeros(1, 16, 16), False) == reach
 
 
 def test_bins_have_the_mean_and_the_variance_of_plain_loops() -> None:

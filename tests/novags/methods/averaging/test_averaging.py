@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from novags.methods.averaging.scene import AveragedScene, _apart, average
 from novags.methods.averaging.surface import Camera, seen_together
-from novags.methods.averaging.warp import Rules, warp
+from novags.methods.averaging.warp import Rules, _places, warp
 from novags.splats import Views
 
 Array = NDArray[np.float64]
@@ -202,6 +202,16 @@ def test_holes_are_counted_and_take_the_colour_beside_them() -> None:
     assert np.array_equal(alpha[0].numpy() > 0, seen & surface)
     true = world.hit(TARGET, _centres())[0]
     assert np.allclose(depth[0].numpy()[seen & surface], true[seen & surface], rtol=1e-5)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.5, 3.0])
+def test_samples_of_a_pixel_and_the_areas_of_finer_ones_together_spread_as_the_pixel_does(scale: float) -> None:
+    """Variances of box filters: that of a pixel is 1 / 12, in pixels of the finer picture scale**2 / 12."""
+    homography, centre = np.diag([scale, 0.5 * scale + 0.5, 1.0])[None], np.array([[7.5, 4.5]])
+    steps = np.array([[scale, 0.5 * scale + 0.5]])
+    places = _places(centre, steps, homography, 8)[0]
+    np.testing.assert_allclose(places.mean(0), (centre * steps)[0], rtol=1e-12)
+    np.testing.assert_allclose(12 * places.var(0) + 1, steps[0] ** 2, rtol=0.02)  # eight samples are no integral
 
 
 @pytest.mark.parametrize("angle", [1e-7, 0.3, 2.0, 3.1])
