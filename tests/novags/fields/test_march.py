@@ -8,7 +8,7 @@ import torch
 
 from novags.fields.box import Box, box_of, contracted, distance_at
 from novags.fields.layout import SIDE
-from novags.fields.march import Proposal, Rays, rays_of, sampled, weights_of
+from novags.fields.march import Proposal, Rays, cells_near, rays_of, sampled, weights_of
 from novags.fields.training.batch import chosen_pixels, distortion
 from novags.splats.views import Views
 
@@ -148,6 +148,14 @@ def test_the_box_holds_the_points_but_not_the_one_that_is_wrong() -> None:
     assert box.half[2] == pytest.approx(1.1, rel=0.03)  # a third of the longest side
     assert 5 < box.middle < 7.5
     assert box.near < 2.6
+
+
+def test_cells_near_points_are_theirs_and_those_beside_them_with_x_running_fastest() -> None:
+    box = Box(center=(1.0, -2.0, 0.5), half=(2.0, 1.0, 4.0), near=0.1, middle=3.0, far=100.0)
+    point = torch.tensor([[1.0 + 0.5, -2.0 - 0.75, 0.5 + 2.0]])  # 1/4, -3/4 and 1/2 of the half sides
+    x, y, z = (int(96 * (share + 1.5) / 3) for share in (0.25, -0.75, 0.5))
+    beside = {((z + c) * 96 + y + b) * 96 + x + a for a in (-1, 0, 1) for b in (-1, 0, 1) for c in (-1, 0, 1)}
+    assert set(np.flatnonzero(cells_near(point, box)).tolist()) == beside
 
 
 def test_rays_begin_before_the_nearest_points_and_change_their_spacing_behind_the_farthest() -> None:

@@ -87,6 +87,37 @@ def test_the_true_mean_costs_one_and_what_an_estimate_is_off_costs_more(
     assert float(training.loss()) == pytest.approx(1 + more, rel=0.02)
 
 
+def test_the_noisier_copy_is_estimated_as_an_exposure_of_less_light(monkeypatch: pytest.MonkeyPatch) -> None:
+    """y1 / 1.25 has the shot noise of its own mean, and a read variance of 2 / 1.25, as its scatter shows."""
+    seen: list[tuple[torch.Tensor, torch.Tensor]] = []
+
+    def spy(_: Network, electrons: torch.Tensor, mask: torch.Tensor, read: torch.Tensor) -> torch.Tensor:
+        seen.append((electrons, read))
+        return electrons
+
+    mean = torch.tensor([5.0, 12.0, 30.0])[:, None, None].expand(4, 3, 64, 64)
+    training = Adaptation(Network(SMALL), capture(mean, 2.0, None), AdaptConfig(batch=16, crop=64), seed=0)
+    training.variance = mean + 2.0
+    monkeypatch.setattr(module, "estimate", spy)
+    training.loss()
+    electrons, read = seen[0]
+    for c, level in enumerate((5.0, 12.0, 30.0)):
+        assert float(electrons[:, c].mean()) == pytest.approx(level / 1.25, rel=0.02)
+        assert float(electrons[:, c].var()) == pytest.approx(level / 1.25 + float(read[c]), rel=0.05)
+    assert read.tolist() == pytest.approx([1.6] * 3)
+
+
+def test_the_rate_falls_from_all_of_it_along_half_a_cosine() -> None:
+    mean = torch.full((1, 3, 16, 16), 9.0)
+    training = Adaptation(Network(SMALL), capture(mean, 1.0, None), AdaptConfig(steps=4, crop=8, batch=1), seed=0)
+    found = []
+    for _ in range(4):
+        training.advance()
+        found.append(training.optimizer.param_groups[0]["lr"])
+    half = math.sqrt(0.5)
+    assert found == pytest.approx([5e-4 * share for share in (1, (1 + half) / 2, 0.5, (1 - half) / 2)])
+
+
 def test_training_on_copies_brings_an_untrained_network_closer_to_the_truth() -> None:
     """No truth is used; the same seed gives the same network."""
     y, x = torch.meshgrid(torch.linspace(0, 3, 48), torch.linspace(0, 3, 48), indexing="ij")
