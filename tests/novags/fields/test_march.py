@@ -150,6 +150,15 @@ def test_the_box_holds_the_points_but_not_the_one_that_is_wrong() -> None:
     assert box.near < 2.6
 
 
+def test_squares_of_pixels_are_drawn_up_to_the_last_row_and_column() -> None:
+    views = Views(torch.eye(4).repeat(3, 1, 1), torch.eye(3).repeat(3, 1, 1), 5, 4)
+    view, x, y = (each.reshape(-1, 4) for each in chosen_pixels(views, 4 * 2000, 2, np.random.default_rng(0)))
+    corners = set(zip(view[:, 0].tolist(), x[:, 0].tolist(), y[:, 0].tolist(), strict=True))
+    assert corners == {(i, column, row) for i in range(3) for column in range(4) for row in range(3)}
+    assert torch.equal(x - x[:, :1], torch.tensor([0, 1, 0, 1]).expand(2000, 4))
+    assert torch.equal(y - y[:, :1], torch.tensor([0, 0, 1, 1]).expand(2000, 4))
+
+
 def test_cells_near_points_are_theirs_and_those_beside_them_with_x_running_fastest() -> None:
     box = Box(center=(1.0, -2.0, 0.5), half=(2.0, 1.0, 4.0), near=0.1, middle=3.0, far=100.0)
     point = torch.tensor([[1.0 + 0.5, -2.0 - 0.75, 0.5 + 2.0]])  # 1/4, -3/4 and 1/2 of the half sides

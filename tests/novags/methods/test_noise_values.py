@@ -107,6 +107,15 @@ def test_the_line_weighs_each_bin_by_its_own_variance():
     np.testing.assert_allclose([float(v) for v in found], expected, rtol=1e-6)
 
 
+def test_a_line_that_would_begin_below_zero_is_the_best_one_through_zero():
+    mean, variance = torch.tensor([1.0, 2.0, 4.0]).double(), torch.tensor([0.3, 2.2, 5.0]).double()
+    offset, slope = _line(mean, variance)
+    slopes = np.linspace(0.1, 3.0, 290_001)
+    scatter = sum((1 - slopes * m / v) ** 2 for m, v in zip(mean.tolist(), variance.tolist(), strict=True))
+    assert float(offset) == 0
+    assert float(slope) == pytest.approx(slopes[scatter.argmin()], abs=2e-5)
+
+
 def test_a_falling_line_is_replaced_by_a_constant_and_an_offset_is_never_negative():
     mean = torch.tensor([0.1, 0.2, 0.3], dtype=torch.float64)
     offset, slope = _line(mean, torch.tensor([3e-4, 2e-4, 1e-4], dtype=torch.float64))
