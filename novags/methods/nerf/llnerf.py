@@ -3,22 +3,21 @@
     c    = R L                                 R: [3], of the place;  L: of the place and the direction
     c_e  = R (L / (a + 1e-4))^(1 / (g + 2.2))  a, g [3]: of the place, sigmoids
     loss = RawNeRF's(C, y)
-           + 0.1 (mean(C_e) - 0.55)^2                           exposure
-           + 0.1 grey: mean over rays of the spread of C_e between its channels / (var R + 0.5)
-           + 0.1 smoothness of each of a and g: mean of 1.5 D^2 / ((D log L)^2 + 1e-4), D between neighbouring pixels
+           + 0.1 exposure: mean over rays of (mean of the channels of C_e - 0.55)^2
+           + 0.1 grey: mean over rays of sqrt(3 var C_e / (var(R / largest R) + 0.5)), var between channels
+           + 0.1 smoothness of each of a and g: mean of 1.5 D^2 / ((D log(L + 1e-4))^2 + 1e-4), D between neighbouring
+             pixels
            + 0.01 mean(g^2)
 
-The terms of the enhancement are added once the colours are learnt. Wang et al. 2023, "Lighting up NeRF via
-unsupervised decomposition and enhancement", and the constants of its published code. It uses no statistic of a well-lit
-picture.
+The terms of the enhancement are added once the colours are learnt, and hold R and L fixed. Wang et al. 2023, "Lighting
+up NeRF via unsupervised decomposition and enhancement", and the forms and constants of its published code. It uses no
+statistic of a well-lit picture.
 
 What differs from it: the field is that of docs/fields.md, which starts dense at the first points and as dark as the
 pictures, with its steps and rays; the enhancement comes in for the last quarter of the steps, not for the last 5,000 of
 105,000, which is a twentieth: of as few steps as ours, at rates that have fallen, that would be too short to move a and
-g; pixels come in squares of four. Exponents, sigmoids and weights are as published. The terms of the enhancement are
-those of the code but for this: there the exposure is compared ray by ray, (mean of a ray's C_e - 0.55)^2; the grey term
-is a root, sqrt(3 var C_e / (var(R / largest R) + 0.5)); R and L are held fixed in all of them, so that colours learn
-nothing but a and g from the enhancement; the smoothness takes log(L + 1e-4); and g^2 is a mean over samples, not rays.
+g; pixels come in squares of four. Exponents, sigmoids and weights are as published. The mean of g^2 is one over rays,
+there over samples.
 """
 
 import dataclasses
@@ -42,7 +41,8 @@ from novags.methods.reconstruction import Reconstruction
 
 EPSILON = 1e-3  # of RawNeRF's loss, for pictures in 0..1
 SMOOTH, LEAST_STEP, LEAST_SPREAD = 1.5, 1e-4, 0.5  # of the smoothness and of the grey term, as published
-DARKEST = 1e-6  # of an illumination whose logarithm is taken
+DARKEST = 1e-4  # of an illumination whose logarithm is taken, as published
+LEAST_ROOT = 1e-12  # of the grey term before its root: that of a grey ray would have an infinite slope
 FIRST = 1e-3  # nearest to 0 and 1/2 that the mean of pictures counts for the first illumination: its logit diverges
 
 
@@ -104,8 +104,8 @@ def decomposed(batch: Batch, first: float) -> Decomposed:
     """What the rays of a batch show; first: from `first_illumination`."""
     reflectance, illumination, level, gamma = split(batch.raw, first)
     values = (
-        reflectance * illumination, reflectance * brightened(illumination, level, gamma), reflectance, illumination,
-        level, gamma,
+        reflectance * illumination, reflectance.detach() * brightened(illumination.detach(), level, gamma), reflectance,
+        illumination, level, gamma,
     )  # fmt: skip
     return Decomposed(*(batch.rendered(value) for value in values))
 
@@ -117,12 +117,14 @@ def enhancement_loss(seen: Decomposed, patch: int, config: LlnerfConfig) -> Tens
         squares = values.reshape(-1, patch, patch, values.shape[1])
         return torch.stack([differences(squares[..., i]) for i in range(values.shape[1])], -1)
 
-    edges = steps(torch.log(seen.illumination + DARKEST)).square() + LEAST_STEP
+    edges = steps(torch.log(seen.illumination.detach() + DARKEST)).square() + LEAST_STEP
     smooth = [(SMOOTH * steps(values).square() / edges).mean() for values in (seen.level, seen.gamma)]
-    spread = seen.lit.var(1, unbiased=False) / (seen.reflectance.var(1, unbiased=False) + LEAST_SPREAD)
+    paint = seen.reflectance.detach()
+    paint = paint / paint.max().clamp_min(torch.finfo(paint.dtype).tiny)  # a batch of rays through nothing has none
+    spread = 3 * seen.lit.var(1, unbiased=False) / (paint.var(1, unbiased=False) + LEAST_SPREAD)
     return (
-        config.exposure * (seen.lit.mean() - config.mean).square()
-        + config.grey * spread.mean()
+        config.exposure * (seen.lit.mean(1) - config.mean).square().mean()
+        + config.grey * spread.clamp_min(LEAST_ROOT).sqrt().mean()
         + config.smooth * (smooth[0] + smooth[1])
         + config.gamma * seen.gamma.square().mean()
     )

@@ -133,15 +133,31 @@ def test_the_decomposition_and_the_enhancement_of_llnerf_are_those_of_the_equati
     smooth = 0.0
     for image in (level, gamma):
         terms = [1.5 * (image[b, c] - image[a, c]) ** 2
-                 / ((math.log(light[b, 0] + 1e-6) - math.log(light[a, 0] + 1e-6)) ** 2 + 1e-4)
+                 / ((math.log(light[b, 0] + 1e-4) - math.log(light[a, 0] + 1e-4)) ** 2 + 1e-4)
                  for a, b in neighbours() for c in range(image.shape[1])]  # fmt: skip
         smooth += np.mean(terms)
-    spread = np.mean([np.var(lit[r]) / (np.var(colour[r]) + 0.5) for r in range(RAYS)])
-    expected = 0.1 * (lit.mean() - 0.55) ** 2 + 0.1 * spread + 0.1 * smooth + 0.01 * np.mean(gamma**2)
+    paint, roots = colour / colour.max(), []
+    for c_e, p in zip(lit, paint, strict=True):
+        pairs = sum((c_e[i] - c_e[j]) ** 2 for i, j in ((0, 1), (1, 2), (2, 0))) / 3
+        roots.append(math.sqrt(pairs / (np.var(p) + 0.5)))
+    exposure = np.mean([(c_e.sum() / 3 - 0.55) ** 2 for c_e in lit])
+    expected = 0.1 * exposure + 0.1 * np.mean(roots) + 0.1 * smooth + 0.01 * np.mean(gamma**2)
     assert float(llnerf.enhancement_loss(seen, PATCH, config)) == pytest.approx(expected, rel=1e-8)
     assert float(brightened(torch.tensor(0.2), torch.tensor(0.1), torch.tensor(0.3))) == pytest.approx(
         (0.2 / 0.1001) ** (1 / 2.5), rel=1e-5
     )
+
+
+def test_colours_learn_nothing_but_a_and_g_from_the_enhancement_of_llnerf_and_grey_rays_have_a_slope() -> None:
+    batch, config = some_batch(9), llnerf.LlnerfConfig(fit=FieldFitConfig(patch=PATCH))
+    raw = batch.raw.clone()
+    raw[:4, :, 1:4], raw[:4, :, 5:8] = 0.3, 0.1  # four rays are grey
+    raw.requires_grad_()
+    llnerf.enhancement_loss(llnerf.decomposed(Batch(**{**vars(batch), "raw": raw}), -1.5), PATCH, config).backward()
+    assert raw.grad is not None
+    assert bool(torch.isfinite(raw.grad).all())
+    assert not raw.grad[..., [1, 2, 3, 8]].any()  # R and L
+    assert bool((raw.grad[..., 4:8] != 0).all())
 
 
 @pytest.mark.parametrize("level", [0.002, 0.1, 0.4])
