@@ -151,6 +151,16 @@ def test_one_range_with_texture_does_not_make_noise_shared(
     assert noise_estimate._reach(torch.zeros(1, 16, 16), False) == reach
 
 
+def test_ranges_that_8_bits_clip_at_black_have_no_say_in_whether_noise_is_shared(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Below two standard deviations a picture of 8 bits has lost half of its noise."""
+    mean, near = torch.linspace(1e-3, 0.9, BINS), torch.full((BINS,), 1e-6)
+    mean[:5], far = 1e-3, near * torch.tensor([9.0] * 5 + [1.2] * (BINS - 5))
+    monkeypatch.setattr(noise_estimate, "_binned", lambda plane, distance: (mean, near if distance == 1 else far))
+    assert [noise_estimate._reach(torch.zeros(1, 16, 16), eight_bit) for eight_bit in (True, False)] == [1, 3]
+
+
 def test_bins_have_the_mean_and_the_variance_of_plain_loops() -> None:
     """Expectation: of each pixel the 5 x 5 mean, the gradient of that, and a second difference over `reach` pixels.
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from novags.methods.averaging.scene import AveragedScene, _apart, average
 from novags.methods.averaging.surface import Camera, seen_together
-from novags.methods.averaging.warp import Rules, _places, warp
+from novags.methods.averaging.warp import Rules, _finest, _keys, _places, warp
 from novags.splats import Views
 
 Array = NDArray[np.float64]
@@ -202,6 +202,20 @@ def test_holes_are_counted_and_take_the_colour_beside_them() -> None:
     assert np.array_equal(alpha[0].numpy() > 0, seen & surface)
     true = world.hit(TARGET, _centres())[0]
     assert np.allclose(depth[0].numpy()[seen & surface], true[seen & surface], rtol=1e-5)
+
+
+def test_cubic_convolution_finds_every_parabola_exactly() -> None:
+    """Keys 1981, section 3: with a = -1/2 the error is of third order, for no other kernel of its kind is it."""
+    taps = np.arange(-1, 3)
+    for x in np.linspace(0, 1, 11):
+        weights = _keys(x - taps)
+        assert [weights @ taps**power for power in (0, 1, 2)] == pytest.approx([1.0, x, x**2], abs=1e-12)
+
+
+def test_a_pixel_is_as_coarse_as_in_its_coarsest_direction() -> None:
+    turn = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
+    homography = turn @ np.diag([3.0, 0.25, 1.0]) @ turn.T
+    np.testing.assert_allclose(_finest(homography[None], np.array([[5.0, 2.0]])), [0.25])
 
 
 @pytest.mark.parametrize("scale", [1.0, 1.5, 3.0])

@@ -259,8 +259,18 @@ def test_refinement_forgets_the_moments_of_the_drawn_and_of_them_alone():
         for tensor in moments.values():
             assert not tensor[3].any()
             assert tensor[torch.arange(N) != 3].all()
+    for moments in (adam.first, adam.second):
+        for tensor in moments.values():
+            tensor[:] = 1
+    opacities = relocated.logit_opacities.clone()
     grown = MODULE._mcmc_step(relocated, adam, 1, config, 44, 1.0, 2.5)
     assert len(grown) == 44
+    drawn = grown.logit_opacities[:N] != opacities  # they share their opacity with their copies
+    assert 0 < drawn.sum() < N
+    for moments in (adam.first, adam.second):
+        for tensor in moments.values():
+            assert not tensor[:N][drawn].any()
+            assert (tensor[:N][~drawn] == 1).all()
     for moments in (adam.first, adam.second):
         for name, tensor in moments.items():
             assert tensor.shape == grown.tensors()[name].shape
