@@ -8,7 +8,7 @@ import torch
 from numpy.typing import NDArray
 
 from novags.methods.averaging.scene import AveragedScene, _apart, average
-from novags.methods.averaging.surface import Camera, seen_together
+from novags.methods.averaging.surface import Camera, rays_of, seen_together
 from novags.methods.averaging.warp import Rules, _finest, _keys, _places, warp
 from novags.splats import Views
 
@@ -202,6 +202,20 @@ def test_holes_are_counted_and_take_the_colour_beside_them() -> None:
     assert np.array_equal(alpha[0].numpy() > 0, seen & surface)
     true = world.hit(TARGET, _centres())[0]
     assert np.allclose(depth[0].numpy()[seen & surface], true[seen & surface], rtol=1e-5)
+
+
+def test_a_plane_seen_from_the_side_is_the_same_plane_in_every_pixel() -> None:
+    """Until it is seen at an angle whose cosine is below 0.02."""
+    normal, distance = np.array([-np.sin(1.25), 0.0, -np.cos(1.25)]), 2.0
+    rays = rays_of(World.K, 8, 8)
+    slope = rays @ normal
+    cosine = -slope / np.linalg.norm(rays, axis=-1)
+    assert cosine.max() < 0.15
+    depth = np.where(slope < 0, -distance / slope, np.inf)
+    camera = Camera.of(np.eye(4), World.K, depth, np.broadcast_to(normal, (8, 8, 3)))
+    seen = cosine > 0.02
+    assert seen.mean() > 0.3
+    np.testing.assert_allclose(camera.planes[seen], np.broadcast_to(-normal / distance, camera.planes.shape)[seen])
 
 
 def test_cubic_convolution_finds_every_parabola_exactly() -> None:

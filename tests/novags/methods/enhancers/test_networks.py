@@ -1,6 +1,7 @@
 """Where the weights of enhancing networks come from, where they go, and a training that is interrupted."""
 
 import argparse
+import math
 import pickle
 from dataclasses import replace
 from pathlib import Path
@@ -236,3 +237,16 @@ def test_the_seed_chooses_the_first_weights_and_every_step_draws_crops_of_its_ow
     first = [learned(ZERO_DCE, replace(TINY, steps=0), dark(), seed).e_conv1.weight for seed in (0, 0, 1)]
     assert torch.equal(first[0], first[1])
     assert not torch.equal(first[0], first[2])
+
+
+def test_no_gradient_of_a_rehearsal_is_longer_than_its_clip() -> None:
+    config = replace(TINY, steps=1)
+    plain = replace(
+        ZERO_DCE.rehearsal, loss=lambda network, batch, config: 1e6 * network(batch)[0].square().mean(), clip=0.1,
+        optimizer=lambda network, config: torch.optim.SGD(network.parameters(), lr=1.0),
+    )  # fmt: skip
+    torch.manual_seed(5)
+    before = ZERO_DCE.make(config)
+    after = learned(replace(ZERO_DCE, rehearsal=plain), config, dark(), 5)
+    moved = [(a - b).detach() for a, b in zip(after.parameters(), before.parameters(), strict=True)]
+    assert math.sqrt(sum(float(each.square().sum()) for each in moved)) == pytest.approx(0.1, rel=1e-3)

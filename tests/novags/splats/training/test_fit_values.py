@@ -277,6 +277,18 @@ def test_refinement_forgets_the_moments_of_the_drawn_and_of_them_alone():
             assert not tensor[N:].any()
 
 
+def test_noise_of_a_scene_in_small_units_is_that_of_the_scene_in_usual_ones(monkeypatch):
+    """Covariances are 100 times larger in units of which an extent has 20 instead of 2, the rate of the means 10 times:
+    so is a step, in the same share of the scene, only if what multiplies them is divided by 100.
+    """
+    start, given = scene()[0], []
+    monkeypatch.setattr(MODULE, "add_noise", lambda g, amount, stream, *, limit: given.append((amount, limit)))
+    for extent in (2.0, 20.0):
+        config = one(iterations=100, extent=extent, mcmc=McmcConfig(noise_lr=5e5))
+        MODULE._mcmc_step(start, Adam(start), 1, config, N, 1e-4 * extent, extent)
+    assert given == [pytest.approx((100.0, 2.0)), pytest.approx((10.0, 20.0))]
+
+
 @pytest.mark.parametrize("dead", [1, 2, 7])
 def test_any_number_of_copies_share_the_opacity_of_one(dead):
     start, _ = scene()
