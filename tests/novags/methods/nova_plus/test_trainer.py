@@ -347,6 +347,25 @@ def test_judges_weigh_errors_as_the_enhanced_pictures_show_them(dark: Any, monke
         assert float(weights[~bright].mean()) > 1.5 * float(weights[bright].mean())
 
 
+def test_weights_are_those_of_the_smoothed_renders_that_are_judged(dark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of one seed as it is: what is shown of a noisy render would respond to its noise."""
+    inputs, _ = dark()
+    given: list[tuple[torch.Tensor, torch.Tensor]] = []
+
+    def spy(tones: torch.Tensor, other: torch.Tensor, data: Any, curve: Any, weights: torch.Tensor) -> Verdict:
+        given.append((other, weights))
+        return Verdict(0.0, 1.0)
+
+    monkeypatch.setattr(trainer, "compare", spy)
+    train(inputs, dataclasses.replace(CONFIG, denoise=None))
+    data = exposures(inputs, inputs.noise, CONFIG.held_share)
+    work = trainer._Work(inputs, CONFIG, data, tone_curve(data.greens), None, None)
+    (guide, structure), (first, joined) = given
+    torch.testing.assert_close(structure, work.weights(non_local_means(guide, 0.02)))
+    torch.testing.assert_close(joined, work.weights(first))
+    assert not torch.allclose(structure, work.weights(guide), rtol=0.01)
+
+
 def test_the_light_of_a_camera_is_shown_in_srgb(dark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     inputs, light = dark()
     matrix = torch.tensor([[0.7, 0.2, 0.1], [0.0, 0.9, 0.1], [0.05, 0.15, 0.8]])
