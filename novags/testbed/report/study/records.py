@@ -106,7 +106,7 @@ def read_records(folder: Path, rows: Sequence[Mapping[str, Any]]) -> Records:
             capture = place_of(path, run.record["capture"])
             if capture not in known:
                 known[capture] = read_json(capture / capture_folder.RECORD, CAPTURE)
-            made_of = (capture / str((known[capture].get("set") or {}).get("path", "."))).resolve()
+            made_of = place_of(capture, str((known[capture].get("set") or {}).get("path", ".")))
             if made_of not in known:
                 known[made_of] = read_json(made_of / RECORD, SET) if (made_of / RECORD).is_file() else None
         except (ValueError, OSError):
