@@ -131,7 +131,7 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
     straight, slope = _straightened(signal, bend)
     gain = _proportional(straight[used], (noise / slope**2)[used])
     row, column, pixel = _noise_parts(dark, dark_noise[0])
-    current = max(dark_line[1], COLD * excess, 0.0)  # below 0, where there is next to none, by chance
+    current = max(dark_line[1], COLD * excess)  # below 0, where there is next to none, by chance
     top = _straightened(np.array([max(_mean(s) for s in flat) - dark_line[0]]), bend)[0][0]
     return Characterisation(
         gain=gain,
