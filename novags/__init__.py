@@ -8,6 +8,7 @@ import os
 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 os.environ.setdefault("GOMP_SPINCOUNT", "20000")
 
-# On busy cores MKL sums small products of matrices in an order that changes from call to call, unless it is told not to:
-# resumed runs of small pictures would differ in the last bits of a network's gradients. Must be set before its first use.
+# On busy cores MKL sums small products of matrices in an order that changes from call to call, unless told not to: the
+# last bits of a network's gradients, and of resumed fits of small pictures, would change. Must be set before its first
+# use.
 os.environ.setdefault("MKL_CBWR", "AUTO")
