@@ -102,13 +102,7 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
     pixels, which EMVA 1288 leaves in its averages, are counted by themselves: one in a thousand can make six electrons
     of DSNU out of one.
     """
-    require(len({s.time for s in dark}) >= 2, "dark", "stacks at two exposure times or more", len(dark))
-    require(len(flat) >= 3, "flat", "three stacks or more", len(flat))
-    cut = max(float(np.mean(np.asarray(s.frames) <= 0)) for s in dark)
-    remedy = "noise is cut off there: raise the black level (offset) of the camera"
-    require(cut <= UNDERFLOW, "the share of dark pixels at 0 DN", f"at most {UNDERFLOW}", round(cut, 4), remedy)
-    shapes = {np.shape(s.frames)[1:] for s in (*dark, *flat)}
-    require(len(shapes) == 1, "frames", "of one shape in all stacks", sorted(shapes))
+    _check(dark, flat)
     hot, excess = _hot_pixels(dark)
     dark, flat = [_without(s, hot) for s in dark], [_without(s, hot) for s in flat]
     dark_line, dark_noise = _line(dark, _mean), _line(dark, _temporal_variance)
@@ -135,7 +129,7 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
     top = _straightened(np.array([max(_mean(s) for s in flat) - dark_line[0]]), bend)[0][0]
     return Characterisation(
         gain=gain,
-        eta=None if not known else _proportional(light[used], straight[used]) / gain,
+        eta=_proportional(light[used], straight[used]) / gain if known else None,
         sigma_d=_root(pixel - QUANTISATION) / gain,
         sigma_row=_root(row) / gain,
         sigma_column=_root(column) / gain,
@@ -149,6 +143,17 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
         nonlinearity=max(bend * float(top), 0.0),
         linearity_error=error,
     )
+
+
+def _check(dark: Sequence[Stack], flat: Sequence[Stack]) -> None:
+    """Refuse what no camera can be estimated from."""
+    require(len({s.time for s in dark}) >= 2, "dark", "stacks at two exposure times or more", len(dark))
+    require(len(flat) >= 3, "flat", "three stacks or more", len(flat))
+    shapes = {np.shape(s.frames)[1:] for s in (*dark, *flat)}
+    require(len(shapes) == 1, "frames", "of one shape in all stacks", sorted(shapes))
+    cut = max(float(np.mean(np.asarray(s.frames) <= 0)) for s in dark)
+    remedy = "noise is cut off there: raise the black level (offset) of the camera"
+    require(cut <= UNDERFLOW, "the share of dark pixels at 0 DN", f"at most {UNDERFLOW}", round(cut, 4), remedy)
 
 
 def _proportional(x: Array, y: Array) -> float:
@@ -175,7 +180,9 @@ def _average(stack: Stack) -> Array:
 
 
 def _temporal_variance(stack: Stack) -> float:
-    """Of the pixels, less what all pixels of a frame share, as of a lamp that flickers (EMVA 1288, section 6)."""
+    """Mean over the pixels of their temporal variance, without what all pixels of a frame share, such as the flicker of
+    a lamp (EMVA 1288, section 6).
+    """
     average = _average(stack)
     pattern = average - average.mean()
     squares = [np.square(frame - frame.mean(dtype=np.float64) - pattern).sum() for frame in stack.frames]
@@ -244,10 +251,9 @@ def _noise_parts(stacks: Sequence[Stack], at_zero_time: float) -> tuple[float, f
 
 def _hot_pixels(dark: Sequence[Stack]) -> tuple[NDArray[np.bool_], float]:
     """Pixels whose signal grows much faster in the dark than that of others, [h, w], and by how much, DN/s."""
-    short, long = (
-        [s for s in dark if s.time == time] for time in (min(s.time for s in dark), max(s.time for s in dark))
-    )
-    first, last = (max(stacks, key=lambda s: len(s.frames)) for stacks in (short, long))
+    # Shortest and longest time; of several stacks of one time, that of most frames.
+    first = min(dark, key=lambda s: (s.time, -len(s.frames)))
+    last = max(dark, key=lambda s: (s.time, len(s.frames)))
     grown = _average(last) - _average(first)
     grown -= np.median(grown)
     # Where noise is below a DN, most pixels have grown by exactly as much, and any other would be hot

@@ -120,7 +120,7 @@ def damaged(folder: Path, stage: Mapping[str, Any]) -> str:
 
     Args:
         folder: Of the stage.
-        stage: That entry of its record; those of earlier versions hold no checksums.
+        stage: The entry "stage" of its record; before there were checksums, it held none.
     """
     wrong = [name for name, known in stage.get("files", {}).items() if not _is(folder / name, known)]
     return f"{listed(wrong)} not as written (checksum)" if wrong else ""
@@ -305,7 +305,7 @@ class _Stage:
             refuse_other(self.folder, self.record_name, config, inputs)
         if wrong:
             self.console.note(f"{self.name}: {self.folder}: {wrong}, doing it again")
-        earlier = None if wrong else self._earlier_seconds(key)  # damaged files are no beginning
+        earlier = None if wrong else self._earlier_seconds(key)  # damaged files are nothing to go on from
         start, memory = time.perf_counter(), PeakMemory()
         prepared = prepare()
         if earlier is None:

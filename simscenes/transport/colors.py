@@ -27,7 +27,7 @@ POLARISED_CHANGE = 0.1
 def color_effects(
     p: Pilot, optics: Optics, media: bool, geometry: list[Any], indirect: float, measure: bool
 ) -> tuple[list[Effect], float | None]:
-    """Polarisation and spectra, and what spectra would change in a scene that has none (None if unknown).
+    """Polarisation and spectra, and what spectra would change in a scene given in RGB (None if unknown).
 
     Mitsuba polarises spectra only: in a scene given in RGB, polarisation is worth following if it changes more than the
     spectra that have to be made up for it.

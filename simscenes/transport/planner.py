@@ -216,7 +216,7 @@ def default_plan(optics: Optics, own: OwnIntegrator | None = None) -> TransportP
 
 
 def _bounded(made: TransportPlan, made_up: float | None) -> TransportPlan:
-    """The plan with its bounds. `made_up`: what spectra change in a scene that has none; None if unknown.
+    """The plan with its bounds. `made_up`: what spectra change in a scene given in RGB; None if unknown.
 
     Colours given as RGB are followed as RGB by definition, but a renderer that turns them into smooth spectra sees
     another picture: the difference is a bound in a unit of its own, or an error if the plan makes such spectra itself.

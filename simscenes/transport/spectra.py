@@ -96,7 +96,7 @@ def color_error(light: NDArray[Any], surface: NDArray[Any], name: str | None, bo
     Args:
         light: Spectra of the light, [n, wavelength].
         surface: Spectra of the reflectance, [n, wavelength].
-        name: Camera name, or None for linear sRGB (then there is no matrix to choose).
+        name: Camera name, or None for linear sRGB, where no matrix has to be chosen.
         bounces: Times the surface is met.
 
     Returns:

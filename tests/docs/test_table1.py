@@ -143,7 +143,7 @@ def test_rows_come_back_from_their_csv_and_later_sources_win(
 
 
 def test_the_study_has_every_method_of_the_paper_and_of_the_bed(table1: ModuleType) -> None:
-    """Those that need a file of weights have a study of their own; of Retinexformer there is none."""
+    """Methods that need weights have a study of their own. Retinexformer is in neither, for want of weights."""
     study = read_toml(ROOT / "docs" / "studies" / "table1.toml")
     methods = study["grid"]["method"]
     missing = set(METHODS) - set(methods)

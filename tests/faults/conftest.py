@@ -163,7 +163,7 @@ def begun(server: Server, tmp_path: Path) -> Callable[..., Path]:
 
 @pytest.fixture
 def same_as_reference(server: Server, tree: Callable[[Path], dict[str, object]]) -> Callable[[str, Path], list[str]]:
-    """The paths at which a stage's folder differs from the one that was never interrupted; [] if there are none."""
+    """Paths at which a stage's folder differs from one that was never interrupted; an empty list if it is the same."""
 
     def compare(name: str, folder: Path) -> list[str]:
         stage = STAGES[name]

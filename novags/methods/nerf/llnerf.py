@@ -16,8 +16,8 @@ statistic of a well-lit picture.
 What differs from it: the field is that of docs/fields.md, which starts dense at the first points and as dark as the
 pictures, with its steps and rays; the enhancement comes in for the last quarter of the steps, not for the last 5,000 of
 105,000, which is a twentieth: of as few steps as ours, at rates that have fallen, that would be too short to move a and
-g; pixels come in squares of four. Exponents, sigmoids and weights are as published. The mean of g^2 is one over rays,
-there over samples.
+g; pixels come in squares of four. Exponents, sigmoids and weights are as published. The mean of g^2 is over rays here,
+over samples there.
 """
 
 import dataclasses

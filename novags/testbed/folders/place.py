@@ -1,6 +1,7 @@
-"""Where that lies from which a folder was made: as its record says, or where it was when it was asked for again.
+"""Where the folder is that a capture or a run was made from, if that has been moved.
 
-The record stays as it is, because it is part of what later stages were made from.
+The record says where it was. It stays as it is, because it is part of what later stages were made from; a hidden file
+beside it says where the folder was when the same result was last asked for.
 """
 
 import os
@@ -8,7 +9,7 @@ from pathlib import Path
 
 from novags.testbed.cache import read_json, write_json
 
-MOVED = ".moved.json"  # hidden, so that it is part of no digest
+MOVED = ".moved.json"  # digests leave hidden files out
 
 
 def place_of(folder: Path, recorded: str) -> Path:
@@ -29,7 +30,7 @@ def place_of(folder: Path, recorded: str) -> Path:
 
 
 def keep_place(folder: Path, recorded: str, found: Path) -> None:
-    """Remember where that is from which `folder` was made, if its record says something else."""
+    """Remember that `folder` was made from what is now at `found`, if its record says something else."""
     if (folder / recorded).resolve() == found.resolve():
         (folder / MOVED).unlink(missing_ok=True)
     else:

@@ -54,7 +54,7 @@ def write_cameras(
         rig: The cameras.
         points: Sparse points with their tracks and errors, which are written as they are.
         held_out: Places of the views for testing; None: every 8th, from 0.
-        depth_dir: Folder of the depth images of all views, relative to `folder`; None: there are none.
+        depth_dir: Folder of the depth images of all views, relative to `folder`; None if the set has no depth.
         scene: What the scene is called.
 
     Raises:

@@ -40,7 +40,7 @@ def write_points(path: Path, xyz: NDArray[np.floating], rgb: NDArray[np.uint8]) 
 
 
 def write_depth(path: Path, z: NDArray[np.float32]) -> None:
-    """Write z-depth [h,w] (inf: no surface) in units of `DEPTH_UNIT`; 0 is no surface, or one beyond 65.535 units."""
+    """Write z-depth [h,w] (inf: no surface) in units of `DEPTH_UNIT`; 0 means no surface up to 65.535 units."""
     codes = np.round(np.where(np.isfinite(z), z, 0) / DEPTH_UNIT)
     write_codes(path, np.where(codes < 2**16, codes, 0).astype(np.uint16))
 

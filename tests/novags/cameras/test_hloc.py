@@ -1,7 +1,7 @@
 """The adapter to hloc against a stand-in whose features are true points of the scene, seen from true cameras.
 
-Conventions of hloc: keypoints with the centre of the first pixel at 0, matches as places in the first picture's list,
--1 where there is none. Its files are HDF5; those of the stand-in are numpy's, behind the same functions.
+Conventions of hloc: the centre of the first pixel is at 0; a match is an index into the keypoints of the other picture,
+and -1 means that a keypoint has no match. hloc writes HDF5; the stand-in writes numpy files behind the same functions.
 """
 
 import importlib.machinery

@@ -94,7 +94,7 @@ def test_writing_again_replaces_and_leaves_nothing_behind(written: tuple) -> Non
     folder, rig, names, _ = written
     before = sorted(p.relative_to(folder) for p in folder.rglob("*"))
     write_cameras(folder, names, rig)
-    before.remove(Path("points3D.ply"))  # this time there are none
+    before.remove(Path("points3D.ply"))  # not written without points
     assert sorted(p.relative_to(folder) for p in folder.rglob("*")) == before
     assert load_set(folder).points() is None
 

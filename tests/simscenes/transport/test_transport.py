@@ -124,7 +124,7 @@ def test_what_is_left_out_stays_below_the_stated_bound(name: str) -> None:
     everything = everything_on(plan)
     assert "spectral" in everything.color
     found = difference(name, rig, plan, everything, 256)
-    bound = plan.bound + plan.biases.get(MADE_UP, 0.0)  # everything includes spectra, where there are none as well
+    bound = plan.bound + plan.biases.get(MADE_UP, 0.0)  # everything includes spectra, made-up ones too
     change, error = found["whole"]
     assert change <= bound + 5 * error
     # The mean of 32 absolute normal deviates is 0.8 standard deviations, and beyond 1.25 once in 10^4 times.

@@ -21,7 +21,7 @@ from novags.testbed.study.light import ELECTRONS, Curve, Measure, light_curves
 from sensor_model.files.atomic import write_text
 
 DATA, POINTS, KNEES = "light.json", "light.csv", "light-knees.csv"
-HEADINGS = {  # columns of KNEES as the page calls them
+HEADINGS = {  # columns of KNEES in the words of the page
     "measure": "score", "rule": "breaks at", "bright": "value at the most light", "electrons": "electrons, mean",
     "low": "least of the seeds", "high": "most of the seeds", "broken": "seeds that break",
     "slope_per_doubling": "change per doubling there",
@@ -70,12 +70,18 @@ def light_report(folder: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[
     write_json(folder / DATA, {"curves": [as_record(curve) for curve in curves]})
     write_text(folder / POINTS, as_csv(point_rows(curves)))
     knees = knee_rows(curves)
-    labels = {curve.measure.key: curve.measure.label for curve in curves}
     write_text(folder / KNEES, as_csv(knees))
-    shown = [{HEADINGS.get(key, key): value for key, value in row.items()} | {"score": labels[row["measure"]]}
-             for row in knees]  # fmt: skip
+    labels = {curve.measure.key: curve.measure.label for curve in curves}
+    shown = [{HEADINGS.get(key, key): _in_words(key, value, labels) for key, value in row.items()} for row in knees]
     return {"charts": charts, "drawn": drawn, "knees": shown,
             "files": {"points": POINTS, "knees": KNEES, "data": DATA}}  # fmt: skip
+
+
+def _in_words(column: str, value: Any, labels: Mapping[str, str]) -> Any:
+    """A value of KNEES as the page shows it."""
+    if column == "measure":
+        return labels[value]
+    return "not reached" if value is None and column in ("electrons", "low", "high") else value
 
 
 @dataclass(frozen=True)

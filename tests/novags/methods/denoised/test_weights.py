@@ -1,4 +1,4 @@
-"""The weights in the package, and files that are none."""
+"""The weights in the package, and files that hold no weights."""
 
 from pathlib import Path
 

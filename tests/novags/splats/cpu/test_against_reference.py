@@ -255,7 +255,7 @@ def test_values_and_gradients_match_the_float64_reference(case, make_scene, reco
 
 # Few machines have one. That the call is mapped rightly is tested without, in raster/test_gsplat.py.
 @pytest.mark.gpu
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="gsplat's kernels need a CUDA device, there is none")
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="gsplat's kernels need a CUDA device")
 @pytest.mark.parametrize("case", CASES)
 def test_gsplat_matches_the_float64_reference(case, make_scene):
     """Bounds ten times as wide: its kernels are built with fast mathematics, and keep the conic, which cancels."""

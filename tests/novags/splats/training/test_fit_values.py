@@ -343,7 +343,7 @@ def test_defaults_are_those_of_3dgs_mcmc():
 
 # Few machines have one. That all tensors of a fit are on one device is checked without, below.
 @pytest.mark.gpu
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="compares with a fit on a CUDA device, there is none")
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device to compare with")
 def test_a_fit_on_a_gpu_equals_one_on_the_cpu(tmp_path):
     start, views = scene()
     images, mcmc = targets(), McmcConfig(refine_start=2, refine_every=3, growth=1.2, noise_lr=None)

@@ -145,7 +145,7 @@ def test_pruning_keeps_the_most_opaque_in_order():
 
 # Few machines have one. What is pruned is tested without, above and below.
 @pytest.mark.gpu
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="compares with pruning on a CUDA device, there is none")
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device to compare with")
 def test_pruning_on_a_gpu_keeps_the_same_gaussians():
     gaussians = cloud(50)
     kept = prune_to_cap(gaussians, 20, torch.Generator().manual_seed(0))

@@ -12,12 +12,10 @@ import torch
 from novags.methods.nova import sh_penalty as penalties
 from novags.splats.training import losses
 from novags.testbed.stability.case import Part, Setting, worse
-from novags.testbed.stability.errors import relative_error, worst_error
+from novags.testbed.stability.errors import EPS, LARGEST, relative_error, worst_error
 
 PART = Part("losses")
 
-EPS = float(torch.finfo(torch.float32).eps)
-LARGEST = "of the largest value"
 C1, C2, WINDOW = 0.01**2, 0.03**2, 11
 SHARE = 0.2  # of SSIM, as in 3DGS
 # A variance is the difference of two means of squares of up to 1, rounded some four times, beside C2.
@@ -51,7 +49,7 @@ def _slopes(x: Array, y: Array) -> Array:
 
 
 def _picture_error(x: Array, y: Array) -> float:
-    """Of the loss, and of its slopes beside the slope that L1 has."""
+    """Error of the loss, and of its slopes relative to the slope of L1."""
     exact = [a.astype(np.float32).astype(np.float64) for a in (x, y)]
     image = torch.tensor(exact[0], dtype=torch.float32, requires_grad=True)
     found = losses.photometric_loss(image, torch.tensor(exact[1], dtype=torch.float32), SHARE)
@@ -81,7 +79,7 @@ def blank_pictures(setting: Setting) -> float:
 @PART.case("texture of one 8-bit step on a bright picture", bound=CANCELLED, unit="of L1's slope",
            backends=("numba",))  # fmt: skip
 def faint_texture(setting: Setting) -> float:
-    """Its variance is a millionth of the squares whose means it is the difference of."""
+    """Its variance is the difference of two means of squares that are a million times larger."""
     faint = 0.9 + _textured(13, 12, 1) / 255
     return worse(_picture_error(faint, faint[::-1]), _picture_error(faint, np.full(faint.shape, 0.9)))
 
