@@ -1,0 +1,46 @@
+"""What a process does with memory that its arrays have freed."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+
+PROGRAM = """
+import resource
+{first}
+import torch
+
+def iterate():
+    arrays = [torch.ones(10_000_000) for _ in range(3)]  # 40 MB each: glibc keeps none of that by itself
+    return float(sum(arrays)[-1])
+
+for _ in range(5):
+    iterate()
+before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+for _ in range(20):
+    iterate()
+print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
+"""
+
+
+def faults(first: str, **environment: str) -> int:
+    """Pages that the system had to hand out in twenty iterations."""
+    mine = {name: value for name, value in os.environ.items() if not name.startswith("MALLOC_")}
+    done = subprocess.run(
+        [sys.executable, "-c", PROGRAM.format(first=first)], env={**mine, **environment}, capture_output=True,
+        text=True, check=True,
+    )  # fmt: skip
+    return int(done.stdout)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have another malloc")
+def test_freed_arrays_are_used_again() -> None:
+    kept, returned = faults("import novags"), faults("")
+    assert returned > 100_000
+    assert kept < returned / 10
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have another malloc")
+def test_settings_of_the_user_hold() -> None:
+    assert faults("import novags", MALLOC_TRIM_THRESHOLD_="131072") > 10_000
