@@ -26,7 +26,8 @@ COLUMNS = (
     ("seconds.reconstruct", "Reconstruction", "s", False, 1),
     ("peak_bytes", "Peak memory", "MB", False, 0),
 )
-SCORES = ("enhanced.aligned_psnr", "lit.tone_aligned_psnr", "enhanced.flip", "geometry.abs_rel")
+MAIN = ("enhanced.aligned_psnr", "lit.tone_aligned_psnr")  # of which one decides
+SILENT = ("recovered", "recovered_lit", "seconds.reconstruct", "peak_bytes")  # those order as MAIN does; costs
 OWN = ("enhanced.flip", "enhanced.aligned_psnr", "recovered")  # compare with a method's own reference
 LINEAR = "linear.linear_psnr"  # methods that end in linear light have it
 HELPED = ("lit.psnr", "lit.ssim", "lit.lpips", "lit.flip")  # by the truth, which decides their exposure
@@ -112,31 +113,38 @@ def shown_columns(lines: Sequence[Line]) -> list[tuple[str, str, str, bool, int]
 def main_column(lines: Sequence[Line]) -> str | None:
     """The score that decides: against the noise-free exposure where all share one, else against the well-lit render."""
     done = [line for line in lines if line.spread]
-    known = [column for column in SCORES[:2] if done and all(column in line.spread for line in done)]
+    known = [column for column in MAIN if done and all(column in line.spread for line in done)]
     return known[-1] if not all(line.alike for line in done) and known else next(iter(known), None)
 
 
 def verdict(lines: Sequence[Line], competes: Mapping[str, bool]) -> str:
-    """How often which method comes first, by the main score and by those that disagree."""
+    """How often which method comes first, by the main score and by all others that disagree."""
     if (main := main_column(lines)) is None:
         return "No score is known of all runs, so no method comes first."
-    headings = {column: heading for column, heading, *_ in COLUMNS}
-    firsts = {column: first_places(lines, column) for column in SCORES}
-    count = sum(firsts[main].values())
-    best = next(iter(firsts[main]), None)
-    if best is None or not any(competes.values()):
+    if not any(competes[line.method] for line in lines):
         return "Only methods that see truth were run."
-    others = [f"{name} in {times}" for name, times in firsts[main].items() if name != best]
+    headings = {column: heading for column, heading, *_ in COLUMNS}
+    found = first_places(lines, main)
+    if not found:
+        return f"Nowhere do two methods that see no truth compete by {headings[main]}, so none comes first."
+    best = next(iter(found))
+    others = [f"{name} in {times}" for name, times in found.items() if name != best]
     rest = f"; {join(others)}" if others else ""
-    text = f"{best} comes first in {firsts[main][best]} of {count} comparisons by {headings[main]}{rest}."
-    for column in SCORES:
-        if column != main and (found := firsts[column]) and next(iter(found)) != best:
-            winner = next(iter(found))
-            text += (
-                f" Not so by {headings[column]}: there {winner} comes first in {found[winner]} of "
-                f"{sum(found.values())}, {best} in {found.get(best, 0)}."
-            )
-    return text
+    text = f"{best} comes first in {found[best]} of {sum(found.values())} comparisons by {headings[main]}{rest}."
+    return text + _dissent(lines, main, best)
+
+
+def _dissent(lines: Sequence[Line], main: str, best: str) -> str:
+    """By which other scores another method comes first; those in which the best takes no place say nothing of it."""
+    apart: dict[str, list[str]] = {}
+    for column, heading, *_ in COLUMNS:
+        placed = any(column in line.places for line in lines if line.method == best)
+        found = first_places(lines, column) if placed and column not in (main, *SILENT) else {}
+        winner = next(iter(found), best)
+        if winner != best:
+            said = f"{winner} comes first in {found[winner]} of {sum(found.values())}, {best} in {found.get(best, 0)}"
+            apart.setdefault(said, []).append(heading)
+    return "".join(f" Not so by {'; '.join(scores)}: there {said}." for said, scores in apart.items())
 
 
 def first_places(lines: Sequence[Line], column: str) -> dict[str, int]:
@@ -156,6 +164,6 @@ def _value(row: Row, column: str) -> float | None:
 
 
 def _main(line: Line) -> tuple[bool, float]:
-    order = SCORES[:2] if line.alike else SCORES[1::-1]
+    order = MAIN if line.alike else MAIN[::-1]
     found = next((line.spread[column][0] for column in order if column in line.spread), None)
     return found is None, -(found or 0.0)

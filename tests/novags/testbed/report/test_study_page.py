@@ -66,6 +66,31 @@ def test_the_headline_counts_who_comes_first_and_says_where_another_does() -> No
     )
 
 
+def test_the_headline_hides_no_score_by_which_another_comes_first() -> None:
+    scores = {"naive": {"lit.flip": 0.1, "lit.psnr": 30.0, "recovered": 0.9, "peak_bytes": 1},
+              "better": {"lit.flip": 0.2, "lit.psnr": 25.0, "recovered": 0.5, "peak_bytes": 2}}  # fmt: skip
+    made = [row | {"enhanced.aligned_psnr": 25.0 + (row["method"] == "better"), "lit.tone_aligned_psnr": 20.0}
+            | scores.get(row["method"], {}) for row in rows()]  # fmt: skip
+    assert verdict(lines_of(made, AXES, COMPETES), COMPETES) == (
+        "better comes first in 2 of 2 comparisons by PSNR aligned, noise-free. Not so by PSNR, lit; FLIP, lit: there "
+        "naive comes first in 2 of 2, better in 0."
+    )
+    linear = [row | ({"linear.linear_psnr": 30.0} if row["method"] == "better" else {}) for row in made]
+    third = [row | {"method": "third", "run": row["run"] + 100} for row in made if row["method"] == "naive"]
+    competes = COMPETES | {"third": True}
+    said = verdict(lines_of([*linear, *third], AXES, competes), competes)
+    assert "Not so" not in said  # by those of pictures that truth has exposed, better takes no place
+
+
+def test_a_method_that_nothing_competes_with_comes_first_of_nothing() -> None:
+    alone = [row for row in rows() if row["method"] != "better"]
+    assert verdict(lines_of(alone, AXES, COMPETES), COMPETES) == (
+        "Nowhere do two methods that see no truth compete by PSNR aligned, noise-free, so none comes first."
+    )
+    bounds = [row for row in alone if row["method"] == "oracle"]
+    assert verdict(lines_of(bounds, AXES, COMPETES), COMPETES) == "Only methods that see truth were run."
+
+
 def test_scores_against_references_of_their_own_rank_nothing_and_the_lit_one_decides() -> None:
     enhancements = {row["run"]: "a" if row["method"] == "naive" else "b" for row in rows()}
     lines = lines_of(rows(), AXES, COMPETES, enhancements)
