@@ -1,8 +1,17 @@
 """The outcome in a sentence and in numbers: which run comes first, by how much, and which scores disagree."""
 
-from novags.testbed.report.facts import costs, duration, join, leading, placed_in, signed
+from collections.abc import Iterator
+from typing import Any
+
+from novags.testbed.report.facts import costs, duration, geometry_table, join, leading, placed_in, signed
 from novags.testbed.report.material import Material
-from novags.testbed.report.tables import COLUMNS, score_table
+from novags.testbed.report.tables import COLUMNS, GEOMETRY, Columns, score_table
+
+AGAINST = {
+    "enhanced": "the noise-free exposure", "enhanced_demosaiced": "the noise-free exposure, demosaiced",
+    "linear": "the noise-free exposure in linear light",
+    "linear_demosaiced": "the noise-free exposure in linear light, demosaiced", "lit": "the well-lit truth",
+}  # fmt: skip
 
 
 def _values(material: Material) -> dict[str, float | None]:
@@ -62,18 +71,30 @@ def compared(material: Material) -> tuple[str, str]:
 
 
 def _dissent(material: Material, kind: str, main_score: str, best: str) -> str:
-    """Which other scores put another run first: the headline hides none that is worse for its own."""
-    competes = {name: row.competes for name, row in material.rows.items()}
-    rows = score_table(material.metrics, kind, competes, placed_in(material, kind))
-    headings = {key: heading for key, heading, _, _ in COLUMNS[kind]}
-    first: dict[str, list[str]] = {}
-    for key in (key for key in headings if key != main_score):
-        marked = [row["method"] for row in rows for cell in row["cells"] if cell["key"] == key and cell["best"]]
-        if marked and best not in marked:
-            first.setdefault(marked[0], []).append(headings[key])
+    """Which other scores put another run first: the headline hides none that is worse for its own.
+
+    Those in which the best run takes no place say nothing of it.
+    """
+    first: dict[tuple[str, str], list[str]] = {}
+    for where, columns, rows in _tables(material, kind):
+        for key, heading, *_ in columns:
+            ranks = {row["method"]: cell["rank"] for row in rows for cell in row["cells"] if cell["key"] == key}
+            marked = [name for name, rank in ranks.items() if rank == 1]
+            if (where, key) != ("", main_score) and ranks.get(best) is not None and best not in marked:
+                first.setdefault((where, marked[0]), []).append(heading)
     if not first:
         return ""
-    return " Not so by " + "; by ".join(f"{join(scores)}: {name} comes first" for name, scores in first.items()) + "."
+    said = (f"by {join(scores)}{where}: {name} comes first" for (where, name), scores in first.items())
+    return f" Not so {'; '.join(said)}."
+
+
+def _tables(material: Material, main: str) -> Iterator[tuple[str, Columns, list[dict[str, Any]]]]:
+    """The tables of pictures and depth, that of the main reference first: against what, columns, rows."""
+    competes = {name: row.competes for name, row in material.rows.items()}
+    for kind in sorted(COLUMNS, key=lambda kind: kind != main):
+        rows = score_table(material.metrics, kind, competes, placed_in(material, kind))
+        yield "" if kind == main else f" against {AGAINST[kind]}", COLUMNS[kind], rows
+    yield " against the true surfaces", GEOMETRY, geometry_table(material)
 
 
 def cards(material: Material) -> list[dict[str, str]]:

@@ -57,6 +57,21 @@ def test_scores_that_put_another_run_first_are_named() -> None:
     assert said.endswith(" Not so by PSNR: rival comes first; by SSIM and FLIP: plain comes first.")
 
 
+def test_scores_of_other_tables_that_put_another_run_first_are_named_too() -> None:
+    found = material(plain={"aligned_psnr": 24.0}, ours={"aligned_psnr": 25.5}, oracle={"aligned_psnr": 29.0})
+    depth = {"within_5_percent": 0.5, "coverage": 1.0, "floaters": 0.0, "consistency": {"excess": 0.0}}
+    for name, value, error in (("plain", 20.0, 0.1), ("ours", 18.0, 0.2), ("oracle", 25.0, 0.0)):
+        method = found.metrics["methods"][name]
+        method["mean"]["lit"] = dict.fromkeys(HEADINGS, 0.5) | {"tone_aligned_psnr": value, "psnr": value}
+        method["geometry"] = depth | {"abs_rel": error}
+    assert verdict.verdict(found).endswith(
+        " Not so by PSNR tone-aligned and PSNR against the well-lit truth: plain comes first; by relative error "
+        "against the true surfaces: plain comes first."
+    )
+    found.exposures = {"ours": object()}  # linear light, which truth exposes: its plain PSNR takes no place
+    assert "Not so by PSNR tone-aligned against the well-lit truth: plain" in verdict.verdict(found)
+
+
 def test_one_run_alone_comes_first_of_nothing() -> None:
     assert verdict.verdict(material(plain={"aligned_psnr": 24.0})).startswith("plain reaches 24.00 dB")
 
