@@ -5,12 +5,12 @@ from typing import Literal
 
 from novags.commands import shared
 from novags.commands.shared import next_, writing
-from novags.commands.study import engine_of
+from novags.commands.study import engine_of, store_folder
 from novags.options import CLUSTER, Cluster, Folder
 
 
 def dataset(
-    file: Folder, *, out: Path, store: Path | None = None, engine: Literal["local", "ray"] = "local",
+    file: Folder, *, out: Path, store: str | None = None, engine: Literal["local", "ray"] = "local",
     workers: int | None = None, cluster: Cluster = CLUSTER, dry_run: bool = False,
     retry_failed: bool = False, overwrite: bool = False, wait: bool = False,
 ) -> None:  # fmt: skip
@@ -22,7 +22,7 @@ def dataset(
         file: A study file without methods, with a table [dataset].
         out: Folder of the data set; tables and logs of the work are in its folder `making`.
         store: Folder of all sets and captures, shared with studies; `store` beside `out` if not given. Where both lie
-            on one disk, the data set links to its files.
+            on one disk, the data set links to its files. With --engine ray a folder that all nodes see; no URL.
         engine: Where the work is done: on this machine, or on a Ray cluster that sees the store (docs/clusters.md).
         workers: Processes at a time on this machine; as many as there are cores, or captures, if not given.
         cluster: Of --engine ray.
@@ -39,7 +39,10 @@ def dataset(
     from novags.testbed.study.results import CSV, counted
     from novags.testbed.study.session import describe, refuse_other
 
-    folder, making = out.parent / "store" if store is None else store, out / "making"
+    if store is not None and "://" in store:
+        raise ValueError(f"store {store}: a data set is made of the files in its store, so give --store a folder that "
+                         "all nodes see, not a URL")  # fmt: skip
+    folder, making = store_folder(store, out), out / "making"
     study, config = read_dataset(file)
     divided = splits(study, config)
     plan = plan_of(study, folder, shared.console(), here=engine == "local")

@@ -55,9 +55,7 @@ def study(
         from novags.testbed.study.plan import plan_of
 
         url = store if store is not None and "://" in store else None
-        folder = out / "fetched" if url else out.parent / "store" if store is None else Path(store)
-        if folder.exists() and not folder.is_dir():
-            raise NotADirectoryError(f"the store {folder} is a file, not a folder: choose another one")
+        folder = out / "fetched" if url else store_folder(store, out)
         console = shared.console()
         grid = read_study(file, data)
         for name in grid.absent:
@@ -71,6 +69,18 @@ def study(
             print(_forecast(plan, folder, chosen, url, nodes))
             return
         _conduct(plan, out, folder, chosen, url, retry_failed, overwrite, wait)
+
+
+def store_folder(store: str | None, out: Path) -> Path:
+    """The folder of a store that is no URL: `store` beside `out` if none is given.
+
+    Raises:
+        NotADirectoryError: If it is a file.
+    """
+    folder = out.parent / "store" if store is None else Path(store)
+    if folder.exists() and not folder.is_dir():
+        raise NotADirectoryError(f"the store {folder} is a file, not a folder: choose another one")
+    return folder
 
 
 def engine_of(

@@ -196,6 +196,18 @@ def test_another_data_set_or_somebody_elses_files_are_not_replaced(
     assert (tmp_path / "mine" / "README.md").read_text() == "mine"
 
 
+@pytest.mark.parametrize(("store", "said"), [("s3://bucket/store", "not a URL"), ("data.toml", "a file, not a folder")])
+def test_a_store_that_is_no_folder_is_refused_and_none_of_its_name_is_made(
+    store: str, said: str, tmp_path: Path, call: Callable[..., int], capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    (tmp_path / "data.toml").write_text('[dataset]\nname="a"\nlicence="x"\n[grid]\nscene=["cornell", "studio"]')
+    monkeypatch.chdir(tmp_path)
+    assert call("dataset", "data.toml", "--out", "data", "--store", store, "--engine", "ray") != 0
+    assert said in capsys.readouterr().err
+    assert [path.name for path in tmp_path.iterdir()] == ["data.toml"]
+
+
 def test_croissant_says_where_the_records_are_and_their_checksums(place: Path) -> None:
     found = json.loads((place / "data" / "croissant.json").read_text())
     assert found["conformsTo"] == "http://mlcommons.org/croissant/1.0"
