@@ -38,6 +38,7 @@ def run(preset: Preset, out: Path, console: Console, *, command: str | None = No
             another request; that is said before any work.
         BlockingIOError: If another process is writing to `out`.
     """
+    preset.refuse_lacking()
     with locked(out):
         if not overwrite:
             _refuse_other(preset, out)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from novags.cameras import CameraConfig, KnownConfig
 from novags.methods import METHODS, chosen, with_variants
+from novags.methods.enhancers import refuse_without_weights
+from novags.methods.problem import LacksInput
 from novags.methods.variant import Variant, read_variants
 from novags.settings import changed, files_among, has_setting, refuse_lost, refuse_lost_files, starting_at
 from novags.testbed.foreign.command import CommandConfig
@@ -67,6 +69,21 @@ class Preset:
             variant=recipe.variant, config=_configured(recipe), cameras=self.cameras, points=self.points,
             seed=self.capture.seed, device=self.device,
         )  # fmt: skip
+
+    def refuse_lacking(self) -> None:
+        """Refuse methods that lack what none of the stages before them can give: said before any work.
+
+        Raises:
+            LacksInput: If there is one.
+        """
+        photographs = self.photos or self.dark or (self.folder is not None and not is_rendered(self.folder))
+        for name in self.methods:
+            if self.command(name) is not None:
+                continue
+            config = self.reconstruct(name)
+            refuse_without_weights(config.config, name)
+            if photographs and METHODS[config.variant.method].sees_surface:
+                raise LacksInput(f"{name} follows the true surface, and that of photographs is not known: leave it out")
 
     def _recipe(self, name: str) -> "_Recipe":
         return _Recipe.of(chosen(name, with_variants(self.variants)), self.settings)

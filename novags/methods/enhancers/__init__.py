@@ -83,6 +83,25 @@ ENHANCERS: dict[str, Enhancer] = {
 }
 
 
+def refuse_without_weights(config: Any, name: str) -> None:
+    """Refuse what is known to fail before any picture is taken: a network without weights that learns from no scene.
+
+    Args:
+        config: Of a method.
+        name: Of the method or variant, for the message.
+
+    Raises:
+        LacksInput: If its enhancer is one.
+    """
+    enhance = getattr(config, "enhance", None)
+    kind = NETWORKS.get(type(enhance))
+    if kind is not None and kind.rehearsal is None:
+        try:
+            kind.refuse_without_weights(enhance)
+        except LacksInput as error:
+            raise LacksInput(f"{name}: {error}") from error
+
+
 def enhancement_record(config: EnhancerConfig, pictures: Pictures) -> dict[str, Any]:
     """What a run records about its enhancement.
 

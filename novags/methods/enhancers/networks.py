@@ -74,9 +74,7 @@ class Kind:
             LacksInput: If it names none.
             ValueError: If a file is missing or damaged, or holds those of another network.
         """
-        if not config.weights:
-            how = ", or train it on the scene (a method with this enhancer does)" if self.rehearsal else ""
-            raise LacksInput(f"{self.name} has no weights: set enhance.weights to {self.where}{how}")
+        self.refuse_without_weights(config)
         key = (self.name, config, stamps(config))
         if key not in _HELD:
             network = self.make(config)
@@ -86,6 +84,12 @@ class Kind:
                 _HELD.popitem(last=False)
         _HELD.move_to_end(key)
         return _HELD[key]
+
+    def refuse_without_weights(self, config: Any) -> None:
+        """Raise LacksInput for a configuration that names no weights."""
+        if not config.weights:
+            how = ", or train it on the scene (a method with this enhancer does)" if self.rehearsal else ""
+            raise LacksInput(f"{self.name} has no weights: set enhance.weights to {self.where}{how}")
 
     def picture(self, network: nn.Module, dark: Tensor, config: Any, params: Any = None) -> tuple[Tensor, Any]:
         """One picture [H, W, 3] through the network, in 0..1, and the parameters of what follows."""

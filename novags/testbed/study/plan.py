@@ -85,6 +85,7 @@ def check(preset: Preset, console: Console, here: bool = True) -> None:
         ValueError: If it would.
     """
     check_cameras(preset.cameras)
+    preset.refuse_lacking()
     if preset.command(preset.methods[0]) is not None and preset.cameras != KnownConfig():
         raise ValueError(f"cameras: {preset.methods[0]} is a program, which reads the true cameras (known) with its "
                          "pictures: leave the others out with [[exclude]]")  # fmt: skip

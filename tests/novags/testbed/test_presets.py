@@ -18,6 +18,7 @@ from novags.methods.variant import parse_variant
 from novags.settings import flattened
 from novags.splats import FitConfig
 from novags.testbed.console import Console, losses_text
+from novags.testbed.experiment import run
 from novags.testbed.machine import provenance
 from novags.testbed.presets import EXPERIMENTS, Preset, adapted
 from novags.testbed.stages.capturing import CaptureConfig
@@ -198,6 +199,13 @@ def test_impossible_renders_are_refused(values: dict, message: str) -> None:
 def test_settings_that_only_the_last_stage_needs_are_checked_before_the_first() -> None:
     with pytest.raises(ValueError, match="points must be >= 4, got -5"):
         adapted(EXPERIMENTS["demo"], points=-5)
+
+
+def test_a_network_without_weights_is_refused_before_a_picture_is_taken(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="mbllen-gs: MBLLEN has no weights: set enhance.weights to"):
+        run(adapted(EXPERIMENTS["demo"], methods=("naive", "mbllen-gs")), tmp_path / "out", Console(quiet=True))
+    assert not (tmp_path / "out").exists()
+    adapted(EXPERIMENTS["demo"], methods=("sci-gs", "zero-dce-gs")).refuse_lacking()  # which learn from the scene
 
 
 def test_the_page_of_curves_states_the_presets_as_they_are() -> None:

@@ -164,6 +164,11 @@ WRONG = {
     ),
     "vggt": ("[grid]\nmethod='naive'\ncameras=['vggt:checkpoint=none.safetensors']", "cameras vggt:checkpoint=none"),
     "no set": ("[grid]\nscene='empty'\nmethod='naive'", "scene empty, method naive, seed 0: "),
+    "weights": ("[grid]\nmethod=['naive', 'mbllen-gs']", "mbllen-gs, seed 0: mbllen-gs: MBLLEN has no weights"),
+    "surface": (
+        "[grid]\nscene='photos'\nmethod=['averaging']",
+        "averaging follows the true surface, and that of photo",
+    ),
     "gpu": ("[grid]\nmethod='naive'\ndevice='gpu'", "device must be one of auto, cpu, cuda, got 'gpu'"),
 }
 
@@ -171,6 +176,7 @@ WRONG = {
 @pytest.mark.parametrize("what", WRONG)
 def test_what_cannot_work_is_refused_before_anything_runs(tmp_path: Path, what: str) -> None:
     (tmp_path / "empty").mkdir()
+    photographs(tmp_path / "photos")
     text, said = WRONG[what]
     with pytest.raises(ValueError, match=said) as error:
         plan(tmp_path, text)
