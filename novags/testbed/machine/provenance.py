@@ -1,9 +1,11 @@
 """What a result was made with and what it cost: versions, hardware, peak memory."""
 
+import ctypes
 import os
 import platform
 import resource
 import sys
+from contextlib import suppress
 from functools import cache
 from importlib import metadata
 from pathlib import Path
@@ -76,6 +78,7 @@ class PeakMemory:
     """
 
     def __init__(self) -> None:
+        _give_back()
         try:
             Path("/proc/self/clear_refs").write_text("5", encoding="ascii")  # 5: reset VmHWM only
         except OSError:
@@ -89,6 +92,12 @@ class PeakMemory:
         torch = sys.modules.get("torch")
         gpu = torch.cuda.max_memory_allocated() if torch is not None and torch.cuda.is_available() else 0
         return _high_water_mark() + int(gpu)
+
+
+def _give_back() -> None:
+    """Return to the system what was freed and is kept, see novags/__init__.py: it is none of what comes next."""
+    with suppress(AttributeError, OSError, TypeError):  # another C library
+        ctypes.CDLL(None).malloc_trim(0)
 
 
 def _high_water_mark() -> int:
