@@ -189,6 +189,23 @@ def test_a_worker_started_ahead_loads_what_it_needs_and_does_the_first_job(
     assert '"threads": "2"' in (tmp_path / "run" / "a" / "made.json").read_text()
 
 
+@pytest.mark.parametrize(
+    ("files", "cores"),
+    [({}, 8), ({"cpu.max": "max 100000\n"}, 8), ({"cpu.max": "150000 100000\n"}, 2), ({"cpu.max": "9900000 100000"}, 8),
+     ({"cpu/cpu.cfs_quota_us": "300000\n", "cpu/cpu.cfs_period_us": "100000\n"}, 3),
+     ({"cpu/cpu.cfs_quota_us": "-1\n", "cpu/cpu.cfs_period_us": "100000\n"}, 8)],
+)  # fmt: skip
+def test_a_container_has_the_cores_whose_time_it_may_take(
+    files: dict[str, str], cores: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(text)
+    monkeypatch.setattr(processes, "GROUP", tmp_path)
+    monkeypatch.setattr(os, "sched_getaffinity", lambda process: set(range(8)), raising=False)
+    assert processes.cores_here() == cores
+
+
 def test_a_worker_that_nobody_needs_ends_at_once_and_one_core_has_none(
     fake: ModuleType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
