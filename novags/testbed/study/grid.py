@@ -95,6 +95,8 @@ def study_of(
 ) -> Study:
     """The study of a table; arguments as attributes of `Study`, errors as `read_study`."""
     with _at(path, ""):
+        if "dataset" in table:
+            raise ValueError("[dataset]: this is the file of a data set: novags dataset makes it")
         _known(table, TABLES, "table or key")
         base = _preset(table.get("preset", "demo"))
         for name in ("grid", "override", "rig", "variant", "method"):

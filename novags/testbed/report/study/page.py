@@ -94,6 +94,8 @@ def read_rows(path: Path) -> tuple[list[dict[str, Any]], dict[str, list[Any]]]:
         ValueError: If it cannot be read, or a row lacks an axis or has no number where a score belongs.
     """
     results = read_record(path, RESULTS, AGAIN)
+    if METHOD not in results["axes"]:
+        raise ValueError(f"{path.parent} is the work on a data set, which has no runs to report on: see its README.md")
     scores = {column for column, *_ in COLUMNS} | {measure.column for measure in MEASURES}
     row = {**ROW, **dict.fromkeys(results["axes"], VALUE), **{f"{column}?": shapes.MEASURED for column in scores}}
     check_shape(results["rows"], [row], f"{path}: rows", AGAIN)

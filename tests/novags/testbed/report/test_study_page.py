@@ -135,6 +135,13 @@ def test_a_run_whose_folder_is_gone_is_counted_and_the_others_are_shown(study: P
     assert sorted(records.runs) == list(range(4, 12))
 
 
+def test_the_work_on_a_data_set_has_no_report_and_says_so(tmp_path: Path) -> None:
+    row = {"run": 1, "scene": "a", "seed": 0, "state": "done"}
+    (tmp_path / "results.json").write_text(json.dumps({"axes": {"scene": ["a"], "seed": [0]}, "rows": [row]}))
+    with pytest.raises(ValueError, match="is the work on a data set, which has no runs to report on"):
+        write_study(tmp_path)
+
+
 def test_the_page_says_that_references_differ(study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said = "have noise-free references of their own"
     assert said not in write_study(study, tmp_path / "same" / "report.html").read_text()

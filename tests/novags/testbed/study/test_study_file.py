@@ -150,6 +150,7 @@ def test_a_scene_file_by_two_paths_is_listed_twice(tmp_path: Path) -> None:
 WRONG: dict[str, tuple[str, str]] = {
     "no toml": ("[grid", "is not a readable TOML file"),
     "table": ("[gird]\nseed = 0", "unknown table or key 'gird'; did you mean 'grid'"),
+    "data set": ("[dataset]\nname='a'", "[dataset]: this is the file of a data set: novags dataset makes it"),
     "preset": ("preset = 'dmeo'", "preset: must be one of demo, small, paper, got 'dmeo'"),
     "axis": ("[grid]\nelektrons = [1]", "[grid] elektrons: there is no such key; did you mean 'electrons'"),
     "scene": ("[grid]\nscene = ['tabeltop']", "[grid] scene: "),
