@@ -49,8 +49,8 @@ class NovaPlusConfig:
         fit: Of both stages, each from the first points; `fit.iterations` are shared out by `PARTS`. `fit.opacity_reg`
             is the weight in stage 2, and in stage 1 where every pixel measures all channels; merged sets have none.
         init_scale: Of an initial Gaussian, in distances to its nearest neighbours.
-        gaussians: How many each seed has; None: one for every `PIXELS_PER_GAUSSIAN` of all views, at least as many as
-            there are points at the start. `fit.cap_max`, where it is given, is never exceeded.
+        gaussians: How many each seed has; None: one for every `PIXELS_PER_GAUSSIAN` of all views, however many points
+            there are at the start. `fit.cap_max`, where it is given, is never exceeded.
         seeds: Independent reconstructions that are merged.
         held_share: Share of the pixels that is held out to judge.
         bandwidth: Of the guided averages, in tone; None: chosen by `choose_bandwidth`.
@@ -167,7 +167,7 @@ class _Work:
         self.base = fit_for(problem, config.fit)
         self.views = problem.views
         pixels = len(data) * problem.views.height * problem.views.width
-        wanted = config.gaussians or max(len(problem.start.points), pixels // PIXELS_PER_GAUSSIAN)
+        wanted = config.gaussians or max(1, pixels // PIXELS_PER_GAUSSIAN)
         self.count = wanted if config.fit.cap_max is None else min(wanted, config.fit.cap_max)
         self.done, self.total = 0, sum(parts(config).values())
         self.seconds = 0.0

@@ -168,10 +168,17 @@ def test_the_file_of_gaussians_holds_tones_and_the_record_how_to_read_them(dark:
     torch.testing.assert_close(again.render(inputs.views)[0], light_of(result, inputs), rtol=1e-4, atol=1e-6)
 
 
-def test_the_number_of_gaussians_follows_the_pixels(dark: Any) -> None:
+@pytest.mark.parametrize("points", [100, 400])  # fewer and more than that
+def test_the_number_of_gaussians_follows_the_pixels_however_many_points_there_are(dark: Any, points: int) -> None:
     inputs, _ = dark()
-    found = train(inputs, dataclasses.replace(CONFIG, gaussians=None, stages="likelihood", seeds=1)).found
-    assert found["gaussians"] == max(len(inputs.start.points), 5 * 24 * 24 // trainer.PIXELS_PER_GAUSSIAN)
+    some = torch.arange(points) % len(inputs.start.points)
+    start = dataclasses.replace(inputs.start, points=inputs.start.points[some], colors=inputs.start.colors[some])
+    config = dataclasses.replace(CONFIG, gaussians=None, stages="likelihood", seeds=1)
+    result = train(dataclasses.replace(inputs, start=start), config)
+    expected = 5 * 24 * 24 // trainer.PIXELS_PER_GAUSSIAN
+    assert result.found["gaussians"] == expected
+    count = len(result.scene.gaussians)  # type: ignore[attr-defined]
+    assert points < count < expected if points < expected else count == expected  # the one grows, the other is thinned
 
 
 def test_noise_can_be_taken_from_the_pictures_and_must_come_from_somewhere(dark: Any) -> None:
