@@ -17,10 +17,9 @@ os.environ.setdefault("MKL_CBWR", "AUTO")
 
 # Each iteration of a fit frees its arrays, and the next one asks for the same again. glibc returns them to the system
 # in between, which hands them out again page by page and filled with zeros: a third of the time of a fit whose loss is
-# torch's. What is freed is kept instead, up to the second of these sizes, in blocks of up to the first.
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of malloc.h
-with suppress(AttributeError, OSError, TypeError):  # another C library has no mallopt, or cannot be asked
-    if not any(name.startswith("MALLOC_") for name in os.environ):  # the user's own choice
-        _libc = ctypes.CDLL(None)
-        _libc.mallopt(M_MMAP_THRESHOLD, 256 << 20)
-        _libc.mallopt(M_TRIM_THRESHOLD, 1 << 30)
+# torch's. What is freed is kept instead, in blocks of up to the first of these sizes, up to the second in all.
+with suppress(AttributeError, OSError, TypeError):  # other C libraries have no mallopt, and keep what they like
+    _mallopt = ctypes.CDLL(None).mallopt
+    for _name, _number, _size in (("MMAP", -3, 256 << 20), ("TRIM", -1, 1 << 30)):  # numbers as in malloc.h
+        if f"MALLOC_{_name}_THRESHOLD_" not in os.environ:  # else the user's own choice holds
+            _mallopt(_number, _size)

@@ -52,7 +52,7 @@ points = 8000
 iterations = {iterations}
 """
 SEEDS = [0, 1, 2, 3, 4, 5]
-OTHER = [6]  # its runs bring the set into the store, and are none of those measured
+OTHER = [6]  # its runs put the set into the store before anything is measured
 
 
 def bare(out: Path, iterations: int, seeds: list[int]) -> None:

@@ -72,7 +72,7 @@ def study(
 
 
 def store_folder(store: str | None, out: Path) -> Path:
-    """The folder of a store that is no URL: `store` beside `out` if none is given.
+    """The folder of a local store: the one that is given, else `store` beside `out`.
 
     Raises:
         NotADirectoryError: If it is a file.

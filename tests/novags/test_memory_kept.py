@@ -6,6 +6,9 @@ import sys
 
 import pytest
 
+# What is tested is a setting of glibc's malloc (mallopt). Elsewhere novags changes nothing, so nothing can be seen.
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="mallopt is glibc's")
+
 PROGRAM = """
 import resource
 {first}
@@ -34,13 +37,11 @@ def faults(first: str, **environment: str) -> int:
     return int(done.stdout)
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems have another malloc")
 def test_freed_arrays_are_used_again() -> None:
     kept, returned = faults("import novags"), faults("")
     assert returned > 100_000
     assert kept < returned / 10
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="other systems have another malloc")
 def test_settings_of_the_user_hold() -> None:
     assert faults("import novags", MALLOC_TRIM_THRESHOLD_="131072") > 10_000

@@ -167,7 +167,7 @@ class _Work:
         self.base = fit_for(problem, config.fit)
         self.views = problem.views
         pixels = len(data) * problem.views.height * problem.views.width
-        wanted = config.gaussians or max(1, pixels // PIXELS_PER_GAUSSIAN)
+        wanted = config.gaussians or max(1, pixels // PIXELS_PER_GAUSSIAN)  # 0 for pictures of a few pixels
         self.count = wanted if config.fit.cap_max is None else min(wanted, config.fit.cap_max)
         self.done, self.total = 0, sum(parts(config).values())
         self.seconds = 0.0

@@ -95,7 +95,7 @@ class PeakMemory:
 
 
 def _give_back() -> None:
-    """Return to the system what was freed and is kept, see novags/__init__.py: it is none of what comes next."""
+    """Return freed memory to the system, so that it does not count in the next peak (novags/__init__.py keeps it)."""
     with suppress(AttributeError, OSError, TypeError):  # another C library
         ctypes.CDLL(None).malloc_trim(0)
 

@@ -263,7 +263,7 @@ class _Elsewhere:
 
 
 def test_noise_weighs_less_where_it_is_larger() -> None:
-    """An error in tone counts half where the noise variance is FLOOR, and almost fully where there is no noise."""
+    """Where the noise variance equals FLOOR, an error in tone has half its weight; without noise, nearly all of it."""
     problem, _ = problem_of(PRESETS["a7s2-iso6400-3chip"])
     assert problem.noise is not None
     data = exposures(problem, problem.noise, 0.0)

@@ -20,7 +20,7 @@ from novags.testbed.stages.reconstructing import ReconstructConfig
 
 
 def made(folder: Path, config: ReconstructConfig) -> Run:
-    """The run of a configuration, as far as its record tells of it."""
+    """A run of this configuration, with only the record that a command is made from."""
     record = {"name": config.variant.name, "method": config.variant.method, "capture": "../capture",
               "stage": {"config": jsonable(config.resolved())}, "config": jsonable(asdict(config.config))}  # fmt: skip
     return Run(path=folder / "experiment" / config.variant.name, record=record)

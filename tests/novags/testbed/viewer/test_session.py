@@ -8,7 +8,7 @@ from novags.testbed.viewer.session import Session
 
 
 def test_what_cannot_be_exposed_is_said_and_hides_no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Rationale: there is no light in a black model, and what is wrong with it is best seen beside its pictures."""
+    """A black model has no light to expose, but its pictures must stay visible: they show what went wrong."""
     done: list[str] = []
 
     def black(_: Session) -> None:
