@@ -11,6 +11,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from novags.testbed.machine.cores import cores_here
+
 PACKAGES = (
     "novags",
     "numpy",
@@ -43,11 +45,10 @@ def environment() -> dict[str, Any]:
 
 def hardware() -> dict[str, Any]:
     """Processor, cores this process may use, memory, and the GPU that torch sees (None without one)."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     return {
         "system": f"{platform.system()} {platform.machine()}",
         "processor": _processor(),
-        "cores": cores,
+        "cores": cores_here(),
         "memory_bytes": os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"),
         "gpu": _gpu(),
     }

@@ -6,12 +6,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+from novags.testbed.machine.cores import cores_here
 from novags.testbed.study.costs import Costs
 from novags.testbed.study.elsewhere import nodes
 from novags.testbed.study.engines.cluster import Cluster, Terms
 from novags.testbed.study.engines.local import MARGIN, Limits, Pool
 from novags.testbed.study.engines.needs import Needs, resources
-from novags.testbed.study.engines.processes import TASKS, Worker, cores_here, threads_environment, threads_of
+from novags.testbed.study.engines.processes import TASKS, Worker, threads_environment, threads_of
 from novags.testbed.study.engines.queue import Watcher
 from novags.testbed.study.engines.worker import Outcome
 from novags.testbed.study.entry import Order, Task

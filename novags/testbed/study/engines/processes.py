@@ -1,6 +1,5 @@
 """A worker process as its parent sees it."""
 
-import math
 import os
 import subprocess
 import sys
@@ -9,37 +8,18 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection
-from pathlib import Path
 from signal import Signals
 from typing import Any
 
+from novags.testbed.machine.cores import cores_here
 from novags.testbed.machine.memory import resident_bytes
 
 TASKS = "novags.testbed.study.steps:make"  # what the workers of a study do
-GROUP = Path("/sys/fs/cgroup")
-QUOTAS = (("cpu.max",), ("cpu/cpu.cfs_quota_us", "cpu/cpu.cfs_period_us"))  # of versions 2 and 1: quota, then period
 # Ctrl-C on a terminal reaches all its processes: the parent decides what becomes of its workers.
 PROGRAM = """import signal
 signal.signal(signal.SIGINT, signal.SIG_IGN)
 from novags.testbed.study.engines.worker import main
 main()"""
-
-
-def cores_here() -> int:
-    """Cores of this machine that this process may use, at most those whose time its control group has."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return min([cores, *_of_group()])
-
-
-def _of_group() -> list[int]:
-    """The limit of this process's control group, of a container say, in whole cores, if it has one."""
-    for names in QUOTAS:
-        try:
-            quota, period = (int(word) for name in names for word in (GROUP / name).read_text("ascii").split())
-            return [math.ceil(quota / period)] if quota > 0 else []
-        except (OSError, ValueError, ZeroDivisionError):  # no such file, or "max": no limit
-            continue
-    return []
 
 
 def threads_of(workers: int) -> int:

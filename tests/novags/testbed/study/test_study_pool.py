@@ -13,6 +13,8 @@ from typing import Any
 
 import pytest
 
+from novags.testbed.machine import cores
+from novags.testbed.machine.provenance import hardware
 from novags.testbed.study.engines import choice, local, processes, queue
 
 
@@ -190,20 +192,20 @@ def test_a_worker_started_ahead_loads_what_it_needs_and_does_the_first_job(
 
 
 @pytest.mark.parametrize(
-    ("files", "cores"),
+    ("files", "count"),
     [({}, 8), ({"cpu.max": "max 100000\n"}, 8), ({"cpu.max": "150000 100000\n"}, 2), ({"cpu.max": "9900000 100000"}, 8),
      ({"cpu/cpu.cfs_quota_us": "300000\n", "cpu/cpu.cfs_period_us": "100000\n"}, 3),
      ({"cpu/cpu.cfs_quota_us": "-1\n", "cpu/cpu.cfs_period_us": "100000\n"}, 8)],
 )  # fmt: skip
 def test_a_container_has_the_cores_whose_time_it_may_take(
-    files: dict[str, str], cores: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    files: dict[str, str], count: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name, text in files.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(text)
-    monkeypatch.setattr(processes, "GROUP", tmp_path)
+    monkeypatch.setattr(cores, "GROUP", tmp_path)
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: set(range(8)), raising=False)
-    assert processes.cores_here() == cores
+    assert cores.cores_here() == count == hardware()["cores"]
 
 
 def test_a_worker_that_nobody_needs_ends_at_once_and_one_core_has_none(
