@@ -14,14 +14,17 @@ import sys
 import time
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
-from denoising.pairs import Pairs, Source, batch
+from denoising.pairs import Batches, Pairs, Source
 from denoising.training import Schedule, Training, checked, checks, loss_of
+from torch.utils.data import DataLoader
 
 from novags.methods.denoised.network import Network, NetworkConfig
 from novags.methods.denoised.weights import save_weights
+from novags.testbed.machine.cores import cores_here
 
 SAID = 30.0  # s between two lines of progress
 CHECKED = 10  # lines between two looks at pairs that are not trained on, which take a second
@@ -45,6 +48,9 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--stock", type=int, default=256, help="synthetic pictures that are kept at a time")
     parser.add_argument("--rendered-share", type=float, default=0.4, help="of the crops")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--makers", type=int, default=int(cores_here() > 1), help="other processes that make pairs ahead; 0: none"
+    )
     return parser.parse_args()
 
 
@@ -69,9 +75,11 @@ def run(
     started, cpu = time.perf_counter(), time.process_time() - before
     first, said, saved, losses, lines = training.step, time.perf_counter(), time.perf_counter(), [], 0
     last = min(asked.steps, asked.stop or asked.steps)
-    while training.step < last:
-        rng = np.random.default_rng([asked.seed, training.step])
-        losses.append(training.advance(batch(source, rng, training.step, crop=asked.crop, count=asked.batch)))
+    made = Batches(source, asked.seed, asked.crop, asked.batch)
+    # Fresh processes: a copy of this one would hold locks of the threads that the network's kernels have started.
+    ahead: dict[str, Any] = {"multiprocessing_context": "spawn", "prefetch_factor": 8} if asked.makers else {}
+    for pairs in DataLoader(made, batch_size=None, sampler=range(first, last), num_workers=asked.makers, **ahead):
+        losses.append(training.advance(pairs))
         now = time.perf_counter()
         if now - said > SAID or training.step == last:
             left = (now - started) / (training.step - first) * (last - training.step)

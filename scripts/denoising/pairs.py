@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import torch
 from torch import Tensor
+from torch.utils.data import Dataset
 
 from denoising.pictures import Picture, picture
 from novags.methods.denoised.packing import mask_of, spread
@@ -137,3 +138,16 @@ def batch(source: Source, rng: Rng, step: int, *, crop: int, count: int) -> Pair
         level = float(np.exp(rng.uniform(low, high))) * float(clean[..., 1].mean())
         made.append(photograph(clean, camera, max(level, 0.02), int(rng.integers(2**31))))
     return Pairs(*(torch.cat([getattr(one, name) for one in made]) for name in Pairs.__dataclass_fields__))
+
+
+@dataclass
+class Batches(Dataset[Pairs]):
+    """Batches by the number of their step, so that another process can make them ahead."""
+
+    source: Source
+    seed: int
+    crop: int
+    count: int
+
+    def __getitem__(self, step: int) -> Pairs:
+        return batch(self.source, np.random.default_rng([self.seed, step]), step, crop=self.crop, count=self.count)
