@@ -79,7 +79,7 @@ def write_study(folder: Path, out: Path | None = None) -> Path:
         "verdict": verdict(lines, competes), "states": counted(rows), "light": light, "looks": looks,
         "views": list(views.values()), "unseen": unseen, "signals": signals(lines, records),
         "error_ceiling": ERROR_CEILING, "data": _data(lines, looks),
-        "failed": [row for row in rows if row["state"] == "failed"], "costs": records.costs(),
+        "failed": [row for row in rows if row["state"] in ("failed", "skipped")], "costs": records.costs(),
         "effects": records.effects(), "departures": records.departures(), "lost": len(records.lost),
         "configuration": json.dumps(study["table"], indent=2, ensure_ascii=False), "csv": CSV,
         "beside": path.parent.resolve() == folder.resolve(),

@@ -142,6 +142,18 @@ def test_the_work_on_a_data_set_has_no_report_and_says_so(tmp_path: Path) -> Non
         write_study(tmp_path)
 
 
+def test_runs_that_were_not_tried_say_why(study: Path, tmp_path: Path) -> None:
+    assert "or were not tried" not in write_study(study, tmp_path / "before" / "report.html").read_text()
+    results = json.loads((study / "results.json").read_text())
+    results["rows"][0] |= {"state": "skipped", "reason": "no lamp in the scene", "stage": "render"}
+    for name, text in (("results.json", json.dumps(results)), ("study.json", (study / "study.json").read_text())):
+        (tmp_path / name).write_text(text)
+    page = write_study(tmp_path).read_text(encoding="utf-8")
+    assert "Runs that failed, or were not tried" in page
+    assert "<dd>what it needs has failed: no lamp in the scene</dd>" in page
+    assert "<dd>the &lt;disk&gt; broke</dd>" in page
+
+
 def test_the_page_says_that_references_differ(study: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said = "have noise-free references of their own"
     assert said not in write_study(study, tmp_path / "same" / "report.html").read_text()
