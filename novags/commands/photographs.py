@@ -18,9 +18,10 @@ def import_(
     """Make a capture of photographs that were taken in the dark, with what truth there is about them.
 
     Args:
-        folder: Dark photographs with cameras: a nerfstudio or instant-ngp folder (transforms.json) or a COLMAP folder
-            (sparse/0, images) with 8-bit or 16-bit pictures or camera raw files; raw files of the pictures in raw/. Or
-            a scene of a published data set (docs/real-data.md), whose lit pictures are found too.
+        folder: Dark photographs with cameras: a nerfstudio, instant-ngp or NeRF-synthetic folder (transforms*.json), a
+            COLMAP folder (sparse/0, images) or an LLFF folder (poses_bounds.npy, images) with 8-bit or 16-bit pictures
+            or camera raw files; raw files of the pictures in raw/. Or a scene of a published data set
+            (docs/real-data.md), whose lit pictures are found too.
         out: Folder of the capture.
         lit: Folder of the same views in good light: pictures of the same names, or as many in the same order.
         clean: Folder of long exposures of the same views in the same light: the noise-free exposures.
@@ -62,7 +63,7 @@ def denoise(
     Args:
         capture: Folder of the capture.
         out: Folder of the pictures: linear/*.png (16 bits, linear, 65535 is white) and srgb/*.png (8 bits).
-        adapt: Train the network further on these pictures themselves, without truth: half a minute or more.
+        adapt: Train the network further on these pictures themselves, without truth: ten seconds to half a minute.
         turns: Flips and quarter turns whose estimates are averaged, 1 to 8: time goes with it.
         seed: Of the adaptation.
         device: Where the network runs; auto takes a GPU if there is one that can be used.

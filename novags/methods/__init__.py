@@ -1,4 +1,4 @@
-"""What is compared. `METHODS` is the only place that names methods; `variant/named.py` names settings of them."""
+"""What is compared. A new method needs a row of `METHODS` and nothing else; `variant/named.py` names settings."""
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace

@@ -111,7 +111,7 @@ class DarkCapture:
     Attributes:
         folder: On disk, with its cameras as COLMAP, nerfstudio and instant-ngp read them. Tests must not change it.
         train: The training views.
-        test: The held-out views: every 8th, from the first.
+        test: The held-out views: every 8th, from the first, unless the set has a split of its own.
         points: On the true surfaces, to start from, float64 [P,3]; empty for photographs without points.
         electrons: Mean signal of green, e- per pixel and exposure.
     """

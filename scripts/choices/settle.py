@@ -1,6 +1,7 @@
 """Settle open choices by successive halving: many alternatives in one place first, the better half of them in more.
 
-    python scripts/choices/settle.py docs/studies/choices-*.toml --out out/choices --page docs/choices.md
+    python scripts/choices/settle.py docs/studies/choices-three-chip.toml docs/studies/choices-bayer.toml \
+        --out out/choices --page docs/choices.md
 
 Each file is a study whose variants CHOICE.ALTERNATIVE differ from the variant `base` in one choice; variants and
 methods without a dot run in every rung.

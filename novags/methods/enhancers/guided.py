@@ -142,8 +142,8 @@ def _new_params(images: Tensor, config: EnhanceConfig, noise: Variance | None) -
     if config.noise_estimator == "camera":
         if noise is None:
             raise LacksInput(
-                "noise_estimator = camera needs the noise of a known camera, and that of these pictures is not known: "
-                "use patch-pca"
+                "noise_estimator = camera needs the noise of the camera, known or estimated from the pictures, and "
+                "there is none here: use patch-pca"
             )
         weights = None if config.guide == "channel" else LUMINANCE
         sigma = torch.stack([known_sigma(image, noise, weights) for image in images])
@@ -167,7 +167,7 @@ def enhance(
         config: Choices; None takes the defaults.
         params: Gamma, epsilon and radius of an earlier call, used instead of new ones: a noise-free exposure then goes
             through the same enhancement as its noisy twin.
-        noise: Variance of the linear pictures over their mean, where the camera is known.
+        noise: Variance of the linear pictures over their mean, of a known camera or estimated from the pictures.
 
     Returns:
         The enhanced images, same shape and dtype, 0..1, and the parameters used.

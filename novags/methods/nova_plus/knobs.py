@@ -11,8 +11,8 @@ KNOBS = {
     ),
     "Gaussians": MethodKnob.of(
         "gaussians", (1300, 2600, None), parts=FITS,
-        why="of each seed; none is the rule: one for every 11 pixels of all training views, and as many as there are "
-        "points at least",
+        why="of each seed; none is the rule: one for every 11 pixels of all training views, however many points "
+        "there are",
     ),
     "seeds": MethodKnob.of(
         "seeds", (1, 2, 3, 4), parts=FITS,

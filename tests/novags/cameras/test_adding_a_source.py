@@ -32,7 +32,7 @@ def test_the_example_of_the_page_is_a_source_of_cameras() -> None:
     Ks = np.tile(intrinsics(24, 24, 40.0), (9, 1, 1))
     rig = Rig(viewmats=np.stack([look_at(eye, middle) for eye in eyes]), Ks=Ks, width=24, height=24)
     seen = list(range(8))
-    dark = torch.from_numpy(np.random.default_rng(0).uniform(0, 0.1, (8, 3, 24, 24)).astype(np.float32))
+    dark = torch.from_numpy(np.random.default_rng(0).uniform(0, 0.1, (8, 24, 24, 3)).astype(np.float32))
 
     config = parse_cameras("turntable:step_deg=40,height=0.4")
     check_cameras(config)

@@ -106,7 +106,7 @@ def test_epsilon_can_be_the_known_variance_where_estimates_collapse():
 
 
 def test_known_noise_that_is_not_known_is_refused():
-    with pytest.raises(LacksInput, match="noise_estimator = camera needs the noise of a known camera"):
+    with pytest.raises(LacksInput, match="noise_estimator = camera needs the noise of the camera, known or estimated"):
         enhance(torch.from_numpy(textured()), EnhanceConfig(noise_estimator="camera"))
 
 
