@@ -124,8 +124,9 @@ def capture(
     """Photograph a multiview set in the dark: a rendered one, or real posed photographs.
 
     Args:
-        set: A set folder, a nerfstudio, instant-ngp or NeRF-synthetic folder (transforms*.json with 8-bit images, camera
-            raw files or linear EXR), a COLMAP folder (sparse/0, images) or an LLFF folder (poses_bounds.npy, images).
+        set: A set folder, a nerfstudio, instant-ngp or NeRF-synthetic folder (transforms*.json with 8-bit images,
+            camera raw files or linear EXR), a COLMAP folder (sparse/0, images) or an LLFF folder (poses_bounds.npy,
+            images).
         out: Folder of the capture.
         level: Camera and electrons of one of the paper's data sets; `novags list levels` shows them.
         sensor: A camera of sensor_model.PRESETS, or a TOML file of your own; that of the level, else

@@ -5,8 +5,8 @@ Tones are about logarithmic, so that dark and bright parts take their share of t
     lin(r) = top * expm1(k r) / expm1(k)        r = 0 is black, r = 1 is `top`
 
 k is chosen so that the logarithm's knee, top / expm1(k), is a sixth of the median of the scene, whatever lamp sets
-`top`: the median then lies at r = ln 7 / k, 0.4 to 0.5 in most scenes here. Linear colours would spend most Gaussians on
-the brightest parts.
+`top`: the median then lies at r = ln 7 / k, 0.4 to 0.5 in most scenes here. Linear colours would spend most Gaussians
+on the brightest parts.
 """
 
 import math
