@@ -26,7 +26,7 @@ def import_(
         lit: Folder of the same views in good light: pictures of the same names, or as many in the same order.
         clean: Folder of long exposures of the same views in the same light: the noise-free exposures.
         sensor: The camera that took them, of sensor_model.PRESETS or a TOML file: tells methods the noise.
-        time: Exposure time in seconds; from the raw files if not given.
+        time: Exposure time in seconds, which then counts for all views; from the raw files if not given.
         black: Code of no light in 16-bit pictures.
         white: Code of white in 16-bit pictures.
         curve: Of the codes of 16-bit pictures.

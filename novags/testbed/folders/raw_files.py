@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from sensor_model.files.dng import SMALLEST
+from sensor_model.files.dng import SMALLEST, XYZ_TO_SRGB
 from sensor_model.params import CFAS, Cfa
 
 SUFFIXES = (".dng", ".nef", ".nrw", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw")
@@ -85,9 +85,23 @@ def read_format(path: Path) -> RawFormat:
         )
 
 
+def read_exposure(path: Path) -> tuple[float | None, float | None, float | None]:
+    """Exposure time in seconds, ISO speed and f-number, each None where the file does not say it; from its header.
+
+    Raises:
+        ValueError: If the file cannot be read.
+    """
+    with _opened(path, pixels=False) as raw:
+        return _time(raw), _stated(raw, "iso_speed"), _stated(raw, "aperture")
+
+
 def _time(raw: Any) -> float | None:
-    shutter = raw.other.shutter_speed if hasattr(raw, "other") else 0.0
-    return float(f"{shutter:.6g}") if shutter > 0 else None  # LibRaw keeps it in float32
+    return _stated(raw, "shutter_speed")
+
+
+def _stated(raw: Any, name: str) -> float | None:
+    value = getattr(raw.other, name) if hasattr(raw, "other") else 0.0
+    return float(f"{value:.6g}") if value > 0 else None  # LibRaw keeps it in float32
 
 
 def _response(raw: Any, path: Path) -> tuple[float, float, float]:
@@ -102,12 +116,24 @@ def _response(raw: Any, path: Path) -> tuple[float, float, float]:
 
 
 def _color_matrix(raw: Any, path: Path) -> np.ndarray | None:
+    """That of the file, which a DNG states, else that of the camera's model, which LibRaw knows of most others."""
     matrix = np.array(raw.color_matrix, np.float64)[:3, :3]
+    if not matrix.any():
+        matrix = _of_model(np.array(raw.rgb_xyz_matrix, np.float64)[:3])
     if not matrix.any() or np.abs(matrix - np.eye(3)).max() < IDENTITY:
         return None
     if not (np.isfinite(matrix).all() and np.abs(matrix).max() < 100 and abs(np.linalg.det(matrix)) > 1e-3):
         raise ValueError(f"{path} states a colour matrix that no camera has: {matrix.round(3).tolist()}")
     return matrix
+
+
+def _of_model(xyz_to_camera: np.ndarray) -> np.ndarray:
+    """White-balanced camera RGB -> linear sRGB, [3,3], of what LibRaw states of a model; zeros if it states nothing."""
+    filters = xyz_to_camera @ np.linalg.inv(XYZ_TO_SRGB)
+    white = filters.sum(1, keepdims=True)  # what the balance makes 1
+    if not (white > 0).all() or np.linalg.matrix_rank(filters) < 3:
+        return np.zeros((3, 3))
+    return np.linalg.inv(filters / white)
 
 
 def read_digital_numbers(path: Path) -> np.ndarray:
@@ -134,16 +160,23 @@ def _pattern(raw: Any, path: Path) -> Cfa | None:
 
 
 def read_radiance(path: Path) -> np.ndarray:
-    """Linear sRGB float32 [h,w,3], 1 = white level: black level, camera white balance, AHD demosaicing, colour matrix.
+    """Linear sRGB float32 [h,w,3], 1 = white level: black level, white balance, AHD demosaicing, colour matrix.
 
+    The balance is that of `read_format`, so that LibRaw does not make each picture grey where a file states none.
     Pixels stay as stored (no rotation), because poses refer to the stored pixels.
 
     Raises:
         ValueError: If the file cannot be read.
     """
     with _opened(path) as raw:
+        red, green, blue = (1 / share for share in _response(raw, path))
         codes = raw.postprocess(
-            gamma=(1, 1), no_auto_bright=True, adjust_maximum_thr=0.0, use_camera_wb=True, output_bps=16, user_flip=0
+            gamma=(1, 1),
+            no_auto_bright=True,
+            adjust_maximum_thr=0.0,
+            user_wb=[red, green, blue, green],
+            output_bps=16,
+            user_flip=0,
         )
     return codes.astype(np.float32) / np.float32(65535)
 

@@ -11,6 +11,7 @@ from novags.testbed.importing.dark import Dark
 from novags.testbed.importing.darkroom import Darkroom
 from novags.testbed.importing.stored import depth_of
 
+LOOKED_AT, BLOCK, BRIGHT = 4, 8, 0.1  # views; px, whose mean has little noise; share of these
 WHITE = 0.99  # linear; a brighter channel of the long exposure may be cut off, and then says nothing of the light
 
 
@@ -39,7 +40,7 @@ def match_clean(
         ValueError: If the long exposures are not of the kind of the dark pictures, or one of the two shows nothing.
     """
     kind = depth_of(files[0])
-    if kind != "raw" and kind != dark.depth or kind == "raw" and not dark.raws:
+    if (kind == "raw") != bool(dark.raws) or kind not in ("raw", dark.depth):
         raise ValueError(
             f"--clean must hold files like the dark ones ({'raw' if dark.raws else dark.depth}), got {kind}: light can "
             "be matched between files of one kind only"
@@ -56,3 +57,26 @@ def match_clean(
     if not (energy > 0 and cross > 0):
         raise ValueError("--clean and the dark pictures have no light in common: check that they show the same views")
     return Match(cross / energy, white / values)
+
+
+def tone_gain(dark: Dark, darkroom: Darkroom) -> float:
+    """Light of the pictures, decoded from sRGB, over that of the raw files beside them; 1 if they are the raw files.
+
+    Of the brightest parts of a few views, where 8-bit pictures cut off little noise at black.
+    """
+    if not dark.raws or dark.depth == "raw":
+        return 1.0
+    stored = measured = 0.0
+    for i in range(0, len(dark.files), max(1, len(dark.files) // LOOKED_AT)):
+        x, y = (_blocks(darkroom.linear(file, i)) for file in (dark.raws[i], dark.files[i]))
+        bright = x >= np.quantile(x, 1 - BRIGHT)
+        measured, stored = measured + float(x[bright].sum()), stored + float(y[bright].sum())
+    return stored / measured if measured > 0 else 1.0
+
+
+def _blocks(light: np.ndarray) -> np.ndarray:
+    """Means of blocks, and of their channels; of small pictures, pixels."""
+    size = min(BLOCK, *light.shape[:2])
+    rows, columns = (side // size * size for side in light.shape[:2])
+    cut = light[:rows, :columns].astype(np.float64)
+    return cut.reshape(rows // size, size, columns // size, size, -1).mean((1, 3, 4))

@@ -72,7 +72,8 @@ def raw_camera(file: Path, given: Sensor | None, demosaic: Demosaic) -> RawCamer
         demosaic: How the colour filter array will be interpolated.
 
     Raises:
-        ValueError: If the file cannot be read, or states other levels or filters than the model.
+        ValueError: If the file cannot be read, or states other levels or filters than the model; a slightly other black
+            level is taken from the file.
     """
     stated = read_format(file)
     black = common_black(stated)
@@ -85,7 +86,8 @@ def raw_camera(file: Path, given: Sensor | None, demosaic: Demosaic) -> RawCamer
     _check_alike(file, stated, black, given)
     alike = np.allclose(given.rgb_response, stated.response, rtol=ALIKE)
     response = given.rgb_response if alike else stated.response
-    sensor = replace(given, cfa=stated.cfa, rgb_response=response)
+    # The black level of a camera differs a little from one to the next, and in the dark that is much of the light.
+    sensor = replace(given, cfa=stated.cfa, rgb_response=response, black_level=black)
     return RawCamera(format=stated, sensor=sensor, known=True, demosaic=demosaic)
 
 

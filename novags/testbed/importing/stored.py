@@ -10,7 +10,7 @@ import numpy as np
 from novags.testbed.folders.raw_files import SUFFIXES as RAW
 from novags.testbed.folders.raw_files import is_raw
 from sensor_model import srgb_to_linear
-from simscenes.sets.pictures.image_file import alpha_of, has_alpha, read_image
+from simscenes.sets.pictures.image_file import alpha_of, has_alpha, header, read_image
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *RAW)
 
@@ -52,6 +52,30 @@ def read_stored(file: Path) -> np.ndarray:
     if pixels.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"{file} must hold 8- or 16-bit codes, got {pixels.dtype}: convert it to 16-bit PNG or TIFF")
     return np.ascontiguousarray(pixels[..., ::-1])
+
+
+def is_lossy(file: Path) -> bool:
+    """Whether a picture was compressed with loss, so that neighbouring pixels and channels share noise."""
+    suffix = file.suffix.lower()
+    if suffix == ".webp":
+        return b"VP8 " in chunks_of(file)
+    if suffix in (".tif", ".tiff"):
+        try:
+            with header(file) as image:
+                return "jpeg" in str(image.info.get("compression", ""))
+        except ValueError:  # 16 bits, say, which PIL does not know: JPEG in TIFFs has 8
+            return False
+    return suffix in (".jpg", ".jpeg")
+
+
+def chunks_of(file: Path) -> set[bytes]:
+    """Names of the chunks of a WebP file; those of its frames, where it is a film."""
+    content, at, found = file.read_bytes(), 12, set[bytes]()
+    while at + 8 <= len(content):
+        name, length = content[at : at + 4], int.from_bytes(content[at + 4 : at + 8], "little")
+        found.add(name)
+        at += 8 + 16 if name == b"ANMF" else 8 + length + length % 2
+    return found
 
 
 def refuse_transparent(file: Path) -> None:

@@ -11,13 +11,14 @@ from novags.testbed.console import Console
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders.capture import has_view
 from novags.testbed.folders.imported import write_clean
-from novags.testbed.importing.clean import Match, match_clean
+from novags.testbed.importing.clean import Match, match_clean, tone_gain
 from novags.testbed.importing.dark import Dark, open_dark
 from novags.testbed.importing.darkroom import Darkroom
+from novags.testbed.importing.exposures import check_exposed_alike
 from novags.testbed.importing.published.datasets import DATASETS, Dataset, dataset_of
 from novags.testbed.importing.raw_camera import raw_camera
 from novags.testbed.importing.split import Split
-from novags.testbed.importing.stored import Codes16, Curve
+from novags.testbed.importing.stored import Codes16, Curve, is_lossy
 from novags.testbed.importing.twins import Twins, twins_by_order, twins_of
 from novags.testbed.stages.capturing import FULL_SIZE, camera_named, files_of
 from novags.testbed.stages.paths import keep_apart
@@ -26,6 +27,8 @@ from sensor_model.files.dng import SMALLEST, TIMES
 from sensor_model.isp import Demosaic, to_linear16
 from simscenes.sets.multiview import write_cameras
 from simscenes.sets.pictures.png import write_png
+
+OWN_TONE = 1.25  # or more times the light of the raw files is a camera's tone curve, not the rounding to 8 bits
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -164,7 +167,7 @@ def prepare(material: Material, config: ImportConfig, console: Console) -> Prepa
     """Read every file once, so that nothing is cleared for what cannot be imported, and match the long exposures.
 
     Raises:
-        ValueError: If a file cannot be read, is of another kind or size than the first, or shows nothing.
+        ValueError: If a file cannot be read, is of another kind, size or exposure than the first, or shows nothing.
     """
     dark = material.dark
     camera = raw_camera(dark.raws[0], config.camera, config.demosaic) if dark.raws else None
@@ -183,11 +186,24 @@ def prepare(material: Material, config: ImportConfig, console: Console) -> Prepa
             progress(done + 1, total, file.name)
         if material.clean is not None:
             match = match_clean(dark, material.clean.files, darkroom, progress, len(files), total)
+            _say_tone(tone_gain(dark, darkroom), console)
+    if config.time is None:
+        for group in (dark.files, dark.raws):
+            check_exposed_alike(group)
     if resampled:
         console.warn(f"{resampled} of {len(dark.files)} lit pictures are a pixel larger or smaller than the dark ones: "
                      "resampled to their size")  # fmt: skip
     _say(dark, darkroom, config, match, console)
     return Prepared(darkroom, match, resampled)
+
+
+def _say_tone(gain: float, console: Console) -> None:
+    if not 1 / OWN_TONE < gain < OWN_TONE:
+        console.warn(
+            f"the pictures show {gain:.3g} times the light of their raw files, to which the clean exposures are "
+            "matched: they have a tone of their own, which counts as an error in scores against clean exposures. "
+            "Import the raw files alone, and pictures are developed from them"
+        )
 
 
 def _say(dark: Dark, darkroom: Darkroom, config: ImportConfig, match: Match | None, console: Console) -> None:
@@ -268,7 +284,7 @@ def record_of(material: Material, prepared: Prepared, config: ImportConfig) -> d
         sensor = darkroom.frame(dark.raws[0])[1]
         raw = {"cfa": sensor.cfa, "black": sensor.black_level, "white": sensor.white_dn}
     sixteen = bool(dark.raws) or dark.depth == "16bit"
-    jpeg = any(file.suffix.lower() in (".jpg", ".jpeg") for file in dark.files)
+    jpeg = any(is_lossy(file) for file in dark.files)
     parts = {"images16": sixteen, "raw": raw is not None, "truth": match is not None, "lit": material.lit is not None}
     return {
         "kind": "imported",

@@ -1,11 +1,13 @@
 """Claims about camera raw files whose pixels are not all there."""
 
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import rawpy
 
 from novags.testbed.folders.raw_files import read_digital_numbers, read_format, read_mosaic, read_radiance
 from sensor_model import PRESETS, Exposure, Sensor, write_dng
@@ -63,3 +65,58 @@ def test_a_blank_sky_without_noise_is_a_picture(tmp_path: Path) -> None:
     codes[:150] = 700
     write_dng(tmp_path / "a.dng", codes, CAMERA, Exposure(time=0.01))
     assert np.array_equal(read_digital_numbers(tmp_path / "a.dng"), codes)
+
+
+def camera_file(file: Path, make: bytes, model: bytes) -> None:
+    """A mosaic as most cameras write it: a TIFF that names the camera and states no colours."""
+    width, height, start = 256, 128, 1024
+    rows, columns = np.indices((height, width))
+    dn = np.where((rows % 2 == 0) & (columns % 2 == 0), 2500, 3000) + (rows * 7 + columns * 3) % 50
+    texts = (make + b"\0", model + b"\0")
+    places = (512, 512 + len(texts[0]) + len(texts[0]) % 2)
+    tags = [
+        (256, 4, 1, width), (257, 4, 1, height), (258, 3, 1, 16), (259, 3, 1, 1), (262, 3, 1, 32803),
+        (271, 2, len(texts[0]), places[0]), (272, 2, len(texts[1]), places[1]), (273, 4, 1, start), (277, 3, 1, 1),
+        (278, 4, 1, height), (279, 4, 1, 2 * width * height), (33421, 3, 2, 2 + (2 << 16)), (33422, 1, 4, 0x02010100),
+    ]  # fmt: skip
+    content = bytearray(start)
+    head = b"II*\0" + struct.pack("<IH", 8, len(tags)) + b"".join(struct.pack("<HHII", *tag) for tag in tags)
+    content[: len(head)] = head
+    for place, text in zip(places, texts, strict=True):
+        content[place : place + len(text)] = text
+    file.write_bytes(bytes(content) + dn.astype("<u2").tobytes())
+
+
+def test_a_file_that_states_no_colours_has_those_of_its_model(tmp_path: Path) -> None:
+    """Expectation: what LibRaw itself makes of it, by its table of cameras; a matrix turns white into white."""
+    camera_file(tmp_path / "a.arw", b"SONY", b"ILCE-7SM2")
+    found = read_format(tmp_path / "a.arw")
+    assert found.color_matrix is not None
+    np.testing.assert_allclose(found.color_matrix.sum(1), 1, atol=2e-3)  # XYZ_TO_SRGB has four digits
+    with rawpy.imread(str(tmp_path / "a.arw")) as raw:
+        kind = rawpy.ColorSpace
+        in_camera, in_srgb = (raw.postprocess(
+            gamma=(1, 1), no_auto_bright=True, adjust_maximum_thr=0.0, user_wb=[1.0, 1.0, 1.0, 1.0], output_bps=16,
+            half_size=True, highlight_mode=rawpy.HighlightMode.Clip, output_color=space,
+        ).astype(np.float64).mean((0, 1)) for space in (kind.raw, kind.sRGB))  # fmt: skip
+    np.testing.assert_allclose(found.color_matrix @ in_camera, in_srgb, rtol=5e-3)
+    camera_file(tmp_path / "b.arw", b"Nobody", b"Nothing")
+    assert read_format(tmp_path / "b.arw").color_matrix is None
+
+
+def test_light_without_a_stated_balance_is_not_made_grey_picture_by_picture(tmp_path: Path) -> None:
+    """Rationale: LibRaw balances each picture by its own mean then, and the views of a set no longer agree."""
+    plain = Sensor(gain=1.0, eta=1.0, mu_e_sat=10_000, black_level=100, bits=14, cfa="RGGB")
+    rows, columns = np.indices((64, 64)) % 2
+    for name, rgb in (("red", (4000, 1000, 1000)), ("blue", (1000, 1000, 4000))):
+        file = tmp_path / f"{name}.dng"
+        dn = 100 + np.asarray(rgb)[rows + columns] + np.random.default_rng(0).integers(0, 20, (64, 64))
+        write_dng(file, dn.astype(np.uint16), plain, Exposure(time=0.1))
+        balance, private = (struct.pack("<HH", tag, 5) for tag in (50728, 65000))  # AsShotNeutral, rationals
+        assert file.read_bytes().count(balance) == 1
+        file.write_bytes(file.read_bytes().replace(balance, private))
+    with rawpy.imread(str(tmp_path / "red.dng")) as raw:
+        assert min(raw.camera_whitebalance[:3]) <= 0  # the file states none
+    red, blue = (read_radiance(tmp_path / f"{name}.dng").mean((0, 1)) for name in ("red", "blue"))
+    assert red[0] > 3 * red[2]
+    assert blue[2] > 3 * blue[0]

@@ -1,0 +1,137 @@
+"""Claims about how photographs were exposed and stored: alike or refused, compressed or not, in a tone of their own."""
+
+import io
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+from PIL import Image
+from PIL.TiffImagePlugin import IFDRational
+
+from novags.testbed import stages
+from novags.testbed.console import Console
+from novags.testbed.importing.exposures import check_exposed_alike, stated_of
+from novags.testbed.importing.raw_camera import raw_camera
+from novags.testbed.importing.stored import is_lossy
+from novags.testbed.stages.capturing import CaptureConfig
+from novags.testbed.stages.importing import ImportConfig
+from sensor_model import PRESETS, Exposure, expose, mosaic, write_dng
+from simscenes import orbit_rig
+from simscenes.sets.multiview import write_cameras
+from simscenes.sets.pictures.png import read_png, write_png
+
+QUIET = Console(quiet=True)
+CAMERA = PRESETS["a7s2-iso6400"]
+NAMES = [f"{i:04d}" for i in range(3)]
+
+
+def jpeg(file: Path, time: tuple[int, int] | None = None, iso: int | None = None) -> Path:
+    exif = Image.Exif()
+    part = exif.get_ifd(0x8769)
+    for tag, value in ((0x829A, time), (0x8827, iso)):
+        if value is not None:
+            part[tag] = IFDRational(*value) if isinstance(value, tuple) else value
+    Image.new("RGB", (32, 24), (40, 30, 20)).save(file, exif=exif)
+    return file
+
+
+def test_files_of_one_exposure_or_of_an_unknown_one_are_taken(tmp_path: Path) -> None:
+    alike = [
+        jpeg(tmp_path / "a.jpg", (1, 30), 800),
+        jpeg(tmp_path / "b.jpg"),
+        jpeg(tmp_path / "c.jpg", (333, 10000), 800),
+    ]
+    assert stated_of(alike[0]) == (pytest.approx(1 / 30), 800, None)
+    assert stated_of(alike[1]) == (None, None, None)
+    check_exposed_alike(alike)
+    assert stated_of(jpeg(tmp_path / "odd.jpg", (0, 0))) == (None, None, None)
+
+
+def test_other_times_and_speeds_are_refused_by_name(tmp_path: Path) -> None:
+    first, unknown = jpeg(tmp_path / "a.jpg", (1, 30), 800), jpeg(tmp_path / "b.jpg")
+    with pytest.raises(
+        ValueError, match=r"c\.jpg states the exposure time 0\.1 s, a\.jpg 0\.0333333: all views must be"
+    ):
+        check_exposed_alike([first, unknown, jpeg(tmp_path / "c.jpg", (1, 10), 800)])
+    with pytest.raises(ValueError, match=r"c\.jpg states the ISO speed 1600, a\.jpg 800: all views must be exposed"):
+        check_exposed_alike([first, unknown, jpeg(tmp_path / "c.jpg", (1, 30), 1600)])
+    for name, time in (("d", 0.01), ("e", 0.1)):
+        write_dng(tmp_path / f"{name}.dng", np.full((64, 64), 700, np.uint16), CAMERA, Exposure(time=time))
+    with pytest.raises(ValueError, match=r"e\.dng states the exposure time 0\.1 s, d\.dng 0\.01: .* or give --time"):
+        check_exposed_alike([tmp_path / "d.dng", tmp_path / "e.dng"])
+
+
+@pytest.fixture
+def dark(tmp_path: Path) -> Path:
+    """Pictures and raw files of one exposure; long/ has clean ones of ten times the light."""
+    rng = np.random.default_rng(0)
+    light = cv2.resize(rng.uniform(200, 900, (4, 4, 3)), (64, 64))
+    write_cameras(tmp_path / "lit", NAMES, orbit_rig(3, 64, 64, 50.0, radius=3.0))
+    for name in NAMES:
+        write_png(tmp_path / "lit" / "images" / f"{name}.png", np.clip(light / 4, 0, 255).astype(np.uint8))
+    for place, electrons in (("dark", 300.0), ("long", 2000.0)):
+        config = CaptureConfig(sensor="a7s2-iso6400", electrons=electrons, demosaic="bilinear")
+        stages.capture(tmp_path / "lit", tmp_path / place, config, QUIET)
+    stranger = tmp_path / "stranger"
+    stranger.mkdir()
+    shutil.copy(tmp_path / "lit" / "transforms.json", stranger)
+    for part in ("images", "raw"):
+        shutil.copytree(tmp_path / "dark" / part, stranger / part)
+    return stranger
+
+
+def brought(dark: Path, out: Path, **config: object) -> str:
+    stream = io.StringIO()
+    settings = ImportConfig(demosaic="bilinear", **config)  # type: ignore[arg-type]
+    stages.import_photographs(dark, out, settings, Console(stream=stream), overwrite=True)
+    return stream.getvalue()
+
+
+def test_an_import_refuses_mixed_exposures_unless_the_user_says_the_time(dark: Path, tmp_path: Path) -> None:
+    codes = np.random.default_rng(0).integers(600, 900, (64, 64)).astype(np.uint16)
+    write_dng(dark / "raw" / "0001.dng", codes, CAMERA, Exposure(time=0.5))
+    with pytest.raises(ValueError, match=r"0001\.dng states the exposure time 0\.5 s"):
+        brought(dark, tmp_path / "cap")
+    brought(dark, tmp_path / "cap", time=0.1)
+
+
+def test_clean_exposures_beside_raw_files_are_raw_and_a_tone_of_the_pictures_own_is_said(
+    dark: Path, tmp_path: Path
+) -> None:
+    """Expectation: one factor cannot serve the camera's picture and the light of its raw file."""
+    assert "tone of their own" not in brought(dark, tmp_path / "cap", clean=tmp_path / "long" / "raw")
+    with pytest.raises(ValueError, match=r"--clean must hold files like the dark ones \(raw\), got 8bit"):
+        brought(dark, tmp_path / "cap", clean=tmp_path / "long" / "images")
+    for name in NAMES:
+        codes = read_png(dark / "images" / f"{name}.png")
+        write_png(dark / "images" / f"{name}.png", (255 * (codes / 255.0) ** 0.7).round().astype(np.uint8))
+    assert "tone of their own" in brought(dark, tmp_path / "cap", clean=tmp_path / "long" / "raw")
+    assert "tone of their own" not in brought(dark, tmp_path / "cap")  # nothing is compared with the light then
+
+
+def test_the_black_level_is_that_of_the_file(tmp_path: Path) -> None:
+    """Expectation: 20 electrons are 20 electrons, with a camera whose black is 100 codes above its model's."""
+    real = replace(CAMERA, black_level=CAMERA.black_level + 100)
+    photons = mosaic(np.full((64, 64, 3), 20 / CAMERA.eta), "RGGB")
+    frame = expose(photons, real, Exposure(time=1 / 30), seed=0, view=0)
+    write_dng(tmp_path / "a.dng", frame.dn, real, Exposure(time=1 / 30))
+    camera = raw_camera(tmp_path / "a.dng", CAMERA, "bilinear")
+    assert camera.sensor.black_level == real.black_level
+    found = camera.develop(camera.codes(tmp_path / "a.dng"))[..., 1].mean()
+    assert found == pytest.approx(20 * CAMERA.gain / (real.white_dn - real.black_level), rel=0.05)  # 3 standard errors
+
+
+def test_compression_with_loss_is_seen_in_every_format_that_has_it(tmp_path: Path) -> None:
+    picture = Image.fromarray(np.random.default_rng(0).integers(0, 255, (32, 32, 3)).astype(np.uint8))
+    lossy = {"a.jpg": {}, "a.webp": {"quality": 80}, "a.tif": {"compression": "jpeg"}}
+    whole = {"b.png": {}, "b.webp": {"lossless": True}, "b.tif": {}, "c.tif": {"compression": "tiff_lzw"}}
+    for name, how in (lossy | whole).items():
+        picture.save(tmp_path / name, **how)
+        assert is_lossy(tmp_path / name) == (name in lossy), name
+    picture.save(tmp_path / "film.webp", save_all=True, append_images=[picture.rotate(90)], quality=80)
+    assert is_lossy(tmp_path / "film.webp")
+    cv2.imwrite(str(tmp_path / "deep.tif"), np.full((8, 8, 3), 700, np.uint16))
+    assert not is_lossy(tmp_path / "deep.tif")
