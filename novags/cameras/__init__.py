@@ -41,14 +41,16 @@ class CameraSource:
         check: Raises a ValueError that says what to install or to give if the source cannot run with a configuration.
         estimate: Makes cameras and points of what `takes` says and the dark images; its other arguments are n_points,
             config, seed, and a progress or a device.
-        takes: What it is given: the whole set, the pictures with their intrinsics, or the pictures alone.
+        takes: What it is given: the whole set; the pictures with their intrinsics, "numbered" with `indices` too, their
+            places among all views of the set, for cameras that are known by the order of the pictures; or the pictures
+            alone.
     """
 
     description: str
     config: type[Any]
     check: Callable[[Any], None]
     estimate: Callable[..., CameraEstimate]
-    takes: Literal["set", "pictures and lenses", "pictures"]
+    takes: Literal["set", "numbered pictures and lenses", "pictures and lenses", "pictures"]
 
 
 SOURCES: dict[str, CameraSource] = {
@@ -136,7 +138,8 @@ def estimate_cameras(
     Raises:
         ValueError: If the source cannot run here, refuses its input, or places fewer than 2 views.
     """
-    source, how = source_of(config), {"n_points": n_points, "config": config, "seed": seed}
+    source = source_of(config)
+    how: dict[str, Any] = {"n_points": n_points, "config": config, "seed": seed}
     if isinstance(config, KnownConfig):
         return source.estimate(multiview, indices, dark, **how)
     if pictures is None:
@@ -145,4 +148,6 @@ def estimate_cameras(
         pictures = (dark.detach().cpu() * 255).round().to(torch.uint8).numpy()
     if source.takes == "pictures":
         return source.estimate(pictures, dark, **how, device=device)
+    if source.takes == "numbered pictures and lenses":
+        how["indices"] = tuple(indices)
     return source.estimate(pictures, multiview.rig.Ks[indices], dark, **how, progress=progress)
