@@ -74,6 +74,8 @@ class Characterisation:
         if self.hot_fraction > 0:
             measured["defects"] = Defects(hot_fraction=self.hot_fraction, hot_factor=self.hot_factor)
         values = {"bits": bits, "cfa": None} | measured | assumed
+        if "nonlinearity" in measured and "nonlinearity" not in assumed:  # the bend per electron is what was measured
+            values["nonlinearity"] = self.nonlinearity * values["mu_e_sat"] / self.mu_e_sat
         for name in ("eta", "mu_e_sat"):
             require(values[name] is not None, name, "known", None, f"measure it, or pass {name}=")
         return Sensor(**values)

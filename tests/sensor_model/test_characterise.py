@@ -91,6 +91,13 @@ def test_hot_pixels_are_counted_by_themselves(tmp_path):
     assert mean == pytest.approx(theirs, abs=1.0)
 
 
+def test_another_full_well_than_the_measured_one_keeps_the_bend_per_electron():
+    found = replace(characterise(*laboratory()), mu_e_sat=4000.0, nonlinearity=0.04)
+    assert found.sensor(bits=16).nonlinearity == 0.04
+    assert found.sensor(bits=16, mu_e_sat=8000.0).nonlinearity == pytest.approx(0.08)
+    assert found.sensor(bits=16, mu_e_sat=8000.0, nonlinearity=0.01).nonlinearity == 0.01
+
+
 @pytest.mark.parametrize("hot", [0.0, 0.002])
 def test_a_camera_without_dark_current_is_one(hot):
     """By chance its estimate is below 0 half of the time, and no camera could be made of it."""

@@ -18,6 +18,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -34,6 +35,7 @@ HIDDEN = 32
 FAINT = 1e-4  # added to radiance: the logarithm of black has no slope that a fit could follow
 BRIGHTEST = 1 - 1e-3  # of a code, for the first radiance: that of white would be infinite
 EXPOSURES = (1e-2, 1e5)  # between which the lit one is looked for
+LEVELS = 1 << 16  # of the logarithm of radiance, by which the mean of pictures is found
 ENTRIES = 512  # of the response as a table, over all logarithms that float32 colours can have between its ends
 ENDS = (math.log(FAINT), 20.0)
 
@@ -109,11 +111,15 @@ def lit_exposure(response: Response, radiance: Tensor, target: float) -> float:
 
     The response need not rise everywhere: bisection on the logarithm finds one of the exposures at which it does.
     """
-    logs = logarithm(radiance)
+    # Counted levels in the place of all values of all views, through the network forty times: that would take more
+    # memory and time than the fit.
+    counts, edges = np.histogram(logarithm(radiance).cpu().numpy(), LEVELS)
+    logs = torch.from_numpy((edges[:-1] + edges[1:]) / 2).to(radiance)
+    weights = torch.from_numpy(counts / counts.sum()).to(radiance)
     low, high = (math.log(e) for e in EXPOSURES)
     for _ in range(40):
         middle = (low + high) / 2
-        too_dark = float(response(logs + middle).mean()) < target
+        too_dark = float((weights * response(logs + middle)).sum()) < target
         low, high = (middle, high) if too_dark else (low, middle)
     return math.exp((low + high) / 2)
 

@@ -10,6 +10,7 @@ import numpy as np
 from sensor_model.files.atomic import atomic
 
 SUFFIXES = (".mp4", ".webp")
+LARGEST = 2_000_000_000  # bytes of the frames of a WebP
 
 
 class Film(Protocol):
@@ -21,16 +22,17 @@ class Film(Protocol):
 
 
 @contextmanager
-def film(path: Path, fps: float) -> Iterator[Film]:
-    """A video file that appears when the block ends without an error.
+def film(path: Path, fps: float, count: int) -> Iterator[Film]:
+    """A video file of so many frames that appears when the block ends without an error.
 
     Raises:
-        ValueError: If the suffix is neither .mp4 nor .webp, or this OpenCV cannot write MP4.
+        ValueError: If the suffix is neither .mp4 nor .webp, this OpenCV cannot write MP4, or the frames of a WebP,
+            which are encoded together, would not fit into memory.
         OSError: If the file cannot be written.
     """
     check_path(path)
     with atomic(path) as temporary:
-        made: Any = _Mp4(temporary, fps) if path.suffix == ".mp4" else _WebP(temporary, fps)
+        made: Any = _Mp4(temporary, fps) if path.suffix == ".mp4" else _WebP(temporary, fps, count)
         try:
             yield made
         finally:
@@ -79,12 +81,16 @@ class _Mp4:
 
 
 class _WebP:
-    def __init__(self, path: Path, fps: float) -> None:
-        self._path, self._fps, self._frames = path, fps, list[Any]()
+    def __init__(self, path: Path, fps: float, count: int) -> None:
+        self._path, self._fps, self._count, self._frames = path, fps, count, list[Any]()
 
     def add(self, frame: np.ndarray) -> None:
         from PIL import Image
 
+        if not self._frames and self._count * frame.nbytes > LARGEST:
+            raise ValueError(f"{self._count} frames of {frame.shape[1]} x {frame.shape[0]} are too many for a WebP: "
+                             f"they have to be in memory together ({self._count * frame.nbytes / 1e9:.1f} GB). Give "
+                             "--out a name that ends in .mp4, or fewer seconds or frames a second")  # fmt: skip
         self._frames.append(Image.fromarray(frame))
 
     def close(self) -> None:

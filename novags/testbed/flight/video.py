@@ -114,7 +114,7 @@ def make_video(run: Run, out: Path, console: Console, *, seconds: float, fps: fl
     flight = fly(course.viewmats, max(2, round(seconds * fps)))
     beside, rig = Beside(run, capture, lit, course.names), capture.cameras.rig
     K = torch.from_numpy(course.K).float()[None]
-    with console.progress("video") as progress, film(out, fps) as made:
+    with console.progress("video") as progress, film(out, fps, len(flight.viewmats)) as made:
         for k, viewmat in enumerate(flight.viewmats):
             view = Views(torch.from_numpy(viewmat).float()[None], K, rig.width, rig.height)
             image = scene.render(view)[0][0].cpu().numpy()

@@ -96,7 +96,8 @@ class Truth:
                     f"the reference {reference} is of a dark capture, and {self.path} is a set: name a capture"
                 )
             exposure = np.float32(self.lit.views.meta.get("exposure_scale", 1.0))  # 1 is white then
-            return lambda i: self.lit.radiance(i) * exposure
+            matrix = np.eye(3) if self.lit.color_matrix is None else self.lit.color_matrix  # of the set's own filters
+            return lambda i: (self.lit.radiance(i) @ matrix.T).astype(np.float32) * exposure
         if not self.capture.holds("truth"):
             raise ValueError(f"{self.path}: {MISSING['truth']}")
         if demosaiced and not self.capture.demosaiced:

@@ -113,7 +113,7 @@ def test_a_frame_holds_whole_pixels_and_is_even() -> None:
 @pytest.mark.parametrize("suffix", [".mp4", ".webp"])
 def test_a_film_has_its_frames_in_order(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"f{suffix}"
-    with film(path, 10) as made:
+    with film(path, 10, 3) as made:
         for level in (40, 120, 200):
             made.add(np.full((64, 96, 3), level, np.uint8))
     if suffix == ".mp4":
@@ -128,9 +128,17 @@ def test_a_film_has_its_frames_in_order(tmp_path: Path, suffix: str) -> None:
     assert levels == pytest.approx([40, 120, 200], abs=4)
 
 
+def test_frames_that_do_not_fit_into_memory_together_are_refused_with_the_first(tmp_path: Path) -> None:
+    frame = np.zeros((64, 96, 3), np.uint8)
+    with pytest.raises(ValueError, match=r"200000 frames of 96 x 64 are too many for a WebP.*3\.7 GB.*ends in \.mp4"):
+        with film(tmp_path / "f.webp", 10, 200_000) as made:
+            made.add(frame)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_film_that_fails_leaves_no_file(tmp_path: Path) -> None:
     def shoot() -> None:
-        with film(tmp_path / "f.mp4", 10) as made:
+        with film(tmp_path / "f.mp4", 10, 2) as made:
             made.add(np.zeros((64, 96, 3), np.uint8))
             raise RuntimeError
 
@@ -147,7 +155,7 @@ def test_a_film_that_the_disk_has_no_room_for_is_an_error_and_no_file(tmp_path: 
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
 
     def shoot() -> None:
-        with film(tmp_path / f"f{suffix}", 10) as made:
+        with film(tmp_path / f"f{suffix}", 10, 24) as made:
             for picture in pictures:
                 made.add(picture)
 
@@ -167,7 +175,8 @@ def test_a_film_where_nothing_can_be_written_says_why(monkeypatch: pytest.Monkey
         raise PermissionError(errno.EACCES, "Permission denied", str(path))
 
     monkeypatch.setattr(Path, "touch", refused)
-    with pytest.raises(PermissionError, match=r"Permission denied: '.*/f\.mp4'"), film(tmp_path / "f.mp4", 10) as made:
+    denied = r"Permission denied: '.*/f\.mp4'"
+    with pytest.raises(PermissionError, match=denied), film(tmp_path / "f.mp4", 10, 1) as made:
         made.add(np.zeros((64, 96, 3), np.uint8))
 
 
@@ -195,7 +204,7 @@ def test_frames_show_the_gaussians_from_there_and_the_nearest_pictures(
     frames, notes = list[np.ndarray](), list[list[str]]()
 
     @contextmanager
-    def kept(path: Path, fps: float) -> Iterator[Any]:
+    def kept(path: Path, fps: float, count: int) -> Iterator[Any]:
         yield type("Kept", (), {"add": lambda self, made: frames.append(made)})()
 
     def noted(panels: list[Panel]) -> np.ndarray:

@@ -14,11 +14,14 @@ from novags.testbed.foreign.pictures import read_picture
 from novags.testbed.foreign.score import Truth, score_renders
 from novags.testbed.metrics import image_scores
 from sensor_model import srgb_to_linear
+from simscenes import orbit_rig
+from simscenes.sets.multiview import write_cameras
 from simscenes.sets.pictures.exr import write_exr
 from simscenes.sets.pictures.png import read_png, write_png
 
 QUIET = Console(quiet=True)
 TEST = ("0000", "0008")
+NAMES = [f"{i:04d}" for i in range(9)]
 
 
 def score(renders: Path, where: Path, reference: str = "lit") -> dict:
@@ -136,3 +139,18 @@ def test_the_command_says_what_was_compared_with_what(
     assert "is there already" in capsys.readouterr().err
     assert call("score", "--renders", str(folder)) == 2
     assert call("score") == 2
+
+
+def test_light_of_a_set_with_colour_filters_of_its_own_is_compared_in_srgb(tmp_path: Path) -> None:
+    """Expectation: the true linear sRGB of the scene, which the filters have seen, is exact."""
+    filters, color = np.array([[0.5, 0.2, 0.1], [0.1, 0.8, 0.1], [0.0, 0.1, 0.5]]), np.array([0.8, 0.2, 0.1])
+    write_cameras(tmp_path / "set", NAMES, orbit_rig(len(NAMES), 16, 12, 30.0, radius=3.0))
+    ramp = np.linspace(0.2, 1, 12)[:, None, None] * np.ones((12, 16, 1))
+    for name in NAMES:
+        write_png(tmp_path / "set" / "images" / f"{name}.png", np.full((12, 16, 3), 200, np.uint8))
+        for folder, light in (("set/gt", ramp * (filters @ color)), ("mine", ramp * color)):
+            planes = {c: np.ascontiguousarray(light[..., k], np.float32) for k, c in enumerate("RGB")}
+            write_exr(tmp_path / folder / f"{name}.exr", planes)
+    meta = {"kind": "rendered", "camera_matrix": filters.tolist(), "exposure_scale": 1.0}
+    (tmp_path / "set" / "set.json").write_text(json.dumps(meta))
+    assert score(tmp_path / "mine", tmp_path / "set", "linear")["mean"]["linear"]["linear_psnr"] > 90
