@@ -26,15 +26,15 @@ import cv2
 import numpy as np
 
 from novags.testbed.folders.raw_files import is_raw, read_mosaic
+from novags.testbed.importing.exposures import stated_of
 from sensor_model import Characterisation, Sensor, Stack, characterise, sensor_from_dict
 from sensor_model.files.reading import reading
 from sensor_model.files.records import check_shape
 from sensor_model.files.toml_file import read_toml
 from sensor_model.mosaic import channel_index
-from simscenes.sets.pictures.image_file import header, read_image
+from simscenes.sets.pictures.image_file import read_image
 
 IMAGES = (".png", ".tif", ".tiff")
-EXIF, EXPOSURE_TIME = 0x8769, 33434
 NOTES = {"bits?": int, "cfa?": str, "camera?": dict, "stacks?": {"*": {"time?": float, "photons?": float}}}
 
 
@@ -132,16 +132,10 @@ def _read(path: Path) -> _File:
             dn = np.load(path, allow_pickle=False)
         dn = dn[None] if dn.ndim == 2 else dn
     else:
-        dn, time = read_image(path, cv2.IMREAD_UNCHANGED)[None], _exif_time(path)
+        dn, time = read_image(path, cv2.IMREAD_UNCHANGED)[None], stated_of(path)[0]
     if dn.ndim != 3 or dn.dtype.kind not in "ui":
         raise ValueError(f"{path} must hold integer codes of one channel, got {dn.dtype} of shape {dn.shape}")
     return _File(dn, time)
-
-
-def _exif_time(path: Path) -> float | None:
-    with header(path) as image:
-        value = image.getexif().get_ifd(EXIF).get(EXPOSURE_TIME)
-        return None if value is None else float(value)
 
 
 def _cut(file: _File, window: int) -> _File:

@@ -143,7 +143,7 @@ def _new_params(images: Tensor, config: EnhanceConfig, noise: Variance | None) -
         if noise is None:
             raise LacksInput(
                 "noise_estimator = camera needs the noise of the camera, known or estimated from the pictures, and "
-                "there is none here: use patch-pca"
+                "neither was given: use patch-pca"
             )
         weights = None if config.guide == "channel" else LUMINANCE
         sigma = torch.stack([known_sigma(image, noise, weights) for image in images])

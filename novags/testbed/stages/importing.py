@@ -188,7 +188,7 @@ def prepare(material: Material, config: ImportConfig, console: Console) -> Prepa
             match = match_clean(dark, material.clean.files, darkroom, progress, len(files), total)
             _say_tone(tone_gain(dark, darkroom), console)
     if config.time is None:
-        for group in (dark.files, dark.raws):
+        for group in dict.fromkeys((dark.files, dark.raws)):  # raw files alone are both
             check_exposed_alike(group)
     if resampled:
         console.warn(f"{resampled} of {len(dark.files)} lit pictures are a pixel larger or smaller than the dark ones: "

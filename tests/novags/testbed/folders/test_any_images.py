@@ -233,7 +233,7 @@ def test_transparent_pixels_of_a_photograph_are_before_white_and_that_is_said_wh
 
 
 def test_views_that_are_called_unlike_their_files_are_said_to_be_named_in_a_capture(tmp_path: Path) -> None:
-    """Pictures can be scored against a set alone, and then there is no capture.json to list their names."""
+    """Pictures can be scored against a set alone, without a capture.json that lists their names."""
     folder, stream = photographs(tmp_path, ".png"), io.StringIO()
     (folder / "images" / "a").mkdir()
     (folder / "images" / "0000.png").rename(folder / "images" / "a" / "0001.png")
