@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from simscenes.transport.plan import UNIT, TransportPlan
+from simscenes.transport.plan import MOTION, POSES_PER_PIXEL, UNIT, TransportPlan
 
 SHARED = math.sqrt(0.5)  # of a target that the bias may take at most, before samples alone would have to pay twice
 
@@ -58,6 +58,11 @@ def warnings_about(made: TransportPlan, target: float | None) -> list[str]:
         share = "an unknown share" if math.isinf(made.bound) else f"up to {made.bound:.2%}"
         said.append(f"the plan leaves out {share} of the light, more than the {made.tolerance:.2%} allowed, most of it "
                     f"by {worst.name!r} ({worst.reason}); set.json counts it into the error")  # fmt: skip
+    moved = made[MOTION].contribution if made.is_on(MOTION) else 0.0  # nan if it was not asked
+    if moved * POSES_PER_PIXEL > made.subframes:
+        said.append(f"the picture moves {moved:.3g} px during an exposure, rendered as {made.subframes} poses: fine "
+                    f"detail shows as copies {moved / made.subframes:.2g} px apart; a shorter motion or smaller pictures "
+                    "blur evenly")  # fmt: skip
     bias = made.bias[0]
     if target is not None and bias > SHARED * target:
         said.append(f"what the plan leaves out may be an error of {bias:.2%} by itself: samples reach the target of "

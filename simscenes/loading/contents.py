@@ -24,6 +24,12 @@ def class_of(thing: Any) -> str:
     return str(thing.class_name()).partition("[")[0]
 
 
+def patterned_sky(scene: Any) -> bool:
+    """Whether the background is not equally bright in every direction, so that a turning camera sees it move."""
+    sky = scene.environment()
+    return sky is not None and class_of(sky) != "ConstantBackgroundEmitter"
+
+
 def parameters_in(scene: Any, mi: Any) -> dict[str, Any]:
     """What `mi.traverse` finds in a loaded scene, by name, without optional parameters that are not set.
 

@@ -24,7 +24,7 @@ class OwnIntegrator:
         kind: Its type.
         max_depth: Longest path, as Mitsuba counts; None where it sets no end.
         rr_depth: Path length from which Russian roulette may end a path; None where it does not say.
-        hide_emitters: Whether lamps and skies are black when seen directly.
+        hide_emitters: Whether cameras look through lamps, and skies are black.
         lost: What is not kept, as words.
     """
 

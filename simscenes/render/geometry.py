@@ -2,6 +2,9 @@
 
 Mitsuba's AOVs are not used: their depth starts at the near plane, they average over the pixel, and their ids are
 process-wide numbers blended at edges.
+
+A ray goes through what a picture shows nothing of: boundaries of media, surfaces where their opacity is below one half,
+and lamps where the scene's integrator hides them. Sheets of glass are surfaces.
 """
 
 from __future__ import annotations
@@ -12,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simscenes.camera import WAVELENGTHS, daylight, srgb_curves
-from simscenes.loading.contents import unique_materials
+from simscenes.loading.contents import class_of, unique_materials
 from simscenes.loading.load import LoadedScene
 from simscenes.render.wavefront import from_numpy
 from simscenes.rigs import Rig, invert_rigid
 
-MAX_INTERFACES = 16  # boundaries of fog and the like, which do not bend rays and are passed through
+MAX_PASSED = 64  # surfaces that a ray goes through: leaves beside their cut-out, hidden lamps, boundaries of fog
+CLEAR = 0.5  # share of the light that goes straight through, from which on a pixel sees what lies behind
 
 Channels = dict[str, NDArray[Any]]
 
@@ -41,7 +45,7 @@ def geometry_channels(mi: Any, loaded: LoadedScene, rig: Rig, i: int) -> Channel
     """
     origin, directions = pixel_rays(rig, i)
     find = _intersect_scalar if mi.variant().startswith("scalar") else _intersect_wide
-    hit, position, shading, geometric, albedo, shape, material = find(mi, loaded.scene, origin, directions)
+    hit, position, shading, geometric, albedo, shape, material = find(mi, loaded, origin, directions)
     facing = np.where(np.einsum("pj,pj->p", geometric, directions) > 0, -1.0, 1.0)[:, None]
     offset = position - origin
     z = offset @ rig.viewmats[i][2, :3]
@@ -76,7 +80,7 @@ def check_cameras(mi: Any, loaded: LoadedScene, rig: Rig) -> None:
         small = shrunk(rig, i)
         origin, directions = pixel_rays(small, 0)
         find = _intersect_scalar if mi.variant().startswith("scalar") else _intersect_wide
-        hit, _, _, geometric, _, shape, material = find(mi, loaded.scene, origin, directions)
+        hit, _, _, geometric, _, shape, material = find(mi, loaded, origin, directions)
         back = hit & one_sided[material] & (np.einsum("pj,pj->p", geometric, directions) > 0)
         if back.mean() > 0.5:
             names = ["", *loaded.shapes]
@@ -91,8 +95,8 @@ def shrunk(rig: Rig, i: int, size: int = 8) -> Rig:
     return Rig(viewmats=rig.viewmats[i : i + 1], Ks=stretch @ rig.Ks[i : i + 1], width=size, height=size)
 
 
-def first_surfaces(mi: Any, scene: Any, origin: NDArray[Any], directions: NDArray[Any]) -> tuple[Any, Any]:
-    """Rays from one point and what each hits first, passing through boundaries of fog; in a JIT variant.
+def first_surfaces(mi: Any, loaded: LoadedScene, origin: NDArray[Any], directions: NDArray[Any]) -> tuple[Any, Any]:
+    """Rays from one point and the first surface that each shows (see the module); in a JIT variant.
 
     Both are evaluated, in one kernel that serves every number of rays: compiling takes longer than running it.
     """
@@ -101,21 +105,55 @@ def first_surfaces(mi: Any, scene: Any, origin: NDArray[Any], directions: NDArra
     # Axis by axis, and the origin opaque: else the number of rays, and the origin, would be compiled into the kernel.
     direction = mi.Vector3f(*(from_numpy(mi.Float, axis) for axis in directions.T.astype(np.float32)))
     ray = mi.Ray3f(mi.Point3f(*(dr.opaque(mi.Float, float(v)) for v in origin)), direction)
+    scene, hidden, holes = loaded.scene, hides_lamps(loaded), _materials_with_holes(mi, loaded)
     si = scene.ray_intersect(ray)
-    for _ in range(MAX_INTERFACES):
+    for _ in range(MAX_PASSED):
         dr.eval(ray, si)  # together: gathering from what is not would compile a kernel for each of its fields
-        through = si.is_valid() & ((si.bsdf(ray).flags() & int(mi.BSDFFlags.All)) == int(mi.BSDFFlags.Null))
+        bsdf = si.bsdf(ray)
+        through = (bsdf.flags() & int(mi.BSDFFlags.All)) == int(mi.BSDFFlags.Null)
+        if holes.any():
+            clear = dr.mean(_unpolarized(mi, bsdf.eval_null_transmission(si, si.is_valid())))
+            holed = dr.gather(mi.Bool, mi.Bool(holes), mi.UInt32(dr.reinterpret_array(mi.UInt32, bsdf)))
+            through |= holed & (clear > CLEAR)
+        if hidden:
+            through |= si.shape.is_emitter()
+        through &= si.is_valid()
         if not dr.any(through):
             break
         si = dr.select(through, scene.ray_intersect(si.spawn_ray(ray.d), through), si)
     return ray, si
 
 
-def _intersect_wide(mi: Any, scene: Any, origin: NDArray[Any], directions: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+def hides_lamps(loaded: LoadedScene) -> bool:
+    """Whether camera rays go through lamps, as the scene's own integrator wants it."""
+    return loaded.integrator is not None and loaded.integrator.hide_emitters
+
+
+def _has_holes(mi: Any, bsdf: Any) -> bool:
+    """Whether a material may show what lies behind it, such as a leaf on a card; sheets of glass are surfaces."""
+    lobes, null = bsdf.flags() & int(mi.BSDFFlags.All), int(mi.BSDFFlags.Null)
+    return bool(lobes & null) and lobes != null and class_of(bsdf) != "ThinDielectric"
+
+
+def _materials_with_holes(mi: Any, loaded: LoadedScene) -> NDArray[np.bool_]:
+    """`_has_holes` of each material by its process-wide registry number; in a JIT variant."""
+    import drjit as dr
+
+    materials = [shape.bsdf() for shape in unique_materials(loaded.scene, mi)]
+    registry = [int(mi.UInt32(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(bsdf)))[0]) for bsdf in materials]
+    table = np.zeros(max(registry, default=0) + 1, dtype=bool)
+    table[registry] = [_has_holes(mi, bsdf) for bsdf in materials]
+    return table
+
+
+def _intersect_wide(
+    mi: Any, loaded: LoadedScene, origin: NDArray[Any], directions: NDArray[Any]
+) -> tuple[NDArray[Any], ...]:
     """All rays at once, in a JIT variant."""
     import drjit as dr
 
-    ray, si = first_surfaces(mi, scene, origin, directions)
+    scene = loaded.scene
+    ray, si = first_surfaces(mi, loaded, origin, directions)
     columns = [np.array(v, dtype=np.float64).T for v in (si.p, si.sh_frame.n, si.n)]
     columns.append(_albedo(mi, ray, si))
     seen = dr.select(si.instance != mi.ShapePtr(None), si.instance, si.shape)
@@ -140,9 +178,13 @@ def _albedo(mi: Any, ray: Any, si: Any) -> NDArray[np.float64]:
     many, rays = (dr.gather(type(v), v, mi.UInt32(place)) for v in (si, ray))
     many.wavelengths = type(many.wavelengths)(*(mi.Float(np.repeat(w, pixels)) for w in groups.T.astype(np.float32)))
     spectrum = many.bsdf(rays).eval_diffuse_reflectance(many, many.is_valid())
-    found = mi.unpolarized_spectrum(spectrum) if mi.is_polarized else spectrum
-    values = np.array(found, dtype=np.float64).reshape(4, len(groups), pixels)
+    values = np.array(_unpolarized(mi, spectrum), dtype=np.float64).reshape(4, len(groups), pixels)
     return np.clip(np.einsum("kgp,gkc->pc", values, weights), 0, 1)
+
+
+def _unpolarized(mi: Any, spectrum: Any) -> Any:
+    """What unpolarised light sees of a Mueller matrix; a spectrum as it is."""
+    return mi.unpolarized_spectrum(spectrum) if mi.is_polarized else spectrum
 
 
 def _daylight_groups() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -160,8 +202,11 @@ def _numbers(dr: Any, uint32: Any, known: list[Any], pointers: Any) -> NDArray[n
     return table[np.array(dr.reinterpret_array(uint32, pointers))]
 
 
-def _intersect_scalar(mi: Any, scene: Any, origin: NDArray[Any], directions: NDArray[Any]) -> tuple[NDArray[Any], ...]:
+def _intersect_scalar(
+    mi: Any, loaded: LoadedScene, origin: NDArray[Any], directions: NDArray[Any]
+) -> tuple[NDArray[Any], ...]:
     """Ray by ray, in a scalar variant."""
+    scene, hidden = loaded.scene, hides_lamps(loaded)
     count = len(directions)
     hit, vectors = np.zeros(count, dtype=bool), np.zeros((4, count, 3))
     numbers = np.zeros((2, count), dtype=np.uint32)
@@ -170,8 +215,8 @@ def _intersect_scalar(mi: Any, scene: Any, origin: NDArray[Any], directions: NDA
     for p, direction in enumerate(directions.tolist()):
         ray = mi.Ray3f(origin.tolist(), direction)
         si = scene.ray_intersect(ray)
-        for _ in range(MAX_INTERFACES):
-            if not si.is_valid() or si.bsdf(ray).flags() & int(mi.BSDFFlags.All) != int(mi.BSDFFlags.Null):
+        for _ in range(MAX_PASSED):
+            if not si.is_valid() or not (_clear(mi, si, si.bsdf(ray)) or (hidden and si.shape.is_emitter())):
                 break
             si = scene.ray_intersect(si.spawn_ray(ray.d))
         if not si.is_valid():
@@ -182,6 +227,15 @@ def _intersect_scalar(mi: Any, scene: Any, origin: NDArray[Any], directions: NDA
     return hit, *vectors, *numbers
 
 
+def _clear(mi: Any, si: Any, bsdf: Any) -> bool:
+    """Whether a ray goes through a surface as if it were not there, in a scalar variant."""
+    if bsdf.flags() & int(mi.BSDFFlags.All) == int(mi.BSDFFlags.Null):
+        return True
+    if not _has_holes(mi, bsdf):
+        return False
+    return bool(np.mean(_unpolarized(mi, bsdf.eval_null_transmission(si))) > CLEAR)
+
+
 def _albedo_scalar(mi: Any, bsdf: Any, si: Any) -> NDArray[np.float64]:
     """As `_albedo` of one surface, in a scalar variant."""
     if mi.is_rgb:
@@ -190,6 +244,5 @@ def _albedo_scalar(mi: Any, bsdf: Any, si: Any) -> NDArray[np.float64]:
     for wavelengths, weights in zip(*_daylight_groups(), strict=True):
         si.wavelengths = wavelengths.tolist()
         spectrum = bsdf.eval_diffuse_reflectance(si)
-        found = mi.unpolarized_spectrum(spectrum) if mi.is_polarized else spectrum
-        total += np.array(found, dtype=np.float64).ravel()[:4] @ weights
+        total += np.array(_unpolarized(mi, spectrum), dtype=np.float64).ravel()[:4] @ weights
     return np.clip(total, 0, 1)

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 from simscenes.rigs import Rig, invert_rigid, unproject
 
+ENDLESS = 1e6  # steps of the camera, from where on a point is as good as infinitely far
+
 
 def moved_pose(rig: Rig, i: int, t: float) -> NDArray[np.float64]:
     """World-to-camera pose of view `i` at time `t`, in steps to its neighbours: -1 is the one before, 1 the one after.
@@ -38,22 +40,25 @@ def subframe_rig(rig: Rig, i: int, motion: float, count: int) -> Rig:
     return Rig(viewmats=viewmats, Ks=np.repeat(rig.Ks[i : i + 1], count, 0), width=rig.width, height=rig.height)
 
 
-def image_motion(geometry: list[dict[str, Any]], rig: Rig, small: Rig, motion: float) -> float:
-    """Distance that surface points travel over the small images during an exposure, 95th percentile, pixels.
+def image_motion(geometry: list[dict[str, Any]], rig: Rig, small: Rig, motion: float, sky: bool) -> float:
+    """Distance that what is seen travels over the small images during an exposure, 95th percentile, pixels.
 
     Args:
         geometry: Channels of the small views.
         rig: The whole rig, whose neighbours give the motion.
         small: The views of `geometry`, a subset of `rig` by pose.
         motion: As in `Optics`.
+        sky: Whether pixels without a surface show something: it lies at infinity. Else they do not count.
     """
     travelled = []
     for c, channels in enumerate(geometry):
         i = int(np.abs(rig.viewmats - small.viewmats[c]).sum((1, 2)).argmin())
-        pixels = np.flatnonzero(np.isfinite(channels["Z"]).ravel())
-        points = unproject(small, c, channels["Z"], pixels)
         ends = np.stack([moved_pose(rig, i, s * motion / 2) for s in (-1, 1)])
         pair = Rig(viewmats=ends, Ks=np.repeat(small.Ks[c : c + 1], 2, 0), width=small.width, height=small.height)
+        z, pixels = channels["Z"].astype(np.float64), np.arange(channels["Z"].size)
+        if sky:
+            z[np.isinf(z)] = max(ENDLESS * np.ptp(pair.positions, axis=0).max(), 1.0)
+        points = unproject(small, c, z, pixels[np.isfinite(z).ravel()])
         seen, _ = pair.project(points)
         travelled.append(np.linalg.norm(seen[1] - seen[0], axis=1))
     moved = np.concatenate(travelled)

@@ -105,15 +105,17 @@ class View:
         s, wanted = self.samples, FIRST * self.predict_spp(target_error)
         self._draw(s.lacking(PILOT_PART * wanted, self._even), lambda part: tick(PILOT_PART * part))
         shares, each = self._foreseen()
-        wanted = FIRST * (each / target_error) ** 2
-        while (error := s.error(margin=MARGIN)) > target_error and wanted < MAX_SPP:
+        wanted = min(FIRST * (each / target_error) ** 2, MAX_SPP)
+        while s.error(margin=MARGIN) > target_error:
             before = min(s.spp / wanted, 1.0)
             self._draw(s.lacking(wanted, shares), lambda part, done=before: tick(done + part * (1 - done)))  # type: ignore[misc]
+            if wanted >= MAX_SPP:
+                break
             # One estimate alone may at most double the samples; less than a twentieth more is not worth a round.
             wanted = min(wanted * min(max((s.error(margin=MARGIN) / target_error) ** 2, 1.05), 2), MAX_SPP)
-        if error > target_error:
+        if (error := s.error(margin=MARGIN)) > target_error:
             warnings.warn(
-                f"view {self.i} stopped at a relative error of {error:.3g} after {MAX_SPP} samples per pixel, before "
+                f"view {self.i} stopped at a relative error of {error:.3g} after {s.spp:.0f} samples per pixel, before "
                 f"the target of {target_error:g}", stacklevel=2,
             )  # fmt: skip
         return s.result()

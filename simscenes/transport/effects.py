@@ -168,10 +168,13 @@ def aperture_effect(p: Pilot, geometry: list[Any], optics: Optics, scale: float)
     return decided(plan.APERTURE, blur > 0.5, blur, 0.5, f"circle of confusion {blur:.2g} px (95th percentile)", "px")
 
 
-def motion_effect(geometry: list[Any], rig: Rig, small: Rig, optics: Optics, scale: float) -> tuple[Effect, int]:
-    """Motion blur, from how far the points seen move across the image during the exposure."""
+def motion_effect(
+    geometry: list[Any], rig: Rig, small: Rig, optics: Optics, scale: float, sky: bool
+) -> tuple[Effect, int]:
+    """Motion blur, from how far what is seen, a sky included, moves across the image during the exposure."""
     if optics.motion is None or len(rig) < 2:
         return decided(plan.MOTION, False, 0.0, 0.5, "the camera is at rest", "px"), 1
-    blur = image_motion(geometry, rig, small, optics.motion) * scale
-    frames = next((n for n in (4, 16) if n >= 2 * blur), 64)  # powers of four, as the passes they share
+    blur = image_motion(geometry, rig, small, optics.motion, sky) * scale
+    poses = plan.POSES_PER_PIXEL * blur
+    frames = next((n for n in (4, 16) if n >= poses), 64)  # powers of four, as the passes they share
     return decided(plan.MOTION, blur > 0.5, blur, 0.5, f"points move {blur:.2g} px (95th percentile)", "px"), frames

@@ -71,7 +71,7 @@ def _direct_light(mi: Any, loaded: LoadedScene, rig: Rig, i: int, count: int, se
     import drjit as dr
 
     origin, directions = pixel_rays(rig, i)
-    _, seen = first_surfaces(mi, loaded.scene, origin, directions)
+    _, seen = first_surfaces(mi, loaded, origin, directions)
     pixels = len(directions)
     wide, many = dr.opaque(mi.UInt32, pixels), dr.opaque(mi.UInt32, count)
     lane = dr.arange(mi.UInt32, SAMPLES * count * pixels)  # the pixels fastest, then the lights

@@ -88,7 +88,7 @@ class Pilot:
 
     @property
     def hiding(self) -> dict[str, bool]:
-        """What an integrator is told, besides its depths, in this scene: lamps seen directly may be black."""
+        """What an integrator is told, besides its depths, in this scene: cameras may look through lamps."""
         return {"hide_emitters": True} if self.hide_emitters else {}
 
     @property

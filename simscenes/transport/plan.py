@@ -23,6 +23,7 @@ MADE_UP = "of all light, if RGB stood for smooth spectra"  # a unit of its own: 
 EFFECTS = (
     INDIRECT, DEEP, ROULETTE, MEDIA, SPECTRAL_MIS, POLARISATION, SPECTRAL, APERTURE, MOTION,
 )  # in the order of the table  # fmt: skip
+POSES_PER_PIXEL = 2  # of motion blur: from one to the next the picture moves by half a pixel
 DIRECT_DEPTH = 2  # Mitsuba counts path vertices: 1 sees lamps only, 2 adds what they light directly
 
 # An effect on the left that is on needs the states on the right.
@@ -64,7 +65,7 @@ class TransportPlan(Plan):
         subframes: Poses that are averaged if motion blur is on.
         seconds: Processor time (on a GPU: wall time) of a million samples, "planned" and with "everything on"; {} if
             not measured.
-        hide_emitters: Whether lamps and skies are black when seen directly, as a scene's own integrator may want it.
+        hide_emitters: Whether cameras look through lamps, and skies are black, as a scene's own integrator may want it.
         tolerance: The share of all light that may be left out; nan if it was not asked.
         rms: What leaving an effect out costs as an error of pixels, effect -> five numbers: the root mean square over
             the picture relative to the mean radiance, then within each quarter of it by brightness, darkest first.

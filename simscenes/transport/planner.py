@@ -9,14 +9,14 @@ from dataclasses import replace
 
 from sensor_model.plan import Effect
 from simscenes.backend import backend_of, using_variant
-from simscenes.loading.contents import media_in
+from simscenes.loading.contents import media_in, patterned_sky
 from simscenes.loading.integrator import OwnIntegrator
 from simscenes.loading.load import LoadedScene, build_in_fewest_colors, set_light_weights
 from simscenes.loading.reference import SceneLike, SceneRef
 from simscenes.optics import Optics
 from simscenes.render.fitting import usual_rig
 from simscenes.render.framing import with_lens
-from simscenes.render.geometry import check_cameras, geometry_channels
+from simscenes.render.geometry import check_cameras, geometry_channels, hides_lamps
 from simscenes.rigs import Rig
 from simscenes.transport import pilot, plan
 from simscenes.transport.colors import color_effects
@@ -148,7 +148,8 @@ def _decide(
         rr_depth, reason = loaded.integrator.rr_depth, "by the scene's own integrator; never changes the mean"
         roulette = replace(roulette, on=True, forced=True, reason=f"from path length {rr_depth}, {reason}")
     colors, made_up = color_effects(p, optics, media[0].on, geometry, transport[0].contribution, measure)
-    blur, subframes = motion_effect(geometry, rig, p.rig, optics, scale)
+    sky = patterned_sky(loaded.scene) and not hides_lamps(loaded)
+    blur, subframes = motion_effect(geometry, rig, p.rig, optics, scale, sky)
     effects = [*transport, roulette, *media, *colors, aperture_effect(p, geometry, optics, scale), blur]
     if strange := not_understood(loaded.scene, mi):
         effects = in_full(effects, p, strange)

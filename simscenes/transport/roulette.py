@@ -37,7 +37,7 @@ def path_lengths(
 
     lengths = np.zeros(len(starts))
     for i in range(len(rig)):
-        _, seen = first_surfaces(mi, loaded.scene, *pixel_rays(rig, i))
+        _, seen = first_surfaces(mi, loaded, *pixel_rays(rig, i))
         count = TOGETHER * rig.width * rig.height
         place = np.tile(np.arange(rig.width * rig.height, dtype=np.uint32), TOGETHER)
         sampler = mi.load_dict({"type": "independent"})

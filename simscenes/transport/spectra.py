@@ -70,7 +70,7 @@ def light_and_surface(mi: Any, loaded: LoadedScene, rig: Rig, seed: int) -> tupl
     for i in range(len(rig)):
         origin, directions = pixel_rays(rig, i)
         pixels = len(directions)
-        ray, seen = first_surfaces(mi, loaded.scene, origin, directions)
+        ray, seen = first_surfaces(mi, loaded, origin, directions)
         picks = np.random.default_rng([seed, i]).random((LIGHT_SAMPLES, 2, pixels), dtype=np.float32)
         # Every group of wavelengths, pick and pixel at once, the pixels fastest.
         lanes = [len(groups), LIGHT_SAMPLES, pixels]

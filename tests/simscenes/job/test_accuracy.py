@@ -10,7 +10,7 @@ from sensor_model.plan import Effect
 from simscenes import Optics
 from simscenes.job.accuracy import claimed, noise_by_brightness, noise_target, summary, warnings_about
 from simscenes.transport import pilot
-from simscenes.transport.plan import EFFECTS, TransportPlan
+from simscenes.transport.plan import EFFECTS, MOTION, TransportPlan
 from simscenes.transport.planner import default_plan
 
 
@@ -73,6 +73,19 @@ def test_too_much_that_is_left_out_is_said_at_once() -> None:
     )
     assert warnings_about(plan(math.inf), None)[0].startswith("the plan leaves out an unknown share of the light")
     assert warnings_about(default_plan(Optics()), 0.01) == []
+
+
+@pytest.mark.parametrize("moved", [31.9, 32.1, 100.0])
+def test_a_motion_that_needs_more_poses_than_there_may_be_is_said(moved: float) -> None:
+    made = plan(0.01)
+    blur = Effect(name=MOTION, on=True, forced=False, contribution=moved, bound=0.5, unit="px", reason="")
+    moving = replace(made, effects=tuple(blur if e.name == MOTION else e for e in made.effects), subframes=64)
+    said = warnings_about(moving, None)
+    assert len(said) == (moved > 32)
+    if moved == 100:
+        assert said[0].startswith("the picture moves 100 px during an exposure, rendered as 64 poses")
+        assert "copies 1.6 px apart" in said[0]
+    assert warnings_about(moving.force(off=[MOTION]), None) == []
 
 
 def test_where_light_is_missing_is_told_from_noise() -> None:

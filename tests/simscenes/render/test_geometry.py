@@ -4,11 +4,13 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+import pytest
 
 from simscenes import Rig
 from simscenes.backend import using_variant
 from simscenes.loading.load import build_scene
 from simscenes.render.geometry import geometry_channels
+from simscenes.render.sensors import sensor_dict
 
 Scene = Callable[[], dict[str, Any]]
 Camera = Callable[..., Rig]
@@ -65,3 +67,79 @@ def test_geometry_equals_the_analytic_surfaces(ball_on_plane: Scene, view: Camer
 
 def test_geometry_is_the_same_in_a_scalar_variant(ball_on_plane: Scene, view: Camera) -> None:
     check_geometry("scalar", ball_on_plane(), view(21, 16))
+
+
+def card_over_floor(mi: Any, card: dict[str, Any], **more: Any) -> dict[str, Any]:
+    """A green floor without end, and 1 above it a card; the sky is grey."""
+    paint = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.1, 0.9, 0.1]}}
+    wide, above = mi.ScalarTransform4f().scale(9), mi.ScalarTransform4f().translate([0, 0, 1])
+    floor = {"type": "rectangle", "to_world": wide, "bsdf": paint}
+    card = {"type": "rectangle", "to_world": above, **card}
+    return {"type": "scene", "floor": floor, "card": card, "sky": {"type": "constant"}, **more}
+
+
+def from_above(size: int = 8) -> Rig:
+    """3 above the floor, looking down; the edges of the card lie on those of the picture."""
+    down = np.array([[1.0, 0, 0, 0], [0, -1, 0, 0], [0, 0, -1, 3], [0, 0, 0, 1]])
+    K = np.array([[float(size), 0, size / 2], [0, float(size), size / 2], [0, 0, 1]])
+    return Rig(viewmats=down[None], Ks=K[None], width=size, height=size)
+
+
+RED = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.9, 0.1, 0.1]}}
+NO_LIGHT = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.0}}
+
+
+@pytest.mark.parametrize("kind", ["mask", "blendbsdf"])
+@pytest.mark.parametrize(("backend", "color"), [("auto", "rgb"), ("scalar", "rgb"), ("auto", "spectral_polarized")])
+def test_geometry_sees_through_the_holes_of_a_cut_out_leaf(backend: str, color: str, kind: str) -> None:
+    with using_variant(backend, color) as mi:
+        cells = {"type": "checkerboard", "color0": 0.0, "color1": 1.0}
+        leaf: dict[str, Any] = {"type": "mask", "opacity": cells, "nested": {"type": "twosided", "nested": RED}}
+        if kind == "blendbsdf":
+            leaf = {"type": "blendbsdf", "weight": cells, "nothing": {"type": "null"}, "something": RED}
+        loaded = build_scene(card_over_floor(mi, {"bsdf": leaf}), mi)
+        rig = from_above()
+        sensor = mi.load_dict(sensor_dict(mi, rig, 0, loaded))
+        picture = mi.render(loaded.scene, sensor=sensor, integrator=mi.load_dict({"type": "path"}), spp=16)
+        channels = geometry_channels(mi, loaded, rig, 0)
+    red, green = np.array(picture)[..., 0], np.array(picture)[..., 1]
+    shown = np.where(red > green, 1 + loaded.shapes.index("card"), 1 + loaded.shapes.index("floor"))
+    assert 0.2 < (shown == 1).mean() < 0.8
+    assert np.array_equal(channels["id"], shown)
+    assert np.allclose(channels["Z"], np.where(red > green, 2.0, 3.0), rtol=1e-6)
+    assert np.array_equal(channels["albedo.R"] > channels["albedo.G"], red > green)
+
+
+@pytest.mark.parametrize("backend", ["auto", "scalar"])
+@pytest.mark.parametrize("opacity", [0.45, 0.55])
+def test_a_veil_is_a_surface_from_half_its_opacity_on(backend: str, opacity: float) -> None:
+    with using_variant(backend) as mi:
+        loaded = build_scene(card_over_floor(mi, {"bsdf": {"type": "mask", "opacity": opacity, "nested": RED}}), mi)
+        channels = geometry_channels(mi, loaded, from_above(), 0)
+    assert np.allclose(channels["Z"], 2.0 if opacity > 0.5 else 3.0)
+
+
+@pytest.mark.parametrize("backend", ["auto", "scalar"])
+def test_a_sheet_of_glass_is_a_surface(backend: str) -> None:
+    with using_variant(backend) as mi:
+        loaded = build_scene(card_over_floor(mi, {"bsdf": {"type": "thindielectric"}}), mi)
+        channels = geometry_channels(mi, loaded, from_above(), 0)
+    assert np.allclose(channels["Z"], 2.0)
+
+
+@pytest.mark.parametrize("backend", ["auto", "scalar"])
+@pytest.mark.parametrize("hidden", [True, False])
+def test_geometry_sees_through_lamps_that_the_integrator_hides(backend: str, hidden: bool) -> None:
+    with using_variant(backend) as mi:
+        lamp = {"bsdf": NO_LIGHT, "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 5.0}}}
+        own = {"type": "path", "hide_emitters": hidden}
+        loaded = build_scene(card_over_floor(mi, lamp, integrator=own), mi)
+        rig = from_above()
+        picture = mi.render(
+            loaded.scene, sensor=mi.load_dict(sensor_dict(mi, rig, 0, loaded)), integrator=mi.load_dict(own), spp=16
+        )
+        channels = geometry_channels(mi, loaded, rig, 0)
+    lamp_seen = np.array(picture)[..., 0] > 4
+    assert lamp_seen.all() == lamp_seen.any() == (not hidden)
+    assert np.allclose(channels["Z"], 3.0 if hidden else 2.0)
+    assert (channels["id"] == 1 + loaded.shapes.index("floor" if hidden else "card")).all()

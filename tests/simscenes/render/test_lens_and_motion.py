@@ -51,6 +51,25 @@ def test_the_lens_is_rendered_when_the_plan_says_so_and_only_then(tmp_path: Path
     assert areas[True] > 10 * areas[False]
 
 
+@pytest.mark.parametrize("sky", ["pattern", "constant", "hidden"])
+def test_a_sky_counts_among_what_moves(sky: str) -> None:
+    """A ball in the middle of an orbit hardly moves; a sky moves as far as the camera turns."""
+    mi, rig = activate(), orbit_rig(32, 32, 32, 50, target=(0, 0, 0), radius=3.0, swing_deg=0)
+    scene: dict[str, Any] = {"type": "scene", "ball": {"type": "sphere", "radius": 0.3}, "sky": {"type": "constant"}}
+    if sky != "constant":
+        pattern = mi.Bitmap(np.random.default_rng(0).random((8, 16, 3), dtype=np.float32))
+        scene["sky"] = {"type": "envmap", "bitmap": pattern}
+        scene["eye"] = {"type": "path", "hide_emitters": sky == "hidden"}
+    plan = plan_transport(scene, rig=rig, optics=Optics(motion=0.2), measure=False)
+    turn = 0.2 * np.radians(360 / 32) * rig.Ks[0, 0, 0]  # px in the middle of the picture
+    moved = plan["motion blur"].contribution
+    if sky == "pattern":
+        assert turn < moved < 1.5 * turn
+    else:
+        assert moved < 0.2 * turn
+    assert plan.is_on("motion blur") == (sky == "pattern")
+
+
 def test_poses_of_an_exposure_lie_on_the_way_between_the_views() -> None:
     rig = orbit_rig(8, 16, 16, 50, radius=2.0, swing_deg=0)
     assert np.allclose(moved_pose(rig, 3, 1.0), rig.viewmats[4], atol=1e-9)

@@ -211,7 +211,7 @@ def test_half_a_pixel_of_blur_is_allowed(pixels: float, on: bool, monkeypatch: p
     assert found.contribution == pytest.approx(pixels)
     assert found.on == on
     monkeypatch.setattr(effects, "image_motion", lambda *a: pixels / 4)
-    moving, frames = motion_effect([], SMALL, SMALL, Optics(motion=0.3), 4.0)
+    moving, frames = motion_effect([], SMALL, SMALL, Optics(motion=0.3), 4.0, False)
     assert (moving.name, moving.unit, moving.bound, moving.on) == ("motion blur", "px", 0.5, on)
     assert moving.contribution == pytest.approx(pixels)
     assert moving.reason == f"points move {pixels:.2g} px (95th percentile)"
@@ -221,8 +221,8 @@ def test_half_a_pixel_of_blur_is_allowed(pixels: float, on: bool, monkeypatch: p
 def test_a_pinhole_at_rest_blurs_nothing() -> None:
     alone = Rig(viewmats=SMALL.viewmats[:1], Ks=SMALL.Ks[:1], width=32, height=24)
     lens = aperture_effect(pilots(), [], Optics(), 1.0)
-    still = motion_effect([], SMALL, SMALL, Optics(), 1.0)
-    single = motion_effect([], alone, alone, Optics(motion=0.5), 1.0)
+    still = motion_effect([], SMALL, SMALL, Optics(), 1.0, True)
+    single = motion_effect([], alone, alone, Optics(motion=0.5), 1.0, True)
     assert still[1] == single[1] == 1
     for effect in (lens, still[0], single[0]):
         assert (effect.on, effect.contribution, effect.bound, effect.unit) == (False, 0, 0.5, "px")
@@ -235,8 +235,8 @@ def test_a_step_between_poses_is_half_a_pixel_at_most(
     """Up to 64 poses."""
     asked: list[Any] = []
     monkeypatch.setattr(effects, "image_motion", lambda *a: asked.append(a) or pixels / 8)
-    assert motion_effect(["views"], SMALL, SMALL, Optics(motion=0.3), 8.0)[1] == frames
-    assert asked == [(["views"], SMALL, SMALL, 0.3)]
+    assert motion_effect(["views"], SMALL, SMALL, Optics(motion=0.3), 8.0, True)[1] == frames
+    assert asked == [(["views"], SMALL, SMALL, 0.3, True)]
 
 
 def persistent(albedo: float) -> dict[str, Any]:
