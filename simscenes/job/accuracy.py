@@ -61,8 +61,8 @@ def warnings_about(made: TransportPlan, target: float | None) -> list[str]:
     moved = made[MOTION].contribution if made.is_on(MOTION) else 0.0  # nan if it was not asked
     if moved * POSES_PER_PIXEL > made.subframes:
         said.append(f"the picture moves {moved:.3g} px during an exposure, rendered as {made.subframes} poses: fine "
-                    f"detail shows as copies {moved / made.subframes:.2g} px apart; a shorter motion or smaller pictures "
-                    "blur evenly")  # fmt: skip
+                    f"detail shows as copies {moved / made.subframes:.2g} px apart; a shorter motion or smaller "
+                    "pictures blur evenly")  # fmt: skip
     bias = made.bias[0]
     if target is not None and bias > SHARED * target:
         said.append(f"what the plan leaves out may be an error of {bias:.2%} by itself: samples reach the target of "

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import shutil
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -25,7 +26,8 @@ from simscenes.rigs import Rig
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.writers.camera_files import write_cameras
-from simscenes.sets.writers.neighbours import DEPTHS, write_depth
+from simscenes.sets.writers.export import EXPORTS
+from simscenes.sets.writers.neighbours import DEPTHS, depth_warning, write_depth
 
 SCRATCH = ".views"
 
@@ -86,6 +88,15 @@ def view_store(out: Path, rig: Rig, camera: str | None) -> Iterator[ViewStore]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+def _remove_stale(out: Path, names: list[str]) -> None:
+    """Remove what another set in this folder has left: pictures of more views, and its other layouts."""
+    for folder in (DEPTHS, *EXPORTS):
+        shutil.rmtree(out / folder, ignore_errors=True)
+    for picture in (out / "images").glob("*.png"):
+        if picture.stem not in names:
+            picture.unlink()
+
+
 def finish_set(out: Path, names: list[str], rig: Rig, seed: int, views: ViewStore, scene: str) -> dict[str, Any]:
     """Write what depends on all views together, and their depth; what set.json says about it."""
     scale = views.exposure_scale()
@@ -93,10 +104,12 @@ def finish_set(out: Path, names: list[str], rig: Rig, seed: int, views: ViewStor
     def image(i: int) -> NDArray[np.uint8]:
         return to_srgb8(views.light(i) * np.float32(scale))
 
-    shutil.rmtree(out / DEPTHS, ignore_errors=True)  # of a larger set
+    _remove_stale(out, names)
     for i, name in enumerate(names):
         write_depth(out / DEPTHS / f"{name}.png", views.depth(i))
         write_png(out / "images" / f"{name}.png", image(i))
+    if said := depth_warning(views.depth(i) for i in range(len(names))):
+        warnings.warn(said, stacklevel=2)
     xyz, rgb, visible = surface_points(rig, views.depth, image, seed=seed)
     points = SparsePoints.seen(rig, xyz, rgb, visible, exact=True)
     write_cameras(out, names, rig, points=points, depth_dir=DEPTHS, scene=scene)

@@ -15,7 +15,7 @@ from simscenes.loading.checks.complete import check_complete
 from simscenes.loading.checks.meshes import check_faces
 from simscenes.loading.checks.physical import check_parameters, scene_extent
 from simscenes.loading.checks.trial import check_survives
-from simscenes.loading.checks.untrusted import check_plugin, check_xml, searching_only
+from simscenes.loading.checks.untrusted import check_plugin, check_xml, searching_first, searching_only
 from simscenes.loading.checks.usable import raw_color, why_unusable
 from simscenes.loading.contents import parameters_in, unique_materials
 from simscenes.loading.digest import content_digest
@@ -203,7 +203,8 @@ def _check_plugins(node: dict[str, Any]) -> None:
 def _load_xml(path: Path, parameters: dict[str, str], mi: Any, allow_outside: bool) -> tuple[Any, Any]:
     files = check_xml(path, allow_outside=allow_outside, parameters=parameters.items())
     root = files[0].parent
-    with nullcontext() if allow_outside else searching_only(root, mi), completed(files) as file:
+    searching = searching_first if allow_outside else searching_only
+    with searching(root, mi), completed(files) as file:
         try:
             return mi.load_file(str(file), optimize=False, **parameters), files
         except RuntimeError as error:

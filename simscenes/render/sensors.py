@@ -47,11 +47,17 @@ def sensor_dict(mi: Any, rig: Rig, i: int, loaded: LoadedScene, optics: Optics =
         "fov": fov,
         "fov_axis": "x",
         "near_clip": NEAR * loaded.extent,
-        "far_clip": FAR * loaded.extent,
+        "far_clip": max(FAR * loaded.extent, 2 * (_from_middle(loaded, rig.positions[i]) + loaded.extent)),
         "to_world": mi.ScalarTransform4f(opencv_to_mitsuba(rig.viewmats[i])),
         "sampler": {"type": "multijitter", "sample_count": 16},
         "film": film,
     }
+
+
+def _from_middle(loaded: LoadedScene, position: NDArray[np.float64]) -> float:
+    """Distance of a point from the middle of the scene's bounding box."""
+    box = loaded.scene.bbox()
+    return float(np.linalg.norm(position - (np.ravel(box.min) + np.ravel(box.max)) / 2))
 
 
 def medium_at(mi: Any, loaded: LoadedScene, position: NDArray[np.float64]) -> Any:

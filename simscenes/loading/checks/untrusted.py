@@ -78,6 +78,19 @@ def searching_only(folder: Path, mi: Any) -> Iterator[None]:
         mi.set_file_resolver(before)
 
 
+@contextmanager
+def searching_first(folder: Path, mi: Any) -> Iterator[None]:
+    """Let Mitsuba search this folder before all that it searches by itself."""
+    before = mi.file_resolver()
+    more = mi.FileResolver(before)
+    more.prepend(str(folder))
+    mi.set_file_resolver(more)
+    try:
+        yield
+    finally:
+        mi.set_file_resolver(before)
+
+
 def check_plugin(kind: str) -> None:
     """Refuse a plugin name that is a path, or that would resolve to code in the working directory.
 

@@ -43,12 +43,13 @@ def flow_from_depth(rig: Rig, i: int, j: int, z_i: NDArray[Any], z_j: NDArray[An
     """As `flow`, from the z-depths [h,w] of both views."""
     h, w = z_i.shape
     surface = np.flatnonzero(np.isfinite(z_i).ravel())
-    pixels, depth = rig.project(unproject(rig, i, z_i, surface))
+    other = Rig(viewmats=rig.viewmats[j : j + 1], Ks=rig.Ks[j : j + 1], width=rig.width, height=rig.height)
+    (pixels,), (depth,) = other.project(unproject(rig, i, z_i, surface))
     displacement = np.full((h * w, 2), np.nan, dtype=np.float32)
     y, x = np.divmod(surface, w)
-    displacement[surface] = pixels[j] - np.stack([x + 0.5, y + 0.5], -1)
+    displacement[surface] = pixels - np.stack([x + 0.5, y + 0.5], -1)
     visible = np.zeros(h * w, dtype=bool)
-    visible[surface] = seen_in(rig, pixels[j], depth[j], z_j)
+    visible[surface] = seen_in(rig, pixels, depth, z_j)
     return Flow(displacement.reshape(h, w, 2), visible.reshape(h, w))
 
 

@@ -20,6 +20,8 @@ from simscenes.sets.pictures.png import write_png
 from simscenes.sets.writers.camera_files import nerfbaselines_info, write_cameras, write_json
 
 NERFBASELINES = "nerfbaselines.datasets.blender:load_blender_dataset"  # it has no short name there
+CENTRED = 0.01  # px that a principal point may be off without a word
+OFF_CENTRE = 0.02  # of the longer side, from which on it is another camera
 NEAR, FAR = 2.0, 6.0  # between which the readers of the Blender layout look, whatever the file says
 
 
@@ -33,12 +35,25 @@ def check_blender(rig: Rig) -> None:
 
 
 def check_llff(rig: Rig) -> None:
-    """Raise ValueError unless each camera has one focal length: the LLFF layout holds no second."""
+    """Raise ValueError unless each camera has square pixels and its principal point in the middle of the picture.
+
+    The LLFF layout holds nothing else. Photographs are a little off: up to `OFF_CENTRE` the export warns instead.
+    """
     fx, fy = rig.Ks[:, 0, 0], rig.Ks[:, 1, 1]
     if not np.allclose(fx, fy):
         i = int(np.abs(fx / fy - 1).argmax())
         raise ValueError(f"the LLFF layout holds one focal length per view, so pixels must be square; view {i} has "
                          f"{fx[i]:.2f} and {fy[i]:.2f} px. Use the set's own transforms.json")  # fmt: skip
+    away, i = _off_centre(rig)
+    if away > OFF_CENTRE * max(rig.width, rig.height):
+        raise ValueError(f"the LLFF layout has the principal point in the middle of the picture; that of view {i} is "
+                         f"{away:.2f} px away. Use the set's own transforms.json")  # fmt: skip
+
+
+def _off_centre(rig: Rig) -> tuple[float, int]:
+    """How far the principal point is from the middle of the picture at most, pixels, and in which view."""
+    away = np.abs(rig.Ks[:, :2, 2] - (rig.width / 2, rig.height / 2)).max(1)
+    return float(away.max()), int(away.argmax())
 
 
 def export_blender(views: MultiviewSet, folder: str | Path, *, truth: MultiviewSet | None = None) -> Path:
@@ -111,10 +126,15 @@ def export_llff(views: MultiviewSet, folder: str | Path, *, truth: MultiviewSet 
     A COLMAP model and nb-info.json lie beside them.
 
     Raises:
-        ValueError: If nobody knows near and far of a view, or the focal lengths of a camera differ.
+        ValueError: If nobody knows near and far of a view, the focal lengths of a camera differ, or its principal point
+            is far from the middle of the picture. A little beside it gives a warning.
     """
     folder, rig = Path(folder), views.rig
     check_llff(rig)
+    away, i = _off_centre(rig)
+    if away > CENTRED:
+        warnings.warn(f"the LLFF layout has the principal point in the middle of the picture: for its readers it is up "
+                      f"to {away:.2f} px wrong (view {i})", stacklevel=2)  # fmt: skip
     depths = Depths.of(views, truth)
     (folder / "images").mkdir(parents=True, exist_ok=True)
     rows = []

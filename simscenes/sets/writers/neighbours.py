@@ -8,6 +8,8 @@ instant-ngp: positions times `scale` plus `offset` are marched through the cube 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,9 @@ from simscenes.sets.pictures.png import write_codes
 
 POINTS, DEPTHS = "points3D.ply", "depths"
 DEPTH_UNIT = 1e-3  # world units a code of a depth PNG: nerfstudio's millimetres
+CODES = 2**16  # of a 16-bit PNG
+LOST = 0.01  # share of the depths that may be unknown without a word
+FEW = 100  # codes, fewer than which a scene does not have without a word
 CORE = (0.05, 0.95)  # quantiles of the points: a few strays must not shrink what the unit cube holds
 FILL = 0.9  # of the unit cube, by cameras and the core
 AABBS = tuple(2**i for i in range(8))
@@ -42,7 +47,26 @@ def write_points(path: Path, xyz: NDArray[np.floating], rgb: NDArray[np.uint8]) 
 def write_depth(path: Path, z: NDArray[np.float32]) -> None:
     """Write z-depth [h,w] (inf: no surface) in units of `DEPTH_UNIT`; 0 means no surface up to 65.535 units."""
     codes = np.round(np.where(np.isfinite(z), z, 0) / DEPTH_UNIT)
-    write_codes(path, np.where(codes < 2**16, codes, 0).astype(np.uint16))
+    write_codes(path, np.where(codes < CODES, codes, 0).astype(np.uint16))
+
+
+def depth_warning(depths: Iterable[NDArray[np.float32]]) -> str:
+    """What the depth PNGs of a set lose of its z-depths [h,w], in words; "" if little."""
+    far, nearest, farthest, count = 0, math.inf, 0.0, 0
+    for z in depths:
+        seen = z[np.isfinite(z)]
+        if seen.size:
+            far, count = far + int((seen >= CODES * DEPTH_UNIT).sum()), count + seen.size
+            nearest, farthest = min(nearest, float(seen.min())), max(farthest, float(seen.max()))
+    files, whole = f"depths/*.png, in nerfstudio's units of {DEPTH_UNIT:g},", "the EXR files in gt/ hold all"
+    if far > LOST * count:
+        return (f"{files} hold depths up to {CODES * DEPTH_UNIT:.5g}: {far / count:.0%} of the depths are beyond and "
+                f"unknown there; {whole}, and a scene scaled by {0.9 * CODES * DEPTH_UNIT / farthest:.1g} would "
+                "fit")  # fmt: skip
+    if count and farthest < FEW * DEPTH_UNIT:
+        return (f"{files} have few steps between the depths of {nearest:.3g} and {farthest:.3g} of this set; {whole}, "
+                f"and a scene scaled by {FEW * DEPTH_UNIT / farthest:.1g} would have {FEW}")  # fmt: skip
+    return ""
 
 
 def instant_ngp_box(centers: NDArray[np.floating], xyz: NDArray[np.floating]) -> dict[str, Any]:

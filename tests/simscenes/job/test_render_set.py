@@ -166,10 +166,13 @@ def test_a_finished_set_is_not_rendered_again_unless_something_changed(small_job
 
 
 def test_fewer_views_remove_the_stale_ones(small_job: Job, tmp_path: Path) -> None:
-    small_job(tmp_path)
+    small_job(tmp_path, export=("blender", "llff"))
     rig = orbit_rig(2, 17, 13, 60, target=(0, 0, 0.8), radius=4.0)
-    assert len(small_job(tmp_path, rig)) == 2
-    assert len(list((tmp_path / "gt").iterdir())) == 2
+    assert len(small_job(tmp_path, rig, export=("llff",))) == 2
+    for folder in ("gt", "images", "depths", "llff/images"):
+        assert len(list((tmp_path / folder).iterdir())) == 2
+    assert len(np.load(tmp_path / "llff" / "poses_bounds.npy")) == 2
+    assert not (tmp_path / "blender").exists()
 
 
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (2, 1), (7, 3)])

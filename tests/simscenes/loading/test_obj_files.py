@@ -9,6 +9,7 @@ from simscenes.backend import activate
 from simscenes.loading.contents import parameters_in
 from simscenes.loading.load import build_scene
 from simscenes.loading.obj_files import complete
+from simscenes.sets.pictures.png import write_png
 
 CORNERS = b"v 0 0 0\nv 2 0 0\nv 0 2 0\nv 0 0 2\n"
 VALUES = b"vt .1 .2\nvt .3 .4\nvt .5 .6\nvn 0 .6 .8\n"
@@ -61,6 +62,22 @@ def test_values_that_no_corner_names_are_as_if_they_were_not_there(tmp_path: Pat
         found = loaded(tmp_path, CORNERS + VALUES + b"f 1//1 2//1 3//1\n")
     assert set(found) == {"normals"}
     np.testing.assert_allclose(found["normals"], [[[0, 0.6, 0.8]] * 3], atol=1e-6)
+
+
+@pytest.mark.parametrize("allow_outside", [False, True])
+def test_textures_beside_a_completed_file_are_found(tmp_path: Path, allow_outside: bool) -> None:
+    folder = tmp_path / "my scene"
+    (folder / "tex").mkdir(parents=True)
+    (folder / "m.obj").write_bytes(CORNERS + VALUES + WHOLE + b"f 2 4 3\n")
+    write_png(folder / "tex" / "a b.png", np.full((2, 2, 3), 200, np.uint8))
+    paint = '<texture type="bitmap" name="reflectance"><string name="filename" value="tex/a b.png"/></texture>'
+    (folder / "s.xml").write_text(
+        '<scene version="3.0.0"><shape type="obj"><string name="filename" value="m.obj"/>'
+        f'<bsdf type="diffuse">{paint}</bsdf></shape></scene>'
+    )
+    with pytest.warns(UserWarning, match="not every corner"):
+        scene = build_scene(folder / "s.xml", activate("scalar_rgb"), allow_outside=allow_outside)
+    assert scene.scene.shapes()[0].bsdf().class_name() == "SmoothDiffuse"
 
 
 def test_corners_of_one_face_are_completed_one_by_one(tmp_path: Path) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simscenes import Rig
+from simscenes import Rig, orbit_rig
 from simscenes.backend import activate, using_variant
 from simscenes.loading.load import LoadedScene, build_scene
 from simscenes.render.geometry import geometry_channels
@@ -176,3 +176,15 @@ def test_a_scalar_variant_reaches_a_target_evenly(ball_on_plane: Scene, view: Ca
         result = View(Method(mi, mi.variant(), loaded, integrator), rig, 0).render(None, 0.1)
     assert result.error <= 0.1
     assert result.spp >= 16
+
+
+@pytest.mark.parametrize("away", [3.0, 300.0, 3000.0])
+def test_a_small_thing_is_seen_from_far_away(away: float) -> None:
+    """A grey ball before a bright sky, through a lens that always shows it at the same size."""
+    mi = activate()
+    paint = {"type": "diffuse", "reflectance": {"type": "rgb", "value": 0.2}}
+    loaded = build_scene({"type": "scene", "ball": {"type": "sphere", "bsdf": paint}, "sky": {"type": "constant"}}, mi)
+    rig = orbit_rig(1, 9, 9, float(np.degrees(2 * np.arctan(2 / away))), target=(0, 0, 0), radius=away)
+    picture = View(Method(mi, mi.variant(), loaded, mi.load_dict({"type": "path"})), rig, 0).render(64, None).mean
+    assert picture[4, 4] == pytest.approx(0.2, rel=0.02)
+    assert picture[0, 0] == pytest.approx(1.0)

@@ -1,12 +1,13 @@
 """Flow and exports of a rendered set."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from simscenes import MultiviewSet, Rig, export_blender, export_llff, flow, load_set, orbit_rig, write_cameras
+from simscenes import EXPORTS, MultiviewSet, Rig, export_blender, export_llff, flow, load_set, orbit_rig, write_cameras
 from simscenes.sets.geometry.correspondence import flow_from_depth
 from simscenes.sets.pictures.exr import write_exr
 from simscenes.sets.pictures.png import write_png
@@ -55,6 +56,19 @@ def test_flow_of_a_plane_is_its_homography(views: MultiviewSet) -> None:
     assert inside.any()
 
 
+def test_flow_projects_into_one_camera_alone(views: MultiviewSet, monkeypatch: pytest.MonkeyPatch) -> None:
+    """All cameras of a large set at once would take gigabytes."""
+    asked, project = [], Rig.project
+
+    def spy(rig: Rig, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        asked.append(len(rig))
+        return project(rig, points)
+
+    monkeypatch.setattr(Rig, "project", spy)
+    flow(views, 2, 3)
+    assert asked == [1]
+
+
 def test_flow_to_itself_is_zero_and_hidden_points_are_hidden(views: MultiviewSet) -> None:
     same = flow(views, 4, 4)
     assert np.abs(same.displacement).max() < 1e-4
@@ -96,6 +110,23 @@ def test_blender_layout_refuses_what_it_cannot_say(views: MultiviewSet, tmp_path
     write_cameras(views.path, views.names, shifted)
     with pytest.raises(ValueError, match="principal point"):
         export_blender(load_set(views.path), tmp_path / "blender")
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_llff_says_or_refuses_a_principal_point_that_it_cannot_hold(
+    views: MultiviewSet, tmp_path: Path, axis: int
+) -> None:
+    """The longer side has 24 px, of which 2 % are 0.48."""
+    for away, said in ((0.4, r"up to 0\.40 px wrong \(view 5\)"), (-0.6, r"view 5 is 0\.60 px away")):
+        Ks = views.rig.Ks.copy()
+        Ks[5, axis, 2] += away
+        moved = replace(views, rig=replace(views.rig, Ks=Ks))
+        if away > 0:
+            with pytest.warns(UserWarning, match=said):
+                export_llff(moved, tmp_path / "llff")
+        else:
+            with pytest.raises(ValueError, match=said):
+                EXPORTS["llff"].check(moved.rig)
 
 
 def test_llff_poses_are_down_right_back_with_bounds_that_hold(views: MultiviewSet, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ The readers' own conventions are written down here a second time, from their doc
 """
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +19,7 @@ from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.readers.llff import llff_cameras
 from simscenes.sets.writers.camera_files import write_json
-from simscenes.sets.writers.neighbours import instant_ngp_box, write_depth
+from simscenes.sets.writers.neighbours import depth_warning, instant_ngp_box, write_depth
 
 SIZE = (24, 20)  # width, height
 
@@ -109,6 +110,22 @@ def test_nerfstudio_finds_points_and_depths_in_the_world_of_its_poses(mkdirs: Pa
 def test_depth_that_sixteen_bits_cannot_hold_is_unknown(tmp_path: Path) -> None:
     write_depth(tmp_path / "z.png", np.array([[np.inf, 65.535, 65.54, 0.0004]], np.float32))
     assert cv2.imread(str(tmp_path / "z.png"), cv2.IMREAD_ANYDEPTH).tolist() == [[0, 65535, 0, 0]]
+
+
+@pytest.mark.parametrize(
+    ("factor", "said"),
+    [
+        (1.0, ""),
+        (0.1, ""),
+        (0.01, "few steps between the depths of 0.02 and 0.06 of this set.* scaled by 2 would have 100"),
+        (15.0, "hold depths up to 65.536: 40% of the depths are beyond and unknown there.* scaled by 0.7 would fit"),
+        (1000.0, "100% of the depths are beyond"),
+    ],
+)
+def test_depths_that_the_png_files_cannot_hold_are_said(factor: float, said: str) -> None:
+    views = [np.array([[np.inf, 2.0], [3.0, 4.0]]), np.array([[5.0, 6.0]]), np.full((1, 2), np.inf)]
+    found = depth_warning((factor * z).astype(np.float32) for z in views)
+    assert re.search(said, found) if said else found == ""
 
 
 def test_a_set_without_points_names_none_and_removes_old_ones(mkdirs: Path) -> None:
