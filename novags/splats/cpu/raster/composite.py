@@ -6,7 +6,7 @@ floats:
 
     trans [tiles, 256]       transmittance; negative once the pixel has stopped, so that it fails the same test for ever
     color [tiles, 4, 256]    four channels
-    last  [tiles, 256]       int32; the place in the lists at which the pixel stopped
+    last  [tiles, 256]       int32; the place in the lists at which the pixel stopped; 0 outside the image
 """
 
 # mypy: allow-untyped-defs
@@ -70,8 +70,10 @@ def _start_tile(trans, color, last, tile, x0, y0, width, height):
         block, lane = pixel // LANES, pixel % LANES
         x = x0 + block % SIDE * BLOCK + lane % BLOCK
         y = y0 + block // SIDE * BLOCK + lane // BLOCK
-        trans[tile * PIXELS + pixel] = ONE if x < width and y < height else -ONE
-        last[tile * PIXELS + pixel] = NEVER
+        inside = x < width and y < height
+        trans[tile * PIXELS + pixel] = ONE if inside else -ONE
+        # or nothing would stop the backward pass there: transmittance overflows, and the lanes of a block are summed
+        last[tile * PIXELS + pixel] = NEVER if inside else np.int32(0)
     for pixel in range(COLOR):
         color[tile * COLOR + pixel] = ZERO
 

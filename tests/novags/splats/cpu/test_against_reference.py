@@ -253,6 +253,37 @@ def test_values_and_gradients_match_the_float64_reference(case, make_scene, reco
         assert of_all.max() < ALL_WITHIN, name
 
 
+def beside_the_image(width: int, height: int, x: float, y: float) -> Scene:
+    """60 almost opaque splats of 1 to 1.2 px behind one another at pixel (x, y), seen along z."""
+    z, focal = 2 + 0.01 * torch.arange(60, dtype=torch.float64), 20.0
+    K = torch.tensor([[focal, 0, width / 2], [0, focal, height / 2], [0, 0, 1]], dtype=torch.float64)
+    scene: Scene = {
+        "means": torch.stack([(x - width / 2) / focal * z, (y - height / 2) / focal * z, z], 1),
+        "quats": torch.tensor([1.0, 0, 0, 0], dtype=torch.float64).repeat(60, 1),
+        "scales": z[:, None] / focal * torch.tensor([1.2, 1.1, 1.0]),
+        "opacities": torch.full((60,), 0.95, dtype=torch.float64),
+        "colors": torch.rand(60, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64),
+        "viewmats": torch.eye(4, dtype=torch.float64)[None],
+        "Ks": K[None],
+    }
+    scene = {name: value.float().double() for name, value in scene.items()}
+    return {**scene, "width": width, "height": height, "sh_degree": None}
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "x", "y"), [(17, 16, 19.5, 8), (18, 16, 19.5, 8), (16, 17, 8, 19.5), (33, 33, 35.5, 16)]
+)
+def test_what_is_opaque_beside_the_image_leaves_gradients_finite(width, height, x, y):
+    """Blocks of 4 x 4 pixels reach beyond these images; what is seen of the splats is their thin end."""
+    scene = beside_the_image(width, height, x, y)
+    weights = torch.randn(1, height, width, 5, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    _, _, expected = render(scene, torch.float64, "torch", "RGB", weights)
+    _, _, found = render(scene, torch.float32, "numba", "RGB", weights)
+    for name, gradient in found.items():
+        largest = expected[name].abs().max()
+        torch.testing.assert_close(gradient.double(), expected[name], rtol=0, atol=1e-4 * float(largest), msg=name)
+
+
 # Few machines have one. That the call is mapped rightly is tested without, in raster/test_gsplat.py.
 @pytest.mark.gpu
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="gsplat's kernels need a CUDA device")
