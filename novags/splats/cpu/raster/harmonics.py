@@ -17,6 +17,9 @@ B20, B21, B22, B23, B24 = (np.float32(c) for c in C2)
 B30, B31, B32, B33, B34, B35, B36 = (np.float32(c) for c in C3)
 # eps: a Gaussian exactly at the camera centre has no direction; without it 1 / 0
 SHORTEST = np.float32(1e-12)
+# Slack of the cut: the fused sum of a colour of exactly 0 may round to below it (-7e-9 where only the first coefficient
+# counts), and a Gaussian that starts black would then have no gradient for ever
+BLACK = np.float32(-(2.0**-22))
 
 
 @inline
@@ -207,8 +210,8 @@ def _backward(degree, n_coefficients, points, basis, v_basis, coefficients, v_co
     _basis(degree, x, y, z, basis)
     for channel in range(3):
         color = _color(n_coefficients, channel, basis, coefficients)
-        # cut at zero: no slope there
-        store(v_color, channel * LANES, select(color > ZERO, load(v_color, channel * LANES), ZERO))
+        # cut at zero: no slope below
+        store(v_color, channel * LANES, select(color > BLACK, load(v_color, channel * LANES), ZERO))
     r, g, b = load(v_color, 0), load(v_color, LANES), load(v_color, 2 * LANES)
     for j in range(n_coefficients):
         at, value = 3 * j * LANES, load(basis, j * LANES)
