@@ -59,8 +59,8 @@ def write_ply(path: str | Path, gaussians: Gaussians, *, sh_degree: int | None =
         file.write(table.tobytes())
 
 
-def _read_header(file: BinaryIO, path: Path) -> tuple[str, int, np.dtype]:
-    """Format, number of vertices and record type of the vertex element, leaving `file` at the first byte of data."""
+def _read_header(file: BinaryIO, path: Path) -> tuple[str, int, np.dtype, bool]:
+    """Format, number and record type of vertices, and whether they end the file; leaves `file` at the first of them."""
     kind, n, fields, element = "", -1, dict[str, str](), ""
     for _ in range(HEADER_LINES):
         line = file.readline(4096).decode("ascii", "replace")
@@ -68,7 +68,7 @@ def _read_header(file: BinaryIO, path: Path) -> tuple[str, int, np.dtype]:
         if not line:
             break
         if words[:1] == ["end_header"]:
-            return kind, n, np.dtype(list(fields.items()))
+            return kind, n, np.dtype(list(fields.items())), element == "vertex"
         if len(words) < LEAST.get(words[0] if words else "", 0):
             raise ValueError(f"{path}: a line of the PLY header is not complete: {brief(repr(line.strip()))}")
         if words[:1] == ["format"]:
@@ -100,19 +100,25 @@ def read_ply(path: str | Path) -> Gaussians:
     `OPAQUE`.
 
     Raises:
-        ValueError: If the file is not such a PLY, is cut short, or lacks a property.
+        ValueError: If the file is not such a PLY, is cut short or longer than its header says, lacks a property, or
+            holds a number that is not finite or a rotation that is 0.
     """
     path = Path(path)
     with path.open("rb") as file:
         if file.readline(16).strip() != b"ply":
             raise ValueError(f"{path} must start with the line 'ply'")
-        kind, n, record = _read_header(file, path)
+        kind, n, record, is_last = _read_header(file, path)
         if kind != "binary_little_endian":
             raise ValueError(f"{path} must be binary_little_endian, got {kind or 'no format line'}; convert it first")
         there = path.stat().st_size - file.tell()
         if n < 0 or there < n * record.itemsize:  # before anything is allocated for what the header announces
             raise ValueError(
                 f"{path} must hold {n} vertices of {record.itemsize} bytes, but only {there} bytes are there"
+            )
+        if is_last and there > n * record.itemsize:
+            raise ValueError(
+                f"{path} must end after {n} vertices of {record.itemsize} bytes, as its header says, but {there} bytes "
+                "are there: write it again"
             )
         data = file.read(n * record.itemsize)
     table = np.frombuffer(data, record, count=n)
@@ -134,13 +140,20 @@ def read_ply(path: str | Path) -> Gaussians:
             raise ValueError(f"{path} must hold finite numbers in {', '.join(names)}, got {values[first]} at {first}")
         return torch.from_numpy(values)
 
+    quats = columns("rot_0", "rot_1", "rot_2", "rot_3")
+    zero = torch.nonzero((quats == 0).all(1))[:, 0].tolist()
+    if zero:
+        raise ValueError(
+            f"{path} must hold rotations rot_0..3 of non-zero length, got [0, 0, 0, 0] at {zero[0]} "
+            f"({len(zero)} of {n}): write it again"
+        )
     sh = columns("f_dc_0", "f_dc_1", "f_dc_2")[:, None]
     if k > 1:
         rest = columns(*(f"f_rest_{i}" for i in range(n_rest))).reshape(n, 3, k - 1).mT
         sh = torch.cat([sh, rest], dim=1)
     return Gaussians(
         means=columns("x", "y", "z"),
-        quats=columns("rot_0", "rot_1", "rot_2", "rot_3"),
+        quats=quats,
         log_scales=columns("scale_0", "scale_1", "scale_2"),
         logit_opacities=columns("opacity", infinite=OPAQUE)[:, 0],
         sh=sh.contiguous(),

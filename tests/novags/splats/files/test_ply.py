@@ -108,6 +108,11 @@ def test_opacities_of_zero_and_one_are_taken_from_files_of_converters(tmp_path):
         (lambda raw: raw[:-4] + b"\0\0\xc0\x7f", "must hold finite numbers in rot_0, rot_1, rot_2, rot_3, got .* at 2"),
         (lambda raw: raw[:-32] + b"\0\0\xc0\x7f" + raw[-28:], "must hold finite numbers in opacity, got .* at 2"),
         (lambda raw: raw[:-4] + b"\0\0\x80\x7f", "must hold finite numbers in rot_0, rot_1, rot_2, rot_3, got .* at 2"),
+        (
+            lambda raw: raw[:-150] + bytes(150),
+            r"of non-zero length, got \[0, 0, 0, 0\] at 1 \(2 of 3\): write it again",
+        ),
+        (lambda raw: raw.replace(b"vertex 3", b"vertex 2"), "must end after 2 vertices of 104 bytes, .* 312 bytes"),
     ],
 )
 def test_damaged_files_are_refused(tmp_path, damage, message):
@@ -115,6 +120,14 @@ def test_damaged_files_are_refused(tmp_path, damage, message):
     (tmp_path / "a.ply").write_bytes(damage((tmp_path / "a.ply").read_bytes()))
     with pytest.raises(ValueError, match=message):
         read_ply(tmp_path / "a.ply")
+
+
+def test_what_other_elements_hold_after_the_vertices_is_ignored(tmp_path):
+    write_ply(tmp_path / "a.ply", cloud(3, 0))
+    header, data = (tmp_path / "a.ply").read_bytes().split(b"end_header\n", 1)
+    more = b"element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    (tmp_path / "b.ply").write_bytes(header + more + data + b"\x01\0\0\0\0")
+    assert torch.equal(read_ply(tmp_path / "b.ply").means, cloud(3, 0).means)
 
 
 def test_writing_leaves_no_temporary_file(tmp_path):
