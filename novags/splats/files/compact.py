@@ -21,6 +21,7 @@ from sensor_model.files.atomic import atomic
 
 from ..gaussians import Gaussians
 from ..sh import sh_to_rgb
+from .ply import unit_quats
 
 SPZ_MAGIC, SPZ_VERSIONS = 0x5053474E, (2, 3)
 SPZ_COLOR = 0.15  # of the base coefficient, so that values a bit outside 0..1 survive
@@ -39,7 +40,7 @@ def write_splat(path: str | Path, gaussians: Gaussians) -> None:
     table = np.empty(len(g), np.dtype([("place", "<f4", 3), ("scale", "<f4", 3), ("rgba", "u1", 4), ("turn", "u1", 4)]))
     table["place"], table["scale"] = _array(g.means)[order], _array(g.scales)[order]
     table["rgba"] = _byte(_array(colors)[order] * 255)
-    table["turn"] = _byte(_unit(g)[order] * 128 + 128)
+    table["turn"] = _byte(_array(unit_quats(g))[order] * 128 + 128)
     with atomic(path) as temporary:
         temporary.write_bytes(table.tobytes())
 
@@ -64,7 +65,7 @@ def write_spz(path: str | Path, gaussians: Gaussians, *, version: int = 3, antia
     if not largest < 2**23 - 1:
         raise ValueError(f"positions must be below 2^23 for .spz, got {largest:.3g}: use .ply or rescale the scene")
     bits = min(SPZ_BITS, int(np.floor(np.log2((2**23 - 1) / max(largest, 1.0)))))
-    turns = _unit(g)[:, (1, 2, 3, 0)].astype(np.float64)
+    turns = _array(unit_quats(g))[:, (1, 2, 3, 0)].astype(np.float64)
     degree = g.sh_degree
     header = struct.pack("<IIIBBBB", SPZ_MAGIC, version, len(g), degree, bits, int(antialiased), 0)
     fixed = np.round(means * 2**bits).astype("<i4")
@@ -87,11 +88,6 @@ def _array(tensor: torch.Tensor) -> NDArray[np.float32]:
 
 def _byte(values: NDArray[np.floating]) -> Bytes:
     return np.clip(np.round(values), 0, 255).astype(np.uint8)
-
-
-def _unit(g: Gaussians) -> NDArray[np.float32]:
-    """Rotations wxyz of length 1 [N, 4]."""
-    return _array(torch.nn.functional.normalize(g.quats, dim=-1))
 
 
 def _first_three(xyzw: NDArray[np.float64]) -> Bytes:

@@ -14,6 +14,8 @@ from sensor_model.files.atomic import atomic
 from sensor_model.files.reading import brief
 
 from ..gaussians import Gaussians
+from ..raster.raster_torch import unit_largest
+from ..raster.validation import check_gaussians
 from ..sh import n_coefficients
 
 _DTYPES = {
@@ -41,7 +43,7 @@ def write_ply(path: str | Path, gaussians: Gaussians, *, sh_degree: int | None =
         sh_degree: Pad the harmonics to this degree with zeros: some readers take nothing but 3. None: as they are.
 
     Raises:
-        ValueError: If the Gaussians have a higher degree than that.
+        ValueError: If the Gaussians have a higher degree than that, or a quaternion is zero.
     """
     g = gaussians.detach()
     n, k = len(g), n_coefficients(g.sh_degree if sh_degree is None else sh_degree)
@@ -49,14 +51,19 @@ def write_ply(path: str | Path, gaussians: Gaussians, *, sh_degree: int | None =
         raise ValueError(f"sh_degree must be at least {g.sh_degree}, that of the Gaussians, got {sh_degree}")
     sh = torch.cat([g.sh, g.sh.new_zeros(n, k - g.sh.shape[1], 3)], 1)
     rest = sh[:, 1:].mT.reshape(n, 3 * (k - 1))
-    quats = torch.nn.functional.normalize(g.quats, dim=-1)
-    columns = [g.means, torch.zeros(n, 3), g.sh[:, 0], rest, g.logit_opacities[:, None], g.log_scales, quats]
+    columns = [g.means, torch.zeros(n, 3), g.sh[:, 0], rest, g.logit_opacities[:, None], g.log_scales, unit_quats(g)]
     table = torch.cat([column.cpu().float() for column in columns], dim=1).numpy().astype("<f4")
     header = ["ply", "format binary_little_endian 1.0", f"element vertex {n}"]
     header += [f"property float {name}" for name in _names(k)] + ["end_header"]
     with atomic(path) as temporary, temporary.open("wb") as file:
         file.write(("\n".join(header) + "\n").encode("ascii"))
         file.write(table.tobytes())
+
+
+def unit_quats(gaussians: Gaussians) -> torch.Tensor:
+    """Rotations wxyz of length 1 [N, 4]; raises ValueError for a quaternion that is zero or not finite."""
+    check_gaussians({"quats": gaussians.quats})
+    return torch.nn.functional.normalize(unit_largest(gaussians.quats), dim=-1)
 
 
 def _read_header(file: BinaryIO, path: Path) -> tuple[str, int, np.dtype, bool]:

@@ -1,6 +1,7 @@
 """.splat and .spz through decoders written here from the formats' descriptions; errors within the quantisation."""
 
 import gzip
+import math
 import struct
 from dataclasses import replace
 
@@ -132,6 +133,16 @@ def test_an_spz_scene_looks_as_the_ply_does_to_readers_that_take_its_axes_as_the
     assert (again - image).abs().mean() < 0.015
     wrong = torch.cat([tensors["base"][:, None], -tensors["rest"]], 1)
     assert (rasterize(*shape, wrong, view, **camera)[0] - image).abs().mean() > 0.1
+
+
+@pytest.mark.parametrize("write", [write_splat, write_spz])
+@pytest.mark.parametrize("length", [1e-25, 1e-20, 1e19, 1e25])
+def test_rotations_of_any_length_give_the_same_file(tmp_path, write, length):
+    g = cloud(50, 0)
+    g.quats = torch.nn.functional.normalize(g.quats, dim=1)
+    write(tmp_path / "unit", g)
+    write(tmp_path / "other", replace(g, quats=2.0 ** round(math.log2(length)) * g.quats))
+    assert (tmp_path / "other").read_bytes() == (tmp_path / "unit").read_bytes()
 
 
 def test_harmonics_of_spz_are_multiples_of_the_step_of_their_degree(tmp_path):

@@ -27,6 +27,23 @@ def test_round_trip_is_exact(tmp_path, degree, n):
         torch.testing.assert_close(again.tensors()[name], tensor, rtol=0, atol=1e-6 if name == "quats" else 0)
 
 
+@pytest.mark.parametrize("length", [1e-42, 1e-25, 1e-20, 1e19, 1e25, 3e38])
+def test_rotations_of_any_length_are_written_with_length_1(tmp_path, length):
+    gaussians = cloud(20, 0)
+    turns = gaussians.quats.clone()
+    gaussians.quats = (turns.double() * length).float()
+    write_ply(tmp_path / "a.ply", gaussians)
+    # 1e-42 is a subnormal number of 10 bits
+    torch.testing.assert_close(read_ply(tmp_path / "a.ply").quats, turns, rtol=0, atol=1e-3 if length < 1e-38 else 1e-6)
+
+
+def test_a_rotation_of_zero_is_not_written(tmp_path):
+    gaussians = cloud(3, 0)
+    gaussians.quats[1] = 0
+    with pytest.raises(ValueError, match=r"quats must not be zero, got \[0.0, 0.0, 0.0, 0.0\] at Gaussian 1"):
+        write_ply(tmp_path / "a.ply", gaussians)
+
+
 def test_layout_is_that_of_3dgs(tmp_path):
     gaussians = cloud(3, 3)
     write_ply(tmp_path / "a.ply", gaussians)
