@@ -16,6 +16,7 @@ DEAD_OPACITY = 0.005  # at or below, a Gaussian shows nothing and is moved
 # In extents of the scene. Noise grows with the covariance: a faint haze of ten extents would be thrown a thousand away.
 FARTHEST = 1.0
 NODES, REACH = 128, 7.0  # trapezoid rule of the relocation integral; exp(-7^2) is below one float64 step
+ROWS = 16_384  # whose integrands are evaluated at once: at 1 KB a Gaussian, those of all seeds would take gigabytes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,10 +68,15 @@ def relocation(opacities: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:
     o, n = opacities.double(), copies.double()
     log_left = torch.log1p(-o) / n  # ln(1 - o')
     new = -torch.expm1(log_left)
-    x = torch.linspace(0, REACH, NODES, dtype=torch.float64, device=o.device)
-    integrand = -torch.expm1(n[:, None] * torch.log1p(-new[:, None] * torch.exp(-x * x)))
-    total = 2 / np.sqrt(np.pi) * torch.trapezoid(integrand, x, dim=-1)
+    total = torch.cat([_integral(*rows) for rows in zip(new.split(ROWS), n.split(ROWS), strict=True)])
     return new.to(opacities.dtype), (o / total).to(opacities.dtype)
+
+
+def _integral(new: Tensor, n: Tensor) -> Tensor:
+    """The line integral of `relocation` for opacities o' [M] and copies [M], float64."""
+    x = torch.linspace(0, REACH, NODES, dtype=torch.float64, device=new.device)
+    integrand = -torch.expm1(n[:, None] * torch.log1p(-new[:, None] * torch.exp(-x * x)))
+    return 2 / np.sqrt(np.pi) * torch.trapezoid(integrand, x, dim=-1)
 
 
 def _draw(weights: Tensor, count: int, generator: torch.Generator) -> Tensor:
