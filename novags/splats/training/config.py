@@ -87,8 +87,16 @@ class FitConfig:
 
         Otherwise, in millimetres instead of metres, regularisation would flatten all splats, and a scene a thousandth
         of a unit in size would lie in front of the near plane.
+
+        Raises:
+            ValueError: If the extent is not known yet.
         """
-        if self.extent is None or USUAL[0] <= self.extent <= USUAL[1]:
+        if self.extent is None:
+            raise ValueError(
+                "extent must be known to say how Gaussians are trained and shown, got None: take the config of the "
+                "FitResult, or set extent=views.extent"
+            )
+        if USUAL[0] <= self.extent <= USUAL[1]:
             return 1.0
         return self.extent / UNUSUAL
 

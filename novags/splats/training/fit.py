@@ -37,6 +37,7 @@ class FitResult:
     Attributes:
         gaussians: The scene.
         viewmats: Training cameras at the end [C, 4, 4]: refined, or as they were given. The Gaussians belong to them.
+        config: How they were trained, with the extent: `config.splatting` shows them as they were seen in training.
         losses: One entry per LOG_EVERY iterations and one for the last: "iteration", "loss", "photometric",
             "n_gaussians", and "norm_means", "norm_quats", ...: the Euclidean norm of each tensor of the Gaussians.
         seconds: Wall time, of the stopped runs before this one too.
@@ -45,6 +46,7 @@ class FitResult:
 
     gaussians: Gaussians
     viewmats: Tensor
+    config: FitConfig
     losses: list[dict[str, float]]
     seconds: float
     peak_bytes: int
@@ -145,7 +147,8 @@ def fit(
             save(state)
     return FitResult(
         gaussians=state.gaussians.detach(), viewmats=current(views, state, extent).viewmats.detach(),
-        losses=state.losses, seconds=time.perf_counter() - started, peak_bytes=_peak_bytes(state.gaussians),
+        config=config, losses=state.losses, seconds=time.perf_counter() - started,
+        peak_bytes=_peak_bytes(state.gaussians),
     )  # fmt: skip
 
 

@@ -38,8 +38,9 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> dict:
     def fit(gaussians, views, target, config, **keywords) -> FitResult:
         found.update(gaussians=gaussians, views=views, target=target, config=config, **keywords)
         return FitResult(
-            gaussians=gaussians, viewmats=views.viewmats + 1, losses=[{"loss": 0.5}], seconds=0.25, peak_bytes=0
-        )
+            gaussians=gaussians, viewmats=views.viewmats + 1, config=config, losses=[{"loss": 0.5}], seconds=0.25,
+            peak_bytes=0,
+        )  # fmt: skip
 
     original = gaussian_fit.start_gaussians
     monkeypatch.setattr(gaussian_fit, "fit", fit)

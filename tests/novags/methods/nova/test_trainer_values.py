@@ -85,7 +85,7 @@ class Stage:
         self.during()
         moved = views.viewmats + 1
         return FitResult(
-            gaussians=gaussians, viewmats=moved, losses=[{"iteration": 6.0}], seconds=1.5, peak_bytes=0
+            gaussians=gaussians, viewmats=moved, config=config, losses=[{"iteration": 6.0}], seconds=1.5, peak_bytes=0
         )  # fmt: skip
 
 

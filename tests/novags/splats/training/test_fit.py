@@ -286,6 +286,30 @@ def test_gaussians_move_until_five_sixths_of_the_run_or_the_stated_iteration(mon
     assert seen == moved
 
 
+@pytest.mark.parametrize("extent", [None, 3.85e-3])
+def test_the_config_of_the_result_shows_a_small_scene_as_it_was_trained(extent):
+    """In metres its cameras are 3.5 mm from the middle: nearer than the near plane of scenes of usual size."""
+    g = torch.Generator().manual_seed(0)
+    points = 1e-3 * (2 * torch.rand(300, 3, generator=g) - 1)
+    start = Gaussians.from_points(points, torch.full((300, 3), 0.2), sh_degree=0, init_opacity=0.9)
+    views = dataclasses.replace(ring(), viewmats=ring().viewmats.clone())
+    views.viewmats[:, :3, 3] *= 1e-3
+    given = FitConfig(iterations=30, sh_degree=0, mcmc=None, extent=extent)
+    result = fit(start, views, lambda i: torch.full((SIZE, SIZE, 3), 0.8), given)
+    found, camera = result.gaussians, (views.viewmats[:1], views.Ks[:1], SIZE, SIZE)
+    values = found.means, found.quats, found.scales, found.opacities, found.sh
+    _, alpha, _ = rasterize(*values, *camera, sh_degree=0, **result.config.splatting)
+    assert alpha[0, SIZE // 2, SIZE // 2] > 0.9
+    assert result.config == dataclasses.replace(given, extent=extent or views.extent)
+
+
+def test_a_config_without_an_extent_does_not_say_how_gaussians_are_shown():
+    for name in ("unit", "near_plane", "splatting"):
+        with pytest.raises(ValueError, match="extent must be known .* got None: take the config of the FitResult"):
+            getattr(FitConfig(), name)
+    assert FitConfig(extent=2.0).splatting == {"eps2d": 0.3, "rasterize_mode": "classic", "near_plane": 0.01}
+
+
 def test_what_a_fit_gives_back_asks_for_no_gradient():
     start, views, images = problem(40)
     result = fit(start, views, images.__getitem__, config(iterations=3, refine_cameras=CameraRefinement(start=0)))
