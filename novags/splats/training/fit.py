@@ -88,8 +88,8 @@ def fit(
         FitResult.
 
     Raises:
-        ValueError: For a checkpoint of another run, no views, views or targets on another device, or targets of the
-            wrong shape.
+        ValueError: For a checkpoint of another run, no views, Gaussians that are not float32, views or targets on
+            another device, or targets of the wrong shape.
         NotFinite: For a loss, gradient or parameter that is not finite. `checkpoint` then holds the state before that
             iteration, or the last one that was finite: the same call stops at the same place again.
     """
@@ -210,6 +210,9 @@ def _prepared(gaussians: Gaussians, config: FitConfig) -> Gaussians:
     """A copy of the initial Gaussians with room for the SH degree, at most as many as the cap."""
     if len(gaussians) == 0:
         raise ValueError("fit needs at least one Gaussian to start from, got none")
+    for name, tensor in gaussians.tensors().items():
+        if tensor.dtype != torch.float32:
+            raise ValueError(f"{name} of the Gaussians must be float32, got {tensor.dtype}: convert it with .float()")
     layout = torch.contiguous_format  # a plain clone keeps the strides, but the optimiser works in place
     copies = {name: t.detach().clone(memory_format=layout) for name, t in gaussians.tensors().items()}
     gaussians = Gaussians(**copies)

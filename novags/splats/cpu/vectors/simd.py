@@ -13,6 +13,7 @@ from typing import Any
 
 from llvmlite import ir
 from numba import types
+from numba.core.errors import TypingError
 from numba.core.typing.templates import ConcreteTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, register_model
 
@@ -82,6 +83,8 @@ _define(operator.or_, lambda b, x, y: b.or_(x, y), mask, [(mask, mask)])
 
 
 def _pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any, vector: ir.VectorType) -> Any:
+    if array_type.dtype not in (types.float32, types.int32):  # its bytes would be taken for other numbers
+        raise TypingError(f"a vector must lie in an array of float32 or int32, got {array_type.dtype}: convert it")
     data = context.make_array(array_type)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [index]), vector.as_pointer())
 

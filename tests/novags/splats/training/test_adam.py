@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from numba.core.errors import TypingError
 
 from novags.splats import FitConfig, Gaussians, LearningRates, Views, fit
 from novags.splats.training.updates.activate import activate
@@ -81,6 +82,11 @@ def test_activation_and_regulariser_equal_autograd_in_float64(n):
     for name in ("log_scales", "logit_opacities"):
         got, want = getattr(gaussians, name).grad.double(), getattr(exact, name).grad
         torch.testing.assert_close(got, want, rtol=1e-5, atol=1e-6)
+
+
+def test_doubles_do_not_reach_the_kernels_as_other_numbers():
+    with pytest.raises(TypingError, match="a vector must lie in an array of float32 or int32, got float64"):
+        activate(cloud(20, torch.float64), 0.01, 0.01)
 
 
 def test_opacities_stay_finite_at_the_ends_of_float32():

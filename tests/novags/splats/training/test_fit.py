@@ -286,6 +286,15 @@ def test_gaussians_move_until_five_sixths_of_the_run_or_the_stated_iteration(mon
     assert seen == moved
 
 
+@pytest.mark.parametrize("name", ["means", "quats", "log_scales", "logit_opacities", "sh", "features"])
+def test_a_start_of_doubles_is_refused(name):
+    start, views, images = problem(20)
+    start.features = torch.zeros(20, 2)
+    setattr(start, name, getattr(start, name).double())
+    with pytest.raises(ValueError, match=rf"{name} of the Gaussians must be float32, got torch.float64: .*\.float"):
+        fit(start, views, lambda i: images[i], config(iterations=1))
+
+
 @pytest.mark.parametrize("extent", [None, 3.85e-3])
 def test_the_config_of_the_result_shows_a_small_scene_as_it_was_trained(extent):
     """In metres its cameras are 3.5 mm from the middle: nearer than the near plane of scenes of usual size."""
