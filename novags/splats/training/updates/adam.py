@@ -24,7 +24,7 @@ class LearningRates:
 
     Attributes:
         means: At the start, in units of the scene extent.
-        means_final: At the end of the schedule, same units; log-linear in between.
+        means_final: At the end of the schedule, same units; log-linear in between, so > 0 unless `means` is 0.
         schedule: "original": `means_final` is reached after 30,000 iterations, however long the run (3DGS, 3DGS-MCMC);
             "gsplat": at the end of the run.
         quats: Rotation.
@@ -55,6 +55,11 @@ class LearningRates:
         for name in ("means", "means_final", *COOLED):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"learning rate {name} must be >= 0, got {getattr(self, name)}")
+        if self.means > 0 and self.means_final == 0:
+            raise ValueError(
+                f"means_final must be > 0 where means is (the rate falls log-linearly), got 0 and means {self.means}: "
+                "take a small share of means, or means itself for a rate that does not fall"
+            )
         if not (0 <= self.cool_from < 1 and 0 < self.cool_to <= 1):
             raise ValueError(
                 f"cool_from must lie in [0, 1) and cool_to in (0, 1], got {self.cool_from} and {self.cool_to}"
@@ -70,8 +75,8 @@ class LearningRates:
 
     def means_at(self, iteration: int, iterations: int, extent: float) -> float:
         """Learning rate of the means, world units, at `iteration` of a run of `iterations`."""
-        if self.means == 0 or self.means_final == 0:
-            return self.means * extent
+        if self.means == 0:
+            return 0.0
         progress = min(1.0, iteration / (30_000 if self.schedule == "original" else max(1, iterations)))
         return extent * self.means * (self.means_final / self.means) ** progress
 

@@ -64,6 +64,13 @@ def test_bad_rates_are_refused():
         LearningRates(quats=-1.0)
     with pytest.raises(ValueError, match="schedule must be"):
         LearningRates(schedule="cosine")
+    with pytest.raises(ValueError, match="means_final must be > 0 where means is .* got 0 and means 0.001"):
+        LearningRates(means=1e-3, means_final=0.0)
+
+
+def test_means_without_a_rate_stay_whatever_the_final_one_is():
+    assert LearningRates(means=0, means_final=0).means_at(3, 10, 2.0) == 0
+    assert LearningRates(means=0, means_final=1e-5).means_at(3, 10, 2.0) == 0
 
 
 @pytest.mark.parametrize("n", [1, 16, 5003])
