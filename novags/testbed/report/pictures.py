@@ -8,6 +8,7 @@ import numpy as np
 
 from novags.methods.problem import encode
 from novags.testbed.folders.capture import Capture
+from novags.testbed.folders.run import Run
 from novags.testbed.references import LINEAR, enhanced_dark, pictured, references
 from novags.testbed.report.look.album import Album, Picture, Script
 from novags.testbed.report.look.maps import depth_map, error_map, normal_map, normals_of_depth
@@ -121,8 +122,9 @@ def view_tiles(i: int, material: Material, album: Album, place: str = "") -> Vie
         tiles.add("enhanced", "Enhanced", "the dark input made bright, noise included", noisy)
     if (denoised := run.path / "denoised" / f"{name}.png").exists():
         tiles.add("denoised", f"Denoised by {main}", "what the scene is fitted to", read_png(denoised))
-    _add_renders(tiles, i, material, held_out)
-    _add_geometry(tiles, i, material)
+    shown = {other: each for other, each in runs.items() if held_out or each.shows_training_views}
+    _add_renders(tiles, i, material, shown, held_out)
+    _add_geometry(tiles, i, material, shown)
     width, height = capture.cameras.rig.width, capture.cameras.rig.height
     if (probe := probe_of(capture, i)) is None:
         return ViewTiles(title, held_out, width, height, tuple(tiles.made))
@@ -130,15 +132,15 @@ def view_tiles(i: int, material: Material, album: Album, place: str = "") -> Vie
     return ViewTiles(title, held_out, width, height, tuple(tiles.made), probe.header, data)
 
 
-def _add_renders(tiles: _Tiles, i: int, material: Material, held_out: bool) -> None:
-    """What every run renders, what it is compared with, and how far it is from that."""
+def _add_renders(tiles: _Tiles, i: int, material: Material, runs: Mapping[str, Run], held_out: bool) -> None:
+    """What each of these runs renders, what it is compared with, and how far it is from that."""
     capture, name, shows = material.capture, material.capture.names[i], dict[str, np.ndarray]()
-    light = {other: run.rendering(name) for other, run in material.runs.items()}
-    for other, run in material.runs.items():
+    light = {other: run.rendering(name) for other, run in runs.items()}
+    for other, run in runs.items():
         scores = material.metrics["methods"][other]["views"].get(name) if held_out else None
         shows[other] = pictured(run, capture, light[other])
         tiles.add(f"render-{other}", f"Rendered by {other}", render_note(scores, held_out), shows[other])
-    for other, exposures in material.exposures.items():
+    for other, exposures in ((other, found) for other, found in material.exposures.items() if other in runs):
         of = {"dark": (exposures.dark, "dark input"), "lit": (exposures.lit, "well-lit truth")}
         for kind, (gain, what) in of.items():
             if gain is not None:
@@ -183,11 +185,11 @@ def _add_error(tiles: _Tiles, name: str, image: np.ndarray, truths: Mapping[str,
     tiles.add(f"error-{name}", f"Error of {name}", note, error_map(image, shown(truth, kind)))
 
 
-def _add_geometry(tiles: _Tiles, i: int, material: Material) -> None:
-    """Depth and normals of every run and of the truth, all depths on the scale of the main run's."""
+def _add_geometry(tiles: _Tiles, i: int, material: Material, runs: Mapping[str, Run]) -> None:
+    """Depth and normals of each of these runs and of the truth, all depths on the scale of the main run's."""
     capture, lit, found = material.capture, material.lit, dict[str, tuple[np.ndarray, np.ndarray]]()
     geometry = None if lit.scaled else lit.views.geometry(i)
-    for name, run in material.runs.items():
+    for name, run in runs.items():
         depth, alpha = run.depth(capture.names[i])
         if (alpha > 0.5).any():
             found[name] = (depth * run.depth_scale, alpha > 0.5)

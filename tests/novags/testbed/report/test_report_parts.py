@@ -4,6 +4,7 @@ import base64
 import json
 import math
 import re
+import shutil
 import sys
 import zlib
 from dataclasses import replace
@@ -25,6 +26,7 @@ from novags.testbed.folders.capture import Capture, open_capture  # noqa: E402
 from novags.testbed.report.look.album import Album, files_of  # noqa: E402
 from novags.testbed.report.look.maps import colour_map, normal_map, normals_of_depth  # noqa: E402
 from novags.testbed.report.look.probe import probe_of  # noqa: E402
+from novags.testbed.report.page import write_report  # noqa: E402
 from novags.testbed.report.signal_chart import _chart, by_filter, signal  # noqa: E402
 from novags.testbed.report.tables import per_view, ranks, score_table  # noqa: E402
 from novags.testbed.stages.capturing import CaptureConfig  # noqa: E402
@@ -66,6 +68,33 @@ def test_what_is_left_of_the_noise_stands_by_run_the_least_first(experiment: Pat
     assert found == [[share, 1.0, 0.0625, 31.257] for share in (0.2025, 0.2375, 0.305)]  # of naive, better, oracle
     assert [word in row for word, row in zip(("naive", "better", "oracle"), rows, strict=True)] == [True] * 3
     assert "31.26" in rows[0]
+
+
+def test_a_run_without_training_views_is_shown_in_the_held_out_ones_alone(experiment: Path, tmp_path: Path) -> None:
+    """Rationale: programs render what is held out, and the page asked them for the other views too."""
+    folder = tmp_path / "page"
+    shutil.copytree(experiment, folder)
+    path = folder / "better" / "run.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"depth": False}))
+    names, held_out = open_capture(folder / "capture").names, "0000"
+    for name in set(names) - {held_out}:
+        for kind in ("renders/{}.png", "exr/{}.exr"):
+            (folder / "better" / kind.format(name)).unlink()
+        for run in ("naive", "oracle"):
+            (folder / run / "renders_train").mkdir(exist_ok=True)
+            (folder / run / "renders" / f"{name}.png").rename(folder / run / "renders_train" / f"{name}.png")
+    grids = write_report(folder, QUIET).read_text(encoding="utf-8").split('<div class="grid"')[1:]
+    shown = [set(re.findall(r'<figure data-key="([^"]+)">', grid)) for grid in grids]
+    assert len(shown) == len(names)
+    assert {"render-better", "error-better", "render-naive", "depth-naive"} <= shown[0]
+    assert not any("depth-better" in keys for keys in shown)
+    for training in shown[1:]:
+        assert {"render-naive", "error-naive", "depth-naive", "truth-lit"} <= training
+        assert not any(key.endswith("-better") for key in training)
+    for name in ("naive", "oracle"):
+        shutil.rmtree(folder / name)
+    alone = write_report(folder / "better", QUIET).read_text(encoding="utf-8")
+    assert alone.count('data-key="render-better"') == 1
 
 
 def test_the_shares_of_the_costs_are_of_the_whole_time_and_the_longest_stage_has_the_longest_bar(
