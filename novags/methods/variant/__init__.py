@@ -14,6 +14,7 @@ from sensor_model.files.toml_file import read_toml
 
 Family = Literal["ours", "bound", "2D + GS", "3DGS", "NeRF"]
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")  # of a folder too
+STATISTICS = "truth_statistics"  # the setting by which a method uses statistics of well-lit pictures
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +56,7 @@ class Method:
 
 def sees_statistics(config: Any) -> bool:
     """Whether a method with this configuration, or its record, uses statistics of well-lit pictures: never a rival."""
-    value = config.get("truth_statistics") if isinstance(config, Mapping) else getattr(config, "truth_statistics", None)
+    value = config.get(STATISTICS) if isinstance(config, Mapping) else getattr(config, STATISTICS, None)
     return value is True
 
 

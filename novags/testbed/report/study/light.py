@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from novags.methods import METHODS, chosen, with_variants
-from novags.methods.variant import Variant, sees_statistics
+from novags.methods.variant import STATISTICS, Variant, dotted, sees_statistics
+from novags.settings import changed, has_setting
 from novags.testbed.cache import write_json
 from novags.testbed.report.level_chart import Line, alone, level_chart
 from novags.testbed.report.rows import OTHER, distinct
@@ -103,19 +104,31 @@ def looks_of(names: Iterable[str], study: Mapping[str, Any]) -> dict[str, Look]:
 
     Args:
         names: Of methods, variants and programs, in order.
-        study: The content of the study file, with the tables of its own variants and programs.
+        study: The content of the study file: the tables of its own variants and programs, and what it sets for all.
     """
     own, programs = study.get("variant", {}), study.get("method", {})
-    variants = with_variants(Variant(name=name, method=str(table["method"])) for name, table in own.items())
+    variants = with_variants(
+        Variant(name=name, method=str(table["method"]),
+                settings={key: value for key, value in dotted(table).items() if key != "method"})
+        for name, table in own.items()
+    )  # fmt: skip
+    shared = dotted(study.get("override", {}))
     found: dict[str, Look] = {}
     for name in names:
         variant = None if name in programs else chosen(name, variants)
-        method = None if variant is None else METHODS[variant.method]
-        color = distinct(OTHER if method is None else method.color, [look.color for look in found.values()])
-        sees = method is not None and (method.sees_clean or method.sees_surface)
-        sees |= variant is not None and sees_statistics(variant.settings)
-        found[name] = Look(f"m{len(found)}", color, sees)
+        color = OTHER if variant is None else METHODS[variant.method].color
+        color = distinct(color, [look.color for look in found.values()])
+        found[name] = Look(f"m{len(found)}", color, variant is not None and _sees_truth(variant, shared))
     return found
+
+
+def _sees_truth(variant: Variant, shared: Mapping[str, Any]) -> bool:
+    """Whether a variant, under what the study sets for all, sees any truth."""
+    method = METHODS[variant.method]
+    told = {key: value for key, value in {**shared, **variant.settings}.items() if key == STATISTICS}
+    config = method.config()
+    own = changed(config, told) if has_setting(config, STATISTICS) else config
+    return method.sees_clean or method.sees_surface or sees_statistics(own)
 
 
 def charts_of(curves: Sequence[Curve]) -> list[Chart]:

@@ -34,7 +34,7 @@ AGAIN = "run the study again: what is done is kept"
 LPIPS = "lit.lpips"
 VALUE = (str, float, bool)  # of an axis
 RESULTS: Any = {"axes": {"*": [VALUE]}, "rows": list}
-TABLE: Any = {"file": str, "table": {"variant?": {"*": {"method": str}}, "method?": dict}}
+TABLE: Any = {"file": str, "table": {"variant?": {"*": {"method": str}}, "method?": dict, "override?": dict}}
 ROW: Any = {
     "state": str,
     "method": str,

@@ -179,6 +179,18 @@ def test_colours_of_variants_differ_and_bounds_are_dashed() -> None:
     assert [look.bound for look in looks.values()] == [False, False, True, False]
 
 
+def test_what_sees_truth_by_the_settings_of_the_study_is_a_bound_and_what_does_not_competes() -> None:
+    """Rationale: the settings of variants were not looked at, so that one that sees truth took places."""
+    own = {"peek": {"method": "i2-nerf", "truth_statistics": True},
+           "blind": {"method": "i2-nerf-truth", "truth_statistics": False},
+           "again": {"method": "peek", "fit": {"iterations": 5}}}  # fmt: skip
+    names = ["i2-nerf", "i2-nerf-truth", *own]
+    bounds = {name: look.bound for name, look in looks_of(names, {"variant": own}).items()}
+    assert bounds == {"i2-nerf": False, "i2-nerf-truth": True, "peek": True, "blind": False, "again": True}
+    for_all = looks_of(["naive", "i2-nerf", "blind"], {"variant": own, "override": {"truth_statistics": "true"}})
+    assert [look.bound for look in for_all.values()] == [False, True, False]
+
+
 def test_lines_lie_where_their_values_are() -> None:
     """Equal factors of light are equal distances, and a knee lies on its line."""
     points = [(x, y, y, y) for x, y in ((1, 10.0), (10, 20.0), (100, 30.0))]
