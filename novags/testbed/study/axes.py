@@ -18,8 +18,17 @@ from sensor_model import PRESETS as SENSORS
 from simscenes.scenes import canonical_name
 
 RENAMED = {"views": "n_views"}  # as the command line calls them -> as `adapted` does
+SPELLED = {name: key for key, name in RENAMED.items()}
 NOT_AXES = ("preset", "return", "methods", "variants", "n_views", "dark")
 STAGES = {"render": "render", "capture": "capture", "import": "imported"}  # render.max_depth -> of `Changes`, `Preset`
+# What the short keys set, where a dotted key sets the same.
+SETS = {
+    "scene": ("render.scene",), "n_views": ("render.n_views",), "width": ("render.width",),
+    "height": ("render.height",), "spp": ("render.spp",), "parameters": ("render.parameters",),
+    "sensor": ("capture.sensor",), "electrons": ("capture.electrons",),
+    "max_size": ("capture.max_size", "import.max_size"), "iterations": ("fit.iterations",),
+    "denoiser_steps": ("denoiser.warmup_steps",), "refine_cameras": ("fit.refine_cameras",),
+}  # fmt: skip
 OF_RENDER = ("views", "width", "height", "spp")  # of no use to a set that is there already
 OF_CAPTURE = ("sensor", "electrons")  # of no use to photographs that are dark already
 # Of use to reconstructions alone.
@@ -48,6 +57,15 @@ class Changes:
         """Both; the other's where both change the same."""
         mine, more = vars(self), vars(other)
         return Changes(**{name: {**mine[name], **more[name]} for name in mine})
+
+    def names(self) -> dict[str, str]:
+        """What they set, by one name whichever key does, and the key."""
+        stages, found = {place: f"{stage}." for stage, place in STAGES.items()}, dict[str, str]()
+        for place, settings in vars(self).items():
+            for name in settings:
+                key = f"{stages.get(place, '')}{name}"
+                found |= dict.fromkeys(SETS.get(key, (key,)), SPELLED.get(key, key))
+        return found
 
     def of_render(self) -> list[str]:
         """Which of them only a render can obey."""

@@ -24,7 +24,7 @@ from novags.methods.variant import Variant, dotted
 from novags.testbed.foreign.command import read_commands
 from novags.testbed.importing.published.named import DataFolder
 from novags.testbed.presets import EXPERIMENTS, Preset, variants_in
-from novags.testbed.study.axes import STAGES, Changes, applied, changes_of, scene_identity
+from novags.testbed.study.axes import Changes, applied, changes_of, scene_identity
 from sensor_model.files.reading import brief
 from sensor_model.files.toml_file import read_toml
 
@@ -171,7 +171,10 @@ class _Reader:
                 if key == "rig" or (key in OWN_AXES and place != "[override]"):
                     raise ValueError(f"it is an axis of its own: list its values as [grid] {key}, and leave "
                                      "combinations out by [[exclude]]")  # fmt: skip
-                found = found.and_(self._checked(key, value))
+                one, names = self._checked(key, value), found.names()
+                if both := one.names().keys() & names.keys():
+                    raise ValueError(f"{names[min(both)]} sets the same: remove one of them")
+                found = found.and_(one)
         return found
 
     def axes(self, grid: dict[str, Any], base: Preset, shared: Changes) -> dict[str, tuple[Value, ...]]:
@@ -233,21 +236,16 @@ class _Reader:
     def _one_place_each(self, axes: Mapping[str, tuple[Value, ...]], shared: Changes) -> None:
         """Refuse a key that two places set: an axis that [override] or a rig overrules would lie about its runs."""
         keys: dict[str, str] = {}
-        for place, names in self._places(axes):
-            for name in names:
+        for place, names in (*self._places(axes), ("[override]", shared.names())):
+            for name, key in names.items():
                 if name in keys:
-                    raise ValueError(f"{self.path}: {place}: {name} is set by {keys[name]} too: remove one of them")
+                    raise ValueError(f"{self.path}: {place}: {key} is set by {keys[name]} too: remove one of them")
             keys |= dict.fromkeys(names, place)
-        for name in _names(shared):
-            if name in keys:
-                raise ValueError(f"{self.path}: [override]: {name} is set by {keys[name]} too: remove one of them")
 
-    def _places(self, axes: Mapping[str, tuple[Value, ...]]) -> Iterator[tuple[str, set[str]]]:
+    def _places(self, axes: Mapping[str, tuple[Value, ...]]) -> Iterator[tuple[str, dict[str, str]]]:
         for key, values in axes.items():
-            if key == "rig":
-                yield "[grid] rig", set().union(*(_names(self._rig(name)) for name in values))
-            else:
-                yield f"[grid] {key}", _names(self._changes(key, values[0]))
+            made = (self._rig(value) if key == "rig" else self._changes(key, value) for value in values)
+            yield f"[grid] {key}", dict(item for changes in made for item in changes.names().items())
 
     def _changes(self, key: str, value: Value) -> Changes:
         return changes_of(key, value, self.path.parent, self.data.scenes)
@@ -295,13 +293,6 @@ def _variations(values: list[Value]) -> list[Value]:
             raise ValueError(f"{value!r} must be NAME:FIRST..LAST with FIRST <= LAST and fewer than {MOST} of them")
         found += [f"{match[1]}{number}" for number in range(first, last + 1)] if match else [value]
     return found
-
-
-def _names(changes: Changes) -> set[str]:
-    """What they set, by one name each."""
-    stages = {place: stage for stage, place in STAGES.items()}
-    return {f"{stages[place]}.{name}" if place in stages else name
-            for place, settings in vars(changes).items() for name in settings}  # fmt: skip
 
 
 def _without_excluded(

@@ -221,6 +221,38 @@ def test_a_mistake_is_one_line_with_the_file_and_the_key(tmp_path: Path, what: s
         read(tmp_path, text)
 
 
+PAIRS = {  # keys that set the same, with a value of each
+    "scene = 'cornell'": "render.scene = 'tabletop'",
+    "views = 9": "render.n_views = 8",
+    "width = 64": "render.width = 32",
+    "height = 64": "render.height = 32",
+    "spp = 8": "render.spp = 16",
+    "sensor = 'a7s2-iso1600'": "capture.sensor = 'imx686-iso800'",
+    "electrons = 9": "capture.electrons = 5",
+    "max_size = 64": "capture.max_size = 32",
+    "max_size = 48": "import.max_size = 32",
+    "iterations = 9": "fit.iterations = 8",
+    "denoiser_steps = 9": "denoiser.warmup_steps = 8",
+    "refine_cameras = true": "fit.refine_cameras = 'default'",
+    "level = 'lom'": "capture.electrons = 5",
+}
+
+
+@pytest.mark.parametrize("one", PAIRS)
+def test_two_keys_that_set_the_same_are_refused_wherever_they_stand(tmp_path: Path, one: str) -> None:
+    """Rationale: one of them won without a word, so that rows of the table stated what their runs did not have."""
+    other, given = PAIRS[one], "[grid]\nmethod = 'nova'\n"
+    name, same = (line.partition(" =")[0] for line in (one, other))
+    for text, said in (
+        (f"{given}{one}\n{other}", rf"\[grid\] {same}: {same} is set by \[grid\] {name} too: remove one of them"),
+        (f"{given}{one}\n[override]\n{other}", rf"\[override\]: {same} is set by \[grid\] {name} too"),
+        (f"{given}[override]\n{one}\n{other}", rf"\[override\] {same}: .* sets the same: remove one of them"),
+        (f"{given}rig = 'a'\n{one}\n[rig.a]\n{other}", rf"\[grid\] {name}: .* is set by \[grid\] rig too"),
+    ):
+        with pytest.raises(ValueError, match=said):
+            read(tmp_path, text)
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
