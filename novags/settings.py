@@ -92,22 +92,51 @@ def changed(config: Config, settings: Mapping[str, Any], *, what: str = "setting
             nested.setdefault(head, {})[rest] = value
         else:
             own[head] = value
-    hints = _hints(type(config))  # type: ignore[arg-type]  # classes are hashable
-    known = [f.name for f in dataclasses.fields(config)]  # type: ignore[arg-type]  # a dataclass, as said above
-    for head in (*own, *nested):
-        if head not in known:
-            near = get_close_matches(head, known, 1)
-            hint = f"did you mean {near[0]!r}?" if near else f"available: {', '.join(known)}"
-            raise ValueError(f"{what}: {type(config).__name__} has no setting {head!r}; {hint}")
-    values = {head: converted(value, hints[head], f"{what} {head}") for head, value in own.items()}
+    values = {head: _own(config, head, value, what) for head, value in own.items()}
     for head, inner in nested.items():
-        part = values.get(head, getattr(config, head))
-        if part is None:
-            part = _default(hints[head], f"{what} {head}")
-        if not dataclasses.is_dataclass(part):
-            raise ValueError(f"{what}: {head} is a single value and has no setting {next(iter(inner))!r}")
+        part = _part(config, head, values.get(head, getattr(config, head, None)), inner, what)
         values[head] = changed(part, inner, what=what)
     return dataclasses.replace(config, **values)  # type: ignore[type-var]  # a dataclass, as said above
+
+
+def check_types(config: Any, settings: Mapping[str, Any], *, what: str = "setting") -> None:
+    """Refuse settings that a configuration does not have, or of another type; whether it takes the values is not asked.
+
+    Raises:
+        ValueError: As `changed`, for these reasons alone.
+    """
+    for name, value in settings.items():
+        head, _, rest = name.partition(".")
+        if rest:
+            part = _part(config, head, getattr(config, head, None), {rest: value}, what)
+            check_types(part, {rest: value}, what=what)
+        else:
+            _own(config, head, value, what)
+
+
+def _own(config: Any, head: str, value: Any, what: str) -> Any:
+    """A value of the type of a field."""
+    return converted(value, _hint(config, head, what), f"{what} {head}")
+
+
+def _part(config: Any, head: str, part: Any, inner: Mapping[str, Any], what: str) -> Any:
+    """The configuration in a field, with its defaults where it is switched off."""
+    hint = _hint(config, head, what)
+    if part is None:
+        part = _default(hint, f"{what} {head}")
+    if not dataclasses.is_dataclass(part):
+        raise ValueError(f"{what}: {head} is a single value and has no setting {next(iter(inner))!r}")
+    return part
+
+
+def _hint(config: Any, head: str, what: str) -> Any:
+    """What a field is declared with."""
+    known = [f.name for f in dataclasses.fields(config)]
+    if head not in known:
+        near = get_close_matches(head, known, 1)
+        hint = f"did you mean {near[0]!r}?" if near else f"available: {', '.join(known)}"
+        raise ValueError(f"{what}: {type(config).__name__} has no setting {head!r}; {hint}")
+    return _hints(type(config))[head]  # type: ignore[arg-type]  # classes are hashable
 
 
 def check_seed(seed: int) -> None:

@@ -10,7 +10,7 @@ from typing import Any, get_type_hints
 from novags.cameras import CameraConfig, parse_cameras
 from novags.methods import METHODS
 from novags.methods.variant import Variant
-from novags.settings import changed, converted, flattened, has_setting, starting_at
+from novags.settings import changed, check_types, converted, flattened, has_setting, starting_at
 from novags.testbed.importing.published.named import DATA
 from novags.testbed.levels import level_named
 from novags.testbed.presets import Preset, adapted
@@ -212,6 +212,16 @@ def applied(base: Preset, changes: Changes, variants: tuple[Variant, ...] = ()) 
         _ = render.source  # refuses a scene that there is not
     settings = {**preset.settings, **changes.settings}
     return replace(preset, render=render, capture=capture, imported=imported, settings=settings)
+
+
+def check_keys(base: Preset, changes: Changes) -> None:
+    """Refuse settings of stages that there are not, or of another type; values are seen by `applied`, all together.
+
+    Raises:
+        ValueError: If there is one.
+    """
+    for stage, place in STAGES.items():
+        check_types(getattr(base, place), getattr(changes, place), what=stage)
 
 
 def _with_seed(settings: Mapping[str, Any], seed: int | None) -> dict[str, Any]:

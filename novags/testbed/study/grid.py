@@ -24,7 +24,7 @@ from novags.methods.variant import Variant, dotted
 from novags.testbed.foreign.command import read_commands
 from novags.testbed.importing.published.named import DataFolder
 from novags.testbed.presets import EXPERIMENTS, Preset, variants_in
-from novags.testbed.study.axes import Changes, applied, changes_of, scene_identity
+from novags.testbed.study.axes import Changes, applied, changes_of, check_keys, scene_identity
 from sensor_model.files.reading import brief
 from sensor_model.files.toml_file import read_toml
 
@@ -110,8 +110,8 @@ def study_of(
         if both := {command.name for command in base.commands} & {variant.name for variant in variants}:
             raise ValueError(f"[method.{min(both)}]: a variant is called {min(both)} too: rename one of them")
     data = data or DataFolder()
-    reader = _Reader(path, base, variants, table.get("rig", {}), ends, data)
-    shared = reader.table(table.get("override", {}), "[override]")
+    reader = _Reader(path, base, variants, table.get("override", {}), table.get("rig", {}), ends, data)
+    shared = reader.table(reader.override, "[override]")
     with _at(path, "[grid] scene"):
         scenes = _listed(table.get("grid", {}).get("scene", []))
         absent = data.absent(scenes)
@@ -156,12 +156,13 @@ class _Reader:
     path: Path
     base: Preset
     variants: tuple[Variant, ...]
+    override: dict[str, Any]
     rigs: dict[str, Any]
     ends: Literal["run", "capture"]
     data: DataFolder
 
     def table(self, table: Any, place: str) -> Changes:
-        """All keys of [override] or [rig.NAME], each checked by itself."""
+        """All keys of [override] or [rig.NAME], names and types checked."""
         found = Changes()
         with _at(self.path, place):
             if not isinstance(table, dict):
@@ -230,7 +231,7 @@ class _Reader:
 
     def _checked(self, key: str, value: Value) -> Changes:
         found = self._changes(key, value)
-        applied(self.base, found, self.variants)
+        check_keys(self.base, found)
         return found
 
     def _one_place_each(self, axes: Mapping[str, tuple[Value, ...]], shared: Changes) -> None:
@@ -266,8 +267,25 @@ class _Reader:
             if named := own.of_capture():
                 raise ValueError(f"{self.path}: [grid]: {', '.join(named)} belong to a simulated exposure, and {scene} "
                                  "is dark as it is: put it into a study of its own")  # fmt: skip
-        with _at(self.path, spelled(values)):
+        try:
             return applied(self.base, shared.and_(own), self.variants)
+        except ValueError as error:
+            with _at(self.path, self._blamed(values, error)):
+                raise
+
+    def _blamed(self, values: Mapping[str, Value], error: ValueError) -> str:
+        """The key that is refused by itself too, else the combination: some keys need others."""
+        keys = [("[override]", key, value) for key, value in dotted(self.override).items()]
+        for axis, value in values.items():
+            rig = dotted(self.rigs[value]).items() if axis == "rig" else ()
+            keys += [(f"[rig.{value}]", *item) for item in rig] if rig else [("[grid]", axis, value)]
+        for place, key, value in keys:
+            try:
+                applied(self.base, self._changes(key, value), self.variants)
+            except ValueError as alone:
+                if str(alone) == str(error):
+                    return f"{place} {key}"
+        return spelled(values)
 
 
 def _listed(value: Any) -> list[Any]:

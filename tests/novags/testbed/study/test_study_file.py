@@ -147,6 +147,26 @@ def test_a_scene_file_by_two_paths_is_listed_twice(tmp_path: Path) -> None:
             read(tmp_path, f"[grid]\nscene = ['a.xml', '{other}']")
 
 
+TOGETHER = (
+    "[grid]\nscene = 's.xml'\n[override]\nparameters = ['size=2']",
+    "[override]\nrender.parameters = ['size=2']\nscene = 's.xml'",
+    "[grid]\nrig = 'second'\n[rig.second]\nrender.sensor_index = 1\nscene = 's.xml'",
+    "[grid]\nphotos = 'film.mp4'\n[override]\nfps = 2.0",
+    "[grid]\nrender.target_error = [0.05, 0.1]\nrender.spp = 'none'",
+)
+
+
+@pytest.mark.parametrize("text", TOGETHER)
+def test_keys_that_need_each_other_are_looked_at_together(tmp_path: Path, text: str) -> None:
+    """Rationale: each was applied to the preset alone, which refused it whatever else the file said."""
+    (tmp_path / "s.xml").write_text("<scene version='3.0.0'><default name='size' value='1'/></scene>")
+    (tmp_path / "film.mp4").touch()
+    assert read(tmp_path, text).cells
+    alone = re.sub(r"[\w.]*(scene|photos|spp) = '.*'", "", text)
+    with pytest.raises(ValueError, match=r"\.toml: \[\S+\] \w+(\.\w+)?: "):
+        read(tmp_path, alone)
+
+
 WRONG: dict[str, tuple[str, str]] = {
     "no toml": ("[grid", "is not a readable TOML file"),
     "table": ("[gird]\nseed = 0", "unknown table or key 'gird'; did you mean 'grid'"),
@@ -170,6 +190,9 @@ WRONG: dict[str, tuple[str, str]] = {
     "variation twice": ("[grid]\nscene = ['hall:1', 'hall:01']", "'hall:1' is listed twice, also as 'hall:01'"),
     "nested": ("[grid]\nelectrons = [[5, 6]]", "[grid] electrons: each value must be text, a number, or true or false"),
     "setting of a stage": ("[grid]\n'capture.jpeg_qualty' = 9", "CaptureConfig has no setting 'jpeg_qualty'; did"),
+    "type in a stage": ("[override]\nrender.width = 'x'", "[override] render.width: render width must be a whole"),
+    "range of a stage's setting": ("[grid]\nrender.width = 3", "[grid] render.width: width and height must be >= 16"),
+    "range in a rig": ("[grid]\nrig='a'\n[rig.a]\nwidth=3", "[rig.a] width: width and height must be >= 16 px"),
     "seed of the capture": ("[grid]\n'capture.seed' = [1]", "capture.seed: the seed of the noise is that of the run"),
     "override": ("[override]\nspp = 1", "[override] spp: spp must be >= 2"),
     "override key": ("[override]\nspps = 8", "[override] spps: there is no such key; did you mean 'spp'"),
