@@ -129,7 +129,7 @@ def report(runs: Folders, *, out: Path | None = None, overwrite: bool = False, w
     Args:
         runs: Folders of runs, of experiments, or folders that hold such; or the folder of one study.
         out: The file; if not given, report.html in a single folder, comparison.html beside several.
-        overwrite: Replace a file even if it is not a report on the same runs.
+        overwrite: Replace a file even if it is not a report on the same runs or study.
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
     from novags.testbed.report.page import report_path, write_reports
@@ -137,7 +137,7 @@ def report(runs: Folders, *, out: Path | None = None, overwrite: bool = False, w
 
     if len(runs) == 1 and is_study(runs[0]):
         with writing((out or runs[0] / "x").parent, wait, make=out is not None):
-            path = write_study(runs[0], out)
+            path = write_study(runs[0], out, overwrite=overwrite)
         announce(path)
         return
     with writing((out or report_path(runs)).parent, wait, make=out is not None) as console:

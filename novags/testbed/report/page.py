@@ -104,7 +104,7 @@ def write_reports(
     path = out or report_path(folders)
     groups = groups_of(folders, console)
     identity = digest(sorted(str(run.path.resolve()) for group in groups for run in group.runs.values()))
-    if path.exists() and not overwrite and _identity(path) != identity:
+    if path.exists() and not overwrite and identity_of(path) != identity:
         raise ValueError(
             f"{path} already exists and is not a report on these runs: choose another --out, or add --overwrite"
         )
@@ -123,8 +123,8 @@ def report_path(folders: Sequence[Path]) -> Path:
     return Path(os.path.commonpath([folder.resolve().parent for folder in folders])) / "comparison.html"
 
 
-def _identity(path: Path) -> str | None:
-    """Which runs an earlier report is about; None if it does not say."""
+def identity_of(path: Path) -> str | None:
+    """Which runs, or which study, an earlier report is about; None if it does not say."""
     found = re.search(
         r'<meta name="novags-runs" content="([^"]*)">', path.read_text(encoding="utf-8", errors="replace")
     )

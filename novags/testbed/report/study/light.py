@@ -62,7 +62,7 @@ def light_report(folder: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[
     Returns:
         None where the light was not varied, or nothing is done.
     """
-    if len(axes.get(ELECTRONS, ())) < 2 or not (curves := light_curves(rows, axes)):
+    if not _varies_light(axes) or not (curves := light_curves(rows, axes)):
         return None
     charts = charts_of(curves)
     drawn = {chart.file: draw(chart, looks) for chart in charts}
@@ -212,3 +212,13 @@ def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
     writer.writeheader()
     writer.writerows(rows)
     return text.getvalue()
+
+
+def files_in(folder: Path, axes: Mapping[str, Sequence[Any]]) -> list[Path]:
+    """The files of a folder that the report on a study with these axes would write over."""
+    names = (DATA, POINTS, KNEES, "light-*.svg") if _varies_light(axes) else ()
+    return sorted(path for name in names for path in folder.glob(name))
+
+
+def _varies_light(axes: Mapping[str, Sequence[Any]]) -> bool:
+    return len(axes.get(ELECTRONS, ())) > 1

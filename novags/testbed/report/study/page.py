@@ -5,11 +5,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from novags.testbed.cache import digest
 from novags.testbed.folders import shapes
 from novags.testbed.folders.experiment import REPORT
 from novags.testbed.report.look.album import Album
 from novags.testbed.report.look.maps import ERROR_CEILING
-from novags.testbed.report.page import fill_page
+from novags.testbed.report.page import fill_page, identity_of
 from novags.testbed.report.pictures import ViewTiles
 from novags.testbed.report.rows import enhancement_of
 from novags.testbed.report.study.grid import (
@@ -22,7 +23,7 @@ from novags.testbed.report.study.grid import (
     shown_columns,
     verdict,
 )
-from novags.testbed.report.study.light import Look, light_report, looks_of
+from novags.testbed.report.study.light import Look, files_in, light_report, looks_of
 from novags.testbed.report.study.pictures import place_of, study_views
 from novags.testbed.report.study.records import Records, read_records, signals
 from novags.testbed.study.conduct import STUDY
@@ -48,21 +49,24 @@ def is_study(folder: Path) -> bool:
     return (folder / STUDY).is_file() and (folder / JSON).is_file()
 
 
-def write_study(folder: Path, out: Path | None = None) -> Path:
+def write_study(folder: Path, out: Path | None = None, *, overwrite: bool = False) -> Path:
     """Write the report on a study and return its path.
 
     Args:
         folder: Of the study.
         out: The HTML file; None: report.html in the folder. The other files go beside it.
+        overwrite: Replace `out`, and files beside it, even if they are no report on this study.
 
     Raises:
-        ValueError: If its tables cannot be read, or nothing is done yet.
+        ValueError: If its tables cannot be read, nothing is done yet, or `out` is something else.
     """
     rows, axes = read_rows(folder / JSON)
     study = read_record(folder / STUDY, TABLE, AGAIN)
     if not any(row["state"] == "done" for row in rows):
         raise ValueError(f"{folder} has no finished run to show: run its study first, or with --retry-failed")
-    path = out or folder / REPORT
+    path, identity = out or folder / REPORT, digest(["study", str(folder.resolve())])
+    if path.resolve() != (folder / REPORT).resolve() and not overwrite:
+        _refuse_foreign(path, identity, folder, axes)
     looks = looks_of(dict.fromkeys(str(row[METHOD]) for row in rows), study["table"])
     competes = {name: look.competes for name, look in looks.items()}
     records = read_records(folder, rows)
@@ -73,7 +77,7 @@ def write_study(folder: Path, out: Path | None = None) -> Path:
     light = light_report(path.parent, rows, axes, looks)
     context = {
         **_tables(lines, rows, axes, records, path, views),
-        "title": f"{study['file']}: {len(rows)} runs",
+        "title": f"{study['file']}: {len(rows)} runs", "identity": identity,
         "in_linear_light": list(dict.fromkeys(line.method for line in lines if LINEAR in line.spread)),
         "alike": all(line.alike for line in lines), "no_lpips": not any(LPIPS in line.spread for line in lines),
         "verdict": verdict(lines, competes), "states": counted(rows), "light": light, "looks": looks,
@@ -85,6 +89,17 @@ def write_study(folder: Path, out: Path | None = None) -> Path:
         "beside": path.parent.resolve() == folder.resolve(),
     }  # fmt: skip
     return fill_page("study.html", path, context)
+
+
+def _refuse_foreign(path: Path, identity: str, study: Path, axes: Mapping[str, Sequence[Any]]) -> None:
+    """Refuse to write over a file that no report on this study has left."""
+    if path.exists() and identity_of(path) == identity:
+        return
+    beside = [] if path.parent.resolve() == study.resolve() else files_in(path.parent, axes)
+    if found := [file for file in (path, *beside) if file.exists()]:
+        raise ValueError(
+            f"{found[0]} already exists and is not of a report on this study: choose another --out, or add --overwrite"
+        )
 
 
 def read_rows(path: Path) -> tuple[list[dict[str, Any]], dict[str, list[Any]]]:

@@ -163,7 +163,29 @@ def test_a_curve_of_one_level_has_no_slope_and_the_table_does_not_say_that_it_wa
     rows = re.findall(r"<tr>(.*?)</tr>", table[table.index("<tbody>") : table.index("</tbody>")])
     told = [re.sub("<[^>]+>", "|", text).replace("||", "|").strip("|").split("|") for text in rows]
     never = ["not reached"] * 3
-    assert [cells[4:] for cells in told] == [["20", *never, "1", "0"], ["21", *never, "1", "0"]]  # and no slope
+    assert [cells[4:] for cells in told] == [
+        ["20", *never, "1", "0", "0"],
+        ["21", *never, "1", "0", "0"],
+    ]  # and no slope
+
+
+def test_a_report_elsewhere_replaces_files_of_the_same_study_alone(
+    study: Callable[..., Path], tmp_path: Path, call: Callable[..., int], capsys: pytest.CaptureFixture[str]
+) -> None:
+    folder = study([row(e, "naive", 0, 20.0 + e) for e in (1, 2)])
+    for name in ("page.html", "light.csv", "light-other.svg"):
+        out = tmp_path / name.replace(".", "-") / "page.html"
+        out.parent.mkdir()
+        foreign = out.with_name(name)
+        foreign.write_text("mine")
+        assert call("report", str(folder), "--out", str(out)) == 2
+        assert foreign.read_text() == "mine"
+        assert f"{foreign} already exists and is not of a report on this study" in capsys.readouterr().err
+        assert call("report", str(folder), "--out", str(out), "--overwrite") == 0
+        assert "<polyline" in out.read_text(encoding="utf-8")
+        assert call("report", str(folder), "--out", str(out)) == 0  # its own is made again
+    assert call("report", str(folder)) == 0
+    assert call("report", str(folder), "--out", str(folder / "results.json")) == 2
 
 
 def test_a_study_with_nothing_done_says_so(study: Callable[..., Path]) -> None:
