@@ -2,13 +2,14 @@
 
 The knee of a curve is the light at which it has fallen by a stated amount from its own value at the most light of the
 study: searched from the most light downwards, between two levels linearly in the logarithm of the electrons, for every
-seed by itself. A level at which a seed has no score, because its run failed, counts as fallen.
+seed by itself. A level at which a seed has no score, because its run failed, counts as fallen; of a seed that has none
+at the most light it is unknown whether and where it breaks.
 """
 
 import math
 import statistics
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -69,11 +70,12 @@ class Knee:
     """Where a curve breaks.
 
     Attributes:
-        electrons: Geometric mean over the seeds; None where not every seed breaks within the study.
+        electrons: Geometric mean over the seeds that are known; None where not every one breaks within the study.
         low: The least of the seeds that break; None if none does.
         high: The largest of these.
         seeds: How many seeds there are.
         broken: How many of them break.
+        unknown: How many have no value at the most light to fall from.
     """
 
     electrons: float | None
@@ -81,6 +83,7 @@ class Knee:
     high: float | None
     seeds: int
     broken: int
+    unknown: int = 0
 
 
 @dataclass(frozen=True)
@@ -127,10 +130,17 @@ class Curve:
     knee: Knee | None
 
     @property
+    def bright(self) -> float | None:
+        """Its value at the most light; None where all runs of that level failed."""
+        return self.levels[-1].mean if self.levels else None
+
+    @property
     def slope(self) -> float | None:
         """Its change per doubling of the light between the two brightest levels: far from 0 it has not settled there,
-        and the knee says little.
+        and the knee says little. None without a value at the most light.
         """
+        if self.bright is None:
+            return None
         known = [(level.electrons, level.mean) for level in self.levels if level.mean is not None]
         if len(known) < 2:
             return None
@@ -177,8 +187,14 @@ def _curve(measure: Measure, place: dict[str, Any], method: str, rows: Iterable[
         each = [seed[electrons] for seed in seeds.values() if electrons in seed]
         values = tuple(value for value in each if value is not None)
         levels.append(Level(electrons, values, failed[electrons]))
-    knee = None if measure.breaks is None else common_knee([knee_of(seed, measure) for seed in seeds.values()])
+    knee = None if measure.breaks is None else _knee(seeds.values(), max(failed, default=0.0), measure)
     return Curve(measure, place, method, tuple(levels), knee)
+
+
+def _knee(seeds: Collection[Mapping[float, float | None]], most: float, measure: Measure) -> Knee:
+    """The knee of all seeds, of which those without a value at the most light are unknown."""
+    known = [seed for seed in seeds if seed.get(most) is not None]
+    return common_knee([knee_of(seed, measure) for seed in known], unknown=len(seeds) - len(known))
 
 
 def _value(row: Mapping[str, Any], measure: Measure) -> float | None:
@@ -213,8 +229,9 @@ def knee_of(values: Mapping[float, float | None], measure: Measure) -> float | N
     return None
 
 
-def common_knee(knees: Sequence[float | None]) -> Knee:
-    """The knees of all seeds as one."""
+def common_knee(knees: Sequence[float | None], unknown: int = 0) -> Knee:
+    """The knees of all seeds as one, beside `unknown` further seeds."""
     known = [knee for knee in knees if knee is not None]
     mean = statistics.geometric_mean(known) if known and len(known) == len(knees) else None
-    return Knee(mean, min(known, default=None), max(known, default=None), len(knees), len(known))
+    return Knee(mean, min(known, default=None), max(known, default=None), len(knees) + unknown, len(known),
+                unknown)  # fmt: skip

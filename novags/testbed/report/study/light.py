@@ -25,6 +25,7 @@ DATA, POINTS, KNEES = "light.json", "light.csv", "light-knees.csv"
 HEADINGS = {  # columns of KNEES in the words of the page
     "measure": "score", "rule": "breaks at", "bright": "value at the most light", "electrons": "electrons, mean",
     "low": "least of the seeds", "high": "most of the seeds", "broken": "seeds that break",
+    "unknown": "seeds without a value at the most light",
     "slope_per_doubling": "change per doubling there",
 }  # fmt: skip
 
@@ -73,16 +74,18 @@ def light_report(folder: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[
     knees = knee_rows(curves)
     write_text(folder / KNEES, as_csv(knees))
     labels = {curve.measure.key: curve.measure.label for curve in curves}
-    shown = [{HEADINGS.get(key, key): _in_words(key, value, labels) for key, value in row.items()} for row in knees]
+    shown = [{HEADINGS.get(key, key): _in_words(key, row, labels) for key in row} for row in knees]
     return {"charts": charts, "drawn": drawn, "knees": shown,
             "files": {"points": POINTS, "knees": KNEES, "data": DATA}}  # fmt: skip
 
 
-def _in_words(column: str, value: Any, labels: Mapping[str, str]) -> Any:
+def _in_words(column: str, row: Mapping[str, Any], labels: Mapping[str, str]) -> Any:
     """A value of KNEES as the page shows it."""
     if column == "measure":
-        return labels[value]
-    return "not reached" if value is None and column in ("electrons", "low", "high") else value
+        return labels[row[column]]
+    if row[column] is None and column in ("electrons", "low", "high"):
+        return "unknown" if row["unknown"] == row["seeds"] else "not reached"
+    return row[column]
 
 
 @dataclass(frozen=True)
@@ -197,10 +200,9 @@ def knee_rows(curves: Sequence[Curve]) -> list[dict[str, Any]]:
     for curve in curves:
         if (knee := curve.knee) is None or (curve.measure.key == "registered" and not varies([curve])):
             continue
-        bright = [level.mean for level in curve.levels if level.mean is not None]
         found.append(
             {"measure": curve.measure.key, **curve.place, "method": curve.method, "rule": curve.measure.rule,
-             "bright": bright[-1] if bright else None, **vars(knee), "slope_per_doubling": curve.slope}
+             "bright": curve.bright, **vars(knee), "slope_per_doubling": curve.slope}
         )  # fmt: skip
     return found
 

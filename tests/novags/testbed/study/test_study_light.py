@@ -1,5 +1,6 @@
 """Curves over the light: what is averaged over what, and where a curve counts as broken."""
 
+import csv
 import json
 import math
 import re
@@ -96,6 +97,29 @@ def test_a_run_that_found_no_cameras_registers_no_views() -> None:
     rows[1]["stage"] = "reconstruct a"
     registered = next(c for c in light_curves(rows, axes(rows)) if c.measure.key == "registered")
     assert [(level.values, level.failed) for level in registered.levels] == [((), 1), ((1.0,), 0)]
+
+
+def test_a_seed_that_failed_at_the_most_light_is_unknown_and_not_one_that_does_not_break(
+    study: Callable[..., Path],
+) -> None:
+    psnr = {1: 12.0, 4: 20.0, 16: 22.0}
+    rows = [row(e, m, s, psnr[e]) for m in ("naive", "mine") for s in (0, 1) for e in psnr]
+    for failed in rows:
+        if failed["electrons"] == 16 and (failed["method"], failed["seed"]) != ("naive", 0):
+            failed |= {"state": "failed", "enhanced.aligned_psnr": None}
+    one, none = light_curves(rows, axes(rows))
+    assert (one.bright, none.bright, none.slope) == (22.0, None, None)
+    assert one.knee is not None
+    assert (one.knee.seeds, one.knee.broken, one.knee.unknown) == (2, 1, 1)
+    assert one.knee.electrons == one.knee.low == one.knee.high == knee_of(psnr, FALL)
+    assert none.knee is not None
+    assert vars(none.knee) == {"electrons": None, "low": None, "high": None, "seeds": 2, "broken": 0, "unknown": 2}
+    folder = study(rows)
+    page = write_study(folder).read_text(encoding="utf-8")
+    table = page[page.index('data-name="knees"') :]
+    assert table[: table.index("</tbody>")].count(">unknown<") == 3
+    first, second = list(csv.DictReader((folder / "light-knees.csv").read_text().splitlines()))
+    assert (first["bright"], second["bright"], second["unknown"]) == ("22.0", "", "2")
 
 
 def test_one_light_level_makes_no_curve() -> None:
