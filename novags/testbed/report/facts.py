@@ -107,13 +107,16 @@ def geometry_table(material: Material) -> list[dict[str, Any]]:
     """Depth scores of each run; empty where the true depth is not known."""
     found = {name: m["geometry"] for name, m in material.metrics["methods"].items() if m.get("geometry")}
     flat = {name: {**scores, "consistency": scores["consistency"]["excess"]} for name, scores in found.items()}
-    return ranked(flat, GEOMETRY, {name: row.competes for name, row in material.rows.items()})
+    competes = {name: row.competes for name, row in material.rows.items()}
+    # The change of colour is in the code of a run's own enhancement, which is smaller the darker that is.
+    return ranked(flat, GEOMETRY, competes, lambda name, key: key != "consistency" or material.one_reference)
 
 
 def noise_table(material: Material) -> list[dict[str, Any]]:
     """What is left of the known noise in each run; empty where it is not known."""
     found = {name: m["noise"] for name, m in material.metrics["methods"].items() if m.get("noise")}
-    return ranked(found, NOISE, {name: row.competes for name, row in material.rows.items()})
+    competes = {name: row.competes for name, row in material.rows.items()}
+    return ranked(found, NOISE, competes, lambda name, key: material.one_reference)
 
 
 def camera_table(material: Material) -> list[dict[str, Any]]:

@@ -23,6 +23,7 @@ from novags.testbed import stages  # noqa: E402
 from novags.testbed.console import Console  # noqa: E402
 from novags.testbed.exposures import exposures_of  # noqa: E402
 from novags.testbed.folders.capture import Capture, open_capture  # noqa: E402
+from novags.testbed.report.facts import geometry_table, noise_table  # noqa: E402
 from novags.testbed.report.look.album import Album, files_of  # noqa: E402
 from novags.testbed.report.look.maps import colour_map, normal_map, normals_of_depth  # noqa: E402
 from novags.testbed.report.look.probe import probe_of  # noqa: E402
@@ -68,6 +69,23 @@ def test_what_is_left_of_the_noise_stands_by_run_the_least_first(experiment: Pat
     assert found == [[share, 1.0, 0.0625, 31.257] for share in (0.2025, 0.2375, 0.305)]  # of naive, better, oracle
     assert [word in row for word, row in zip(("naive", "better", "oracle"), rows, strict=True)] == [True] * 3
     assert "31.26" in rows[0]
+
+
+def test_what_is_told_in_the_code_of_each_run_ranks_only_runs_of_one_enhancement() -> None:
+    """Rationale: a darker tone has smaller changes of colour and less noise, and took the first place."""
+    depth = {"within_5_percent": 0.5, "coverage": 1.0, "floaters": 0.0}
+    scores = {name: {"geometry": {**depth, "abs_rel": value, "consistency": {"excess": value}},
+                     "noise": dict.fromkeys(("renders", "targets", "known", "bias_floor"), value)}
+              for name, value in (("dark", 0.1), ("bright", 0.2))}  # fmt: skip
+    for tones in ("same", "same"), ("dark", "bright"):
+        rows = {name: SimpleNamespace(name=name, competes=True, enhancement=tone)
+                for name, tone in zip(scores, tones, strict=True)}  # fmt: skip
+        material: Any = SimpleNamespace(rows=rows, metrics={"methods": scores}, one_reference=len(set(tones)) == 1)
+        tables = [*geometry_table(material), *noise_table(material)]
+        ranks_of = {cell["key"]: cell["rank"] for row in tables if row["method"] == "dark" for cell in row["cells"]}
+        alike = 1 if tones[0] == tones[1] else None
+        assert (ranks_of["abs_rel"], ranks_of["coverage"]) == (1, 1)
+        assert (ranks_of["consistency"], ranks_of["renders"], ranks_of["known"]) == (alike, alike, alike)
 
 
 def test_a_run_without_training_views_is_shown_in_the_held_out_ones_alone(experiment: Path, tmp_path: Path) -> None:
