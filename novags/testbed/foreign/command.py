@@ -110,16 +110,28 @@ class CommandConfig:
                 "program": self._digest()}  # fmt: skip
 
     def _digest(self) -> str:
-        words = self._split()
-        # An interpreter by its whole path is part of the machine, as one that is found by its name.
-        words = words[1:] if Path(words[0]).is_absolute() else words
         found: dict[str, Path] = {}
-        for place, name in enumerate([*self.files, *(word for word in words if (self.folder / word).is_file())]):
+        for place, name in enumerate([*self.files, *self._named()]):
             path = self.folder / name
             parts = sorted(part for part in path.rglob("*") if part.is_file()) if path.is_dir() else [path]
             found |= {f"{place}/{part.relative_to(path.parent).as_posix()}": part for part in parts
                       if "__pycache__" not in part.parts}  # fmt: skip
         return folder_digest(self.folder, (), beside=found)
+
+    def _named(self) -> list[str]:
+        """The files that the command names, in its words or behind their "=" (--config=a.yaml)."""
+        program, *rest = self._split()
+        words = rest if self._of_machine(program) else [program, *rest]
+        parts = [part for word in words for part in (word, word.partition("=")[2])]
+        return [part for part in parts if (self.folder / part).is_file()]
+
+    def _of_machine(self, program: str) -> bool:
+        """Whether it is an interpreter by its whole path: part of the machine, as one that is found by its name."""
+        path = Path(program)
+        if not path.is_absolute() or path.resolve().is_relative_to(self.folder.resolve()):
+            return False
+        with path.open("rb") as file:
+            return file.read(2) != b"#!"
 
 
 def read_commands(tables: Any, folder: Path) -> tuple[CommandConfig, ...]:

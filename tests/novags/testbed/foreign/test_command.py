@@ -222,6 +222,31 @@ WRONG = {
     "taken": ({"naive": {"command": "true {capture} {out}"}}, "the name naive is taken by a method of the test bed"),
     "name": ({"a b": {"command": "true {capture} {out}"}}, "a variant's name must be letters"),
     "files": ({"mine": {"command": "true {capture} {out}", "files": ["lib"]}}, "files: .*lib does not exist"),
+def test_every_file_that_a_command_names_makes_it_another_program(tmp_path: Path) -> None:
+    folder, elsewhere = tmp_path / "study", tmp_path / "elsewhere"
+    for place in (folder, elsewhere):
+        place.mkdir()
+        (place / "run.sh").write_text("#!/bin/sh\n")
+        (place / "run.sh").chmod(0o755)
+    (folder / "a.yaml").write_text("a: 1")
+    (folder / "b.yaml").write_text("b: 1")
+    (folder / "python").symlink_to(sys.executable)
+    for program, names in (
+        (sys.executable, ["a.yaml", "b.yaml"]),
+        (f"{folder}/python", ["a.yaml", "b.yaml"]),
+        (f"{folder}/run.sh", ["run.sh", "a.yaml", "b.yaml"]),
+        (f"{elsewhere}/run.sh", ["../elsewhere/run.sh", "a.yaml", "b.yaml"]),
+    ):
+        command = f"{shlex.quote(program)} --config=a.yaml b.yaml {{capture}} {{out}}"
+        (found,) = read_commands({"mine": {"command": command}}, folder)
+        for name in names:
+            before = found.resolved()
+            assert found.resolved() == before
+            with (folder / name).open("a") as file:
+                file.write("\n# other")
+            assert found.resolved() != before, (program, name)
+
+
 }
 
 
