@@ -12,7 +12,7 @@ import base64
 import hashlib
 import shutil
 import struct
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any, Literal
@@ -68,12 +68,14 @@ def export_results(
     lpips = None if PerceptualDistance.missing() is not None else PerceptualDistance()
     identity = dataset if reference == "lit" else f"{dataset}-{reference}"
     table: dict[str, dict[str, Any]] = {}
+    contents: dict[str, str] = {}  # of captures, by the name of their scene
     runs = runs_of(folders)
     with console.progress("export") as progress:
         for done, run in enumerate(runs):
             run.refuse_damage()
             capture, lit = run.inputs(console)
-            scene = scene_of(capture)
+            scene = next(name for name in scene_names(capture) if contents.setdefault(name, capture.content)
+                         == capture.content)  # fmt: skip
             method = _method_of(run, {name for name, row in table.items() if scene in row["scenes"]})
             place = out / safe_name(method) / scene
             found = _results_of(run, capture, lit, reference, place, lpips)
@@ -106,13 +108,15 @@ def runs_of(folders: Sequence[Path]) -> list[Run]:
     return list({run.path.resolve(): run for run in found}.values())
 
 
-def scene_of(capture: Capture) -> str:
-    """What tells a capture from others: scene, camera, light, seed."""
+def scene_names(capture: Capture) -> Iterator[str]:
+    """What tells a capture from others: scene, camera, light, seed; where that is not enough, size, or its content."""
     record = capture.record
     parts = [str(record.get("scene", capture.path.name)), str(record.get("sensor_name") or "camera")]
     if not capture.imported:
         parts += [f"{record['electrons']:g}e", f"s{record.get('seed', 0)}"]
-    return safe_name("-".join(parts))
+    yield safe_name("-".join(parts))
+    yield safe_name("-".join([*parts, f"{record['views']}x{record['width']}x{record['height']}"]))
+    yield safe_name("-".join([*parts, capture.content[:12]]))
 
 
 def _method_of(run: Run, taken: Collection[str]) -> str:

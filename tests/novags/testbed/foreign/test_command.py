@@ -18,6 +18,7 @@ from novags.testbed.console import Console
 from novags.testbed.foreign.command import CommandConfig, read_commands, run_command
 from novags.testbed.foreign.nerfbaselines import checksum, encoded, export_results
 from novags.testbed.foreign.process import run_program
+from novags.testbed.stages.capturing import CaptureConfig
 from simscenes.sets.pictures.exr import read_exr
 from simscenes.sets.pictures.png import read_png
 
@@ -103,6 +104,21 @@ def test_runs_of_one_method_and_one_scene_keep_a_row_each(capture: Path, tmp_pat
         (scene,) = row["scenes"]
         one = json.loads((tmp_path / "nb" / name / scene / "results.json").read_text())
         assert one["nb_info"]["method"] == name
+
+
+def test_captures_that_differ_in_size_alone_are_scenes_of_their_own(
+    capture: Path, photographs: Path, tmp_path: Path
+) -> None:
+    stages.capture(photographs, tmp_path / "capture", CaptureConfig(electrons=200.0, max_size=28), QUIET)
+    for name, source in (("a", capture), ("b", tmp_path / "capture")):
+        run_command(source, tmp_path / name / "mine", method(tmp_path, BRIGHTEN), QUIET)
+    table = json.loads(export_results([tmp_path / "a", tmp_path / "b"], tmp_path / "nb", QUIET).read_text())
+    (row,) = table["methods"]
+    assert row["id"] == "mine"
+    first, second = row["scenes"]
+    assert second == f"{first}-9x28x21"
+    for scene in (first, second):
+        assert (tmp_path / "nb" / "mine" / scene / "results.json").is_file()
 
 
 def test_scores_are_encoded_and_summed_as_the_other_side_reads_them() -> None:
@@ -206,22 +222,6 @@ def test_another_program_of_the_same_name_is_other_work(tmp_path: Path) -> None:
     assert method(tmp_path, "a = 1", timeout=5).resolved() == first
 
 
-WRONG = {
-    "no command": ({"mine": {"timeout": 3}}, r'\[method.mine\]: it needs command = "PROGRAM {capture} {out}"'),
-    "no table": ({"mine": "python"}, r"\[method.mine\]: it needs command"),
-    "no out": ({"mine": {"command": "true {capture}"}}, "command must say where {out} goes"),
-    "place": ({"mine": {"command": "true {capture} {out} {gpu}"}}, "{gpu} stands for nothing; there are capture, out"),
-    "quote": ({"mine": {"command": "true '{capture} {out}"}}, "command: No closing quotation"),
-    "program": ({"mine": {"command": "./none {capture} {out}"}}, "the program ./none was not found"),
-    "setting": (
-        {"mine": {"command": "true {capture} {out}", "time": 3}},
-        "it has no setting 'time'; there are comm",
-    ),
-    "timeout": ({"mine": {"command": "true {capture} {out}", "timeout": 0}}, "timeout must be > 0 s, got 0"),
-    "space": ({"mine": {"command": "true {capture} {out}", "space": "dark"}}, "space must be one of lit, linear"),
-    "taken": ({"naive": {"command": "true {capture} {out}"}}, "the name naive is taken by a method of the test bed"),
-    "name": ({"a b": {"command": "true {capture} {out}"}}, "a variant's name must be letters"),
-    "files": ({"mine": {"command": "true {capture} {out}", "files": ["lib"]}}, "files: .*lib does not exist"),
 def test_every_file_that_a_command_names_makes_it_another_program(tmp_path: Path) -> None:
     folder, elsewhere = tmp_path / "study", tmp_path / "elsewhere"
     for place in (folder, elsewhere):
@@ -247,6 +247,22 @@ def test_every_file_that_a_command_names_makes_it_another_program(tmp_path: Path
             assert found.resolved() != before, (program, name)
 
 
+WRONG = {
+    "no command": ({"mine": {"timeout": 3}}, r'\[method.mine\]: it needs command = "PROGRAM {capture} {out}"'),
+    "no table": ({"mine": "python"}, r"\[method.mine\]: it needs command"),
+    "no out": ({"mine": {"command": "true {capture}"}}, "command must say where {out} goes"),
+    "place": ({"mine": {"command": "true {capture} {out} {gpu}"}}, "{gpu} stands for nothing; there are capture, out"),
+    "quote": ({"mine": {"command": "true '{capture} {out}"}}, "command: No closing quotation"),
+    "program": ({"mine": {"command": "./none {capture} {out}"}}, "the program ./none was not found"),
+    "setting": (
+        {"mine": {"command": "true {capture} {out}", "time": 3}},
+        "it has no setting 'time'; there are comm",
+    ),
+    "timeout": ({"mine": {"command": "true {capture} {out}", "timeout": 0}}, "timeout must be > 0 s, got 0"),
+    "space": ({"mine": {"command": "true {capture} {out}", "space": "dark"}}, "space must be one of lit, linear"),
+    "taken": ({"naive": {"command": "true {capture} {out}"}}, "the name naive is taken by a method of the test bed"),
+    "name": ({"a b": {"command": "true {capture} {out}"}}, "a variant's name must be letters"),
+    "files": ({"mine": {"command": "true {capture} {out}", "files": ["lib"]}}, "files: .*lib does not exist"),
 }
 
 
