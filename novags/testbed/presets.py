@@ -174,7 +174,7 @@ def variants_in(path: Path) -> tuple[Variant, ...]:
     for name, variant in variants.items():
         whole = chosen(name, variants)
         config = whole.config(METHODS[whole.method].config(), {})
-        settings = starting_at(path.parent, variant.settings, config)
+        settings = starting_at(path.parent.resolve(), variant.settings, config)
         refuse_lost_files(changed(config, settings, what=name), name)
         found.append(replace(variant, settings=settings))
     return tuple(found)

@@ -16,6 +16,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from difflib import get_close_matches
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
 
@@ -161,6 +162,11 @@ class _Reader:
     ends: Literal["run", "capture"]
     data: DataFolder
 
+    @cached_property
+    def _folder(self) -> Path:
+        """Where relative paths start, whichever folder the file was named from: they are part of keys."""
+        return self.path.parent.resolve()
+
     def table(self, table: Any, place: str) -> Changes:
         """All keys of [override] or [rig.NAME], names and types checked."""
         found = Changes()
@@ -249,7 +255,7 @@ class _Reader:
             yield f"[grid] {key}", dict(item for changes in made for item in changes.names().items())
 
     def _changes(self, key: str, value: Value) -> Changes:
-        return changes_of(key, value, self.path.parent, self.data.scenes)
+        return changes_of(key, value, self._folder, self.data.scenes)
 
     def preset(self, values: Mapping[str, Value], shared: Changes) -> Preset:
         """The preset of one combination."""

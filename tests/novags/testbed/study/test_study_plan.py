@@ -132,6 +132,31 @@ def test_weights_that_are_replaced_under_their_name_make_other_runs(tmp_path: Pa
     assert [first.tasks[key].kind for key in first.tasks if key in kept] == ["set", "capture"]
 
 
+def test_keys_do_not_depend_on_how_the_study_file_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    text = """
+    [grid]
+    method = ["sci-gs", "mine"]
+    cameras = "known"
+    [override]
+    enhance.weights = "w.pt"
+    [variant.mine]
+    method = "zero-dce-gs"
+    enhance.weights = ["w.pt"]
+    """
+    folder = tmp_path / "studies"
+    folder.mkdir()
+    (folder / "w.pt").write_bytes(b"weights")
+    (folder / "study.toml").write_text(text)
+    keys = []
+    for place, name in ((folder, "study.toml"), (tmp_path, "studies/study.toml"), (tmp_path, folder / "study.toml")):
+        monkeypatch.chdir(place)
+        keys.append(list(plan_of(read_study(Path(name)), tmp_path / "store", QUIET).tasks))
+    assert keys[0] == keys[1] == keys[2]
+    monkeypatch.chdir(folder)
+    (folder / "study.toml").write_text("[grid]\nmethod = 'naive'\ncameras = 'vggsfm:home=clone,checkpoint=w.pt'")
+    assert read_study(Path("study.toml")).cells[0].preset.cameras.checkpoint == folder / "w.pt"
+
+
 def test_the_checkpoint_of_a_camera_source_counts_by_its_content(tmp_path: Path) -> None:
     checkpoint = tmp_path / "vggt.safetensors"
     checkpoint.write_bytes(b"first")
