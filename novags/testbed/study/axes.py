@@ -109,7 +109,7 @@ def changes_of(key: str, value: Any, folder: Path, data: Mapping[str, Path] | No
     if key == "capture.seed":
         raise ValueError("the seed of the noise is that of the run: write seed")
     if dot and stage in STAGES:
-        return Changes(**{STAGES[stage]: {name: value}})
+        return Changes(**{STAGES[stage]: {name: _whole_path_of_stage(key, value, folder)}})
     if key == "scene" and (name := _text(value)).startswith(DATA):
         if (path := (data or {}).get(name.removeprefix(DATA))) is None:
             raise ValueError(f"{name} was not found: --data DIR says where the data sets are")
@@ -139,10 +139,27 @@ def _keywords(key: str, value: Any, folder: Path) -> dict[str, Any]:
         return {"photos": path}
     if key == "level":
         return level_named(_text(value)).settings()  # each by its name, so that another key for one of them is refused
-    if key == "sensor" and value not in SENSORS and str(value).endswith(".toml"):
-        return {"sensor": str(folder / value)}
+    if key == "sensor":
+        value = _sensor(value, folder)
     hint = _hints()[_keyword(key)]
     return {_keyword(key): converted(value, hint, "it")}
+
+
+def _whole_path_of_stage(key: str, value: Any, folder: Path) -> Any:
+    """A setting of a stage; a file or a folder by its whole path."""
+    if key == "render.scene":
+        return scene_of(_text(value), folder)
+    if key in ("capture.sensor", "import.sensor"):
+        return _sensor(value, folder)
+    if key in ("import.lit", "import.clean") and isinstance(value, str) and value.lower() != "none":
+        return folder / Path(_text(value)).expanduser()
+    return value
+
+
+def _sensor(value: Any, folder: Path) -> Any:
+    """A camera by its name; its file by the whole path."""
+    is_file = isinstance(value, str) and value not in SENSORS and value.endswith(".toml")
+    return str(folder / Path(value).expanduser()) if is_file else value
 
 
 def _whole_paths(config: Any, key: str, value: Any, folder: Path) -> dict[str, Any]:

@@ -169,7 +169,7 @@ class Planner:
 
     def _imported(self, folder: Path, config: ImportConfig) -> str:
         """The key of a capture of photographs that are dark already; it holds all that it is made of."""
-        place = (folder, digest(config.resolved()))
+        place = (folder, digest(config.resolved()), config.lit, config.clean, config.dataset)
         if place not in self.contents:
             material = material_of(folder, config, self.console)
             source = material.dark.source

@@ -2,6 +2,7 @@
 
 import io
 import re
+import shutil
 from pathlib import Path
 
 import pytest
@@ -72,6 +73,18 @@ def test_settings_of_the_import_reach_it_and_other_pictures_are_another_capture(
         (data / "lom" / "buu" / "high" / "IMG_21.png").read_bytes()
     )
     assert key("") != keys[""]
+
+
+def test_lit_pictures_of_other_folders_make_other_captures_of_one_folder(tmp_path: Path, data: Path) -> None:
+    """Rationale: what was read for the first value of the axis was taken for all of them."""
+    for name in ("a", "b"):
+        shutil.copytree(data / "lom" / "buu" / "high", tmp_path / name)
+    (tmp_path / "b" / "IMG_20.png").write_bytes((tmp_path / "b" / "IMG_21.png").read_bytes())
+    plan = planned(read(tmp_path, '"data:LOM/buu"', data, 'import.lit = ["a", "b"]'), tmp_path)
+    assert [task.config.lit for task in plan.tasks.values() if task.kind == "capture"] == [
+        tmp_path / "a",
+        tmp_path / "b",
+    ]
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,8 @@ import pytest
 from novags.cameras import SfmConfig, VggsfmConfig
 from novags.testbed.presets import EXPERIMENTS
 from novags.testbed.study.grid import Study, read_study
+from sensor_model import PRESETS as SENSORS
+from sensor_model import write_sensor
 
 GRID = """
 preset = "demo"
@@ -130,6 +132,24 @@ def test_paths_start_at_the_folder_of_the_file(tmp_path: Path) -> None:
     assert found == [(tmp_path / "a.pth",), (tmp_path / "a.pth", tmp_path / "b.pth")]
     (cell,) = read(tmp_path, "[grid]\nmethod = 'sci-gs'\n[override]\nenhance.weights = 'b.pth'").cells
     assert cell.preset.reconstruct("sci-gs").config.enhance.weights == (tmp_path / "b.pth",)
+
+
+def test_paths_among_settings_of_stages_start_at_the_folder_of_the_file_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "studies"
+    folder.mkdir()
+    (folder / "a.xml").write_text("<scene version='3.0.0'/>")
+    write_sensor(folder / "mine.toml", SENSORS["a7s2-iso6400"])
+    text = "[grid]\nrender.scene = ['a.xml', 'cornell:0']\ncapture.sensor = ['mine.toml', 'imx686-iso800']\n"
+    text += "[override]\nimport.sensor = 'mine.toml'\nimport.lit = 'lit'\nimport.clean = 'none'"
+    (folder / "study.toml").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    presets = [cell.preset for cell in read_study(Path("studies/study.toml")).cells]
+    whole = str(folder / "mine.toml")
+    assert {preset.render.scene for preset in presets} == {str(folder / "a.xml"), "cornell"}
+    assert {preset.capture.sensor for preset in presets} == {whole, "imx686-iso800"}
+    assert {(p.imported.sensor, p.imported.lit, p.imported.clean) for p in presets} == {(whole, folder / "lit", None)}
 
 
 def test_a_scene_has_one_name_and_the_axis_keeps_its_spelling(tmp_path: Path) -> None:
