@@ -1,5 +1,6 @@
 """A study from its file to its tables: plan, do what is missing, keep what is known of failures, write the rows."""
 
+import os
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -125,9 +126,10 @@ class _Watch:
 
     def _failed(self, key: str, reason: str, stage: str) -> None:
         """Keep a failure, unless it is the disk's."""
-        with atomic(self.table.store / ".probe") as temporary:
+        probe = self.table.store / f".probe-{os.getpid()}"  # studies beside each other share the store
+        with atomic(probe) as temporary:
             temporary.write_bytes(bytes(1 << 16))
-        (self.table.store / ".probe").unlink()
+        probe.unlink(missing_ok=True)
         task = self.plan.tasks[key]
         self.failures[key] = {"reason": reason, "stage": stage, "log": log_of(task)}
         write_json(self.table.out / FAILURES, self.failures)

@@ -6,7 +6,8 @@ import subprocess
 import sys
 import textwrap
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from types import ModuleType, SimpleNamespace
 from typing import Any
@@ -15,7 +16,9 @@ import pytest
 
 from novags.testbed.machine import cores
 from novags.testbed.machine.provenance import hardware
+from novags.testbed.study import conduct
 from novags.testbed.study.engines import choice, local, processes, queue
+from sensor_model.files.atomic import atomic
 
 
 def times_made(tmp_path: Path, key: str) -> int:
@@ -38,6 +41,36 @@ def test_jobs_come_after_those_they_need_side_by_side_and_the_longest_first(
     assert "c0(a0()" in (tmp_path / "run" / "d" / "0.txt").read_text()
     assert ("progress", "a", "write") in diary.events
     assert (tmp_path / "logs" / "a.log").read_text() == "making a\n"
+
+
+def test_failures_of_two_studies_on_one_store_at_once_stop_neither(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fake: ModuleType
+) -> None:
+    """Rationale: both tried the disk by a file of one name, which one removed while the other was about to."""
+
+    def failed(name: str) -> dict[str, Any]:
+        task, failures = fake.task(name), dict[str, Any]()
+        (tmp_path / name).mkdir()
+        table = SimpleNamespace(store=tmp_path, out=tmp_path / name)
+        watch: Any = SimpleNamespace(plan=SimpleNamespace(tasks={task.key: task}), table=table, failures=failures,
+                                     note=lambda text: None)  # fmt: skip
+        conduct._Watch._failed(watch, task.key, "no lamp", "render")
+        return failures
+
+    @contextmanager
+    def interrupted(path: Path) -> Iterator[Path]:
+        with atomic(path) as temporary:
+            yield temporary
+        if path.name.startswith(".probe"):  # and then the other study writes and removes its own
+            with monkeypatch.context() as other:
+                other.setattr(conduct, "atomic", atomic)
+                other.setattr(os, "getpid", lambda: 1)
+                seen.append(failed("b"))
+
+    seen: list[dict[str, Any]] = []
+    monkeypatch.setattr(conduct, "atomic", interrupted)
+    assert [len(found) for found in (failed("a"), *seen)] == [1, 1]
+    assert not list(tmp_path.glob(".probe*"))
 
 
 def test_a_worker_imports_modules_in_one_thread_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
