@@ -17,7 +17,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from novags.methods.noise import Noise, Variance
-from novags.methods.problem import LacksInput, Problem, RawPictures
+from novags.methods.problem import Problem, RawPictures
 from sensor_model import NoiseCurve, srgb_to_linear
 
 BINS = 16  # of brightness, each with its own estimate of the variance
@@ -60,13 +60,11 @@ def noise_of(problem: Problem, source: Literal["camera", "pictures"] = "camera")
         source: "camera": by the camera where it is known, else from the pictures; "pictures": from them in any case.
 
     Raises:
-        LacksInput: If the camera is asked for and the problem has no noise.
+        ValueError: For pictures that are too small to tell.
     """
     if source not in ("camera", "pictures"):
         raise ValueError(f"source must be camera or pictures, got {source!r}")
-    if source == "camera":
-        if problem.noise is None:
-            raise LacksInput("the noise of this capture is not known: take it from the pictures (source = pictures)")
+    if source == "camera" and problem.noise is not None:
         return problem.noise
     mixed = "a colour matrix" in problem.channels_share
     key = ("noise from pictures", problem.names)

@@ -108,8 +108,7 @@ def _exposures(problem: Problem, config: AveragingConfig) -> tuple[Array, Array]
         raise LacksInput(f"averaging over views by truth needs {missing}, and this capture has none")
     clean = np.asarray(srgb_to_linear(problem.clean.cpu().double().numpy()), np.float64)
     noisy = problem.linear16.cpu()
-    noise = problem.noise or noise_of(problem, "pictures")
-    variances = noise.linear16(problem.clean.new_tensor(clean).cpu().double()).numpy()
+    variances = noise_of(problem).linear16(problem.clean.new_tensor(clean).cpu().double()).numpy()
     # Without the floor a camera without noise would divide by zero.
     variances = np.maximum(variances, LEAST * max(float(variances.max()), LEAST))
     return (noisy.double().numpy() if config.exposures == "noisy" else clean), variances

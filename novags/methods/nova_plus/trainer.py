@@ -131,9 +131,7 @@ def train(
         NotFinite: As `fit` says.
     """
     started = time.perf_counter()
-    data = exposures(
-        problem, noise_of(problem, "pictures" if problem.noise is None else config.noise), config.held_share
-    )
+    data = exposures(problem, noise_of(problem, config.noise), config.held_share)
     curve = tone_curve(data.greens)
     work = _Work(problem, config, data, curve, progress, checkpoint)
     firsts = [work.likelihood(seed) for seed in range(config.seeds)]

@@ -35,6 +35,13 @@ def test_raw_nerf_finds_the_light_behind_noise_without_bias(dark: SeenDark) -> N
     assert correlation(image, light) > 0.8
 
 
+def test_raw_nerf_needs_no_known_noise(dark: SeenDark) -> None:
+    problem, _ = dark()
+    config = raw.RawNerfConfig(fit=dataclasses.replace(QUICK, iterations=4))
+    known, unknown = (raw.train(dataclasses.replace(problem, noise=noise), config) for noise in (problem.noise, None))
+    assert torch.equal(known.render(problem.views)[0], unknown.render(problem.views)[0])
+
+
 def test_aleth_finds_how_much_light_is_concealed(problem: Callable[..., Problem]) -> None:
     seen = problem(sigma=0.0)
     lit = seen.clean / DIM

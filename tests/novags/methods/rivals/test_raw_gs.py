@@ -108,6 +108,14 @@ def test_the_unit_of_the_light_changes_nothing_but_epsilon(dark: Any) -> None:
     assert float((2 * halved - plain).abs().mean() / plain.mean()) < 1e-3
 
 
+def test_it_needs_no_known_noise(dark: Any) -> None:
+    """Captures of less than 32 px do not know theirs."""
+    inputs, _ = dark()
+    short = dataclasses.replace(CONFIG, fit=dataclasses.replace(CONFIG.fit, iterations=20))
+    known, unknown = (train(dataclasses.replace(inputs, noise=noise), short) for noise in (inputs.noise, None))
+    assert torch.equal(known.render(inputs.views)[0], unknown.render(inputs.views)[0])
+
+
 def test_what_it_cannot_use_is_said(dark: Any) -> None:
     inputs, _ = dark()
     with pytest.raises(LacksInput, match="raw frames or 16-bit linear pictures"):
