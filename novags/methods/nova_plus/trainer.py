@@ -50,7 +50,7 @@ class NovaPlusConfig:
             is the weight in stage 2, and in stage 1 where every pixel measures all channels; merged sets have none.
         init_scale: Of an initial Gaussian, in distances to its nearest neighbours.
         gaussians: How many each seed has; None: one for every `PIXELS_PER_GAUSSIAN` of all views, however many points
-            there are at the start. `fit.cap_max`, where it is given, is never exceeded.
+            there are at the start. `fit.cap_max`, where it is given, caps all seeds together.
         seeds: Independent reconstructions that are merged.
         held_share: Share of the pixels that is held out to judge.
         bandwidth: Of the guided averages, in tone; None: chosen by `choose_bandwidth`.
@@ -166,7 +166,8 @@ class _Work:
         self.views = problem.views
         pixels = len(data) * problem.views.height * problem.views.width
         wanted = config.gaussians or max(1, pixels // PIXELS_PER_GAUSSIAN)  # 0 for pictures of a few pixels
-        self.count = wanted if config.fit.cap_max is None else min(wanted, config.fit.cap_max)
+        cap = config.fit.cap_max
+        self.count = wanted if cap is None else min(wanted, max(1, cap // config.seeds))
         self.done, self.total = 0, sum(parts(config).values())
         self.seconds = 0.0
         self.losses: list[dict[str, float]] = []

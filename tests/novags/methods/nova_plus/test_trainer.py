@@ -181,6 +181,15 @@ def test_the_number_of_gaussians_follows_the_pixels_however_many_points_there_ar
     assert points < count < expected if points < expected else count == expected  # the one grows, the other is thinned
 
 
+@pytest.mark.parametrize(("cap", "each"), [(100, 50), (101, 50), (1000, 160)])
+def test_all_seeds_together_keep_to_the_cap(dark: Any, cap: int, each: int) -> None:
+    inputs, _ = dark()
+    fit = dataclasses.replace(CONFIG.fit, cap_max=cap)
+    result = train(inputs, dataclasses.replace(CONFIG, fit=fit, stages="likelihood"))
+    assert result.found["gaussians"] == each
+    assert len(result.scene.gaussians) == 2 * each  # type: ignore[attr-defined]
+
+
 def test_noise_can_be_taken_from_the_pictures_and_must_come_from_somewhere(dark: Any) -> None:
     inputs, _ = dark()
     config = dataclasses.replace(CONFIG, stages="likelihood", seeds=1)
