@@ -131,6 +131,8 @@ def train(
         NotFinite: As `fit` says.
     """
     started = time.perf_counter()
+    fitting = dataclasses.replace(fit_for(problem, config.fit), cap_max=config.fit.cap_max)  # `gaussians` has the rule
+    config = dataclasses.replace(config, fit=fitting)
     data = exposures(problem, noise_of(problem, config.noise), config.held_share)
     curve = tone_curve(data.greens)
     work = _Work(problem, config, data, curve, progress, checkpoint)
@@ -162,7 +164,7 @@ class _Work:
     ) -> None:  # fmt: skip
         self.problem, self.config, self.data, self.curve = problem, config, data, curve
         self.progress, self.checkpoint = progress, checkpoint
-        self.base = fit_for(problem, config.fit)
+        self.base = config.fit
         self.views = problem.views
         pixels = len(data) * problem.views.height * problem.views.width
         wanted = config.gaussians or max(1, pixels // PIXELS_PER_GAUSSIAN)  # 0 for pictures of a few pixels

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods.enhancers import enhanced, enhanced_clean, enhancement_record, recorded
+from novags.methods import METHODS
+from novags.methods.enhancers import NETWORKS, enhanced, enhanced_clean, enhancement_record, recorded
 from novags.methods.enhancers.guided import EnhanceConfig, enhance
 from novags.methods.memo import Memo
 from novags.methods.reconstruction import GaussianScene, Reconstruction
+from novags.settings import changed, has_setting
 from novags.splats import Gaussians, Views, read_ply
 from sensor_model import linear_to_srgb
 
@@ -97,3 +99,22 @@ def test_a_scene_of_gaussians_renders_all_it_is_made_of_and_saves_itself(tmp_pat
     GaussianScene(one).save(tmp_path)
     assert torch.allclose(read_ply(tmp_path / "point_cloud.ply").means, means)
     assert GaussianScene(one).facts()["gaussians"] == 1
+
+
+FITTED = [name for name, method in METHODS.items() if hasattr(method.config(), "fit")
+          and type(getattr(method.config(), "enhance", None)) not in NETWORKS]  # fmt: skip
+SHORT = {"fit.iterations": 3, "fit.rays": 16, "denoiser": None, "sh_weight": None, "denoise.turns": 1, "gaussians": 90,
+         "denoise.adapt": None}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", FITTED)
+def test_every_method_gives_back_the_configuration_that_it_fitted_with(dark, name: str) -> None:
+    inputs, light = dark(seed=1)
+    inputs = replace(inputs, clean=torch.from_numpy(linear_to_srgb(light.numpy())).float().clamp(0, 1))
+    method = METHODS[name]
+    given = method.config()
+    settings = {key: value for key, value in SHORT.items() if has_setting(given, key)}
+    found = method.train(inputs, changed(given, settings, what=name)).config
+    assert found.fit.seed == 1
+    if hasattr(found.fit, "extent"):
+        assert found.fit.extent == inputs.start.extent
