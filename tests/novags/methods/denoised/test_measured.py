@@ -11,6 +11,7 @@ from novags.methods.denoised.measured import measured
 from novags.methods.light import measured_light
 from novags.methods.noise import Noise, Variance, camera_noise
 from novags.methods.noise_estimate import estimate_noise
+from novags.methods.nova_plus.data import FULL
 from novags.methods.problem import LacksInput, Problem, RawPictures
 from novags.splats import Views
 from sensor_model import PRESETS, Exposure, Sensor, develop, expose, from_linear16, mosaic
@@ -96,6 +97,17 @@ def test_after_a_colour_matrix_the_noise_is_that_of_grey_light_from_black_to_hal
     for level in (0.0, 0.1, 0.4):
         grey = torch.full((3,), level, dtype=torch.float64)
         torch.testing.assert_close(found.noise(grey), given.noise.linear16(grey), rtol=1e-3, atol=0)
+
+
+@pytest.mark.parametrize("with_raw", [True, False])
+def test_what_is_saturated_reaches_white_in_every_channel(with_raw: bool) -> None:
+    """Rationale: white balance takes red and blue beyond 1, where 16-bit files end."""
+    sensor = PRESETS["a7s2-iso6400-3chip"]
+    given = problem(sensor, level=50 * sensor.mu_e_sat)
+    assert given.noise is not None
+    found = measured_light(given.noise, given.raw if with_raw else None, given.linear16, ())
+    assert bool((found.light >= FULL * found.white).all())
+    assert bool((found.light <= found.white + 1e-3).all())
 
 
 @pytest.mark.parametrize("matrix", [None, MATRIX])
