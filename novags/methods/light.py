@@ -42,7 +42,7 @@ class MeasuredLight:
 
 
 def measured_light(
-    noise: Noise, raw: RawPictures | None, linear16: Tensor | None, channels_share: tuple[str, ...]
+    noise: Noise, raw: RawPictures | None, linear16: Tensor | None, shared: tuple[str, ...]
 ) -> MeasuredLight:
     """The measurements of a capture: raw frames, else the linear 16-bit pictures.
 
@@ -53,7 +53,7 @@ def measured_light(
         noise: Of its pictures.
         raw: As in `Problem`.
         linear16: As in `Problem`.
-        channels_share: As in `Problem`.
+        shared: Why the noise of `linear16` is not independent: `channels_share` and `pixels_share` of the Problem.
 
     Raises:
         LacksInput: If the capture has neither, or raw frames alone that cannot be used.
@@ -68,7 +68,7 @@ def measured_light(
         lacking = "this capture has neither" if raw is None else "its raw frames have no known white balance or noise"
         raise LacksInput(f"this method needs raw frames or 16-bit linear pictures, and {lacking}")
     curve = noise.linear16.curve
-    shared = channels_share or (("demosaicing",) if curve.interpolated else ())
+    shared = shared or (("demosaicing",) if curve.interpolated else ())
     zero = linear16.new_tensor(curve.black)
     if curve.matrix is not None:
         zero = linear16.new_tensor(curve.matrix) @ zero

@@ -98,6 +98,8 @@ class Problem:
             the pictures (`noise_estimate.noise_of` chooses); None if neither is possible.
         channels_share: Why the noise of a pixel's three channels is not independent ("demosaicing", "JPEG", "colour
             matrix"); empty where it is.
+        pixels_share: Why that of neighbouring pixels is not independent, where the channels may be ("resampling");
+            empty elsewhere.
         clean: The exposures without noise, developed like `srgb8`, [C, H, W, 3]; behind a colour filter array of all
             three channels of each pixel. Only methods with `sees_clean` get it.
         clean_demosaiced: Behind a colour filter array: the noise-free mosaics, interpolated as the pictures are; None
@@ -118,6 +120,7 @@ class Problem:
     raw: RawPictures | None = None
     noise: Noise | None = None
     channels_share: tuple[str, ...] = ()
+    pixels_share: tuple[str, ...] = ()
     clean: Tensor | None = None
     clean_demosaiced: Tensor | None = None
     surface: TrueSurface | None = None

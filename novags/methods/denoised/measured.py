@@ -65,11 +65,11 @@ def measured(problem: Problem) -> Measured:
     Raises:
         LacksInput: If the data have no noise, their noise is unknown, or neighbouring data share it.
     """
-    return of_capture(problem.noise, problem.raw, problem.linear16, problem.channels_share)
+    return of_capture(problem.noise, problem.raw, problem.linear16, problem.channels_share + problem.pixels_share)
 
 
 def of_capture(
-    noise: Noise | None, raw: RawPictures | None, linear16: Tensor | None, channels_share: tuple[str, ...]
+    noise: Noise | None, raw: RawPictures | None, linear16: Tensor | None, shared: tuple[str, ...]
 ) -> Measured:
     """The data of a capture in electrons, from what a `Problem` would hold of it; see `measured`."""
     if noise is None:
@@ -77,7 +77,7 @@ def of_capture(
             "denoising needs the noise of the data, and of this capture it is not known: name its camera, or take a "
             "method that works on the pictures alone"
         )
-    return in_electrons(measured_light(noise, raw, linear16, channels_share))
+    return in_electrons(measured_light(noise, raw, linear16, shared))
 
 
 def in_electrons(data: MeasuredLight) -> Measured:

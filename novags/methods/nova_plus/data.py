@@ -45,7 +45,8 @@ def exposures(problem: Problem, noise: Noise, held_share: float) -> Exposures:
     Raises:
         LacksInput: As `measured_light` says.
     """
-    found = measured_light(noise, problem.raw, problem.linear16, problem.channels_share)
+    shared = problem.channels_share + problem.pixels_share
+    found = measured_light(noise, problem.raw, problem.linear16, shared)
     generator = torch.Generator().manual_seed(problem.seed)
     held = torch.rand(found.light.shape[:3], generator=generator) < held_share
     return Exposures(**vars(found), held=held.to(found.light.device))

@@ -253,6 +253,11 @@ class Capture:
         return tuple(reason for reason, holds in reasons.items() if holds)
 
     @property
+    def pixels_share(self) -> tuple[str, ...]:
+        """Why the noise of neighbouring pixels is not independent, where that of the channels may be."""
+        return () if self.record.get("resampled") is None else ("resampling",)
+
+    @property
     def levels(self) -> tuple[Cfa | None, float, float]:
         """Colour filter array of the raw frames (None: three chips), DN without light, DN of saturation."""
         if self.imported:
@@ -274,14 +279,12 @@ class Capture:
     def noise(self) -> Noise | None:
         """The noise of the camera, or what the training pictures say themselves (`Noise.origin`).
 
-        They do where the camera is not known, or where pixels were averaged after the exposure. None where they are too
-        small for that.
+        They do where the camera is not known, or pixels were averaged after the exposure; None if they are too small.
         """
-        if self.sensor is None or self.record.get("resampled") is not None:
+        if self.sensor is None or self.pixels_share:
             return self.memo.once("noise from pictures", self._noise_from_pictures)
-        return camera_noise(
-            self.sensor, self.exposure, demosaic=self.record["demosaic"], color_matrix=self.record["color_matrix"]
-        )
+        demosaic, matrix = self.record["demosaic"], self.record["color_matrix"]
+        return camera_noise(self.sensor, self.exposure, demosaic=demosaic, color_matrix=matrix)
 
     def _noise_from_pictures(self) -> Noise | None:
         rig, indices = self.cameras.rig, self.cameras.train_indices
@@ -293,12 +296,12 @@ class Capture:
         def stack(read: Callable[[int], np.ndarray]) -> Tensor:
             return torch.from_numpy(np.stack([read(i) for i in chosen]).astype(np.float32))
 
-        raw = RawPictures(dn=stack(self.raw), **self._levels()) if self.holds("raw") else None
+        raw = None
+        if self.holds("raw"):
+            cfa, black, white = self.levels
+            raw = RawPictures(dn=stack(self.raw), cfa=cfa, black=black, white=white)
         linear16 = stack(self.linear16) if self.holds("images16") else None
         return noise_from(stack(self.srgb8), linear16, raw, mixed="a colour matrix" in self.channels_share)
-
-    def _levels(self) -> dict[str, Any]:
-        return dict(zip(("cfa", "black", "white"), self.levels, strict=True))
 
     def source(self, console: Console) -> Source:
         """The set this capture was made from; of imported photographs what they themselves and their lit twins tell.

@@ -68,7 +68,7 @@ def denoise_views(capture: Capture, out: Path, config: DenoisePicturesConfig, co
     indices, device = list(range(len(capture.names))), chosen_device(config.device, console)
     raw = raw_pictures(capture, indices) if capture.holds("raw") else None
     linear16 = stack([capture.linear16(i) for i in indices]) if capture.holds("images16") else None
-    pictures = of_capture(capture.noise, raw, linear16, capture.channels_share).to(device)
+    pictures = of_capture(capture.noise, raw, linear16, capture.channels_share + capture.pixels_share).to(device)
     steps = 0 if config.denoise.adapt is None else config.denoise.adapt.steps
     with console.progress("denoise", {"denoiser": steps, "views": len(indices)}) as progress:
 

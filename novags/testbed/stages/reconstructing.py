@@ -162,6 +162,7 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
         raw=raw_pictures(capture, indices) if capture.holds("raw") else None,
         noise=capture.noise,
         channels_share=capture.channels_share,
+        pixels_share=capture.pixels_share,
         clean=stack([capture.clean(i) for i in indices]) if method.sees_clean else None,
         clean_demosaiced=(
             stack([capture.clean(i, demosaiced=True) for i in indices])

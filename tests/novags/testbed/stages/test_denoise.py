@@ -1,5 +1,7 @@
 """`novags denoise`: a capture in, single pictures without noise out."""
 
+import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,12 +19,14 @@ from novags.testbed.cache import read_json
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.presets import EXPERIMENTS, adapted
+from novags.testbed.stages.capturing import CaptureConfig
 from novags.testbed.stages.denoising import DenoisePicturesConfig
+from novags.testbed.stages.importing import ImportConfig
 from novags.testbed.stages.reconstructing import raw_pictures
 from sensor_model import to_srgb8
 
 QUIET = Console(quiet=True)
-TINY: dict[str, Any] = {"scene": "cornell", "n_views": 3, "width": 24, "height": 24, "spp": 4, "sensor": "a7s2-iso6400"}
+TINY: dict[str, Any] = {"scene": "cornell", "n_views": 3, "width": 32, "height": 32, "spp": 4, "sensor": "a7s2-iso6400"}
 CONFIG = DenoisePicturesConfig(denoise=DenoiseConfig(adapt=AdaptConfig(steps=2, batch=1, crop=16), turns=1), seed=3)
 
 
@@ -59,6 +63,27 @@ def test_without_a_known_camera_it_says_so(capture: Path, tmp_path: Path, monkey
     monkeypatch.setattr(Capture, "noise", None)
     with pytest.raises(LacksInput, match="name its camera"):
         stages.denoise(capture, tmp_path / "out", CONFIG, QUIET)
+
+
+@pytest.mark.parametrize("distorted", [True, False])
+def test_undistorted_pixels_of_three_chips_share_their_noise(distorted: bool, capture: Path, tmp_path: Path) -> None:
+    """Rationale: three chips keep the channels apart, and undistortion still mixes neighbours."""
+    camera, views = "a7s2-iso6400-3chip", capture.parent / "set"
+    stages.capture(views, tmp_path / "chips", CaptureConfig(sensor=camera), QUIET)
+    shutil.copytree(tmp_path / "chips" / "images16", tmp_path / "dark" / "images")
+    cameras = json.loads((views / "transforms.json").read_text()) | ({"k1": 0.2} if distorted else {})
+    for frame in cameras["frames"]:
+        frame["file_path"] = f"images/{Path(frame['file_path']).name}"
+    (tmp_path / "dark" / "transforms.json").write_text(json.dumps(cameras))
+    stages.import_photographs(tmp_path / "dark", tmp_path / "in", ImportConfig(sensor=camera, black=4096), QUIET)
+    opened = open_capture(tmp_path / "in")
+    assert opened.channels_share == ()
+    assert opened.pixels_share == (("resampling",) if distorted else ())
+    if distorted:
+        with pytest.raises(LacksInput, match="that of neighbouring pixels is shared through resampling"):
+            stages.denoise(tmp_path / "in", tmp_path / "out", CONFIG, QUIET)
+    else:
+        assert stages.denoise(tmp_path / "in", tmp_path / "out", CONFIG, QUIET)["pictures"] == list(opened.names)
 
 
 def test_a_negative_seed_is_refused() -> None:
