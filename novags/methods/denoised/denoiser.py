@@ -26,7 +26,7 @@ class DenoiseConfig:
 def denoised(
     pictures: Measured, config: DenoiseConfig, *, seed: int, progress: Progress | None = None, more: int = 0
 ) -> Tensor:
-    """The pictures without noise, in linear light: [C, H, W, 3], not clipped, the unit of `Problem.linear16`.
+    """The pictures without noise, in linear light [C, H, W, 3], clipped and in the unit as `Measured.linear` says.
 
     Args:
         pictures: What was measured.

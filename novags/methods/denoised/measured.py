@@ -54,7 +54,10 @@ class Measured:
         return (self.noise(last * self.slope + self.black) / self.slope**2).movedim(-1, -3)
 
     def linear(self, electrons: Tensor) -> Tensor:
-        """Electrons [C, 3, H, W] -> linear light [C, H, W, 3] in the unit of `Problem.linear16`, not clipped."""
+        """Electrons [C, 3, H, W] -> linear light [C, H, W, 3] in the unit of `Problem.linear16`.
+
+        Not clipped, but for what exceeds 1 before a colour matrix: development clips there too.
+        """
         light = electrons.movedim(1, -1) * self.to_linear
         return light if self.matrix is None else light.clamp_max(1.0) @ self.matrix.T
 

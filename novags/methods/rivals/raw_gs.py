@@ -10,7 +10,8 @@ was measured is compared.
 What differs from the publications: RawNeRF is a field, and LE3D makes colours with a small network from features of
 each Gaussian; here they are spherical harmonics of the light, as in 3DGS, in a unit that brings bright light to 1.
 LE3D's start from a cone of random points and its two regularisers of distances are left out; the fit is 3DGS-MCMC, as
-for all methods.
+for all methods. A colour matrix is applied to the light of the render as it is, whereas the development of pictures
+clips at white first.
 """
 
 import dataclasses
