@@ -4,6 +4,7 @@ The subscript `t` marks the target view, whose pixels are compared, `s` the sour
 Pixel coordinates are (x, y) with centres at +0.5; depths are z-depths in their own camera, 0 or less where unknown.
 """
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
@@ -210,10 +211,22 @@ class ConsistencyLoss:
         self.config, self.images, self.seed = config, images, seed
         self.first = round(config.start * iterations)
         self.candidates = source_candidates(views, config)
+        if not self.facts()["views_with_partner"]:
+            warnings.warn(
+                f"the geometric loss has no effect: none of the {len(views)} views has a partner whose optical axis "
+                f"differs by less than {config.max_angle:g} degrees, {config.min_distance:g} to "
+                f"{config.max_distance:g} scene extents away: raise consistency.max_angle, take more views, or set "
+                "consistency to none",
+                stacklevel=2,
+            )
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self.network = ConfidenceNet().to(views.viewmats.device)
         self.optimizer = torch.optim.Adam(self.network.parameters(), lr=config.learning_rate)
+
+    def facts(self) -> dict[str, int]:
+        """For the record: of how many views the loss can be evaluated."""
+        return {"views_with_partner": sum(map(bool, self.candidates)), "of": len(self.candidates)}
 
     def due(self, iteration: int) -> bool:
         """Whether this iteration evaluates the loss, and so needs depth."""

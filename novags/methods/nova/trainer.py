@@ -369,4 +369,5 @@ def train(
         viewmats=None if config.fit.refine_cameras is None else result.viewmats,
         losses=result.losses,
         seconds={"enhance": enhancing, "denoise": training.seconds, "fit": result.seconds},
+        found={} if training.geo is None else {"consistency": training.geo.facts()},
     )

@@ -25,7 +25,7 @@ from novags.testbed.folders.events import EventLog
 from novags.testbed.folders.imported import MISSING
 from novags.testbed.folders.place import keep_place
 from novags.testbed.folders.run import CAMERAS, CHECKPOINTS, EVENTS
-from novags.testbed.folders.set import Source
+from novags.testbed.folders.set import Source, warnings_as_notes
 from novags.testbed.machine.devices import chosen_device
 from novags.testbed.references import pictured
 from novags.testbed.stages.camera_source import Frame, cameras_of, true_cameras
@@ -229,7 +229,11 @@ def reconstruct_views(
     if parts is not None and parts.get("fit") == 0:
         console.note(f"reconstruct {variant.name}: 0 iterations of the fit: the first Gaussians (of NeRF: the first "
                      "field) as they are")  # fmt: skip
-    with console.progress(f"reconstruct {variant.name}", parts) as progress, EventLog(folder / EVENTS) as log:
+    with (
+        warnings_as_notes(console),
+        console.progress(f"reconstruct {variant.name}", parts) as progress,
+        EventLog(folder / EVENTS) as log,
+    ):
 
         def step(done: int, total: int, losses: dict[str, float]) -> None:
             log.add({"step": done, **losses})

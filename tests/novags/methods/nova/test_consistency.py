@@ -6,6 +6,7 @@ import torch
 from novags.methods.nova.consistency import (
     ConfidenceNet,
     ConsistencyConfig,
+    ConsistencyLoss,
     Pinhole,
     consistency_loss,
     reproject,
@@ -195,6 +196,16 @@ def test_partners_are_the_nearest_views_within_the_angle():
         assert i not in partners
         assert all(min((j - i) % 24, (i - j) % 24) <= 2 for j in partners)
     assert source_candidates(orbit(8), ConsistencyConfig()) == [[]] * 8
+
+
+def test_views_without_a_partner_are_counted_and_a_loss_without_effect_is_said():
+    def loss(views: Views) -> ConsistencyLoss:
+        return ConsistencyLoss(views, lambda _: torch.zeros(SIZE, SIZE, 3), ConsistencyConfig(), iterations=8, seed=0)
+
+    assert loss(orbit(24)).facts() == {"views_with_partner": 24, "of": 24}
+    with pytest.warns(UserWarning, match="none of the 8 views has a partner .* less than 30 degrees"):
+        alone = loss(orbit(8))  # in steps of 45 degrees
+    assert alone.facts() == {"views_with_partner": 0, "of": 8}
 
 
 def test_partners_do_not_stand_in_the_same_place():

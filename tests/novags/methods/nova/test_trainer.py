@@ -58,6 +58,7 @@ def test_a_run_gives_images_losses_seconds_and_its_configuration(problem):
     assert ((result.targets >= 0) & (result.targets <= 1)).all()
     assert abs(float(result.enhanced.mean()) - 0.5) < 0.05
     assert set(result.seconds) == {"enhance", "denoise", "fit"}
+    assert result.found == {"consistency": {"views_with_partner": 5, "of": 5}}
     assert result.config.fit.seed == 3
     assert result.config.fit.extent == inputs.start.extent
     assert result.config.denoiser.warmup_steps == 4
