@@ -58,8 +58,8 @@ def _with_network(
     kind: Kind, problem: Problem, config: EnhancedFitConfig, progress: Progress | None, checkpoint: Path | None
 ) -> Reconstruction:
     started, steps, files = time.perf_counter(), _steps(kind, config), _weights(config)
-    network = _network(kind, problem, config, progress, checkpoint)
-    learning = time.perf_counter() - started
+    network, earlier = _network(kind, problem, config, progress, checkpoint)
+    learning = earlier + time.perf_counter() - started
 
     def through(problem: Problem, enhance: EnhancerConfig, pictures: Pictures) -> Tensor:
         return torch.stack([kind.picture(network, dark, enhance)[0] for dark in problem.encoded(pictures)])
@@ -80,9 +80,10 @@ def _with_network(
 
 def _network(
     kind: Kind, problem: Problem, config: EnhancedFitConfig, progress: Progress | None, checkpoint: Path | None
-) -> nn.Module:
+) -> tuple[nn.Module, float]:
+    """The network, and the seconds that stopped runs before this one have spent on it."""
     if kind.rehearsal is None or _weights(config):
-        return kind.load(config.enhance)
+        return kind.load(config.enhance), 0.0
     path = None if checkpoint is None else checkpoint.with_name(f"{checkpoint.stem}.enhancer.safetensors")
     return learned(
         kind, config.enhance, problem.encoded(config.pictures), problem.seed,

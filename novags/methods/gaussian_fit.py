@@ -64,7 +64,7 @@ def reconstructed(
         started: `time.perf_counter()` at the beginning of the method.
         more: Further attributes of the `Reconstruction`.
     """
-    other = max(0.0, time.perf_counter() - started - result.seconds)
+    other = time.perf_counter() - started - (result.seconds - result.earlier)
     return Reconstruction(
         scene=scene,
         space=space,

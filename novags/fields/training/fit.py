@@ -37,10 +37,11 @@ Progress = Callable[[int, int, dict[str, float]], None]
 
 @dataclass(frozen=True, kw_only=True)
 class FieldFit:
-    """A trained field: see `FieldState`, and the wall time, of stopped runs before this one too."""
+    """A trained field: see `FieldState`, the wall time with that of stopped runs before this one, and theirs alone."""
 
     state: FieldState
     seconds: float
+    earlier: float
 
 
 def fit_field(
@@ -85,6 +86,7 @@ def fit_field(
         started -= state.seconds
     else:
         state = _first_state(points, box, config, more)
+    earlier = state.seconds
     anchors = Anchors.at(points, box, at_points, config.anchored) if at_points and config.anchored else None
     for iteration in range(state.iteration, config.iterations):
         try:
@@ -103,7 +105,7 @@ def fit_field(
         if checkpoint is not None and (done % config.checkpoint_every == 0 or done == config.iterations):
             state.seconds = time.perf_counter() - started
             save_state(checkpoint, state, settings)
-    return FieldFit(state=state, seconds=time.perf_counter() - started)
+    return FieldFit(state=state, seconds=time.perf_counter() - started, earlier=earlier)
 
 
 def _identity(

@@ -3,6 +3,7 @@
 import dataclasses
 import hashlib
 import json
+import math
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -65,8 +66,8 @@ def train(
         ValueError: If a checkpoint is damaged or belongs to another run.
     """
     started = time.perf_counter()
-    linear = _kept(problem, config, progress, checkpoint)
-    denoising = time.perf_counter() - started
+    linear, earlier = _kept(problem, config, progress, checkpoint)
+    denoising = earlier + time.perf_counter() - started
     adapting = parts(config)["denoiser"]
 
     def targets(problem: Problem, enhancer: EnhancerConfig, pictures: Pictures) -> Tensor:
@@ -86,23 +87,29 @@ def train(
     return result
 
 
-def _kept(problem: Problem, config: DenoisedConfig, progress: Progress | None, checkpoint: Path | None) -> Tensor:
-    """The denoised pictures, linear [C, H, W, 3]: those of an interrupted run, or made now."""
+def _kept(
+    problem: Problem, config: DenoisedConfig, progress: Progress | None, checkpoint: Path | None
+) -> tuple[Tensor, float]:
+    """The denoised pictures, linear [C, H, W, 3], and the seconds that they took an interrupted run; 0 if made now."""
+    started = time.perf_counter()
     pictures = measured(problem)
     path = None if checkpoint is None else checkpoint.with_name(f"{checkpoint.stem}.denoiser.safetensors")
     identity = _identity(pictures, config.denoise, problem.seed)
     if path is not None and path.exists():
         tensors = read(path)
         kept, of = tensors.get("linear"), tensors.get("run", torch.empty(0))
+        seconds = float(tensors.get("seconds", torch.tensor(torch.nan)))
         if of.dtype != identity.dtype or not torch.equal(of, identity):
             raise ValueError(f"{path} belongs to a run of other pictures or settings: delete it or restore them")
-        if kept is None or kept.shape != problem.srgb8.shape or not bool(torch.isfinite(kept).all()):
+        whole = kept is not None and kept.shape == problem.srgb8.shape and bool(torch.isfinite(kept).all())
+        if kept is None or not whole or not 0 <= seconds < math.inf:
             raise ValueError(f"{path} is damaged: delete it, the run then starts over")
-        return kept.to(problem.srgb8)
+        return kept.to(problem.srgb8), seconds
     made = denoised(pictures, config.denoise, seed=problem.seed, progress=progress, more=config.fit.iterations)
     if path is not None:
-        write_tensors(path, {"linear": made.contiguous(), "run": identity})
-    return made
+        took = torch.tensor(time.perf_counter() - started, dtype=torch.float64)
+        write_tensors(path, {"linear": made.contiguous(), "run": identity, "seconds": took})
+    return made, 0.0
 
 
 def _identity(pictures: Measured, config: DenoiseConfig, seed: int) -> Tensor:

@@ -31,8 +31,8 @@ def learned(
     progress: Progress | None = None,
     more: int = 0,
     checkpoint: Path | None = None,
-) -> nn.Module:
-    """A network that has learned from these pictures, ready to enhance.
+) -> tuple[nn.Module, float]:
+    """A network that has learned from these pictures, ready to enhance; the seconds of stopped runs before this one.
 
     Args:
         kind: Of the network; one that can learn so.
@@ -52,11 +52,12 @@ def learned(
         torch.manual_seed(seed)
         network = kind.make(config).to(pictures.device)
     adam = rehearsal.optimizer(network, config)
-    steps, step, run = rehearsal.steps(config), 0, _identity(kind, config, pictures, seed)
+    steps, run = rehearsal.steps(config), _identity(kind, config, pictures, seed)
+    step, earlier = 0, 0.0
     if checkpoint is not None and checkpoint.exists():
-        step = _restored(checkpoint, network, adam, run)
+        step, earlier = _restored(checkpoint, network, adam, run)
     network.train()
-    saved = time.perf_counter()
+    started = saved = time.perf_counter()
     while step < steps:
         batch = crops(pictures, *rehearsal.batch(config), np.random.default_rng([seed, step]))
         adam.zero_grad()
@@ -71,11 +72,12 @@ def learned(
         if checkpoint is not None and (step == steps or time.perf_counter() - saved > SAVED):
             adam.zero_grad()
             state = {name: value.clone() for name, value in pack("enhancer", network, adam).items()}  # none shared
-            write_tensors(checkpoint, state | {"run": run, "step": torch.tensor(step)})
             saved = time.perf_counter()
+            seconds = torch.tensor(earlier + saved - started, dtype=torch.float64)
+            write_tensors(checkpoint, state | {"run": run, "step": torch.tensor(step), "seconds": seconds})
         if progress is not None:
             progress(step, steps + more, {"enhancer": value})
-    return network.eval().requires_grad_(False)
+    return network.eval().requires_grad_(False), earlier
 
 
 def _identity(kind: Kind, config: Any, pictures: Tensor, seed: int) -> Tensor:
@@ -85,13 +87,15 @@ def _identity(kind: Kind, config: Any, pictures: Tensor, seed: int) -> Tensor:
     return torch.from_numpy(np.frombuffer(run.digest(), np.uint8).copy())
 
 
-def _restored(path: Path, network: nn.Module, adam: torch.optim.Adam, run: Tensor) -> int:
-    """Continue from a checkpoint; the steps that were done."""
+def _restored(path: Path, network: nn.Module, adam: torch.optim.Adam, run: Tensor) -> tuple[int, float]:
+    """Continue from a checkpoint; the steps that were done, and the seconds that they took."""
     tensors = read(path)
     of, step = tensors.get("run"), tensors.get("step")
     if of is None or of.dtype != run.dtype or not torch.equal(of, run):
         raise ValueError(f"{path} belongs to a run of other pictures or settings: delete it or restore them")
-    if step is None or step.shape != () or step.dtype != torch.int64 or int(step) < 0:
+    seconds = float(tensors.get("seconds", torch.tensor(torch.nan)))
+    counted = step is not None and step.shape == () and step.dtype == torch.int64 and int(step) >= 0
+    if step is None or not counted or not 0 <= seconds < math.inf:
         raise ValueError(f"{path} is damaged: delete it, the run then starts over")
     unpack("enhancer", tensors, network, adam)
-    return int(step)
+    return int(step), seconds

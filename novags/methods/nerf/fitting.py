@@ -75,7 +75,7 @@ def reconstructed(
     scene: FieldScene, fitted: FieldFit, config: Any, space: Space, started: float, **more: Any
 ) -> Reconstruction:
     """The reconstruction of a method that consists of one fit; as `gaussian_fit.reconstructed`."""
-    other = max(0.0, time.perf_counter() - started - fitted.seconds)
+    other = time.perf_counter() - started - (fitted.seconds - fitted.earlier)
     seconds = {"fit": fitted.seconds, "other": other}
     return Reconstruction(scene=scene, space=space, config=config, losses=fitted.state.losses, seconds=seconds, **more)
 

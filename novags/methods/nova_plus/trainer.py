@@ -140,7 +140,7 @@ def train(
     final, targets = (firsts, None) if config.stages == "likelihood" else work.structure(firsts)
     gaussians = final[0] if len(final) == 1 else work.joined(final, targets)
     scene = dataclasses.replace(GaussianScene.of(gaussians, work.base), tone=curve, matrix=data.matrix)
-    total = time.perf_counter() - started
+    between = time.perf_counter() - started - (work.seconds - work.earlier)  # done anew where a run goes on
     return Reconstruction(
         scene=scene,
         space="linear",
@@ -150,7 +150,7 @@ def train(
         targets=None if targets is None else work.shown(targets),
         viewmats=None if config.fit.refine_cameras is None else work.views.viewmats,
         losses=work.losses,
-        seconds={"fit": work.seconds, "averages": max(0.0, total - work.seconds)},
+        seconds={"fit": work.seconds, "averages": between},
         found=work.found,
     )
 
@@ -171,7 +171,7 @@ class _Work:
         cap = config.fit.cap_max
         self.count = wanted if cap is None else min(wanted, max(1, cap // config.seeds))
         self.done, self.total = 0, sum(parts(config).values())
-        self.seconds = 0.0
+        self.seconds = self.earlier = 0.0  # of all fits, and of those that stopped runs before this one did
         self.losses: list[dict[str, float]] = []
         self.found: dict[str, Any] = {
             "tone": {"top": curve.top, "k": curve.k}, "gaussians": self.count, "held_out_pixels": int(data.held.sum()),
@@ -301,6 +301,7 @@ class _Work:
         self.losses += [{**entry, "iteration": self.done + entry["iteration"]} for entry in result.losses]
         self.done += config.iterations
         self.seconds += result.seconds
+        self.earlier += result.earlier
         return result
 
 

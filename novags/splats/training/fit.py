@@ -41,6 +41,7 @@ class FitResult:
         losses: One entry per LOG_EVERY iterations and one for the last: "iteration", "loss", "photometric",
             "n_gaussians", and "norm_means", "norm_quats", ...: the Euclidean norm of each tensor of the Gaussians.
         seconds: Wall time, of the stopped runs before this one too.
+        earlier: Of these, what the stopped runs before this one took.
         peak_bytes: Largest resident memory of the process (CPU) or largest allocation (CUDA) so far.
     """
 
@@ -50,6 +51,7 @@ class FitResult:
     losses: list[dict[str, float]]
     seconds: float
     peak_bytes: int
+    earlier: float = 0.0
 
 
 def fit(
@@ -104,6 +106,7 @@ def fit(
     else:
         state = _initial_state(gaussians, views, config)
         state.companion = companion
+    earlier = state.seconds
     cap = config.cap_max if config.cap_max is not None else len(gaussians)
     loss = photometric or partial(default_photometric, config.dssim_weight)
     direct = None if extra_losses else _direct(state, views, config, photometric)
@@ -147,7 +150,7 @@ def fit(
             save(state)
     return FitResult(
         gaussians=state.gaussians.detach(), viewmats=current(views, state, extent).viewmats.detach(),
-        config=config, losses=state.losses, seconds=time.perf_counter() - started,
+        config=config, losses=state.losses, seconds=time.perf_counter() - started, earlier=earlier,
         peak_bytes=_peak_bytes(state.gaussians),
     )  # fmt: skip
 

@@ -118,6 +118,7 @@ def test_a_stopped_run_goes_on_to_the_same_bits(tmp_path: Path) -> None:
 
     resumed = fit_field(views, points, box, counting, config, checkpoint=path)
     assert asked == list(range(40, 60))
+    assert whole.earlier == 0 < resumed.earlier < resumed.seconds
     for name, tensor in whole.state.tensors().items():
         assert torch.equal(tensor, resumed.state.tensors()[name]), name
     np.testing.assert_array_equal(whole.state.proposal.density, resumed.state.proposal.density)

@@ -11,8 +11,10 @@ from novags import methods
 from novags.methods import enhance_then_fit, gaussian_fit, oracle
 from novags.methods.enhancers.guided import EnhanceConfig, enhance
 from novags.methods.gaussian_fit import EnhancedFitConfig
+from novags.methods.nerf import fitting
 from novags.methods.problem import Problem
-from novags.splats import FitConfig, Views
+from novags.methods.reconstruction import GaussianScene
+from novags.splats import FitConfig, Gaussians, Views
 from novags.splats.training.fit import FitResult
 from novags.splats.training.updates.camera_refinement import CameraRefinement
 
@@ -48,6 +50,21 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> dict:
         gaussian_fit, "start_gaussians", lambda *a, **k: found.update(start=(a, k)) or original(*a, **k)
     )
     return found
+
+
+@pytest.mark.parametrize("kind", ["Gaussians", "field"])
+def test_what_is_not_the_fit_is_counted_for_this_run_alone(kind: str) -> None:
+    """Rationale: the seconds of a fit include those of stopped runs; the rest is done anew in every run."""
+    result = SimpleNamespace(seconds=100.25, earlier=100.0, viewmats=None, losses=[], state=SimpleNamespace(losses=[]))
+    started, config = time.perf_counter() - 1, SimpleNamespace(fit=FitConfig())
+    scene = GaussianScene(Gaussians.from_points(torch.eye(3), torch.eye(3), sh_degree=0))
+    found = (
+        gaussian_fit.reconstructed(result, config, scene, "lit", started)
+        if kind == "Gaussians"
+        else fitting.reconstructed(scene, result, config, "lit", started)
+    )
+    assert found.seconds["fit"] == 100.25
+    assert 0.75 <= found.seconds["other"] < 5
 
 
 def images_of(method, inputs: Problem) -> torch.Tensor:

@@ -97,11 +97,13 @@ def test_an_interrupted_run_takes_its_denoised_pictures_up_again(problem: Proble
     whole = train(problem, CONFIG)
     with pytest.raises(Interrupted):
         train(problem, CONFIG, progress=stop, checkpoint=tmp_path / "checkpoint.safetensors")
+    spent = float(load_file(tmp_path / "checkpoint.denoiser.safetensors")["seconds"])
     seen: list[int] = []
     found = train(
         problem, CONFIG, progress=lambda done, *_: seen.append(done), checkpoint=tmp_path / "checkpoint.safetensors"
     )
     assert min(seen) > 3  # the adaptation is not done again
+    assert 0 < spent <= found.seconds["denoise"]
     assert found.targets is not None
     assert whole.targets is not None
     assert torch.equal(found.targets, whole.targets)

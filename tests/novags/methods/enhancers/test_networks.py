@@ -3,6 +3,7 @@
 import argparse
 import math
 import pickle
+import time
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -60,17 +61,20 @@ def test_a_training_that_is_interrupted_goes_on_to_the_same_bits(tmp_path, monke
 
     def stop(done, total, losses):
         seen.append((done, total))
+        time.sleep(0.1)
         if done == 3:
             raise Stop
 
-    whole = learned(kind, config, dark(), 5)
+    whole, earlier = learned(kind, config, dark(), 5)
+    assert earlier == 0
     with pytest.raises(Stop):
         learned(kind, config, dark(), 5, progress=stop, more=4, checkpoint=tmp_path / "c.safetensors")
     assert seen == [(1, 10), (2, 10), (3, 10)]
-    resumed = learned(kind, config, dark(), 5, checkpoint=tmp_path / "c.safetensors")
+    resumed, earlier = learned(kind, config, dark(), 5, checkpoint=tmp_path / "c.safetensors")
+    assert earlier > 0.2  # what the stopped run had spent when it was saved
     for name, value in whole.state_dict().items():
         assert torch.equal(value, resumed.state_dict()[name]), name
-    other = learned(kind, config, dark(), 6)
+    other, _ = learned(kind, config, dark(), 6)
     assert not all(torch.equal(v, other.state_dict()[n]) for n, v in whole.state_dict().items())
 
 
@@ -187,7 +191,7 @@ def test_a_method_learns_from_the_scene_and_its_run_holds_the_network(tmp_path):
     result = train(problem(), config, progress=lambda done, total, entry: reports.append((done, total)))
     assert reports[-1][1] == 8
     assert [done for done, _ in reports] == sorted(done for done, _ in reports)
-    wanted = learned(ZERO_DCE, TINY, dark(), 3)
+    wanted, _ = learned(ZERO_DCE, TINY, dark(), 3)
     pictures = torch.stack([ZERO_DCE.picture(wanted, each, TINY)[0] for each in dark()])
     assert torch.equal(result.targets, pictures)
     result.save(tmp_path)
@@ -234,7 +238,7 @@ def test_the_seed_chooses_the_first_weights_and_every_step_draws_crops_of_its_ow
     learned(kind, replace(TINY, steps=3), dark(), 0)
     assert [tuple(batch.shape) for batch in seen] == [(1, 3, 8, 8)] * 3
     assert not any(torch.equal(seen[0], other) for other in seen[1:])
-    first = [learned(ZERO_DCE, replace(TINY, steps=0), dark(), seed).e_conv1.weight for seed in (0, 0, 1)]
+    first = [learned(ZERO_DCE, replace(TINY, steps=0), dark(), seed)[0].e_conv1.weight for seed in (0, 0, 1)]
     assert torch.equal(first[0], first[1])
     assert not torch.equal(first[0], first[2])
 
@@ -247,6 +251,6 @@ def test_no_gradient_of_a_rehearsal_is_longer_than_its_clip() -> None:
     )  # fmt: skip
     torch.manual_seed(5)
     before = ZERO_DCE.make(config)
-    after = learned(replace(ZERO_DCE, rehearsal=plain), config, dark(), 5)
+    after, _ = learned(replace(ZERO_DCE, rehearsal=plain), config, dark(), 5)
     moved = [(a - b).detach() for a, b in zip(after.parameters(), before.parameters(), strict=True)]
     assert math.sqrt(sum(float(each.square().sum()) for each in moved)) == pytest.approx(0.1, rel=1e-3)

@@ -101,8 +101,8 @@ def test_a_training_brightens_until_the_illumination_follows_the_picture():
     """Smooth light and fidelity: with time i approaches x, and x / i approaches 1."""
     dark = torch.full((2, 12, 12, 3), 0.15)
     config = SciConfig(steps=30, rate=4e-2, crop=6, batch=1)
-    made = learned(SCI, config, dark, 0)
-    before = learned(SCI, SciConfig(steps=0), dark, 0)
+    made, _ = learned(SCI, config, dark, 0)
+    before, _ = learned(SCI, SciConfig(steps=0), dark, 0)
     levels = [float(SCI.picture(each, dark[0], config)[0].mean()) for each in (before, made)]
     assert 1.4 * levels[0] < levels[1] <= 1
 
