@@ -17,7 +17,8 @@ class Exposures(MeasuredLight):
     """The training pictures as measurements of light.
 
     Attributes:
-        held: Pixels that no fit sees, bool [C, H, W]; they judge the fits.
+        held: Pixels that no fit sees, bool [C, H, W]; they judge the fits. None where data share their noise: that of
+            a pixel would be in its neighbours, which fits see.
     """
 
     held: Tensor
@@ -40,7 +41,7 @@ def exposures(problem: Problem, noise: Noise, held_share: float) -> Exposures:
     Args:
         problem: The problem.
         noise: Of its pictures.
-        held_share: Of the pixels, drawn by the problem's seed, to be held out; 0..1.
+        held_share: Of the pixels, drawn by the problem's seed, to be held out where noise is independent; 0..1.
 
     Raises:
         LacksInput: As `measured_light` says.
@@ -48,5 +49,5 @@ def exposures(problem: Problem, noise: Noise, held_share: float) -> Exposures:
     shared = problem.channels_share + problem.pixels_share
     found = measured_light(noise, problem.raw, problem.linear16, shared)
     generator = torch.Generator().manual_seed(problem.seed)
-    held = torch.rand(found.light.shape[:3], generator=generator) < held_share
+    held = torch.rand(found.light.shape[:3], generator=generator) < (0.0 if found.shared else held_share)
     return Exposures(**vars(found), held=held.to(found.light.device))

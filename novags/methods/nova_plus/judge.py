@@ -1,4 +1,7 @@
-"""Which of two reconstructions agrees better with the held-out data: a test that needs no truth."""
+"""Which of two reconstructions agrees better with the held-out data: a test that needs no truth.
+
+It needs independent noise, however: of data that share it, nothing is held out, and there is no verdict.
+"""
 
 import math
 from dataclasses import dataclass
@@ -16,7 +19,7 @@ class Verdict:
 
     Attributes:
         excess: Mean over the held-out data.
-        deviation: Standard error of that mean.
+        deviation: Standard error of that mean; inf without held-out data.
     """
 
     excess: float

@@ -1,6 +1,7 @@
 """The method as a whole: likelihood, targets, structure; several seeds, merged; every step judged by data."""
 
 import dataclasses
+import math
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -52,7 +53,7 @@ class NovaPlusConfig:
         gaussians: How many each seed has; None: one for every `PIXELS_PER_GAUSSIAN` of all views, however many points
             there are at the start. `fit.cap_max`, where it is given, caps all seeds together.
         seeds: Independent reconstructions that are merged.
-        held_share: Share of the pixels that is held out to judge.
+        held_share: Share of the pixels that is held out to judge; nothing is where neighbours share their noise.
         bandwidth: Of the guided averages, in tone; None: chosen by `choose_bandwidth`.
         averaged_share: Of the guided averages beside their guide, in the targets of stage 2.
         denoise: The trained denoiser, for data whose noise is independent; None: without it.
@@ -133,9 +134,11 @@ def train(
     started = time.perf_counter()
     fitting = dataclasses.replace(fit_for(problem, config.fit), cap_max=config.fit.cap_max)  # `gaussians` has the rule
     config = dataclasses.replace(config, fit=fitting)
-    data = exposures(problem, noise_of(problem, config.noise), config.held_share)
+    noise = noise_of(problem, config.noise)
+    data = exposures(problem, noise, config.held_share)
     curve = tone_curve(data.greens)
     work = _Work(problem, config, data, curve, progress, checkpoint)
+    work.found["noise"] = {"origin": noise.origin, "shared": list(data.shared)}
     firsts = [work.likelihood(seed) for seed in range(config.seeds)]
     final, targets = (firsts, None) if config.stages == "likelihood" else work.structure(firsts)
     gaussians = final[0] if len(final) == 1 else work.joined(final, targets)
@@ -201,17 +204,16 @@ class _Work:
         h = self.config.bandwidth
         if h is None:
             h, tried = choose_bandwidth(guide, self.data, self.curve)
-            self.found["bandwidths"] = tried
+            self.found |= {"bandwidths": tried} if tried else {}
         self.found["bandwidth"] = h
         targets = self.targets(non_local_means(guide, GUIDE_BANDWIDTH * h), h)
         seconds = []
         for seed in range(self.config.seeds):
             config = self._config("structure", seed)
             seconds.append(self._fit("structure", seed, self._first(), targets, config).gaussians)
-        verdict = compare(mean_tone([self._tones(each) for each in seconds], self.curve),
-                          mean_tone(before, self.curve), self.data, self.curve, weights)  # fmt: skip
-        self.found["structure"] = dataclasses.asdict(verdict)
-        return (firsts, None) if verdict.worse else (seconds, targets)
+        after = mean_tone([self._tones(each) for each in seconds], self.curve)
+        worse = self._worse("structure", after, mean_tone(before, self.curve), weights)
+        return (firsts, None) if worse else (seconds, targets)
 
     def targets(self, guide: Tensor, h: float) -> Tensor:
         """Tones [C, H, W, 3] that stage 2 fits."""
@@ -251,9 +253,13 @@ class _Work:
         )  # fmt: skip
         joined = self._fit("merged", 0, joined, targets, config, loss).gaussians
         first = self._tones(sets[0])
-        verdict = compare(self._tones(joined), first, self.data, self.curve, self.weights(first))
-        self.found["merged"] = dataclasses.asdict(verdict)
-        return sets[0] if verdict.worse else joined
+        return sets[0] if self._worse("merged", self._tones(joined), first, self.weights(first)) else joined
+
+    def _worse(self, part: str, tones: Tensor, other: Tensor, weights: Tensor) -> bool:
+        """Whether held-out data are against a part; without any there is no verdict, and the part is kept."""
+        verdict = compare(tones, other, self.data, self.curve, weights)
+        self.found[part] = dataclasses.asdict(verdict) if math.isfinite(verdict.deviation) else None
+        return verdict.worse
 
     def weights(self, tones: Tensor) -> Tensor:
         """How strongly the enhanced pictures respond to a change in tone, squared; with mean 1."""
