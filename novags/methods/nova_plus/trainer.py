@@ -35,7 +35,7 @@ MCMC = McmcConfig(refine_start=50, refine_every=50, growth=1.08, noise_lr=2e5)
 # Opacities are regularised early in a stage, which keeps noise out of it, then freed, which makes surfaces dense.
 FIT = FitConfig(rates=FAST, eps2d=0.1, mcmc=MCMC, opacity_reg_fall=1.0)
 PIXELS_PER_GAUSSIAN = 11  # of all training views: more Gaussians gain little, fewer lose
-PARTS = {"likelihood": 10, "structure": 10, "merged": 2}  # what each fit takes, in 24ths of `fit.iterations`
+PARTS = {"likelihood": 10, "structure": 10, "merged": 2}  # each fit, in 24ths of `fit.iterations`
 CHECKPOINTS = "checkpoints"
 CHANGE = 0.03  # step in tone, about the error of a render, at which an enhanced picture's response is measured
 SMOOTH = 0.02  # bandwidth, in tone, that smooths the render before that
@@ -47,8 +47,9 @@ class NovaPlusConfig:
     """All choices. What is None follows a rule from the data.
 
     Attributes:
-        fit: Of both stages, each from the first points; `fit.iterations` are shared out by `PARTS`. `fit.opacity_reg`
-            is the weight in stage 2, and in stage 1 where every pixel measures all channels; merged sets have none.
+        fit: Of both stages, each from the first points. They take 10 24ths of `fit.iterations` each (`PARTS`), for each
+            seed, and merging takes 2: in all 1.75 times as many for two seeds. `fit.opacity_reg` is the weight in stage
+            2, and in stage 1 where every pixel measures all channels; merged sets have none.
         init_scale: Of an initial Gaussian, in distances to its nearest neighbours.
         gaussians: How many each seed has; None: one for every `PIXELS_PER_GAUSSIAN` of all views, however many points
             there are at the start. `fit.cap_max`, where it is given, caps all seeds together.
