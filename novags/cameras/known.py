@@ -1,7 +1,8 @@
 """Cameras taken from the set itself, exact or with a stated error, and points to start from.
 
 The errors stand for an estimator's: rotation and translation per camera, depth as one factor per view (what a
-feed-forward network gets wrong is coherent within a view). Points follow the perturbed cameras.
+feed-forward network gets wrong is coherent within a view). Points from depth and from the pictures follow the perturbed
+cameras; those of a sparse model stay where they are, exact.
 """
 
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ class KnownConfig:
 
     rotation_deg: float = 0.0  # root-mean-square angle by which cameras are rotated, about random axes
     translation: float = 0.0  # root-mean-square distance by which camera centres are moved, scene extents
-    depth_error: float = 0.0  # standard deviation of the log of each view's depth factor
+    depth_error: float = 0.0  # standard deviation of the log of each view's depth factor; needs a set with depth
 
     def __post_init__(self) -> None:
         for name in ("rotation_deg", "translation", "depth_error"):
@@ -53,7 +54,8 @@ def known(
         Every view has a camera, in the frame of the set; `extent` is that of the exact cameras.
 
     Raises:
-        ValueError: For no views, images of the wrong number or size, or fewer than 2 points.
+        ValueError: For no views, images of the wrong number or size, fewer than 2 points, or a depth_error where the
+            set has no depth.
     """
     config = config or KnownConfig()
     rig = multiview.rig
@@ -69,6 +71,9 @@ def known(
     moved = perturb(exact, config.rotation_deg, config.translation * extent, rng)
     images = colors_from.detach().cpu().numpy().astype(np.float32)
     depths = _depths(multiview, indices)
+    if config.depth_error and depths is None:
+        raise ValueError(f"depth_error of known cameras needs a set with depth, at its full size, got "
+                         f"{config.depth_error:g} and no depth: leave it out")  # fmt: skip
     if depths is not None:
         factors = np.exp(config.depth_error * rng.standard_normal(len(indices)))
         first = from_depths(depths * factors[:, None, None], images, moved, Ks, n_points, rng)

@@ -183,6 +183,21 @@ def test_without_depth_sparse_points_are_taken_but_never_their_lit_colours():
     torch.testing.assert_close(start.colors, torch.full((100, 3), 0.07))
 
 
+def test_points_of_a_sparse_model_stay_exact_while_cameras_are_wrong():
+    points = np.random.default_rng(0).uniform(-0.3, 0.3, (60, 3))
+    multiview = FakeSet(cameras(), depth=False, sparse=SparsePoints.untracked(points, np.zeros((60, 3), np.uint8)))
+    start = known(multiview, [0, 1], shaded(2), n_points=60, config=KnownConfig(rotation_deg=3.0, translation=0.2))
+    assert not np.allclose(start.viewmats, multiview.rig.viewmats[[0, 1]], atol=1e-2)
+    np.testing.assert_allclose(start.points, points, atol=1e-6)
+
+
+@pytest.mark.parametrize("sparse", [None, SparsePoints.untracked(np.zeros((3, 3)), np.zeros((3, 3), np.uint8))])
+def test_depth_errors_of_a_set_without_depth_are_refused(sparse: SparsePoints | None):
+    with pytest.raises(ValueError, match=r"depth_error .* needs a set with depth.*got 0.2 and no depth: leave it out"):
+        known(FakeSet(cameras(), depth=False, sparse=sparse), [0, 1], shaded(2), n_points=50,
+              config=KnownConfig(depth_error=0.2))  # fmt: skip
+
+
 def test_pictures_that_share_no_neighbours_start_at_random_where_the_cameras_look():
     """Four cameras a quarter of a circle apart: no two of them look the same way."""
     start = known(FakeSet(cameras(), depth=False), [0, 1, 2, 3], shaded(), n_points=500)
