@@ -17,6 +17,7 @@ from novags.cameras.points import averaged, project, subset
 
 Index = NDArray[np.intp]
 LARGEST_MISS = 2.0  # px of a prepared picture, twice what conventions of half a pixel and rounding make of it
+HEADS_MISS = 10.0  # the same for points of another part of the network, which is as right as the network is
 
 
 @dataclass(frozen=True)
@@ -125,8 +126,9 @@ def choose(source: str, confidence: Array, usable: NDArray[Any], drop_percent: f
 
 
 def from_pixels(
-    source: str, chosen: Index, points: Array, viewmats: Array, Ks: Array, window: Window, colors_from: Tensor
-) -> CameraEstimate:
+    source: str, chosen: Index, points: Array, viewmats: Array, Ks: Array, window: Window, colors_from: Tensor,
+    other_points: Array | None = None,
+) -> CameraEstimate:  # fmt: skip
     """The estimate of a network that places every view and the point behind every pixel.
 
     Args:
@@ -137,6 +139,8 @@ def from_pixels(
         Ks: [C, 3, 3], of the prepared pictures.
         window: Which part of the pictures those are.
         colors_from: [C, h, w, 3] dark images, 0..1.
+        other_points: Where another part of the network sees the same pixels [P, 3]. Needed where `points` were made
+            with these cameras, which then see them at their pixels whatever the cameras are; None: `points`.
 
     Raises:
         ValueError: If cameras are not finite, or if points are not seen at their pixels: then this version of the
@@ -148,11 +152,12 @@ def from_pixels(
         )
     view, row, column = chosen.T
     pixels = np.stack([column, row], -1) + 0.5
-    miss = _miss(points, pixels, view, viewmats, Ks)
-    if not miss <= LARGEST_MISS:
+    largest = LARGEST_MISS if other_points is None else HEADS_MISS
+    miss = _miss(points if other_points is None else other_points, pixels, view, viewmats, Ks)
+    if not miss <= largest:
         raise ValueError(
             f"{source} returned points that its own cameras see {miss:.3g} px from their pixels (median, at most "
-            f"{LARGEST_MISS:g}): this version of the package has other conventions than novags.cameras.networks"
+            f"{largest:g}): this version of the package has other conventions than novags.cameras.networks"
         )
     # The same place in the original pictures; at their very edge, rounding may end just outside.
     sizes = np.array(colors_from.shape[2:0:-1])
@@ -165,10 +170,13 @@ def from_pixels(
 
 
 def _miss(points: Array, pixels: Array, view: Index, viewmats: Array, Ks: Array) -> float:
-    """Median distance between pixels and where their views see the points, px; infinite for those behind the camera."""
-    distances = np.full(len(points), np.inf)
+    """Distance between pixels and where their views see the points, px; infinite for those behind the camera.
+
+    Median over the views of their medians: the first view alone, whose pose often is the identity, shows nothing.
+    """
+    medians = []
     for i in np.unique(view):
-        of_view = view == i
-        seen, _ = project(points[of_view], viewmats[i], Ks[i])
-        distances[of_view] = np.linalg.norm(seen - pixels[of_view], axis=1)
-    return float(np.median(np.where(np.isnan(distances), np.inf, distances)))
+        seen, _ = project(points[view == i], viewmats[i], Ks[i])
+        distances = np.linalg.norm(seen - pixels[view == i], axis=1)
+        medians.append(np.median(np.where(np.isfinite(distances), distances, np.inf)))
+    return float(np.median(medians))

@@ -1,8 +1,10 @@
 """Cameras and points from VGGT, with the user's own installation and weights (neither is part of this project).
 
-Parts of the package in use: `vggt.models.vggt.VGGT` with its `aggregator`, `camera_head` and `depth_head`, and
-`vggt.utils.pose_enc.pose_encoding_to_extri_intri`. Pictures are prepared as its loader does in mode "crop": 518 px
-wide, the height rounded to whole patches, cropped to the middle 518 px if it is larger.
+Parts of the package in use: `vggt.models.vggt.VGGT` with its `aggregator`, `camera_head`, `depth_head` and
+`point_head`, and `vggt.utils.pose_enc.pose_encoding_to_extri_intri`. Pictures are prepared as its loader does in mode
+"crop": 518 px wide, the height rounded to whole patches, cropped to the middle 518 px if it is larger.
+
+Points are depths in the network's cameras, which is more accurate than its own points; those check the cameras.
 """
 
 from collections.abc import Iterator
@@ -72,7 +74,7 @@ def vggt_cameras(
 
     Raises:
         ValueError: If package or weights are missing or do not fit, for wrong shapes or types, or if the network
-            returns values that are not finite, or no positive depth.
+            returns values that are not finite, no positive depth, or cameras that its own points contradict.
     """
     pictures = np.asarray(pictures)
     check_views(pictures, colors_from, n_points, fewest=1)
@@ -80,11 +82,11 @@ def vggt_cameras(
     prepared, window = as_its_loader(pictures)
     with torch.random.fork_rng():  # its class draws first weights, which are then replaced
         model = _load(config.checkpoint, device)
-    viewmats, Ks, depths, confidence = _infer(model, prepared.to(device))
+    viewmats, Ks, depths, confidence, own_points = _infer(model, prepared.to(device))
     chosen = choose("vggt", confidence, np.isfinite(depths) & (depths > 0), config.drop_percent, n_points, seed)
     view, y, x = chosen.T
     points = unproject(np.stack([x, y], -1) + 0.5, depths[view, y, x], viewmats[view], Ks[view])
-    return from_pixels("vggt", chosen, points, viewmats, Ks, window, colors_from)
+    return from_pixels("vggt", chosen, points, viewmats, Ks, window, colors_from, own_points[view, y, x])
 
 
 def as_its_loader(pictures: NDArray[np.uint8]) -> tuple[Tensor, Window]:
@@ -104,8 +106,13 @@ def _load(checkpoint: Path, device: str | torch.device) -> Any:
     return model.eval().to(device)
 
 
-def _infer(model: Any, images: Tensor) -> tuple[Array, Array, Array, Array]:
-    """Cameras [C, 4, 4], intrinsics [C, 3, 3] of the prepared pictures, z-depths and confidence [C, H, W]; float64."""
+def _infer(model: Any, images: Tensor) -> tuple[Array, Array, Array, Array, Array]:
+    """Of the prepared pictures, in float64.
+
+    Returns:
+        Cameras [C, 4, 4], intrinsics [C, 3, 3], z-depths and their confidence [C, H, W], and the world points that the
+        network predicts without its cameras [C, H, W, 3].
+    """
     decode = part("vggt", "vggt.utils.pose_enc").pose_encoding_to_extri_intri
     with torch.no_grad():
         batch = images[None]
@@ -115,10 +122,11 @@ def _infer(model: Any, images: Tensor) -> tuple[Array, Array, Array, Array]:
         encoding = model.camera_head(tokens)[-1]
         extrinsics, intrinsics = decode(encoding, batch.shape[-2:])
         depths, confidence = model.depth_head(tokens, batch, patch_start)
-    extrinsics, intrinsics, depths, confidence = (
-        numbers(values[0]) for values in (extrinsics, intrinsics, depths[..., 0], confidence)
+        points, _ = model.point_head(tokens, batch, patch_start)
+    extrinsics, intrinsics, depths, confidence, points = (
+        numbers(values[0]) for values in (extrinsics, intrinsics, depths[..., 0], confidence, points)
     )
-    return as_matrices(extrinsics[:, :, :3], extrinsics[:, :, 3]), intrinsics, depths, confidence
+    return as_matrices(extrinsics[:, :, :3], extrinsics[:, :, 3]), intrinsics, depths, confidence, points
 
 
 @contextmanager

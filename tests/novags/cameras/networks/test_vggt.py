@@ -12,6 +12,7 @@ from safetensors.torch import save_file
 from scipy.spatial.transform import Rotation
 
 from novags.cameras.networks.vggt import VggtConfig, as_its_loader, vggt_cameras
+from novags.cameras.points import unproject
 
 SIZES = [(40, 30), (40, 60), (96, 96), (560, 420)]  # wide, tall (its middle is kept), square, larger than the network's
 
@@ -66,6 +67,10 @@ class StandIn(torch.nn.Module):
         assert patch_start_idx == 5
         return self.truth["depth"], self.truth["confidence"]
 
+    def point_head(self, tokens, images, patch_start_idx):
+        assert patch_start_idx == 5
+        return self.truth["points"], self.truth["confidence"]
+
 
 @pytest.fixture
 def package(monkeypatch, tmp_path):
@@ -90,6 +95,14 @@ def network_view(K: np.ndarray, width: int, height: int) -> tuple[np.ndarray, in
     return shown, min(tall, 518)
 
 
+def world_points(viewmats: np.ndarray, Ks: np.ndarray, depths: np.ndarray) -> np.ndarray:
+    """[S, H, W, 3] of every pixel."""
+    view, y, x = np.indices(depths.shape).reshape(3, -1)
+    return unproject(
+        np.stack([x, y], -1) + 0.5, depths.reshape(-1), np.asarray(viewmats)[view], Ks[view]
+    ).reshape(*depths.shape, 3)  # fmt: skip
+
+
 @pytest.fixture
 def shown(corner, package):
     """A corner of a room as the network would see it, and the configuration that runs the stand-in on it."""
@@ -102,6 +115,7 @@ def shown(corner, package):
         StandIn.truth = {
             "pose": pose_encoding(scene.rig.viewmats, Ks, tall, 518),
             "depth": torch.tensor(depths, dtype=torch.float32)[None, ..., None],
+            "points": torch.tensor(world_points(scene.rig.viewmats, Ks, depths), dtype=torch.float32)[None],
             "confidence": 1 + torch.rand(1, count, tall, 518, generator=torch.Generator().manual_seed(0)),
         }
         return scene, VggtConfig(checkpoint=package)
@@ -209,6 +223,45 @@ def test_cameras_that_are_not_finite_and_absent_depths_are_refused(shown):
     StandIn.truth = truth | {"depth": -truth["depth"]}
     with pytest.raises(ValueError, match="no positive depth"):
         vggt_cameras(scene.pictures, dark, n_points=10, config=config)
+
+
+def inverted(extrinsics: torch.Tensor, intrinsics: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    turned = extrinsics[..., :3].mT
+    return torch.cat([turned, -turned @ extrinsics[..., 3:]], -1), intrinsics
+
+
+def with_longer_lens(extrinsics: torch.Tensor, intrinsics: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    return extrinsics, intrinsics * torch.tensor([1.3, 1.3, 1.0])[:, None]
+
+
+@pytest.mark.parametrize("otherwise", [inverted, with_longer_lens])
+@pytest.mark.parametrize("count", [2, 3])
+def test_cameras_of_other_conventions_are_refused(shown, monkeypatch, otherwise, count):
+    """In the frame of the first camera, as the network's are: inverting that one changes nothing."""
+    scene, config = shown(40, 30, count)
+    first = scene.rig.viewmats[0]
+    moved = scene.rig.viewmats @ np.linalg.inv(first)
+    StandIn.truth["pose"] = pose_encoding(moved, np.stack([network_view(K, 40, 30)[0] for K in scene.rig.Ks]), 392, 518)
+    StandIn.truth["points"] = StandIn.truth["points"].double() @ torch.tensor(first[:3, :3].T) + torch.tensor(
+        first[:3, 3]
+    )
+    dark = as_dark(scene.pictures)
+    vggt_cameras(scene.pictures, dark, n_points=500, config=config)
+    monkeypatch.setattr(
+        sys.modules["vggt.utils.pose_enc"], "pose_encoding_to_extri_intri",
+        lambda *given: otherwise(*pose_encoding_to_extri_intri(*given)),
+    )  # fmt: skip
+    with pytest.raises(ValueError, match=r"its own cameras see .* px from their pixels.*has other conventions"):
+        vggt_cameras(scene.pictures, dark, n_points=500, config=config)
+
+
+def test_points_of_a_network_that_is_not_quite_right_about_them_do_not_refuse_its_cameras(shown):
+    """One in a hundred of the distance, as two parts of one network may differ."""
+    scene, config = shown(40, 30)
+    points = StandIn.truth["points"]
+    shift = torch.randn(points.shape, generator=torch.Generator().manual_seed(1))
+    StandIn.truth["points"] = points + 0.01 * shift * StandIn.truth["depth"]
+    vggt_cameras(scene.pictures, as_dark(scene.pictures), n_points=500, config=config)
 
 
 def test_what_does_not_fit_is_refused(shown, package):
