@@ -7,9 +7,10 @@ from typing import Any
 from novags.testbed.dataset.file import SPLITS, DatasetConfig
 from novags.testbed.dataset.publish import Entry
 
+# Textures of scene files may be photographs.
+CATALOGUE_ONLY = "Everything is rendered: no photograph is part of it, and nothing shows a real place or person."
 # What is simulated is what the plans switched on; this is what no scene and no camera here has.
 NEVER = (
-    "Everything is rendered: no photograph is part of it, and nothing shows a real place or person.",
     "Scenes stand still; nothing moves between two views.",
     "Noise follows the camera models named above; compression, sharpening and denoising in a camera are not simulated "
     "unless `capture.jpeg_quality` is among the settings.",
@@ -49,7 +50,8 @@ def card(config: DatasetConfig, entries: Sequence[Entry], manifest: dict[str, An
     lines += [f"It took {cost['seconds']:.0f} s of work and holds {cost['bytes'] / 1e6:.1f} MB. `manifest.json` has "
               "what every set and capture simulates and what it leaves out, with reasons and bounds, its cost, and the "
               "SHA-256 of every file.", "", "## What is not in it", ""]  # fmt: skip
-    return "\n".join([*lines, *(f"- {text}" for text in NEVER), ""])
+    never = NEVER if any(entry.scene.endswith(".xml") for entry in entries) else (CATALOGUE_ONLY, *NEVER)
+    return "\n".join([*lines, *(f"- {text}" for text in never), ""])
 
 
 _LAYOUT = (

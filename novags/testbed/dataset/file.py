@@ -95,6 +95,9 @@ def read_dataset(path: Path) -> tuple[Study, DatasetConfig]:
         if cell.preset.folder or cell.preset.photos or cell.preset.dark:
             raise ValueError(f"{path}: {cell.label}: a data set is of rendered scenes, and this one was photographed: "
                              "leave it out")  # fmt: skip
+        if (size := cell.preset.capture.max_size) is not None:
+            raise ValueError(f"{path}: {cell.label}: max_size = {size} would make dark pictures smaller than those in "
+                             "good light: choose width and height instead")  # fmt: skip
     cells = (Cell(c.values, with_own_noise(c.preset, spelled(c.preset.render.scene, path))) for c in study.cells)
     return replace(study, cells=tuple(cells), table=table), config
 

@@ -118,6 +118,10 @@ WRONG = {
     "method": (f"{FILE}method='naive'", "[grid] method: it belongs to reconstructions"),
     "points": (f"{FILE}[override]\npoints=9", "[override] points: it belongs to reconstructions"),
     "setting": (f"{FILE}fit.sh_degree=1", "[grid] fit.sh_degree: it is a setting of methods"),
+    "size": (
+        f"{FILE}[override]\nmax_size=56",
+        "max_size = 56 would make dark pictures smaller",
+    ),
     "rig": (f"{FILE}rig='a'\n[rig.a]\niterations=3", "[rig.a] iterations: it belongs to reconstructions"),
     "variant": (f"{FILE}[variant.a]\nmethod='naive'", "[variant]: a data set has no methods"),
     "photographs": (FILE.replace('"cornell"', '"photos"'), "a data set is of rendered scenes"),
