@@ -14,8 +14,13 @@ import pytest
 
 from novags.commands.dataset import dataset
 from novags.testbed.console import Console
-from novags.testbed.dataset.shards import remove_shards
+from novags.testbed.dataset.file import read_dataset
+from novags.testbed.dataset.forecast import forecast
+from novags.testbed.dataset.shards import MEMBERS, remove_shards
 from novags.testbed.folders.capture import open_capture
+from novags.testbed.study.engines.choice import OneMachine
+from novags.testbed.study.plan import plan_of
+from novags.testbed.study.store import costs
 from novags.testbed.viewer.light import Camera
 from sensor_model.files.toml_file import read_toml
 from simscenes.sets.pictures.png import read_png
@@ -108,6 +113,27 @@ def test_the_manifest_names_every_file_with_its_checksum_and_what_was_simulated(
     assert card.startswith('---\nlicense: "cc-by-4.0"\n')
     assert "| train | one.xml | 2 | 8 |" in card
     assert "Balls in the dark" in card
+    assert "no photograph" not in card  # textures of scene files may be photographs
+
+
+def test_shards_are_forecast_with_a_copy_of_the_set_in_every_capture(
+    place: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of entries that hold pictures alone: of such small ones, points take most of the disk."""
+    (place / "more.toml").write_text(
+        FILE.replace("[5, 50]", str([*range(5, 17)])).replace(', "two.xml"]', "]").replace('val = ["two.xml"]', "")
+    )
+    study, config = read_dataset(place / "more.toml")
+    plan = plan_of(study, place / "store", Console(quiet=True))
+    sizes = {kind: sum((place / "data" / row[kind]).stat().st_size for row in rows(place)[:4]) for kind in MEMBERS}
+    lit = sizes["lit"] + sizes["gt"]
+    of = {"set": lit, "capture": sum(sizes.values()) - lit}
+    entries = [{**entry, "bytes": of[entry["kind"]]} for entry in costs(place / "store")]
+    monkeypatch.setattr("novags.testbed.dataset.forecast.costs", lambda store: entries)
+    said = forecast(plan, config, {"one.xml": "train"}, place / "store", place / "data", OneMachine.shared(12, 1))
+    found = re.search(r"beside the store it takes ([0-9.]+) MB \(links, and shards\)", said)
+    assert found is not None, said
+    assert float(found[1]) * 1e6 == pytest.approx(12 * sum(sizes.values()), rel=0.3)
 
 
 def test_no_two_captures_share_their_noise(place: Path) -> None:

@@ -25,9 +25,12 @@ def forecast(
         engine: Where the work would be done.
     """
     found = Costs.of(costs(store), engine.threads)
-    size = sum(found.predicted(task).disk for task in plan.tasks.values())
+    disk = {key: found.predicted(task).disk for key, task in plan.tasks.items()}
+    size = sum(disk.values())
+    # Samples are of captures, and each holds its own copy of the picture and the truth in good light.
+    shards = sum(disk[key] + sum(disk[need] for need in plan.tasks[key].needs) for key in plan.ends)
     linked = _device(store) == _device(out)
-    beside = (0.0 if linked else size) + (0.0 if config.shard_mb is None else size)
+    beside = (0.0 if linked else size) + (0.0 if config.shard_mb is None else shards)
     lines = [of_study.forecast(plan, store, engine), "", f"  data set {config.name}: about {of_study.size(size)}; "
              f"beside the store it takes {of_study.size(beside)} ({'links' if linked else 'copies'}"
              f"{', and shards' if config.shard_mb is not None else ''})"]  # fmt: skip
