@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from novags.testbed.machine.groups import levels
+
 # How those that have no class for it put it. The system's own words, whatever error they are passed on in; and those of
 # torch, OpenCV and Dr.Jit, which are taken for that only in an error that a library raises.
 _SYSTEM = re.compile(r"cannot allocate memory|can't allocate memory|failed to map segment", re.I)
@@ -59,24 +61,23 @@ def available_bytes() -> int:
         free = next(int(line.split()[1]) * 1024 for line in lines if line.startswith("MemAvailable"))
     except (OSError, StopIteration):
         return os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
-    return min([free, *_left_to_group()])
+    return min([free, *_left_to_groups()])
 
 
-def _left_to_group() -> list[int]:
-    """What the limit of this process's control group leaves, if it has one (version 2, then 1)."""
-    for part, limit, used, cached in (
-        ("", "memory.max", "memory.current", "inactive_file"),
-        ("memory", "memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
-    ):
-        try:
-            group = Path("/sys/fs/cgroup", part)
-            most, now = (int((group / name).read_text(encoding="ascii")) for name in (limit, used))
-            lines = (group / "memory.stat").read_text(encoding="ascii").splitlines()
-            spare = next((int(line.split()[1]) for line in lines if line.split()[0] == cached), 0)  # given up on demand
-            return [max(0, most - now + spare)]
-        except (OSError, ValueError, IndexError):  # no such file, or "max": no limit
-            continue
-    return []
+def _left_to_groups() -> Iterator[int]:
+    """What the limits of this process's control groups leave, where they have one (version 2, then 1)."""
+    for group in levels("memory"):
+        for limit, used, cached in (
+            ("memory.max", "memory.current", "inactive_file"),
+            ("memory.limit_in_bytes", "memory.usage_in_bytes", "total_inactive_file"),
+        ):
+            try:
+                most, now = (int((group / name).read_text(encoding="ascii")) for name in (limit, used))
+                lines = (group / "memory.stat").read_text(encoding="ascii").splitlines()
+                spare = next((int(line.split()[1]) for line in lines if line.split()[0] == cached), 0)  # on demand
+            except (OSError, ValueError, IndexError):  # no such file, or "max": no limit
+                continue
+            yield max(0, most - now + spare)
 
 
 def resident_bytes(process: int) -> int:

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from novags.testbed.machine import cores
+from novags.testbed.machine import cores, groups
 from novags.testbed.machine.provenance import hardware
 from novags.testbed.study import conduct
 from novags.testbed.study.engines import choice, local, processes, queue
@@ -236,7 +236,7 @@ def test_a_container_has_the_cores_whose_time_it_may_take(
     for name, text in files.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_text(text)
-    monkeypatch.setattr(cores, "GROUP", tmp_path)
+    monkeypatch.setattr(groups, "ROOT", tmp_path)
     monkeypatch.setattr(os, "sched_getaffinity", lambda process: set(range(8)), raising=False)
     assert cores.cores_here() == count == hardware()["cores"]
 
