@@ -20,7 +20,7 @@ def pareto(
         knobs: Measure these alone, by name; what the folder has of the others stays.
         quick: Small sizes and fewer settings: minutes instead of hours for all. The sizes stand in every line.
         repeats: Measurements of each setting, whose spread gives the error bars; 3 if not given, 2 with --quick.
-        overwrite: Drop measurements of other sizes or of another machine that lie in `out`.
+        overwrite: Drop measurements of other sizes, another machine or other software that lie in `out`.
         wait: If another process is writing to `out`, wait until it is done instead of refusing.
     """
     from novags.testbed.pareto.measure import measure

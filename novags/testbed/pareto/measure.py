@@ -47,11 +47,11 @@ def measure(
         repeats: Seeds, 0 to repeats - 1.
         console: Where progress goes.
         only: Names of the knobs to measure; none: all.
-        overwrite: Drop measurements of another size or machine.
+        overwrite: Drop measurements of another size, machine or version of the software.
 
     Raises:
-        ValueError: If `repeats` is below 1, a knob is unknown, or the folder holds measurements of another size or
-            machine.
+        ValueError: If `repeats` is below 1, a knob is unknown, or the folder holds measurements of another size,
+            machine or version of the software.
     """
     if repeats < 1:
         raise ValueError(f"repeats must be >= 1, got {repeats}")

@@ -8,11 +8,13 @@ from typing import Any
 from novags.testbed.cache import jsonable, read_json, write_json
 from novags.testbed.machine.provenance import environment
 from novags.testbed.pareto.knob import Knob, Measured, Setting, Subject, spelled
+from novags.testbed.study.store import version
 
 NUMBER = (str, float, None)  # a setting
 LARGEST = 1e100  # of a time or an error: their squares must be numbers too
+OF = {"workload": "workload", "hardware": "hardware", "versions": "version of the software"}  # must all be the same
 SHAPE = {
-    "workload": dict, "hardware": dict, "versions": dict,
+    **dict.fromkeys(OF, dict),
     "samples": [{"knob": str, "setting": NUMBER, "seed": int, "seconds": float, "cpu_seconds": float, "error": float,
                  "parts": {"*": float}, "spent": float}],
 }  # fmt: skip
@@ -24,29 +26,28 @@ class Samples:
     Args:
         path: The file.
         subject: Whose.
-        overwrite: Drop what the file holds if it was measured on other work or another machine.
+        overwrite: Drop what the file holds if it was measured on other work, another machine or by other software.
 
     Raises:
-        ValueError: If the file is damaged, or was measured on other work or another machine.
+        ValueError: If the file is damaged, or was measured on other work, another machine or by other software.
     """
 
     def __init__(self, path: Path, subject: Subject, *, overwrite: bool = False) -> None:
         self.path = path
         made = environment()
-        self.about = jsonable(
-            {"workload": subject.workload, "hardware": made["hardware"], "versions": made["versions"]}
-        )
+        versions = {**made["versions"], "code": version()}  # the number of novags stays while its code changes
+        self.about = jsonable({"workload": subject.workload, "hardware": made["hardware"], "versions": versions})
         self.rows: list[dict[str, Any]] = []
         if not path.exists():
             return
         known = read_json(path, SHAPE)
-        other = [word for word in ("workload", "hardware") if known[word] != self.about[word]]
+        other = [word for word in OF if known[word] != self.about[word]]
         if not other:
             self.rows = _checked(known["samples"], path)
         elif not overwrite:
-            before = ", ".join(spelled(known[word]) for word in other)
-            raise ValueError(f"{path} holds measurements of another {' and '.join(other)} ({before}): choose another "
-                             "--out, or add --overwrite to drop them")  # fmt: skip
+            before = "; ".join(spelled(_unlike(known[word], self.about[word])) for word in other)
+            raise ValueError(f"{path} holds measurements of another {' and '.join(OF[word] for word in other)} "
+                             f"({before}): choose another --out, or add --overwrite to drop them")  # fmt: skip
 
     def find(self, knob: Knob, setting: Setting, seed: int) -> dict[str, Any] | None:
         """A measurement, or None if it was not made yet."""
@@ -68,6 +69,11 @@ class Samples:
     def spent(self) -> Iterator[tuple[str, Setting, float]]:
         """Knob, setting and seconds of every measurement."""
         return ((row["knob"], row["setting"], row["spent"]) for row in self.rows)
+
+
+def _unlike(before: dict[str, Any], here: dict[str, Any]) -> dict[str, Any]:
+    """What differs, as it was."""
+    return {name: before.get(name) for name in {**before, **here} if before.get(name) != here.get(name)}
 
 
 def _checked(rows: list[dict[str, Any]], path: Path) -> list[dict[str, Any]]:

@@ -68,18 +68,23 @@ def test_more_repetitions_add_to_those_that_are_there(made: Any, tmp_path: Path)
     assert {seed for *_, seed in made.asked} == {1, 2}
 
 
-@pytest.mark.parametrize("what", ["workload", "hardware"])
-def test_measurements_of_other_work_or_another_machine_are_never_mixed(
+@pytest.mark.parametrize("what", ["workload", "hardware", "package", "code"])
+def test_measurements_of_other_work_another_machine_or_other_software_are_never_mixed(
     what: str, made: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     measure(made.subject, tmp_path, 1, QUIET)
     before = (tmp_path / "made.samples.json").read_text()
     if what == "workload":
         made.workload = {"scene": "a wall", "size": 9}
+    elif what == "code":
+        monkeypatch.setattr(samples_module, "version", lambda: "another")
     else:
         here = samples_module.environment()
-        monkeypatch.setattr(samples_module, "environment", lambda: {**here, "hardware": {"processor": "abacus"}})
-    with pytest.raises(ValueError, match=rf"another {what} .*choose another --out, or add --overwrite"):
+        other = {"hardware": {"processor": "abacus"}, "package": {**here["versions"], "numba": "0.1"}}[what]
+        place = {"hardware": "hardware", "package": "versions"}[what]
+        monkeypatch.setattr(samples_module, "environment", lambda: {**here, place: other})
+    said = {"package": r"version of the software \(numba [^;]*\)", "code": r"version of the software \(code "}
+    with pytest.raises(ValueError, match=rf"another {said.get(what, what)}.*choose another --out, or add --overwrite"):
         measure(made.subject, tmp_path, 1, QUIET)
     assert (tmp_path / "made.samples.json").read_text() == before
     made.asked = []
