@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -35,8 +36,9 @@ def film(path: Path, fps: float, count: int) -> Iterator[Film]:
         made: Any = _Mp4(temporary, fps) if path.suffix == ".mp4" else _WebP(temporary, fps, count)
         try:
             yield made
+            made.finish()
         finally:
-            made.close()
+            made.release()
         if not made.is_whole():
             raise OSError(f"{path}: not all of it was written; is the disk full?")
 
@@ -66,7 +68,12 @@ class _Mp4:
         self._writer.write(np.ascontiguousarray(frame[..., ::-1]))
         self._frames += 1
 
-    def close(self) -> None:
+    def finish(self) -> None:
+        """Complete the file."""
+        self.release()
+
+    def release(self) -> None:
+        """Let go of what is open; what was not finished is lost."""
         if self._writer is not None:
             self._writer.release()
 
@@ -93,11 +100,19 @@ class _WebP:
                              "--out a name that ends in .mp4, or fewer seconds or frames a second")  # fmt: skip
         self._frames.append(Image.fromarray(frame))
 
-    def close(self) -> None:
+    def finish(self) -> None:
+        """Encode all frames, which takes long."""
         if self._frames:
             first, *rest = self._frames
-            first.save(self._path, "webp", save_all=True, append_images=rest, duration=round(1000 / self._fps), loop=0,
-                       quality=80, method=2)  # fmt: skip
+            # Whole milliseconds between rounded times: rounded durations would make a film up to a tenth too long.
+            times = [round(1000 * k / self._fps) for k in range(len(self._frames) + 1)]
+            durations = [after - before for before, after in pairwise(times)]
+            first.save(self._path, "webp", save_all=True, append_images=rest, duration=durations, loop=0, quality=80,
+                       method=2)  # fmt: skip
+
+    def release(self) -> None:
+        """Let go of the frames."""
+        self._frames.clear()
 
     def is_whole(self) -> bool:
         """Whether there is a file: Pillow raises where it cannot write all of it."""

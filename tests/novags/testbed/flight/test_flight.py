@@ -15,6 +15,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[4]
 sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a module
@@ -134,6 +135,31 @@ def test_frames_that_do_not_fit_into_memory_together_are_refused_with_the_first(
         with film(tmp_path / "f.webp", 10, 200_000) as made:
             made.add(frame)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("fps", [24.0, 30.0, 220.0])
+def test_a_webp_lasts_as_long_as_its_frames(tmp_path: Path, fps: float) -> None:
+    path = tmp_path / "f.webp"
+    with film(path, fps, 33) as made:
+        for level in range(33):
+            made.add(np.full((8, 8, 3), 7 * level, np.uint8))
+    with Image.open(path) as read:
+        durations = []
+        for k in range(read.n_frames):
+            read.seek(k)
+            read.load()
+            durations.append(read.info["duration"])
+    assert sum(durations) == pytest.approx(1000 * 33 / fps, abs=1)
+
+
+def test_an_interrupted_webp_is_not_encoded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    saved: list[Any] = []
+    monkeypatch.setattr(Image.Image, "save", lambda *given, **more: saved.append(given))
+    with pytest.raises(KeyError), film(tmp_path / "f.webp", 10, 2) as made:  # noqa: PT012  # frames, then the error
+        made.add(np.zeros((8, 8, 3), np.uint8))
+        raise KeyError
+    assert not saved
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_film_that_fails_leaves_no_file(tmp_path: Path) -> None:
