@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from novags.testbed import stability
+from sensor_model.files.atomic import write_text
 
 
 def show(parts: Sequence[str], *, long: bool = False, out: Path | None = None, overwrite: bool = False) -> bool:
@@ -19,10 +20,15 @@ def show(parts: Sequence[str], *, long: bool = False, out: Path | None = None, o
         Whether all of them hold.
 
     Raises:
-        ValueError: If there is no such part, or `out` holds something else.
+        ValueError: If there is no such part, or `out` holds something else or is a folder.
+        OSError: If `out` cannot be written to.
     """
     if unknown := [part for part in parts if part not in stability.PARTS]:
         raise ValueError(f"no part {unknown[0]!r:.80} of the hard cases; available: {', '.join(stability.PARTS)}")
+    if out is not None:
+        if out.is_dir():
+            raise ValueError(f"{out} is a folder, and the table goes into a file: choose another --out")
+        out.parent.mkdir(parents=True, exist_ok=True)
     page = out.read_text(encoding="utf-8") if out is not None and out.is_file() else ""
     if page and not stability.has_place(page) and not overwrite:
         raise ValueError(f"{out} is there and has no place for a table: choose another --out, or add --overwrite")
@@ -31,7 +37,7 @@ def show(parts: Sequence[str], *, long: bool = False, out: Path | None = None, o
         print(f"{'ok  ' if result.holds else 'FAIL'}  {result}", flush=True)
         results.append(result)
     if out is not None:
-        out.write_text(stability.embedded(page, stability.markdown(results)), encoding="utf-8")
+        write_text(out, stability.embedded(page, stability.markdown(results)))
     failed = sum(not result.holds for result in results)
     print(f"{len(results)} computed, {failed} beyond their bounds" if failed else f"all {len(results)} hold")
     return not failed
