@@ -68,9 +68,7 @@ def check_mapper(mapper: str) -> None:
     import pycolmap
 
     if mapper == "global" and not hasattr(pycolmap, "global_mapping"):
-        raise ValueError(
-            f"pycolmap {pycolmap.__version__} has no global mapper: install pycolmap >= 4, or use mapper=incremental"
-        )
+        raise ValueError(f"pycolmap {pycolmap.__version__} has no global mapper: pip install 'pycolmap>=4'")
 
 
 def reconstruct(

@@ -168,7 +168,7 @@ def test_a_pycolmap_without_global_mapper_says_so(scene, monkeypatch):
     import pycolmap
 
     monkeypatch.delattr(pycolmap, "global_mapping")
-    with pytest.raises(ValueError, match="has no global mapper: install pycolmap >= 4, or use mapper=incremental"):
+    with pytest.raises(ValueError, match="has no global mapper: pip install 'pycolmap>=4'"):
         structure_from_motion(
             scene.pictures, scene.rig.Ks, as_dark(scene.pictures), n_points=50, config=SfmConfig(mapper="global")
         )
