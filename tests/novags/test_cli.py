@@ -1,5 +1,6 @@
 """Claims about the command line: it starts without the heavy libraries, and says what is wrong in one line."""
 
+import os
 import re
 import shlex
 import subprocess
@@ -246,21 +247,37 @@ def test_a_command_without_standard_output_does_its_work() -> None:
     assert (done.returncode, done.stderr) == (0, "")
 
 
-def test_doctor_does_not_promise_a_gpu_to_what_runs_on_the_processor(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("gsplat", ["1.5.3", None])
+def test_doctor_says_whether_fits_run_on_the_gpu(gsplat: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
     from novags.testbed.machine import doctor
 
+    monkeypatch.setattr(doctor, "package_version", lambda name: gsplat if name == "gsplat" else "1.0")
+    monkeypatch.setattr(doctor, "_import_problem", lambda module: "")
     machine = doctor.hardware() | {"gpu": "some card"}
     monkeypatch.setattr(doctor, "hardware", lambda: machine)
-    findings = {finding.name: finding.detail for finding in doctor.examine()}
-    assert findings["CUDA"].startswith("some card; ")
-    assert "training uses the processor" in findings["CUDA"]
+    findings = {finding.name: finding for finding in doctor.examine()}
+    said = "fits run on it (--device cpu: not)" if gsplat else "fits run on the processor until scripts/setup cuda"
+    assert findings["CUDA"].detail.startswith(f"some card; {said}")
+    assert findings["CUDA"].state == findings["gsplat"].state == ("ok" if gsplat else "missing")
     assert "VGGT" not in findings  # nothing here uses it
+
+
+@pytest.mark.parametrize("name", ["torch", "pycolmap"])
+def test_doctor_finds_what_is_installed_and_cannot_be_imported(name: str, tmp_path: Path) -> None:
+    (tmp_path / f"{name}.py").write_text("raise ImportError('libstrange.so.1: cannot open shared object file')")
+    environment = {**os.environ, "PYTHONPATH": f"{tmp_path}{os.pathsep}{os.environ.get('PYTHONPATH', '')}"}
+    done = subprocess.run([sys.executable, "-m", "novags", "doctor"], capture_output=True, text=True, check=False,
+                          env=environment)  # fmt: skip
+    assert done.returncode == 1
+    assert re.search(rf"BROKEN +{name} .*cannot be imported \(ImportError: libstrange", done.stdout)
+    assert "something needed is broken" in done.stdout
 
 
 def test_doctor_finds_what_the_tests_themselves_need(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
     assert call("doctor") == 0
     text = capsys.readouterr().out
     assert "ok       torch" in text
+    assert "ok       pycolmap" in text
     assert "ok       mitsuba" in text
     assert "ready: novags run --preset demo" in text
     assert "BROKEN" not in text

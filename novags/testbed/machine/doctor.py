@@ -2,6 +2,7 @@
 
 import os
 import platform
+import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,8 +11,6 @@ from typing import Literal
 
 from novags.testbed.machine.provenance import hardware, package_version
 from novags.testbed.metrics import PerceptualDistance
-
-GSPLAT_USE = "only for novags.splats.rasterize with CUDA tensors of your own"
 
 
 @dataclass(frozen=True)
@@ -30,6 +29,7 @@ def examine() -> Iterator[Finding]:
     memory = machine["memory_bytes"] / 2**30
     yield Finding("machine", "ok", f"{machine['processor']}, {machine['cores']} cores, {memory:.0f} GiB")
     yield _package("torch", "pip install torch")
+    yield _package("pycolmap", "pip install 'pycolmap>=4'")
     yield _cuda(machine["gpu"])
     yield _gsplat(machine["gpu"])
     yield from _mitsuba()
@@ -46,22 +46,43 @@ def _python() -> Finding:
 
 def _package(name: str, how: str) -> Finding:
     version = package_version(name)
-    return Finding(name, "ok", version) if version else Finding(name, "broken", f"not installed: {how}")
+    if version is None:
+        return Finding(name, "broken", f"not installed: {how}")
+    problem = _import_problem(name)
+    return (
+        Finding(name, "broken", f"{version} cannot be imported ({problem}): {how}")
+        if problem
+        else Finding(name, "ok", version)
+    )
+
+
+def _import_problem(module: str) -> str:
+    """What goes wrong where it is imported, "" if nothing: in a process of its own, which a broken library may end."""
+    try:
+        done = subprocess.run(
+            [sys.executable, "-c", f"import {module}"], capture_output=True, text=True, timeout=300, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return f"the attempt did not finish: {error}"
+    if done.returncode == 0:
+        return ""
+    return (done.stderr.strip().splitlines() or [f"exit status {done.returncode}"])[-1]
 
 
 def _cuda(gpu: str | None) -> Finding:
-    if gpu:
-        return Finding(
-            "CUDA", "ok", f"{gpu}; Mitsuba renders on it if cuda_ad works below, training uses the processor"
-        )
-    return Finding("CUDA", "missing", "no GPU that torch can use; everything runs on the processor")
+    if not gpu:
+        return Finding("CUDA", "missing", "no GPU that torch can use; everything runs on the processor")
+    renders = "Mitsuba renders on it if cuda_ad works below"
+    if package_version("gsplat") is None:
+        return Finding("CUDA", "missing", f"{gpu}; fits run on the processor until scripts/setup cuda, {renders}")
+    return Finding("CUDA", "ok", f"{gpu}; fits run on it (--device cpu: not), {renders}")
 
 
 def _gsplat(gpu: str | None) -> Finding:
+    use = "for fits on the GPU" if gpu else "for fits on a GPU, which this machine does not have"
     if (version := package_version("gsplat")) is not None:
-        return Finding("gsplat", "ok", f"{version}; {GSPLAT_USE}")
-    where = "" if gpu else ", and this machine has no GPU"
-    return Finding("gsplat", "missing", f"{GSPLAT_USE}{where}: scripts/setup cuda")
+        return Finding("gsplat", "ok", f"{version}; {use}")
+    return Finding("gsplat", "missing", f"{use}: scripts/setup cuda")
 
 
 def _mitsuba() -> Iterator[Finding]:
