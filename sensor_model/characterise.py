@@ -6,7 +6,7 @@ mean and of the temporal variance, in DN and DN**2.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 
 import numpy as np
@@ -17,7 +17,7 @@ from sensor_model.params import Defects, Sensor, require
 Array = NDArray[np.float64]
 QUANTISATION = 1 / 12  # DN**2
 UNDERFLOW = 0.005  # of the dark pixels that may be 0: more, and what is left of their noise is no longer the camera's
-HOT = 6  # robust standard deviations beyond which a pixel's dark current sets it apart: 1e-9 of normal ones are
+HOT = 6  # standard deviations, robust ones of all pixels and those of its own noise, beyond which a pixel is hot
 COLD = 1e-6  # least dark current of the others, as a share of that of hot pixels, which is stated as a multiple of it
 CROOKED = 0.2  # linearity error beyond which the stated light, and not the camera, must be what is wrong
 UNITS = {"gain": "DN/e-", "black_level": "DN", "dark_current": "e-/s"} | dict.fromkeys(
@@ -102,7 +102,8 @@ def characterise(dark: Sequence[Stack], flat: Sequence[Stack]) -> Characterisati
     less the temporal variance that remains in them (section 8). A bent response is straightened first. A lamp or a
     shutter may vary from frame to frame, and light may fall off smoothly towards the corners: neither is noise. Hot
     pixels, which EMVA 1288 leaves in its averages, are counted by themselves: one in a thousand can make six electrons
-    of DSNU out of one.
+    of DSNU out of one. They need eight frames in the shortest and the longest dark stack: of two to four, up to one
+    pixel in 40,000 looks hot where read noise has heavy tails or telegraph pixels.
     """
     _check(dark, flat)
     hot, excess = _hot_pixels(dark)
@@ -181,14 +182,26 @@ def _average(stack: Stack) -> Array:
     return np.asarray(np.mean(stack.frames, axis=0, dtype=np.float64))
 
 
-def _temporal_variance(stack: Stack) -> float:
-    """Mean over the pixels of their temporal variance, without what all pixels of a frame share, such as the flicker of
-    a lamp (EMVA 1288, section 6).
+def _squares(stack: Stack) -> Iterator[Array]:
+    """Of each frame the squared temporal deviation of every pixel, [h, w], without what all pixels of a frame share,
+    such as the flicker of a lamp (EMVA 1288, section 6).
     """
     average = _average(stack)
     pattern = average - average.mean()
-    squares = [np.square(frame - frame.mean(dtype=np.float64) - pattern).sum() for frame in stack.frames]
-    return float(np.sum(squares)) / ((len(squares) - 1) * (pattern.size - 1))
+    for frame in stack.frames:
+        yield np.square(frame - frame.mean(dtype=np.float64) - pattern)
+
+
+def _temporal_variance(stack: Stack) -> float:
+    """Mean over the pixels of their temporal variance."""
+    n, h, w = np.shape(stack.frames)
+    return float(np.sum([square.sum() for square in _squares(stack)])) / ((n - 1) * (h * w - 1))
+
+
+def _variance_of_average(stack: Stack) -> Array:
+    """Temporal variance that is left in the average of each pixel, [h, w]."""
+    n = len(stack.frames)
+    return np.asarray(sum(_squares(stack))) / ((n - 1) * n)
 
 
 def _spatial_variance(stack: Stack, shading: bool = False) -> float:
@@ -252,7 +265,10 @@ def _noise_parts(stacks: Sequence[Stack], at_zero_time: float) -> tuple[float, f
 
 
 def _hot_pixels(dark: Sequence[Stack]) -> tuple[NDArray[np.bool_], float]:
-    """Pixels whose signal grows much faster in the dark than that of others, [h, w], and by how much, DN/s."""
+    """Pixels whose signal grows much faster in the dark than that of others, [h, w], and by how much, DN/s.
+
+    Heavy tails of the read noise and telegraph pixels reach as far by chance, but with as much noise of their own.
+    """
     # Shortest and longest time; of several stacks of one time, that of most frames.
     first = min(dark, key=lambda s: (s.time, -len(s.frames)))
     last = max(dark, key=lambda s: (s.time, len(s.frames)))
@@ -260,7 +276,8 @@ def _hot_pixels(dark: Sequence[Stack]) -> tuple[NDArray[np.bool_], float]:
     grown -= np.median(grown)
     # Where noise is below a DN, most pixels have grown by exactly as much, and any other would be hot
     spread = max(1.4826 * float(np.median(np.abs(grown))), QUANTISATION**0.5)
-    hot = grown > HOT * spread
+    own = np.sqrt(_variance_of_average(first) + _variance_of_average(last))
+    hot = grown > HOT * np.maximum(spread, own)
     return hot, float(grown[hot].mean()) / (last.time - first.time) if hot.any() else 0.0
 
 
