@@ -1,13 +1,14 @@
 """The noise of a known camera, as methods may see it: the variance of each datum as a function of its mean.
 
 Sources: the terms of `moments.frame_moments` far from any clipping, and of the fixed pattern. With x the mean over the
-black level in DN, mu_e = x / K the charge, K the gain and a the droop of the response:
+black level in DN, K the gain, a the droop of the response, y = K mu_e the charge, x = y - (a / K) y**2, and s the slope
+of the response there, s**2 = 1 - 4 (a / K) x:
 
-    variance = K x - 3 a x**2                                       shot noise (through a bent response)
+    variance = s**2 K y                                             shot noise, through a bent response
              + K**2 (sigma_d**2 + sigma_row**2 + sigma_column**2 + banding**2 / 2) + 1/12    readout, rounding
-             + K**2 dsnu**2 + prnu**2 (x - K dark_e)**2             fixed pattern
+             + K**2 dsnu**2 + s**2 prnu**2 (y - K dark_e)**2        fixed pattern
 
-Dark charge raises the mean, so its shot noise is part of K x. What is left out: near black and white clipping lowers
+Dark charge raises the mean, so its shot noise is part of K y. What is left out: near black and white clipping lowers
 the variance; hot and telegraph pixels are outliers, not noise of every pixel; row, column and banding noise count in
 full, although neighbours share them. Below 0.5 DN of noise, 1/12 is the squared rounding error on average over signals
 that lie anywhere between two codes.
@@ -30,8 +31,19 @@ Channels = tuple[float, ...]  # one number per channel: red, green, blue; or one
 
 
 @dataclass(frozen=True, kw_only=True)
+class Bend:
+    """A response x = y - factor y**2 behind some of the noise, which shrinks by its slope."""
+
+    factor: Channels
+    offset: Channels  # part of the offset of the curve that arises before the bend
+
+
+@dataclass(frozen=True, kw_only=True)
 class NoiseCurve:
-    """offset + slope x + quadratic x**2 with x = mean - black, cut to [0, white - black]; units of the datum."""
+    """offset + slope x + quadratic x**2 with x = mean - black, cut to [0, white - black]; units of the datum.
+
+    Behind a bend: offset - bend.offset + (bend.offset + slope y + quadratic y**2) (1 - 4 bend.factor x).
+    """
 
     black: Channels  # mean of a pixel without any charge
     white: Channels  # mean at which it saturates; brighter ones count as this
@@ -43,6 +55,7 @@ class NoiseCurve:
     matrix: tuple[Channels, ...] | None = None  # [3, 3]: the datum is this matrix times the channels described above
     rounding: float = 0.0  # variance of storing the datum in 16 bits
     interpolated: bool = False  # of each pixel only the channel of its own filter was measured: see `linear_noise`
+    bend: Bend | None = None
 
     def variance(self, mean: ArrayLike, channels: NDArray[np.intp] | None = None) -> NDArray[np.float64]:
         """Variance of data of this mean.
@@ -78,7 +91,13 @@ class NoiseCurve:
             for values in (self.black, self.white, self.offset, self.slope, self.quadratic, self.switch, self.step)
         )
         x = np.clip(mean - black, 0, white - black)
-        return offset + (slope + quadratic * x) * x + np.where(mean > switch, step, 0.0)
+        low = np.where(mean > switch, step, 0.0)
+        if self.bend is None:
+            return offset + (slope + quadratic * x) * x + low
+        fall = 4 * np.asarray(self.bend.factor)[pick] * x
+        square = np.maximum(1 - fall, 0)  # of the slope; a negative bias of black lifts white over the top of a bend
+        y = 2 * x / (1 + np.sqrt(square))
+        return offset - np.asarray(self.bend.offset)[pick] * fall + (slope + quadratic * y) * y * square + low
 
 
 def raw_noise(
@@ -109,18 +128,20 @@ def raw_noise(
     readout = s.sigma_d**2 + lines + (s.dsnu**2 if fixed_pattern else 0.0)
     offset = s.gain**2 * readout + _rounding(s, lines) + response * dark**2
     slope = s.gain * blur * shot - 2 * response * dark
-    quadratic = response - 3 * s.droop * blur * shot
+    bend = Bend(factor=(s.droop / s.gain,) * channels, offset=(response * dark**2,) * channels) if s.droop else None
     low = s.dual_gain
     step = s.gain**2 * (low.sigma_d**2 - s.sigma_d**2) + (low.ratio**2 - 1) / 12 if low else 0.0
     black = [s.black_level + bias for bias in (s.rgb_bias if channels == 3 else s.rgb_bias[1:2])]
+    switch = s.gain * (low.threshold - s.droop * min(low.threshold, s.mu_e_sat) ** 2) if low else inf
     return NoiseCurve(
         black=tuple(black),
         white=(s.white_dn,) * channels,
         offset=(offset,) * channels,
         slope=(slope,) * channels,
-        quadratic=(quadratic,) * channels,
-        switch=tuple(b + s.gain * low.threshold for b in black) if low else (inf,) * channels,
+        quadratic=(response,) * channels,
+        switch=tuple(b + switch for b in black),
         step=(step,) * channels,
+        bend=bend,
     )
 
 
@@ -182,6 +203,8 @@ def linear_noise(
         step=_channels(gain**2 * raw.step / samples),
         rounding=1 / 12 / (65535 - LINEAR16_BLACK) ** 2,
         interpolated=sensor.cfa is not None and not halves,
+        bend=raw.bend
+        and Bend(factor=_channels(raw.bend.factor / gain), offset=_channels(gain**2 * raw.bend.offset / samples)),
     )
     if color_matrix is None:
         return curve

@@ -10,6 +10,7 @@ from novags.methods.noise import Noise, Variance
 from novags.methods.problem import LacksInput, RawPictures, Start
 from sensor_model import NoiseCurve, srgb_to_linear
 from sensor_model.mosaic import channel_index
+from sensor_model.noise import Bend
 
 BRIGHT = 0.99  # quantile of the green data that becomes a colour of 1
 
@@ -102,6 +103,7 @@ def _scaled(curve: NoiseCurve, unit: list[float]) -> NoiseCurve:
     return replace(
         curve, black=(0.0,) * 3, white=each(curve.white, 1, curve.black), switch=each(curve.switch, 1, curve.black),
         offset=each(curve.offset, 2), slope=each(curve.slope, 1), step=each(curve.step, 2),
+        bend=curve.bend and Bend(factor=each(curve.bend.factor, -1), offset=each(curve.bend.offset, 2)),
     )  # fmt: skip
 
 

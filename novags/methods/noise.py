@@ -39,7 +39,12 @@ class Variance:
         black = of(c.black)
         x = torch.minimum((mean - black).clamp_min(0), of(c.white) - black)
         low = torch.where(mean > of(c.switch), of(c.step), 0.0)
-        return of(c.offset) + (of(c.slope) + of(c.quadratic) * x) * x + low
+        if c.bend is None:
+            return of(c.offset) + (of(c.slope) + of(c.quadratic) * x) * x + low
+        fall = 4 * of(c.bend.factor) * x
+        square = (1 - fall).clamp_min(1e-12)  # the gradient of the root is infinite at 0
+        y = 2 * x / (1 + square.sqrt())
+        return of(c.offset) - of(c.bend.offset) * fall + (of(c.slope) + of(c.quadratic) * y) * y * square + low
 
 
 @dataclass(frozen=True)

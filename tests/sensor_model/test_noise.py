@@ -31,6 +31,7 @@ CAMERAS = {name: replace(s, **EVEN) for name, s in PRESETS.items() if not name.e
     "rows, columns, bands, dark, bias": replace(NOISY, dsnu=0.0),
     "uneven response": replace(NOISY, dsnu=0.0, prnu=0.1),
     "bent": replace(NOISY, dsnu=0.0, nonlinearity=0.05),
+    "bent by two fifths": replace(NOISY, dsnu=0.0, nonlinearity=0.4),
     "coupled": replace(NOISY, dsnu=0.0, prnu=0.0, coupling=0.04),
     "coarse codes": Sensor(gain=0.5, eta=1.0, mu_e_sat=8000.0, black_level=64.0, bits=12, sigma_d=2.0, cfa=None),
     "two gains": replace(NOISY, dsnu=0.0, prnu=0.0, dual_gain=DualGain(threshold=1500.0, sigma_d=30.0, ratio=8)),
@@ -50,7 +51,7 @@ def assert_variance(samples, expected, *, axis=None):
 @pytest.mark.parametrize("name", list(CAMERAS))
 def test_the_curve_is_the_analytic_variance_over_the_analytic_mean(name):
     """Rationale: the moments of frames are the truth. Flat rows, clear of black, white and of the switch of the gains;
-    dark current, PRNU, row noise and rounding are in. To first order in the bend of the response: 1 %."""
+    dark current, PRNU, row noise and rounding are in. To first order in the bend over a standard deviation: 0.1 %."""
     sensor = CAMERAS[name]
     curve = raw_noise(sensor, EXPOSURE, channels=3 if sensor.cfa else 1, fixed_pattern=False)
     channels = channel_index((6, 8), sensor.cfa) if sensor.cfa else np.zeros((6, 8), int)
@@ -63,7 +64,7 @@ def test_the_curve_is_the_analytic_variance_over_the_analytic_mean(name):
         mean, sd = frame.mean_dn, np.sqrt(frame.variance_dn)
         clear = inner & (sensor.white_dn - mean > 7 * sd)
         found = curve.variance(mean, channels)
-        rtol = 0.01 if sensor.nonlinearity > 0.01 else 1e-4
+        rtol = 1e-3 if sensor.nonlinearity > 0.01 else 1e-4
         np.testing.assert_allclose(found[clear], frame.variance_dn[clear], rtol=rtol, atol=1e-3)
         compared += clear.any()
     assert compared >= 5
@@ -90,10 +91,12 @@ def test_what_a_plan_leaves_out_is_not_in_the_curve():
     np.testing.assert_allclose(bent.variance(np.full(3, 5000.0)), curve.variance(np.full(3, 500.0)))
 
 
-def test_the_low_gain_adds_its_noise_from_its_threshold_on():
-    sensor = replace(NOISY, prnu=0.0, dual_gain=DualGain(threshold=1500.0, sigma_d=30.0, ratio=8))
+@pytest.mark.parametrize("nonlinearity", [0.0, 0.2])
+def test_the_low_gain_adds_its_noise_from_its_threshold_on(nonlinearity):
+    low = DualGain(threshold=1500.0, sigma_d=30.0, ratio=8)
+    sensor = replace(NOISY, prnu=0.0, nonlinearity=nonlinearity, dual_gain=low)
     balance, white = np.array([2.0, 1.0, 1 / 0.7]), sensor.white_dn - 300
-    at = 1.7 * 1500 + np.array([4.0, -3.0, 2.0])
+    at = 1.7 * (1500 - nonlinearity / 6000 * 1500**2) + np.array([4.0, -3.0, 2.0])
     added = 1.7**2 * (900 - 9) + 63 / 12
     for curve, mean, unit in (
         (raw_noise(sensor, EXPOSURE), 300 + at, np.ones(3)),
@@ -103,17 +106,32 @@ def test_the_low_gain_adds_its_noise_from_its_threshold_on():
         np.testing.assert_allclose(step, unit**2 * added, rtol=1e-4)
 
 
+@pytest.mark.parametrize("nonlinearity", [0.0, 0.3])
 @pytest.mark.parametrize("charge", [0.0, 40.0, 1500.0])
-def test_the_fixed_pattern_of_the_pixels_is_noise_to_a_method(charge):
+def test_the_fixed_pattern_of_the_pixels_is_noise_to_a_method(charge, nonlinearity):
     """One frame of a flat field: pixels differ by temporal noise, DSNU and PRNU, which acts on light and not on dark
-    charge. Noise of whole rows and columns, whose few draws make a sample variance of its own, is left out."""
-    sensor = replace(NOISY, sigma_row=0.0, sigma_column=0.0, banding=None, rgb_bias=(0.0,) * 3, dark_current=8000.0)
+    charge, before the response bends. Noise of whole rows and columns, whose few draws make a sample variance of its
+    own, is left out."""
+    sensor = replace(NOISY, sigma_row=0.0, sigma_column=0.0, banding=None, rgb_bias=(0.0,) * 3, dark_current=8000.0,
+                     nonlinearity=nonlinearity)  # fmt: skip
     dn = expose(np.full((700, 700), charge / sensor.eta), sensor, EXPOSURE, seed=0, view=0).dn.astype(np.float64)
-    mean = 300 + 1.7 * (charge + 400)
+    mean = 300 + 1.7 * (charge + 400 - sensor.droop * (charge + 400) ** 2)
+    slope = 1 - 2 * sensor.droop * (charge + 400)
     curves = [raw_noise(sensor, EXPOSURE, channels=1, fixed_pattern=f) for f in (True, False)]
     assert_variance(dn, curves[0].variance(mean))
     added = curves[0].variance(mean) - curves[1].variance(mean)
-    assert added == pytest.approx(1.7**2 * (2.0**2 + (0.02 * charge) ** 2))
+    assert added == pytest.approx(1.7**2 * (2.0**2 + (0.02 * charge * slope) ** 2))
+
+
+@pytest.mark.parametrize("nonlinearity", [0.02, 0.1, 0.2])
+def test_close_to_a_full_well_a_bent_response_shrinks_shot_noise_and_pattern(nonlinearity):
+    """Both arise before the bend. Taken as of the bent signal, the variance was 2, 12 and 36 % too large here."""
+    sensor = Sensor(gain=0.3, eta=1.0, mu_e_sat=1e4, black_level=100.0, bits=16, sigma_d=3.0, prnu=0.01, cfa=None,
+                    nonlinearity=nonlinearity)  # fmt: skip
+    frames = [expose(np.full((300, 300), 9000.0), sensor, EXPOSURE, seed=0, view=v).dn for v in range(2)]
+    mean = 100 + 0.3 * (9000 - nonlinearity / 1e4 * 9000**2)
+    found = raw_noise(sensor, EXPOSURE, channels=1).variance(mean)
+    assert found == pytest.approx(np.mean([dn.var() for dn in frames]), rel=0.02)
 
 
 def linear_frames(sensor, photons, **how):

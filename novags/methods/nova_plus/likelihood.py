@@ -64,10 +64,13 @@ class Likelihood:
 
 
 def table(curve: NoiseCurve, white: Tensor) -> np.ndarray:
-    """Black, largest signal, offset, slope, quadratic, switch, step, saturation of each channel, [8, 3]."""
-    black = np.array(curve.black)
+    """Black, largest signal, offset, slope, quadratic, switch, step, saturation, bend (factor, offset) of each channel,
+    [10, 3].
+    """
+    black, straight = np.array(curve.black), np.zeros((2, 3))
     rows = (black, np.array(curve.white) - black, curve.offset, curve.slope, curve.quadratic, curve.switch, curve.step)
-    return np.array([*rows, FULL * white.double().cpu().numpy()])
+    bend = straight if curve.bend is None else (curve.bend.factor, curve.bend.offset)
+    return np.array([*rows, FULL * white.double().cpu().numpy(), *bend])
 
 
 @kernel
@@ -85,7 +88,14 @@ def compare_tones(tones, light, knee, k, steepest, camera, floor, scale, v_tones
             if datum >= camera[7, c] and mean > datum:
                 continue  # a saturated datum is only a lower bound
             signal = min(max(mean - camera[0, c], 0.0), camera[1, c])
-            variance = camera[2, c] + (camera[3, c] + camera[4, c] * signal) * signal
+            if camera[8, c] > 0:
+                fall = 4 * camera[8, c] * signal
+                square = max(1 - fall, 0.0)
+                charge = 2 * signal / (1 + math.sqrt(square))
+                variance = (camera[3, c] + camera[4, c] * charge) * charge * square
+                variance += camera[2, c] - camera[9, c] * fall
+            else:
+                variance = camera[2, c] + (camera[3, c] + camera[4, c] * signal) * signal
             if mean > camera[5, c]:
                 variance += camera[6, c]
             weight = floor / (variance / (slope * slope) + floor)

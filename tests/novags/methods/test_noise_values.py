@@ -10,11 +10,13 @@ import torch
 from novags.methods.noise import Variance, camera_noise
 from novags.methods.noise_estimate import _binned, _line, estimate_noise
 from sensor_model import Exposure, NoiseCurve, Sensor, linear_noise, raw_noise
+from sensor_model.noise import Bend
 
 CURVE = NoiseCurve(
     black=(1.0, 2.0, 3.0), white=(20.0, 22.0, 24.0), offset=(0.5, 0.6, 0.7), slope=(0.3, 0.2, 0.1),
     quadratic=(-0.002, -0.003, -0.001), switch=(12.0, 13.0, math.inf), step=(2.0, 3.0, 4.0), rounding=0.04,
 )  # fmt: skip
+BEND = Bend(factor=(0.01, 0.011, 0.0), offset=(0.2, 0.0, 0.1))
 MATRIX = ((1.5, -0.4, -0.1), (-0.2, 1.4, -0.2), (0.1, -0.6, 1.5))
 
 
@@ -23,9 +25,10 @@ def means() -> np.ndarray:
     return np.random.default_rng(0).uniform(-3, 30, (5, 7, 3))
 
 
+@pytest.mark.parametrize("bend", [None, BEND])
 @pytest.mark.parametrize("matrix", [None, MATRIX])
-def test_tensors_have_the_variance_of_the_cameras_curve(matrix):
-    curve = replace(CURVE, matrix=matrix)
+def test_tensors_have_the_variance_of_the_cameras_curve(matrix, bend):
+    curve = replace(CURVE, matrix=matrix, bend=bend)
     found = Variance(curve)(torch.from_numpy(means()))
     np.testing.assert_allclose(found, curve.variance(means()), rtol=1e-9)
 
@@ -41,6 +44,14 @@ def test_the_variance_in_numbers():
     variance = Variance(CURVE)
     assert float(variance(torch.tensor([5.0, 5.0, 5.0]))[0]) == pytest.approx(0.5 + 0.292 * 4 + 0.04)
     assert float(variance(torch.tensor([13.0, 5.0, 5.0]))[0]) == pytest.approx(0.5 + (0.3 - 0.024) * 12 + 2.04)
+
+
+def test_the_variance_behind_a_bend_in_numbers():
+    # y = 5 of x = 4.75 = 5 - 0.01 * 25, where the slope is 0.9
+    expected = 0.5 - 0.2 + 0.9**2 * (0.2 + 0.3 * 5 - 0.002 * 25) + 0.04
+    curve = replace(CURVE, bend=BEND)
+    assert float(Variance(curve)(torch.full((3,), 5.75))[0]) == pytest.approx(expected)
+    assert curve.variance(np.full(3, 5.75))[0] == pytest.approx(expected)
 
 
 def test_a_known_camera_gives_the_noise_of_its_pictures_and_its_raw_frames():

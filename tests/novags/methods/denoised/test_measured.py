@@ -83,6 +83,18 @@ def test_the_variance_in_electrons_is_that_of_photons_and_readout() -> None:
     torch.testing.assert_close(found.variance(mean), mean + read, rtol=1e-3, atol=0)
 
 
+@pytest.mark.parametrize("with_raw", [True, False])
+def test_a_bent_response_lets_shot_noise_and_pattern_shrink(with_raw: bool) -> None:
+    sensor = replace(PRESETS["a7s2-iso6400-3chip"], mu_e_sat=2000.0, nonlinearity=0.2, prnu=0.01)
+    given = problem(sensor)
+    found = measured(given if with_raw else replace(given, raw=None))
+    charge = 1500.0
+    seen, slope = charge - 1e-4 * charge**2, 1 - 2e-4 * charge
+    read = sensor.sigma_d**2 + sensor.sigma_row**2 + 1 / 12 / sensor.gain**2
+    want = read + slope**2 * (charge + (0.01 * charge) ** 2)
+    assert found.variance(torch.full((1, 3, 1, 1), seen)).flatten().tolist() == pytest.approx([want] * 3, rel=1e-3)
+
+
 def test_linear_pictures_serve_where_there_are_no_raw_frames() -> None:
     given = problem(PRESETS["a7s2-iso6400-3chip"])
     raw, linear = measured(given), measured(replace(given, raw=None))

@@ -17,6 +17,7 @@ from novags.methods.tone import ToneCurve
 from novags.splats.views import Views
 from sensor_model import PRESETS, DualGain, Exposure, develop_linear, expose, linear_noise, mosaic
 from sensor_model.isp import white_balance
+from sensor_model.noise import Bend
 
 CURVE = ToneCurve(top=0.2, k=4.0)
 SIDE = 12
@@ -195,11 +196,18 @@ def some_data() -> tuple[Exposures, torch.Tensor, torch.Tensor]:
     return data, data.fitted, tones
 
 
-@pytest.mark.parametrize(("dual", "black"), [(False, 0.0), (True, 0.0), (True, 0.02)])
-def test_the_loss_follows_its_equation_on_what_there_is(dual: bool, black: float) -> None:
+BEND = Bend(factor=(0.05, 0.06, 0.07), offset=(1e-5, 2e-5, 3e-5))
+
+
+@pytest.mark.parametrize(
+    ("dual", "black", "bend"), [(False, 0.0, None), (True, 0.0, None), (True, 0.02, None), (True, 0.02, BEND)]
+)
+def test_the_loss_follows_its_equation_on_what_there_is(dual: bool, black: float, bend: Bend | None) -> None:
     data, fitted, tones = some_data()
     if dual:  # a camera that reads bright pixels at a lower gain, with more noise
-        curve = replace(data.noise.curve, black=(black,) * 3, switch=(0.02, 0.03, 0.04), step=(1e-4, 2e-4, 3e-4))
+        curve = replace(
+            data.noise.curve, black=(black,) * 3, switch=(0.02, 0.03, 0.04), step=(1e-4, 2e-4, 3e-4), bend=bend
+        )
         data = replace(data, noise=Variance(curve))
     loss = Likelihood(data, CURVE)
     # the loss is a mean over all data of an average picture: of both together it is that of the data
