@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from sensor_model import effects
 from sensor_model.frame import pattern, streams
 from sensor_model.mosaic import channel_index
-from sensor_model.params import Exposure, Sensor, require
+from sensor_model.params import LARGEST, Exposure, Sensor, require
 
 Array = NDArray[np.float64]
 
@@ -85,7 +85,11 @@ def charge_cap(sensor: Sensor) -> float:
     """A mean charge so far over saturation that every frame is full; keeps bright light within the Poisson sampler."""
     if sensor.blooming and np.isfinite(sensor.mu_e_sat):
         return streams.SIDE * sensor.mu_e_sat  # what does not fit goes elsewhere: enough to fill the longest column
-    top = sensor.capacity_e / (1 - sensor.nonlinearity) + 20 * (sensor.sigma_d + sensor.sigma_row + sensor.dsnu)
+    s = sensor
+    read = s.sigma_d * (s.defects.rts_factor if s.defects else 1) + (s.dual_gain.sigma_d if s.dual_gain else 0)
+    noise = read + s.sigma_row + s.sigma_column + s.dsnu + (s.banding.amplitude if s.banding else 0)
+    lowest = min(-min(0.0, *s.rgb_bias) / s.gain, LARGEST)  # no light at all shows over a black that is lower yet
+    top = s.capacity_e / (1 - s.nonlinearity) + 20 * noise + lowest
     return top + 10 * float(np.sqrt(top)) + 100
 
 

@@ -8,6 +8,9 @@ import pytest
 
 from sensor_model import (
     PRESETS,
+    Banding,
+    Defects,
+    DualGain,
     Exposure,
     Sensor,
     SensorOptics,
@@ -88,6 +91,28 @@ def test_odd_sizes_with_every_filter_pattern(cfa, shape):
     np.testing.assert_allclose(
         clean * sensor.capacity_e, np.broadcast_to([30, 50, 20], clean.shape), rtol=1e-3, atol=0.06
     )
+
+
+@pytest.mark.parametrize("backend", ["numba", "numpy"])
+@pytest.mark.parametrize(
+    "noise",
+    [
+        {},
+        {"sigma_column": 200.0},
+        {"banding": Banding(amplitude=600.0, period=9)},
+        {"sigma_d": 5.0, "defects": Defects(rts_fraction=0.02, rts_factor=100.0)},
+        {"dual_gain": DualGain(threshold=100.0, sigma_d=300.0, ratio=4)},
+        {"rgb_bias": (-500.0, -500.0, -500.0)},
+    ],
+    ids=lambda noise: "".join(noise) or "none",
+)
+def test_very_bright_light_saturates_under_any_noise(noise, backend):
+    """Noise of thousands of electrons below a signal of ten million; up to all of these pixels were dark."""
+    sensor = Sensor(gain=1.0, eta=1.0, mu_e_sat=1e6, black_level=0, bits=8, cfa=None, **noise)
+    frame = expose(np.full((100, 100), 1e7), sensor, EXPOSURE, seed=0, view=0, backend=backend)
+    assert (frame.dn == 255).all()
+    assert frame.saturated.all()
+    assert (frame.mean_dn == 255).all()
 
 
 @pytest.mark.parametrize("lam", [0.0, -1e-12, 1e-12])
