@@ -1,8 +1,11 @@
 """Raw frames as DNG files: a colour filter mosaic, or one or three full channels (LinearRaw), for any raw converter.
 
-LibRaw (rawpy) reads all of them bit for bit, if both sides have `SMALLEST` pixels or more. Black and white level are
-one number for all channels, in three-channel files too: LibRaw takes three of them for those of three of its four
-channels, leaves the fourth at 0, and renders the picture darker by black/white.
+Mosaics and monochrome frames are for any raw converter, three channels for LibRaw (rawpy) and what is built on it: both
+levels are one number for all channels. DNG 1.4 asks for one a channel in such files, and Adobe's converters ignore the
+levels that we write; but of three, LibRaw takes those for three of its four channels, leaves the fourth at 0, and
+renders the picture darker by black/white. No file suits both.
+
+LibRaw reads all of them bit for bit, if both sides have `SMALLEST` pixels or more.
 """
 
 from __future__ import annotations

@@ -191,3 +191,19 @@ def test_the_smallest_side_is_the_smallest_that_libraw_takes(name, tmp_path):
         write_dng(tmp_path / "a.dng", np.zeros((height, width, *three), np.uint16), PRESETS[name], EXPOSURE)
         with pytest.raises(rawpy.LibRawFileUnsupportedError):
             rawpy.imread(str(tmp_path / "a.dng"))
+
+
+def count(path, tag, kind):
+    """Number of values of a tag of this type."""
+    data = path.read_bytes()
+    return struct.unpack_from("<I", data, data.index(struct.pack("<HH", tag, kind)) + 4)[0]
+
+
+@pytest.mark.parametrize("name", ["imx900-hcg", "prime-95b", "imx900-hcg-3chip"])
+def test_levels_are_one_number_for_all_channels(name, tmp_path):
+    """Of three channels DNG 1.4 wants three of each, with which LibRaw renders the picture too dark."""
+    dn = noise(PRESETS[name]) if name != "prime-95b" else noise(PRESETS[name])[..., 0].copy()
+    write_dng(tmp_path / "a.dng", dn, PRESETS[name], EXPOSURE)
+    black, white = (50714, 5), (50717, 3)  # RATIONAL, SHORT
+    assert count(tmp_path / "a.dng", *black) == 1
+    assert count(tmp_path / "a.dng", *white) == 1
