@@ -148,6 +148,7 @@ def expose_burst(photons: ArrayLike, sensor: Sensor, exposure: Exposure, *, fram
 
     Args:
         photons: As for `expose`: one light for all frames, or one per frame along a first axis of length `frames`.
+            Without colour filter array, [n, h, 3] is always one light of three chips, not n frames that are 3 px wide.
         sensor: The camera.
         exposure: How each frame is taken.
         frames: How many; they are numbered from 0.
@@ -155,7 +156,7 @@ def expose_burst(photons: ArrayLike, sensor: Sensor, exposure: Exposure, *, fram
     """
     require(frames >= 1, "frames", ">= 1", frames)
     light = np.asarray(photons)
-    moving = light.ndim == (3 if sensor.cfa else 4)
+    moving = light.ndim == 4 or (light.ndim == 3 and (sensor.cfa is not None or light.shape[2] != 3))
     require(not moving or light.shape[0] == frames, "photons", f"one light or {frames}", light.shape)
     return [expose(light[i] if moving else light, sensor, exposure, frame=i, **how) for i in range(frames)]
 

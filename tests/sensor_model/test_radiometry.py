@@ -171,6 +171,17 @@ def test_a_burst_shares_light_and_pattern_but_no_noise():
         expose_burst(np.stack([light, light]), sensor, EXPOSURE, frames=3, seed=1, view=4)
 
 
+@pytest.mark.parametrize("shape", [(4, 8, 8), (4, 8, 3, 3)])
+def test_each_frame_of_a_burst_without_filters_may_have_its_light(shape):
+    sensor = PRESETS["imx900-hcg-3chip"]
+    light = np.random.default_rng(0).uniform(10, 500, shape)
+    burst = expose_burst(light, sensor, EXPOSURE, frames=4, seed=1, view=4)
+    for i, frame in enumerate(burst):
+        np.testing.assert_array_equal(frame.dn, expose(light[i], sensor, EXPOSURE, seed=1, view=4, frame=i).dn)
+    three_chips = expose_burst(np.ones((3, 9, 3)), sensor, EXPOSURE, frames=3, seed=1, view=4)
+    assert [frame.dn.shape for frame in three_chips] == [(3, 9, 3)] * 3
+
+
 def test_times_that_do_not_increase_or_do_not_span_every_row_are_refused():
     flux, exposure = np.ones((3, 5, 4)), Exposure(time=0.02, line_time=0.01)
     # the first row opens at 0 s, the last one closes at 4 * 0.01 + 0.02 s
