@@ -1,4 +1,4 @@
-"""Raw frames as DNG files: a colour filter mosaic, or one or three full channels (LinearRaw), for any raw converter.
+"""Raw frames as DNG files: a colour filter mosaic, or one or three full channels (LinearRaw).
 
 Mosaics and monochrome frames are for any raw converter, three channels for LibRaw (rawpy) and what is built on it: both
 levels are one number for all channels. DNG 1.4 asks for one a channel in such files, and Adobe's converters ignore the
@@ -47,7 +47,7 @@ def write_dng(
         color_matrix: As in `develop_linear`.
 
     Raises:
-        ValueError: if the shape or dtype does not fit the sensor, or the time the file.
+        ValueError: if the shape or dtype does not fit the sensor, or the time or the white level the file.
     """
     from pidng.core import RAW2DNG  # slow to import, and needed here only
 
@@ -56,6 +56,11 @@ def write_dng(
     require(dn.dtype == np.uint16, "dn", "uint16", dn.dtype)
     holds = exposure.time == 0 or TIMES[0] <= exposure.time <= TIMES[1]
     require(holds, "time", f"0 or in {TIMES} s for a DNG", exposure.time)
+    white, remedy = (
+        int(np.floor(sensor.white_dn)),
+        "raise gain or mu_e_sat: a full pixel must reach the next whole code",
+    )
+    require(white > sensor.black_level, "white in a DNG", f"over black, {sensor.black_level:g} DN", white, remedy)
     converter = RAW2DNG()
     filters = np.eye(3) if color_matrix is None else np.linalg.inv(np.asarray(color_matrix, np.float64))
     converter.options(_tags(dn.shape, sensor, exposure, filters), path="", compress=False)

@@ -207,3 +207,11 @@ def test_levels_are_one_number_for_all_channels(name, tmp_path):
     black, white = (50714, 5), (50717, 3)  # RATIONAL, SHORT
     assert count(tmp_path / "a.dng", *black) == 1
     assert count(tmp_path / "a.dng", *white) == 1
+
+
+def test_a_camera_whose_white_would_be_its_black_in_the_file_is_refused(tmp_path):
+    dim = replace(PRESETS["ideal"], gain=1e-3, mu_e_sat=100.0, black_level=64.0)  # 0.1 DN
+    with pytest.raises(ValueError, match=r"white in a DNG must be over black, 64 DN, got 64; raise gain or mu_e_sat"):
+        write_dng(tmp_path / "a.dng", np.zeros((30, 30), np.uint16), dim, EXPOSURE)
+    assert not list(tmp_path.iterdir())
+    write_dng(tmp_path / "a.dng", np.zeros((30, 30), np.uint16), replace(dim, gain=0.01), EXPOSURE)
