@@ -18,7 +18,7 @@ from sensor_model.params import Cfa, Sensor, require
 
 Demosaic = Literal["menon", "malvar", "bilinear", "half"]
 DEMOSAIC: tuple[Demosaic, ...] = get_args(Demosaic)
-BORDER = 4  # pixels of mirrored surroundings: even, to keep the pattern's phase, and as far as the filters reach
+BORDER = 8  # pixels of mirrored surroundings: even, to keep the pattern's phase, and as far as "menon" reaches
 # Code of zero light in `linear16`. Room below it keeps the sign of dark noise: clipping at zero would lift the mean of
 # dark pixels by 0.4 standard deviations.
 LINEAR16_BLACK = 4096

@@ -14,6 +14,7 @@ from sensor_model import (
     develop_linear,
     expose,
     from_linear16,
+    isp,
     linear_to_srgb,
     mosaic,
     photons_for_electrons,
@@ -109,6 +110,15 @@ def test_jpeg_keeps_the_order_of_the_channels():
         picture[..., channel] = board
         green = through_jpeg(picture, 95)[..., 1].astype(float)
         assert green.std() == pytest.approx(50 * weight, rel=0.1)
+
+
+@pytest.mark.parametrize("demosaic", ["menon", "malvar", "bilinear"])
+def test_what_lies_beyond_the_mirrored_border_changes_nothing(demosaic, monkeypatch):
+    """Of this frame "menon" changed 140 of 576 pixels, by up to 0.19, where it had 4 pixels of border."""
+    frame = np.random.default_rng(0).random((24, 24))
+    found = isp.interpolate(frame, "RGGB", demosaic)
+    monkeypatch.setattr(isp, "BORDER", isp.BORDER + 8)
+    np.testing.assert_allclose(isp.interpolate(frame, "RGGB", demosaic), found, rtol=0, atol=1e-12)
 
 
 def test_three_chips_need_no_demosaicing():
