@@ -48,7 +48,7 @@ def develop(
         sensor: The camera it was taken with.
         demosaic: As in `develop_linear`.
         color_matrix: As in `develop_linear`.
-        digital_gain: Factor on the linear values before anything is clipped to white.
+        digital_gain: Factor on the linear values before anything is clipped to white; below 1, after.
         jpeg_quality: 1..100 puts `srgb8` through JPEG; None does not.
 
     Returns:
@@ -60,7 +60,10 @@ def develop(
     """
     dn = frame_or_dn.dn if isinstance(frame_or_dn, RawFrame) else np.asarray(frame_or_dn)
     require(digital_gain > 0, "digital_gain", "> 0", digital_gain)
-    linear = develop_linear(dn, sensor, demosaic=demosaic, color_matrix=color_matrix) * np.float32(digital_gain)
+    linear = develop_linear(dn, sensor, demosaic=demosaic, color_matrix=color_matrix)
+    if digital_gain < 1:  # what white balance lifts over white would stay coloured
+        linear = np.minimum(linear, 1.0)
+    linear = linear * np.float32(digital_gain)
     srgb8 = to_srgb8(linear)
     return Developed(to_linear16(linear), srgb8 if jpeg_quality is None else through_jpeg(srgb8, jpeg_quality))
 

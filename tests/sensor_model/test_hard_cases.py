@@ -126,15 +126,17 @@ def test_tukey_lambda_zero_is_the_logistic_distribution(lam):
 
 @pytest.mark.parametrize("demosaic", ["menon", "malvar", "bilinear", "half"])
 @pytest.mark.parametrize("response", [(0.5, 1.0, 0.6), (1.4, 1.0, 0.7)])
-def test_saturated_highlights_are_white_not_pink(demosaic, response):
+@pytest.mark.parametrize("gain", [1.0, 0.5])
+def test_saturated_highlights_are_white_not_pink(demosaic, response, gain):
     sensor = replace(PRESETS["imx900-hcg"], rgb_response=response, prnu=0.0, dsnu=0.0)
     light = np.full((24, 26), 1e6)
     light[:, :12] = 1.0
     frame = expose(light, sensor, EXPOSURE, seed=0, view=0)
-    srgb = develop(frame, sensor, demosaic=demosaic).srgb8
+    srgb = develop(frame, sensor, demosaic=demosaic, digital_gain=gain).srgb8
     bright = srgb[:, -srgb.shape[1] // 3 :]
     # charge clips, then the ADC, then the white balance: read noise of a full pixel is all that is left below white
-    assert bright.min() >= 253
+    assert bright.min() >= (253 if gain == 1 else 186)
+    assert bright.max() == (255 if gain == 1 else 188)  # and grey below a gain of 1: the sRGB code of 0.5
 
 
 def test_dark_noise_keeps_its_sign_in_16_bits():
