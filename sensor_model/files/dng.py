@@ -56,10 +56,8 @@ def write_dng(
     require(dn.dtype == np.uint16, "dn", "uint16", dn.dtype)
     holds = exposure.time == 0 or TIMES[0] <= exposure.time <= TIMES[1]
     require(holds, "time", f"0 or in {TIMES} s for a DNG", exposure.time)
-    white, remedy = (
-        int(np.floor(sensor.white_dn)),
-        "raise gain or mu_e_sat: a full pixel must reach the next whole code",
-    )
+    white = int(np.floor(sensor.white_dn))
+    remedy = "raise gain or mu_e_sat: a full pixel must reach the next whole code"
     require(white > sensor.black_level, "white in a DNG", f"over black, {sensor.black_level:g} DN", white, remedy)
     converter = RAW2DNG()
     filters = np.eye(3) if color_matrix is None else np.linalg.inv(np.asarray(color_matrix, np.float64))
