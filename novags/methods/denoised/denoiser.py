@@ -37,6 +37,7 @@ def denoised(
     """
     network = load_weights().to(pictures.electrons.device)
     if config.adapt is not None:
-        adapt(network, pictures, config.adapt, seed=seed, progress=progress, more=more)
+        adapted = adapt(network, pictures, config.adapt, seed=seed, progress=progress, more=more)
+        return pictures.linear(adapted.estimate_all(pictures, turns=config.turns))
     electrons = estimate_all(network, pictures.electrons, pictures.mask, pictures.read_variance, turns=config.turns)
     return pictures.linear(electrons)

@@ -9,16 +9,20 @@ uncorrelated for any. A network that predicts y2 from y1 learns the mean of y, a
 variance of z is the known one at the network's own estimate of the mean before it is adapted; at y itself, z would be
 correlated with the noise of dark pixels, whose variance cannot be negative.
 
+How far the adapted network is followed is decided by the same two copies (see `blend`).
+
 Of a mosaic, y2 says nothing about the channels that were not measured, and a network that is told nothing about them
 forgets how to interpolate: there it is held to that first estimate.
 """
 
 import math
+from copy import deepcopy
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
+from novags.methods.denoised.blend import Blend, best_blend
 from novags.methods.denoised.estimate import estimate, estimate_all
 from novags.methods.denoised.measured import Measured
 from novags.methods.denoised.network import Network
@@ -26,6 +30,8 @@ from novags.methods.denoised.packing import turned
 from novags.methods.gaussian_fit import Progress
 
 LEAST_VARIANCE = 1e-4  # electrons**2
+ASKED = 8  # views that say how far to follow an adapted network
+MOST = 1 << 22  # of their values, which bounds the memory
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,6 +112,20 @@ class Adaptation:
         self.step += 1
         return value
 
+    def blend(self, before: Network) -> Blend:
+        """How far to follow this network, adapted from `before`, at each level of light, as some views tell."""
+        a, p = self.config.strength, self.pictures
+        views = sorted({round(i * (len(p.electrons) - 1) / (ASKED - 1)) for i in range(ASKED)})
+        measured = torch.nonzero(p.mask[0].flatten())[:, 0]
+        measured = measured[:: max(1, len(views) * len(measured) // MOST)]
+        found = []
+        for view in views:
+            variance = self.variance[view]
+            first, second = recorrupted(p.electrons[view], variance.sqrt(), a, self.generator)
+            both = [_of_first(network, first[None], p, a)[0] for network in (before, self.network)]
+            found.append([x.flatten()[measured] for x in (*both, second, variance)])
+        return best_blend(*(torch.cat(each) for each in zip(*found, strict=True)))
+
     def _crops(self) -> list[Tensor]:
         """Random crops of data, variance, first estimate and mask, flipped and turned alike, [batch, 3, crop, crop]."""
         data, mask = self.pictures.electrons, self.pictures.mask
@@ -124,6 +144,27 @@ class Adaptation:
         return int(torch.randint(high, (1,), generator=self.generator, device=self.generator.device))
 
 
+def _of_first(network: Network, first: Tensor, pictures: Measured, strength: float) -> Tensor:
+    """The estimate for the first copy [B, 3, H, W], no gradient; see `Adaptation.loss` for its scale."""
+    more = 1 + strength**2
+    return more * estimate_all(network, first / more, pictures.mask, pictures.read_variance / more, turns=1)
+
+
+@dataclass(frozen=True)
+class Adapted:
+    """A network before and after it was adapted to a capture, and how far to follow it."""
+
+    before: Network
+    after: Network
+    blend: Blend
+
+    def estimate_all(self, pictures: Measured, *, turns: int) -> Tensor:
+        """The means of the pictures, electrons [C, 3, H, W]; as `estimate_all`."""
+        before, after = (estimate_all(network, pictures.electrons, pictures.mask, pictures.read_variance, turns=turns)
+                         for network in (self.before, self.after))  # fmt: skip
+        return self.blend(before, after)
+
+
 def adapt(
     network: Network,
     pictures: Measured,
@@ -132,8 +173,8 @@ def adapt(
     seed: int,
     progress: Progress | None = None,
     more: int = 0,
-) -> None:
-    """Adapt a network to a capture, in place.
+) -> Adapted:
+    """Adapt a copy of a network to a capture.
 
     Args:
         network: Pre-trained.
@@ -143,8 +184,10 @@ def adapt(
         progress: Called after every step with (steps done, of how many, {"denoiser": loss}).
         more: Steps that are to follow after these, for `progress`.
     """
-    training = Adaptation(network, pictures, config, seed)
+    after = deepcopy(network)
+    training = Adaptation(after, pictures, config, seed)
     for step in range(config.steps):
         loss = training.advance()
         if progress is not None:
             progress(step + 1, config.steps + more, {"denoiser": loss})
+    return Adapted(network, after, training.blend(network))

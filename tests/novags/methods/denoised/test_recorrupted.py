@@ -128,8 +128,7 @@ def test_training_on_copies_brings_an_untrained_network_closer_to_the_truth() ->
     def trained() -> torch.Tensor:
         torch.manual_seed(0)
         network = Network(SMALL)
-        adapt(network, pictures, config, seed=0)
-        return estimate_all(network, pictures.electrons, pictures.mask, pictures.read_variance, turns=1)
+        return adapt(network, pictures, config, seed=0).estimate_all(pictures, turns=1)
 
     found = trained()
     before, after = (float((e - mean).square().mean()) for e in (pictures.electrons, found))
