@@ -27,7 +27,7 @@ from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.writers.camera_files import write_cameras
 from simscenes.sets.writers.export import EXPORTS
-from simscenes.sets.writers.neighbours import DEPTHS, depth_warning, write_depth
+from simscenes.sets.writers.neighbours import DEPTHS, DepthLoss, write_depth
 
 SCRATCH = ".views"
 
@@ -105,10 +105,16 @@ def finish_set(out: Path, names: list[str], rig: Rig, seed: int, views: ViewStor
         return to_srgb8(views.light(i) * np.float32(scale))
 
     _remove_stale(out, names)
+    lost = DepthLoss()
+
+    def put_depth(name: str, z: NDArray[np.float32]) -> None:
+        lost.add(z)
+        write_depth(out / DEPTHS / f"{name}.png", z)
+
     for i, name in enumerate(names):
-        write_depth(out / DEPTHS / f"{name}.png", views.depth(i))
+        put_depth(name, views.depth(i))
         write_png(out / "images" / f"{name}.png", image(i))
-    if said := depth_warning(views.depth(i) for i in range(len(names))):
+    if said := lost.said():
         warnings.warn(said, stacklevel=2)
     xyz, rgb, visible = surface_points(rig, views.depth, image, seed=seed)
     points = SparsePoints.seen(rig, xyz, rgb, visible, exact=True)

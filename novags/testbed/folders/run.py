@@ -112,9 +112,15 @@ class Run:
         if (path := self.path / "exr" / f"{name}.exr").exists():
             channels, _ = read_exr(path)
             return np.stack([channels[c] for c in "RGB"], -1)
-        kinds = ("renders", "renders_train")
-        found = [file for kind in kinds if (file := self.path / kind / f"{name}.png").exists()]
-        return read_png(found[0] if found else self.path / kinds[0] / f"{name}.png")
+        pictures = self._pictures(name)
+        return read_png(next((file for file in pictures if file.exists()), pictures[0]))
+
+    def shows(self, name: str) -> bool:
+        """Whether the view `name` is rendered; programs need not render training views."""
+        return any(file.exists() for file in (self.path / "exr" / f"{name}.exr", *self._pictures(name)))
+
+    def _pictures(self, name: str) -> list[Path]:
+        return [self.path / kind / f"{name}.png" for kind in ("renders", "renders_train")]
 
     def depth(self, name: str) -> tuple[np.ndarray, np.ndarray]:
         """Expected z-depth in the frame of the method's cameras, and alpha, of the view `name`, float32 [h,w].

@@ -122,7 +122,7 @@ def view_tiles(i: int, material: Material, album: Album, place: str = "") -> Vie
         tiles.add("enhanced", "Enhanced", "the dark input made bright, noise included", noisy)
     if (denoised := run.path / "denoised" / f"{name}.png").exists():
         tiles.add("denoised", f"Denoised by {main}", "what the scene is fitted to", read_png(denoised))
-    shown = {other: each for other, each in runs.items() if held_out or each.shows_training_views}
+    shown = {other: each for other, each in runs.items() if held_out or each.shows(name)}
     _add_renders(tiles, i, material, shown, held_out)
     _add_geometry(tiles, i, material, shown)
     width, height = capture.cameras.rig.width, capture.cameras.rig.height

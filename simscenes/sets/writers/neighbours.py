@@ -9,7 +9,7 @@ instant-ngp: positions times `scale` plus `offset` are marched through the cube 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -50,23 +50,34 @@ def write_depth(path: Path, z: NDArray[np.float32]) -> None:
     write_codes(path, np.where(codes < CODES, codes, 0).astype(np.uint16))
 
 
-def depth_warning(depths: Iterable[NDArray[np.float32]]) -> str:
-    """What the depth PNGs of a set lose of its z-depths [h,w], in words; "" if little."""
-    far, nearest, farthest, count = 0, math.inf, 0.0, 0
-    for z in depths:
+@dataclass
+class DepthLoss:
+    """What the depth PNGs of a set lose of its z-depths, counted view by view."""
+
+    count: int = 0
+    far: int = 0
+    nearest: float = math.inf
+    farthest: float = 0.0
+
+    def add(self, z: NDArray[np.float32]) -> None:
+        """Count the z-depth [h,w] of a view."""
         seen = z[np.isfinite(z)]
         if seen.size:
-            far, count = far + int((seen >= CODES * DEPTH_UNIT).sum()), count + seen.size
-            nearest, farthest = min(nearest, float(seen.min())), max(farthest, float(seen.max()))
-    files, whole = f"depths/*.png, in nerfstudio's units of {DEPTH_UNIT:g},", "the EXR files in gt/ hold all"
-    if far > LOST * count:
-        return (f"{files} hold depths up to {CODES * DEPTH_UNIT:.5g}: {far / count:.0%} of the depths are beyond and "
-                f"unknown there; {whole}, and a scene scaled by {0.9 * CODES * DEPTH_UNIT / farthest:.1g} would "
-                "fit")  # fmt: skip
-    if count and farthest < FEW * DEPTH_UNIT:
-        return (f"{files} have few steps between the depths of {nearest:.3g} and {farthest:.3g} of this set; {whole}, "
-                f"and a scene scaled by {FEW * DEPTH_UNIT / farthest:.1g} would have {FEW}")  # fmt: skip
-    return ""
+            self.count, self.far = self.count + seen.size, self.far + int((seen >= CODES * DEPTH_UNIT).sum())
+            self.nearest, self.farthest = min(self.nearest, float(seen.min())), max(self.farthest, float(seen.max()))
+
+    def said(self) -> str:
+        """The loss in words; "" if it is little."""
+        files, whole = f"depths/*.png, in nerfstudio's units of {DEPTH_UNIT:g},", "the EXR files in gt/ hold all"
+        end = CODES * DEPTH_UNIT
+        if self.far > LOST * self.count:
+            return (f"{files} hold depths up to {end:.5g}: {self.far / self.count:.0%} of the depths are beyond and "
+                    f"unknown there; {whole}, and a scene scaled by {0.9 * end / self.farthest:.2g} would fit")  # fmt: skip
+        if self.count and self.farthest < FEW * DEPTH_UNIT:
+            scale = FEW * DEPTH_UNIT / self.farthest
+            return (f"{files} have few steps between the depths of {self.nearest:.3g} and {self.farthest:.3g} of this "
+                    f"set; {whole}, and a scene scaled by {scale:.2g} would have {FEW}")  # fmt: skip
+        return ""
 
 
 def instant_ngp_box(centers: NDArray[np.floating], xyz: NDArray[np.floating]) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.readers.llff import llff_cameras
 from simscenes.sets.writers.camera_files import write_json
-from simscenes.sets.writers.neighbours import depth_warning, instant_ngp_box, write_depth
+from simscenes.sets.writers.neighbours import DepthLoss, instant_ngp_box, write_depth
 
 SIZE = (24, 20)  # width, height
 
@@ -117,14 +117,17 @@ def test_depth_that_sixteen_bits_cannot_hold_is_unknown(tmp_path: Path) -> None:
     [
         (1.0, ""),
         (0.1, ""),
-        (0.01, "few steps between the depths of 0.02 and 0.06 of this set.* scaled by 2 would have 100"),
-        (15.0, "hold depths up to 65.536: 40% of the depths are beyond and unknown there.* scaled by 0.7 would fit"),
+        (0.01, "few steps between the depths of 0.02 and 0.06 of this set.* scaled by 1.7 would have 100"),
+        (15.0, "hold depths up to 65.536: 40% of the depths are beyond and unknown there.* scaled by 0.66 would fit"),
         (1000.0, "100% of the depths are beyond"),
     ],
 )
 def test_depths_that_the_png_files_cannot_hold_are_said(factor: float, said: str) -> None:
     views = [np.array([[np.inf, 2.0], [3.0, 4.0]]), np.array([[5.0, 6.0]]), np.full((1, 2), np.inf)]
-    found = depth_warning((factor * z).astype(np.float32) for z in views)
+    lost = DepthLoss()
+    for z in views:
+        lost.add((factor * z).astype(np.float32))
+    found = lost.said()
     assert re.search(said, found) if said else found == ""
 
 

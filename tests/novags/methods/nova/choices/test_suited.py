@@ -18,9 +18,13 @@ BAYER = RawPictures(dn=torch.zeros(2, 8, 10), cfa="GBRG", black=0, white=1)
 THREE_CHIPS = RawPictures(dn=torch.zeros(2, 8, 10, 3), cfa=None, black=0, white=1)
 MOSAIC = {"raw": BAYER, "channels_share": ("demosaicing",)}
 
+PARTNERS = ConsistencyConfig(max_distance=3.0)  # two cameras are 1.8 of their extents apart
+
 
 def problem(**changes) -> Problem:
-    views = Views(torch.eye(4).repeat(2, 1, 1), torch.eye(3).repeat(2, 1, 1), 10, 8)
+    viewmats = torch.eye(4).repeat(2, 1, 1)
+    viewmats[1, 0, 3] = 0.1  # partners of each other
+    views = Views(viewmats, torch.eye(3).repeat(2, 1, 1), 10, 8)
     dark = torch.rand(2, 8, 10, 3, generator=torch.Generator().manual_seed(0))
     start = SimpleNamespace(points=torch.rand(9, 3), colors=torch.rand(9, 3), extent=1.0)
     return Problem(**{"views": views, "srgb8": dark, "start": start, "seed": 0, **changes})
@@ -75,7 +79,7 @@ def test_no_gradient_passes_demosaicing():
 
 def test_the_denoiser_gets_the_filter_array_of_the_capture():
     inputs = problem(**MOSAIC)
-    training = _Training(inputs, inputs.srgb8, suited(config(True), inputs), None)
+    training = _Training(inputs, inputs.srgb8, suited(config(True, consistency=PARTNERS), inputs), None)
     assert training.denoiser.cfa == "GBRG"
     assert training.denoiser.images.shape == (2, 4, 4, 5)
 
@@ -84,7 +88,7 @@ def test_the_geometric_loss_warps_noisy_pictures_if_asked_and_pseudo_clean_ones_
     inputs = problem()
     found = {}
     for warped in ("clean", "enhanced"):
-        chosen = replace(config(False), consistency=ConsistencyConfig(warped=warped))
+        chosen = replace(config(False), consistency=replace(PARTNERS, warped=warped))
         training = _Training(inputs, inputs.srgb8, chosen, None)
         found[warped] = training.geo.images(1)
         assert torch.equal(training.clean(1), training.denoiser.denoise(1))
