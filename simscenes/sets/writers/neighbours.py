@@ -72,7 +72,8 @@ class DepthLoss:
         end = CODES * DEPTH_UNIT
         if self.far > LOST * self.count:
             return (f"{files} hold depths up to {end:.5g}: {self.far / self.count:.0%} of the depths are beyond and "
-                    f"unknown there; {whole}, and a scene scaled by {0.9 * end / self.farthest:.2g} would fit")  # fmt: skip
+                    f"unknown there; {whole}, and a scene scaled by {0.9 * end / self.farthest:.2g} would "
+                    "fit")  # fmt: skip
         if self.count and self.farthest < FEW * DEPTH_UNIT:
             scale = FEW * DEPTH_UNIT / self.farthest
             return (f"{files} have few steps between the depths of {self.nearest:.3g} and {self.farthest:.3g} of this "
