@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from novags.methods.denoised.anscombe import Anscombe
+from novags.methods.denoised.blend import best_blend
 from novags.methods.denoised.estimate import estimate
 from novags.methods.denoised.measured import Measured, of_capture
 from novags.methods.denoised.network import Network
@@ -141,6 +142,33 @@ def adaptation_in_the_dark(setting: Setting) -> float:
     loss.backward()
     slopes = [p.grad for p in network.parameters() if p.grad is not None]
     return float(not all(bool(torch.isfinite(value).all()) for value in (loss, *slopes)))
+
+
+@PART.case("shares of adapted estimates over nine decades of light, and of none", bound=1e-5, unit=LARGEST)
+def adapted_shares(setting: Setting) -> float:
+    """Changes of a hundredth of the noise, at up to a million electrons; without a change nothing is 0 / 0.
+
+    A change is a difference of two float32 numbers of up to 1e6, whose rounding is what the bound allows.
+    """
+    stream = np.random.default_rng(4)
+    mean = 10 ** stream.uniform(-3, 6, 200_000)
+    deviation = np.sqrt(mean + 1)
+    given = [mean, mean + 0.01 * deviation * stream.standard_normal(mean.size),
+             mean + deviation * stream.standard_normal(mean.size), deviation**2]  # fmt: skip
+    before, after, second, variance = (torch.from_numpy(values).float() for values in given)
+    found = best_blend(before, after, second, variance)
+    levels, shares = list[float](), list[float]()
+    b, a, y, v = (values.double().numpy() for values in (before, after, second, variance))
+    for some in np.array_split(np.argsort(b, kind="stable"), len(found.levels)):
+        change = (a - b)[some]
+        levels.append(b[some].mean())
+        shares.append(np.clip((change * (y - b)[some] / v[some]).sum() / (change**2 / v[some]).sum(), 0, 1))
+    dark = torch.zeros(50)
+    still = best_blend(dark, dark, dark, dark + 1)(dark, dark)
+    if not bool((still == 0).all()):
+        return math.inf
+    return max(relative_error(found.levels.numpy() / levels, np.ones(len(levels))),
+               relative_error(found.shares.numpy(), np.array(shares)))  # fmt: skip
 
 
 @PART.case("data without any noise", bound=0, unit="refused")
