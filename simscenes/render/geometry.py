@@ -136,13 +136,16 @@ def _has_holes(mi: Any, bsdf: Any) -> bool:
 
 
 def _materials_with_holes(mi: Any, loaded: LoadedScene) -> NDArray[np.bool_]:
-    """`_has_holes` of each material by its process-wide registry number; in a JIT variant."""
+    """`_has_holes` of each material by its process-wide registry number, [0] if none has; in a JIT variant."""
     import drjit as dr
 
     materials = [shape.bsdf() for shape in unique_materials(loaded.scene, mi)]
+    holed = [_has_holes(mi, bsdf) for bsdf in materials]
+    if not any(holed):
+        return np.zeros(0, dtype=bool)
     registry = [int(mi.UInt32(dr.reinterpret_array(mi.UInt32, mi.BSDFPtr(bsdf)))[0]) for bsdf in materials]
     table = np.zeros(max(registry, default=0) + 1, dtype=bool)
-    table[registry] = [_has_holes(mi, bsdf) for bsdf in materials]
+    table[registry] = holed
     return table
 
 

@@ -1,6 +1,7 @@
 """Which of two reconstructions agrees better with the held-out data: a test that needs no truth.
 
-It needs independent noise, however: of data that share it, nothing is held out, and there is no verdict.
+The test needs data whose noise is independent. Where neighbouring data share noise, none are held out, and no verdict
+is given.
 """
 
 import math

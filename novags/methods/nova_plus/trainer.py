@@ -257,7 +257,7 @@ class _Work:
         return sets[0] if self._worse("merged", self._tones(joined), first, self.weights(first)) else joined
 
     def _worse(self, part: str, tones: Tensor, other: Tensor, weights: Tensor) -> bool:
-        """Whether held-out data are against a part; without any there is no verdict, and the part is kept."""
+        """Whether the held-out data reject a part. If no data are held out, nothing is judged, and the part is kept."""
         verdict = compare(tones, other, self.data, self.curve, weights)
         self.found[part] = dataclasses.asdict(verdict) if math.isfinite(verdict.deviation) else None
         return verdict.worse
