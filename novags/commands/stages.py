@@ -160,7 +160,7 @@ def capture(
 
 
 def reconstruct(
-    capture: Folder, *, out: Path, method: str = "nova-fast", variant: str | None = None, preset: PresetName = "demo",
+    capture: Folder, *, out: Path, method: str | None = None, variant: str | None = None, preset: PresetName = "demo",
     pictures: Literal["8bit", "16bit"] | None = None, cameras: str | None = None, refine_cameras: bool = False,
     points: int | None = None, iterations: int | None = None, denoiser_steps: int | None = None, seed: int = 0,
     device: Device = "auto", export: tuple[Literal["3dgs", "splat", "spz", "spz2"], ...] = (),
@@ -171,8 +171,9 @@ def reconstruct(
     Args:
         capture: Folder of the capture.
         out: Folder of the run.
-        method: A method or variant; `novags list methods` names them.
-        variant: Instead of a method: a method with settings changed, NAME=METHOD:SETTING=VALUE,SETTING=VALUE.
+        method: A method or variant; `novags list methods` names them; nova-fast if neither this nor a variant is given.
+        variant: A method with settings changed, NAME=METHOD:SETTING=VALUE,SETTING=VALUE. Or a TOML file with tables
+            [variant.NAME], of which --method names one.
         preset: Source of every setting of the method that is not given here.
         pictures: Which pictures the method sees: 8-bit sRGB, or 16-bit linear ones; its own choice if not given.
         cameras: Where cameras come from: known, known:rotation_deg=1, sfm, dust3r:checkpoint=FILE; see `novags help
@@ -194,7 +195,7 @@ def reconstruct(
     from novags.testbed.stages.viewers import write_viewers
 
     own = variants_of(() if variant is None else (variant,))
-    name = own[0].name if own else method
+    name = _one_of([each.name for each in own], method)
     chosen = adapted(
         EXPERIMENTS[preset], methods=(name,), variants=own, cameras=cameras_of(cameras), refine_cameras=refine_cameras,
         points=points, iterations=iterations, denoiser_steps=denoiser_steps, pictures=pictures, device=device,
@@ -205,3 +206,13 @@ def reconstruct(
         write_viewers(out, export)
     print(out)
     next_(f"novags score {typed(out)} && novags report {typed(out)}")
+
+
+def _one_of(variants: list[str], method: str | None) -> str:
+    """The name that `--method` and `--variant` mean together."""
+    if method is None and len(variants) <= 1:
+        return variants[0] if variants else "nova-fast"
+    if variants and method not in variants:
+        named = "does not say which is meant" if method is None else f"and --method {method} is none of them"
+        raise ValueError(f"--variant has {', '.join(variants)}, {named}: name one of them with --method")
+    return str(method)

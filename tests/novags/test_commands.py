@@ -1,0 +1,29 @@
+"""Claims about single commands: options that belong together are taken together, or refused in one line."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+Call = Callable[..., int]
+
+
+def test_one_method_is_reconstructed_and_it_is_the_one_that_is_named(
+    call: Call, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Rationale: the first variant of a file was taken whatever --method said."""
+    from novags.testbed import stages
+
+    seen = []
+    monkeypatch.setattr(stages, "reconstruct", lambda _, __, config, *___, **____: seen.append(config.variant.name))
+    (tmp_path / "two.toml").write_text('[variant.x]\nmethod = "naive"\n[variant.y]\nmethod = "naive"\n')
+    two, one = ("--variant", str(tmp_path / "two.toml")), ("--variant", "l1=naive:fit.dssim_weight=0")
+    words = ("reconstruct", str(tmp_path), "--out", str(tmp_path / "run"))
+    for named in ((), ("--method", "naive"), one, (*one, "--method", "l1"), (*two, "--method", "y")):
+        assert call(*words, *named) == 0
+    assert seen == ["nova-fast", "naive", "l1", "l1", "y"]
+    for named, why in ((two, "does not say which"), ((*one, "--method", "naive"), "--method naive is none of them")):
+        capsys.readouterr()
+        assert call(*words, *named) == 2
+        assert why in capsys.readouterr().err
+    assert len(seen) == 5
