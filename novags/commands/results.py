@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 def score(
     runs: Folders = (), *, renders: Path | None = None, set: Path | None = None,
-    reference: _Reference = "lit", out: Path | None = None, overwrite: bool = False,
+    reference: _Reference | None = None, out: Path | None = None, overwrite: bool = False,
     wait: bool = False,
 ) -> None:  # fmt: skip
     """Score runs against the truth, write metrics.json, and compare them. Or pictures from anywhere: --renders, --set.
@@ -25,9 +25,10 @@ def score(
         runs: Folders of runs, of experiments, or folders that hold such.
         renders: Instead: a folder of pictures of the test views, named like them: 8-bit, 16-bit or EXR.
         set: The set or the capture whose test views they show.
-        reference: What they are compared with: lit (the views in good light, sRGB), linear (the light of the scene,
-            after one gain for all views; 16-bit and EXR files hold linear light then), clean (of a capture: the dark
-            exposures without noise, sRGB); linear_demosaiced, clean_demosaiced: the same of noise-free mosaics.
+        reference: What they are compared with: lit (the views in good light, sRGB; if not given), linear (the light of
+            the scene, after one gain for all views; 16-bit and EXR files hold linear light then), clean (of a capture:
+            the dark exposures without noise, sRGB); linear_demosaiced, clean_demosaiced: the same of noise-free
+            mosaics.
         out: File for all scores of pictures, JSON; the means are printed anyway.
         overwrite: Replace it.
         wait: If another process is writing there, wait until it is done instead of refusing.
@@ -35,12 +36,14 @@ def score(
     if renders is not None or set is not None:
         if renders is None or set is None or runs:
             raise ValueError("score takes either folders of runs, or both --renders and --set")
-        _score_pictures(renders, set, reference, out, overwrite)
+        _score_pictures(renders, set, reference or "lit", out, overwrite)
         return
     if not runs:
         raise ValueError("name at least one folder of a run, or pictures with --renders and --set")
     if out is not None:
         raise ValueError(f"--out {out} belongs to --renders: scores of runs go into their folders")
+    if reference is not None:
+        raise ValueError(f"--reference {reference} belongs to --renders: runs are scored against all that there are")
     from novags.testbed.experiment import score_all
     from novags.testbed.folders.experiment import experiments_in
     from novags.testbed.results.comparison import groups_of

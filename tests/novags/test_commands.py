@@ -27,3 +27,10 @@ def test_one_method_is_reconstructed_and_it_is_the_one_that_is_named(
         assert call(*words, *named) == 2
         assert why in capsys.readouterr().err
     assert len(seen) == 5
+
+
+def test_a_reference_is_refused_where_it_would_choose_nothing(
+    call: Call, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert call("score", str(tmp_path), "--reference", "linear") == 2
+    assert "--reference linear belongs to --renders" in capsys.readouterr().err
