@@ -128,7 +128,8 @@ def capture(
             camera raw files or linear EXR), a COLMAP folder (sparse/0, images) or an LLFF folder (poses_bounds.npy,
             images).
         out: Folder of the capture.
-        level: Camera and electrons of one of the paper's data sets; `novags list levels` shows them.
+        level: Camera and electrons of one of the paper's data sets; `novags list levels` shows them. The pictures of
+            one of 16 bits are chosen later: `novags reconstruct --pictures 16bit`.
         sensor: A camera of sensor_model.PRESETS, or a TOML file of your own; that of the level, else
             a7s2-iso6400-3chip.
         electrons: Mean signal of the green channel over the set, electrons per pixel and exposure; that of the level,
@@ -144,7 +145,7 @@ def capture(
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
     from novags.testbed import stages
-    from novags.testbed.levels import level_named
+    from novags.testbed.levels import Level, level_named
     from novags.testbed.stages.capturing import CaptureConfig
 
     named = CaptureConfig() if level is None else level_named(level)
@@ -156,7 +157,8 @@ def capture(
     with writing(out, wait) as console:
         stages.capture(set, out, config, console, overwrite=overwrite)
     print(out)
-    next_(f"novags reconstruct {typed(out)} --method nova-fast --out RUN")
+    pictures = " --pictures 16bit" if isinstance(named, Level) and named.pictures == "16bit" else ""
+    next_(f"novags reconstruct {typed(out)} --method nova-fast{pictures} --out RUN")
 
 
 def reconstruct(

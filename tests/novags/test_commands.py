@@ -34,3 +34,16 @@ def test_a_reference_is_refused_where_it_would_choose_nothing(
 ) -> None:
     assert call("score", str(tmp_path), "--reference", "linear") == 2
     assert "--reference linear belongs to --renders" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("level", "said"), [("mvtv", True), ("lom", False)])
+def test_after_a_capture_at_a_level_of_16_bits_the_next_command_takes_them(
+    call: Call, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, level: str,
+    said: bool,
+) -> None:  # fmt: skip
+    """Rationale: without a word the next step took its 8-bit pictures, which are nearly black."""
+    from novags.testbed import stages
+
+    monkeypatch.setattr(stages, "capture", lambda *_, **__: {})
+    assert call("capture", str(tmp_path), "--level", level, "--out", str(tmp_path / "cap")) == 0
+    assert ("--pictures 16bit" in capsys.readouterr().err) == said
