@@ -47,3 +47,19 @@ def test_after_a_capture_at_a_level_of_16_bits_the_next_command_takes_them(
     monkeypatch.setattr(stages, "capture", lambda *_, **__: {})
     assert call("capture", str(tmp_path), "--level", level, "--out", str(tmp_path / "cap")) == 0
     assert ("--pictures 16bit" in capsys.readouterr().err) == said
+
+
+def test_doctor_says_where_kernels_are_kept_when_the_package_may_not_be_written_to(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """Rationale: it said that they are compiled anew each time."""
+    from novags.testbed.machine import doctor
+
+    home = str(tmp_path)
+    monkeypatch.setattr("os.access", lambda place, _: str(place).startswith(home))
+    monkeypatch.setenv("XDG_CACHE_HOME", home)
+    monkeypatch.setattr("numba.config.CACHE_DIR", "")
+    finding = doctor._kernels()
+    assert (finding.state, finding.detail.endswith(str(tmp_path / "novags"))) == ("ok", True)
+    monkeypatch.setattr("os.access", lambda *_: False)
+    assert doctor._kernels().state == "missing"

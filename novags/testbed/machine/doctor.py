@@ -6,7 +6,6 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 from novags.testbed.machine.provenance import hardware, package_version
@@ -98,10 +97,15 @@ def _mitsuba() -> Iterator[Finding]:
 
 
 def _kernels() -> Finding:
-    """Numba keeps compiled kernels beside the sources; without a writable place it compiles in every process."""
-    folder = Path(os.environ.get("NUMBA_CACHE_DIR") or Path(__file__).resolve().parents[2] / "splats")
+    """Where compiled kernels are kept; without a writable place they are compiled in every process."""
     version = package_version("numba")
-    if os.access(folder, os.W_OK):
+    try:
+        from novags.splats.cpu.compiler import cache_folder
+    except ImportError as error:
+        return Finding("numba", "broken", f"{version}; the engine of the splats cannot be imported: {error}")
+    folder = cache_folder().parent
+    there = next(place for place in (folder, *folder.parents) if place.exists())
+    if os.access(there, os.W_OK):
         return Finding("numba", "ok", f"{version}; keeps compiled kernels in {folder}")
     how = "set NUMBA_CACHE_DIR to a folder you may write"
     return Finding(
