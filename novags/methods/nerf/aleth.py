@@ -12,7 +12,8 @@ constants for low light, the same for all scenes (ETA 0.45, CONTRAST 12). No sta
 
 What differs from it: the field is that of docs/fields.md, which starts dense at the first points; steps and rays per
 step are those of all fields here, instead of 50,000 of 4,096 rays; pixels come in squares of four, because structure
-compares neighbours, where the original compares means of four rays in a row of its batch with those before and after;
+compares neighbours, each pair once, where the original compares means of four rays in a row of its batch with those
+before and after, each pair twice: those rays are drawn at random from one picture, so that its pairs may lie far apart;
 grey world is the sum of squared differences between the channels' means, there the root of the sum of their fourth
 powers; O comes from an output of the field's one network, where the original has a network of its own.
 """
