@@ -16,11 +16,13 @@ The original takes `mean` and `contrast` for each scene from a REFERENCE IMAGE o
 `truth_statistics` takes the mean, not the contrast, from well-lit pictures of the training views, is off by default,
 and such runs are marked as seeing truth.
 
-What differs from it besides: the forms of S3IM, of the bright channel and of the overlap are our reading of short
-descriptions; the field is that of docs/fields.md, which starts dense at the first points, in a
-medium that already makes pictures as dark as they are; the loss of depth (weight 0.1) is left out, because it needs
-a network for monocular depth, which is not here; the squares of S3IM are made of rays at random, as there, of
-64 x 64 pixels or fewer.
+What differs from it besides: t counts the sample's own interval, there only those before it; the variation is the mean
+over a ray's samples, there their sum, some 95 times as much; the overlap is there the mean of s max(density - 0.2, 0),
+with the density held fixed; the bright channel is there that of the dark picture, an estimate of t at the surface,
+which is drawn to it; S3IM has the windows of our SSIM, there 4 x 4 pixels side by side. The field is that of
+docs/fields.md, which starts dense at the first points, in a medium that already makes pictures as dark as they are; the
+loss of depth (weight 0.1) is left out, because it needs a network for monocular depth, which is not here; the squares
+of S3IM are made of rays at random, as there, of 64 x 64 pixels or fewer.
 """
 
 import dataclasses
