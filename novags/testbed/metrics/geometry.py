@@ -31,7 +31,8 @@ def geometry_scores(depth: NDArray, alpha: NDArray, truth: NDArray) -> GeometryS
     - `abs_rel`: mean of |depth - truth| / truth over the covered ones.
     - `within_5_percent`: share with a rendered depth within `TOLERANCE` of the truth; a pixel without depth is a miss,
       so that leaving out what is difficult does not pay.
-    - `floaters`: mean opacity in front of the true surface, at least: see `opacity_in_front`.
+    - `floaters`: mean opacity in front of the true surface, at least: see `opacity_in_front`. Not for a depth that
+      halves the weight of a ray, as fields have: with half of it in front, such a ray counts by up to all its opacity.
 
     Args:
         depth: Expected depth sum(w d) / sum(w) over the ray, with w the blending weights, float [h,w].
