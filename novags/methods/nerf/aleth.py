@@ -10,12 +10,13 @@
 Cui et al. 2024, "Aleth-NeRF: illumination adaptive NeRF with concealing field assumption", and its published code's
 constants for low light, the same for all scenes (ETA 0.45, CONTRAST 12). No statistic of a well-lit picture is used.
 
-What differs from it: the field is that of docs/fields.md, which starts dense at the first points; steps and rays per
-step are those of all fields here, instead of 50,000 of 4,096 rays; pixels come in squares of four, because structure
-compares neighbours, each pair once, where the original compares means of four rays in a row of its batch with those
-before and after, each pair twice: those rays are drawn at random from one picture, so that its pairs may lie far apart;
-grey world is the sum of squared differences between the channels' means, there the root of the sum of their fourth
-powers; O comes from an output of the field's one network, where the original has a network of its own.
+What differs from it: the field is that of docs/fields.md, which starts dense at the first points, and by its first O as
+dark as the pictures; steps and rays per step are those of all fields here, instead of 50,000 of 4,096 rays; pixels come
+in squares of four, because structure compares neighbours, each pair once, where the original compares means of four
+rays in a row of its batch with those before and after, each pair twice: those rays are drawn at random from one
+picture, so that its pairs may lie far apart; grey world is the sum of squared differences between the channels' means,
+there the root of the sum of their fourth powers; O comes from an output of the field's one network, where the original
+has a network of its own.
 """
 
 import dataclasses
@@ -36,6 +37,8 @@ from novags.methods.problem import Pictures, Problem
 from novags.methods.reconstruction import Reconstruction
 
 TAPS = 7  # of the filter along a ray
+FIRST_ALONG = 0.5  # g at first, as published
+DARKEST = 1e-3  # O at first for black pictures: at 0 its logit diverges
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,11 +77,20 @@ def tone(x: Tensor) -> Tensor:
     return 0.5 - torch.sin(torch.asin((1 - 2 * x).clamp(-1 + 1e-5, 1 - 1e-5)) / 3)
 
 
-def concealed(batch: Batch, along: Tensor, filter_: Tensor) -> tuple[Tensor, Tensor]:
-    """Dark and lit colours [R, 3]; along: g [N]; filter_: of O, [7]."""
+def first_concealing(images: Tensor) -> float:
+    """Logit of the O at which the field's first colours, 1/2, look as dark as the pictures; 1/2 at most, as published.
+
+    A field that begins brighter than they are becomes darker by becoming thinner, and loses the first surfaces.
+    """
+    share = min(max(float(images.mean()) / (0.5 * FIRST_ALONG), DARKEST), 0.5)
+    return math.log(share / (1 - share))
+
+
+def concealed(batch: Batch, along: Tensor, filter_: Tensor, first: float) -> tuple[Tensor, Tensor]:
+    """Dark and lit colours [R, 3]; along: g [N]; filter_: of O, [7]; first: from `first_concealing`."""
     colors = torch.sigmoid(batch.raw[..., -3:])
     local = torch.nn.functional.conv1d(batch.raw[:, None, :, 1], filter_[None, None], padding=TAPS // 2)[:, 0]
-    conceal = (along.clamp_min(0) * torch.sigmoid(local))[..., None]
+    conceal = (along.clamp_min(0) * torch.sigmoid(local + first))[..., None]
     return batch.rendered(conceal * colors), batch.rendered(colors)
 
 
@@ -108,11 +120,13 @@ def train(
     config = dataclasses.replace(config, fit=with_outputs(config.fit, problem, static=1, viewed=3))
     problem = problem.to("cpu")
     images = problem.encoded(config.pictures)
-    extra = {"along": torch.full((config.fit.samples,), 0.5), "filter": torch.full((TAPS,), 1 / math.sqrt(TAPS))}
-    through = [math.nan]
+    first, through = first_concealing(images), [math.nan]
+    extra = {
+        "along": torch.full((config.fit.samples,), FIRST_ALONG), "filter": torch.full((TAPS,), 1 / math.sqrt(TAPS)),
+    }  # fmt: skip
 
     def loss(batch: Batch) -> Tensor:
-        dark, lit = concealed(batch, extra["along"], extra["filter"])
+        dark, lit = concealed(batch, extra["along"], extra["filter"], first)
         through[0] = float(dark.detach().sum() / lit.detach().sum().clamp_min(1e-6))  # a black batch has no share
         return loss_of(dark, lit, batch.of(images), config.fit.patch, config)
 

@@ -95,14 +95,14 @@ def test_the_tone_curve_of_aleth_is_the_inverse_of_the_smooth_step() -> None:
 def test_concealed_colours_and_the_loss_of_aleth_are_those_of_the_equations() -> None:
     batch, config = some_batch(5), aleth.AlethConfig(fit=FieldFitConfig(patch=PATCH), grey=0.1)
     along, taps = rng().random(N), rng().normal(size=7)
-    dark, lit = aleth.concealed(batch, torch.from_numpy(along), torch.from_numpy(taps))
+    dark, lit = aleth.concealed(batch, torch.from_numpy(along), torch.from_numpy(taps), -0.7)
     raw, w = batch.raw.numpy(), batch.weights.numpy()
     slow_dark, slow_lit = np.zeros((RAYS, 3)), np.zeros((RAYS, 3))
     for r in range(RAYS):
         for i in range(N):
             local = sum(taps[k] * raw[r, i + k - 3, 1] for k in range(7) if 0 <= i + k - 3 < N)
             color = sigmoid(raw[r, i, 2:])
-            slow_dark[r] += w[r, i] * along[i] * sigmoid(local) * color
+            slow_dark[r] += w[r, i] * along[i] * sigmoid(local - 0.7) * color
             slow_lit[r] += w[r, i] * color
     np.testing.assert_allclose(dark.numpy(), slow_dark, rtol=1e-10)
     np.testing.assert_allclose(lit.numpy(), slow_lit, rtol=1e-10)
@@ -119,6 +119,16 @@ def test_concealed_colours_and_the_loss_of_aleth_are_those_of_the_equations() ->
     world = sum((means[a] - means[b]) ** 2 for a, b in ((0, 1), (1, 2), (2, 0)))
     expected = photometric + 1e-3 * (slow_lit.mean() - 0.45) ** 2 + 1e-3 * structure + 0.1 * world
     assert float(aleth.loss_of(dark, lit, torch.from_numpy(target), PATCH, config)) == pytest.approx(expected, rel=1e-8)
+
+
+@pytest.mark.parametrize(("level", "shown"), [(0.002, 0.002), (0.1, 0.1), (0.4, 0.125), (0.0, 2.5e-4)])
+def test_the_first_concealing_makes_first_colours_as_dark_as_the_pictures(level: float, shown: float) -> None:
+    """Bright pictures begin as published, g = O = 1/2; black ones have a finite logit."""
+    first, batch = aleth.first_concealing(torch.full((2, 4, 5, 3), level)), some_batch(5)
+    at_first = Batch(**{**vars(batch), "raw": torch.zeros_like(batch.raw)})
+    along, taps = torch.full((N,), aleth.FIRST_ALONG, dtype=torch.float64), torch.ones(7, dtype=torch.float64)
+    dark, _ = aleth.concealed(at_first, along, taps, first)
+    np.testing.assert_allclose(dark, shown * batch.weights.sum(1)[:, None].expand(-1, 3), rtol=1e-6)
 
 
 def test_the_decomposition_and_the_enhancement_of_llnerf_are_those_of_the_equations() -> None:
