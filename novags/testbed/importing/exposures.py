@@ -9,10 +9,17 @@ from simscenes.sets.pictures.image_file import header
 ALIKE = 0.02  # relative: cameras round what they state
 STATED = ("exposure time", "s"), ("ISO speed", ""), ("f-number", "")
 EXIF, TAGS = 0x8769, (0x829A, 0x8827, 0x829D)  # ExposureTime, ISOSpeedRatings (PhotographicSensitivity), FNumber
+OF_VIEWS = "all views must be exposed alike. Import those that are, or give --time SECONDS, which counts for all"
+OF_CLEAN = ("all clean exposures must be exposed alike, because one factor brings them to the light of the dark "
+            "pictures: give some that are, or leave out --clean")  # fmt: skip
 
 
-def check_exposed_alike(files: Sequence[Path]) -> None:
+def check_exposed_alike(files: Sequence[Path], rule: str = OF_VIEWS) -> None:
     """Refuse pictures that are not of one exposure: a method would take that for noise, or for another surface.
+
+    Args:
+        files: The pictures.
+        rule: What they break, for the message.
 
     Raises:
         ValueError: If two of them state different exposure times, ISO speeds or f-numbers.
@@ -25,8 +32,7 @@ def check_exposed_alike(files: Sequence[Path]) -> None:
             other, name = first.setdefault(what, (value, file))
             if abs(value - other) > ALIKE * other:
                 raise ValueError(
-                    f"{file.name} states the {what} {value:g} {unit}".rstrip() + f", {name.name} {other:g}: all views "
-                    "must be exposed alike. Import those that are, or give --time SECONDS, which counts for all"
+                    f"{file.name} states the {what} {value:g} {unit}".rstrip() + f", {name.name} {other:g}: {rule}"
                 )
 
 

@@ -14,7 +14,7 @@ from novags.testbed.folders.imported import write_clean
 from novags.testbed.importing.clean import Match, match_clean, tone_gain
 from novags.testbed.importing.dark import Dark, open_dark
 from novags.testbed.importing.darkroom import Darkroom
-from novags.testbed.importing.exposures import check_exposed_alike
+from novags.testbed.importing.exposures import OF_CLEAN, check_exposed_alike
 from novags.testbed.importing.published.datasets import DATASETS, Dataset, dataset_of
 from novags.testbed.importing.raw_camera import raw_camera
 from novags.testbed.importing.split import Split
@@ -190,6 +190,8 @@ def prepare(material: Material, config: ImportConfig, console: Console) -> Prepa
     if config.time is None:
         for group in dict.fromkeys((dark.files, dark.raws)):  # raw files alone are both
             check_exposed_alike(group)
+    if material.clean is not None:
+        check_exposed_alike(material.clean.files, OF_CLEAN)
     if resampled:
         console.warn(f"{resampled} of {len(dark.files)} lit pictures are a pixel larger or smaller than the dark ones: "
                      "resampled to their size")  # fmt: skip

@@ -13,6 +13,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from novags.testbed import stages
 from novags.testbed.console import Console
+from novags.testbed.folders.raw_files import read_digital_numbers
 from novags.testbed.importing.exposures import check_exposed_alike, stated_of
 from novags.testbed.importing.raw_camera import raw_camera
 from novags.testbed.importing.stored import is_lossy
@@ -96,6 +97,19 @@ def test_an_import_refuses_mixed_exposures_unless_the_user_says_the_time(dark: P
     with pytest.raises(ValueError, match=r"0001\.dng states the exposure time 0\.5 s"):
         brought(dark, tmp_path / "cap")
     brought(dark, tmp_path / "cap", time=0.1)
+
+
+def test_clean_exposures_of_several_times_are_refused_whatever_the_time_of_the_dark_ones(
+    dark: Path, tmp_path: Path
+) -> None:
+    """Expectation: one factor cannot bring them to the light of the dark pictures, so they are no truth."""
+    long = tmp_path / "long" / "raw"
+    write_dng(long / "0002.dng", read_digital_numbers(long / "0002.dng"), CAMERA, Exposure(time=7.0))
+    for time in (None, 0.1):
+        with pytest.raises(
+            ValueError, match=r"0002\.dng states the exposure time 7 s, .*: all clean exposures must be"
+        ):
+            brought(dark, tmp_path / "cap", clean=long, time=time)
 
 
 def test_clean_exposures_beside_raw_files_are_raw_and_a_tone_of_the_pictures_own_is_said(
