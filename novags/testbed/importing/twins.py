@@ -1,5 +1,7 @@
 """Lit or clean pictures of the views of a dark set: which file belongs to which view."""
 
+import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -73,7 +75,7 @@ def twins_of(dark: MultiviewSet, folder: Path, option: str, console: Console) ->
         console: Where notes go.
 
     Raises:
-        ValueError: If some or all views have none.
+        ValueError: If some or all views have none, or it is not clear which is whose.
     """
     if not folder.is_dir():
         raise ValueError(f"{option}: no such folder: {folder}")
@@ -95,9 +97,25 @@ def twins_of(dark: MultiviewSet, folder: Path, option: str, console: Console) ->
             f"({some(list(dark.names), 4)}), with no name in common: give them the same names, or as many, in the same "
             "order"
         )
+    _check_order(dark.names, tuple(found), f"{option} {folder}")
     first = f"{dark.names[0]} with {next(iter(found.values())).name}"
     console.warn(f"the pictures of {folder} have other names than the dark ones: paired by order, {first} and so on")
     return Twins(folder, tuple(found.values()), "order")
+
+
+def _check_order(dark: Sequence[str], twins: Sequence[str], what: str) -> None:
+    """Refuse to pair by order where names have two: a9 is behind a10 by its letters, and before it by its number."""
+    by_numbers = dict(zip(sorted(dark, key=_numbers_counted), sorted(twins, key=_numbers_counted), strict=True))
+    for name, twin in zip(dark, twins, strict=True):
+        if by_numbers[name] != twin:
+            raise ValueError(
+                f"{what}: the order of the names does not say which picture belongs to the dark view {name}: {twin} by "
+                f"their letters, {by_numbers[name]} by the numbers in them; give them the names of the dark pictures"
+            )
+
+
+def _numbers_counted(name: str) -> list[str | int]:
+    return [int(part) if k % 2 else part for k, part in enumerate(re.split(r"([0-9]+)", name))]
 
 
 def twins_by_order(dark: MultiviewSet, folder: Path) -> Twins:
