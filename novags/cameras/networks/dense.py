@@ -18,6 +18,7 @@ from novags.cameras.points import averaged, project, subset
 Index = NDArray[np.intp]
 LARGEST_MISS = 2.0  # px of a prepared picture, twice what conventions of half a pixel and rounding make of it
 HEADS_MISS = 10.0  # the same for points of another part of the network, which is as right as the network is
+UNSOUND = "check the weights, or run it with --device cpu"  # what to do about a network that computes nonsense
 
 
 @dataclass(frozen=True)
@@ -117,8 +118,10 @@ def choose(source: str, confidence: Array, usable: NDArray[Any], drop_percent: f
         seed: Of their choice.
 
     Raises:
-        ValueError: If there is no such pixel.
+        ValueError: If there is no such pixel, or a confidence is not finite.
     """
+    if not np.isfinite(confidence).all():
+        raise ValueError(f"{source} returned confidences that are not finite: {UNSOUND}")
     good = np.argwhere((confidence >= np.percentile(confidence, drop_percent)) & usable)
     if not len(good):
         raise ValueError(f"{source} returned no positive depth: the pictures may be too dark, try pictures=enhanced")
@@ -147,9 +150,7 @@ def from_pixels(
             package has other conventions, and its cameras would be silently wrong.
     """
     if not (np.isfinite(viewmats).all() and np.isfinite(Ks).all()):
-        raise ValueError(
-            f"{source} returned cameras that are not finite: check the weights, or run it with --device cpu"
-        )
+        raise ValueError(f"{source} returned cameras that are not finite: {UNSOUND}")
     view, row, column = chosen.T
     pixels = np.stack([column, row], -1) + 0.5
     largest = LARGEST_MISS if other_points is None else HEADS_MISS

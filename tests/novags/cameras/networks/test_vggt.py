@@ -214,7 +214,7 @@ def test_without_package_or_weights_one_line_says_what_to_do(corner, package, tm
         vggt_cameras(scene.pictures, dark, n_points=10, config=VggtConfig(checkpoint=package))
 
 
-def test_cameras_that_are_not_finite_and_absent_depths_are_refused(shown):
+def test_cameras_and_confidences_that_are_not_finite_and_absent_depths_are_refused(shown):
     scene, config = shown(40, 30)
     dark, truth = as_dark(scene.pictures), StandIn.truth
     StandIn.truth = truth | {"pose": truth["pose"] * float("nan")}
@@ -222,6 +222,10 @@ def test_cameras_that_are_not_finite_and_absent_depths_are_refused(shown):
         vggt_cameras(scene.pictures, dark, n_points=10, config=config)
     StandIn.truth = truth | {"depth": -truth["depth"]}
     with pytest.raises(ValueError, match="no positive depth"):
+        vggt_cameras(scene.pictures, dark, n_points=10, config=config)
+    for part in ("pose", "depth", "confidence"):  # as half precision leaves them where it overflows
+        StandIn.truth = StandIn.truth | {part: truth[part] * float("nan")}
+    with pytest.raises(ValueError, match="confidences that are not finite: check the weights"):
         vggt_cameras(scene.pictures, dark, n_points=10, config=config)
 
 
