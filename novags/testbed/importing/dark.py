@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
@@ -106,11 +107,12 @@ def _without_cameras(folder: Path) -> NoReturn:
 def _with_pictures(folder: Path, depth: int = DEPTH) -> Iterator[Path]:
     """The folders at most `depth` below that hold pictures, themselves or in images/; none inside another."""
     for below in sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")):
-        places = (below, below / "images")
-        if any(file.suffix.lower() in PICTURES for place in places for file in place.glob("*")):
-            yield below
-        elif depth > 1:
-            yield from _with_pictures(below, depth - 1)
+        with suppress(PermissionError):
+            places = (below, below / "images")
+            if any(file.suffix.lower() in PICTURES for place in places for file in place.glob("*")):
+                yield below
+            elif depth > 1:
+                yield from _with_pictures(below, depth - 1)
 
 
 def _raws_beside(folder: Path, source: Source) -> tuple[Path, ...]:

@@ -5,6 +5,7 @@ above has to bear the name of the data set, in upper or lower case.
 """
 
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -81,6 +82,8 @@ def dataset_of(folder: Path) -> Dataset | None:
 def scenes_below(root: Path) -> dict[str, dict[str, Path]]:
     """The scenes of each data set that lie in a folder or at most `DEPTH` folders below, by name, in its order.
 
+    Folders that the user may not read are passed over.
+
     Raises:
         ValueError: If there is no such folder, or two scenes of a data set have one name.
     """
@@ -100,7 +103,8 @@ def _walk(folder: Path, depth: int) -> Iterator[tuple[Dataset, Path]]:
         yield dataset, folder
     elif depth:
         for below in sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")):
-            yield from _walk(below, depth - 1)
+            with suppress(PermissionError):  # others' folders, and lost+found of a disk
+                yield from _walk(below, depth - 1)
 
 
 def _owner(folder: Path) -> str | None:

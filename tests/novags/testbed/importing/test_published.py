@@ -206,6 +206,29 @@ def test_folders_are_known_by_what_they_hold_and_by_a_name_above_them(tmp_path: 
         scenes_below(root)
 
 
+def test_folders_that_may_not_be_read_are_passed_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rationale: a disk has such a folder, lost+found, beside the data. It is faked here: root may read all."""
+    lom(tmp_path / "LOM" / "buu")
+    (tmp_path / "lost+found").mkdir()
+
+    def refusing(honest):
+        def asked(self: Path, *more: Any, **named: Any) -> Any:
+            if "lost+found" in self.parts[:-1] or (self.name == "lost+found" and honest.__name__ == "iterdir"):
+                raise PermissionError(13, "Permission denied", str(self))
+            return honest(self, *more, **named)
+
+        return asked
+
+    for name in ("is_file", "is_dir", "iterdir"):
+        monkeypatch.setattr(Path, name, refusing(getattr(Path, name)))
+    assert scenes_below(tmp_path) == {"LOM": {"buu": tmp_path / "LOM" / "buu"}}
+    with pytest.raises(ValueError, match=r"contains scenes \(LOM/buu\)"):
+        brought(tmp_path, tmp_path.parent / "cap")
+    shutil.rmtree(tmp_path / "LOM" / "buu" / "high")
+    with pytest.raises(ValueError, match="are in LOM/buu/low, LOM/buu/over_exp: give one"):
+        brought(tmp_path, tmp_path.parent / "cap")
+
+
 def test_the_dataset_can_be_said_and_is_refused_where_it_does_not_fit(tmp_path: Path) -> None:
     folder = lom(tmp_path / "LOM" / "buu")
     with pytest.raises(ValueError, match="buu must hold what a scene of LLRS does: images/, sparse/0"):
