@@ -39,7 +39,9 @@ def arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("network", choices=NAMES)
     parser.add_argument("--sets", type=Path, nargs="*", default=[], help="rendered sets; none: synthetic pictures")
-    parser.add_argument("--out", type=Path, required=True, help="the weights; the checkpoint lies beside them")
+    parser.add_argument(
+        "--out", type=Path, required=True, help="the weights, FILE.safetensors; the checkpoint lies beside them"
+    )
     parser.add_argument("--steps", type=int, default=20_000)
     parser.add_argument("--stop", type=int, help="stop after this step, as if interrupted")
     parser.add_argument("--rate", type=float, default=5e-4, help="largest learning rate")
@@ -47,7 +49,10 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--crop", type=int, default=64, help="px")
     parser.add_argument("--checks", type=int, default=24, help="pictures of 96 px that it is measured on")
     parser.add_argument("--seed", type=int, default=0)
-    return parser.parse_args()
+    asked = parser.parse_args()
+    if asked.out.suffix != ".safetensors":  # by which the methods know how to read it
+        parser.error(f"--out must end in .safetensors, got {asked.out}")
+    return asked
 
 
 def loss_of(network: torch.nn.Module, pairs: BrightPairs, *, kind: Kind, config: object) -> Tensor:

@@ -54,6 +54,26 @@ def test_the_loss_is_l1_and_half_of_what_ssim_lacks() -> None:
     assert float(found) == pytest.approx(wanted, rel=1e-5)
 
 
+def test_a_name_that_no_method_would_read_is_refused_before_the_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import train_enhancer
+
+    monkeypatch.setattr(sys, "argv", ["train_enhancer.py", "mbllen", "--out", str(tmp_path / "mbllen.pt")])
+    with pytest.raises(SystemExit):
+        train_enhancer.arguments()
+    assert "--out must end in .safetensors, got" in capsys.readouterr().err
+
+
+def test_a_crop_larger_than_a_picture_is_refused_by_size() -> None:
+    from denoising.pairs import Source
+
+    source = Source([], size=24, stock=1, rendered_share=0.0)
+    assert source.draw(np.random.default_rng(0), 0, 24).shape == (24, 24, 3)
+    with pytest.raises(ValueError, match="got 25 px and a picture of 24 x 24: choose a smaller --crop"):
+        source.draw(np.random.default_rng(0), 0, 25)
+
+
 @pytest.mark.slow
 def test_a_training_that_was_stopped_ends_with_the_same_weights_which_the_method_reads(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

@@ -88,6 +88,10 @@ class Source:
             whole = self.rendered[int(rng.integers(len(self.rendered)))]
         else:
             whole = self._synthetic(int(rng.integers(self.stock)), step)
+        if crop > min(whole.shape[:2]):
+            height, width = whole.shape[:2]
+            raise ValueError(f"a crop must fit into every picture, got {crop} px and a picture of {width} x {height}: "
+                             "choose a smaller --crop")  # fmt: skip
         whole = whole / whole[..., 1].mean()
         top, left = (int(rng.integers(side - crop + 1)) for side in whole.shape[:2])
         part = whole[top : top + crop, left : left + crop]
