@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol, TypeVar
+from typing import Literal, Protocol, TypeVar, get_args
 
 import numpy as np
 import torch
@@ -145,7 +145,10 @@ class Problem:
 
         Raises:
             LacksInput: If there are no 16-bit pictures.
+            ValueError: If `pictures` names none.
         """
+        if pictures not in get_args(Pictures):
+            raise ValueError(f"pictures must be one of {', '.join(get_args(Pictures))}, got {pictures!r}")
         if pictures == "8bit":
             return self.srgb8
         if self.linear16 is None:

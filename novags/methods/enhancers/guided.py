@@ -6,9 +6,10 @@ brings the mean of L**gamma to the target exposure, `ratio` (R) the factor every
 own, guided by itself, or all three share that of the luminance.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import torch
 import torch.nn.functional as F
@@ -18,6 +19,8 @@ from novags.methods.enhancers.noise_level import immerkaer_sigma, known_sigma, p
 from novags.methods.noise import Variance
 from novags.methods.problem import LacksInput
 
+Guide = Literal["channel", "luminance"]
+NoiseEstimator = Literal["patch-pca", "immerkaer", "camera"]
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # of sRGB code: Rec. 709
 
 
@@ -27,12 +30,12 @@ class EnhanceConfig:
 
     # "channel": a brightness map for each colour channel. "luminance": one for all, which keeps the ratios of the
     # channels, and averages their noise.
-    guide: Literal["channel", "luminance"] = "channel"
+    guide: Guide = "channel"
     window: int = 33  # px, odd; shrunk to fit images smaller than it
     target: float = 0.5  # tau, mean of L**gamma
     eta: float = 1e-4  # in R = L**gamma / (L + eta)
     # "camera" takes the known noise of the camera, for pictures whose noise is not white, as after demosaicing.
-    noise_estimator: Literal["patch-pca", "immerkaer", "camera"] = "patch-pca"
+    noise_estimator: NoiseEstimator = "patch-pca"
     noise_factor: float = 1.0  # epsilon = noise_factor * estimated noise variance
     gamma_min: float = 0.02
     gamma_max: float = 5.0
@@ -45,8 +48,11 @@ class EnhanceConfig:
             raise ValueError(f"target must lie in (0, 1), got {self.target}")
         if not self.eta > 0:
             raise ValueError(f"eta must be > 0 (black pixels would be divided by zero), got {self.eta}")
-        if self.noise_factor < 0:
-            raise ValueError(f"noise_factor must be >= 0, got {self.noise_factor}")
+        for name, known in (("guide", get_args(Guide)), ("noise_estimator", get_args(NoiseEstimator))):
+            if (value := getattr(self, name)) not in known:
+                raise ValueError(f"{name} must be one of {', '.join(known)}, got {value!r}")
+        if not 0 <= self.noise_factor < math.inf:
+            raise ValueError(f"noise_factor must be finite and >= 0, got {self.noise_factor}")
         if not 0 < self.gamma_min < self.gamma_max:
             raise ValueError(f"need 0 < gamma_min < gamma_max, got {self.gamma_min} and {self.gamma_max}")
 

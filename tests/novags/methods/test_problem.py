@@ -36,6 +36,12 @@ def test_sixteen_bit_pictures_are_clipped_and_encoded():
     assert inputs.encoded("8bit") is inputs.srgb8
 
 
+def test_pictures_of_another_name_are_refused():
+    """Rationale: "8-bit" meant the 16-bit ones."""
+    with pytest.raises(ValueError, match="pictures must be one of 8bit, 16bit, got '8-bit'"):
+        problem(linear16=torch.rand(2, 4, 6, 3)).encoded("8-bit")
+
+
 def test_sixteen_bit_pictures_must_be_there_to_be_used():
     with pytest.raises(ValueError, match="16-bit linear pictures"):
         problem().encoded("16bit")

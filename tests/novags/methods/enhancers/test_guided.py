@@ -165,7 +165,10 @@ def test_estimators_are_defined_on_tiny_and_constant_images(estimate, size):
         ({"window": 4}, "window must be odd and >= 1 px, got 4"),
         ({"target": 1.0}, r"target must lie in \(0, 1\), got 1.0"),
         ({"eta": 0.0}, "eta must be > 0 .* got 0.0"),
-        ({"noise_factor": -1.0}, "noise_factor must be >= 0, got -1.0"),
+        ({"noise_factor": -1.0}, "noise_factor must be finite and >= 0, got -1.0"),
+        ({"noise_factor": float("nan")}, "noise_factor must be finite and >= 0, got nan"),
+        ({"noise_estimator": "patch_pca"}, "must be one of patch-pca, immerkaer, camera, got 'patch_pca'"),
+        ({"guide": "channels"}, "guide must be one of channel, luminance, got 'channels'"),
         ({"gamma_min": 2.0, "gamma_max": 1.0}, "need 0 < gamma_min < gamma_max, got 2.0 and 1.0"),
     ],
 )
