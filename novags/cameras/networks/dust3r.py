@@ -94,7 +94,7 @@ def dust3r_cameras(
     with torch.random.fork_rng():
         torch.manual_seed(seed)
         model = load(model_class, config.checkpoint, device)
-        pairs = make_pairs(views, scene_graph=config.pairs, prefilter=None, symmetrize=True)
+        pairs = paired("dust3r", make_pairs, views, config.pairs)
         output = infer(pairs, model, device, batch_size=1, verbose=False)
         # Also for two views, for which its other mode would keep the cameras of one of the two passes.
         scene = cloud.global_aligner(
@@ -105,6 +105,21 @@ def dust3r_cameras(
     usable = np.asarray(np.isfinite(points).all(-1))
     chosen = choose("dust3r", confidence, usable, config.drop_percent, n_points, seed)
     return from_pixels("dust3r", chosen, points[tuple(chosen.T)], *cameras_of(scene), window, colors_from)
+
+
+def paired(source: str, make_pairs: Any, views: list[dict[str, Any]], graph: str) -> Any:
+    """The ordered pairs of a scene graph, as the package's `make_pairs` forms them; MASt3R's are asked alike.
+
+    Raises:
+        ValueError: If there are none, as of a graph that the package does not know.
+    """
+    pairs = make_pairs(views, scene_graph=graph, prefilter=None, symmetrize=True)
+    if not pairs:
+        raise ValueError(
+            f"pairs of {source} must be a scene graph of its make_pairs (complete, swin-5, logwin-4, oneref, ...), got "
+            f"{graph!r}, of which it makes no pair"
+        )
+    return pairs
 
 
 def cameras_of(scene: Any) -> tuple[Array, Array]:

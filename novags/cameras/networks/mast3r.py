@@ -15,7 +15,7 @@ from torch import Tensor
 
 from novags.cameras.estimate import CameraEstimate
 from novags.cameras.networks.dense import check_drop, choose, from_pixels, numbers
-from novags.cameras.networks.dust3r import as_its_loader, cameras_of, load
+from novags.cameras.networks.dust3r import as_its_loader, cameras_of, load, paired
 from novags.cameras.networks.package import part, require
 from novags.cameras.pictures import Pictures, check_kind, check_views, write_pictures
 from sensor_model.files.scratch import scratch
@@ -90,7 +90,7 @@ def mast3r_cameras(
         torch.manual_seed(seed)
         model = load(model_class, config.checkpoint, device)
         files = [str(root / name) for name in write_pictures(root, pictures)]  # it names views by their files
-        pairs = make_pairs(views, scene_graph=config.pairs, prefilter=None, symmetrize=True)
+        pairs = paired("mast3r", make_pairs, views, config.pairs)
         scene = align(
             files, pairs, str(root / "cache"), model, lr1=RATES[0], niter1=config.iterations, lr2=RATES[1],
             niter2=config.iterations, device=device, opt_depth=True, shared_intrinsics=config.shared_lens,

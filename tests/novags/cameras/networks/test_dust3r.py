@@ -122,6 +122,13 @@ def test_settings_reach_the_alignment(shown):
     assert truth.asked == wanted[type(config)]
 
 
+def test_a_graph_without_pairs_is_refused_by_name(shown):
+    scene, _, adapter, config = shown()
+    wrong = type(config)(checkpoint=config.checkpoint, pairs="complet")
+    with pytest.raises(ValueError, match=r"pairs of .*3r must be a scene graph .*got 'complet', of which it makes no"):
+        adapter(scene.pictures, as_dark(scene.pictures), n_points=10, config=wrong)
+
+
 def test_the_same_seed_gives_the_same_points_and_torchs_own_stream_goes_on_untouched(shown):
     scene, _, adapter, config = shown()
     torch.manual_seed(11)
