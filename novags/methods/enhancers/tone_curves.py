@@ -20,7 +20,7 @@ from sensor_model import linear_to_srgb, srgb_to_linear
 
 Array: TypeAlias = NDArray[np.float64]
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709
-GAINS = (1e-3, 1e5)  # the gain is sought between these; the lowest 16-bit code needs 3e4 to become middle grey
+GAINS = (1e-3, 1e5)  # the gain is sought between these; the lowest 16-bit code needs 1e4 to become middle grey
 DARKEST = 1e-4  # of the brightest pixel: pixels count as at least this in a log average, which one black one would end
 STEPS = 60  # of a bisection: to the last bit of a float64
 
