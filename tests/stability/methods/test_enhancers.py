@@ -6,6 +6,7 @@ import torch
 
 from novags.methods.enhancers import tone_curves
 from novags.testbed.stability import Case, Setting, measured
+from novags.testbed.stability.parts.methods.enhancers import PART
 
 Fails = Callable[..., bool]
 
@@ -35,6 +36,12 @@ def test_a_gain_sought_in_too_small_a_range_is_noticed(fails: Fails, monkeypatch
 def test_a_bisection_that_stops_early_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tone_curves, "STEPS", 12)
     assert fails("tone curves: pictures of one to nine pixels")
+
+
+def test_slopes_of_two_precisions_are_compared() -> None:
+    """They differ by roundings; equal ones would be those of one network compared with itself."""
+    (case,) = [case for case in PART.cases if case.name.startswith("losses without references")]
+    assert measured(case, Setting("torch", 1)).error > 0
 
 
 def test_a_root_without_its_floor_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:

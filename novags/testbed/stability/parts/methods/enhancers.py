@@ -201,10 +201,10 @@ def slopes(setting: Setting) -> float:
             continue
         for picture in _pictures():
             found = []
-            for each in (network.float(), network.double()):
-                each.zero_grad()
-                kind.rehearsal.loss(each, picture.to(next(each.parameters()).dtype), config).backward()
-                found.append([p.grad.clone() for p in each.parameters() if p.grad is not None])
+            for dtype in (torch.float32, torch.float64):
+                network.to(dtype).zero_grad()  # converts the network itself: one after the other
+                kind.rehearsal.loss(network, picture.to(dtype), config).backward()
+                found.append([p.grad.clone() for p in network.parameters() if p.grad is not None])
             largest = max(float(g.abs().max()) for g in found[1])
             for a, b in zip(*found, strict=True):
                 worst = worse(worst, float((a.double() - b).abs().max()) / max(largest, 1e-30))
