@@ -50,3 +50,8 @@ def test_a_running_sum_of_squares_is_noticed(fails: Fails, monkeypatch: pytest.M
 
     monkeypatch.setattr(blind_spot, "n2v_loss", running)
     assert fails("the loss over a quarter million spots")
+
+
+def test_a_slope_that_is_nan_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(torch.autograd, "grad", lambda outputs, noisy: (noisy.detach() * torch.nan,))
+    assert fails("the centre never leaks: through the network")

@@ -59,5 +59,10 @@ def test_a_ratio_without_its_floors_is_noticed_in_the_noise_of_nothing(
 def test_moments_of_clipped_values_taken_for_those_before_are_noticed(
     fails: Fails, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    before = cases._before_8_bits
     monkeypatch.setattr(cases, "_before_8_bits", lambda mean, variance: (mean, variance))
+    assert fails("a normal before it was clipped at black, its mean from -0.9 to 5.9 deviations")
+    monkeypatch.setattr(
+        cases, "_before_8_bits", lambda mean, variance: (before(mean, variance)[0], variance * torch.nan)
+    )
     assert fails("a normal before it was clipped at black, its mean from -0.9 to 5.9 deviations")

@@ -6,7 +6,7 @@ import torch
 
 from novags.methods.enhancers import tone_curves
 from novags.testbed.stability import Case, Setting, measured
-from novags.testbed.stability.parts.methods.enhancers import PART
+from novags.testbed.stability.parts.methods import enhancers
 
 Fails = Callable[..., bool]
 
@@ -40,7 +40,7 @@ def test_a_bisection_that_stops_early_is_noticed(fails: Fails, monkeypatch: pyte
 
 def test_slopes_of_two_precisions_are_compared() -> None:
     """They differ by roundings; equal ones would be those of one network compared with itself."""
-    (case,) = [case for case in PART.cases if case.name.startswith("losses without references")]
+    (case,) = [case for case in enhancers.PART.cases if case.name.startswith("losses without references")]
     assert measured(case, Setting("torch", 1)).error > 0
 
 
@@ -52,3 +52,9 @@ def test_a_root_without_its_floor_is_noticed(fails: Fails, monkeypatch: pytest.M
 def test_a_saturation_of_grey_that_is_raised_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(torch, "where", lambda condition, yes, no: yes)
     assert fails("adjustment of a result: black, white, grey, one bright pixel")
+
+
+def test_a_curve_that_makes_nan_of_black_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
+    curve, last = enhancers._curve, enhancers.CURVES[-1]
+    monkeypatch.setattr(enhancers, "_curve", lambda c, dark: curve(c, dark) * (np.nan if c is last else 1))
+    assert fails("tone curves: all black")

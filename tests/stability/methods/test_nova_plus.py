@@ -24,3 +24,8 @@ def test_an_exponential_without_its_bound_is_noticed(fails: Fails, monkeypatch: 
 def test_opacities_without_their_bounds_are_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(merge, "INSIDE", (0.0, 1.0))
     assert fails("merged opacities of nearly 0 and nearly 1")
+
+
+def test_light_that_is_nan_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ToneCurve, "light", lambda self, tone: tone * torch.nan)
+    assert fails("a lamp a million times as bright as the median")

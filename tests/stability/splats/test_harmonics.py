@@ -52,3 +52,17 @@ def test_the_reference_has_the_signs_of_3dgs() -> None:
     color, _, v_sh = harmonics._exact(raw.tobytes(), 1, 3)
     assert color[0] == pytest.approx([0.5 + 0.4886025119029199] * 3, rel=1e-14)
     assert v_sh[0, 6, 0] == pytest.approx(2 * 0.31539156525252005, rel=1e-14)
+
+
+def test_slopes_above_the_degree_that_are_left_as_they_were_are_noticed(
+    fails: Fails, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    computed = harmonics._computed
+
+    def left(setting, directions, sh, weights, degree):
+        colors, v_directions, v_sh = computed(setting, directions, sh, weights, degree)
+        v_sh[:, (degree + 1) ** 2 :] = np.nan
+        return colors, v_directions, v_sh
+
+    monkeypatch.setattr(harmonics, "_computed", left)
+    assert fails("another degree: what lies above it may be anything")

@@ -65,3 +65,13 @@ def test_exponentials_of_half_precision_are_noticed(fails: Fails, monkeypatch: p
     exp = torch.exp
     monkeypatch.setattr(torch, "exp", lambda x: exp(x.bfloat16().float()))
     assert fails("activations: logits +-100, log scales +-40")
+
+
+def test_a_nan_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
+    activate, relocation = updates.activate, mcmc.relocation
+    monkeypatch.setattr(updates, "activate", lambda *given, **how: [np.nan * x for x in activate(*given, **how)])
+    monkeypatch.setattr(adam, "_update_torch", lambda value, *rest: value.fill_(np.nan))
+    monkeypatch.setattr(mcmc, "relocation", lambda o, n: tuple(np.nan * x for x in relocation(o, n)))
+    assert fails("activations: logits +-100, log scales +-40")
+    assert fails("Adam: gradients of 1e-38 to 1e15, denormal moments")
+    assert fails("relocation: opacities .005 to 1 - 1e-7, up to 51 copies")

@@ -131,8 +131,8 @@ def _moment_error(camera: Sensor, means: list[float], setting: Setting) -> float
     """Worst error of the float32 moments: the mean's in standard deviations, the variance's of itself."""
     shot = frame(np.array([means]) / camera.eta, camera, setting)
     wanted = np.array([code_sum(camera, mu) for mu in means]).T
-    spread = np.abs(shot.variance_dn[0] / wanted[1] - 1).max()
-    return float(max(spread, (np.abs(shot.mean_dn[0] - wanted[0]) / np.sqrt(wanted[1])).max()))
+    spread = float(np.abs(shot.variance_dn[0] / wanted[1] - 1).max())
+    return worse(spread, float((np.abs(shot.mean_dn[0] - wanted[0]) / np.sqrt(wanted[1])).max()))
 
 
 # float32 holds 1023 DN to 3e-5 DN, 1e-5 of the least noise there, 3 DN.

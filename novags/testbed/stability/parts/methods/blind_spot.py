@@ -12,7 +12,7 @@ from torch import Tensor
 from novags.methods.nova.blindspot import BlindSpotConfig, laplacian_prior, n2v_loss, replace_masked, sample_mask
 from novags.methods.nova.denoiser import Denoiser, DenoiserConfig, donut_blur
 from novags.methods.nova.resunet import ResUNetConfig
-from novags.testbed.stability.case import Part, Setting, refusal
+from novags.testbed.stability.case import Part, Setting, refusal, worse
 from novags.testbed.stability.errors import EPS, LARGEST, relative_error, worst_error
 
 PART = Part("blind_spot")
@@ -131,7 +131,7 @@ def no_leak_of_the_network(setting: Setting) -> float:
         mask[0, 7, 3] = True
         prediction = denoiser.predict(replace_masked(planes, mask, 5, _stream()).view_as(noisy))
         (slope,) = torch.autograd.grad(prediction[0, 0, 7, 3], noisy)
-        worst = max(worst, float(slope[0, : 1 if per_channel else 3, 7, 3].abs().max()))
+        worst = worse(worst, float(slope[0, : 1 if per_channel else 3, 7, 3].abs().max()))
         if float(slope.abs().max()) == 0:  # nothing at all: the test would be blind itself
             return float("inf")
     return worst

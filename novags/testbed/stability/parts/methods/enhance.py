@@ -18,7 +18,7 @@ from novags.methods.enhancers.noise_level import known_sigma
 from novags.methods.noise import Variance
 from novags.methods.noise_estimate import _before_8_bits, noise_from
 from novags.methods.problem import RawPictures
-from novags.testbed.stability.case import Part, Setting, refusal
+from novags.testbed.stability.case import Part, Setting, refusal, worse
 from novags.testbed.stability.errors import EPS, LARGEST, relative_error, worst_error
 from sensor_model import NoiseCurve
 
@@ -226,4 +226,4 @@ def before_clipping(setting: Setting) -> float:
     scale = 1e4
     m, v = _before_8_bits(scale * torch.tensor(mean, dtype=torch.float64), scale**2 * torch.tensor(variance).double())
     sigma = v.sqrt().numpy() / scale
-    return float(max(np.abs(m.numpy() / scale - at).max(), np.abs(sigma - 1).max()))
+    return worse(float(np.abs(m.numpy() / scale - at).max()), float(np.abs(sigma - 1).max()))

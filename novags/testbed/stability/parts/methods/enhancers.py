@@ -117,7 +117,7 @@ def _random(height: int, width: int, seed: int = 0) -> Tensor:
 @PART.case("tone curves: all black", bound=0, unit=LARGEST)
 def black(setting: Setting) -> float:
     """No logarithm, no luma, no exposure: black stays black."""
-    return max(float(_curve(config, torch.zeros(5, 6, 3)).abs().max()) for config in CURVES)
+    return worse(*(float(_curve(config, torch.zeros(5, 6, 3)).abs().max()) for config in CURVES))
 
 
 @PART.case("tone curves: flat pictures of every level", bound=2 * EPS, unit=LARGEST)

@@ -17,7 +17,7 @@ from novags.methods.nova_plus.likelihood import FLOOR, Likelihood
 from novags.methods.nova_plus.merge import merged
 from novags.methods.tone import ToneCurve, tone_curve
 from novags.splats import Gaussians
-from novags.testbed.stability.case import Part, Setting
+from novags.testbed.stability.case import Part, Setting, worse
 from novags.testbed.stability.errors import EPS, LARGEST, relative_error, worst_error
 from sensor_model import NoiseCurve
 
@@ -92,7 +92,7 @@ def lamp(setting: Setting) -> float:
     want = np.log1p(light / curve.knee) / curve.k
     back = curve.light(tones).double().numpy() / light
     # exp hands on an absolute error of k r as a relative one
-    return max(float(np.abs(tones.double().numpy() - want).max()), float(np.abs(back - 1).max()) / curve.k)
+    return worse(float(np.abs(tones.double().numpy() - want).max()), float(np.abs(back - 1).max()) / curve.k)
 
 
 @PART.case("one electron, and data far below black", bound=200 * EPS, unit=LARGEST, backends=BOTH)

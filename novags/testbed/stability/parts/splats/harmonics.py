@@ -16,7 +16,7 @@ from novags.splats.cpu.parallel import run
 from novags.splats.cpu.raster import harmonics
 from novags.splats.cpu.raster.record import CHANNEL, ROW
 from novags.splats.sh import sh_colors
-from novags.testbed.stability.case import Part, Setting
+from novags.testbed.stability.case import Part, Setting, worse
 from novags.testbed.stability.errors import EPS, LARGEST, relative_error, worst_error
 
 PART = Part("harmonics")
@@ -165,7 +165,7 @@ def degree_switch(setting: Setting) -> float:
         ]
         for a, b in itertools.combinations(found, 2):
             worst = max(worst, relative_error(a[0], b[0]))
-        worst = max(worst, relative_error(found[0][1], found[1][1]), float(np.abs(found[0][2][:, k:]).max()))
+        worst = worse(worst, relative_error(found[0][1], found[1][1]), float(np.abs(found[0][2][:, k:]).max()))
         worst = max(worst, relative_error(found[2][2][:, :k], found[0][2][:, :k]))
         assert np.abs(found[2][2][:, k:above]).max() > 0
     return worst

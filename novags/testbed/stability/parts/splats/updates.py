@@ -19,7 +19,7 @@ from novags.splats.cpu.parallel import run
 from novags.splats.cpu.training import noise
 from novags.splats.training.updates import adam, mcmc
 from novags.splats.training.updates.activate import activate
-from novags.testbed.stability.case import Part, Setting
+from novags.testbed.stability.case import Part, Setting, worse
 from novags.testbed.stability.errors import EPS, relative_error, worst_error
 
 PART = Part("updates")
@@ -53,11 +53,11 @@ def activations(setting: Setting) -> float:
     with mpmath.workdps(40):
         for x, found, slope in _rows(made.log_scales, scales, made.log_scales.grad):
             exact = mpmath.exp(x)
-            worst = max(worst, float(abs(found - exact) / exact), float(abs(slope - exact) / exact))
+            worst = worse(worst, float(abs(found - exact) / exact), float(abs(slope - exact) / exact))
         for x, found, slope in _rows(logits, opacities, made.logit_opacities.grad):
             o = 1 / (1 + mpmath.exp(-x))
             # the slope o (1 - o) has the rounding of o near 1
-            worst = max(worst, float(abs(found - o) / (o + TINY / EPS)), float(abs(slope - o * (1 - o))))
+            worst = worse(worst, float(abs(found - o) / (o + TINY / EPS)), float(abs(slope - o * (1 - o))))
     return worst
 
 
@@ -120,7 +120,7 @@ def denormal_moments(setting: Setting) -> float:
                 made.logit_opacities.grad = torch.from_numpy(gradient)
                 optimiser.step(made, rates, 0.0)
         wanted = _adam_steps(gradients, start[0], start[1], count, 1.0)
-        worst = max(worst, float(np.abs(made.logit_opacities.double().numpy() - wanted).max()))
+        worst = worse(worst, float(np.abs(made.logit_opacities.double().numpy() - wanted).max()))
         if not all(torch.isfinite(m["logit_opacities"]).all() for m in (optimiser.first, optimiser.second)):
             return math.inf
     return worst / 5
@@ -147,7 +147,7 @@ def relocation_sum(setting: Setting) -> float:
             value = torch.tensor([opacity], dtype=torch.float64)
             found = mcmc.relocation(value, torch.tensor([copies]))
             exact = _relocated(mpmath.mpf(opacity), copies)
-            worst = max(worst, *(float(abs(float(f) - e) / e) for f, e in zip(found, exact, strict=True)))
+            worst = worse(worst, *(float(abs(float(f) - e) / e) for f, e in zip(found, exact, strict=True)))
     return worst
 
 
