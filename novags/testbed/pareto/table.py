@@ -18,7 +18,8 @@ def tables(points: Sequence[Point]) -> str:
 
 def _table(knob: str, points: Sequence[Point]) -> str:
     decibels = any(point["db_lost"] for point in points) and "RMSE of held-out views" in points[0]["error_unit"]
-    head = [knob.partition(".")[2], "processor s", "wall s", f"error ({points[0]['error_unit']})",
+    unit = points[0]["error_unit"].replace("|", r"\|")  # or it would end the cell
+    head = [knob.partition(".")[2], "processor s", "wall s", f"error ({unit})",
             *(["lost to the default"] if decibels else []), "on the front"]  # fmt: skip
     lines = [f"#### {knob}", "", f"| {' | '.join(head)} |", f"|{'---|' * len(head)}"]
     for point in points:

@@ -173,6 +173,12 @@ def test_tables_in_a_page_are_replaced_between_their_marks_alone(made: Any, tmp_
     assert "| **10** (default) |" in text
 
 
+def test_a_unit_with_bars_leaves_the_table_its_columns(made: Any, tmp_path: Path) -> None:
+    points = curves(made.subject, measure(made.subject, tmp_path, 1, QUIET))[:3]
+    rows = tables([{**point, "error_unit": "mean |DN|"} for point in points]).splitlines()[2:7]
+    assert {len(re.findall(r"(?<!\\)\|", row)) for row in rows} == {6}
+
+
 def test_settings_must_differ_and_hold_the_default() -> None:
     def knob(settings: tuple[Any, ...]) -> Knob:
         return Knob(
