@@ -49,9 +49,11 @@ def said(points: Sequence[Point]) -> str:
 
 
 def _off_the_front(default: Point, points: Sequence[Point]) -> str:
+    if min(point["repeats"] for point in points) < 2:
+        return "is off the front; what was measured once has no known spread"
     clear = beaten_by(_spread(default), [_spread(point) for point in points])
     if not clear:
-        return "is off the front by less than the spread of two points"
+        return "is off the front, but nothing is both faster and more accurate beyond the spread"
     names = ", ".join(setting_text(points[i]["setting"]) for i in clear)
     return f"is off the front ({names}: faster and more accurate beyond the spread)"
 

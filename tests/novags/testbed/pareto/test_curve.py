@@ -150,13 +150,17 @@ def test_errors_of_zero_are_drawn_too(made: Any, tmp_path: Path) -> None:
 def test_a_default_off_the_front_is_said_to_be(made: Any) -> None:
     def point(setting: str, cpu: float, error: float, sd: float, front: bool) -> dict[str, Any]:
         return {"setting": setting, "cpu_seconds": cpu, "error": error, "error_sd": sd, "front": front,
-                "default": setting == "own", "why": "habit"}  # fmt: skip
+                "default": setting == "own", "why": "habit", "repeats": 3}  # fmt: skip
 
     assert said([point("own", 1, 1, 0, True)]) == "The default, own, is on the front: habit."
     near = [point("own", 2, 1.0, 0.3, False), point("x", 1, 0.9, 0.3, True)]
-    assert "off the front by less than the spread of two points" in said(near)
+    unclear = "off the front, but nothing is both faster and more accurate beyond the spread"
+    assert unclear in said(near)
+    assert unclear in said([point("own", 2, 1.0, 0.1, False), point("x", 1, 1.0, 0.1, True)])  # faster, as accurate
     clear = [point("own", 2, 1.0, 0.1, False), point("x", 1, 0.2, 0.1, True)]
     assert "off the front (x: faster and more accurate beyond the spread)" in said(clear)
+    once = [{**each, "error_sd": 0.0, "repeats": 1} for each in near]
+    assert "off the front; what was measured once has no known spread" in said(once)
     assert "not measured" in said([{**clear[1]}])
 
 
