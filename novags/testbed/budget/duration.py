@@ -10,7 +10,7 @@ NUMBER = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*([a-z]*)")
 
 
 def seconds_of(text: str) -> float:
-    """The seconds that a time stands for: 120s, 120, 2min, 2.5m, 1h, 1h30min.
+    """The seconds that a time stands for: 120s, 120, 2min, 2.5m, 1h, 1h30min. A number without a unit stands alone.
 
     Raises:
         ValueError: If the text is not a time, or the time is not above 0.
@@ -18,8 +18,9 @@ def seconds_of(text: str) -> float:
     rest, total = text.strip().lower(), 0.0
     parts = NUMBER.findall(rest)
     whole = "".join(NUMBER.sub("", rest).split())
-    if whole or not parts or any(unit not in UNITS for _, unit in parts):
-        raise ValueError(f"a budget is a time like 120s, 2min or 1h, got {brief(repr(text), 60)}")
+    bare = len(parts) > 1 and any(not unit for _, unit in parts)  # 1h30: minutes for people, seconds for `UNITS`
+    if whole or bare or not parts or any(unit not in UNITS for _, unit in parts):
+        raise ValueError(f"a budget is a time like 120s, 2min or 1h30min, got {brief(repr(text), 60)}")
     for number, unit in parts:
         total += float(number) * UNITS[unit]
     if not 0 < total < math.inf:
