@@ -6,6 +6,7 @@ from typing import Any
 from novags.settings import flattened
 from novags.testbed.budget.choice import Option
 from novags.testbed.presets import Preset, adapted
+from novags.testbed.stages.reconstructing import ReconstructConfig
 
 # The smallest value that still makes sense.
 LEAST = {"iterations": 10, "points": 100, "denoiser_steps": 1, "spp": 2, "size": 16}
@@ -17,19 +18,23 @@ WORDS = {
 
 
 def values(preset: Preset) -> dict[str, int]:
-    """What a preset has for each option; those that none of its methods and its source have are missing."""
-    configs = [flattened(preset.reconstruct(name).config) for name in preset.methods]
+    """What a preset has for each option.
+
+    Those that its source does not have, nor any of its methods unless a variant decides them itself, are missing.
+    """
+    plans = [preset.reconstruct(name) for name in preset.methods]
     found: dict[str, int | None] = {
-        "iterations": _first(configs, "fit.iterations"), "points": preset.points,
-        "denoiser_steps": _first(configs, "denoiser.warmup_steps"),
+        "iterations": _first(plans, "fit.iterations"), "points": preset.points,
+        "denoiser_steps": _first(plans, "denoiser.warmup_steps"),
     }  # fmt: skip
     if preset.folder is None:
         found |= {"spp": preset.render.spp, "size": preset.render.width}
     return {name: value for name, value in found.items() if value}
 
 
-def _first(configs: Sequence[Mapping[str, Any]], name: str) -> int | None:
-    return next((config[name] for config in configs if config.get(name)), None)
+def _first(plans: Sequence[ReconstructConfig], name: str) -> int | None:
+    open_here = (flattened(plan.config).get(name) for plan in plans if not plan.variant.decides(name))
+    return next((value for value in open_here if value), None)
 
 
 def open_options(

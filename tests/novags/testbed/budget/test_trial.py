@@ -6,6 +6,7 @@ from typing import Any
 
 import pytest
 
+from novags.methods.variant import parse_variant
 from novags.testbed.budget.choice import Option
 from novags.testbed.budget.settings import open_options, turned, values
 from novags.testbed.budget.trial import OutOfTime, Stopwatch, in_small, pace_of, scaled
@@ -87,6 +88,17 @@ def test_shares_are_taken_of_the_presets_own_values() -> None:
     assert (found.render.width, found.render.height) == (80, 40)
     for name in METHODS:
         assert found.reconstruct(name).config.fit.iterations == 600
+
+
+def test_what_a_variant_decides_itself_is_neither_the_presets_own_value_nor_open() -> None:
+    short = parse_variant("short=naive:fit.iterations=500")
+    beside = preset(variants=(short,))
+    beside = adapted(beside, methods=("short", *METHODS))
+    assert values(beside)["iterations"] == 2400
+    found = turned(beside, {"iterations": 0.5})
+    assert [found.reconstruct(name).config.fit.iterations for name in found.methods] == [500, 1200, 1200]
+    alone = adapted(beside, methods=("short",))
+    assert "iterations" not in values(alone)
 
 
 def test_options_that_the_user_set_or_that_make_no_sense_are_not_open() -> None:
