@@ -64,8 +64,8 @@ def known(folder: Path | None, methods: Collection[str] = ()) -> Known:
 def _measured_here() -> list[Point]:
     if not (USUAL / CURVES).exists():
         return []
-    points = _points_of_options(read_curves(USUAL))
-    return points if points and points[0]["hardware"] == jsonable(hardware()) else []
+    here = jsonable(hardware())
+    return [point for point in _points_of_options(read_curves(USUAL)) if point["hardware"] == here]
 
 
 def options_of(points: Sequence[Point], methods: Collection[str] = ()) -> dict[str, list[Option]]:

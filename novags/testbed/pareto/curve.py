@@ -87,7 +87,7 @@ def read_curves(path: Path) -> list[Point]:
     """The points of a file of curves, or of the one in a folder.
 
     Raises:
-        ValueError: If the file holds no point, or a line that is not one.
+        ValueError: If the file cannot be read, or holds a line that is not a point.
     """
     file = path / CURVES if path.is_dir() else path
     remedy = "remove it and run novags pareto again"

@@ -112,6 +112,11 @@ def test_curves_measured_here_come_before_those_of_novags(tmp_path: Path, monkey
     assert known(None).source == f"measured earlier on this machine ({Path('out') / 'pareto'})"
     write(usual, CURVE)  # of another machine
     assert known(None) == shipped
+    for order in (1, -1):  # a folder that another machine has gone on with, by another method
+        mixed = [[{**p, "hardware": HERE} for p in CURVE], other(CURVE, "nova-plus", "refit")]
+        write(usual, [p for points in mixed[::order] for p in points])
+        both = known(None, {"nova", "nova-plus"})
+        assert "and those that came with novags (nova-plus, measured on AMD EPYC" in both.source
     write(usual, [{**point(1, 0, 1), "option": None, "hardware": HERE}])  # of the sensor alone, say
     assert known(None) == shipped
 
