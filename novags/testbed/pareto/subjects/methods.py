@@ -11,7 +11,7 @@ from novags.testbed.pareto.reconstruction import SCENE, Bench
 from novags.testbed.presets import EXPERIMENTS, adapted
 
 PRESET = EXPERIMENTS["demo"]
-# As many points a pixel as in the preset, and a third of its iterations and steps: a setting in half a minute.
+# As many points a pixel and denoiser steps as in the preset, a third of its iterations: a setting in half a minute.
 SIZE: Mapping[str, Any] = {
     "width": 64, "height": 64, "points": 3200, "n_views": 16, "iterations": 800, "denoiser_steps": 128,
 }  # fmt: skip
