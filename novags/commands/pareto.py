@@ -25,12 +25,13 @@ def pareto(
     """
     from novags.testbed.pareto.measure import measure
     from novags.testbed.pareto.page import write
+    from novags.testbed.pareto.samples import work_folder
     from novags.testbed.pareto.subjects import chosen
 
     made, count = chosen(what), (2 if quick else 3) if repeats is None else repeats
     with writing(out, wait) as console:
         for make in made:
-            subject = make(quick, out / "work", console)
+            subject = make(quick, work_folder(out), console)
             try:
                 samples = measure(subject, out, count, console, only=knobs, overwrite=overwrite)
             except KeyboardInterrupt:

@@ -5,7 +5,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import jsonable, read_json, write_json
+from novags.testbed.cache import digest, jsonable, read_json, write_json
 from novags.testbed.machine.provenance import environment
 from novags.testbed.pareto.knob import Knob, Measured, Setting, Subject, spelled
 from novags.testbed.study.store import version
@@ -34,9 +34,8 @@ class Samples:
 
     def __init__(self, path: Path, subject: Subject, *, overwrite: bool = False) -> None:
         self.path = path
-        made = environment()
-        versions = {**made["versions"], "code": version()}  # the number of novags stays while its code changes
-        self.about = jsonable({"workload": subject.workload, "hardware": made["hardware"], "versions": versions})
+        hardware = environment()["hardware"]
+        self.about = jsonable({"workload": subject.workload, "hardware": hardware, "versions": software()})
         self.rows: list[dict[str, Any]] = []
         if not path.exists():
             return
@@ -69,6 +68,16 @@ class Samples:
     def spent(self) -> Iterator[tuple[str, Setting, float]]:
         """Knob, setting and seconds of every measurement."""
         return ((row["knob"], row["setting"], row["spent"]) for row in self.rows)
+
+
+def software() -> dict[str, str]:
+    """Versions of the packages, and of the code itself: the number of novags stays while its code changes."""
+    return {**environment()["versions"], "code": version()}
+
+
+def work_folder(out: Path) -> Path:
+    """Where measurements keep what they have in common: sets, truths, machine code. Other software makes its own."""
+    return out / "work" / digest(software())[:16]
 
 
 def _unlike(before: dict[str, Any], here: dict[str, Any]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from novags.testbed.console import Console, Update
 from novags.testbed.pareto import samples as samples_module
 from novags.testbed.pareto.curve import curves
 from novags.testbed.pareto.measure import measure, time_left
-from novags.testbed.pareto.samples import Samples
+from novags.testbed.pareto.samples import Samples, work_folder
 
 QUIET = Console(quiet=True)
 
@@ -90,6 +90,16 @@ def test_measurements_of_other_work_another_machine_or_other_software_are_never_
     made.asked = []
     measure(made.subject, tmp_path, 1, QUIET, overwrite=True)
     assert len(made.asked) == 7
+
+
+def test_sets_and_truths_of_other_software_are_never_measured_against(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rationale: --overwrite drops measurements, and what they were compared with must go with them."""
+    before = work_folder(tmp_path)
+    assert work_folder(tmp_path) == before
+    monkeypatch.setattr(samples_module, "version", lambda: "another")
+    assert work_folder(tmp_path) != before
 
 
 def test_a_damaged_file_of_measurements_is_refused_by_name(made: Any, tmp_path: Path) -> None:
