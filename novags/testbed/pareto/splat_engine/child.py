@@ -30,9 +30,10 @@ def truth(out: str, n: int, size: int, seed: int, supersampled: bool) -> dict[st
     return {}
 
 
-def measure(knob: str, setting: Any, n: int, size: int, seed: int, truth: str) -> dict[str, Any]:
-    """Seconds of a forward and a backward pass, and the error of the picture."""
-    turn(knob, setting)
+def measure(knob: str, setting: Any, changed: bool, n: int, size: int, seed: int, truth: str) -> dict[str, Any]:
+    """Seconds of a forward and a backward pass, and the error of the picture; `changed`: with kernels of its own."""
+    if changed:
+        turn(knob, setting)
     scene, eps2d = cube_scene(n, size, seed), setting if knob == "eps2d" else 0.3
     bits, plain = (int(setting) if knob == "float_bits" else 32), (knob, setting) in PLAIN
     if bits == 64:

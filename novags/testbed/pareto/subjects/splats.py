@@ -67,7 +67,7 @@ def measured(folder: Path, knob: str, setting: Setting, n: int, size: int, seed:
             in_child(make, folder / "code" / "default")
     changed = knob in ("alpha_min", "transmittance_min", "exp2_degree", "tile") and setting != KNOBS[knob][1]
     code = folder / "code" / (f"{knob}-{setting:.3g}" if changed else "default")
-    order = {"do": "measure", "knob": knob, "setting": setting, "truth": str(truth), **common}
+    order = {"do": "measure", "knob": knob, "setting": setting, "changed": changed, "truth": str(truth), **common}
     return Measured(**in_child(order, code))
 
 
