@@ -134,6 +134,8 @@ def _results_of(
     found: dict[str, list[float]] = {}
     indices = capture.cameras.test_indices
     exposures = exposures_of(run, capture, lit) if run.space == "linear" else None
+    rig = capture.cameras.rig
+    lpips = None if PerceptualDistance.missing(rig.width, rig.height) is not None else lpips
     for i in indices:
         known = references(run, capture, lit, i)
         if reference not in known:

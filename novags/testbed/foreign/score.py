@@ -133,7 +133,8 @@ def score_renders(folder: Path, truth: Truth, reference: Reference, console: Con
 
     kinds = sorted({picture.kind for _, _, picture in pictures()})  # all are read before anything is computed
     gain = _gain(read, pictures) if reference in LINEAR else None
-    lpips = None if PerceptualDistance.missing() is not None or reference in LINEAR else PerceptualDistance()
+    missing = PerceptualDistance.missing(width, height)
+    lpips = None if missing is not None or reference in LINEAR else PerceptualDistance()
     views, depths = {}, []
     with console.progress(f"score {folder.name}") as progress:
         for done, (i, name, picture) in enumerate(pictures()):

@@ -2,11 +2,13 @@
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from novags.testbed.metrics import (
     PSNR_CEILING,
+    PerceptualDistance,
     affine_aligned,
     delta_e,
     flip,
@@ -35,6 +37,20 @@ def test_equal_images_score_the_ceiling() -> None:
     assert scores["ssim"] == pytest.approx(1.0, abs=1e-5)
     assert scores["flip"] == pytest.approx(0.0, abs=1e-6)
     assert scores["lpips"] is None
+
+
+def test_lpips_of_images_too_small_for_its_network_is_refused_and_known_before() -> None:
+    """The layers of AlexNet up to its second pooling; weights do not matter."""
+    lpips = PerceptualDistance.__new__(PerceptualDistance)
+    layers = (torch.nn.Conv2d(3, 1, 11, 4, 2), torch.nn.MaxPool2d(3, 2), torch.nn.MaxPool2d(3, 2))
+    network = torch.nn.Sequential(*layers)
+    lpips._network = lambda a, b: (network(a) - network(b)).abs().mean()
+    assert lpips(picture(size=31), picture(size=31)) == 0.0
+    with pytest.raises(ValueError, match="LPIPS needs images of at least 31 x 31 pixels, got 30 x 30"):
+        lpips(picture(size=30), picture(size=30))
+    said = PerceptualDistance.missing(64, 24)
+    assert said is not None
+    assert said.endswith("got 64 x 24")
 
 
 @settings(derandomize=True, deadline=None, max_examples=25)
