@@ -41,7 +41,9 @@ def sorted_curve(image: Any, reference: Any) -> Any:
     out = np.empty(image.shape)
     for c in range(3):
         order = np.argsort(image[..., c].ravel(), kind="stable")
-        out[..., c].ravel()[order] = isotonic_regression(reference[..., c].ravel()[order].astype(float)).x
+        plane = np.empty(order.size)
+        plane[order] = isotonic_regression(reference[..., c].ravel()[order].astype(float)).x
+        out[..., c] = plane.reshape(image.shape[:2])
     return out
 
 
