@@ -31,8 +31,8 @@ def test_squares_of_short_quaternions_are_noticed(fails: Fails, monkeypatch: pyt
 def test_layers_in_half_precision_are_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
     composite = raster_torch.composite
 
-    def coarse(means2d, covs2d, opacities, features, width, height):
-        return composite(means2d, covs2d, opacities.bfloat16().float(), features, width, height)
+    def coarse(means2d, covs2d, opacities, *others):
+        return composite(means2d, covs2d, opacities.bfloat16().float(), *others)
 
     monkeypatch.setattr(raster_torch, "composite", coarse)
     for name in ("100,000 layers", "logits -100 to 100", "one ordinary scene, for comparison"):
