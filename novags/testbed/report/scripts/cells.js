@@ -1,11 +1,13 @@
 // A number of a table says how it was made: a click, or Enter, shows the command. Arrow keys move between numbers.
 // Where a row has pictures, they are a click away: on what stands in front of the numbers, or on a button at the command.
 novags.cells = {
+  name: (row) => [novags.tables.text(row.querySelector("th")), row.dataset.of].filter(Boolean).join(", "),
   tell(table, cell) {
     this.shut(table);
     const row = cell.parentElement, head = table.tHead.rows[0].cells[cell.cellIndex];
-    const name = novags.tables.text(row.querySelector("th")), what = novags.tables.text(head);
-    const rivals = novags.rows.of(table).filter((other) => other.cells[cell.cellIndex].dataset.rank).length;
+    const name = this.name(row), what = novags.tables.text(head);
+    const near = novags.rows.of(table).filter((other) => other.dataset.of === row.dataset.of);  // of the same combination
+    const rivals = near.filter((other) => other.cells[cell.cellIndex].dataset.rank).length;
     const place = cell.dataset.rank ? `, place ${cell.dataset.rank} of ${rivals}` : "";
     const box = document.createElement("div");
     box.className = "told";
@@ -73,7 +75,7 @@ novags.parts.push({
   restore() {
     for (const table of novags.tables.all.keys()) {
       const [, column, name] = /^(\d+):(.*)$/.exec(novags.state.get(`cell.${table.dataset.name}`)) ?? [];
-      const row = novags.rows.of(table).find((other) => other.dataset.command && novags.tables.text(other.querySelector("th")) === name);
+      const row = novags.rows.of(table).find((other) => other.dataset.command && novags.cells.name(other) === name);
       if (row?.cells[column]) novags.cells.tell(table, row.cells[column]);
     }
   },

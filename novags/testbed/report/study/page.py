@@ -136,9 +136,10 @@ def _tables(
                  for column, _, _, _, digits in columns]  # fmt: skip
         found = [commands[int(row["run"])] for row in line.runs if int(row["run"]) in commands]
         done = sum(row["state"] == "done" for row in line.runs)
-        shown = views.get(place_of(line))
+        place = place_of(line)
+        shown = views.get(place)
         seen = shown is not None and any(tile.key == f"render-{line.method}" for tile in shown.tiles)
-        combined.append({"line": line, "cells": cells, "command": "\n".join(found), "done": done,
+        combined.append({"line": line, "place": place, "cells": cells, "command": "\n".join(found), "done": done,
                          "view": shown.name if shown is not None and seen else None})  # fmt: skip
     main = main_column(lines)
     return {

@@ -1,0 +1,48 @@
+"""Claims about pages with many rows, views of several sizes, unusual names, and cameras with a fixed pattern."""
+
+import json
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from novags.testbed.console import Console
+from novags.testbed.report.study.page import write_study
+
+QUIET = Console(quiet=True)
+PSNR = {("naive", 5): 20.0, ("better", 5): 23.0, ("naive", 50): 26.0, ("better", 50): 25.0}
+
+
+@pytest.fixture(scope="module")
+def study(experiment: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of a study of two methods at two light levels, whose runs are those of the made report."""
+    folder = tmp_path_factory.mktemp("study")
+    axes = {"scene": ["a"], "electrons": [5, 50], "method": ["naive", "better"], "seed": [0]}
+    rows = [{"run": n, "scene": "a", "electrons": electrons, "method": method, "seed": 0, "state": "done",
+             "folder": os.path.relpath(experiment / method, folder), "enhanced.aligned_psnr": value}
+            for n, ((method, electrons), value) in enumerate(PSNR.items(), 1)]  # fmt: skip
+    (folder / "results.json").write_text(json.dumps({"axes": axes, "columns": [], "rows": rows}))
+    table = {"variant": {"better": {"method": "naive"}}, "grid": axes}
+    (folder / "study.json").write_text(json.dumps({"file": "l.toml", "table": table}))
+    return write_study(folder)
+
+
+@pytest.mark.parametrize("table", ["combinations", "runs"])
+def test_a_number_of_a_study_names_its_combination_and_the_rivals_there(
+    visit: Callable[..., Any], study: Path, table: str
+) -> None:
+    tab = visit(study, "#runs=open")
+    tab.wait_for_selector('table[data-name="runs"]')
+    rows = tab.locator(f'table[data-name="{table}"] tbody tr', has_text="better")
+    rows.filter(has_text="50").filter(has_text="25.00").locator("td.num", has_text="25.00").click()
+    told = tab.locator(".told strong").text_content()
+    if table == "combinations":
+        assert told == "better, scene a, electrons 50, PSNR aligned, noise-free dB: 25.0, place 2 of 2."
+    else:
+        assert told == "better, run 4, PSNR aligned, noise-free dB: 25.0."
+    tab.wait_for_function("location.hash === `#${novags.state.values}`")
+    again = visit(study, tab.evaluate("location.hash"))
+    again.wait_for_selector(".told strong")
+    assert again.locator(".told strong").all_text_contents() == [told]
