@@ -1,9 +1,23 @@
 // A number of a table says how it was made: a click, or Enter, shows the command. Arrow keys move between numbers.
 // Where a row has pictures, they are a click away: on what stands in front of the numbers, or on a button at the command.
 novags.cells = {
+  stops: new Map(),  // the number of each table that the Tab key goes to
+
+  stop(table, cell) {
+    const before = this.stops.get(table);
+    if (before) before.tabIndex = -1;
+    if (cell) cell.tabIndex = 0;
+    this.stops.set(table, cell);
+  },
+  // After rows were hidden or put in another order: one that is shown.
+  reach(table) {
+    const now = this.stops.get(table);
+    if (this.stops.has(table) && (!now?.isConnected || now.parentElement.hidden)) this.stop(table, table.tBodies[0].querySelector("tr[data-command]:not([hidden]) td.num"));
+  },
   name: (row) => [novags.tables.text(row.querySelector("th")), row.dataset.of].filter(Boolean).join(", "),
   tell(table, cell) {
     this.shut(table);
+    this.stop(table, cell);
     const row = cell.parentElement, head = table.tHead.rows[0].cells[cell.cellIndex];
     const name = this.name(row), what = novags.tables.text(head);
     const near = novags.rows.of(table).filter((other) => other.dataset.of === row.dataset.of);  // of the same combination
@@ -39,12 +53,16 @@ novags.cells = {
       button.textContent = "Selected: press Ctrl+C";
     }
   },
-  move(cell, key) {
+  move(table, cell, key) {
     const row = cell.parentElement, at = cell.cellIndex;
-    const next = { ArrowLeft: row.cells[at - 1], ArrowRight: row.cells[at + 1], ArrowUp: row.previousElementSibling?.cells[at], ArrowDown: row.nextElementSibling?.cells[at] }[key];
+    const beside = (way) => {
+      let other = row[way];
+      while (other?.hidden) other = other[way];
+      return other?.cells[at];
+    };
+    const next = { ArrowLeft: row.cells[at - 1], ArrowRight: row.cells[at + 1], ArrowUp: beside("previousElementSibling"), ArrowDown: beside("nextElementSibling") }[key];
     if (!next?.classList.contains("num")) return;
-    next.tabIndex = 0;
-    cell.tabIndex = -1;
+    this.stop(table, next);
     next.focus();
   },
 };
@@ -60,13 +78,13 @@ novags.parts.push({
     });
     const first = table.querySelector("tr[data-command] td.num");
     if (!first) return;
-    first.tabIndex = 0;
+    novags.cells.stop(table, first);
     const asked = (event) => event.target.closest("tr[data-command] td.num");
     table.tBodies[0].addEventListener("click", (event) => asked(event) && novags.cells.tell(table, asked(event)));
     table.tBodies[0].addEventListener("keydown", (event) => {
       const cell = asked(event);
       if (!cell) return;
-      if (event.key.startsWith("Arrow")) novags.cells.move(cell, event.key);
+      if (event.key.startsWith("Arrow")) novags.cells.move(table, cell, event.key);
       else if (event.key === "Enter" || event.key === " ") novags.cells.tell(table, cell);
       else return;
       event.preventDefault();

@@ -17,12 +17,14 @@ novags.rows = {
   // Lay out what is wanted, after some rows were hidden or shown: the first of them, or up to the `limit`-th.
   show(table, limit = this.STEP) {
     const found = this.long.get(table);
-    if (!found) return;
-    const wanted = found.rows.filter((row) => !row.hidden);
-    found.limit = Math.min(limit, wanted.length);
-    table.tBodies[0].replaceChildren(...wanted.slice(0, limit));
-    found.more.hidden = limit >= wanted.length;
-    found.more.textContent = `${found.limit} of ${wanted.length} rows: show more`;
+    if (found) {
+      const wanted = found.rows.filter((row) => !row.hidden);
+      found.limit = Math.min(limit, wanted.length);
+      table.tBodies[0].replaceChildren(...wanted.slice(0, limit));
+      found.more.hidden = limit >= wanted.length;
+      found.more.textContent = `${found.limit} of ${wanted.length} rows: show more`;
+    }
+    novags.cells.reach(table);
   },
   adopt(table) {
     const rest = table.parentElement.querySelector(":scope > script.rest"), made = document.createElement("template");
