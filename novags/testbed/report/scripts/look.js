@@ -64,6 +64,7 @@ novags.look = {
     const aspect = novags.stage.pixels.width / novags.stage.pixels.height, box = novags.stage.box;
     box.style.aspectRatio = aspect;
     box.style.width = `${Math.round(560 * Math.min(1, aspect))}px`;  // at most 560 px high
+    novags.stage.forget();
     this.show();
     novags.stage.draw();
   },
@@ -72,6 +73,7 @@ novags.look = {
     state.set("view", this.grid.dataset.name);
     state.set("left", value("left"));
     state.set("right", value("right"));
+    if (!novags.stage.pixel) state.set("pixel", "");
   },
   choose(figure, side) {
     novags.byId(side).value = figure.dataset.key;

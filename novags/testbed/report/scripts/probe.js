@@ -78,6 +78,10 @@ novags.probe = {
     ].filter(([, values]) => values);
   },
 
+  clear() {
+    this.latest = "";
+    novags.byId("probe").replaceChildren();
+  },
   async show(grid, x, y, pictures) {
     const box = novags.byId("probe");
     this.latest = `${grid.dataset.name} ${x} ${y}`;

@@ -61,6 +61,13 @@ novags.stage = {
     novags.look.probe();
     if (kept) this.keep();
   },
+  // The pixel, where the view that is shown now does not have it.
+  forget() {
+    const { pixel, pixels } = this;
+    if (!pixel || (pixel.x < pixels.width && pixel.y < pixels.height)) return;
+    this.pixel = null;
+    novags.probe.clear();
+  },
   step(x, y) {
     const { width, height } = this.pixels, now = this.pixel ?? { x: width >> 1, y: height >> 1 };
     this.probe({ x: (now.x + x + 0.5) / width, y: (now.y + y + 0.5) / height }, true);

@@ -70,3 +70,20 @@ def test_the_keys_reach_every_row_that_is_shown_and_no_other(visit: Callable[...
     tab.get_by_label("electrons").first.select_option("50")
     stop.press("ArrowRight")
     assert tab.evaluate(focused) == "scene a, electrons 50"
+
+
+def test_a_pixel_that_the_next_view_does_not_have_is_let_go(visit: Callable[..., Any], experiment: Path) -> None:
+    """Rationale: captures of different sizes may share a page, and the numbers of some other pixel were shown."""
+    tab = visit(experiment / "report.html", "#pixel=31,5")
+    tab.wait_for_selector("#probe tbody tr")
+    smaller = "for (const image of novags.look.grid.querySelectorAll('img')) image.setAttribute('width', 16)"
+    tab.locator("#view").select_option(index=1)
+    assert tab.evaluate("[novags.stage.pixel.x, novags.stage.pixel.y]") == [31, 5]
+    tab.evaluate(smaller)
+    for index in (0, 1):
+        tab.locator("#view").select_option(index=index)
+    assert tab.evaluate("novags.stage.pixel") is None
+    assert tab.locator("#cross").is_hidden()
+    tab.wait_for_timeout(100)
+    assert tab.locator("#probe").text_content() == ""
+    assert "pixel" not in tab.evaluate("novags.state.values.toString()")
