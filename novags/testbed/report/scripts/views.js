@@ -8,7 +8,7 @@ novags.views = {
       cell.dataset.value = value ?? "";
       cell.textContent = number ? value.toFixed(score.digits) : value ?? (row.dataset.spread ? "" : "unavailable");
     });
-    for (const row of table.tBodies[0].rows) write(row, score.values[novags.data.views[kind].views.indexOf(row.dataset.view)]);
+    for (const row of novags.rows.of(table)) write(row, score.values[novags.data.views[kind].views.indexOf(row.dataset.view)]);
     for (const row of table.tFoot.rows) write(row, score.spread[row.dataset.spread]);
     for (const head of [...table.tHead.rows[0].cells].slice(1)) head.dataset.better = score.more ? "more" : "less";
     this.strip(kind, score);

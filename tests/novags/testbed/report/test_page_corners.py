@@ -87,3 +87,19 @@ def test_a_pixel_that_the_next_view_does_not_have_is_let_go(visit: Callable[...,
     tab.wait_for_timeout(100)
     assert tab.locator("#probe").text_content() == ""
     assert "pixel" not in tab.evaluate("novags.state.values.toString()")
+
+
+def test_of_more_views_than_are_laid_out_every_one_shows_the_chosen_score(
+    visit: Callable[..., Any], experiment: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(experiment, tmp_path / "run")
+    for file in ("metrics.json", "naive/metrics.json", "better/metrics.json", "oracle/metrics.json"):
+        metrics = json.loads((tmp_path / "run" / file).read_text())
+        for scores in metrics["methods"].values():
+            scores["views"] = {f"{k:04d}": {"enhanced": {"aligned_psnr": 20.0, "flip": 0.25}} for k in range(130)}
+        (tmp_path / "run" / file).write_text(json.dumps(metrics))
+    tab = visit(write_report(tmp_path / "run", QUIET))
+    tab.locator('select[data-views="enhanced"]').select_option("flip")
+    tab.evaluate("novags.rows.show(document.querySelector('[data-name=views-enhanced]'), Infinity)")
+    found = tab.locator('table[data-name="views-enhanced"] tbody td:nth-child(2)').all_text_contents()
+    assert found == ["0.250"] * 130
