@@ -13,7 +13,7 @@ novags.probe = {
     const script = document.createElement("script");
     const found = new Promise((done, failed) => {
       this.waiting.set(name, done);
-      script.onerror = () => failed(new Error(`${grid.dataset.file} is not beside this page`));
+      script.onerror = () => failed(new Error(`${decodeURIComponent(grid.dataset.file)} is not beside this page`));
     });
     script.src = grid.dataset.file;
     document.head.append(script);

@@ -103,3 +103,15 @@ def test_of_more_views_than_are_laid_out_every_one_shows_the_chosen_score(
     tab.evaluate("novags.rows.show(document.querySelector('[data-name=views-enhanced]'), Infinity)")
     found = tab.locator('table[data-name="views-enhanced"] tbody td:nth-child(2)').all_text_contents()
     assert found == ["0.250"] * 130
+
+
+def test_what_lies_beside_a_page_is_found_whatever_the_page_is_called(
+    visit: Callable[..., Any], experiment: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(album, "INSIDE", 20_000)
+    monkeypatch.setattr(album, "THUMB", 8)
+    page = write_reports([experiment], QUIET, out=tmp_path / "50% dark? #2 <ü>.html")
+    tab = visit(page, "#pixel=3,4&left=dark")
+    tab.wait_for_function("document.getElementById('left-image').naturalWidth === 32")
+    tab.wait_for_function("document.querySelectorAll('#probe tbody tr').length > 8")
+    assert tab.locator("#lost").is_hidden()
