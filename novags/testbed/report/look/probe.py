@@ -35,7 +35,7 @@ def probe_of(capture: Capture, i: int) -> Probe | None:
 
     Planes: `dn`, the digital numbers; of a simulated exposure `mean`, the mean of all exposures like it above black,
     and `noise`, their temporal standard deviation, both in electrons; `linear` and `linear_mean`, the developed light
-    of this exposure and of the noise-free one, 1 = white, where they are not a multiple of the digital numbers.
+    of this exposure and of the noise-free one, 1 = white, where they are not a multiple of `dn` and of `mean`.
     """
     if not capture.holds("raw"):
         return None
@@ -45,15 +45,17 @@ def probe_of(capture: Capture, i: int) -> Probe | None:
     header = {"cfa": cfa, "black": black, "white": white, "gain": None if sensor is None else sensor.gain,
               "width": dn.shape[1], "height": dn.shape[0], "per_dn": None}  # fmt: skip
     planes: dict[str, np.ndarray] = {"dn": dn}
-    if sensor is not None and not capture.imported:
-        planes["mean"] = (capture.truth(i, "mean") - black) / sensor.gain
+    mean = None if capture.imported else capture.truth(i, "mean")
+    if sensor is not None and mean is not None:
+        planes["mean"] = (mean - black) / sensor.gain
         planes["noise"] = np.sqrt(capture.truth(i, "variance")) / sensor.gain
     if sensor is not None and dn.ndim == 3 and capture.record["color_matrix"] is None:
         header["per_dn"] = (white_balance(sensor) / (white - black)).tolist()
     else:
         planes["linear"] = capture.linear(i)
-        if capture.holds("truth"):
-            planes["linear_mean"] = capture.clean_linear(i)
+    # The mean has the fixed pattern and the dark charge of the camera, which the noise-free exposure lacks.
+    if capture.holds("truth") and ("linear" in planes or mean is None or (mean != capture.truth(i, "clean")).any()):
+        planes["linear_mean"] = capture.clean_linear(i)
     packed = [_packed(name, values) for name, values in planes.items()]
     header["planes"] = [told for told, _ in packed]
     return Probe(header, zlib.compress(b"".join(data for _, data in packed), 6))

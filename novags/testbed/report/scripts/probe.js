@@ -74,7 +74,7 @@ novags.probe = {
       ["True noise, DN", map(noise, (v) => gain * v), 2],
       ["Signal to noise", mean && noise && mean.map((v, c) => (v === null ? null : v / noise[c])), 2],
       ["Linear light, measured", light ? map(dn, light) : this.at(found, "linear", x, y), 5],
-      ["Linear light, noise-free", light ? map(mean_dn, light) : this.at(found, "linear_mean", x, y), 5],
+      ["Linear light, noise-free", this.at(found, "linear_mean", x, y) ?? (light ? map(mean_dn, light) : null), 5],
     ].filter(([, values]) => values);
   },
 

@@ -115,3 +115,26 @@ def test_what_lies_beside_a_page_is_found_whatever_the_page_is_called(
     tab.wait_for_function("document.getElementById('left-image').naturalWidth === 32")
     tab.wait_for_function("document.querySelectorAll('#probe tbody tr').length > 8")
     assert tab.locator("#lost").is_hidden()
+
+
+def test_the_light_without_noise_is_without_the_pattern_of_the_camera_too(
+    visit: Callable[..., Any], experiment: Path, tmp_path: Path
+) -> None:
+    """Rationale: the mean of all exposures was shown, which has the camera's fixed pattern and dark charge."""
+    config = CaptureConfig(electrons=20.0, sensor="imx900-hcg-3chip")
+    stages.capture(experiment / "set", tmp_path / "capture", config, QUIET)
+    capture = open_capture(tmp_path / "capture")
+    probe = probe_of(capture, 0)
+    assert probe is not None
+    tab, planes = visit(experiment / "report.html"), base64.b64encode(probe.data).decode()
+    found = tab.evaluate(
+        """async ([header, text]) => {
+            const dataset = { probe: JSON.stringify(header), name: "made" };
+            const grid = { dataset, querySelector: () => ({ textContent: text }) };
+            return novags.probe.rows(await novags.probe.planes(grid), 7, 3);
+        }""",
+        [probe.header, planes],
+    )
+    shown = {label: values for label, values, _ in found}
+    assert shown["Linear light, noise-free"] == pytest.approx(capture.clean_linear(0)[3, 7].tolist(), rel=1e-3)
+    assert shown["Linear light, measured"] == pytest.approx(capture.linear(0)[3, 7].tolist(), abs=2e-5)
