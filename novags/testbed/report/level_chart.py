@@ -8,7 +8,7 @@ from html import escape
 
 from novags.testbed.report.charts import plot_data
 
-WIDTH, HEIGHT = 720, 340
+WIDTH, HEIGHT = 720, 340  # higher where the legend needs it
 LEFT, RIGHT, TOP, BOTTOM = 96, 205, 14, 46  # room for the larger letters that telephones get
 MARKS = (  # of lines one after the other: not by colour alone
     "M-4,-4h8v8h-8z",
@@ -57,8 +57,8 @@ def level_chart(lines: Sequence[Line], *, x_label: str, y_label: str, title: str
     points = [point for line in lines for point in line.points]
     if not points or min(x for x, *_ in points) <= 0:
         raise ValueError("a chart over the light needs at least one point, and light > 0 at every one")
-    frame = _Frame.around(points)
-    opened = f'<svg class="chart" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{escape(title)}"'
+    frame = _Frame.around(points, max(HEIGHT, TOP + 10 + LEGEND * len(lines)))
+    opened = f'<svg class="chart" viewBox="0 0 {WIDTH} {frame.height}" role="img" aria-label="{escape(title)}"'
     parts = [f"{opened} {plot_data([frame.placed(line) for line in lines], x_label)}>"]
     parts += frame.axes(sorted({x for x, *_ in points}), x_label, y_label)
     for place, line in enumerate(lines):
@@ -75,7 +75,8 @@ def alone(chart: str, colors: Mapping[str, str]) -> str:
         colors: "#rrggbb" by key of its lines.
     """
     own = "".join(f".{key} {{ --own: {color}; }}\n" for key, color in colors.items())
-    opened = f'<svg xmlns="http://www.w3.org/2000/svg" width="{WIDTH}" height="{HEIGHT}" '
+    size = re.sub(r'.*? viewBox="0 0 (\d+) (\d+)".*', r'width="\1" height="\2"', chart, flags=re.DOTALL)
+    opened = f'<svg xmlns="http://www.w3.org/2000/svg" {size} '
     chart = re.sub(r' data-plot="[^"]*"', "", chart, count=1)  # which only the script of the page reads
     return chart.replace("<svg ", opened, 1).replace(">", f"><style>{ALONE}{own}</style>", 1) + "\n"
 
@@ -88,21 +89,23 @@ class _Frame:
     right: float
     bottom: float
     top: float
+    height: int  # of the picture, px
 
     @staticmethod
-    def around(points: Sequence[tuple[float, float, float, float]]) -> "_Frame":
+    def around(points: Sequence[tuple[float, float, float, float]], height: int) -> "_Frame":
         xs = [math.log(x) for x, *_ in points]
         low, high = min(least for _, _, least, _ in points), max(largest for *_, largest in points)
         pad = max(0.05 * (high - low), 1e-3 * abs(high), 1e-6)  # a constant line still needs a height
         wide = max(0.03 * (max(xs) - min(xs)), 1e-3)
-        return _Frame(min(xs) - wide, max(xs) + wide, low - pad, high + pad)
+        return _Frame(min(xs) - wide, max(xs) + wide, low - pad, high + pad, height)
 
     def x(self, value: float) -> float:
         share = (math.log(value) - self.left) / (self.right - self.left)
         return LEFT + (WIDTH - LEFT - RIGHT) * share
 
     def y(self, value: float) -> float:
-        return HEIGHT - BOTTOM - (HEIGHT - TOP - BOTTOM) * (value - self.bottom) / (self.top - self.bottom)
+        floor = self.height - BOTTOM
+        return floor - (floor - TOP) * (value - self.bottom) / (self.top - self.bottom)
 
     def placed(self, line: Line) -> tuple[str, str, list[tuple[float, float, str, str]]]:
         """A line as `plot_data` takes it."""
@@ -120,10 +123,10 @@ class _Frame:
         last = -math.inf
         for level in levels:
             if self.x(level) - last >= 40:  # px; closer numbers would touch
-                last, below = self.x(level), HEIGHT - BOTTOM + 18
+                last, below = self.x(level), self.height - BOTTOM + 18
                 parts.append(f'<text class="tick" x="{last:.1f}" y="{below}" text-anchor="middle">{level:g}</text>')
-        middle, centre = (LEFT + end) / 2, (TOP + HEIGHT - BOTTOM) / 2
-        parts.append(f'<text class="axis" x="{middle}" y="{HEIGHT - 6}" text-anchor="middle">{escape(x_label)}</text>')
+        middle, centre, low = (LEFT + end) / 2, (TOP + self.height - BOTTOM) / 2, self.height - 6
+        parts.append(f'<text class="axis" x="{middle}" y="{low}" text-anchor="middle">{escape(x_label)}</text>')
         turned = f'transform="translate(20 {centre}) rotate(-90)"'
         parts.append(f'<text class="axis" {turned} text-anchor="middle">{escape(y_label)}</text>')
         return parts

@@ -7,7 +7,7 @@ light-MEASURE.svg      light-MEASURE-PLACE.svg  (where other axes than light, me
 import csv
 import io
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -142,14 +142,21 @@ def charts_of(curves: Sequence[Curve]) -> list[Chart]:
         place = ", ".join(f"{name} {curve.place[name]}" for name in varied)
         groups.setdefault((curve.measure.key, place), []).append(curve)
     order = list(dict.fromkeys(place for _, place in groups))
-    found = []
+    found = list[Chart]()
     for (key, place), members in sorted(groups.items(), key=lambda item: order.index(item[0][1])):
         if key == "registered" and not varies(members):
             continue  # cameras were given
         ending = f"-{slug}" if (slug := re.sub(r"[^A-Za-z0-9.]+", "-", place).strip("-").lower()) else ""
         label = members[0].measure.label
-        found.append(Chart(f"{label}: {place}" if place else label, f"light-{key}{ending}.svg", members))
+        file = _unused(f"light-{key}{ending}", [chart.file for chart in found])
+        found.append(Chart(f"{label}: {place}" if place else label, file, members))
     return found
+
+
+def _unused(stem: str, used: Collection[str]) -> str:
+    """The name of a picture that no other has: "Küche" and "köche" are alike without their capitals and umlauts."""
+    names = (f"{stem}{number}.svg" for number in ("", *(f"-{k}" for k in range(2, len(used) + 3))))
+    return next(name for name in names if name not in used)
 
 
 def varies(curves: Sequence[Curve]) -> bool:

@@ -5,12 +5,13 @@ import json
 import math
 import re
 from collections.abc import Callable
+from html import escape
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from novags.testbed.report.level_chart import Line, level_chart
+from novags.testbed.report.level_chart import Line, alone, level_chart
 from novags.testbed.report.study.light import looks_of
 from novags.testbed.report.study.page import is_study, write_study
 from novags.testbed.study.light import MEASURES, Measure, common_knee, knee_of, light_curves
@@ -179,6 +180,22 @@ def test_a_picture_for_each_place_where_places_differ(study: Callable[..., Path]
     assert sorted(path.name for path in folder.glob("*.svg")) == ["light-psnr-scene-a.svg", "light-psnr-scene-b-c.svg"]
 
 
+def test_places_that_differ_in_capitals_or_umlauts_alone_have_pictures_of_their_own(
+    study: Callable[..., Path],
+) -> None:
+    """Rationale: they had one file, and the page showed the curves of the last of them under every title."""
+    names = {"Küche": 20.0, "köche": 30.0, "kche": 40.0, "k che": 50.0}
+    rows = [row(e, "naive", 0, value + e) | {"scene": place} for e in (1, 2) for place, value in names.items()]
+    folder = study(rows)
+    page = write_study(folder).read_text(encoding="utf-8")
+    files = re.findall(r'<a href="(light-psnr[^"]*)">', page)
+    assert len(set(files)) == len(files) == 4
+    for file, (place, value) in zip(files, names.items(), strict=True):
+        assert f"scene {place}" in (folder / file).read_text(encoding="utf-8")
+        chart = page[page.index(f"scene {place}</h3>") :].partition("</svg>")[0]
+        assert all(escape(f'"{value + electrons:g}"') in chart for electrons in (1, 2))
+
+
 def test_a_curve_of_one_level_has_no_slope_and_the_table_does_not_say_that_it_was_not_reached(
     study: Callable[..., Path],
 ) -> None:
@@ -250,6 +267,15 @@ def test_lines_lie_where_their_values_are() -> None:
     assert knee is not None
     assert float(knee[1]) == pytest.approx((x0 + x1) / 2, abs=0.11)
     assert float(knee[2]) == pytest.approx((y0 + y1) / 2, abs=0.11)
+
+
+def test_every_line_of_many_is_in_the_legend() -> None:
+    """Rationale: the edge of the picture cut all after the fifteenth."""
+    lines = [Line(f"n{k}", f"m{k}", [(1.0, 20.0 + k, 20.0, 21.0)]) for k in range(27)]
+    svg = level_chart(lines, x_label="x", y_label="y", title="t")
+    height = int(re.findall(r'viewBox="0 0 720 (\d+)"', svg)[0])
+    assert max(float(y) for y in re.findall(r'class="name" x="[\d.]+" y="([\d.]+)"', svg)) < height
+    assert f'width="720" height="{height}"' in alone(svg, {})
 
 
 def test_long_names_in_the_legend_of_a_chart_keep_both_ends() -> None:
