@@ -39,7 +39,7 @@ class Panel:
         self.method.on_update(lambda _: asked("splats", "pictures", "light"))
         self.pictures.on_update(lambda _: asked("pictures"))
         self.splats.on_update(lambda _: asked("splats"))
-        self.cameras.on_update(lambda _: asked("pictures"))
+        self.cameras.on_update(lambda _: asked("pictures", "estimated"))
         for control in (self.light, self.level, self.brighten):
             control.on_update(lambda _: asked("light"))
 

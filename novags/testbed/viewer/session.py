@@ -13,7 +13,7 @@ from novags.testbed.viewer.light import expose_again
 from novags.testbed.viewer.panel import MODEL, NOTHING, TRUTH, Panel
 from novags.testbed.viewer.shown import Shown
 from novags.testbed.viewer.splats import rendered
-from novags.testbed.viewer.world import SIZE, own_cameras
+from novags.testbed.viewer.world import SIZE, own_cameras, true_from
 from sensor_model.files.reading import brief
 
 PLATE = 320  # px; longest side of a picture at a frustum
@@ -31,6 +31,7 @@ class Session:
         self.client, self.all_shown, self.computing = client, all_shown, computing
         self.plates: dict[int, Any] = {}
         self.nodes: list[Any] = []
+        self.estimated: list[Any] = []  # frusta of the cameras that a method had
         self.has_gaussians = True
         self.exposed: tuple[Any, ...] | None = None  # what the exposed picture was made from
         self.shown_kind: tuple[str, str] | None = None  # method and kind of the pictures, once all are there
@@ -53,12 +54,14 @@ class Session:
             ({"capture"}, self._enter),
             (parts, self._offer),
             ({"splats"}, self._show_splats),
+            ({"splats", "estimated"}, self._show_estimated),
             ({"light", "move"}, self._show_light),
             ({"pictures"}, self._show_pictures),
             (parts, self._clear_the_view),
         )
         troubles = [trouble for asked, step in steps if parts & asked and (trouble := self._trouble_of(step))]
-        none = "" if self.has_gaussians else f"{self.panel.method.value} made no Gaussians: see its pictures"
+        name = self.panel.method.value
+        none = "" if self.has_gaussians else f"{name} made no Gaussians: see its pictures"
         if not self.latest.over:  # else the browser has gone, and with it all that could be changed
             self._say(troubles[0] if troubles else none)
 
@@ -100,17 +103,25 @@ class Session:
         self.nodes = []
         if found is None or not self.panel.splats.value:
             return
-        _, into, drawn = found
+        drawn = found[2]
         if drawn is None:  # a field: browsers draw Gaussians alone, and its pictures and light are shown all the same
             return
         add = self.client.scene.add_gaussian_splats
         self.nodes.append(add("/gaussians", drawn.centers, drawn.covariances, drawn.colors, drawn.opacities))
-        own = own_cameras(self.shown.runs[self.panel.method.value])
-        names, viewmats = ([], np.empty((0, 4, 4))) if own is None else (own[0], to_true(into, own[1]).numpy())
-        for name, viewmat in zip(names, viewmats, strict=True):
-            true = self.shown.world.viewmats[self.shown.capture.names.index(name)]
+
+    def _show_estimated(self) -> None:
+        """Where the method had its cameras, if that was somewhere else."""
+        for node in self.estimated:
+            node.remove()
+        self.estimated = []
+        shown, run = self.shown, self.shown.runs[self.panel.method.value]
+        if not self.panel.cameras.value or (own := own_cameras(run)) is None:
+            return
+        into = shown.world.from_true @ true_from(run, shown.capture)
+        for name, viewmat in zip(own[0], to_true(into, own[1]).numpy(), strict=True):
+            true = shown.world.viewmats[shown.capture.names.index(name)]
             if np.abs(viewmat - true).max() > APART:
-                self.nodes.append(self._frustum(f"/estimated/{name}", viewmat, ESTIMATED))
+                self.estimated.append(self._frustum(f"/estimated/{name}", viewmat, ESTIMATED))
 
     def _frustum(self, name: str, viewmat: Array, color: tuple[int, int, int], **more: Any) -> Any:
         rig = self.shown.capture.cameras.rig

@@ -1,10 +1,16 @@
 """Claims about one browser's session that need no browser."""
 
+import json
+import shutil
+from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from novags.testbed.console import Console
 from novags.testbed.viewer.session import Session
+from novags.testbed.viewer.shown import shown_of
 
 
 def test_what_cannot_be_exposed_is_said_and_hides_no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -14,12 +20,42 @@ def test_what_cannot_be_exposed_is_said_and_hides_no_pictures(monkeypatch: pytes
     def black(_: Session) -> None:
         raise ValueError("the light is black")
 
-    for step in ("_enter", "_offer", "_show_splats", "_show_pictures", "_clear_the_view"):
+    for step in ("_enter", "_offer", "_show_splats", "_show_estimated", "_show_pictures", "_clear_the_view"):
         monkeypatch.setattr(Session, step, lambda _, step=step: done.append(step))
     monkeypatch.setattr(Session, "_show_light", black)
     monkeypatch.setattr(Session, "_say", lambda _, trouble: done.append(trouble))
     session = object.__new__(Session)
     session.latest, session.has_gaussians = SimpleNamespace(over=False), True  # type: ignore[assignment]
+    session.panel = SimpleNamespace(method=SimpleNamespace(value="naive"))  # type: ignore[assignment]
     session._update(frozenset({"capture"}))
     said = "**ValueError**: the light is black"
-    assert done == ["_enter", "_offer", "_show_splats", "_show_pictures", "_clear_the_view", said]
+    steps = ["_enter", "_offer", "_show_splats", "_show_estimated", "_show_pictures", "_clear_the_view"]
+    assert done == [*steps, said]
+
+
+def test_the_box_for_cameras_shows_and_hides_those_of_the_method_too(runs: dict[str, Path], tmp_path: Path) -> None:
+    """Rationale: they came and went with the Gaussians, and a field had none."""
+    for part in ("photos", "capture", "first"):
+        shutil.copytree(runs["capture"].parent / part, tmp_path / part)
+    path = tmp_path / "first" / "cameras.json"
+    listed = json.loads(path.read_text())
+    listed[2]["position"][0] += 0.5
+    path.write_text(json.dumps(listed))
+    (tmp_path / "first" / "point_cloud.ply").unlink()  # as of a method that makes no Gaussians
+    there = dict[str, Any]()
+
+    def add(name: str, *_: Any, **__: Any) -> Any:
+        there[name] = SimpleNamespace(remove=lambda: there.pop(name))
+        return there[name]
+
+    session = object.__new__(Session)
+    session.all_shown = shown_of([tmp_path / "first"], Console(quiet=True))
+    session.client = SimpleNamespace(scene=SimpleNamespace(add_camera_frustum=add))
+    boxes = {"capture": "", "method": "naive", "splats": False, "cameras": True}
+    session.panel = SimpleNamespace(**{name: SimpleNamespace(value=v) for name, v in boxes.items()})  # type: ignore[assignment]
+    session.estimated = []
+    session._show_estimated()
+    assert list(there) == [f"/estimated/{listed[2]['img_name']}"]
+    session.panel.cameras.value = False
+    session._show_estimated()
+    assert not there
