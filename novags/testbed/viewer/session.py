@@ -61,7 +61,7 @@ class Session:
         )
         troubles = [trouble for asked, step in steps if parts & asked and (trouble := self._trouble_of(step))]
         name = self.panel.method.value
-        none = "" if self.has_gaussians else f"{name} made no Gaussians: see its pictures"
+        none = "" if self.has_gaussians else f"{name} has no Gaussians that a browser can draw: see its pictures"
         if not self.latest.over:  # else the browser has gone, and with it all that could be changed
             self._say(troubles[0] if troubles else none)
 
@@ -104,7 +104,7 @@ class Session:
         if found is None or not self.panel.splats.value:
             return
         drawn = found[2]
-        if drawn is None:  # a field: browsers draw Gaussians alone, and its pictures and light are shown all the same
+        if drawn is None:  # a field, or Gaussians whose pictures a network makes: their pictures and light are shown
             return
         add = self.client.scene.add_gaussian_splats
         self.nodes.append(add("/gaussians", drawn.centers, drawn.covariances, drawn.colors, drawn.opacities))
