@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 HEIGHT = 320  # px that a picture has at least in the film; small ones are enlarged by whole numbers
+LARGEST = 8190  # px of either side of a frame, the most that MPEG-4 can write; larger pictures are shrunk
 GAP, BAR = 8, 52  # px between panels, and below them for two lines
 INK, DIM, GROUND = (236, 236, 232), (160, 164, 172), (19, 20, 23)
 
@@ -29,7 +30,7 @@ class Panel:
 
 def frame(panels: list[Panel]) -> np.ndarray:
     """The panels beside each other, uint8 [h,w,3], both sides even (video formats want that)."""
-    enlarged = [_enlarged(panel.image) for panel in panels]
+    enlarged = _fitted([_enlarged(panel.image) for panel in panels])
     height = max(image.shape[0] for image in enlarged)
     width = sum(image.shape[1] for image in enlarged) + GAP * (len(panels) - 1)
     canvas = np.empty((height + BAR + (height + BAR) % 2, width + width % 2, 3), np.uint8)
@@ -41,6 +42,18 @@ def frame(panels: list[Panel]) -> np.ndarray:
         canvas[height : height + BAR, left : left + columns] = _words(panel.title, panel.note, columns)
         left += columns + GAP
     return canvas
+
+
+def _fitted(images: list[np.ndarray]) -> list[np.ndarray]:
+    """Pictures that have room beside each other in a frame: as they are, or all shrunk alike."""
+    wide, high = sum(image.shape[1] for image in images), max(image.shape[0] for image in images)
+    share = min((LARGEST - GAP * len(images)) / wide, (LARGEST - BAR) / high)
+    if share >= 1:
+        return images
+    import cv2
+
+    sizes = [(max(1, int(share * image.shape[1])), max(1, int(share * image.shape[0]))) for image in images]
+    return [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image, size in zip(images, sizes, strict=True)]
 
 
 def _enlarged(image: np.ndarray) -> np.ndarray:

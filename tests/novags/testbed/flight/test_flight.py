@@ -111,6 +111,22 @@ def test_a_frame_holds_whole_pixels_and_is_even() -> None:
     assert (made[5:330:10, 263:368:10] == codes[:, :11]).all()
 
 
+@pytest.mark.parametrize("shape", [(300, 4000, 3), (9000, 40, 3)])
+def test_pictures_too_large_for_a_film_are_shrunk_alike(tmp_path: Path, shape: tuple[int, ...]) -> None:
+    """Rationale: three photographs of a telephone side by side were refused, as if OpenCV could not write .mp4."""
+    rendered, truth = np.zeros(shape, np.float32), np.ones(shape, np.float32)
+    made = frame([Panel(rendered, "a", ""), Panel(truth, "b", ""), Panel(truth, "c", "")])
+    assert max(made.shape) <= 8190
+    assert made.shape[0] % 2 == made.shape[1] % 2 == 0
+    rows, columns = np.nonzero((made[:-BAR] == 0).all(-1))
+    height, width = np.ptp(rows) + 1, np.ptp(columns) + 1
+    assert width / height == pytest.approx(shape[1] / shape[0], rel=0.02)
+    assert (made[:-BAR] == 255).all(-1).sum() == 2 * height * width
+    with film(tmp_path / "wide.mp4", 24.0, 1) as made_of:
+        made_of.add(made)
+    assert (tmp_path / "wide.mp4").stat().st_size > 0
+
+
 @pytest.mark.parametrize("suffix", [".mp4", ".webp"])
 def test_a_film_has_its_frames_in_order(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"f{suffix}"
