@@ -72,6 +72,26 @@ def test_the_keys_reach_every_row_that_is_shown_and_no_other(visit: Callable[...
     assert tab.evaluate(focused) == "scene a, electrons 50"
 
 
+def test_a_long_name_in_a_filter_does_not_widen_the_page(visit: Callable[..., Any], study: Path) -> None:
+    tab = visit(study, width=390)
+    tab.locator(".filters select").first.evaluate("select => select.add(new Option('a long name '.repeat(20)))")
+    assert tab.evaluate("document.documentElement.scrollWidth") == 390
+
+
+@pytest.mark.parametrize("width", [390, 1300])
+def test_the_reason_of_a_run_with_a_long_name_has_room(visit: Callable[..., Any], experiment: Path, width: int) -> None:
+    """Rationale: of runs that failed in scenes with long names the reasons stood in columns of five letters."""
+    tab = visit(experiment / "report.html", width=width)
+    share = tab.locator("dl.methods > div").first.evaluate(
+        """row => {
+            row.querySelector("dt").textContent = "run 72, lita-gs, scene a-folder/with-a-long-name ".repeat(3);
+            return row.querySelector("dd").clientWidth / row.clientWidth;
+        }"""
+    )
+    assert share > 0.5
+    assert tab.evaluate("document.documentElement.scrollWidth") == width
+
+
 def test_a_pixel_that_the_next_view_does_not_have_is_let_go(visit: Callable[..., Any], experiment: Path) -> None:
     """Rationale: captures of different sizes may share a page, and the numbers of some other pixel were shown."""
     tab = visit(experiment / "report.html", "#pixel=31,5")
