@@ -5,7 +5,7 @@ Runs of one capture get the whole report; those of several captures a table for 
 
 import os
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from shlex import quote
@@ -46,6 +46,7 @@ from novags.testbed.report.tables import COLUMNS, GEOMETRY, NOISE, per_view, sco
 from novags.testbed.report.verdict import cards, compared, verdict
 from novags.testbed.results.again import run_again, score_again
 from novags.testbed.results.comparison import MAIN, Group, deltas_of, groups_of
+from novags.testbed.stages.scoring import bounds_of
 from sensor_model.files.atomic import write_text
 from sensor_model.files.lock import locked
 
@@ -233,6 +234,7 @@ def score_context(material: Material) -> dict[str, Any]:
     """What the tables of scores show."""
     competes = {name: row.competes for name, row in material.rows.items()}
     methods = {name: run.method for name, run in material.runs.items()}
+    ends = bounds_of(methods)
     recovered = {"enhanced": material.metrics["recovered"], "lit": material.metrics.get("recovered_lit", {})}
     return {
         "tables": {kind: score_table(material.metrics, kind, competes, placed_in(material, kind)) for kind in COLUMNS},
@@ -245,9 +247,16 @@ def score_context(material: Material) -> dict[str, Any]:
         "noise_columns": NOISE,
         "cameras": camera_table(material),
         "recovered": {**dict.fromkeys(COLUMNS, {}), **recovered},
-        "bounds": [material.bound("floor"), material.bound("ceiling")],
+        "bounds": [_of_runs(ends.get(end, []), methods) for end in ("floor", "ceiling")],
         "in_linear_light": list(material.exposures),
         "training_2d": training_table(material),
         "commands_of": {name: score_again(run, material.folder, name) for name, run in material.runs.items()},
         "deltas": {kind: deltas_of(material.metrics, methods, kind) if kind in MAIN else ({}, "") for kind in COLUMNS},
     }
+
+
+def _of_runs(names: Sequence[str], methods: Mapping[str, str]) -> str:
+    """One end of the scale of what is recovered, in words; "" where it has no run."""
+    if len(names) < 2:
+        return "".join(names)
+    return f"the mean of {len(names)} runs of {methods[names[0]]}"

@@ -158,3 +158,13 @@ def test_the_light_without_noise_is_without_the_pattern_of_the_camera_too(
     shown = {label: values for label, values, _ in found}
     assert shown["Linear light, noise-free"] == pytest.approx(capture.clean_linear(0)[3, 7].tolist(), rel=1e-3)
     assert shown["Linear light, measured"] == pytest.approx(capture.linear(0)[3, 7].tolist(), abs=2e-5)
+
+
+def test_a_report_says_what_recovered_is_measured_by_where_a_bound_has_several_runs(
+    experiment: Path, tmp_path: Path
+) -> None:
+    """Rationale: their means count, and the page named the first run of each as the ends of the scale."""
+    for name in ("first", "second"):
+        shutil.copytree(experiment, tmp_path / name)
+    page = write_reports([tmp_path / "first", tmp_path / "second"], QUIET).read_text(encoding="utf-8")
+    assert "from <em>the mean of 2 runs of naive</em> (0 %) to <em>the mean of 2 runs of oracle</em> (100 %)" in page
