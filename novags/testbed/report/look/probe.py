@@ -14,7 +14,7 @@ import numpy as np
 from novags.testbed.folders.capture import Capture
 from sensor_model.isp import white_balance
 
-LARGEST = 60_000.0  # half precision ends at 65504
+LARGEST = 60_000.0  # what the largest number becomes: half precision ends at 65504, and has fewer bits below 6e-5
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ def _packed(name: str, values: np.ndarray) -> tuple[dict[str, Any], bytes]:
     if told["whole"]:
         codes = stacked.astype("<u2")
     else:
-        told["scale"] = max(1.0, float(np.abs(stacked).max()) / LARGEST)
+        told["scale"] = float(np.abs(stacked).max()) / LARGEST or 1.0
         codes = (stacked / told["scale"]).astype("<f2")
     parts = np.frombuffer(codes.tobytes(), np.uint8).reshape(-1, 2)
     return told, parts[:, 0].tobytes() + parts[:, 1].tobytes()

@@ -4,15 +4,17 @@ import base64
 import json
 import os
 import shutil
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from novags.testbed import stages
 from novags.testbed.console import Console
-from novags.testbed.folders.capture import open_capture
+from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.report.look import album
 from novags.testbed.report.look.probe import probe_of
 from novags.testbed.report.page import write_report, write_reports
@@ -158,6 +160,23 @@ def test_the_light_without_noise_is_without_the_pattern_of_the_camera_too(
     shown = {label: values for label, values, _ in found}
     assert shown["Linear light, noise-free"] == pytest.approx(capture.clean_linear(0)[3, 7].tolist(), rel=1e-3)
     assert shown["Linear light, measured"] == pytest.approx(capture.linear(0)[3, 7].tolist(), abs=2e-5)
+
+
+def test_the_light_of_a_camera_with_a_deep_well_keeps_eleven_bits(
+    experiment: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rationale: an electron of such a camera is some 1e-6 of white, of which half precision keeps two bits."""
+    capture = open_capture(experiment / "capture")
+    light = np.geomspace(3e-7, 0.5, 32 * 24 * 3, dtype=np.float32).reshape(24, 32, 3)
+    monkeypatch.setattr(Capture, "clean_linear", lambda *_: light)
+    monkeypatch.setattr(Capture, "truth", lambda _, i, kind: np.full((24, 32, 3), 600.0 + (kind == "mean")))
+    probe = probe_of(capture, 0)
+    assert probe is not None
+    plane = next(plane for plane in probe.header["planes"] if plane["name"] == "linear_mean")
+    assert plane == probe.header["planes"][-1]
+    low, high = np.frombuffer(zlib.decompress(probe.data), np.uint8)[-2 * light.size :].reshape(2, -1)
+    found = plane["scale"] * np.stack([low, high], -1).view("<f2").astype(np.float64)[:, 0].reshape(3, 24, 32)
+    assert found == pytest.approx(np.moveaxis(light, -1, 0), rel=5e-4)
 
 
 def test_a_report_says_what_recovered_is_measured_by_where_a_bound_has_several_runs(
