@@ -49,7 +49,7 @@ def serving(all_shown: Sequence[Shown], host: str, port: int) -> Iterator[Viewer
         raise ValueError(f"port must be in 1..65535, got {port}")
     check_host(host)
     server = started(host, port)
-    viewer = Viewer(f"http://{'localhost' if host == '0.0.0.0' else host}:{server.get_port()}")
+    viewer = Viewer(address_of(host, server.get_port()))
     computing = threading.Lock()
 
     def connect(client: Any) -> None:
@@ -69,6 +69,12 @@ def serving(all_shown: Sequence[Shown], host: str, port: int) -> Iterator[Viewer
             session.latest.end()
         with silent():
             server.stop()
+
+
+def address_of(host: str, port: int) -> str:
+    """What to open in a browser on this machine."""
+    named = "localhost" if host in ("", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+    return f"http://{named}:{port}"
 
 
 def check_host(host: str) -> None:

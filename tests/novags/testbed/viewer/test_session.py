@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from novags.testbed.console import Console
+from novags.testbed.viewer.server import address_of
 from novags.testbed.viewer.session import Session
 from novags.testbed.viewer.shown import shown_of
 
@@ -59,3 +60,17 @@ def test_the_box_for_cameras_shows_and_hides_those_of_the_method_too(runs: dict[
     session.panel.cameras.value = False
     session._show_estimated()
     assert not there
+
+
+@pytest.mark.parametrize(
+    ("host", "address"),
+    [
+        ("127.0.0.1", "http://127.0.0.1:8080"),
+        ("0.0.0.0", "http://localhost:8080"),
+        ("::", "http://localhost:8080"),
+        ("::1", "http://[::1]:8080"),
+        ("", "http://localhost:8080"),
+    ],
+)
+def test_the_address_can_be_opened_whatever_the_network_interface(host: str, address: str) -> None:
+    assert address_of(host, 8080) == address
