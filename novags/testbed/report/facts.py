@@ -10,7 +10,7 @@ from novags.testbed.folders.run import METRICS, Run
 from novags.testbed.report.charts import line_chart
 from novags.testbed.report.material import Material
 from novags.testbed.report.rows import Row, deviations
-from novags.testbed.report.tables import GEOMETRY, NOISE, OWN, PLAIN, Placed, ranked
+from novags.testbed.report.tables import GEOMETRY, GIVEN, NOISE, OWN, PLAIN, Placed, ranked
 
 EXACT = 1e-4  # degrees or extents; camera files round, and smaller errors are invisible
 
@@ -116,7 +116,7 @@ def noise_table(material: Material) -> list[dict[str, Any]]:
     """What is left of the known noise in each run; empty where it is not known."""
     found = {name: m["noise"] for name, m in material.metrics["methods"].items() if m.get("noise")}
     competes = {name: row.competes for name, row in material.rows.items()}
-    return ranked(found, NOISE, competes, lambda name, key: material.one_reference)
+    return ranked(found, NOISE, competes, lambda name, key: material.one_reference and key not in GIVEN)
 
 
 def camera_table(material: Material) -> list[dict[str, Any]]:

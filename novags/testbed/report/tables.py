@@ -42,6 +42,7 @@ NOISE = (
     ("known", "noise", "sRGB code", False),
     ("bias_floor", "bias floor", "dB", True),
 )
+GIVEN = ("known", "bias_floor")  # of these: facts of the enhanced pictures, by which no method is better
 
 Columns = tuple[tuple[str, str, str, bool], ...]
 Placed = Callable[[str, str], bool]

@@ -3,6 +3,7 @@
 import base64
 import json
 import os
+import re
 import shutil
 import zlib
 from collections.abc import Callable
@@ -177,6 +178,15 @@ def test_the_light_of_a_camera_with_a_deep_well_keeps_eleven_bits(
     low, high = np.frombuffer(zlib.decompress(probe.data), np.uint8)[-2 * light.size :].reshape(2, -1)
     found = plane["scale"] * np.stack([low, high], -1).view("<f2").astype(np.float64)[:, 0].reshape(3, 24, 32)
     assert found == pytest.approx(np.moveaxis(light, -1, 0), rel=5e-4)
+
+
+def test_the_noise_that_all_were_given_makes_no_method_the_first(experiment: Path) -> None:
+    table = (experiment / "report.html").read_text(encoding="utf-8").partition('data-name="noise"')[2]
+    rows = re.findall(r"<tr.*?</tr>", table.partition("</table>")[0], flags=re.DOTALL)[1:]
+    cells = [re.findall(r'<td class="num([^"]*)"[^>]*?( data-rank="\d")?>([\d.]+)</td>', row) for row in rows]
+    assert len(cells) == 3
+    assert all(cell[2:] == [("", "", "0.062"), ("", "", "31.26")] for cell in cells)
+    assert sum("data-rank" in rank for row in cells for _, rank, _ in row) == 4  # two that compete, by what is left
 
 
 def test_a_report_says_what_recovered_is_measured_by_where_a_bound_has_several_runs(

@@ -85,7 +85,7 @@ def test_what_is_told_in_the_code_of_each_run_ranks_only_runs_of_one_enhancement
         ranks_of = {cell["key"]: cell["rank"] for row in tables if row["method"] == "dark" for cell in row["cells"]}
         alike = 1 if tones[0] == tones[1] else None
         assert (ranks_of["abs_rel"], ranks_of["coverage"]) == (1, 1)
-        assert (ranks_of["consistency"], ranks_of["renders"], ranks_of["known"]) == (alike, alike, alike)
+        assert (ranks_of["consistency"], ranks_of["renders"], ranks_of["targets"]) == (alike, alike, alike)
 
 
 def test_a_run_without_training_views_is_shown_in_the_held_out_ones_alone(experiment: Path, tmp_path: Path) -> None:
