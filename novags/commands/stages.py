@@ -85,7 +85,7 @@ def render(
 
 
 def poses(
-    photographs: Folder, *, out: Path, fps: float = 2.0, max_size: int | None = 1600, max_features: int = 4096,
+    photographs: Folder, *, out: Path, fps: float | None = None, max_size: int | None = 1600, max_features: int = 4096,
     peak_threshold: float = 0.0067, seed: int = 0, overwrite: bool = False, wait: bool = False,
 ) -> None:  # fmt: skip
     """Find the unknown cameras of photographs, and make a multiview set of them.
@@ -93,7 +93,7 @@ def poses(
     Args:
         photographs: A folder of photographs of one scene, or a video file.
         out: Folder of the set: undistorted pictures with their cameras.
-        fps: Frames to take from each second of a video.
+        fps: Frames to take from each second of a video; 2 if not given.
         max_size: Scale larger photographs down to this longest side first, in pixels; None keeps them.
         max_features: Features in a picture, the largest ones.
         peak_threshold: Contrast of a feature, 0 to 1; lower it for soft or dark photographs.

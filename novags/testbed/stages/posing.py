@@ -27,6 +27,7 @@ from simscenes.sets.pictures.png import write_png
 from simscenes.sets.readers.bare import SUFFIXES, Bare, picture_files, survey
 from simscenes.sets.writers.camera_files import write_cameras
 
+FPS = 2.0  # of a video, if not given
 BETTER = "take them with more overlap, from places that differ, sharp and with texture"
 
 
@@ -35,15 +36,18 @@ class PosesConfig:
     """How to find the cameras of photographs."""
 
     photographs: Path  # a folder, or a video file
-    fps: float = 2.0  # frames taken from each second of a video
+    fps: float | None = None  # frames taken from each second of a video; None: `FPS`
     max_size: int | None = 1600  # px; photographs are scaled down to this longest side before anything else
     max_features: int = 4096  # per picture, the largest ones
     peak_threshold: float = 0.0067  # contrast of a feature, 0..1; COLMAP's own
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.fps) and self.fps > 0):
+        if self.fps is not None and not (np.isfinite(self.fps) and self.fps > 0):
             raise ValueError(f"fps must be > 0, got {self.fps}")
+        if self.fps is not None and self.photographs.is_dir():
+            raise ValueError(f"fps belongs to a video, and {self.photographs} is a folder, whose photographs are all "
+                             f"taken: leave out fps, got {self.fps:g}")  # fmt: skip
         if self.max_size is not None and self.max_size < 64:
             raise ValueError(f"max_size must be >= 64 px, because smaller pictures hold too few features, got "
                              f"{self.max_size}")  # fmt: skip
@@ -55,7 +59,12 @@ class PosesConfig:
     def resolved(self) -> dict[str, Any]:
         """What determines the result, apart from the content of the photographs."""
         kept = {name: value for name, value in asdict(self).items() if name != "photographs"}
-        return kept if is_video(self.photographs) else kept | {"fps": None}
+        return kept | {"fps": self.frames_a_second if is_video(self.photographs) else None}
+
+    @property
+    def frames_a_second(self) -> float:
+        """Of a video."""
+        return FPS if self.fps is None else self.fps
 
     @property
     def name(self) -> str:
@@ -140,7 +149,7 @@ def place(files: dict[str, Path], out: Path, config: PosesConfig, console: Conso
         if video := is_video(config.photographs):
             (folder / "frames").mkdir()
             with console.progress("poses: frames") as update:
-                frames = write_frames(config.photographs, config.fps, folder / "frames", update)
+                frames = write_frames(config.photographs, config.frames_a_second, folder / "frames", update)
             files = {label: file for file, label in frames.items()}
         bare, size = survey(list(files.values()), config.max_size)
         shots = [Shot(f"{k:06d}.png", one.camera, one.focal) for k, one in enumerate(bare)]

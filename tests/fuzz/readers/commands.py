@@ -26,8 +26,8 @@ LINES = [
     "reconstruct cap --out run --method nova --preset demo --pictures 16bit --cameras sfm:pictures=enhanced "
     "--points 50 --iterations 9 --seed 4 --device auto",
     "reconstruct cap --out run --variant b=naive:init_scale=0.5 --cameras vggt:checkpoint=w.pt,drop_percent=20",
-    "run --photos set --fps 3 --max-size 96 --overwrite --methods naive oracle --out out",
-    "poses set --out poses --fps 1.5 --max-size 800 --max-features 2000 --peak-threshold 0.004 --seed 2 --wait",
+    "run --photos walk.mp4 --fps 3 --max-size 96 --overwrite --methods naive oracle --out out",
+    "poses walk.mp4 --out poses --fps 1.5 --max-size 800 --max-features 2000 --peak-threshold 0.004 --seed 2 --wait",
     "score run",
     "report run cap --out r.html --overwrite",
     "report run",
@@ -49,6 +49,7 @@ def make(folder: Path) -> None:
     write_sensor(folder / "camera.toml", PRESETS["ideal"])
     (folder / "v.toml").write_text('[variant.w]\nmethod = "naive"\n')
     (folder / "scene.xml").write_text('<scene version="3.0.0"><shape type="sphere"/></scene>')
+    (folder / "walk.mp4").touch()
     for name in ("set", "cap", "run", "frames"):
         (folder / name).mkdir()
 

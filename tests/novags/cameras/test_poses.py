@@ -248,3 +248,12 @@ def test_a_folder_without_photographs_names_the_kinds_of_file_that_it_holds(tmp_
     (tmp_path / "3.nef").write_bytes(b"")
     with pytest.raises(ValueError, match="1 .nef: develop camera raw files, convert pictures to PNG or JPEG"):
         stages.poses(tmp_path / "out", PosesConfig(photographs=tmp_path), QUIET)
+
+
+def test_frames_a_second_are_of_a_video_and_refused_for_a_folder(tmp_path: Path) -> None:
+    """Rationale: they were ignored there without a word."""
+    with pytest.raises(ValueError, match=r"fps belongs to a video, and .* is a folder, .*leave out fps, got 3"):
+        PosesConfig(photographs=tmp_path, fps=3.0)
+    assert PosesConfig(photographs=tmp_path).resolved()["fps"] is None
+    (tmp_path / "walk.mp4").touch()
+    assert PosesConfig(photographs=tmp_path / "walk.mp4").resolved()["fps"] == 2.0  # as it always was
