@@ -1,6 +1,6 @@
 """Import: dark photographs from elsewhere in, a capture folder out, with what truth there is about them."""
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, get_args
 
@@ -176,11 +176,12 @@ def prepare(material: Material, config: ImportConfig, console: Console) -> Prepa
     given = [twins for twins in (material.lit, material.clean) if twins is not None]
     files += [(file, twins is material.lit) for twins in given for file in twins.files]
     total = len(files) + (len(dark.files) if material.clean else 0)
-    match, resampled = None, 0
+    match, resampled, depths = None, 0, set[str]()
     with console.progress("import: files") as progress:
         for done, (file, lit) in enumerate(files):
             depth, off = darkroom.check(file, lit=lit)
             resampled += off
+            depths.add(depth)
             if done < len(dark.files) and depth != dark.depth:
                 raise ValueError(f"{file} is {depth}, {dark.files[0].name} {dark.depth}: import files of one kind")
             progress(done + 1, total, file.name)
@@ -195,6 +196,8 @@ def prepare(material: Material, config: ImportConfig, console: Console) -> Prepa
     if resampled:
         console.warn(f"{resampled} of {len(dark.files)} lit pictures are a pixel larger or smaller than the dark ones: "
                      "resampled to their size")  # fmt: skip
+    if "16bit" not in depths:
+        _say_no_codes(config.codes, console)
     _say(dark, darkroom, config, match, console)
     return Prepared(darkroom, match, resampled)
 
@@ -206,6 +209,15 @@ def _say_tone(gain: float, console: Console) -> None:
             "matched: they have a tone of their own, which counts as an error in scores against clean exposures. "
             "Import the raw files alone, and pictures are developed from them"
         )
+
+
+def _say_no_codes(codes: Codes16, console: Console) -> None:
+    """That what was said of 16-bit codes has no effect, as none of the files has them."""
+    changed = {one.name: value for one in fields(codes) if (value := getattr(codes, one.name)) != one.default}
+    given = [f"--{name} {value if isinstance(value, str) else f'{value:g}'}" for name, value in changed.items()]
+    if given:
+        console.warn(f"{', '.join(given)} would say what the codes of 16-bit pictures mean, and there are none here: "
+                     "without effect")  # fmt: skip
 
 
 def _say(dark: Dark, darkroom: Darkroom, config: ImportConfig, match: Match | None, console: Console) -> None:

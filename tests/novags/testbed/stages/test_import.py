@@ -107,6 +107,16 @@ def test_8_bit_pictures_alone_have_no_16_bit_ones_and_no_raw_frames(line: Path, 
         capture.linear16(0)
 
 
+def test_levels_of_16_bit_codes_are_said_to_have_no_effect_where_there_are_none(line: Path, tmp_path: Path) -> None:
+    """Rationale: who gives them takes the 8-bit pictures for others."""
+    stream, dark = io.StringIO(), foreign(tmp_path / "dark", line, "images")
+    brought(dark, tmp_path / "cap", Console(stream=stream), black=64.0, curve="srgb")
+    assert "--black 64, --curve srgb would say what the codes of 16-bit pictures mean" in stream.getvalue()
+    stream = io.StringIO()
+    brought(dark, tmp_path / "cap", Console(stream=stream))
+    assert "16-bit" not in stream.getvalue()
+
+
 @pytest.mark.parametrize("suffix", [".png", ".tif"])
 @pytest.mark.parametrize(
     ("black", "white", "curve"), [(4096, 65535, "linear"), (0, 4095, "linear"), (0, 65535, "srgb")]
