@@ -70,7 +70,9 @@ class PosesConfig:
     def name(self) -> str:
         """Name of the scene: the folder's (of the one above, if it is one of many called images), or the video's."""
         path = self.photographs.resolve()
-        return path.parent.name if path.name in ("images", "input", "photos") else path.stem
+        if path.name in ("images", "input", "photos"):
+            return path.parent.name
+        return path.name if path.is_dir() else path.stem  # what follows a dot in a folder's name is no suffix
 
 
 def poses(

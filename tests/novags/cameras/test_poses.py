@@ -257,3 +257,12 @@ def test_frames_a_second_are_of_a_video_and_refused_for_a_folder(tmp_path: Path)
     assert PosesConfig(photographs=tmp_path).resolved()["fps"] is None
     (tmp_path / "walk.mp4").touch()
     assert PosesConfig(photographs=tmp_path / "walk.mp4").resolved()["fps"] == 2.0  # as it always was
+
+
+def test_the_scene_is_called_as_its_folder_is_dots_and_all(tmp_path: Path) -> None:
+    """Rationale: of "garden.1" and "garden.2" both were "garden"."""
+    for name in ("garden.1", "garden.2/images"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "walk.mp4").touch()
+    places = (tmp_path / "garden.1", tmp_path / "garden.2" / "images", tmp_path / "walk.mp4")
+    assert [PosesConfig(photographs=place).name for place in places] == ["garden.1", "garden.2", "walk"]
