@@ -200,7 +200,7 @@ class Planner:
         return content, views, pixels
 
     def _set(self, config: RenderConfig) -> str:
-        scene = (config.scene, config.allow_outside)
+        scene = (config.scene, config.allow_outside, config.parameters)  # which may name files
         if scene not in self.contents:
             self.contents[scene] = scene_digest(config)
         key = self._key("set", config, {"scene": self.contents[scene]})

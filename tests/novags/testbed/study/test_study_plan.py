@@ -96,6 +96,22 @@ def test_a_key_stays_the_same_and_changes_with_settings_above_it_and_with_its_co
     assert {first.tasks[key].kind for key in other.tasks.keys() & first.tasks.keys()} == {"set"}
 
 
+def test_files_that_parameters_name_count_by_their_content(tmp_path: Path) -> None:
+    """Rationale: the files of the first value stood for those of all, so that a changed one went unnoticed."""
+    (tmp_path / "s.xml").write_text(
+        "<scene version='3.0.0'><default name='file' value='a.png'/><shape type='sphere'><bsdf type='diffuse'>"
+        "<texture type='bitmap' name='reflectance'><string name='filename' value='$file'/></texture></bsdf></shape>"
+        "</scene>"
+    )
+    text = "[grid]\nscene = 's.xml'\nparameters = ['file=a.png', 'file=b.png']\nmethod = 'naive'"
+    for name in "ab":
+        write_png(tmp_path / f"{name}.png", np.zeros((4, 4, 3), np.uint8))
+    before = [key for _, key in plan(tmp_path, text).runs]
+    write_png(tmp_path / "b.png", np.ones((4, 4, 3), np.uint8))
+    after = [key for _, key in plan(tmp_path, text).runs]
+    assert [a == b for a, b in zip(before, after, strict=True)] == [True, False]
+
+
 def test_the_code_of_an_entry_is_there_and_covers_what_makes_it() -> None:
     for kind, places in store.CODE.items():
         assert all((store.ROOT / place).exists() for place in places), kind
