@@ -228,7 +228,9 @@ class Planner:
     def _key(self, kind: str, config: RenderConfig | CaptureConfig, made_of: dict[str, Any]) -> str:
         place = (kind, repr((config, made_of)))
         if place not in self.keys:
-            self.keys[place] = key_of(kind, {"config": config.resolved(), **made_of})
+            # Further layouts change no picture, but an entry that was made without them lacks what is asked for.
+            layouts = {"export": sorted(set(config.export))} if config.export else {}
+            self.keys[place] = key_of(kind, {"config": config.resolved(), **layouts, **made_of})
         return self.keys[place]
 
     def _task(self, task: Task) -> str:

@@ -112,6 +112,16 @@ def test_files_that_parameters_name_count_by_their_content(tmp_path: Path) -> No
     assert [a == b for a, b in zip(before, after, strict=True)] == [True, False]
 
 
+@pytest.mark.parametrize("stage", ["render", "capture"])
+def test_an_entry_without_the_layouts_that_are_asked_for_is_another_one(tmp_path: Path, stage: str) -> None:
+    """Rationale: it was taken for complete, and the layouts were never written."""
+    first = plan(tmp_path).tasks
+    export = f"{GRID}[override]\n{stage}.export = "
+    asked = plan(tmp_path, f"{export}['llff', 'blender']").tasks
+    assert not {key for key in asked.keys() & first.keys() if first[key].kind == {"render": "set"}.get(stage, stage)}
+    assert list(asked) == list(plan(tmp_path, f"{export}['blender', 'llff']").tasks)
+
+
 def test_the_code_of_an_entry_is_there_and_covers_what_makes_it() -> None:
     for kind, places in store.CODE.items():
         assert all((store.ROOT / place).exists() for place in places), kind
