@@ -11,7 +11,7 @@ from novags.testing.known import DarkCapture
 class MakeDarkCapture(Protocol):
     """What the fixture `dark_capture` is."""
 
-    def __call__(self, scene: str = "cornell", electrons: float = 20.0, **settings: Any) -> DarkCapture:
+    def __call__(self, scene: str | None = None, electrons: float = 20.0, **settings: Any) -> DarkCapture:
         """See the fixture."""
         ...
 
@@ -33,10 +33,11 @@ def dark_capture(novags_store: Path) -> MakeDarkCapture:
     Small by default: nine views of 48 x 48 px, two of them held out. Equal arguments give equal pictures; they are made
     once, and kept in `novags_store` until the code that makes them changes. `settings` are keys of a study file
     (docs/studies.md): views, width, height, spp, sensor, seed, max_size, **{"render.max_depth": 3}, ...
-    `scene` may also be a Mitsuba file or a folder of posed photographs.
+    `scene` is cornell if not given; it may also be a Mitsuba file or a folder of posed photographs. Of photographs
+    without cameras, `photos` among the settings, a set is made first.
     """
 
-    def make(scene: str = "cornell", electrons: float = 20.0, **settings: Any) -> DarkCapture:
+    def make(scene: str | None = None, electrons: float = 20.0, **settings: Any) -> DarkCapture:
         from novags.testing.making import make_capture
 
         return make_capture(novags_store, scene, electrons, settings)

@@ -21,20 +21,23 @@ SMALL: dict[str, Any] = {"views": 9, "width": 48, "height": 48, "spp": 32}
 QUIET = Console(quiet=True)
 
 
-def make_capture(store: Path, scene: str, electrons: float, settings: Mapping[str, Any]) -> DarkCapture:
+def make_capture(store: Path, scene: str | None, electrons: float, settings: Mapping[str, Any]) -> DarkCapture:
     """The capture, from the store if it is there.
 
     Args:
         store: Folder of the store.
-        scene: Of the catalogue, a Mitsuba file, or a folder of posed photographs, relative to the working folder.
+        scene: Of the catalogue, a Mitsuba file, or a folder of posed photographs, relative to the working folder; None:
+            cornell, or what `photos` of the settings names.
         electrons: Mean signal of green, e- per pixel and exposure.
         settings: Keys of a study file that belong to sets and captures.
 
     Raises:
         ValueError: If there is no such scene or setting, or a value is refused.
     """
-    keys = {"scene": scene, "electrons": electrons, **settings}
-    if not (Path(scene).is_dir() or "photos" in settings):
+    if scene is None and "photos" not in settings:
+        scene = "cornell"
+    keys = {**({} if scene is None else {"scene": scene}), "electrons": electrons, **settings}
+    if not ("photos" in settings or (scene is not None and Path(scene).is_dir())):
         keys = {**SMALL, **keys}
     changes = Changes()
     for key, value in keys.items():

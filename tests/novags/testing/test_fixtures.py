@@ -90,6 +90,14 @@ def test_what_a_capture_has_not_is_refused(tmp_path: Path, settings: dict, said:
         make_capture(tmp_path, "cornell", 10.0, settings)
 
 
+def test_photographs_without_cameras_take_the_place_of_a_scene(tmp_path: Path) -> None:
+    """Rationale: the scene that nobody had named stood in their way."""
+    with pytest.raises(ValueError, match="holds 0 photographs"):
+        make_capture(tmp_path / "store", None, 10.0, {"photos": str(tmp_path)})
+    with pytest.raises(ValueError, match="not both"):
+        make_capture(tmp_path / "store", "cornell", 10.0, {"photos": str(tmp_path)})
+
+
 def test_loading_the_plugin_loads_nothing_heavy() -> None:
     code = "import sys, novags.testing; print([m for m in ('torch', 'mitsuba', 'cv2', 'scipy') if m in sys.modules])"
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, check=True)
