@@ -78,13 +78,14 @@ class PosedViews:
         """Truth: z-depth [C,h,w], world units, inf where a ray hits nothing.
 
         Raises:
-            ValueError: If it is not known: of photographs.
+            ValueError: If it is not known: of photographs, and of a set that was scaled down for the capture.
         """
         from novags.testbed.references import true_depth
 
         found = [true_depth(self._source, i) for i in self._indices]
         if any(depth is None for depth in found):
-            raise ValueError(f"the depth of {self._source.views.path} is not known: only rendered scenes have it")
+            raise ValueError(f"the depth of {self._source.views.path} is not known: only rendered scenes have it, in "
+                             "their own size (without max_size)")  # fmt: skip
         return np.stack([np.asarray(depth, np.float32) for depth in found])
 
     @cached_property
