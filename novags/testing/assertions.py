@@ -25,7 +25,8 @@ def assert_scores(
 
     Args:
         views: What they show: `dark.test`.
-        pictures: [C,h,w,3], floats in 0..1, uint8 or uint16; or a folder of files named like the views.
+        pictures: [C,h,w,3], floats in 0..1, uint8 or uint16, encoded like what they are compared with; or a folder of
+            files named like the views, of which those of 8 bits are always sRGB-encoded.
         against: "lit": the views in good light; "clean": the dark exposures without noise, both sRGB-encoded;
             "linear": these in linear light, after one gain for all views, exposed so that few of their values are
             beyond white.
@@ -38,7 +39,7 @@ def assert_scores(
     __tracebackhide__ = True
     from novags.testbed.metrics import PerceptualDistance, exposure_gain, image_scores, linear_psnr
 
-    images = _images(views, pictures)
+    images = _images(views, pictures, linear=against == "linear")
     if against not in ("lit", "clean", "linear"):
         raise ValueError(f"against must be lit, clean or linear, got {against!r}")
     truth = views.clean_linear if against == "linear" else getattr(views, against)
@@ -166,13 +167,16 @@ def _error_of_mean(values: NDArray, chosen: NDArray[np.bool_]) -> float:
     return float(max(by_rows, values[chosen].std() / np.sqrt(total)))
 
 
-def _images(views: PosedViews, pictures: ArrayLike | Path | str) -> list[NDArray[np.float32]]:
+def _images(
+    views: PosedViews, pictures: ArrayLike | Path | str, *, linear: bool
+) -> list[NDArray[np.float32]]:  # fmt: skip
     __tracebackhide__ = True
     if isinstance(pictures, Path | str):
         from novags.testbed.foreign.pictures import find_renders, read_picture
 
         files = find_renders(Path(pictures), views.names).files
-        return [read_picture(files[name], views.width, views.height).values for name in views.names]
+        read = [read_picture(files[name], views.width, views.height) for name in views.names]
+        return [picture.linear if linear else picture.values for picture in read]
     given = _array("pictures", pictures)
     whole = given.dtype.kind in "iub"
     assert not whole or given.dtype in (np.uint8, np.uint16), (

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from novags.testing import DarkCapture, assert_depth, assert_noise, assert_poses, assert_scores
-from sensor_model import Exposure, expose
+from sensor_model import Exposure, expose, to_srgb8
 from simscenes.sets.pictures.png import write_png
 
 Make = Callable[..., DarkCapture]
@@ -47,6 +47,14 @@ def test_linear_light_is_compared_after_one_gain_for_all_views(dark: DarkCapture
     wavering = dark.test.clean_linear * np.array([1.0, 2.0])[:, None, None, None]
     with pytest.raises(AssertionError, match="linear_psnr"):
         assert_scores(dark.test, wavering, "linear", linear_psnr=40)
+
+
+def test_files_of_8_bits_are_srgb_in_linear_light_too(dark: DarkCapture, tmp_path: Path) -> None:
+    """Rationale: their codes were compared as light, where `novags score --renders` decodes them."""
+    light = np.clip(dark.test.clean_linear / np.quantile(dark.test.clean_linear, 0.97), 0, 1)
+    for name, picture in zip(dark.test.names, light, strict=True):
+        write_png(tmp_path / f"{name}.png", to_srgb8(picture))
+    assert_scores(dark.test, tmp_path, "linear", linear_psnr=40)
 
 
 @pytest.mark.parametrize(
