@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed import stages
-from novags.testbed.cache import read_json, refuse_other, write_json
+from novags.testbed.cache import UNFINISHED, read_json, refuse_other, write_json
 from novags.testbed.console import Console
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders import shapes
@@ -20,6 +20,7 @@ from novags.testbed.study.steps import make_set
 from sensor_model.files.lock import locked
 
 DESCRIBED = (EXPERIMENT, METRICS, REPORT, REPORT_FILES)  # files that describe all runs in the folder
+TAKEN = ("set", "capture", *DESCRIBED, UNFINISHED)  # what lies there beside a folder for each method or variant
 
 
 def run(preset: Preset, out: Path, console: Console, *, command: str | None = None, overwrite: bool = False) -> Path:
@@ -39,6 +40,9 @@ def run(preset: Preset, out: Path, console: Console, *, command: str | None = No
         BlockingIOError: If another process is writing to `out`.
     """
     preset.refuse_lacking()
+    if taken := [name for name in preset.methods if name in TAKEN]:
+        raise ValueError(f"a variant must not be called {taken[0]}: the folder of an experiment holds something else "
+                         "of that name")  # fmt: skip
     with locked(out):
         if not overwrite:
             _refuse_other(preset, out)

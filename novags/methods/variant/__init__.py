@@ -13,7 +13,8 @@ from sensor_model.files.reading import brief, reading
 from sensor_model.files.toml_file import read_toml
 
 Family = Literal["ours", "bound", "2D + GS", "3DGS", "NeRF"]
-NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._+-]*")  # of a folder too
+LONGEST = 100  # characters of a name, which is one of a folder too
+NAME = re.compile(rf"[A-Za-z0-9][A-Za-z0-9._+-]{{0,{LONGEST - 1}}}")
 STATISTICS = "truth_statistics"  # the setting by which a method uses statistics of well-lit pictures
 
 
@@ -78,7 +79,8 @@ class Variant:
 
     def __post_init__(self) -> None:
         if not NAME.fullmatch(self.name):
-            raise ValueError(f"a variant's name must be letters, digits and . _ + -, got {self.name!r}")
+            raise ValueError(f"a variant's name must be letters, digits and . _ + -, at most {LONGEST}, the first no "
+                             f"sign, got {brief(repr(self.name), 60)}")  # fmt: skip
 
     def config(self, default: Any, shared: Mapping[str, Any]) -> Any:
         """The configuration: the method's default, then settings for all methods, then the variant's own.
