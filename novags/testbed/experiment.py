@@ -11,6 +11,7 @@ from novags.testbed.console import Console
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders import shapes
 from novags.testbed.folders.experiment import EXPERIMENT, REPORT, REPORT_FILES, find_runs
+from novags.testbed.folders.place import place_of
 from novags.testbed.folders.run import METRICS, RECORD
 from novags.testbed.presets import Preset
 from novags.testbed.report.page import write_report
@@ -79,6 +80,8 @@ def _refuse_other(preset: Preset, out: Path) -> None:
     if preset.folder is None:
         refuse_other(out / "set", SET, (preset.photos or preset.render).resolved())
     refuse_other(out / "capture", capture_folder.RECORD, preset.capture.resolved())
+    if preset.folder is None:
+        _refuse_set_elsewhere(out)
     for name in preset.methods:
         refuse_other(out / name, RECORD, preset.reconstruct(name).resolved())
     if (out / EXPERIMENT).exists():
@@ -88,6 +91,17 @@ def _refuse_other(preset: Preset, out: Path) -> None:
                 f"{out} holds a finished comparison with {', '.join(lost)}, which this request leaves out: name them "
                 "too (--methods), choose another --out, or add --overwrite"
             )
+
+
+def _refuse_set_elsewhere(out: Path) -> None:
+    """Refuse to render for a finished capture of a set that lies elsewhere: it would be refused after the render."""
+    record = out / "capture" / capture_folder.RECORD
+    if not record.exists():
+        return
+    made_of = place_of(out / "capture", read_json(record, shapes.CAPTURE)["set"]["path"])
+    if made_of != (out / "set").resolve():
+        raise ValueError(f"{out / 'capture'} is a finished capture of the set {made_of}, which this request does not "
+                         "name: name it (--scene), choose another --out, or add --overwrite")  # fmt: skip
 
 
 def score_all(folder: Path, console: Console) -> dict[str, Any]:
