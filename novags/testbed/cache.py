@@ -32,7 +32,7 @@ from sensor_model.files.records import read_record
 Prepared = TypeVar("Prepared")
 
 UNFINISHED = "unfinished.json"
-STATE = {"stage?": str, "record?": str, "key?": (str, None), "seconds?": float}  # what that holds
+STATE = {"stage?": str, "record?": str, "key?": (str, None), "seconds?": float, "peak_bytes?": int}  # what that holds
 FILES = {"files?": {"*": str}}  # checksums of what the stage wrote
 KEYED = {"stage?": {"key?": str, **FILES}}  # what a record of any stage holds
 MADE = {"stage?": {"key?": str, "config?": dict, "inputs?": {"*": str}, "versions?": {"*": str}, **FILES}}
@@ -305,20 +305,21 @@ class _Stage:
             refuse_other(self.folder, self.record_name, config, inputs)
         if wrong:
             self.console.note(f"{self.name}: {self.folder}: {wrong}, doing it again")
-        earlier = None if wrong else self._earlier_seconds(key)  # damaged files are nothing to go on from
+        earlier = None if wrong else self._earlier_cost(key)  # damaged files are nothing to go on from
         start, memory = time.perf_counter(), PeakMemory()
         prepared = prepare()
         if earlier is None:
             told = stale if record_path.exists() else ()
             self._clear(key, [*told, *(self.folder / owned for owned in (self.record_name, *self.owns))])
+        before, most = earlier or (0.0, 0)
         try:
             body = dict(work(prepared))
         except BaseException:
             with suppress(OSError):  # a full disk, say: whose work this is, is there already
-                self._mark(key, (earlier or 0.0) + time.perf_counter() - start)
+                self._mark(key, before + time.perf_counter() - start, max(most, memory.peak_bytes()))
             raise
-        seconds = (earlier or 0.0) + time.perf_counter() - start
-        cost = {"seconds": seconds, "peak_bytes": memory.peak_bytes(), **environment()}
+        seconds = before + time.perf_counter() - start
+        cost = {"seconds": seconds, "peak_bytes": max(most, memory.peak_bytes()), **environment()}
         body["stage"] = {
             "name": self.name, "key": key, "inputs": inputs, "config": config, **cost, "files": self._checksums(),
         }  # fmt: skip
@@ -348,8 +349,10 @@ class _Stage:
                 (self.folder / name).unlink(missing_ok=True)
         self._unfinished.unlink(missing_ok=True)
 
-    def _earlier_seconds(self, key: str) -> float | None:
-        """Seconds spent by interrupted attempts at the work of `key`; None if the folder has to be cleared for it.
+    def _earlier_cost(self, key: str) -> tuple[float, int] | None:
+        """Seconds of interrupted attempts at the work of `key` and the most bytes that one held.
+
+        None if the folder has to be cleared for it.
 
         Raises:
             ValueError: If what is there is not this stage's.
@@ -359,7 +362,7 @@ class _Stage:
             state = read_json(self._unfinished, STATE)
             if state.get("key") == key:
                 self.console.note(f"{name}: continuing in {self.folder}")
-                return float(state.get("seconds", 0.0))
+                return float(state.get("seconds", 0.0)), int(state.get("peak_bytes", 0))
             if state.get("record", self.record_name) not in (self.record_name, *self.owns):
                 raise ValueError(
                     f"{self.folder} holds unfinished work of novags {state.get('stage')}: finish that, or choose "
@@ -378,15 +381,16 @@ class _Stage:
 
     def _clear(self, key: str, targets: Sequence[Path]) -> None:
         """Remove files and folders, in this order; what an interruption leaves behind belongs to no work."""
-        self._mark(None, 0.0)
+        self._mark(None)
         for target in targets:
             if target.is_dir() and not target.is_symlink():
                 shutil.rmtree(target)
             else:
                 target.unlink(missing_ok=True)
-        self._mark(key, 0.0)
+        self._mark(key)
 
-    def _mark(self, key: str | None, seconds: float) -> None:
+    def _mark(self, key: str | None, seconds: float = 0.0, peak_bytes: int = 0) -> None:
         """Record whose unfinished work is in the folder; a key of None marks remains that are being cleared away."""
-        state = {"stage": self.name, "record": self.record_name, "key": key, "seconds": seconds}
+        state = {"stage": self.name, "record": self.record_name, "key": key, "seconds": seconds,
+                 "peak_bytes": peak_bytes}  # fmt: skip
         write_json(self._unfinished, state)

@@ -3,7 +3,9 @@
 import json
 import math
 import os
+from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -146,7 +148,10 @@ def test_a_replacement_that_was_interrupted_goes_on_without_being_asked_for_agai
     assert stage(tmp_path, writes(tmp_path, []), config={"x": 1}, overwrite=False)["answer"] == 42
 
 
-def test_an_interrupted_stage_finds_what_it_had_written(tmp_path: Path) -> None:
+def test_an_interrupted_stage_finds_what_it_had_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    peaks = [7, 3]  # bytes, of the first attempt and of the second
+    monkeypatch.setattr(cache, "PeakMemory", lambda: SimpleNamespace(peak_bytes=partial(int, peaks.pop(0))))
+
     def interrupted():
         (tmp_path / "a.txt").write_text("half")
         raise KeyboardInterrupt
@@ -163,6 +168,7 @@ def test_an_interrupted_stage_finds_what_it_had_written(tmp_path: Path) -> None:
     record = stage(tmp_path, resumed)
     assert not (tmp_path / UNFINISHED).exists()
     assert record["stage"]["seconds"] > 0
+    assert record["stage"]["peak_bytes"] == 7
 
 
 def test_an_interrupted_stage_starts_afresh_under_another_configuration(tmp_path: Path) -> None:
