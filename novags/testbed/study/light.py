@@ -3,7 +3,7 @@
 The knee of a curve is the light at which it has fallen by a stated amount from its own value at the most light of the
 study: searched from the most light downwards, between two levels linearly in the logarithm of the electrons, for every
 seed by itself. A level at which a seed has no score, because its run failed, counts as fallen; of a seed that has none
-at the most light it is unknown whether and where it breaks.
+at the most light it is unknown whether and where it breaks, and so it is while its run there is still to come.
 """
 
 import math
@@ -131,7 +131,7 @@ class Curve:
 
     @property
     def bright(self) -> float | None:
-        """Its value at the most light; None where all runs of that level failed."""
+        """Its value at the most light; None where all runs of that level failed or are still to come."""
         return self.levels[-1].mean if self.levels else None
 
     @property
@@ -178,10 +178,12 @@ def _curve(measure: Measure, place: dict[str, Any], method: str, rows: Iterable[
     seeds: dict[Any, dict[float, float | None]] = {}
     failed = Counter[float]()
     for row in rows:
+        electrons, value = float(row[ELECTRONS]), _value(row, measure)
         if row["state"] in ("done", "failed", "skipped"):
-            electrons, value = float(row[ELECTRONS]), _value(row, measure)
             seeds.setdefault(row.get(SEED), {})[electrons] = value
             failed[electrons] += row["state"] != "done" and value is None  # a finished run may lack a score
+        else:
+            failed[electrons] += 0  # a level of the study all the same: none with less light is the brightest
     levels = []
     for electrons in sorted(failed):
         each = [seed[electrons] for seed in seeds.values() if electrons in seed]

@@ -123,6 +123,17 @@ def test_a_seed_that_failed_at_the_most_light_is_unknown_and_not_one_that_does_n
     assert (first["bright"], second["bright"], second["unknown"]) == ("22.0", "", "2")
 
 
+def test_while_the_most_light_is_still_to_come_no_curve_falls_from_less() -> None:
+    """Rationale: the brightest level that was finished stood for it in the table of knees."""
+    rows = [row(e, "naive", 0, {1: 12.0, 4: 20.0}.get(e)) for e in (1, 4, 16)]
+    rows[-1]["state"] = "waiting"
+    (curve,) = light_curves(rows, axes(rows))
+    assert (curve.bright, curve.slope) == (None, None)
+    assert curve.knee is not None
+    assert (curve.knee.electrons, curve.knee.broken, curve.knee.unknown) == (None, 0, 1)
+    assert [(level.values, level.failed) for level in curve.levels] == [((12.0,), 0), ((20.0,), 0), ((), 0)]
+
+
 def test_one_light_level_makes_no_curve() -> None:
     rows = [row(4, "a", 0, 20.0)]
     with pytest.raises(ValueError, match="two values or more of electrons"):
