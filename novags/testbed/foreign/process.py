@@ -147,10 +147,11 @@ class _Memory:
         self.peak = max(self.peak, total, *self._seen.values(), 0)
 
     def _tree(self, pid: int) -> list[int]:
-        try:
-            listed = Path(f"/proc/{pid}/task/{pid}/children").read_text(encoding="ascii").split()
-        except OSError:
-            listed = []
+        listed: list[str] = []
+        with suppress(OSError):  # it has ended
+            for thread in Path(f"/proc/{pid}/task").iterdir():  # each lists the children that it started itself
+                with suppress(OSError):
+                    listed += (thread / "children").read_text(encoding="ascii").split()
         return [pid, *(process for child in listed for process in self._tree(int(child)))]
 
 

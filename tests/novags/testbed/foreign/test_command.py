@@ -271,3 +271,14 @@ def test_a_mistake_in_the_table_is_refused_before_anything_runs(tmp_path: Path, 
     tables, said = WRONG[what]
     with pytest.raises(ValueError, match=said):
         read_commands(tables, tmp_path)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="Linux alone tells")
+def test_memory_of_children_that_another_thread_started_counts(tmp_path: Path) -> None:
+    """Rationale: only those of the main thread did; data loaders and pools start theirs elsewhere."""
+    child = "import time; held = bytearray(b'1') * 150_000_000; time.sleep(1)"
+    code = (
+        "import subprocess, sys, threading; thread = threading.Thread(target=subprocess.run, "
+        f"args=([sys.executable, '-c', {child!r}],)); thread.start(); thread.join()"
+    )
+    assert run_program([sys.executable, "-c", code], tmp_path, timeout=60, tick=lambda _: None).peak_bytes > 150e6
