@@ -8,13 +8,14 @@ import torch
 from numpy.typing import NDArray
 
 from novags.methods.averaging.scene import AveragedScene, _apart, average
-from novags.methods.averaging.surface import Camera, rays_of, seen_together
-from novags.methods.averaging.warp import Rules, _finest, _keys, _places, warp
+from novags.methods.averaging.surface import Camera, rays_of, same_depth, seen_together
+from novags.methods.averaging.warp import Rules, _finest, _keys, _places, _steps, moved, warp
 from novags.splats import Views
 
 Array = NDArray[np.float64]
-SIZE, FOCAL, INNER = 32, 40.0, 6  # px, px, samples along a side of a pixel
-STRICT, LENIENT, EVERY = Rules(coarsest=3.0, mixed=False), Rules(), np.arange(SIZE * SIZE)
+HEIGHT, WIDTH, INNER = 28, 36, 6  # px, px, samples along a side of a pixel
+SIZE = HEIGHT, WIDTH  # neither square nor of square pixels: rows are no columns
+STRICT, LENIENT, EVERY = Rules(coarsest=3.0, mixed=False), Rules(), np.arange(HEIGHT * WIDTH)
 BOX = np.array([[-0.35, -0.35, 0.0], [0.35, 0.35, 0.7]])
 
 
@@ -35,7 +36,7 @@ class World:
 
     box: bool = True
     frequency: float = 4.0  # radians per unit of length
-    K = np.array([[FOCAL, 0, SIZE / 2], [0, FOCAL, SIZE / 2], [0, 0, 1]])
+    K = np.array([[40.0, 0, 19.2], [0, 37.0, 13.1], [0, 0, 1]])
 
     def hit(self, viewmat: Array, points: Array) -> tuple[Array, Array, Array]:
         """Of rays through image points [..., 2]: z-depth, place in the world, normal."""
@@ -64,9 +65,9 @@ class World:
         return Camera.of(viewmat, self.K, depth.astype(np.float32), normal.astype(np.float32))
 
     def picture(self, viewmat: Array) -> Array:
-        """Linear light [SIZE, SIZE, 3], averaged over each pixel; the background is black."""
+        """Linear light [HEIGHT, WIDTH, 3], averaged over each pixel; the background is black."""
         ticks = (np.arange(INNER) + 0.5) / INNER - 0.5
-        total = np.zeros((SIZE, SIZE, 3))
+        total = np.zeros((*SIZE, 3))
         for dx in ticks:
             for dy in ticks:
                 depth, place, _ = self.hit(viewmat, _centres() + (dx, dy))
@@ -75,7 +76,7 @@ class World:
 
 
 def _centres() -> Array:
-    x, y = np.meshgrid(np.arange(SIZE) + 0.5, np.arange(SIZE) + 0.5)
+    x, y = np.meshgrid(np.arange(WIDTH) + 0.5, np.arange(HEIGHT) + 0.5)
     return np.stack([x, y], -1)
 
 
@@ -151,8 +152,8 @@ def test_the_variance_is_one_over_the_sum_of_inverse_variances() -> None:
 
 def test_two_exposures_from_the_same_place_are_weighted_by_hand() -> None:
     camera = World().camera(TARGET)
-    exposures = np.stack([np.full((SIZE, SIZE, 3), value) for value in (2.0, 7.0)])
-    variances = np.stack([np.full((SIZE, SIZE, 3), value) for value in (1.0, 4.0)])
+    exposures = np.stack([np.full((*SIZE, 3), value) for value in (2.0, 7.0)])
+    variances = np.stack([np.full((*SIZE, 3), value) for value in (1.0, 4.0)])
     found = average(camera, [camera, camera], exposures, variances, LENIENT)
     assert np.allclose(found.mean, (2.0 / 1 + 7.0 / 4) / (1 / 1 + 1 / 4))
     assert np.allclose(found.variance, 1 / (1 / 1 + 1 / 4))
@@ -177,13 +178,15 @@ def test_what_a_view_does_not_see_does_not_leak() -> None:
 
 def test_less_than_half_of_the_kernel_on_the_surface_is_not_enough() -> None:
     """In the corner of a surface, two fifths of a pixel away from what shows it alone, a third of it is left."""
-    depth, facing = np.full((SIZE, SIZE), 2.0), np.broadcast_to([0.0, 0.0, -1.0], (SIZE, SIZE, 3))
+    depth, facing = np.full(SIZE, 2.0), np.broadcast_to([0.0, 0.0, -1.0], (*SIZE, 3))
     target = Camera.of(np.eye(4), World.K, depth, facing)
     corner = depth.copy()
     corner[8:], corner[:, 8:] = 5.0, 5.0
     moved = World.K + np.array([[0, 0, 0.45], [0, 0, 0.45], [0, 0, 0]])
     source = Camera.of(np.eye(4), moved, corner, facing)
-    rows = np.array([6 * SIZE + 6, 6 * SIZE + 4, 4 * SIZE + 6, 4 * SIZE + 4])  # of whole pixels up to row and column 6
+    rows = np.array(
+        [6 * WIDTH + 6, 6 * WIDTH + 4, 4 * WIDTH + 6, 4 * WIDTH + 4]
+    )  # of whole pixels up to row and column 6
     assert warp(target, source, rows, STRICT)[1].tolist() == [False, True, True, True]
 
 
@@ -191,12 +194,12 @@ def test_holes_are_counted_and_take_the_colour_beside_them() -> None:
     world = World()
     scene = gathered(world)
     scene.sources, scene.exposures, scene.variances = scene.sources[:1], scene.exposures[:1], scene.variances[:1]
-    views = Views(torch.tensor(TARGET[None]).float(), torch.tensor(world.K[None]).float(), SIZE, SIZE)
+    views = Views(torch.tensor(TARGET[None]).float(), torch.tensor(world.K[None]).float(), WIDTH, HEIGHT)
     image, alpha, depth = scene.render(views)
-    seen = scene.averaged(world.camera(TARGET)).views.reshape(SIZE, SIZE) > 0
+    seen = scene.averaged(world.camera(TARGET)).views.reshape(SIZE) > 0
     holes = int((~seen).sum())
     assert 20 < holes < 400
-    assert scene.facts() == {"exposures": 1, "holes": holes, "pixels": SIZE * SIZE}
+    assert scene.facts() == {"exposures": 1, "holes": holes, "pixels": HEIGHT * WIDTH}
     assert (image > 0.1).all()
     surface = np.isfinite(world.hit(TARGET, _centres())[0])
     assert np.array_equal(alpha[0].numpy() > 0, seen & surface)
@@ -207,12 +210,13 @@ def test_holes_are_counted_and_take_the_colour_beside_them() -> None:
 def test_a_plane_seen_from_the_side_is_the_same_plane_in_every_pixel() -> None:
     """Until it is seen at an angle whose cosine is below 0.02."""
     normal, distance = np.array([-np.sin(1.25), 0.0, -np.cos(1.25)]), 2.0
-    rays = rays_of(World.K, 8, 8)
+    K = np.array([[40.0, 0, 16], [0, 37.0, 13], [0, 0, 1]])
+    rays = rays_of(K, 7, 8)
     slope = rays @ normal
     cosine = -slope / np.linalg.norm(rays, axis=-1)
     assert cosine.max() < 0.15
     depth = np.where(slope < 0, -distance / slope, np.inf)
-    camera = Camera.of(np.eye(4), World.K, depth, np.broadcast_to(normal, (8, 8, 3)))
+    camera = Camera.of(np.eye(4), K, depth, np.broadcast_to(normal, (7, 8, 3)))
     seen = cosine > 0.02
     assert seen.mean() > 0.3
     np.testing.assert_allclose(camera.planes[seen], np.broadcast_to(-normal / distance, camera.planes.shape)[seen])
@@ -230,6 +234,23 @@ def test_a_pixel_is_as_coarse_as_in_its_coarsest_direction() -> None:
     turn = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
     homography = turn @ np.diag([3.0, 0.25, 1.0]) @ turn.T
     np.testing.assert_allclose(_finest(homography[None], np.array([[5.0, 2.0]])), [0.25])
+
+
+def test_steps_are_what_image_points_move_along_x_and_along_y() -> None:
+    """Independent reference: central differences, through a homography with a perspective."""
+    homography = np.array([[[2.0, 0.7, 3.0], [-0.3, 0.5, 1.0], [0.01, -0.03, 1.1]]])
+    centre, h = np.array([[7.5, 4.5]]), 1e-4
+    for axis, found in enumerate(_steps(homography, centre)[0]):
+        shift = h * np.eye(2)[axis]
+        (after, _), (before, _) = moved(homography, centre + shift), moved(homography, centre - shift)
+        assert found == pytest.approx(np.linalg.norm(after - before) / (2 * h), rel=1e-6)
+
+
+def test_depths_agree_by_their_ratio_whatever_the_unit_of_length() -> None:
+    for unit in (0.01, 1.0, 100.0):
+        expected, found = np.array([1.0, 1.0, -1.0, 0.0, 0.0]), np.array([1.009, 1.011, 1.0, 0.0, 0.001])
+        agree = same_depth(expected / unit, found / unit, 0.01)
+        assert agree.tolist() == [True, False, False, True, False]
 
 
 @pytest.mark.parametrize("scale", [1.0, 1.5, 3.0])
@@ -279,7 +300,7 @@ def test_the_enhancement_is_that_of_the_nearest_camera_whatever_the_unit_of_leng
 def test_a_camera_between_the_known_ones_sees_their_surface() -> None:
     world, place = World(), looking((0.7, 0.9, 2.2))
     scene = gathered(world)
-    found, true = seen_together(scene.known, place, world.K, SIZE, SIZE), world.camera(place)
+    found, true = seen_together(scene.known, place, world.K, HEIGHT, WIDTH), world.camera(place)
     judged = inner(true) & inner(found)
     assert judged.mean() > 0.6
     assert np.quantile(np.abs(found.inverse_depth / true.inverse_depth - 1).ravel()[judged], 0.98) < 0.01
@@ -293,14 +314,14 @@ def test_the_background_turns_with_the_camera_and_has_no_parallax() -> None:
     pose = looking((0.0, 0.0, 1.0), (1.0, 0.0, 1.1))
     turned = looking((0.5, 0.4, 1.3), (1.5, 0.6, 1.4))
     source, target = world.camera(pose), world.camera(turned)
-    rays = np.concatenate([_centres(), np.ones((SIZE, SIZE, 1))], -1) @ np.linalg.inv(world.K).T
+    rays = np.concatenate([_centres(), np.ones((*SIZE, 1))], -1) @ np.linalg.inv(world.K).T
 
     def sky(viewmat: Array) -> Array:
         direction = rays @ viewmat[:3, :3]
         return 0.5 + 0.4 * np.sin(3 * direction / np.linalg.norm(direction, axis=-1, keepdims=True))
 
     empty = inner_of_background(target)
-    found = average(target, [source], sky(pose)[None], np.ones((1, SIZE, SIZE, 3)), STRICT)
+    found = average(target, [source], sky(pose)[None], np.ones((1, *SIZE, 3)), STRICT)
     judged = empty & (found.views > 0)
     assert judged.sum() > 100
     assert np.abs(found.mean - sky(turned).reshape(-1, 3))[judged].max() < 5e-3
