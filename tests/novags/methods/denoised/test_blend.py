@@ -49,6 +49,13 @@ def test_independent_errors_are_weighted_by_inverse_variance(
     assert found.shares.tolist() == pytest.approx([share], abs=5 * deviation)
 
 
+def test_pixels_of_one_level_count_by_the_inverse_of_their_variance(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "LEVELS", 1)
+    before, after, second = torch.zeros(2), torch.tensor([1.0, 2.0]), torch.tensor([0.2, 1.8])
+    found = best_blend(before, after, second, torch.tensor([1.0, 8.0]))
+    assert found.shares.tolist() == pytest.approx([(0.2 / 1 + 2 * 1.8 / 8) / (1 / 1 + 4 / 8)])
+
+
 def test_shares_are_interpolated_between_levels_and_held_beyond() -> None:
     blend = Blend(torch.tensor([1.0, 3.0, 4.0]), torch.tensor([0.0, 1.0, 0.5]))
     before = torch.tensor([[-2.0, 1.0, 2.0], [3.5, 4.0, 99.0]])

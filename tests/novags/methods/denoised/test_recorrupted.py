@@ -1,16 +1,19 @@
 """The two copies have uncorrelated noise, and the loss has its minimum at the mean."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
+from novags.methods.denoised import blend
 from novags.methods.denoised import recorrupted as module
+from novags.methods.denoised.anscombe import Anscombe
 from novags.methods.denoised.estimate import estimate, estimate_all
 from novags.methods.denoised.measured import Measured
 from novags.methods.denoised.network import Network, NetworkConfig
-from novags.methods.denoised.packing import mask_of
+from novags.methods.denoised.packing import mask_of, turned, turned_back
 from novags.methods.denoised.recorrupted import Adaptation, AdaptConfig, adapt, recorrupted
 from novags.methods.noise import Variance
 from sensor_model import NoiseCurve
@@ -107,6 +110,39 @@ def test_the_noisier_copy_is_estimated_as_an_exposure_of_less_light(monkeypatch:
     assert read.tolist() == pytest.approx([1.6] * 3)
 
 
+def test_crops_show_the_same_pixels_in_all_that_is_compared() -> None:
+    """Every value says where it lies."""
+    places = torch.arange(3.0 * 3 * 20 * 26).reshape(3, 3, 20, 26)
+    pictures = replace(capture(places, 1.0, "GRBG"), electrons=places)
+    training = Adaptation(Network(SMALL), pictures, AdaptConfig(batch=60, crop=8), seed=0)
+    training.variance, training.first = 2 * places, 3 * places
+    found, variance, first, mask = training._crops()
+    assert found.shape == (60, 3, 8, 8)
+    assert torch.equal(variance, 2 * found)
+    assert torch.equal(first, 3 * found)
+    assert torch.equal(mask, pictures.mask.expand(3, -1, -1, -1).flatten()[found.long()])
+    assert found[:, 0].flatten(1).div(3 * 520).floor().unique().tolist() == [0, 1, 2]  # of all views
+
+
+def test_an_adapted_network_is_followed_to_where_its_error_is_least(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Before, an estimate that is the copy itself, with an error of variance v; after, one that is 2 off everywhere:
+    the best share of the second is v / (v + 4)."""
+    monkeypatch.setattr(blend, "LEVELS", 1)
+    mean = torch.full((2, 3, 64, 64), 5.0)
+    training = Adaptation(Network(SMALL), capture(mean, 1.0, "RGGB"), AdaptConfig(), seed=0)
+    training.variance = mean + 1.0
+    before, share = Network(SMALL), 1 / 1.25  # of the light, which the copy has the noise of
+
+    def known(network: Network, electrons: torch.Tensor, *_: torch.Tensor, turns: int) -> torch.Tensor:
+        return electrons if network is before else torch.full_like(electrons, share * (5.0 + 2.0))
+
+    monkeypatch.setattr(module, "estimate_all", known)
+    v, second = 1.25 * 6.0, 5 * 6.0
+    found = training.blend(before)
+    assert found.shares.tolist() == pytest.approx([v / (v + 4)], abs=5 * math.sqrt(second / (v + 4) / (2 * 64 * 64)))
+    assert found.levels.tolist() == pytest.approx([5.0], abs=5 * math.sqrt(v / (2 * 64 * 64)))
+
+
 def test_the_rate_falls_from_all_of_it_along_half_a_cosine() -> None:
     mean = torch.full((1, 3, 16, 16), 9.0)
     training = Adaptation(Network(SMALL), capture(mean, 1.0, None), AdaptConfig(steps=4, crop=8, batch=1), seed=0)
@@ -141,13 +177,17 @@ def test_an_estimate_over_all_turns_is_the_mean_of_each_ones_own() -> None:
     network = Network(SMALL)
     torch.nn.init.normal_(network.leave.weight, std=0.1)
     picture = torch.rand(1, 3, 16, 12) * 30
-    mask, variance = mask_of((16, 12), "RGGB"), torch.full((3,), 2.0)
+    mask, variance = mask_of((16, 12), "RGGB"), torch.tensor([0.5, 2.0, 9.0])
     with torch.no_grad():
         one = estimate(network, picture * mask, mask, variance)
     torch.testing.assert_close(estimate_all(network, picture * mask, mask, variance, turns=1), one)
     eight = estimate_all(network, picture * mask, mask, variance, turns=8)
-    mirrored = estimate_all(network, (picture * mask).flip(3), mask.flip(3), variance, turns=8)
-    torch.testing.assert_close(mirrored.flip(3), eight, rtol=1e-4, atol=1e-3)  # the average does not know up from down
+    stabilised, total = Anscombe(variance[None, :, None, None]), torch.zeros(1, 3, 16, 12)
+    for turn in range(8):  # averaged where the noise is even, not in electrons
+        with torch.no_grad():
+            seen = estimate(network, turned(picture * mask, turn), turned(mask, turn), variance)
+        total += turned_back(stabilised(seen), turn)
+    torch.testing.assert_close(eight, stabilised.inverse(total / 8), rtol=1e-4, atol=1e-3)
     assert not torch.allclose(one, eight, rtol=1e-3)
 
 
