@@ -12,6 +12,7 @@ import pytest
 import torch
 from torch import Tensor
 
+from novags.fields import render as rendering
 from novags.fields.box import Box, box_of
 from novags.fields.layout import SIDE, Layout
 from novags.fields.march import Proposal, cells_near
@@ -22,7 +23,7 @@ from novags.fields.training.fit import FieldFit, fit_field
 from novags.splats.training.guard import NotFinite
 from novags.splats.views import Views
 
-SIZE = 24
+WIDTH, HEIGHT = 27, 22
 fitting = importlib.import_module("novags.fields.training.fit")
 TINY = FieldFitConfig(
     iterations=150,
@@ -52,15 +53,15 @@ def sphere_views(n: int) -> Views:
         viewmat[:3, :3] = np.stack([right, np.cross(forward, right), forward])
         viewmat[2, 3] = 3.0
         viewmats.append(viewmat)
-    K = torch.tensor([[SIZE * 1.2, 0, SIZE / 2], [0, SIZE * 1.2, SIZE / 2], [0, 0, 1]])
-    return Views(torch.tensor(np.stack(viewmats), dtype=torch.float32), K.expand(n, 3, 3).contiguous(), SIZE, SIZE)
+    K = torch.tensor([[29.0, 0, 14.2], [0, 27.0, 10.4], [0, 0, 1]])
+    return Views(torch.tensor(np.stack(viewmats), dtype=torch.float32), K.expand(n, 3, 3).contiguous(), WIDTH, HEIGHT)
 
 
 @cache
 def ball(n: int = 8) -> tuple[Views, Tensor, Tensor, Tensor]:
     """A ball of radius 1 coloured by its normal before black: views, images, z-depths (0: nothing), points."""
     views = sphere_views(n)
-    y, x = np.mgrid[:SIZE, :SIZE] + 0.5
+    y, x = np.mgrid[:HEIGHT, :WIDTH] + 0.5
     images, depths = [], []
     for viewmat, K in zip(views.viewmats.double().numpy(), views.Ks.double().numpy(), strict=True):
         local = np.stack([x, y, np.ones_like(x)], -1) @ np.linalg.inv(K).T
@@ -85,7 +86,8 @@ def fitted(config: FieldFitConfig, n: int = 8, checkpoint: Path | None = None) -
     return fit_field(views, points, box, mse(images), config, checkpoint=checkpoint), box
 
 
-def test_a_ball_is_learnt_with_its_shape() -> None:
+def test_a_ball_is_learnt_with_its_shape(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rendering, "RAYS", 1000)  # a picture in several parts, views across them
     views, images, depths, _ = ball()
     fit, box = fitted(dataclasses.replace(TINY, iterations=220, rays=512, rate=0.03, near_scale=0.0))
     image, alpha, depth = render_field(fit.state.field, box, fit.state.proposal, views, shading, 24)
@@ -254,7 +256,7 @@ def test_the_rate_rises_in_the_first_steps_and_then_falls_by_one_factor_a_step()
 
 def test_a_field_without_views_is_refused() -> None:
     views, images, _, points = ball()
-    none = Views(views.viewmats[:0], views.Ks[:0], SIZE, SIZE)
+    none = Views(views.viewmats[:0], views.Ks[:0], WIDTH, HEIGHT)
     with pytest.raises(ValueError, match="at least one view on the CPU, got 0"):
         fit_field(none, points, box_of(views.centers, points), mse(images), TINY)
 

@@ -15,6 +15,7 @@ from novags.methods.noise_estimate import (
     BINS,
     _before_8_bits,
     _binned,
+    _measured,
     camera_figures,
     estimate_noise,
     noise_from,
@@ -23,6 +24,8 @@ from novags.methods.noise_estimate import (
 from novags.methods.problem import RawPictures
 from novags.testbed.stages.capturing import expose_with_truth
 from sensor_model import PRESETS, Exposure, develop, from_linear16
+from sensor_model.mosaic import channel_index
+from sensor_model.params import CFAS, Cfa
 
 EXPOSURE = Exposure(time=1 / 30)
 SIZE, VIEWS = 112, 3
@@ -192,6 +195,19 @@ def test_bins_have_the_mean_and_the_variance_of_plain_loops() -> None:
             for _ in range(4):
                 limit = flat[flat[:, 2] <= 16 * limit, 2].mean() / 0.99887
             assert float(found_variance[k]) == pytest.approx(limit, rel=1e-9)
+
+
+@pytest.mark.parametrize("cfa", CFAS)
+def test_pixels_behind_filters_of_one_colour_are_pictures_of_their_own(cfa: Cfa) -> None:
+    """Of two views of odd size; every value says where it lies. The last row and column have no cell."""
+    plane, channel = torch.arange(2.0 * 7 * 9).reshape(2, 7, 9), channel_index((7, 9), cfa)
+    for c, letter in enumerate("RGB"):
+        found = _measured(plane, cfa, letter)
+        assert found.shape == (2 * cfa.count(letter), 3, 4)
+        want = plane[:, :6, :8][:, torch.from_numpy(channel[:6, :8] == c)]
+        assert sorted(found.flatten().tolist()) == sorted(want.flatten().tolist())
+        assert bool((found.diff(dim=1) == 18).all())
+        assert bool((found.diff(dim=2) == 2).all())
 
 
 @pytest.mark.parametrize("z", [-0.5, 0.0, 1.0, 4.0])

@@ -76,6 +76,8 @@ def test_flow_to_itself_is_zero_and_hidden_points_are_hidden(views: MultiviewSet
     z = plane_depth(views.rig, 4)
     hidden = flow_from_depth(views.rig, 4, 4, z, 0.5 * z)  # something stands at half the distance
     assert not hidden.visible.any()
+    assert not flow_from_depth(views.rig, 4, 4, z, 0.985 * z).visible.any()  # or one and a half hundredths before it
+    assert flow_from_depth(views.rig, 4, 4, z, 0.995 * z).visible.all()  # half a hundredth is the same surface
     sky = flow_from_depth(views.rig, 4, 4, np.full_like(z, np.inf), z)
     assert np.isnan(sky.displacement).all()
     assert not sky.visible.any()

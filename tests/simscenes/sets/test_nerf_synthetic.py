@@ -13,12 +13,12 @@ from simscenes.sets.pictures.png import write_png
 from simscenes.sets.writers.camera_files import write_cameras
 from simscenes.sets.writers.export import export_blender
 
-SIZE, ANGLE = 24, 0.6911112070083618  # of the original's cameras
+WIDTH, HEIGHT, ANGLE = 24, 18, 0.6911112070083618  # of the original's cameras
 
 
 def layout(folder: Path, parts: dict[str, int]) -> Path:
     """A folder as the original is: r_0, r_1, ... in every part, RGBA, without suffixes in the camera files."""
-    poses = opencv_to_opengl(orbit_rig(sum(parts.values()), SIZE, SIZE, 40.0, radius=4.0).viewmats)
+    poses = opencv_to_opengl(orbit_rig(sum(parts.values()), WIDTH, HEIGHT, 40.0, radius=4.0).viewmats)
     rng = np.random.default_rng(0)
     for part, count in parts.items():
         (folder / part).mkdir(parents=True)
@@ -28,9 +28,9 @@ def layout(folder: Path, parts: dict[str, int]) -> Path:
             for i, pose in enumerate(mine)
         ]
         for i in range(count):
-            rgba = rng.integers(0, 255, (SIZE, SIZE, 4), np.uint8)
+            rgba = rng.integers(0, 255, (HEIGHT, WIDTH, 4), np.uint8)
             Image.fromarray(rgba).save(folder / part / f"r_{i}.png")
-        Image.new("RGB", (SIZE, SIZE)).save(folder / part / "r_0_depth_0001.png")
+        Image.new("RGB", (WIDTH, HEIGHT)).save(folder / part / "r_0_depth_0001.png")
         content = {"camera_angle_x": ANGLE, "frames": frames}
         (folder / f"transforms_{part}.json").write_text(json.dumps(content))
     return folder
@@ -44,7 +44,8 @@ def test_the_split_of_the_folder_is_kept_and_validation_views_stay_out(tmp_path:
     assert (len(views.test_indices), len(views.train_indices)) == (5, 11)
     assert views.names[views.test_indices[0]] == "test_r_0"
     assert views.unregistered == ()
-    assert views.rig.Ks[3][0, 0] == pytest.approx(SIZE / 2 / np.tan(ANGLE / 2))
+    assert views.rig.Ks[3].diagonal()[:2] == pytest.approx(WIDTH / 2 / np.tan(ANGLE / 2))
+    assert views.rig.Ks[3][:2, 2].tolist() == [WIDTH / 2, HEIGHT / 2]
     frame = json.loads((tmp_path / "lego" / "transforms_train.json").read_text())["frames"][10]
     place = views.names.index("train_r_10")
     centre = np.linalg.inv(views.rig.viewmats[place])[:3, 3]
@@ -77,8 +78,8 @@ def test_a_file_of_both_parts_is_refused(tmp_path: Path) -> None:
 def own_set(folder: Path, held_out: list[int] | None = None) -> Path:
     names, rng = [f"{i:04d}" for i in range(10)], np.random.default_rng(0)
     for name in names:
-        write_png(folder / "images" / f"{name}.png", rng.integers(0, 255, (SIZE, SIZE, 3), np.uint8))
-    write_cameras(folder, names, orbit_rig(10, SIZE, SIZE, 40.0, radius=4.0), held_out=held_out)
+        write_png(folder / "images" / f"{name}.png", rng.integers(0, 255, (HEIGHT, WIDTH, 3), np.uint8))
+    write_cameras(folder, names, orbit_rig(10, WIDTH, HEIGHT, 40.0, radius=4.0), held_out=held_out)
     return folder
 
 
@@ -115,7 +116,7 @@ def test_the_split_of_a_transforms_file_is_kept(tmp_path: Path) -> None:
 
 def test_pictures_without_cameras_are_counted_and_a_folder_of_them_says_what_to_do(tmp_path: Path) -> None:
     folder = own_set(tmp_path / "set")
-    write_png(folder / "images" / "stray.png", np.zeros((SIZE, SIZE, 3), np.uint8))
+    write_png(folder / "images" / "stray.png", np.zeros((HEIGHT, WIDTH, 3), np.uint8))
     assert load_set(folder).unregistered == ("images/stray.png",)
     with pytest.raises(ValueError, match=r"images holds 11 pictures without camera poses: .*novags poses .* --out SET"):
         load_set(folder / "images")

@@ -111,6 +111,23 @@ def test_pictures_half_as_large_have_the_same_tracks_and_half_the_error(tmp_path
     assert np.allclose(stated(small), recomputed(small), rtol=1e-9, atol=0)
 
 
+def test_observations_follow_each_side_of_a_picture_by_its_own_factor_and_those_outside_are_dropped() -> None:
+    rig = orbit_rig(VIEWS, WIDTH, HEIGHT, 60.0, radius=2.0)
+    everywhere = np.ones((VIEWS, 5), bool)
+    points = SparsePoints.seen(rig, np.random.default_rng(0).uniform(-0.3, 0.3, (5, 3)), np.zeros((5, 3)), everywhere,
+                               exact=True)  # fmt: skip
+    scaled = Rig(viewmats=rig.viewmats, Ks=rig.Ks * np.array([0.5, 0.75, 1])[:, None], width=32, height=36)
+    found = points.at_size(rig, scaled)
+    np.testing.assert_allclose(found.pixel, points.pixel * [0.5, 0.75])
+    np.testing.assert_allclose(found.error, 0, atol=1e-9)
+    beside = points.pixel + [0.0, 20.0]  # over the lower border of some pictures, and off by 20 px in the others
+    found = points.observed(rig, points.view, points.point, beside)
+    kept = beside[:, 1] < HEIGHT
+    assert 0 < kept.sum() < len(kept)
+    np.testing.assert_array_equal(found.pixel, beside[kept])
+    np.testing.assert_allclose(found.error[found.lengths > 0], 20.0)
+
+
 def test_reading_what_was_written_changes_nothing(tmp_path: Path) -> None:
     measured(tmp_path / "photos")
     views = load_set(tmp_path / "photos")
@@ -158,7 +175,7 @@ def test_points_that_nobody_matched_have_an_unknown_error_and_pycolmap_counts_no
 @pytest.fixture
 def two_walls(tmp_path: Path) -> tuple[Path, Rig, np.ndarray, np.ndarray]:
     """Photographs of a red wall before a blue one, from an arc; points on both, and which are the near."""
-    rig = orbit_rig(8, 64, 64, 60.0, radius=3.0, elevation_deg=0.0, swing_deg=0.0, start_deg=-30.0, sweep_deg=60.0)
+    rig = orbit_rig(8, 64, 48, 60.0, radius=3.0, elevation_deg=0.0, swing_deg=0.0, start_deg=-30.0, sweep_deg=60.0)
     grid = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 40), np.linspace(-0.5, 0.5, 40)), -1).reshape(-1, 2)
     near = np.stack([np.full(1600, 0.6), *grid.T], 1)
     far = np.stack([np.full(1600, -0.6), *(2.0 * grid).T], 1)
@@ -168,7 +185,7 @@ def two_walls(tmp_path: Path) -> tuple[Path, Rig, np.ndarray, np.ndarray]:
     names = [f"{i:04d}" for i in range(8)]
     write_cameras(tmp_path, names, rig, points=SparsePoints.untracked(xyz, np.zeros((3200, 3))))
     for i, name in enumerate(names):
-        picture = np.zeros((64, 64, 3), np.uint8)
+        picture = np.zeros((48, 64, 3), np.uint8)
         for k in np.argsort(-depth[i]):
             x, y = np.floor(pixels[i, k]).astype(int)
             cv2.rectangle(picture, (x - 1, y - 1), (x + 1, y + 1), (40, 40, 220) if front[k] else (220, 40, 40), -1)

@@ -126,6 +126,42 @@ def test_bias_and_variance_of_the_average_are_found_without_truth() -> None:
         assert bias2 == pytest.approx(true_bias2, abs=5 * scatter + 0.1 * true_bias2)
 
 
+def test_bias_and_variance_are_in_tone_and_of_noise_that_grows_with_the_light() -> None:
+    """A loop over the definition, for a curve that is far from straight; behind a filter array, some data held out."""
+    rng, curve, h = np.random.default_rng(10), ToneCurve(top=0.3, k=3.0), 0.15
+    tones, offset, slope = rng.uniform(0.1, 0.9, (5, 6, 3)).astype(np.float32), 4e-4, 3e-3
+
+    def lin(r: Any) -> Any:
+        return 0.3 * np.expm1(3 * r) / math.expm1(3)
+
+    light = lin(tones) + 0.02 * rng.normal(size=tones.shape)
+    light[rng.random(tones.shape) < 0.3] = np.nan
+    held = rng.random((5, 6)) < 0.2
+    seen = np.where(held[..., None], np.nan, light)
+    biases, variances = list[float](), list[float]()
+    for y, x in np.ndindex(5, 6):
+        total, weight, squares = slow_average(tones, seen, h, 1, False, y, x)
+        for c in np.flatnonzero(~np.isnan(seen[y, x])):
+            rise = 0.9 * math.exp(3 * tones[y, x, c]) / math.expm1(3)  # d lin / d r
+            noise = (offset + slope * lin(tones[y, x, c])) / rise**2
+            w, w2 = weight[c], squares[c]
+            if w > 0.01:
+                residual = ((light[y, x, c] - total[c] / w) / rise) ** 2
+                biases.append((w / (w + 1)) ** 2 * (residual - noise * (1 + w2 / w**2)))
+            else:
+                biases.append(0.0)
+            variances.append(noise * (w2 + 1) / (w + 1) ** 2)
+    three = {name: (value,) * 3 for name, value in {
+        "black": 0.0, "white": 1.0, "offset": offset, "slope": slope, "quadratic": 0.0, "switch": math.inf,
+        "step": 0.0}.items()}  # fmt: skip
+    data = Exposures(
+        light=torch.from_numpy(light)[None].float(), held=torch.from_numpy(held)[None],
+        noise=Variance(NoiseCurve(**three)), white=torch.full((3,), 10.0), matrix=None,
+    )  # fmt: skip
+    found = errors_of_average(torch.from_numpy(tones)[None], data, curve, h)
+    assert found == pytest.approx((np.mean(biases), np.mean(variances)), rel=1e-3)
+
+
 def test_an_average_of_few_neighbours_without_bias_is_found_to_have_none() -> None:
     """Each column of the guide is like itself alone: a datum has at most 14 neighbours, all of its own mean."""
     sigma, columns = 0.06, np.random.default_rng(9).normal(0.5, 0.3, (1, 40, 3))
