@@ -70,6 +70,11 @@ def test_a_sky_counts_among_what_moves(sky: str) -> None:
     assert plan.is_on("motion blur") == (sky == "pattern")
 
 
+def angle(one: np.ndarray, other: np.ndarray) -> float:
+    """Between two orientations, radians."""
+    return float(2 * np.arcsin(np.linalg.norm(one[:3, :3] - other[:3, :3]) / np.sqrt(8)))
+
+
 def test_poses_of_an_exposure_lie_on_the_way_between_the_views() -> None:
     rig = orbit_rig(8, 16, 16, 50, radius=2.0, swing_deg=0)
     assert np.allclose(moved_pose(rig, 3, 1.0), rig.viewmats[4], atol=1e-9)
@@ -79,8 +84,11 @@ def test_poses_of_an_exposure_lie_on_the_way_between_the_views() -> None:
     assert all(np.allclose(e[:3, :3] @ e[:3, :3].T, np.eye(3)) for e in ends)
     frames = subframe_rig(rig, 3, 0.4, 8)
     assert np.allclose(frames.positions.mean(0), rig.positions[3], atol=0.05)
-    steps = np.linalg.norm(np.diff(frames.positions, axis=0), axis=1)
-    assert np.allclose(steps, steps[0], rtol=0.1)
+    for k, t in enumerate(np.linspace(-0.175, 0.175, 8)):  # middles of eight parts of -0.2 to 0.2
+        there = 4 if t > 0 else 2
+        place = rig.positions[3] + abs(t) * (rig.positions[there] - rig.positions[3])
+        assert np.allclose(frames.positions[k], place, atol=1e-9)
+        assert angle(frames.viewmats[k], rig.viewmats[3]) == pytest.approx(abs(t) * angle(*rig.viewmats[[there, 3]]))
 
 
 def test_motion_blur_averages_the_poses(tmp_path: Path, diffuse_box: SceneMaker, ring: Rig) -> None:
