@@ -100,7 +100,7 @@ def run(row: Row, sets: Path, here: Path) -> Path:
     """The run of a row, in `here`; the sets are shared."""
     few = list(SCENES).index(row["scene"]) % 2
     preset = adapted(
-        EXPERIMENTS["demo"], scene=row["scene"], n_views=3 if few else 9, width=24, height=24, spp=2,
+        EXPERIMENTS["demo"], scene=row["scene"], n_views=3 if few else 9, width=29, height=23, spp=2,
         sensor=row["sensor"], electrons=row["electrons"], methods=(row["method"],), pictures=row["pictures"],
         cameras=parse_cameras(row["cameras"]), refine_cameras=row["refine_cameras"], points=row["points"],
         iterations=row["iterations"], denoiser_steps=2,
