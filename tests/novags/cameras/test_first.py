@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 
 from novags.cameras.first import FirstPoints, _around_focus, from_depths, from_model, from_pictures
-from novags.cameras.points import fill, project, unproject
+from novags.cameras.points import fill, project, seen_colors, unproject
 from novags.methods import METHODS
 from novags.methods.gaussian_fit import fit_for
 from novags.methods.problem import Problem
@@ -143,6 +144,65 @@ def test_a_model_in_other_units_is_filled_up_and_coloured_alike(scene: Any, scal
     )
     np.testing.assert_allclose(other.xyz / scale, one.xyz, atol=1e-6)
     np.testing.assert_allclose(other.colors, one.colors, atol=1e-6)
+
+
+def uneven(count: int, width: int, height: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Pictures whose every pixel has a colour of its own, and cameras near the origin with pixels that are not square.
+
+    They look along z, a little turned, each with intrinsics of its own.
+    """
+    rng = np.random.default_rng(7)
+    viewmats, Ks = np.tile(np.eye(4), (count, 1, 1)), np.tile(np.eye(3), (count, 1, 1))
+    viewmats[:, :3, :3] = Rotation.from_rotvec(0.1 * rng.standard_normal((count, 3))).as_matrix()
+    viewmats[:, :3, 3] = 0.2 * rng.standard_normal((count, 3))
+    Ks[:, 0, 0], Ks[:, 1, 1] = rng.uniform(12, 14, count), rng.uniform(8, 9, count)
+    Ks[:, 0, 2], Ks[:, 1, 2] = width / 2 + 0.7, height / 2 - 0.4
+    return rng.random((count, height, width, 3), np.float32), viewmats, Ks
+
+
+def test_points_from_depth_are_behind_the_pixels_whose_colours_they_have() -> None:
+    images, viewmats, Ks = uneven(3, 11, 6)
+    depths = np.random.default_rng(8).uniform(1, 3, images.shape[:3])
+    depths[:, :2, 5:] = np.inf
+    first = from_depths(depths, images, viewmats, Ks, 90, np.random.default_rng(0))
+    seen = set()
+    for point, color in zip(first.xyz, first.colors, strict=True):
+        ((view, y, x),) = np.argwhere((images == color).all(-1))
+        pixels, z = project(point[None], viewmats[view], Ks[view])
+        np.testing.assert_allclose(pixels, [[x + 0.5, y + 0.5]], atol=1e-9)
+        np.testing.assert_allclose(z, depths[view, y, x])
+        seen.add((view, y, x))
+    assert len(seen) == 90
+    assert {view for view, _, _ in seen} == {0, 1, 2}
+
+
+def test_a_point_has_the_mean_colour_of_the_pixels_that_show_it() -> None:
+    images, viewmats, Ks = uneven(4, 11, 6)
+    points = np.random.default_rng(9).uniform([-1.6, -1.6, -1], [1.6, 1.6, 3], (200, 3))
+    shown = []
+    for point, found in zip(points, seen_colors(points, images, viewmats, Ks), strict=True):
+        colors = []
+        for image, viewmat, K in zip(images, viewmats, Ks, strict=True):
+            x, y, z = K @ (viewmat[:3, :3] @ point + viewmat[:3, 3])
+            if z > 0 and 0 <= x / z < 11 and 0 <= y / z < 6:
+                colors.append(image[int(y / z), int(x / z)])
+        shown.append(len(colors))
+        np.testing.assert_allclose(found, np.mean(colors, 0) if colors else images.mean((0, 1, 2)), rtol=1e-5)
+    assert set(shown) == {0, 1, 2, 3, 4}
+
+
+def test_points_of_pictures_larger_than_what_is_compared_are_on_the_surface(corner: MakeCorner) -> None:
+    """150 x 90 px become 64 x 38: not by the same factor in both directions."""
+    scene = corner(4, 150, 90)
+    first = from_pictures(pictures(scene), *cameras(scene), 300, np.random.default_rng(0))
+    assert np.median(scene.distance(first.xyz)) < 0.025
+    own = np.zeros((4, 300), bool)
+    for view, (image, viewmat, K) in enumerate(zip(pictures(scene), *cameras(scene), strict=True)):
+        x, y = np.nan_to_num(project(first.xyz, viewmat, K)[0], nan=-1).T
+        inside = (x >= 0) & (x < 150) & (y >= 0) & (y < 90)
+        own[view, inside] = (image[y[inside].astype(int), x[inside].astype(int)] == first.colors[inside]).all(1)
+    assert own.any(0).mean() > 0.97  # rounding at the border of a pixel
+    assert own.mean(1).min() > 0.15  # a quarter is from each view, with a standard error of 0.025
 
 
 def test_pictures_that_show_nothing_still_give_points_in_front_of_the_cameras(scene: Any) -> None:

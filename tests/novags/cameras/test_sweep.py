@@ -32,6 +32,29 @@ def test_neighbours_look_the_same_way_and_stand_elsewhere_the_nearest_first() ->
     assert sweep.neighbours(viewmats, 0).tolist() == [5, 3, 1]
 
 
+@pytest.mark.parametrize(("axis", "reach"), [(0, 39.5 / 20), (1, 21.5 / 15)])
+def test_planes_are_tried_as_near_as_the_neighbour_sees_any_of_the_picture(axis: int, reach: float) -> None:
+    """Pictures of 40 x 22 px, focal lengths 20 and 15: from a camera 0.5 aside a point moves by f 0.5 / depth."""
+    viewmats, Ks = np.tile(np.eye(4), (2, 1, 1)), np.tile(np.eye(3), (2, 1, 1))
+    viewmats[1, axis, 3] = 0.5
+    Ks[:, :2] = [[20, 0, 17], [0, 15, 12]]
+    found = sweep.planes(viewmats, Ks, 0, np.array([1]), (22, 40))
+    assert found is not None
+    assert found[0] == pytest.approx(1 / (sweep.FARTHEST * 0.5))
+    assert 0.94 < found[-1] * 0.5 / reach <= 1  # of those tried, each is 1.053 times the one before
+    np.testing.assert_allclose(np.diff(found), np.ptp(found) / (sweep.PLANES - 1))
+
+
+def test_reduced_pictures_keep_what_their_cameras_see() -> None:
+    """A point at a quarter of the width and two thirds of the height stays there; 150 x 90 px become 64 x 38."""
+    ramp = np.broadcast_to(np.arange(150, dtype=np.float32) / 150, (90, 150))
+    images = np.stack([ramp, ramp + 0.3, ramp + 0.6], -1)[None]
+    small, (K,) = sweep.reduced(images, np.array([[[120.0, 0, 70], [0, 100, 50], [0, 0, 1]]]))
+    assert small.shape == (1, 38, 64)
+    np.testing.assert_allclose(K, [[51.2, 0, 70 * 64 / 150], [0, 100 * 38 / 90, 50 * 38 / 90], [0, 0, 1]])
+    np.testing.assert_allclose(small[0, 5], (np.arange(64) + 0.5) / 64 - 0.5 / 150 + 0.3, atol=1e-3)
+
+
 def test_paths_of_semi_global_matching_are_those_of_its_recursion() -> None:
     cost = np.random.default_rng(0).uniform(0, 1, (7, 5, 6)).astype(np.float32)
     planes, height, width = cost.shape
