@@ -149,6 +149,17 @@ def test_prnu_rule_matches_its_closed_form():
     assert shared.is_on("prnu")
 
 
+def test_noise_that_rows_or_views_share_counts_as_often_as_it_is_shared():
+    once, often = (
+        plan_effects(EVERYTHING, EXPOSURE, [50.0, 500.0], limits)
+        for limits in (Limits(sd=0.05), Limits(sd=0.05, row_length=7, shared_views=3))
+    )
+    times = {"row_noise": 7, "column_noise": 7, "banding": 7, "dsnu": 3, "prnu": 3}
+    assert all(once[name].contribution > 0 for name in times)
+    for effect in once.effects:
+        assert often[effect.name].contribution == pytest.approx(times.get(effect.name, 1) * effect.contribution)
+
+
 def test_the_most_sensitive_hot_pixel_says_what_the_droop_costs():
     s, low, high = EVERYTHING, 50.0, 500.0
     found = plan_effects(s, EXPOSURE, [low, high], Limits(sd=0.05))["nonlinearity"]

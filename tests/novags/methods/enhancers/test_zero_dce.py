@@ -84,6 +84,9 @@ def test_the_four_losses_are_the_published_ones():
 
     # patches shrink to the picture: one of 8 x 9
     assert float(part.exposure(given[2])) == pytest.approx(np.mean([(each.mean() - 0.6) ** 2 for each in bright]))
+    large = rng.uniform(0, 1, (2, 3, 20, 35))  # holds two whole ones of 16 x 16
+    patches = [large[b, :, :16, left : left + 16].mean() for b in range(2) for left in (0, 16)]
+    assert float(part.exposure(torch.from_numpy(large))) == pytest.approx(np.mean((np.array(patches) - 0.6) ** 2))
 
     sums = []
     for before, after in zip(dark, bright, strict=True):
