@@ -117,6 +117,7 @@ def shown(corner, installed):
         points[:, 2] = np.abs(points[:, 2])
         points[np.arange(len(points)), axis] = np.array([0.7, 0.7, 0.0])[axis]
         Ks = scene.rig.Ks.copy()
+        Ks[:, 1, 1] *= 1.15  # pixels are not square
         Ks[2, :2, 2] += shift
         keypoints, ids = [], []
         for i, (viewmat, K) in enumerate(zip(scene.rig.viewmats, Ks, strict=True)):

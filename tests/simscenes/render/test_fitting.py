@@ -111,6 +111,19 @@ def test_cameras_turn_about_what_is_near_and_not_about_the_sky(
     assert turn(rig) > 10
 
 
+@pytest.mark.parametrize(("sweep", "swing", "widest"), [(40.0, 0.0, 40.0), (0.0, 9.0, 18.0)])
+def test_in_free_space_the_arc_is_as_wide_as_asked_for(sweep: float, swing: float, widest: float) -> None:
+    """To both sides of the sensor by half the sweep, or above and below it by the whole swing."""
+    rig = fit_rig(dome(50.0), 17, sweep_deg=sweep, swing_deg=swing)
+    own = np.array([0.0, 4, -0.9]) / np.hypot(4, 0.9)  # the sensor's axis
+    forward = invert_rigid(rig.viewmats)[:, :3, 2]
+    assert turn(rig) == pytest.approx(widest, abs=1e-3)
+    assert np.degrees(np.arccos(np.clip(forward @ own, -1, 1))).max() == pytest.approx(widest / 2, abs=1e-3)
+    up = np.cross([1.0, 0, 0], own)
+    across, over = np.abs(forward @ [1.0, 0, 0]).max(), np.abs(forward @ up).max()
+    assert (across > 0.1 > 10 * over) if sweep else (over > 0.1 > 10 * across)
+
+
 def test_the_middle_distance_halves_the_squared_disparities() -> None:
     assert _middle_distance(np.array([1.0] + [10.0] * 50)) == 1.0  # 1 against 0.5
     assert _middle_distance(np.array([1.0] + [10.0] * 150)) == 10.0  # 1 against 1.5
