@@ -16,6 +16,7 @@ from safetensors.torch import save_file
 from novags.methods.enhance_then_fit import parts, train
 from novags.methods.enhancers import ENHANCERS, enhanced, enhanced_like, located, recorded
 from novags.methods.enhancers.keras_file import read_keras
+from novags.methods.enhancers.networks import crops
 from novags.methods.enhancers.rehearsal import learned
 from novags.methods.enhancers.sci import SCI, Sci, SciConfig
 from novags.methods.enhancers.weights import digest_of, read_weights
@@ -241,6 +242,30 @@ def test_the_seed_chooses_the_first_weights_and_every_step_draws_crops_of_its_ow
     first = [learned(ZERO_DCE, replace(TINY, steps=0), dark(), seed)[0].e_conv1.weight for seed in (0, 0, 1)]
     assert torch.equal(first[0], first[1])
     assert not torch.equal(first[0], first[2])
+
+
+def test_crops_lie_anywhere_inside_any_picture():
+    index = torch.arange(2 * 4 * 5).reshape(2, 4, 5, 1)
+    pictures, rng, corners = torch.cat([index, index + 100, index + 200], -1), np.random.default_rng(0), set()
+    for crop in crops(pictures, 300, 3, rng):
+        view, top, left = (int(i) for i in np.unravel_index(int(crop[0, 0, 0]), (2, 4, 5)))
+        assert torch.equal(crop, pictures[view, top : top + 3, left : left + 3].movedim(-1, 0))
+        corners.add((view, top, left))
+    assert corners == {(v, y, x) for v in range(2) for y in range(2) for x in range(3)}
+    assert crops(pictures, 1, 9, rng).shape == (1, 3, 4, 4)
+
+
+def test_a_picture_goes_through_a_network_as_it_lies_and_is_cut_at_white():
+    def run(network, picture, config):
+        assert picture.shape == (1, 3, 4, 6)
+        return picture * torch.tensor([0.5, 1.5, 3.0])[:, None, None] + torch.arange(4)[:, None] / 8
+
+    picture = 0.5 * torch.rand(4, 6, 3, generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    found, params = replace(ZERO_DCE, run=run).picture(ZeroDce(), picture, TINY)
+    expected = (picture * torch.tensor([0.5, 1.5, 3.0]) + torch.arange(4)[:, None, None] / 8).clamp(0, 1)
+    assert 3 < (expected == 1).sum() < 30
+    assert params is None
+    torch.testing.assert_close(found, expected, rtol=0, atol=1e-6)
 
 
 def test_no_gradient_of_a_rehearsal_is_longer_than_its_clip() -> None:

@@ -6,10 +6,18 @@ import pytest
 import torch
 
 from novags.methods import enhancers
-from novags.methods.enhancers import Enhancer, enhanced, enhanced_clean, enhancement_record, recorded
-from novags.methods.enhancers.guided import EnhanceConfig, enhance, typical
+from novags.methods.enhancers import (
+    Enhancer,
+    enhanced,
+    enhanced_clean,
+    enhanced_light,
+    enhancement_record,
+    recorded,
+)
+from novags.methods.enhancers.guided import EnhanceConfig, EnhanceParams, enhance, typical
 from novags.methods.problem import Problem
 from novags.splats import Views
+from sensor_model import linear_to_srgb, srgb_to_linear
 
 CONFIG = EnhanceConfig(window=5)
 
@@ -44,6 +52,24 @@ def test_sixteen_bit_pictures_are_encoded_first():
     expected = torch.stack([enhance(picture, CONFIG)[0] for picture in inputs.encoded("16bit")])
     assert torch.equal(enhanced(inputs, CONFIG, "16bit"), expected)
     assert not torch.equal(enhanced(inputs, CONFIG, "8bit"), expected)
+
+
+def test_light_is_encoded_and_goes_through_the_enhancement_that_its_view_got():
+    inputs = problem()
+    light = [0.9 * srgb_to_linear(view.numpy()) - 0.01 for view in inputs.clean]  # below 0 where it is darkest
+    found = enhanced_light(inputs, (torch.from_numpy(view) for view in light), CONFIG, "8bit")
+    for dark, view, bright in zip(inputs.srgb8, light, found, strict=True):
+        code = torch.from_numpy(linear_to_srgb(view.clip(0))).float()
+        torch.testing.assert_close(bright, enhance(code, CONFIG, enhance(dark, CONFIG)[1])[0])
+
+
+def test_typical_parameters_are_the_mean_of_both():
+    params = [
+        EnhanceParams(gamma=torch.tensor(g), epsilon=torch.tensor(e), radius=4) for g, e in ((0.2, 0.01), (0.5, 0.04))
+    ]
+    middle = typical(params)
+    assert (float(middle.gamma), float(middle.epsilon)) == pytest.approx((0.35, 0.025))
+    assert middle.radius == 4
 
 
 def test_a_picture_is_enhanced_once_for_all_who_ask_with_the_same_settings(monkeypatch):
