@@ -140,8 +140,10 @@ def as_dark(pictures: np.ndarray) -> torch.Tensor:
 def test_aligned_cameras_are_the_true_ones_and_views_without_features_are_left_out(shown, mapper):
     scene, Ks, _ = shown(blind=[1], shift=(-9.0, 6.0))  # the third view has a lens of its own
     steps: list[tuple[int, int]] = []
+    dark = as_dark(scene.pictures)
+    dark[1] = 1  # no point is seen in this one
     found = hloc_cameras(
-        scene.pictures, Ks, as_dark(scene.pictures), n_points=150, config=HlocConfig(mapper=mapper),
+        scene.pictures, Ks, dark, n_points=150, config=HlocConfig(mapper=mapper),
         progress=lambda done, total, what: steps.append((done, total)),
     )  # fmt: skip
     assert found.registered == (0, 2, 3, 4)
@@ -152,6 +154,7 @@ def test_aligned_cameras_are_the_true_ones_and_views_without_features_are_left_o
     assert aligned.rotation_deg.max() < 0.05
     assert aligned.centre_error.max() < 3e-3
     assert found.made_of == {"of the sparse model": 150}
+    assert 0 < found.colors.min() < found.colors.max() < 0.1
     off = scene.distance(aligned.similarity.apply(found.points.double()).numpy())
     # A wrong match can have triangulated; it was one of ten, and had to lie on the epipolar line.
     assert np.median(off) < 2e-3
