@@ -211,10 +211,10 @@ def reconstruct(
 
 
 def _one_of(variants: list[str], method: str | None) -> str:
-    """The name that `--method` and `--variant` mean together."""
+    """The method or variant to run, from `--method` and `--variant`; refused if they disagree or leave it open."""
     if method is None and len(variants) <= 1:
         return variants[0] if variants else "nova-fast"
     if variants and method not in variants:
-        named = "does not say which is meant" if method is None else f"and --method {method} is none of them"
-        raise ValueError(f"--variant has {', '.join(variants)}, {named}: name one of them with --method")
+        problem = "more than one" if method is None else f"but --method is {method}"
+        raise ValueError(f"--variant defines {', '.join(variants)}, {problem}: name one of them with --method")
     return str(method)

@@ -22,7 +22,7 @@ def test_one_method_is_reconstructed_and_it_is_the_one_that_is_named(
     for named in ((), ("--method", "naive"), one, (*one, "--method", "l1"), (*two, "--method", "y")):
         assert call(*words, *named) == 0
     assert seen == ["nova-fast", "naive", "l1", "l1", "y"]
-    for named, why in ((two, "does not say which"), ((*one, "--method", "naive"), "--method naive is none of them")):
+    for named, why in ((two, "defines x, y, more than one"), ((*one, "--method", "naive"), "but --method is naive")):
         capsys.readouterr()
         assert call(*words, *named) == 2
         assert why in capsys.readouterr().err

@@ -108,16 +108,16 @@ def dust3r_cameras(
 
 
 def paired(source: str, make_pairs: Any, views: list[dict[str, Any]], graph: str) -> Any:
-    """The ordered pairs of a scene graph, as the package's `make_pairs` forms them; MASt3R's are asked alike.
+    """The ordered pairs of a scene graph, as `make_pairs` of the package (DUSt3R or MASt3R) forms them.
 
     Raises:
-        ValueError: If there are none, as of a graph that the package does not know.
+        ValueError: If the package forms none, which is how it treats a graph that it does not know.
     """
     pairs = make_pairs(views, scene_graph=graph, prefilter=None, symmetrize=True)
     if not pairs:
         raise ValueError(
             f"pairs of {source} must be a scene graph of its make_pairs (complete, swin-5, logwin-4, oneref, ...), got "
-            f"{graph!r}, of which it makes no pair"
+            f"{graph!r}, for which it forms no pairs"
         )
     return pairs
 

@@ -212,12 +212,11 @@ def _say_tone(gain: float, console: Console) -> None:
 
 
 def _say_no_codes(codes: Codes16, console: Console) -> None:
-    """That what was said of 16-bit codes has no effect, as none of the files has them."""
+    """Say that options on 16-bit codes have no effect where no file has 16 bits."""
     changed = {one.name: value for one in fields(codes) if (value := getattr(codes, one.name)) != one.default}
     given = [f"--{name} {value if isinstance(value, str) else f'{value:g}'}" for name, value in changed.items()]
     if given:
-        console.warn(f"{', '.join(given)} would say what the codes of 16-bit pictures mean, and there are none here: "
-                     "without effect")  # fmt: skip
+        console.warn(f"no picture here has 16 bits, so these options have no effect: {', '.join(given)}")
 
 
 def _say(dark: Dark, darkroom: Darkroom, config: ImportConfig, match: Match | None, console: Console) -> None:

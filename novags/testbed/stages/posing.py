@@ -72,7 +72,7 @@ class PosesConfig:
         path = self.photographs.resolve()
         if path.name in ("images", "input", "photos"):
             return path.parent.name
-        return path.name if path.is_dir() else path.stem  # what follows a dot in a folder's name is no suffix
+        return path.name if path.is_dir() else path.stem  # a folder has no suffix: garden.1 keeps its whole name
 
 
 def poses(

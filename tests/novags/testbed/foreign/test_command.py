@@ -273,7 +273,8 @@ def test_a_mistake_in_the_table_is_refused_before_anything_runs(tmp_path: Path, 
         read_commands(tables, tmp_path)
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="Linux alone tells")
+# The children of a process are read from /proc, which only Linux has; elsewhere their memory is not counted.
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc/PID/task/TID/children")
 def test_memory_of_children_that_another_thread_started_counts(tmp_path: Path) -> None:
     """Rationale: only those of the main thread did; data loaders and pools start theirs elsewhere."""
     child = "import time; held = bytearray(b'1') * 150_000_000; time.sleep(1)"

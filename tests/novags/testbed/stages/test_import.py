@@ -111,7 +111,7 @@ def test_levels_of_16_bit_codes_are_said_to_have_no_effect_where_there_are_none(
     """Rationale: who gives them takes the 8-bit pictures for others."""
     stream, dark = io.StringIO(), foreign(tmp_path / "dark", line, "images")
     brought(dark, tmp_path / "cap", Console(stream=stream), black=64.0, curve="srgb")
-    assert "--black 64, --curve srgb would say what the codes of 16-bit pictures mean" in stream.getvalue()
+    assert "no picture here has 16 bits, so these options have no effect: --black 64, --curve srgb" in stream.getvalue()
     stream = io.StringIO()
     brought(dark, tmp_path / "cap", Console(stream=stream))
     assert "16-bit" not in stream.getvalue()
