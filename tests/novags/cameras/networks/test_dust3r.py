@@ -125,7 +125,7 @@ def test_settings_reach_the_alignment(shown):
 def test_a_graph_without_pairs_is_refused_by_name(shown):
     scene, _, adapter, config = shown()
     wrong = type(config)(checkpoint=config.checkpoint, pairs="complet")
-    with pytest.raises(ValueError, match=r"pairs of .*3r must be a scene graph .*got 'complet', of which it makes no"):
+    with pytest.raises(ValueError, match=r"pairs of .*3r must be a scene graph .*got 'complet', for which it forms no pairs"):
         adapter(scene.pictures, as_dark(scene.pictures), n_points=10, config=wrong)
 
 
