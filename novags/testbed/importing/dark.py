@@ -107,7 +107,7 @@ def _without_cameras(folder: Path) -> NoReturn:
 def _with_pictures(folder: Path, depth: int = DEPTH) -> Iterator[Path]:
     """The folders at most `depth` below that hold pictures, themselves or in images/; none inside another."""
     for below in sorted(path for path in folder.iterdir() if path.is_dir() and not path.name.startswith(".")):
-        with suppress(PermissionError):
+        with suppress(PermissionError):  # lost+found of a disk, other users' folders
             places = (below, below / "images")
             if any(file.suffix.lower() in PICTURES for place in places for file in place.glob("*")):
                 yield below

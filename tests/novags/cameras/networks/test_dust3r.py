@@ -125,7 +125,8 @@ def test_settings_reach_the_alignment(shown):
 def test_a_graph_without_pairs_is_refused_by_name(shown):
     scene, _, adapter, config = shown()
     wrong = type(config)(checkpoint=config.checkpoint, pairs="complet")
-    with pytest.raises(ValueError, match=r"pairs of .*3r must be a scene graph .*got 'complet', for which it forms no pairs"):
+    said = r"pairs of .*3r must be a scene graph .*got 'complet', for which it forms no pairs"
+    with pytest.raises(ValueError, match=said):
         adapter(scene.pictures, as_dark(scene.pictures), n_points=10, config=wrong)
 
 
