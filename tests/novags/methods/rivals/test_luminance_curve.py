@@ -138,3 +138,25 @@ def test_what_the_second_attention_says_bends_the_shape_by_small_shares_of_it() 
         curves.shape.out.bias.copy_(torch.tensor([2.0, 50.0, -100.0]))
     want = power_then_s(*(torch.tensor(v) for v in (1.2, 0.6, 0.8)))
     torch.testing.assert_close(curves.curves(0)[1].detach(), want, rtol=1e-5, atol=1e-6)
+
+
+def test_every_view_has_a_curve_a_shape_and_axes_of_its_own() -> None:
+    """From its own picture, pose and axes; what a curve lacks to 0 or has above 1 is cut."""
+    g = torch.Generator().manual_seed(5)
+    pictures, viewmats = torch.rand(3, 8, 6, 3, generator=g), torch.eye(4).repeat(3, 1, 1)
+    viewmats[:, :3, 3] = torch.rand(3, 3, generator=g)
+    curves = ViewCurves(pictures, viewmats, 64).requires_grad_(False)
+    for parameter in curves.parameters():
+        parameter.copy_(0.3 * torch.randn(parameter.shape, generator=g))
+    for view in range(3):
+        # smaller than `size`: the attention sees the picture as it is
+        image, pose = pictures[view].movedim(-1, 0), torch.linalg.inv(viewmats[view])
+        whole, (gamma, alpha, beta) = curves.curve + curves.bend(image, pose), curves.shape(image, pose)
+        curve, shape = curves.curves(view)
+        assert float(whole.min()) < 0
+        assert float(whole.max()) > 1
+        torch.testing.assert_close(curve, whole.clamp(0, 1))
+        torch.testing.assert_close(shape, power_then_s(1 + 0.1 * gamma, 0.5 + 0.002 * alpha, 1 + 0.002 * beta))
+        ahead = torch.tensor([1.0, 0, 0])
+        axes = orthogonal_axes(curves.first[view] + ahead, curves.second[view] + ahead[:2])
+        torch.testing.assert_close(curves.brightened(view, curve), mapped(pictures[view], axes, curve))

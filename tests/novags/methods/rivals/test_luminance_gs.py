@@ -95,6 +95,10 @@ def test_each_part_of_the_curves_has_the_rate_of_the_publication() -> None:
     assert [(group["lr"], group["weight_decay"]) for group in companion.optimizer.param_groups] == [
         (1e-3, 1e-4), (1e-5, 1e-5), (2e-4, 1e-4),
     ]  # fmt: skip
+    attentions = [*curves.bend.parameters(), *curves.shape.parameters()]
+    wanted = [curves.curve], attentions, [curves.first, curves.second]
+    for group, parts in zip(companion.optimizer.param_groups, wanted, strict=True):
+        assert {id(part) for part in group["params"]} == {id(part) for part in parts}
     assert companion.cool_to == 0.01
 
 
