@@ -6,15 +6,17 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods.rivals.invariant import COLOUR_MODEL, invariant, structure
+from novags.methods.rivals.invariant import invariant, structure
 
 PAINT = np.array([0.5, 0.3, 0.2])
+# Geusebroek et al. 2001: E, E_l and E_ll of red, green and blue
+COLOUR_MODEL = np.array([[0.06, 0.63, 0.27], [0.30, 0.04, -0.35], [0.34, -0.60, 0.17]])
 
 
 def slowly(light: np.ndarray) -> np.ndarray:
     """W by its definition: float64, pixel by pixel, every filter as a sum over a window."""
     height, width = light.shape[:2]
-    spectral = light @ np.array(COLOUR_MODEL).T
+    spectral = light @ COLOUR_MODEL.T
     offsets = np.arange(-4, 5)
     smooth = np.exp(-0.5 * offsets.astype(float) ** 2)
     slope = offsets * smooth
@@ -45,7 +47,7 @@ def test_one_paint_in_light_that_falls_off_has_the_slope_of_its_logarithm_times_
     """Under a Gaussian an exponential keeps its logarithmic slope, but for the sampling of its derivative."""
     y, x = np.mgrid[:40, :40]
     light = np.exp(0.02 * x - 0.03 * y)[..., None] * PAINT
-    spectral = np.array(COLOUR_MODEL) @ PAINT
+    spectral = COLOUR_MODEL @ PAINT
     want = math.hypot(0.02, 0.03) * np.linalg.norm(spectral / spectral[0])
     found = invariant(torch.tensor(light)).numpy()[8:-8, 8:-8]
     np.testing.assert_allclose(found, want, rtol=1e-3)
