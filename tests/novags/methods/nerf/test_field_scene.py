@@ -15,12 +15,14 @@ from novags.fields.march import Proposal
 from novags.fields.training.config import FieldFitConfig
 from novags.methods.enhancers import enhanced, enhanced_clean
 from novags.methods.light import MeasuredLight
-from novags.methods.nerf import clean, plain
+from novags.methods.nerf import clean, fitting, plain
 from novags.methods.nerf.fitting import NerfConfig
+from novags.methods.nerf.losses import robust
 from novags.methods.nerf.raw import numbers_of
 from novags.methods.nerf.scene import FILE, FieldScene, load_field
 from novags.methods.nerf.shading import SHADINGS
 from novags.methods.problem import LacksInput, Problem
+from novags.methods.start import brightened
 from novags.splats.views import Views
 
 QUICK = FieldFitConfig(iterations=90, rays=256, samples=12, rate=0.03, layout=Layout(finest=64, log2_rows=12))
@@ -94,6 +96,22 @@ def test_nerf_learns_the_enhanced_pictures_and_its_ceiling_the_clean_ones(proble
     assert torch.equal(results[1].targets, enhanced_clean(seen, config.enhance, config.pictures))
     with pytest.raises(LacksInput, match="noise-free exposures"):
         clean.train(problem(with_clean=False), config)
+
+
+def test_surfaces_at_the_first_points_are_held_to_their_enhanced_colours(
+    problem: Callable[..., Problem], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    given, seen = {}, problem()
+    colors = torch.rand(seen.start.colors.shape, generator=torch.Generator().manual_seed(2))
+    seen = dataclasses.replace(seen, start=dataclasses.replace(seen.start, colors=colors))  # type: ignore[type-var]
+    real = fitting.fitted_scene
+    monkeypatch.setattr(fitting, "fitted_scene", lambda *args, **more: given.update(more) or real(*args, **more))
+    result = plain.train(seen, NerfConfig(fit=dataclasses.replace(QUICK, iterations=1)))
+    assert result.targets is not None
+    chosen, raw = torch.tensor([7, 0, 31]), torch.randn(3, 4, generator=torch.Generator().manual_seed(3))
+    wanted = brightened(colors, seen.srgb8, result.targets)[chosen]
+    errors = 1 / (1 + (-raw[:, 1:]).exp()) - wanted
+    assert float(given["at_points"](chosen, raw)) == pytest.approx(float(robust(errors)), rel=1e-5)
 
 
 def test_nerf_answers_to_errors_and_not_to_their_squares(problem: Callable[..., Problem]) -> None:

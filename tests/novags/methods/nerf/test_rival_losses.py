@@ -14,7 +14,8 @@ from novags.fields.training.config import FieldFitConfig
 from novags.methods.light import MeasuredLight, raw_loss
 from novags.methods.nerf import aleth, i2, llnerf, raw
 from novags.methods.nerf.losses import differences, robust
-from novags.methods.nerf.shading import brightened, product, retinex
+from novags.methods.nerf.shading import brightened, light_of, product, retinex
+from novags.splats.training.losses import ssim
 
 PATCH, RAYS, N = 2, 16, 5
 GREY = np.array([0.299, 0.587, 0.114])
@@ -95,6 +96,7 @@ def test_the_tone_curve_of_aleth_is_the_inverse_of_the_smooth_step() -> None:
 def test_concealed_colours_and_the_loss_of_aleth_are_those_of_the_equations() -> None:
     batch, config = some_batch(5), aleth.AlethConfig(fit=FieldFitConfig(patch=PATCH), grey=0.1)
     along, taps = rng().random(N), rng().normal(size=7)
+    along[1] = -0.2  # what is trained may go below 0, and then lets nothing through
     dark, lit = aleth.concealed(batch, torch.from_numpy(along), torch.from_numpy(taps), -0.7)
     raw, w = batch.raw.numpy(), batch.weights.numpy()
     slow_dark, slow_lit = np.zeros((RAYS, 3)), np.zeros((RAYS, 3))
@@ -102,7 +104,7 @@ def test_concealed_colours_and_the_loss_of_aleth_are_those_of_the_equations() ->
         for i in range(N):
             local = sum(taps[k] * raw[r, i + k - 3, 1] for k in range(7) if 0 <= i + k - 3 < N)
             color = sigmoid(raw[r, i, 2:])
-            slow_dark[r] += w[r, i] * along[i] * sigmoid(local - 0.7) * color
+            slow_dark[r] += w[r, i] * max(along[i], 0.0) * sigmoid(local - 0.7) * color
             slow_lit[r] += w[r, i] * color
     np.testing.assert_allclose(dark.numpy(), slow_dark, rtol=1e-10)
     np.testing.assert_allclose(lit.numpy(), slow_lit, rtol=1e-10)
@@ -219,9 +221,34 @@ def test_light_through_the_medium_and_the_loss_of_i2_are_those_of_the_equations(
     overlap = np.mean([sum(w[r, i] * (1 - math.exp(-s[r, i] * d[r, i])) for i in range(N)) for r in range(RAYS)])
     assert found["overlap"] == pytest.approx(overlap, rel=1e-9)
     assert found["variation"] == pytest.approx(np.abs(np.diff(s, axis=1)).mean(), rel=1e-9)
-    assert 0 < found["structure"] < 2
+    order = np.random.default_rng([RAYS, batch.iteration]).permutation(RAYS)  # one square, of rays in any order
+    squares = [image.numpy()[order].reshape(4, 4, 3) for image in (lit, aim)]
+    assert found["structure"] == pytest.approx(1 - float(ssim(*map(torch.from_numpy, squares))), rel=1e-9)
     exact = i2.I2Config(dark=0, structure=1, bright=0, overlap=0, variation=0, fit=config.fit)
     assert float(i2.loss_of(dark, lit, medium, batch, target, lit, exact)) == pytest.approx(0, abs=1e-9)
+
+
+def test_s3im_of_i2_takes_a_square_of_so_many_pixels_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(i2, "LARGEST", 3)
+    fit = FieldFitConfig(patch=PATCH)
+    batch, config = some_batch(5), i2.I2Config(dark=0, bright=0, overlap=0, variation=0, fit=fit)
+    dark, lit, medium = i2.seen_through(batch, math.exp(-3))
+    aim = torch.from_numpy(rng().random((RAYS, 3)))
+    order = np.random.default_rng([RAYS, batch.iteration]).permutation(RAYS)[:9]
+    want = 1 - float(ssim(lit[order].reshape(3, 3, 3), aim[order].reshape(3, 3, 3)))
+    assert float(i2.loss_of(dark, lit, medium, batch, dark, aim, config)) == pytest.approx(want, rel=1e-9)
+
+
+def test_the_mapping_of_i2_moves_the_mean_and_multiplies_the_contrast() -> None:
+    image = torch.tensor([[0.1, 0.12, 0.05], [0.2, 0.0, 0.13]])
+    found = i2.mapped(image, 0.1, 0.45, 6.0)
+    torch.testing.assert_close(found, torch.tensor([[0.45, 0.57, 0.15], [1.0, 0.0, 0.63]]))
+
+
+def test_light_has_no_upper_end_but_that_of_an_exponential() -> None:
+    raw, weights = torch.tensor([[[0.0, 14.0, 20.0, 1e4]]]), torch.tensor([[0.5]])
+    want = 0.5 * np.exp([14.0, 15.0, 15.0])
+    np.testing.assert_allclose(light_of(raw, weights)[0].numpy(), want, rtol=1e-5)
 
 
 def test_differences_are_those_to_the_right_and_below() -> None:
