@@ -107,6 +107,39 @@ def test_a_training_brightens_until_the_illumination_follows_the_picture():
     assert 1.4 * levels[0] < levels[1] <= 1
 
 
+def test_it_learns_at_the_published_rates():
+    (group,) = SCI.rehearsal.optimizer(Sci(), SciConfig()).param_groups
+    assert (group["lr"], group["weight_decay"], group["betas"]) == (3e-4, 3e-4, (0.9, 0.999))
+    assert SCI.rehearsal.clip == 5.0
+
+
+def test_with_the_condition_of_sci_plus_the_block_becomes_more_additive():
+    dark = 0.3 * torch.rand(2, 12, 12, 3, generator=torch.Generator().manual_seed(0))
+    y = dark.movedim(-1, 1)
+
+    def apart(additivity: float) -> float:
+        made, _ = learned(SCI, SciConfig(steps=60, rate=2e-2, crop=8, batch=2, additivity=additivity), dark, 0)
+        H, (_, (s, _, _), _) = made.enhance.added, made.stages(y)
+        return float((H(y + s) - H(y) - H(s)).square().mean())
+
+    assert apart(10.0) < 0.7 * apart(0.0)
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_pictures_do_not_change_the_network_that_enhances_them(tmp_path, given):
+    """Rationale: with the batch's own statistics a picture would be normalised by itself, and move the network's."""
+    made, _ = learned(SCI, SciConfig(steps=2, crop=8), 0.3 * torch.rand(1, 12, 12, 3), 0)
+    config = SciConfig()
+    if given:
+        config = SciConfig(weights=(tmp_path / "sci.pt",))
+        torch.save(made.state_dict(), tmp_path / "sci.pt")
+        made = SCI.load(config)
+    before = {name: value.clone() for name, value in made.state_dict().items()}
+    SCI.picture(made, torch.rand(9, 8, 3), config)
+    assert all(torch.equal(value, before[name]) for name, value in made.state_dict().items())
+    assert not any(value.requires_grad for value in made.parameters())
+
+
 @pytest.mark.parametrize("name", ["easy", "medium", "difficult"])
 def test_official_files_have_these_tensors_and_make_dark_photographs_bright(official, dark_fox, plausible, name):
     path = official(f"sci_{name}.pt")

@@ -112,6 +112,18 @@ def test_the_losses_are_weighted_200_1_5_10():
     assert float(part.loss(fixed, dark, ZeroDceConfig())) == pytest.approx(float(wanted))
 
 
+def test_it_begins_and_learns_as_published():
+    torch.manual_seed(0)
+    made, config = ZeroDce(), ZeroDceConfig()
+    weights = torch.cat([value.detach().flatten() for value in made.parameters() if value.ndim == 4])
+    # 79,200 weights: the standard error of their deviation is 0.25 %
+    assert float(weights.std()) == pytest.approx(0.02, rel=0.0125)
+    (group,) = ZERO_DCE.rehearsal.optimizer(made, config).param_groups
+    assert (group["lr"], group["weight_decay"], group["betas"]) == (1e-4, 1e-4, (0.9, 0.999))
+    assert ZERO_DCE.rehearsal.clip == 0.1
+    assert ZERO_DCE.rehearsal.batch(config)[0] == 8
+
+
 def test_grey_pictures_have_slopes():
     """Rationale: the root of the colour loss has an infinite slope at 0."""
     grey = torch.full((1, 3, 16, 16), 0.3, requires_grad=True)
