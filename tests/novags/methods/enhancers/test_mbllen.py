@@ -85,6 +85,20 @@ def test_a_result_with_enough_bright_pixels_is_not_multiplied():
     assert adjust(bright, MbllenConfig(), None)[1][0] == pytest.approx(0.8 / 0.3)
 
 
+def test_pixels_above_white_count_as_bright_and_not_among_the_others():
+    bright = torch.full((1, 3, 25, 40), 0.3, dtype=torch.float64)
+    bright[:, :, 0] = 1.5
+    bright[:, :, 1, :8] = 1.5  # 48 of 1,000; 5 % of the other 952 are 47.6
+    assert adjust(bright, MbllenConfig(), None)[1][0] == 1.0
+    bright[:, :, 1, :8] = 0.3
+    assert adjust(bright, MbllenConfig(), None)[1][0] == pytest.approx(0.8 / 0.3)
+
+
+def test_a_white_result_stays_white():
+    white = torch.ones(1, 3, 6, 7)
+    torch.testing.assert_close(adjust(white, MbllenConfig(), None)[0], white)
+
+
 def test_a_twin_is_adjusted_by_the_parameters_of_its_picture():
     a, b = (0.1 + 0.4 * torch.rand(1, 3, 8, 9, generator=torch.Generator().manual_seed(i)) for i in (0, 1))
     found, params = adjust(a, MbllenConfig(), None)
