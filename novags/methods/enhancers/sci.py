@@ -11,7 +11,10 @@ condition was found. `additivity` is this project's reading: with s the calibrat
 H(y + s) - H(y) - H(s), a penalty in every stage after the first. It is 0, that is SCI, unless it is set.
 
 Deviations: it learns from random crops of the scene's own pictures, in fewer steps; official weights keep H with the
-statistics of its batch normalisation, which hold for whole pictures.
+statistics of its batch normalisation, which hold for whole pictures. Colours of the smoothness are those of BT.601,
+where the authors' code has 0.564 instead of 0.504 of green and takes three neighbours in a row of one channel for the
+three channels of a pixel: of pictures in 0..1 every weight is 0.99 to 1 either way. Biases of convolutions begin as
+torch draws them, there at 0.
 """
 
 from dataclasses import dataclass
