@@ -8,8 +8,9 @@ that equalises the histogram. With G = (1 - w) L1 + w (1 - SSIM),
 
 What differs from the publication: Gaussians are relocated as in 3DGS-MCMC instead of being split and pruned by
 gradients, and regularised as there, as for all methods here; the iterations are those of the experiment, not 10,000;
-the attention layers see pictures of at most `seen` px a side, which a CPU can afford; and the bias of the dark colour
-changes only the constant harmonic.
+the attention layers see pictures of at most `seen` px a side, which a CPU can afford, and poses in the units of the
+set, where its program brings all scenes to one size; and the bias of the dark colour changes only the constant
+harmonic.
 """
 
 import dataclasses
