@@ -129,9 +129,3 @@ def fit_enhanced_field(
         losses=found.state.losses,
         seconds={"enhance": seconds, "fit": found.seconds},
     )
-
-
-def mean_of(values: Tensor, weights: Tensor) -> Tensor:
-    """Mean of [R, N, D] over all samples by their weights [R, N], without a gradient through these; [D]."""
-    held = weights.detach()[..., None]
-    return (values * held).sum((0, 1)) / held.sum().clamp_min(1e-6)  # rays through nothing alone have no mean
