@@ -15,8 +15,10 @@ dark as the pictures; steps and rays per step are those of all fields here, inst
 in squares of four, because structure compares neighbours, each pair once, where the original compares means of four
 rays in a row of its batch with those before and after, each pair twice: those rays are drawn at random from one
 picture, so that its pairs may lie far apart; grey world is the sum of squared differences between the channels' means,
-there the root of the sum of their fourth powers; O comes from an output of the field's one network, where the original
-has a network of its own.
+there the root of the sum of their fourth powers; grey is luminance in structure, there the mean of the channels; O
+comes from an output of the field's one network, where the original has a network of its own; its filter runs along a
+ray, where that of the code runs over the rays of its batch at equal samples, and has an offset; a g below 0 lets
+nothing through; one set of samples a ray, where the original sums the losses of a coarse and a fine one.
 """
 
 import dataclasses

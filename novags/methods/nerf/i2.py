@@ -3,7 +3,7 @@
     dark colour  I = sum_i  w_i t_i c_i     t_i = exp(-sum_{j <= i} s_j d_j)     s: absorption, an output of the field
     lit colour   J = sum_i  w_i c_i         w, c: as in NeRF                       d: width of a sample's interval
     loss = 2 RawNeRF's(I, y)
-           + 1 - SSIM(J, luminance-mapped y) over stochastic squares (S3IM)
+           + 1 - SSIM(J, luminance-mapped y) over a stochastic square (S3IM)
            + 1e-3 bright channel: (1 - max of J over channels and a square)^2
            + 1e-3 overlap: mean over rays of sum_i w_i (1 - exp(-s_i d_i)): the medium is where the surface is not
            + 0.1 variation of s along a ray
@@ -21,8 +21,9 @@ over a ray's samples, there their sum, some 95 times as much; the overlap is the
 with the density held fixed; the bright channel is there that of the dark picture, an estimate of t at the surface,
 which is drawn to it; S3IM has the windows of our SSIM, there 4 x 4 pixels side by side. The field is that of
 docs/fields.md, which starts dense at the first points, in a medium that already makes pictures as dark as they are; the
-loss of depth (weight 0.1) is left out, because it needs a network for monocular depth, which is not here; the squares
-of S3IM are made of rays at random, as there, of 64 x 64 pixels or fewer.
+loss of depth (weight 0.1) is left out, because it needs a network for monocular depth, which is not here; the square
+of S3IM is made of rays at random, as there, of 64 x 64 pixels or fewer, and is one, there ten; the mapped y is cut to
+0..1, there it is not, and its mean before is the luminance of all pictures, there the mean of a batch's channels.
 """
 
 import dataclasses

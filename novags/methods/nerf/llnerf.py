@@ -9,7 +9,7 @@
              pixels
            + 0.01 mean(g^2)
 
-The terms of the enhancement are added once the colours are learnt, and hold R and L fixed. Wang et al. 2023, "Lighting
+The terms of the enhancement are added once the colours are learnt, and take R and L as given. Wang et al. 2023, "Lighting
 up NeRF via unsupervised decomposition and enhancement", and the forms and constants of its published code. It uses no
 statistic of a well-lit picture.
 
@@ -17,7 +17,9 @@ What differs from it: the field is that of docs/fields.md, which starts dense at
 pictures, with its steps and rays; the enhancement comes in for the last quarter of the steps, not for the last 5,000 of
 105,000, which is a twentieth: of as few steps as ours, at rates that have fallen, that would be too short to move a and
 g; pixels come in squares of four. Exponents, sigmoids and weights are as published. The mean of g^2 is over rays here,
-over samples there.
+over samples there. a and g are outputs of the field's one network and of the place alone; there a network of its own
+makes them of features of L, which know the direction and are held fixed: here the terms of the enhancement move R and
+L after all, through the features that they share with a and g.
 """
 
 import dataclasses
