@@ -27,7 +27,7 @@ from settle import write_table
 
 from novags.methods import METHODS, chosen, with_variants
 from novags.methods.variant import Variant
-from novags.testbed.report.study.grid import HELPED, LINEAR, Line, by_place, lines_of
+from novags.testbed.report.study.grid import HELPED, Line, by_place, lines_of
 from novags.testbed.report.study.light import looks_of
 from sensor_model.files.toml_file import read_toml
 
@@ -36,6 +36,7 @@ STUDIES = [Path(__file__).resolve().parents[2] / "docs" / "studies" / f"table1{e
 PLACE = ("scene", "level", "method", "seed")
 MAIN = "lit.tone_aligned_psnr"
 SECONDS = "seconds.reconstruct"
+LINEAR = "linear.linear_psnr"  # what ends in linear light has it
 # column of the study -> heading, factor, digits, whether the first three are coloured
 SCORES = {
     MAIN: ("tone-aligned PSNR, dB", 1, 2, True),
@@ -66,13 +67,13 @@ def read_source(source: Path) -> list[dict[str, Any]]:
     if source.is_dir():
         return list(json.loads((source / "results.json").read_text(encoding="utf-8"))["rows"])
     with source.open(encoding="utf-8", newline="") as file:
-        return [{key: _value(key, text) for key, text in row.items()} for row in csv.DictReader(file)]
+        return [{key: _value(key, text) for key, text in row.items() if text} for row in csv.DictReader(file)]
 
 
 def _value(key: str, text: str) -> Any:
     if key in ("scene", "level", "method", "state", "reason"):
-        return text or None
-    return int(text) if key == "seed" else float(text) if text else None
+        return text
+    return int(text) if key == "seed" else float(text)
 
 
 def merged(sources: Sequence[Sequence[Row]]) -> list[Row]:
@@ -106,7 +107,7 @@ def cell(line: Line, score: str) -> str:
     if score == SECONDS:
         mean, sd = min(row[SECONDS] for row in line.runs if row.get(SECONDS) is not None), None
     text = f"{factor * mean:.{digits}f}" + ("" if sd is None else f" ± {factor * sd:.{digits}f}")
-    text += " ‡" if score in HELPED and LINEAR in line.spread else ""
+    text += " ‡" if score in HELPED and line.in_linear_light else ""
     rank = line.places.get(score) if colored else None
     return (f"**{text}**" if rank == 1 else text) + (MEDALS.get(rank, "") if rank else "")
 

@@ -29,7 +29,7 @@ COLUMNS = (
 MAIN = ("enhanced.aligned_psnr", "lit.tone_aligned_psnr")  # of which one decides
 SILENT = ("recovered", "recovered_lit", "seconds.reconstruct", "peak_bytes")  # those order as MAIN does; costs
 OWN = ("enhanced.flip", "enhanced.aligned_psnr", "recovered")  # compare with a method's own reference
-LINEAR = "linear.linear_psnr"  # methods that end in linear light have it
+LINEAR = "linear"  # begins the columns that methods have which end in linear light; of photographs they hold no value
 HELPED = ("lit.psnr", "lit.ssim", "lit.lpips", "lit.flip")  # by the truth, which decides their exposure
 SCALES = {"peak_bytes": 1e-6}
 
@@ -55,6 +55,11 @@ class Line:
     spread: dict[str, tuple[float, float | None]] = field(default_factory=dict)
     places: dict[str, int] = field(default_factory=dict)
     alike: bool = True
+
+    @property
+    def in_linear_light(self) -> bool:
+        """Whether the method ends in linear light, which truth brings to the exposure of the well-lit pictures."""
+        return any(column.partition(".")[0] == LINEAR for row in self.runs for column in row)
 
 
 def lines_of(
@@ -90,7 +95,7 @@ def lines_of(
         for column, _, _, more, _ in COLUMNS:
             known = {line.method: line.spread[column][0] for line in members
                      if column in line.spread and competes[line.method] and (alike or column not in OWN)
-                     and not (column in HELPED and LINEAR in line.spread)}  # fmt: skip
+                     and not (column in HELPED and line.in_linear_light)}  # fmt: skip
             for name, rank in ranks(known, more).items():
                 next(line for line in members if line.method == name).places[column] = rank
         found += sorted(members, key=_main)

@@ -15,7 +15,6 @@ from novags.testbed.report.pictures import ViewTiles
 from novags.testbed.report.rows import enhancement_of
 from novags.testbed.report.study.grid import (
     COLUMNS,
-    LINEAR,
     SCALES,
     Line,
     lines_of,
@@ -78,7 +77,7 @@ def write_study(folder: Path, out: Path | None = None, *, overwrite: bool = Fals
     context = {
         **_tables(lines, rows, axes, records, path, views),
         "title": f"{study['file']}: {len(rows)} runs", "identity": identity,
-        "in_linear_light": list(dict.fromkeys(line.method for line in lines if LINEAR in line.spread)),
+        "in_linear_light": list(dict.fromkeys(line.method for line in lines if line.in_linear_light)),
         "alike": all(line.alike for line in lines), "no_lpips": not any(LPIPS in line.spread for line in lines),
         "verdict": verdict(lines, competes), "states": counted(rows), "light": light, "looks": looks,
         "views": list(views.values()), "unseen": unseen, "signals": signals(lines, records),

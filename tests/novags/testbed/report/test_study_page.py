@@ -18,6 +18,7 @@ from novags.testbed.report.study.grid import first_places, lines_of, main_column
 from novags.testbed.report.study.page import write_study
 from novags.testbed.report.study.pictures import chosen, study_views
 from novags.testbed.report.study.records import read_records
+from novags.testbed.study.results import flat_scores
 from simscenes.sets.pictures.exr import read_exr
 
 COMPETES = {"naive": True, "better": True, "oracle": False}
@@ -112,6 +113,17 @@ def test_plain_scores_of_linear_light_which_truth_exposes_take_no_place() -> Non
     assert "lit.psnr" not in places["better"]
     assert places["naive"]["lit.psnr"] == 1
     assert places["better"]["lit.tone_aligned_psnr"] == 2
+
+
+def test_linear_light_of_photographs_without_noise_free_exposures_takes_no_place_either() -> None:
+    """Rationale: it was known by a score that needs these, so that nova-plus came first in PSNR on such photographs."""
+    mean = {"naive": {"lit": {"psnr": 20.0}}, "better": {"linear": None, "lit": {"psnr": 30.0}}}
+    made = [row | flat_scores({"mean": mean.get(row["method"], {}), "seconds": {}, "peak_bytes": 1}) for row in rows()]
+    lines = lines_of(made, AXES, COMPETES)[:3]
+    assert {line.method: line.in_linear_light for line in lines} == {"naive": False, "better": True, "oracle": False}
+    places = {line.method: line.places for line in lines}
+    assert "lit.psnr" not in places["better"]
+    assert places["naive"]["lit.psnr"] == 1
 
 
 @pytest.fixture(scope="module")
