@@ -13,6 +13,7 @@ what is found; the summary has the one of all levels, at `levels`.
 import argparse
 import csv
 import json
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from math import inf
@@ -59,6 +60,7 @@ PAPER = {  # method here -> PSNR that the paper reports, dB, on LOM, LLRS and LL
     "nova-small": (20.97, 15.54, 23.49),
 }  # fmt: skip
 LEVELS = ("lom", "llrs", "llnerf")  # as the paper's columns
+PLACES = re.compile(r"<!-- table: (\S+) -->")  # of tables on the page
 MEDALS = {1: " 🟩", 2: " 🟨", 3: " 🟥"}
 
 
@@ -77,9 +79,9 @@ def _value(key: str, text: str) -> Any:
 
 
 def merged(sources: Sequence[Sequence[Row]]) -> list[Row]:
-    """All rows, a later source in the place of an earlier one; what was not run is left out."""
+    """All rows, a later source in the place of an earlier one; what waits is left out."""
     found = {tuple(row[name] for name in PLACE): row for rows in sources for row in rows
-             if row["state"] in ("done", "failed")}  # fmt: skip
+             if row["state"] != "waiting"}  # fmt: skip
     return list(found.values())
 
 
@@ -126,8 +128,9 @@ def level_table(lines: Sequence[Line], family: Mapping[str, str], competes: Mapp
         for line in members:
             mark = "" if competes[line.method] else " †"
             text.append(f"| `{line.method}`{mark} | " + " | ".join(cell(line, score) for score in scores) + " |")
-    failed = [f"`{row['method']}`, seed {row['seed']}: {row['reason']}" for line in lines for row in line.runs
-              if row["state"] == "failed"]  # fmt: skip
+    said = {"failed": "", "skipped": "what it needs has failed: "}
+    failed = [f"`{row['method']}`, seed {row['seed']}: {said[row['state']]}{row['reason']}"
+              for line in lines for row in line.runs if row["state"] in said]  # fmt: skip
     return "\n".join([*text, *(["", "Failed: " + "; ".join(failed)] if failed else [])])
 
 
@@ -197,7 +200,9 @@ def main() -> None:
     if options.rows:
         write_rows(options.rows, rows)
     variants = {name: table for path in STUDIES for name, table in read_toml(path)["variant"].items()}
-    for name, table in tables(rows, {"variant": variants}).items():
+    places = PLACES.findall(options.page.read_text(encoding="utf-8"))
+    found = {**dict.fromkeys(places, "No runs."), **tables(rows, {"variant": variants})}  # no table of other rows stays
+    for name, table in found.items():
         write_table(options.summary if name == "levels" else options.page, name, table)
 
 

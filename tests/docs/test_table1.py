@@ -60,6 +60,17 @@ def test_the_mean_over_seeds_decides_the_place_and_bounds_take_none(table1: Modu
     assert lines[-1] == "Failed: `gaussian-dk`, seed 1: diverged at step 12"
 
 
+def test_runs_that_were_skipped_are_counted_and_named(table1: ModuleType) -> None:
+    """Rationale: where a capture had failed, all runs of its seed were missing from the page, and nothing said so."""
+    skipped = row("lom", "naive", 2, 0, state="skipped", reason="no light")
+    rows = table1.merged([ROWS, [skipped, row("lom", "lita-gs", 1, 1, state="waiting")]])
+    lines = table1.tables(rows, STUDY)["lom"].splitlines()
+    assert lines[0] == "8 of 10 runs. LPIPS: unavailable."
+    assert "`naive`, seed 2: what it needs has failed: no light" in lines[-1]
+    found = {line.split("|")[1].strip(): line for line in lines[4:-2]}
+    assert "| 21.00 ± 1.41 🟨 |" in found["`naive`"]
+
+
 def test_what_truth_helps_is_marked_and_takes_no_place(table1: ModuleType) -> None:
     linear = row("lom", "raw-gs", 0, 99, **{"linear.linear_psnr": 30.0})
     lines = table1.tables([*ROWS, linear], STUDY)["lom"].splitlines()
@@ -140,6 +151,8 @@ def test_rows_come_back_from_their_csv_and_later_sources_win(
     assert call(out) == first
     assert "| `naive` | 23.00 ± 4.24 🟨 |" in call(out, tmp_path / "two")
     assert len(table1.read_source(out)) == len(ROWS)  # nothing of the run that waits
+    (tmp_path / "two" / "results.json").write_text(json.dumps({"rows": [row("llrs", "naive", 0, 12)]}))
+    assert "<!-- table: lom -->\n\nNo runs.\n<!-- /table -->" in call(tmp_path / "two")  # not those of another call
 
 
 def test_the_study_has_every_method_of_the_paper_and_of_the_bed(table1: ModuleType) -> None:
