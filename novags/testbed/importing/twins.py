@@ -56,11 +56,13 @@ def pictures_in(folder: Path) -> dict[str, Path]:
 def plain_pictures(folder: Path) -> list[Path]:
     """The pictures in images/ of a folder, else those in it, in the order of their names, whatever cameras list.
 
+    Hidden files are none: archives made on a Mac add ._NAME to each.
+
     Raises:
         ValueError: If neither folder has pictures.
     """
     for place in (folder / "images", folder):
-        if files := sorted(file for file in place.glob("*") if file.suffix.lower() in PICTURES and file.is_file()):
+        if files := sorted(file for file in place.glob("[!.]*") if file.suffix.lower() in PICTURES and file.is_file()):
             return files
     raise ValueError(f"{folder} holds no pictures ({', '.join(PICTURES)})")
 

@@ -21,8 +21,8 @@ def picture_folder(folder: Path) -> Path:
 
 
 def sorted_pictures(pictures: Path) -> list[Path]:
-    """The pictures of a folder in the order of their names."""
-    return sorted(file for file in pictures.glob("*") if file.suffix.lower() in SUFFIXES and file.is_file())
+    """The pictures of a folder in the order of their names; archives made on a Mac add hidden files, ._NAME."""
+    return sorted(file for file in pictures.glob("[!.]*") if file.suffix.lower() in SUFFIXES and file.is_file())
 
 
 def named_pictures(pictures: Path, names: Sequence[str]) -> list[Path | None]:

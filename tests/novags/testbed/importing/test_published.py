@@ -168,6 +168,15 @@ def test_a_scene_of_llrs_has_lit_pictures_in_gt_and_is_no_unfinished_render(tmp_
     assert (capture.record["dataset"], capture.cameras.test_indices) == ("LLRS", [0, 8])
 
 
+def test_hidden_files_of_archives_are_no_pictures(tmp_path: Path) -> None:
+    """Rationale: ._NAME, which a Mac adds to each file of an archive, made the number of pictures another."""
+    folder = llnerf(tmp_path / "LLNeRF")
+    for place in (folder / "images", tmp_path / "LLNeRF" / "normal-light-scenes" / "still2"):
+        for file in sorted(place.iterdir())[:3]:
+            file.with_name(f"._{file.name}").write_bytes(b"\0")
+    assert_pairs(brought(folder, tmp_path / "cap"), list(range(VIEWS)))
+
+
 def test_a_scene_of_mvtv_keeps_its_16_bits(tmp_path: Path) -> None:
     """Expectation: code / 65535, within half a step of the 16-bit pictures of a capture."""
     capture = brought(mvtv(tmp_path), tmp_path / "cap")
