@@ -31,8 +31,9 @@ def open_scene(folder: Path, split: Split) -> MultiviewSet:  # none of these dat
 
 
 def lit_inside(folder: Path) -> Path | None:
-    """The folder of the well-lit pictures inside a scene's."""
-    return next((path for name in LIT_INSIDE if (path := folder / name).is_dir()), None)
+    """The folder of the well-lit pictures inside a scene's, whatever case its name is in."""
+    below = {path.name.lower(): path for path in sorted(folder.iterdir()) if path.is_dir()}
+    return next((below[name] for name in LIT_INSIDE if name in below), None)
 
 
 def lit_beside(folder: Path) -> Path | None:

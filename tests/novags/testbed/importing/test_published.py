@@ -168,6 +168,13 @@ def test_a_scene_of_llrs_has_lit_pictures_in_gt_and_is_no_unfinished_render(tmp_
     assert (capture.record["dataset"], capture.cameras.test_indices) == ("LLRS", [0, 8])
 
 
+def test_lit_pictures_are_found_whatever_case_their_folder_is_in(tmp_path: Path) -> None:
+    folder = llrs(tmp_path)
+    (folder / "gt").rename(folder / "moved")
+    (folder / "moved").rename(folder / "GT")
+    assert_pairs(brought(folder, tmp_path / "cap"), list(range(VIEWS)))
+
+
 def test_hidden_files_of_archives_are_no_pictures(tmp_path: Path) -> None:
     """Rationale: ._NAME, which a Mac adds to each file of an archive, made the number of pictures another."""
     folder = llnerf(tmp_path / "LLNeRF")
