@@ -152,6 +152,8 @@ def material_of(folder: Path, config: ImportConfig, console: Console) -> Materia
     )
     if lit is None and dataset is not None and (place := dataset.lit(folder)) is not None:
         lit = twins_by_order(views, place) if dataset.by_order else twins_of(views, place, "its", console)
+    if dataset is not None and lit is None and clean is None:
+        console.note(f"import: {folder} has no lit pictures, so that there is nothing to score against (--lit)")
     return Material(dark, lit, clean, dataset)
 
 

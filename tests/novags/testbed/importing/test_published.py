@@ -157,9 +157,11 @@ def test_lit_pictures_of_another_size_or_number_are_refused_with_names(tmp_path:
 def test_a_scene_without_lit_pictures_is_imported_without(tmp_path: Path) -> None:
     folder = llnerf(tmp_path / "LLNeRF")
     shutil.rmtree(tmp_path / "LLNeRF" / "normal-light-scenes")
-    capture = brought(folder, tmp_path / "cap")
+    stream = io.StringIO()
+    capture = brought(folder, tmp_path / "cap", Console(stream=stream))
     assert capture.record["lit"] is None
     assert not capture.holds("lit")
+    assert "still2 has no lit pictures, so that there is nothing to score against" in stream.getvalue()
 
 
 def test_a_scene_of_llrs_has_lit_pictures_in_gt_and_is_no_unfinished_render(tmp_path: Path) -> None:
