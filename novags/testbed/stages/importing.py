@@ -1,5 +1,6 @@
 """Import: dark photographs from elsewhere in, a capture folder out, with what truth there is about them."""
 
+import os
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, get_args
@@ -303,7 +304,7 @@ def record_of(material: Material, prepared: Prepared, config: ImportConfig) -> d
     parts = {"images16": sixteen, "raw": raw is not None, "truth": match is not None, "lit": material.lit is not None}
     return {
         "kind": "imported",
-        "scene": dark.source.views.path.resolve().name,
+        "scene": Path(os.path.abspath(dark.source.views.path)).name,
         "files": files_of(dark.source),
         "depth": dark.depth,
         "parts": [part for part, there in parts.items() if there],

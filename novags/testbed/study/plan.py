@@ -169,20 +169,20 @@ class Planner:
 
     def _imported(self, folder: Path, config: ImportConfig) -> str:
         """The key of a capture of photographs that are dark already; it holds all that it is made of."""
+        folder = Path(os.path.abspath(folder))  # not where a link leads: names tell the scene and the data set
         place = (folder, digest(config.resolved()), config.lit, config.clean, config.dataset)
         if place not in self.contents:
             material = material_of(folder, config, self.console)
             source = material.dark.source
             count = len(source.views)
-            inputs, scene = material.inputs(), folder.resolve().name
+            inputs, scene = material.inputs(), folder.name
             name = f"{inputs['dataset']}-{scene}" if inputs["dataset"] else scene
             self.contents[place] = (inputs, name, count, float(count * source.rig.width * source.rig.height))
         inputs, name, views, pixels = self.contents[place]
-        key = key_of("capture", {"config": config.resolved(), "inputs": inputs, "scene": folder.resolve().name},
-                     code="import")  # fmt: skip
+        key = key_of("capture", {"config": config.resolved(), "inputs": inputs, "scene": folder.name}, code="import")
         self.contents[key] = views
         return self._task(Task(
-            kind="capture", key=key, name=named(name, key), config=config, source=folder.resolve(), group="import",
+            kind="capture", key=key, name=named(name, key), config=config, source=folder, group="import",
             work=pixels, pixels=pixels,
         ))  # fmt: skip
 

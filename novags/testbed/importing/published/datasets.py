@@ -74,8 +74,8 @@ DATASETS: dict[str, Dataset] = {row.name: row for row in _ROWS}
 
 def dataset_of(folder: Path) -> Dataset | None:
     """The data set that a folder is a scene of; None if it is of none."""
-    if posed.LIT_BESIDE in folder.resolve().parts:  # lit pictures, with cameras of their own perhaps
-        return None
+    if any(posed.LIT_BESIDE in place.parts for place in posed.places(folder)):
+        return None  # lit pictures, with cameras of their own perhaps
     return next((dataset for dataset in _ROWS if dataset.holds(folder)), None)
 
 
@@ -91,7 +91,7 @@ def scenes_below(root: Path) -> dict[str, dict[str, Path]]:
         raise ValueError(f"no such folder: {root}")
     found: dict[str, dict[str, Path]] = {}
     for dataset, folder in _walk(root, DEPTH):
-        scenes, name = found.setdefault(dataset.name, {}), folder.resolve().name
+        scenes, name = found.setdefault(dataset.name, {}), posed.places(folder)[0].name
         if name in scenes:
             raise ValueError(f"{scenes[name]} and {folder} are both the scene {name} of {dataset.name}: move one away")
         scenes[name] = folder
@@ -109,7 +109,7 @@ def _walk(folder: Path, depth: int) -> Iterator[tuple[Dataset, Path]]:
 
 def _owner(folder: Path) -> str | None:
     """The data set whose name the nearest folder above bears."""
-    for above in list(folder.resolve().parents)[:NEAR]:
+    for above in (above for place in posed.places(folder) for above in list(place.parents)[:NEAR]):
         for dataset in _ROWS:
             if dataset.named and dataset.name.lower() in above.name.lower():
                 return dataset.name

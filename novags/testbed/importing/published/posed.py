@@ -4,6 +4,7 @@ Pictures in images/ (or, shrunk, in images_N/), 8-bit, 16-bit or camera raw; cam
 transforms.json or poses_bounds.npy (LLFF).
 """
 
+import os
 from pathlib import Path
 
 from novags.testbed.folders.linear_photographs import load_linear_set
@@ -38,6 +39,10 @@ def lit_inside(folder: Path) -> Path | None:
 
 def lit_beside(folder: Path) -> Path | None:
     """The folder of the well-lit pictures in the archive beside the dark scenes, or beside the folder of these."""
-    name = folder.resolve().name
-    places = (above / LIT_BESIDE / name for above in list(folder.resolve().parents)[:2])
-    return next((path for path in places if path.is_dir()), None)
+    found = (above / LIT_BESIDE / place.name for place in places(folder) for above in list(place.parents)[:2])
+    return next((path for path in found if path.is_dir()), None)
+
+
+def places(folder: Path) -> list[Path]:
+    """A folder from the root: by the names that lead to it, and where links among these lead, if that is elsewhere."""
+    return list(dict.fromkeys([Path(os.path.abspath(folder)), folder.resolve()]))

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from novags.testbed.console import Console
+from novags.testbed.stages.importing import material_of
 from novags.testbed.study.grid import Study, read_study
 from novags.testbed.study.plan import Plan, plan_of
 from tests.miniatures import llnerf, llrs, lom, mvtv
@@ -144,6 +145,24 @@ def test_every_scene_of_the_protocol_may_be_absent_but_one(tmp_path: Path) -> No
     study = read_study(PAPER, tmp_path / "data")
     assert study.absent == ("LOM", "LLNeRF", "LLRS")
     assert {cell.values["scene"] for cell in study.cells} == {"data:MVTV/hall"}
+
+
+def test_links_to_scenes_and_to_data_sets_have_the_names_of_these(tmp_path: Path) -> None:
+    """Rationale: the names where links led were taken, so that a data set behind one was not there."""
+    disk, linked = tmp_path / "disk", tmp_path / "linked"
+    lom(disk / "a")
+    llrs(disk)
+    (disk / "LLRS-sRGB").rename(disk / "b")
+    (linked / "LOM").mkdir(parents=True)
+    (linked / "LOM" / "buu").symlink_to(disk / "a")
+    (linked / "LLRS").symlink_to(disk / "b")
+    study = read(tmp_path, '["data:LOM/*", "data:LLRS/*"]', linked)
+    assert scenes(study) == ["data:LOM/buu", "data:LLRS/chair"]
+    captures = [task for task in planned(study, tmp_path).tasks.values() if task.kind == "capture"]
+    assert [task.name.rpartition("-")[0] for task in captures] == ["LOM-buu", "LLRS-chair"]
+    for task in captures:
+        assert task.source is not None
+        assert material_of(task.source, task.config, QUIET).lit is not None
 
 
 def test_the_planner_says_what_a_scene_was_taken_for(tmp_path: Path, data: Path) -> None:
