@@ -1,7 +1,8 @@
 r"""The paper's Table 1 in this bed: a page with one table for each light level, and its rows as CSV.
 
     novags study docs/studies/table1.toml --out out/table1
-    novags study docs/studies/table1-weights.toml --out out/table1-weights  # where the weights are
+    novags study docs/studies/table1-weights.toml --out out/table1-weights  # where the authors' weights are
+    novags study docs/studies/table1-simulated.toml --out out/table1-simulated  # after scripts/train_enhancer.py
     python scripts/choices/table1.py out/table1* --page docs/table1.md --summary docs/results.md \
         --rows docs/table1.csv
 
@@ -33,11 +34,13 @@ from novags.testbed.report.study.light import looks_of
 from sensor_model.files.toml_file import read_toml
 
 Row = Mapping[str, Any]
-STUDIES = [Path(__file__).resolve().parents[2] / "docs" / "studies" / f"table1{end}.toml" for end in ("", "-weights")]
+FOLDER = Path(__file__).resolve().parents[2] / "docs" / "studies"
+STUDIES = [FOLDER / f"table1{end}.toml" for end in ("", "-weights", "-simulated")]
 PLACE = ("scene", "level", "method", "seed")
 MAIN = "lit.tone_aligned_psnr"
 SECONDS = "seconds.reconstruct"
 LINEAR = "linear.linear_psnr"  # what ends in linear light has it
+ALIGNED = "enhanced.aligned_psnr"  # against the noise-free exposure, enhanced: of methods that show an enhanced picture
 # column of the study -> heading, factor, digits, whether the first three are coloured
 SCORES = {
     MAIN: ("tone-aligned PSNR, dB", 1, 2, True),
@@ -87,7 +90,7 @@ def merged(sources: Sequence[Sequence[Row]]) -> list[Row]:
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
     """Write what the page is made of."""
-    names = [*PLACE, "state", "reason", *SCORES, LINEAR]
+    names = [*PLACE, "state", "reason", *SCORES, LINEAR, ALIGNED]
     lines = [[("" if row.get(name) is None else row[name]) for name in names] for row in rows]
     with path.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows([names, *lines])
