@@ -9,9 +9,9 @@
              pixels
            + 0.01 mean(g^2)
 
-The terms of the enhancement are added once the colours are learnt, and take R and L as given. Wang et al. 2023, "Lighting
-up NeRF via unsupervised decomposition and enhancement", and the forms and constants of its published code. It uses no
-statistic of a well-lit picture.
+The terms of the enhancement are added once the colours are learnt, and take R and L as given. Wang et al. 2023,
+"Lighting up NeRF via unsupervised decomposition and enhancement", and the forms and constants of its published code. It
+uses no statistic of a well-lit picture.
 
 What differs from it: the field is that of docs/fields.md, which starts dense at the first points and as dark as the
 pictures, with its steps and rays; the enhancement comes in for the last quarter of the steps, not for the last 5,000 of
