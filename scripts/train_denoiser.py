@@ -4,7 +4,8 @@
 
 The clean pictures are views of rendered sets (make them with `novags render`, of scenes and seeds that no table
 reports) and synthetic pictures; each is photographed by `sensor_model` with a camera and at a level drawn at random.
-An interrupted run continues from its checkpoint. Every step depends on the seed and its own number alone.
+An interrupted run continues from its checkpoint, with the same options; --steps may change before the rate falls. Every
+step depends on the seed and its own number alone.
 """
 
 import argparse
@@ -59,7 +60,11 @@ def main() -> None:
     torch.manual_seed(asked.seed)
     network = Network(NetworkConfig(widths=tuple(asked.widths), blocks=tuple(asked.blocks)))
     network.to(memory_format=torch.channels_last)
-    training = Training(network, Schedule(steps=asked.steps, rate=asked.rate), partial(loss_of, kind=asked.loss))
+    settings = {name: getattr(asked, name) for name in
+                ("seed", "crop", "batch", "widths", "blocks", "loss", "stock", "rendered_share")}  # fmt: skip
+    settings["sets"] = [path.name for path in sorted(asked.sets)]
+    loss = partial(loss_of, kind=asked.loss)
+    training = Training(network, Schedule(steps=asked.steps, rate=asked.rate), loss, settings)
     checkpoint = asked.out.with_suffix(".checkpoint.safetensors")
     before = training.restore(checkpoint) if checkpoint.exists() else 0.0
     source = Source(sorted(asked.sets), size=128, stock=asked.stock, rendered_share=asked.rendered_share)
@@ -92,16 +97,18 @@ def run(
         if now - saved > SAVED or training.step == last:
             training.save(checkpoint, time.process_time() - cpu)
             saved = time.perf_counter()
-    named = [path.name for path in sorted(asked.sets)]
     shown = shlex.join(
         ["python", "scripts/train_denoiser.py", *(Path(a).name if "/" in a else a for a in sys.argv[1:])]
     )
     made = {"command": shown, "seed": asked.seed, "steps": training.step, "cpu_seconds": time.process_time() - cpu,
-            "sets": named, "torch": torch.__version__}  # fmt: skip
+            "sets": training.settings["sets"], "torch": torch.__version__}  # fmt: skip
     save_weights(asked.out, training.network, made)
     print(asked.out)
 
 
 if __name__ == "__main__":
     torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "1")))
-    main()
+    try:
+        main()
+    except ValueError as error:
+        raise SystemExit(f"train_denoiser.py: {error}") from None

@@ -4,8 +4,9 @@
 
 One recipe for the three: pictures as for scripts/train_denoiser.py, photographed by `sensor_model` with cameras drawn
 at random at 0.2 to 8 % of white and developed to 8 bits; what the network makes of one is to be the same picture
-without noise at middle grey. The loss is L1 plus half of 1 - SSIM. An interrupted run continues from its checkpoint.
-At the end it says what the network makes of pictures that it has not seen, beside the best factor on each.
+without noise at middle grey. The loss is L1 plus half of 1 - SSIM. An interrupted run continues from its checkpoint,
+with the same options; --steps may change before the rate falls. At the end it says what the network makes of pictures
+that it has not seen, beside the best factor on each.
 """
 
 import argparse
@@ -85,7 +86,9 @@ def main() -> None:
     torch.manual_seed(asked.seed)
     network = kind.make(config)
     loss = partial(loss_of, kind=kind, config=config)
-    training = Training(network, Schedule(steps=asked.steps, rate=asked.rate), loss)
+    settings = {name: getattr(asked, name) for name in ("network", "seed", "crop", "batch")}
+    settings["sets"] = [path.name for path in sorted(asked.sets)]
+    training = Training(network, Schedule(steps=asked.steps, rate=asked.rate), loss, settings)
     checkpoint = asked.out.with_suffix(".checkpoint.safetensors")
     before = training.restore(checkpoint) if checkpoint.exists() else 0.0
     source = Source(sorted(asked.sets), size=128, stock=256, rendered_share=0.4)
@@ -123,4 +126,7 @@ def run(training: Training, source: Source, asked: argparse.Namespace, checkpoin
 
 if __name__ == "__main__":
     torch.set_num_threads(int(os.environ.get("OMP_NUM_THREADS", "1")))
-    main()
+    try:
+        main()
+    except ValueError as error:
+        raise SystemExit(f"train_enhancer.py: {error}") from None

@@ -83,3 +83,25 @@ def test_an_interrupted_training_ends_with_the_same_weights_whoever_makes_its_pa
     assert (made["seed"], made["steps"]) == (5, 4)
     assert "--seed 5" in made["command"]
     assert str(tmp_path) not in made["command"]
+
+
+def test_a_training_is_continued_with_the_same_settings_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """But for the number of steps, which may change before the rate falls."""
+    train(monkeypatch, tmp_path / "x.safetensors", "--stop", "2", "--steps", "9")
+    for more, message in (
+        (
+            "--seed 6",
+            "seed must be that of the training that is continued, 5, got 6: restore it, or delete .*checkpoint",
+        ),
+        ("--crop 18", "crop must be .* 16, got 18"),
+        ("--batch 2", "batch must be .* 1, got 2"),
+        ("--widths 4 8", r"widths must be .* \[4, 6\], got \[4, 8\]"),
+        ("--loss l2", "loss must be .* l1, got l2"),
+        ("--rate 0.002", "the rate of the 2 steps that are done .* --rate 0.001, got --steps 4 --rate 0.002"),
+        ("--steps 1", "had --steps 9 .* got --steps 1 "),
+    ):
+        with pytest.raises(ValueError, match=message) as error:
+            train(monkeypatch, tmp_path / "x.safetensors", *more.split())
+        assert "\n" not in str(error.value)
+    train(monkeypatch, tmp_path / "x.safetensors", "--steps", "3")
+    assert made_by(tmp_path / "x.safetensors")["steps"] == 3

@@ -74,6 +74,33 @@ def test_a_crop_larger_than_a_picture_is_refused_by_size() -> None:
         source.draw(np.random.default_rng(0), 0, 25)
 
 
+@pytest.mark.parametrize(
+    ("network", "more", "message"),
+    [
+        ("uretinex", "", "network must be that of the training that is continued, mbllen, got uretinex"),
+        ("mbllen", "--seed 1", "seed must be .* 0, got 1: restore it, or delete .*checkpoint"),
+        ("mbllen", "--crop 18", "crop must be .* 16, got 18"),
+        ("mbllen", "--batch 2", "batch must be .* 1, got 2"),
+        ("mbllen", "--rate 1e-3", "the rate of the 3 steps that are done must be that of this training"),
+    ],
+)
+def test_a_training_is_not_continued_with_other_settings(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, network: str, more: str, message: str
+) -> None:
+    import train_enhancer
+    from denoising.training import Schedule, Training
+
+    settings = {"network": "mbllen", "seed": 0, "crop": 16, "batch": 1, "sets": []}
+    before = Training(torch.nn.Linear(1, 1), Schedule(steps=20, rate=5e-4), torch.nn.Module, settings)
+    before.step = 3
+    before.save(tmp_path / "x.checkpoint.safetensors", 1.0)
+    asked = ["train_enhancer.py", network, "--steps", "20", "--batch", "1", "--crop", "16", *more.split()]
+    monkeypatch.setattr(sys, "argv", [*asked, "--out", str(tmp_path / "x.safetensors")])
+    with pytest.raises(ValueError, match=message) as error:
+        train_enhancer.main()
+    assert "\n" not in str(error.value)
+
+
 @pytest.mark.slow
 def test_a_training_that_was_stopped_ends_with_the_same_weights_which_the_method_reads(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]

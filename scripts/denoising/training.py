@@ -1,14 +1,16 @@
 """The training loop: one step, the rate over the steps, checkpoints, and a look at pairs that are not trained on."""
 
+import json
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 import torch.nn.functional as F
+from safetensors import safe_open
 from torch import Tensor, nn
 
 from denoising.pairs import Pairs, photograph, random_camera
@@ -55,7 +57,11 @@ def loss_of(network: Network, pairs: Pairs, kind: str) -> Tensor:
 class Training:
     """A network and its optimiser."""
 
-    def __init__(self, network: nn.Module, schedule: Schedule, loss: Callable[[Any, Any], Tensor]) -> None:
+    def __init__(
+        self, network: nn.Module, schedule: Schedule, loss: Callable[[Any, Any], Tensor], settings: dict[str, Any]
+    ) -> None:
+        """settings: What a step follows from beside the schedule, by option; values that JSON holds."""
+        self.settings = settings
         self.network, self.schedule, self.loss, self.step = network, schedule, loss, 0
         self.optimizer = torch.optim.Adam(network.parameters(), lr=schedule.rate, betas=(0.9, 0.99))
 
@@ -77,14 +83,38 @@ class Training:
     def save(self, path: Path, seconds: float) -> None:
         """Everything that the next step depends on."""
         more = {"steps": torch.tensor(self.step), "seconds": torch.tensor(seconds, dtype=torch.float64)}
-        write_tensors(path, pack("network", self.network, self.optimizer) | more)
+        settings = json.dumps(self.settings | asdict(self.schedule))
+        write_tensors(path, pack("network", self.network, self.optimizer) | more, {"settings": settings})
 
     def restore(self, path: Path) -> float:
-        """Continue from `save`; returns the seconds that were spent before."""
+        """Continue from `save`; returns the seconds that were spent before.
+
+        Raises:
+            ValueError: If the file is damaged, or a training with these settings would not have made it.
+        """
         tensors = read(path)
+        self._require_same(path, int(tensors["steps"]))
         unpack("network", tensors, self.network, self.optimizer)
         self.step = int(tensors["steps"])
         return float(tensors["seconds"])
+
+    def _require_same(self, path: Path, done: int) -> None:
+        """Raise ValueError unless the steps that were done are those of this training."""
+        with safe_open(path, "pt") as file:
+            then = json.loads((file.metadata() or {}).get("settings", "{}"))
+        remedy = f"restore it, or delete {path} to start over"
+        for name, value in self.settings.items():
+            if (before := then.get(name, "not stated")) != value:
+                raise ValueError(
+                    f"{name} must be that of the training that is continued, {before}, got {value}: {remedy}"
+                )
+        planned = Schedule(steps=then["steps"], rate=then["rate"])
+        if any(planned.at(step) != self.schedule.at(step) for step in range(done)):
+            raise ValueError(
+                f"the rate of the {done} steps that are done must be that of this training; they had --steps "
+                f"{planned.steps} --rate {planned.rate:g}, got --steps {self.schedule.steps} --rate "
+                f"{self.schedule.rate:g}: {remedy}"
+            )
 
 
 def checks(count: int, size: int) -> list[Pairs]:
