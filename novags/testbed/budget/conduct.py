@@ -12,7 +12,7 @@ from novags.testbed import experiment
 from novags.testbed.budget import said
 from novags.testbed.budget.choice import Choice, Option, choice_of, choose, fastest
 from novags.testbed.budget.known import Known, known
-from novags.testbed.budget.settings import OF_A_RENDER, WORDS, open_options, turned
+from novags.testbed.budget.settings import OF_A_RENDER, WORDS, open_options, turned, values
 from novags.testbed.budget.trial import Forecast, OutOfTime, forecast
 from novags.testbed.cache import digest, jsonable, read_json, write_json
 from novags.testbed.console import Console
@@ -143,7 +143,14 @@ def begun(request: Request, out: Path) -> State | None:
     if any(name not in WORDS or not 0 < share <= 1 for name, share in state["shares"].items()):
         raise ValueError(f"{out / RECORD}: shares must be of {', '.join(WORDS)} and in (0, 1], got "
                          f"{brief(state['shares'], 100)}; remove it, the choice is then made again")  # fmt: skip
-    return state if state["request"] == request.identity() else None
+    if state["request"] != request.identity():
+        return None
+    own = values(request.preset)
+    if gone := [name for name, share in state["shares"].items() if share != 1 and name not in own]:
+        raise ValueError(f"{out / RECORD}: shares must be of what this experiment leaves open ({', '.join(own)}), got "
+                         f"{', '.join(gone)}, chosen by another version; remove it, the choice is then made again"
+                         )  # fmt: skip
+    return state
 
 
 def _write(out: Path, state: State) -> State:

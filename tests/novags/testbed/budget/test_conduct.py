@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from novags.methods.variant import Variant
 from novags.testbed.budget import conduct
 from novags.testbed.budget.choice import Option
 from novags.testbed.budget.conduct import Request
@@ -164,6 +165,19 @@ def test_an_interrupted_experiment_goes_on_with_what_was_chosen(work: Work, tmp_
     assert "going on with what was chosen before" in console.lines[0]
     state = json.loads((tmp_path / "x" / "budget.json").read_text())
     assert state["seconds"] == 100.0  # of both calls, as if there had been one
+
+
+def test_a_choice_of_another_version_that_this_one_leaves_to_the_variant_is_refused(work: Work, tmp_path: Path) -> None:
+    """Versions that took the iterations of a variant for the preset's halved what the variant itself decides."""
+    own = Variant(name="long", method="naive", settings={"fit.iterations": 700})
+    request = Request(adapted(PRESET, methods=("long",), variants=(own,)), 120.0)
+    (tmp_path / "x").mkdir()
+    state = {"request": request.identity(), "budget": 120.0, "trial": 10.0, "curves": "made up",
+             "shares": {"iterations": 0.5}, "foretold": {"seconds": 100.0, "lost": 0.8, "sd": 0.4},
+             "preset_seconds": 130.0}  # fmt: skip
+    (tmp_path / "x" / "budget.json").write_text(json.dumps(state))
+    with pytest.raises(ValueError, match=r"leaves open \(points, .* got iterations, chosen by another .* remove it"):
+        conduct.run(request, tmp_path / "x", Told())
 
 
 def test_a_finished_experiment_of_another_request_is_refused_before_the_trial(work: Work, tmp_path: Path) -> None:
