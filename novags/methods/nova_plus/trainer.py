@@ -18,6 +18,7 @@ from novags.methods.light import first_light
 from novags.methods.noise_estimate import noise_of
 from novags.methods.nova_plus.average import non_local_means
 from novags.methods.nova_plus.bandwidth import choose_bandwidth
+from novags.methods.nova_plus.checkpoints import claim, run_identity
 from novags.methods.nova_plus.data import Exposures, exposures
 from novags.methods.nova_plus.judge import compare, mean_tone
 from novags.methods.nova_plus.likelihood import Likelihood
@@ -138,6 +139,8 @@ def train(
     noise = noise_of(problem, config.noise)
     data = exposures(problem, noise, config.held_share)
     curve = tone_curve(data.greens)
+    if checkpoint is not None:
+        claim(checkpoint.parent / CHECKPOINTS, run_identity(problem, config, data))
     work = _Work(problem, config, data, curve, progress, checkpoint)
     work.found["noise"] = {"origin": noise.origin, "shared": list(data.shared)}
     firsts = [work.likelihood(seed) for seed in range(config.seeds)]

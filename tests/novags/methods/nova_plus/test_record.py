@@ -2,6 +2,7 @@
 
 import importlib
 import time
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -41,3 +42,21 @@ def test_a_run_that_goes_on_counts_what_it_does_between_the_fits(
     seconds = train(inputs, CONFIG, checkpoint=checkpoint).seconds
     assert seconds["fit"] > 40 * 0.05
     assert seconds["averages"] >= 0.3
+
+
+def test_checkpoints_of_a_run_of_other_pictures_or_settings_are_refused(dark: Any, tmp_path: Path) -> None:
+    """Rationale: those of the fits say nothing of targets and losses, which would be those of the other run."""
+    inputs, checkpoint = dark()[0], tmp_path / "checkpoint.safetensors"
+    config = replace(CONFIG, stages="likelihood", seeds=1)
+    train(inputs, config, checkpoint=checkpoint)
+    for name, value in {"held_share": 0.3, "averaged_share": 1.0, "bandwidth": 0.3, "noise": "pictures"}.items():
+        with pytest.raises(ValueError, match="checkpoints belongs to a run of other pictures or settings"):
+            train(inputs, replace(config, **{name: value}), checkpoint=checkpoint)
+    assert inputs.linear16 is not None
+    for other in (replace(inputs, linear16=1.001 * inputs.linear16), replace(inputs, seed=1)):
+        with pytest.raises(ValueError, match="checkpoints belongs to a run of other pictures or settings"):
+            train(other, config, checkpoint=checkpoint)
+    train(inputs, config, checkpoint=checkpoint)
+    (tmp_path / trainer.CHECKPOINTS / "run").unlink()  # of nobody knows whom
+    with pytest.raises(ValueError, match="delete it"):
+        train(inputs, config, checkpoint=checkpoint)
