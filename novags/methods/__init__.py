@@ -296,11 +296,11 @@ def with_variants(variants: Iterable[Variant]) -> dict[str, Variant]:
     """The caller's own variants by name.
 
     Raises:
-        ValueError: If a name is taken or used twice.
+        ValueError: If a name is taken or used twice, or is that of what it varies.
     """
     found: dict[str, Variant] = {}
     for variant in variants:
-        if variant.name in METHODS or variant.name in found:
+        if variant.name in (*METHODS, *found, variant.method):
             raise ValueError(f"the variant {variant.name!r} needs a name of its own, and this one is taken")
         found[variant.name] = variant
     for name in found:

@@ -178,6 +178,7 @@ def test_a_variant_of_a_variant_adds_its_settings():
     [
         ([Variant(name="nova", method="naive")], "needs a name of its own"),
         ([Variant(name="a", method="naive"), Variant(name="a", method="nova")], "needs a name of its own"),
+        ([Variant(name="nova-fast", method="nova-fast")], "needs a name of its own"),
         ([Variant(name="a", method="nove")], "unknown method 'nove'; did you mean 'nova"),
         ([Variant(name="a", method="qqqqqq")], "unknown method 'qqqqqq'; available: nova"),
     ],
