@@ -7,6 +7,7 @@ import pytest
 import torch
 
 from novags.methods.noise import Variance
+from novags.methods.nova_plus import trainer
 from novags.methods.nova_plus.data import Exposures
 from novags.methods.nova_plus.judge import Verdict, compare, mean_tone
 from novags.methods.nova_plus.merge import merged
@@ -95,6 +96,13 @@ def test_the_mean_of_tones_is_that_of_their_light() -> None:
     a, b = torch.full((1, 2, 2, 3), 0.2), torch.full((1, 2, 2, 3), 0.8)
     want = (CURVE.light(a) + CURVE.light(b)) / 2
     torch.testing.assert_close(CURVE.light(mean_tone([a, b], CURVE)), want)
+
+
+def test_weights_are_the_squared_slope_of_what_is_shown_with_mean_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(trainer._Work, "shown", lambda self, tones: tones**2)
+    tones = torch.rand(2, 8, 8, 3, generator=torch.Generator().manual_seed(1))
+    found = trainer._Work.weights(object.__new__(trainer._Work), tones)
+    torch.testing.assert_close(found, tones**2 / (tones**2).mean(), rtol=1e-4, atol=1e-5)
 
 
 def some(seed: int, n: int = 30) -> Gaussians:

@@ -11,6 +11,7 @@ import torch
 
 from novags.methods.denoised.denoiser import DenoiseConfig
 from novags.methods.denoised.recorrupted import AdaptConfig
+from novags.methods.enhancers import enhanced_light
 from novags.methods.light import first_light
 from novags.methods.noise import Noise, Variance
 from novags.methods.nova_plus import trainer
@@ -229,7 +230,7 @@ def test_stages_follow_one_another_with_rates_and_seeds_of_their_own(
         return result
 
     monkeypatch.setattr(trainer, "fit", spy)
-    train(inputs, CONFIG)
+    result = train(inputs, CONFIG)
     configs = [config for _, _, config, _, _ in calls]
     assert [c.iterations for c in configs] == [20, 20, 20, 20, 4]
     assert [c.seed for c in configs] == [7, 1007, 7, 1007, 7]
@@ -239,6 +240,7 @@ def test_stages_follow_one_another_with_rates_and_seeds_of_their_own(
         assert config.rates.means == pytest.approx(factor * FIT.rates.means)
         assert config.rates.means_final == FIT.rates.means_final
     assert [c.mcmc is None for c in configs] == [False, False, False, False, True]
+    assert [c.sh_every for c in configs] == [5, 5, 5, 5, 1]  # a merged set has its harmonics already
     assert [c.opacity_reg_at(c.iterations // 2) for c in configs] == [0.005, 0.005, 0.005, 0.005, 0]
     assert [options["photometric"] is None for _, _, _, options, _ in calls] == [False, False, True, True, True]
     # both stages start from the first points; the targets of the second are guided by the mean light of both seeds
@@ -260,6 +262,8 @@ def test_stages_follow_one_another_with_rates_and_seeds_of_their_own(
     clean = denoised_light(data, curve.light(guide), CONFIG.denoise, seed=7)
     want = curve.tone(2 / 3 * guided_light(guide, data, curve, h, 0.5) + 1 / 3 * clean)
     torch.testing.assert_close(calls[2][1], want, rtol=1e-4, atol=1e-5)
+    shown = enhanced_light(inputs, curve.light(calls[2][1]), CONFIG.enhance, CONFIG.pictures)
+    torch.testing.assert_close(result.targets, shown)
 
 
 def test_the_first_fit_corrects_the_cameras_for_all_others(dark: Any, monkeypatch: pytest.MonkeyPatch) -> None:
