@@ -222,6 +222,27 @@ def test_a_plane_seen_from_the_side_is_the_same_plane_in_every_pixel() -> None:
     np.testing.assert_allclose(camera.planes[seen], np.broadcast_to(-normal / distance, camera.planes.shape)[seen])
 
 
+def test_a_plane_along_the_ray_is_taken_as_facing_the_camera_at_its_depth() -> None:
+    K = np.array([[40.0, 0, 16], [0, 37.0, 13], [0, 0, 1]])
+    along = np.cross(rays_of(K, 5, 6), [0.0, 1.0, 0.0])
+    camera = Camera.of(np.eye(4), K, np.full((5, 6), 2.0), along / np.linalg.norm(along, axis=-1, keepdims=True))
+    np.testing.assert_allclose(camera.planes, np.broadcast_to([0.0, 0.0, 0.5], (5, 6, 3)))
+
+
+def test_where_all_exposures_are_too_coarse_they_are_used_all_the_same() -> None:
+    world = World(box=False)
+    near, far = looking((0.55, 0.0, 0.65), (0, 0, 0)), looking((2.2, 0.0, 2.6), (0, 0, 0))
+    scene = gathered(world)
+    exposure = world.picture(far)[None]
+    scene.sources, scene.exposures, scene.variances = [world.camera(far)], exposure, np.ones_like(exposure)
+    target = world.camera(near)
+    strict = average(target, scene.sources, exposure, np.ones_like(exposure), STRICT)
+    assert (strict.views == 0).mean() > 0.5
+    found = scene.averaged(target)
+    assert (found.views == 1).all()
+    assert np.abs(found.mean - world.picture(near).reshape(-1, 3)).max() < 0.1
+
+
 def test_cubic_convolution_finds_every_parabola_exactly() -> None:
     """Keys 1981, section 3: with a = -1/2 the error is of third order, for no other kernel of its kind is it."""
     taps = np.arange(-1, 3)

@@ -143,6 +143,23 @@ def test_an_adapted_network_is_followed_to_where_its_error_is_least(monkeypatch:
     assert found.levels.tolist() == pytest.approx([5.0], abs=5 * math.sqrt(v / (2 * 64 * 64)))
 
 
+def test_views_from_the_first_to_the_last_say_how_far_it_is_followed(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each by its own variance; every view is as bright as its number."""
+    mean = torch.arange(1.0, 16.0)[:, None, None, None].expand(15, 3, 8, 8).contiguous()
+    training = Adaptation(Network(SMALL), replace(capture(mean, 1.0, None), electrons=mean), AdaptConfig(), seed=0)
+    training.variance = 2 * mean
+    asked: list[tuple[float, float]] = []
+
+    def spy(data: torch.Tensor, deviation: torch.Tensor, *rest: object) -> tuple[torch.Tensor, torch.Tensor]:
+        asked.append((float(data.mean()), float(deviation.square().mean())))
+        return data, data
+
+    monkeypatch.setattr(module, "recorrupted", spy)
+    training.blend(Network(SMALL))
+    assert [level for level, _ in asked] == [1, 3, 5, 7, 9, 11, 13, 15]
+    assert [variance for _, variance in asked] == pytest.approx([2 * level for level, _ in asked])
+
+
 def test_the_rate_falls_from_all_of_it_along_half_a_cosine() -> None:
     mean = torch.full((1, 3, 16, 16), 9.0)
     training = Adaptation(Network(SMALL), capture(mean, 1.0, None), AdaptConfig(steps=4, crop=8, batch=1), seed=0)
