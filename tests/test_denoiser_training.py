@@ -1,6 +1,7 @@
 """The training of the packaged denoiser: its pairs, its rate, and that it continues where it was interrupted."""
 
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -61,6 +62,26 @@ def test_a_run_stopped_before_the_rate_falls_can_be_finished_in_fewer_steps() ->
     assert long.at(100) == long.at(6_999) == 1e-3
     assert long.at(8_500) == pytest.approx(5e-4)
     assert long.at(9_999) < 1e-6
+
+
+def test_the_loss_is_the_distance_from_the_noise_free_picture_in_units_of_the_noise() -> None:
+    from denoising.pairs import Pairs
+    from denoising.training import checked, loss_of
+
+    electrons, clean = torch.tensor([9.0, 20.0]), torch.tensor([12.0, 25.0])
+    variance = torch.tensor([[0.5, 1.0, 4.0]])
+    pairs = Pairs(*(v.expand(1, 3, 2, 2) for v in (electrons, torch.ones(2))), variance, clean.expand(1, 3, 2, 2))
+    root = variance.flatten()[:, None] + 3 / 8
+    distance = 2 * ((clean + root).sqrt() - (electrons + root).sqrt())  # of T(e) = 2 sqrt(e + 3/8 + read variance)
+
+    def same(values: torch.Tensor, mask: torch.Tensor, read: torch.Tensor) -> torch.Tensor:
+        assert torch.equal(read, variance)
+        return values
+
+    assert float(loss_of(same, pairs, "l1")) == pytest.approx(float(distance.mean()), rel=1e-4)
+    assert float(loss_of(same, pairs, "l2")) == pytest.approx(float(distance.square().mean()), rel=1e-4)
+    mosaic = replace(pairs, mask=torch.tensor([1.0, 0.0]).expand(1, 3, 2, 2), clean=pairs.electrons)
+    assert checked(same, [pairs, mosaic]) == pytest.approx((float(distance.square().mean()), 0.0), rel=1e-4)
 
 
 def train(monkeypatch: pytest.MonkeyPatch, out: Path, *more: str) -> None:

@@ -157,12 +157,13 @@ def without(what: str) -> Problem:
         "noise": replace(chips, noise=None),
         "raw frames": replace(bayer, raw=None, channels_share=("demosaicing",)),
         "JPEG": replace(chips, raw=None, channels_share=("JPEG",)),
+        "resampling": replace(chips, raw=None, pixels_share=("resampling",)),
         "neither": replace(chips, raw=None, linear16=None),
         "variance > 0": replace(chips, raw=None, noise=Noise(Variance(silent), None, "pictures")),  # type: ignore[arg-type]
     }[what]
 
 
-@pytest.mark.parametrize("what", ["noise", "raw frames", "JPEG", "neither", "variance > 0"])
+@pytest.mark.parametrize("what", ["noise", "raw frames", "JPEG", "resampling", "neither", "variance > 0"])
 def test_what_a_denoiser_cannot_do_without_is_named(what: str) -> None:
     with pytest.raises(LacksInput, match=what) as refused:
         measured(without(what))

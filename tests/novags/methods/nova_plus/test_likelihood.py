@@ -148,6 +148,9 @@ def test_noise_that_data_share_is_named_and_raw_frames_share_none() -> None:
     found = [exposures(p, problem.noise, 0.0).shared for p in
              (problem, replace(problem, raw=None), replace(problem, raw=None, channels_share=()))]  # fmt: skip
     assert found == [(), ("JPEG",), ("demosaicing",)]
+    resampled = exposures(replace(problem, raw=None, pixels_share=("resampling",)), problem.noise, 0.5)
+    assert resampled.shared == ("JPEG", "resampling")
+    assert not bool(resampled.held.any())
 
 
 def test_after_a_colour_matrix_the_variance_of_grey_light_is_that_of_its_channels_mixed() -> None:
