@@ -49,6 +49,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--batch", type=int, default=4, help="crops per step")
     parser.add_argument("--crop", type=int, default=64, help="px")
     parser.add_argument("--checks", type=int, default=24, help="pictures of 96 px that it is measured on")
+    parser.add_argument("--beside", type=Path, nargs="*", help="other weights, measured on the same pictures")
     parser.add_argument("--seed", type=int, default=0)
     asked = parser.parse_args()
     if asked.out.suffix != ".safetensors":  # by which the methods know how to read it
@@ -83,6 +84,7 @@ def main() -> None:
     asked = arguments()
     enhancer = ENHANCERS[asked.network]
     kind, config = NETWORKS[enhancer.config], enhancer.config()
+    other = kind.load(enhancer.config(weights=tuple(asked.beside))) if asked.beside else None
     torch.manual_seed(asked.seed)
     network = kind.make(config)
     loss = partial(loss_of, kind=kind, config=config)
@@ -96,7 +98,11 @@ def main() -> None:
         f"{sum(p.numel() for p in network.parameters())} parameters, step {training.step} of {asked.steps}", flush=True
     )
     seconds = run(training, source, asked, checkpoint, time.process_time() - before)
-    scores = measured(network, kind, config, bright_checks(asked.checks, 96))
+    checks = bright_checks(asked.checks, 96)
+    scores = measured(network, kind, config, checks)
+    if other is not None:
+        found = measured(other, kind, config, checks)
+        scores |= {f"beside_{name}": found[name] for name in ("psnr", "ssim")}
     shown = shlex.join(
         ["python", "scripts/train_enhancer.py", *(Path(a).name if "/" in a else a for a in sys.argv[1:])]
     )

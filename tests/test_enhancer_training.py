@@ -1,5 +1,6 @@
 """The training of enhancers on simulated pairs: the pairs, the loss, and weights that the methods can use."""
 
+import json
 import sys
 from pathlib import Path
 
@@ -65,6 +66,16 @@ def test_a_name_that_no_method_would_read_is_refused_before_the_training(
     assert "--out must end in .safetensors, got" in capsys.readouterr().err
 
 
+def test_weights_to_compare_with_are_read_before_the_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import train_enhancer
+
+    out = tmp_path / "mbllen.safetensors"
+    monkeypatch.setattr(sys, "argv", ["train_enhancer.py", "mbllen", "--out", str(out), "--beside", "gone.h5"])
+    with pytest.raises(ValueError, match="there are no weights at gone.h5"):
+        train_enhancer.main()
+    assert not list(tmp_path.iterdir())
+
+
 def test_a_crop_larger_than_a_picture_is_refused_by_size() -> None:
     from denoising.pairs import Source
 
@@ -115,10 +126,12 @@ def test_a_training_that_was_stopped_ends_with_the_same_weights_which_the_method
     train(tmp_path / "whole.safetensors")
     train(tmp_path / "cut.safetensors", "--stop", "1")
     halfway = read_weights((tmp_path / "cut.safetensors",))
-    train(tmp_path / "cut.safetensors")
+    train(tmp_path / "cut.safetensors", "--beside", str(tmp_path / "whole.safetensors"))
     whole, cut = (read_weights((tmp_path / f"{name}.safetensors",)) for name in ("whole", "cut"))
     assert all(torch.equal(value, cut[name]) for name, value in whole.items())
     assert not all(torch.equal(value, halfway[name]) for name, value in whole.items())
     loaded = MBLLEN.load(MbllenConfig(weights=(tmp_path / "cut.safetensors",))).state_dict()
     assert all(torch.equal(value, cut[name]) for name, value in loaded.items())
-    assert '"factor_psnr"' in capsys.readouterr().out
+    made = json.loads(capsys.readouterr().out.splitlines()[-2])
+    assert (made["beside_psnr"], made["beside_ssim"]) == (made["psnr"], made["ssim"])
+    assert made["factor_psnr"] != made["psnr"]
