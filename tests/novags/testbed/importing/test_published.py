@@ -180,8 +180,9 @@ def test_lit_pictures_are_found_whatever_case_their_folder_is_in(tmp_path: Path)
 def test_hidden_files_of_archives_are_no_pictures(tmp_path: Path) -> None:
     """Rationale: ._NAME, which a Mac adds to each file of an archive, made the number of pictures another."""
     folder = llnerf(tmp_path / "LLNeRF")
-    for place in (folder / "images", tmp_path / "LLNeRF" / "normal-light-scenes" / "still2"):
-        for file in sorted(place.iterdir())[:3]:
+    lit = tmp_path / "LLNeRF" / "normal-light-scenes" / "still2"
+    for place, count in ((folder / "images", 3), (lit, 2)):
+        for file in sorted(place.iterdir())[:count]:
             file.with_name(f"._{file.name}").write_bytes(b"\0")
     assert_pairs(brought(folder, tmp_path / "cap"), list(range(VIEWS)))
 
