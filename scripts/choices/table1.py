@@ -39,8 +39,7 @@ STUDIES = [FOLDER / f"table1{end}.toml" for end in ("", "-weights", "-simulated"
 PLACE = ("scene", "level", "method", "seed")
 MAIN = "lit.tone_aligned_psnr"
 SECONDS = "seconds.reconstruct"
-LINEAR = "linear.linear_psnr"  # what ends in linear light has it
-ALIGNED = "enhanced.aligned_psnr"  # against the noise-free exposure, enhanced: of methods that show an enhanced picture
+KEPT = ("linear.linear_psnr", "enhanced.aligned_psnr")  # in no table: one tells linear light, the page quotes the other
 # column of the study -> heading, factor, digits, whether the first three are coloured
 SCORES = {
     MAIN: ("tone-aligned PSNR, dB", 1, 2, True),
@@ -78,7 +77,7 @@ def read_source(source: Path) -> list[dict[str, Any]]:
 def _value(key: str, text: str) -> Any:
     if key in ("scene", "level", "method", "state", "reason"):
         return text
-    return int(text) if key == "seed" else float(text)
+    return int(float(text)) if key in ("seed", "peak_bytes") else float(text)
 
 
 def merged(sources: Sequence[Sequence[Row]]) -> list[Row]:
@@ -90,7 +89,7 @@ def merged(sources: Sequence[Sequence[Row]]) -> list[Row]:
 
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
     """Write what the page is made of."""
-    names = [*PLACE, "state", "reason", *SCORES, LINEAR, ALIGNED]
+    names = [*PLACE, "state", "reason", *SCORES, *KEPT]
     lines = [[("" if row.get(name) is None else row[name]) for name in names] for row in rows]
     with path.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows([names, *lines])

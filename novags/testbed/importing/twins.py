@@ -56,7 +56,7 @@ def pictures_in(folder: Path) -> dict[str, Path]:
 def plain_pictures(folder: Path) -> list[Path]:
     """The pictures in images/ of a folder, else those in it, in the order of their names, whatever cameras list.
 
-    Hidden files are none: archives made on a Mac add ._NAME to each.
+    Hidden files are left out: an archive made on a Mac has one, ._NAME, for every picture.
 
     Raises:
         ValueError: If neither folder has pictures.

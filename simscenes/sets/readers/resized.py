@@ -21,7 +21,7 @@ def picture_folder(folder: Path) -> Path:
 
 
 def sorted_pictures(pictures: Path) -> list[Path]:
-    """The pictures of a folder in the order of their names; archives made on a Mac add hidden files, ._NAME."""
+    """The pictures of a folder in the order of their names, without hidden files, which archives made on a Mac have."""
     return sorted(file for file in pictures.glob("[!.]*") if file.suffix.lower() in SUFFIXES and file.is_file())
 
 
