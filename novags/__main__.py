@@ -1,5 +1,23 @@
-"""`python -m novags` is `novags`."""
+"""The entry point, of `novags` and of `python -m novags`."""
 
-from novags.cli import main
+import os
+import sys
 
-main()
+
+def main() -> None:
+    """Run a command. Nothing is imported from the working directory, which is often a stranger's."""
+    # `python -m` puts it first, and an empty entry of PYTHONPATH means it too. Nothing of ours is imported before.
+    found = [folder for folder in sys.path if os.path.isabs(folder) and not _is_here(folder)]
+    sys.path[:] = dict.fromkeys([*found, os.path.dirname(os.path.dirname(os.path.abspath(__file__)))])
+
+    from novags.cli import main as command
+
+    command()
+
+
+def _is_here(folder: str) -> bool:
+    return os.path.isdir(folder) and os.path.samefile(folder, os.curdir)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,13 +1,17 @@
 """The command line: the list of commands, and the entry point."""
 
+import dataclasses
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from functools import wraps
+from typing import Any
 
 import tyro
 
 from novags.commands.dataset import dataset
 from novags.commands.experiment import run
 from novags.commands.inquiries import doctor, help_, list_
+from novags.commands.links import HELP, without_links
 from novags.commands.pareto import pareto
 from novags.commands.photographs import denoise, import_
 from novags.commands.results import characterise, export_results, report, score
@@ -17,6 +21,7 @@ from novags.commands.video import video
 from novags.commands.view import view
 from novags.failure import errors_in_one_line
 
+NUMBERS = tyro.constructors.ConstructorRegistry()
 COMMANDS: dict[str, Callable[..., None]] = {
     function.__name__.rstrip("_").replace("_", "-"): function
     for function in (
@@ -52,7 +57,62 @@ def main() -> None:
         print(f"novags {version('novags')}")
         return
     with errors_in_one_line():
-        tyro.extras.subcommand_cli_from_dict(COMMANDS, prog="novags", description=DESCRIPTION)
+        words, links = without_links(sys.argv[1:])
+        commands = {name: _with_numbers(command) for name, command in COMMANDS.items()}
+        with links, NUMBERS:
+            tyro.extras.subcommand_cli_from_dict(commands, prog="novags", description=DESCRIPTION, args=words)
 
 
-DESCRIPTION = "Test bed for low-light 3D reconstruction: rendered truth, dark captures, reconstructions, scores."
+@NUMBERS.primitive_rule
+def _number(info: tyro.constructors.PrimitiveTypeInfo) -> tyro.constructors.PrimitiveConstructorSpec[Any] | None:
+    """How tyro reads numbers: those that are refused are said in one line where the option's name is known."""
+    kind = info.type
+    if kind not in (int, float):
+        return None
+    return tyro.constructors.PrimitiveConstructorSpec(
+        nargs=1, metavar=kind.__name__.upper(), instance_from_str=lambda words: _read(words[0], kind),
+        is_instance=lambda found: isinstance(found, (int, kind)), str_from_instance=lambda found: [str(found)],
+    )  # fmt: skip
+
+
+@dataclasses.dataclass(frozen=True)
+class _Refused:
+    """In place of a number that was refused: why."""
+
+    why: str
+
+
+def _read(word: str, kind: Any) -> Any:
+    from novags.numbers import number  # numpy comes with it: --help must not wait for that
+
+    try:
+        return number(word, kind)
+    except (ValueError, OverflowError) as error:
+        return _Refused(str(error))
+
+
+def _with_numbers(command: Callable[..., None]) -> Callable[..., None]:
+    """The command, begun only if no number was refused."""
+
+    @wraps(command)
+    def checked(*words: Any, **options: Any) -> None:
+        for name, refused in _refused(options):
+            raise ValueError(f"--{name.replace('_', '-')} {refused.why}")
+        command(*words, **options)
+
+    return checked
+
+
+def _refused(options: dict[str, Any]) -> Iterator[tuple[str, _Refused]]:
+    for name, value in options.items():
+        if isinstance(value, _Refused):
+            yield name, value
+        elif isinstance(value, tuple):
+            yield from ((name, part) for part in value if isinstance(part, _Refused))
+        elif dataclasses.is_dataclass(value):
+            yield from _refused(vars(value))
+
+
+DESCRIPTION = (
+    f"Test bed for low-light 3D reconstruction: rendered truth, dark captures, reconstructions, scores. {HELP}"
+)

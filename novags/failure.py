@@ -1,6 +1,7 @@
 """What the command line says when a command fails: one line, and for unexpected errors a file with the traceback."""
 
 import os
+import re
 import select
 import shlex
 import signal
@@ -12,6 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 OURS = ("novags.", "simscenes.", "sensor_model.")
+NAME = re.compile(r"[^\s/]{256,}")  # longer than any file can be called: repeating it whole would hide the rest
 INTERRUPTED = "interrupted; the same command again continues where this one stopped"
 
 
@@ -42,7 +44,7 @@ def errors_in_one_line() -> Iterator[None]:
             sys.exit(_say(INTERRUPTED, 130))
         if isinstance(error, ValueError | OSError) or (isinstance(error, MemoryError) and str(error)):
             sys.exit(_say(f"error: {_brief(error, 2000)}", 2 if isinstance(error, ValueError) else 1))
-        sys.exit(_say(f"error: {explained(error)}", 1))
+        sys.exit(_say(f"error: {_brief(explained(error), 3000)}", 1))
 
 
 def _is_interruption(error: BaseException | None) -> bool:
@@ -115,4 +117,4 @@ def _say(text: str, code: int) -> int:
 def _brief(found: object, length: int) -> str:
     from sensor_model.files.reading import brief  # numpy comes with it: --help must not wait for that
 
-    return brief(found, length)
+    return brief(NAME.sub(lambda match: f"{match[0][:60]}...", str(found)), length)

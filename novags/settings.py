@@ -12,6 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
+from novags.numbers import KINDS, SETTING, check_range, number
 from sensor_model.files.reading import brief
 
 Config = TypeVar("Config")
@@ -116,7 +117,11 @@ def check_types(config: Any, settings: Mapping[str, Any], *, what: str = "settin
 
 def _own(config: Any, head: str, value: Any, what: str) -> Any:
     """A value of the type of a field."""
-    return converted(value, _hint(config, head, what), f"{what} {head}")
+    found = converted(value, _hint(config, head, what), f"{what} {head}")
+    for part in found if isinstance(found, tuple) else (found,):
+        if isinstance(part, int) and head != "seed":
+            check_range(f"{what} {head}", part, -SETTING, SETTING)
+    return found
 
 
 def _part(config: Any, head: str, part: Any, inner: Mapping[str, Any], what: str) -> Any:
@@ -168,8 +173,10 @@ def converted(value: Any, hint: Any, what: str) -> Any:
         if option is not type(None):
             try:
                 return _as(value, option)
-            except (ValueError, TypeError, OverflowError):  # OverflowError: a whole number too large for a float
+            except (ValueError, TypeError):
                 continue
+            except OverflowError as error:  # a number, and too large a one
+                raise ValueError(f"{what} {error}") from error
     choices = [str(choice) for option in options if get_origin(option) is Literal for choice in get_args(option)]
     near = get_close_matches(str(value), choices, 1)
     raise ValueError(
@@ -189,9 +196,8 @@ def _as(value: Any, kind: Any) -> Any:
     if kind is bool:
         words = {"true": True, "yes": True, "false": False, "no": False}
         return value if isinstance(value, bool) else words[str(value).lower()] if str(value).lower() in words else _no()
-    if kind in (int, float) and not isinstance(value, bool):
-        number = kind(value)
-        return number if isinstance(value, str) or number == value else _no()
+    if kind in (int, float):
+        return number(value, kind)
     if kind is str and isinstance(value, str):
         return value
     if kind is Path and isinstance(value, str | Path):
@@ -217,8 +223,7 @@ def _default(hint: Any, what: str) -> Any:
 
 def _words(options: tuple[Any, ...]) -> str:
     names = {
-        int: "a whole number",
-        float: "a number",
+        **KINDS,
         bool: "true or false",
         str: "text",
         Path: "a path",

@@ -23,6 +23,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from sensor_model.files.own import remember, remembered
+from sensor_model.files.python import python
+
 BACKENDS = ("cuda_ad", "llvm_ad", "scalar")  # fastest first
 COLORS = ("rgb", "spectral", "spectral_polarized")
 OLDEST_LLVM = 16
@@ -81,7 +84,7 @@ def _run_probe(variant: str, library: Path | None) -> str:
         env["DRJIT_LIBLLVM_PATH"] = str(library)
     try:
         done = subprocess.run(
-            [sys.executable, "-c", _PROBE, variant], env=env, capture_output=True, text=True, timeout=120, check=False
+            python(_PROBE, variant), env=env, capture_output=True, text=True, timeout=120, check=False
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         return f"the probe did not finish ({error})"
@@ -93,25 +96,15 @@ def _run_probe(variant: str, library: Path | None) -> str:
     return next((line.strip() for line in reversed(lines) if line.strip()), f"exit status {done.returncode}")
 
 
-def cache_folder(kind: str) -> Path:
-    """Where this user's machine remembers what it has tried; may not exist yet."""
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "novags" / kind
-
-
 def _probe(variant: str, library: Path | None, stamp: str) -> str:
     """Probe once per machine: successes are remembered in the user's cache folder, failures are tried again."""
-    cache = cache_folder("variants")
     identity = json.dumps([variant, str(library), stamp, *map(importlib.metadata.version, ("drjit", "mitsuba"))])
-    marker = cache / hashlib.sha256(identity.encode()).hexdigest()[:24]
-    if marker.is_file():
+    name = hashlib.sha256(identity.encode()).hexdigest()[:24]
+    if remembered("variants", name):
         return ""
     problem = _run_probe(variant, library)
     if not problem:
-        try:
-            cache.mkdir(parents=True, exist_ok=True)
-            marker.write_text(identity)
-        except OSError:
-            pass  # a read-only home only costs the next process one more probe
+        remember("variants", name)
     return problem
 
 

@@ -31,6 +31,7 @@ LAYERS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("job",),
     ),
     "novags": (
+        ("numbers",),
         ("settings", "splats"),
         ("fields",),
         ("cameras",),
@@ -132,7 +133,7 @@ MAKERS = {
     "import": (("stages.importing",), ("metrics", "stages")),
     "run": (("stages.reconstructing", "stages.scoring", "foreign.command"), ()),
 }
-APART = ("cache", "console", "time_left", "machine", "results")
+APART = ("cache", "contents", "console", "time_left", "machine", "results")
 UPSTREAM = {"set": (), "run": ("simscenes",)}
 
 

@@ -31,6 +31,7 @@ from novags.cameras.mapping import (
     reconstruct,
 )
 from novags.cameras.pictures import Pictures, check_kind, check_views
+from sensor_model.files.door import read_text
 
 ADVICE = (
     "other features (features=superpoint_max enlarges small pictures), the other mapper, more light, or --cameras known"
@@ -159,7 +160,7 @@ def _match_learned(scene: Scene, config: HlocConfig, seed: int, step: Callable[[
                 raise ValueError(f"hloc's keypoints must be [n, 2], got {list(keypoints.shape)}: use hloc 1.5")
             database.write_keypoints(ids[name], keypoints)
             counts[name] = len(keypoints)
-        for first, second in (line.split() for line in pairs.read_text("utf-8").splitlines()):
+        for first, second in (line.split() for line in read_text(pairs).splitlines()):
             rows = np.asarray(files.get_matches(matched, first, second)[0]).reshape(-1, 2)
             if len(rows) and (rows.min() < 0 or (rows.max(0) >= [counts[first], counts[second]]).any()):
                 raise ValueError(f"hloc's matches of {first} and {second} name features that are not there")

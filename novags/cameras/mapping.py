@@ -17,9 +17,12 @@ from novags.cameras.colmap import SEEDS, Progress, largest, quiet
 from novags.cameras.estimate import Array, CameraEstimate, as_estimate
 from novags.cameras.pictures import Pictures, place_of, write_pictures
 from novags.cameras.points import averaged, fill, seen_colors
+from novags.numbers import check_range
 from sensor_model.files.scratch import scratch
 
 Mapper = Literal["incremental", "global"]
+FEATURES = 10**6  # of a picture, at most
+THREADS = 4096  # at most
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,8 @@ def check_mapping(source: str, mapper: str, min_matches: int, max_error: float, 
         )
     if not max_error > 0 or threads < 1:
         raise ValueError(f"max_error of {source} must be > 0 and threads >= 1, got {max_error} and {threads}")
+    check_range(f"min_matches of {source}", min_matches, 8, FEATURES)
+    check_range(f"threads of {source}", threads, 1, THREADS)
 
 
 def check_mapper(mapper: str) -> None:

@@ -11,6 +11,7 @@ from torch import Tensor
 from novags.cameras.colmap import Progress, detect, extraction, verification
 from novags.cameras.estimate import CameraEstimate
 from novags.cameras.mapping import (
+    FEATURES,
     Mapper,
     Mapping,
     Scene,
@@ -20,6 +21,7 @@ from novags.cameras.mapping import (
     reconstruct,
 )
 from novags.cameras.pictures import Pictures, check_kind, check_views
+from novags.numbers import check_range
 
 ADVICE = "the other mapper, a lower peak_threshold, larger pictures, more light, or --cameras known"
 
@@ -46,6 +48,7 @@ class SfmConfig:
         check_mapping("sfm", self.mapper, self.min_matches, self.max_error, self.threads)
         if self.max_features < 8:
             raise ValueError(f"sfm needs max_features >= 8, the fewest matches of a pair; got {self.max_features}")
+        check_range("max_features of sfm", self.max_features, 8, FEATURES)
         if not self.peak_threshold > 0:
             raise ValueError(f"peak_threshold of sfm must be > 0, got {self.peak_threshold}")
         if self.first_octave not in (-1, 0, 1, 2):

@@ -4,8 +4,8 @@ from pathlib import Path
 from typing import Literal
 
 from novags.commands import shared
-from novags.commands.shared import next_, writing
-from novags.commands.study import engine_of, store_folder
+from novags.commands.shared import next_, say, writing
+from novags.commands.study import check_numbers, engine_of, store_folder
 from novags.options import CLUSTER, Cluster, Folder
 
 
@@ -39,6 +39,7 @@ def dataset(
     from novags.testbed.study.results import CSV, counted
     from novags.testbed.study.session import describe, refuse_other
 
+    check_numbers(workers, cluster)
     if store is not None and "://" in store:
         raise ValueError(f"store {store}: a data set is made of the files in its store, so give --store a folder that "
                          "all nodes see, not a URL")  # fmt: skip
@@ -52,7 +53,7 @@ def dataset(
         refuse_other(plan, making)
     said = forecast(plan, config, divided, folder, out, chosen)
     if dry_run:
-        print(said)
+        say(said)
         return
     with writing(out, wait) as console:
         console.note(said)
@@ -60,9 +61,9 @@ def dataset(
         describe(plan, making, folder)
         rows = conduct(plan, making, folder, console, chosen, retry_failed=retry_failed)
         states = counted(rows)
-        print(f"{len(rows)} captures: {', '.join(f'{count} {state}' for state, count in states.items())}")
+        say(f"{len(rows)} captures: {', '.join(f'{count} {state}' for state, count in states.items())}")
         if states.keys() - {"done"}:
             next_(f"look at the reasons in {making / CSV}, then: the same command with --retry-failed")
             raise SystemExit(1)
-        print(publish(plan, config, folder, out, console))
+        say(publish(plan, config, folder, out, console))
     next_(f"look at {out / 'README.md'}")

@@ -30,9 +30,9 @@ def doctor(*, stability: bool = False, part: tuple[str, ...] = (), long: bool = 
     marks = {"ok": "ok     ", "missing": "missing", "broken": "BROKEN "}
     broken = False
     for finding in examine():
-        print(f"{marks[finding.state]}  {finding.name:<18} {finding.detail}", flush=True)
+        say(f"{marks[finding.state]}  {finding.name:<18} {finding.detail}")
         broken |= finding.state == "broken"
-    print("something needed is broken: see above" if broken else "ready: novags run --preset demo")
+    say("something needed is broken: see above" if broken else "ready: novags run --preset demo")
     if broken:
         raise SystemExit(1)
 
@@ -45,7 +45,7 @@ def list_(what: Annotated[Listed, tyro.conf.Positional] = "all") -> None:
     """
     from novags.testbed.help.catalogue import listing
 
-    print(listing(what))
+    say(listing(what))
 
 
 def help_(topic: Annotated[str | None, tyro.conf.Positional] = None) -> None:
@@ -56,4 +56,4 @@ def help_(topic: Annotated[str | None, tyro.conf.Positional] = None) -> None:
     """
     from novags.testbed.help.topics import page, topics
 
-    print(page(topic) if topic else f"novags help TOPIC, with one of: {', '.join(topics())}")
+    say(page(topic) if topic else f"novags help TOPIC, with one of: {', '.join(topics())}")

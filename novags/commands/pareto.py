@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from novags.commands.shared import next_, typed, writing
+from novags.commands.shared import next_, say, typed, writing
 from novags.options import Name
 
 
@@ -23,11 +23,13 @@ def pareto(
         overwrite: Drop measurements of other sizes, another machine or other software that lie in `out`.
         wait: If another process is writing to `out`, wait until it is done instead of refusing.
     """
+    from novags.numbers import check_range
     from novags.testbed.pareto.measure import measure
     from novags.testbed.pareto.page import write
     from novags.testbed.pareto.samples import work_folder
     from novags.testbed.pareto.subjects import chosen
 
+    check_range("repeats", 1 if repeats is None else repeats, 1, 1000)
     made, count = chosen(what), (2 if quick else 3) if repeats is None else repeats
     with writing(out, wait) as console:
         for make in made:
@@ -38,5 +40,5 @@ def pareto(
                 console.note(f"pareto {subject.name}: stopped; what was measured is kept in {out}")
                 raise
             for path in write(subject, samples, out):
-                print(path)
+                say(path)
     next_(f"look at {out}, or: novags run --budget 120s --curves {typed(out)}")

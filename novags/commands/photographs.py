@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Literal
 
-from novags.commands.shared import next_, typed, writing
+from novags.commands.shared import next_, say, typed, writing
 from novags.options import Device, Folder
 
 
@@ -47,7 +47,7 @@ def import_(
     )  # fmt: skip
     with writing(out, wait) as console:
         stages.import_photographs(folder, out, config, console, overwrite=overwrite)
-    print(out)
+    say(out)
     next_(f"novags reconstruct {typed(out)} --method nova-fast --out RUN")
 
 
@@ -79,5 +79,5 @@ def denoise(
     config = DenoisePicturesConfig(denoise=how, seed=seed, device=device)
     with writing(out, wait) as console:
         stages.denoise(capture, out, config, console, overwrite=overwrite)
-    print(out)
+    say(out)
     next_(f"novags reconstruct {typed(capture)} --method nova-fast --out RUN")

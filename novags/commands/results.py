@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from novags.commands import shared
-from novags.commands.shared import announce, next_, typed, writing
+from novags.commands.shared import announce, next_, say, typed, writing
 from novags.options import Folder, Folders
+from sensor_model.files.door import resolved
 
 _Reference = Literal["lit", "linear", "clean", "linear_demosaiced", "clean_demosaiced"]
 
@@ -54,16 +55,16 @@ def score(
     groups = groups_of(runs, shared.console())
     for group in groups:
         if len(groups) > 1:
-            print(f"{group.title}:")
+            say(f"{group.title}:")
         for name, scores in group.metrics["methods"].items():
-            print(f"{name}: {_in_words(scores['mean'], group, name)}")
+            say(f"{name}: {_in_words(scores['mean'], group, name)}")
     next_(f"novags report {' '.join(typed(run) for run in runs)}")
 
 
 def _score_pictures(
     renders: Path, set: Path, reference: _Reference, out: Path | None, overwrite: bool
 ) -> None:  # fmt: skip
-    from novags.testbed.cache import write_json
+    from novags.testbed.contents import write_json
     from novags.testbed.foreign.score import Truth, score_renders
     from novags.testbed.stages.paths import keep_apart
 
@@ -76,12 +77,12 @@ def _score_pictures(
     found = score_renders(renders, Truth.of(set, console), reference, console)
     about = found["about"]
     kinds = " and ".join(about["pictures"])
-    print(f"{len(found['views'])} test views, {kinds} pictures, against {reference}: {about['meaning']}")
+    say(f"{len(found['views'])} test views, {kinds} pictures, against {reference}: {about['meaning']}")
     for name, value in [*found["mean"][reference].items(), *(found["geometry"] or {}).items()]:
-        print(f"  {name:<18} {'not measured' if value is None else f'{value:.4f}'}")
+        say(f"  {name:<18} {'not measured' if value is None else f'{value:.4f}'}")
     if out is not None:
         write_json(out, {**found, "renders": str(renders), "set": str(set)})
-        print(out)
+        say(out)
 
 
 def export_results(
@@ -101,7 +102,7 @@ def export_results(
     from novags.testbed.foreign.nerfbaselines import export_results as export
 
     with writing(out, wait) as console:
-        print(export(runs, out, console, reference=reference, dataset=dataset, overwrite=overwrite))
+        say(export(runs, out, console, reference=reference, dataset=dataset, overwrite=overwrite))
 
 
 def _in_words(mean: Mapping[str, Any], group: "Group", name: str) -> str:
@@ -159,12 +160,14 @@ def characterise(folder: Folder, *, out: Path, window: int = 1024, overwrite: bo
         overwrite: Replace a file of other content.
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
+    from novags.numbers import SIDE, check_range
     from novags.testbed.calibration_frames import characterise_folder
     from sensor_model import write_sensor
 
+    check_range("window", window, 2, SIDE, " px")
     with writing(out.parent, wait, name=f".{out.name}.lock"):
         sensor, found = characterise_folder(folder, window=window)
-        comment = f"measured from {folder.resolve().name}; what the frames say:\n{found}"
+        comment = f"measured from {resolved(folder).name}; what the frames say:\n{found}"
         write_sensor(out, sensor, comment=comment, overwrite=overwrite)
-    print(f"{found}\n{out}")
+    say(f"{found}\n{out}")
     next_(f"novags capture SET --sensor {typed(out)} --electrons 20 --out CAPTURE")

@@ -6,7 +6,9 @@ import sys
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn, TextIO
+
+from sensor_model.files.door import resolved
 
 if TYPE_CHECKING:  # heavy: torch and its friends load when a command runs, so that --help answers at once
     from novags.methods.variant import Variant
@@ -34,9 +36,16 @@ def typed(path: Path) -> str:
     return shlex.quote(f"./{path}" if str(path).startswith("-") else str(path))
 
 
+def say(what: object, stream: TextIO | None = None) -> None:
+    """Print a result, on standard output if not told otherwise; names from outside in it cannot steer the terminal."""
+    from novags.testbed.console import shown
+
+    print(shown(str(what)), file=stream, flush=True)
+
+
 def next_(command: str) -> None:
     """Print the next command, its paths as `typed`; on standard error, so that standard output holds only results."""
-    print(f"next: {command}", file=sys.stderr)
+    say(f"next: {command}", sys.stderr)
 
 
 def console() -> "Console":
@@ -76,6 +85,6 @@ def command_line(folder: Path) -> str:
 
 def announce(path: Path) -> None:
     """Say where a report is."""
-    print(f"report: {path.resolve()}")
-    print(f"open it in a browser: {path.resolve().as_uri()}")
+    say(f"report: {resolved(path)}")
+    say(f"open it in a browser: {resolved(path).as_uri()}")
     next_("novags run --scene cornell, or novags list for what else is available")

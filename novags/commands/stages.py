@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Literal
 
 from novags.commands import shared
-from novags.commands.shared import cameras_of, next_, typed, variants_of, writing
+from novags.commands.shared import cameras_of, next_, say, typed, variants_of, writing
 from novags.options import LIGHT, Device, Folder, Light, Name, PresetName
 
 
@@ -28,23 +28,23 @@ def plan(
         light_tolerance: Share of all light that may be wrong or missing.
         light: How light gets from the lamps to the sensor.
     """
+    from novags.numbers import check_range
     from novags.testbed.forecast import PILOT, light_plan, sensor_plan
     from novags.testbed.presets import EXPERIMENTS, adapted
     from novags.testbed.stages.capturing import CaptureConfig
 
-    config, console = (
-        CaptureConfig(sensor=sensor, electrons=electrons, time=time, tolerance=tolerance),
-        shared.console(),
-    )
+    check_range("light_tolerance", light_tolerance, 0, 1)
+    config = CaptureConfig(sensor=sensor, electrons=electrons, time=time, tolerance=tolerance)
     size = adapted(EXPERIMENTS[preset], width=width, height=height).render
     pilot = replace(PILOT, scene=scene, **light.settings())
     # Blur is weighed in pixels and in steps between views: those of the real images, not of the pilot.
     views = replace(pilot, n_views=size.n_views, width=size.width, height=size.height)
+    console = shared.console()
     found = light_plan(views, light_tolerance, console)
-    print(f"Light of {scene}: {'as it is in the folder' if found is None else ''}\n{found or ''}".rstrip())
+    say(f"Light of {scene}: {'as it is in the folder' if found is None else ''}\n{found or ''}".rstrip())
     noise, signal_e = sensor_plan(pilot, config, size.width * size.height, console)
     signal = ", ".join(f"{name} {value:.3g} e-" for name, value in signal_e.items())
-    print(f"\nCamera {sensor}, mean green signal {electrons:g} e-; {signal}\n{noise}")
+    say(f"\nCamera {sensor}, mean green signal {electrons:g} e-; {signal}\n{noise}")
 
 
 def render(
@@ -80,7 +80,7 @@ def render(
     with writing(out, wait) as console:
         record = stages.render(out, config, console, overwrite=overwrite)
         console.note(f"largest of all views: {summary(record['views'])}")
-    print(out)
+    say(out)
     next_(f"novags capture {typed(out)} --electrons 20 --out CAPTURE")
 
 
@@ -110,7 +110,7 @@ def poses(
     )  # fmt: skip
     with writing(out, wait) as console:
         stages.poses(out, config, console, overwrite=overwrite)
-    print(out)
+    say(out)
     next_(f"novags capture {typed(out)} --electrons 20 --out CAPTURE, or novags run --scene {typed(out)}")
 
 
@@ -156,7 +156,7 @@ def capture(
     )  # fmt: skip
     with writing(out, wait) as console:
         stages.capture(set, out, config, console, overwrite=overwrite)
-    print(out)
+    say(out)
     pictures = " --pictures 16bit" if isinstance(named, Level) and named.pictures == "16bit" else ""
     next_(f"novags reconstruct {typed(out)} --method nova-fast{pictures} --out RUN")
 
@@ -206,7 +206,7 @@ def reconstruct(
     with writing(out, wait) as console:
         stages.reconstruct(capture, out, config, console, overwrite=overwrite)
         write_viewers(out, export)
-    print(out)
+    say(out)
     next_(f"novags score {typed(out)} && novags report {typed(out)}")
 
 

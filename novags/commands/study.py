@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Literal
 
 from novags.commands import shared
-from novags.commands.shared import next_, writing
+from novags.commands.shared import next_, say, writing
 from novags.options import CLUSTER, Cluster, Folder
 
 if TYPE_CHECKING:
@@ -45,6 +45,7 @@ def study(
     from novags.testbed.study.engines.processes import started_ahead
     from sensor_model.files.toml_file import read_toml
 
+    check_numbers(workers, cluster, nodes)
     if nodes and not dry_run:
         raise ValueError("nodes are simulated: add --dry-run")
 
@@ -66,9 +67,25 @@ def study(
                              "so give --store a folder that all nodes see")  # fmt: skip
         chosen = engine_of(engine, len(plan.runs), workers, cluster, url, ahead)
         if dry_run:
-            print(_forecast(plan, folder, chosen, url, nodes))
+            say(_forecast(plan, folder, chosen, url, nodes))
             return
         _conduct(plan, out, folder, chosen, url, retry_failed, overwrite, wait)
+
+
+def check_numbers(workers: int | None, cluster: Cluster, nodes: tuple[int, ...] = ()) -> None:
+    """Refuse numbers of processes and machines that nobody has, before any is started.
+
+    Raises:
+        ValueError: If there is one; names the option.
+    """
+    from novags.numbers import check_range
+    from novags.testbed.study.engines.needs import read_needs
+
+    read_needs(cluster.needs)
+    check_range("workers", 1 if workers is None else workers, 1, 4096)
+    check_range("retries", cluster.retries, 0, 1000)
+    for count in nodes:
+        check_range("nodes", count, 1, 100_000)
 
 
 def store_folder(store: str | None, out: Path) -> Path:
@@ -97,8 +114,6 @@ def engine_of(
     if name == "ray":
         if workers is not None:
             raise ValueError("workers are processes on this machine; with --engine ray --needs says what tasks take")
-        if cluster.retries < 0:
-            raise ValueError(f"retries must be >= 0, got {cluster.retries}")
         return Nodes(read_needs(cluster.needs), cluster.address, cluster.retries, url, cluster.scratch)
     if cluster != CLUSTER:
         raise ValueError("address, needs, retries and scratch belong to --engine ray")
@@ -136,8 +151,8 @@ def _conduct(
         finished = known(plan, Remote(url), folder) if url else None
         rows = conduct(plan, out, folder, console, engine, retry_failed=retry_failed, known=finished, url=url)
     states = counted(rows)
-    print(f"{len(rows)} runs: {', '.join(f'{count} {state}' for state, count in states.items())}")
-    print(out / CSV)
+    say(f"{len(rows)} runs: {', '.join(f'{count} {state}' for state, count in states.items())}")
+    say(out / CSV)
     if states.keys() - {"done"}:
         next_(f"look at the reasons in {out / CSV}, then: the same command with --retry-failed")
         raise SystemExit(1)

@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
-from novags.commands.shared import next_, typed, writing
+from novags.commands.shared import next_, say, typed, writing
 from novags.options import Folder
+from sensor_model.files.door import resolved
 
 
 def video(
@@ -23,12 +24,13 @@ def video(
         overwrite: Replace a file that is there.
         wait: If another process is making the same film, wait until it is done instead of refusing.
     """
-    from novags.testbed.flight.video import make_video
+    from novags.testbed.flight.video import check_length, make_video
     from novags.testbed.folders.run import open_run
     from novags.testbed.stages.paths import keep_apart
     from sensor_model.files.atomic import sweep_file
 
-    opened, place = open_run(run), run.resolve()
+    check_length(seconds, fps)
+    opened, place = open_run(run), resolved(run)
     path = out or place.with_name(f"{place.name}.mp4")  # not with_suffix: a name may hold a dot, as sh0.5 does
     keep_apart(path, run)
     with writing(path.parent, wait, name=f".{path.name}.lock") as console:
@@ -36,5 +38,5 @@ def video(
             raise ValueError(f"{path} is there already: choose another --out, or add --overwrite")
         sweep_file(path)
         frames = make_video(opened, path, console, seconds=seconds, fps=fps)
-    print(f"{path}: {frames} frames")
+    say(f"{path}: {frames} frames")
     next_(f"novags report {typed(run)}")

@@ -3,6 +3,7 @@
 import threading
 
 from novags.commands import shared
+from novags.commands.shared import say
 from novags.options import Folders
 
 
@@ -16,16 +17,18 @@ def view(runs: Folders, *, host: str = "127.0.0.1", port: int = 8080, sensor: st
         port: Port to listen at; the next free one where it is taken.
         sensor: Camera that views are exposed again with, a name or a TOML file; if not given, that of the capture.
     """
+    from novags.numbers import check_range
     from novags.testbed.viewer.server import check_installed, serving
     from novags.testbed.viewer.shown import shown_of
 
+    check_range("port", port, 1, 65535)
     check_installed()
     console = shared.console()
     if not runs:
         raise ValueError("name at least one folder of a run, of an experiment, or of several of them")
     try:
         with serving(shown_of(runs, console, sensor), host, port) as viewer:
-            print(f"viewer: {viewer.address}", flush=True)
+            say(f"viewer: {viewer.address}")
             console.note("open it in a browser; stop it with Ctrl-C")
             threading.Event().wait()
     except KeyboardInterrupt:  # the way to end it

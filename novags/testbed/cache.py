@@ -8,177 +8,40 @@ Nothing is cleared until the inputs of the new work have been read and found val
 not cleared at all unless the caller says so. Only one process at a time works in a folder.
 """
 
-import hashlib
-import json
-import math
-import shutil
+import os
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import asdict, dataclass, is_dataclass
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
-import numpy as np
-
 from novags.testbed.console import Console
+from novags.testbed.contents import (
+    UNFINISHED,
+    checksum,
+    damaged,
+    digest,
+    jsonable,
+    read_digest,
+    read_json,
+    shortened,
+    shown,
+    write_json,
+)
 from novags.testbed.machine.memory import memory_shortage_said
 from novags.testbed.machine.provenance import PeakMemory, environment, package_version
 from novags.testbed.results.difference import differences, listed
-from sensor_model.files.atomic import write_text
+from sensor_model.files.atomic import Witness, remove, witnessed
 from sensor_model.files.lock import locked
-from sensor_model.files.records import read_record
 
 Prepared = TypeVar("Prepared")
 
-UNFINISHED = "unfinished.json"
+GROWING = ("events.jsonl",)  # written line by line, not at once
 STATE = {"stage?": str, "record?": str, "key?": (str, None), "seconds?": float, "peak_bytes?": int}  # what that holds
 FILES = {"files?": {"*": str}}  # checksums of what the stage wrote
 KEYED = {"stage?": {"key?": str, **FILES}}  # what a record of any stage holds
 MADE = {"stage?": {"key?": str, "config?": dict, "inputs?": {"*": str}, "versions?": {"*": str}, **FILES}}
-# Entries of a record that say what it cost, not what it is.
-VOLATILE = ("stage", "seconds", "predicted_seconds", "peak_bytes", "versions")
-
-
-def jsonable(value: Any) -> Any:
-    """Plain JSON types for dataclasses, paths, numpy numbers and containers; infinities and NaN become strings.
-
-    Raises:
-        TypeError: For a type that has no obvious JSON form.
-    """
-    if is_dataclass(value) and not isinstance(value, type):
-        return jsonable(asdict(value))
-    if isinstance(value, Mapping):
-        return {str(k): jsonable(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [jsonable(v) for v in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return jsonable(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return repr(value)  # strict JSON has no inf or nan, and browsers and jq refuse them
-    if isinstance(value, Path):
-        return str(value)
-    if value is None or isinstance(value, str | int | float | bool):
-        return value
-    raise TypeError(f"{type(value).__name__} has no JSON form: {value!r}")
-
-
-def write_json(path: Path, value: Any) -> None:
-    """Write `jsonable(value)` atomically, indented so that people can read and compare it."""
-    write_text(path, json.dumps(jsonable(value), indent=1, allow_nan=False) + "\n")
-
-
-def read_json(path: Path, shape: Any = dict) -> dict[str, Any]:
-    """Read a JSON object of a shape (see `sensor_model.files.records`).
-
-    Raises:
-        ValueError: If the file is missing, unreadable, not JSON, or of another shape.
-    """
-    value: dict[str, Any] = read_record(path, shape, "remove it and run the stage that makes it again")
-    return value
-
-
-def digest(value: Any) -> str:
-    """Hash of a value's canonical JSON: equal configurations hash equally whatever their key order."""
-    text = json.dumps(jsonable(value), sort_keys=True, separators=(",", ":"), allow_nan=False)
-    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
-
-
-def folder_digest(folder: Path, names: Sequence[str] | None = None, *, beside: Mapping[str, Path] | None = None) -> str:
-    """Hash of every file's relative name and content; hidden files are left out, unless they are named.
-
-    Of a record, costs and versions are left out as well: repeated work with the same outcome does not make the
-    stages after it stale.
-
-    Args:
-        folder: Where to look.
-        names: The entries of `folder` that count, where they exist; None: all of them.
-        beside: Further files by any name, wherever they are.
-
-    Raises:
-        ValueError: If `folder` is not a folder.
-    """
-    if not folder.is_dir():
-        raise ValueError(f"{folder} is not a folder")
-    total = hashlib.blake2b(digest_size=16)
-    for name, path in sorted({**_shown(folder, names), **(beside or {})}.items()):
-        total.update(f"{name}\0".encode())
-        total.update(_content_digest(path))
-    return total.hexdigest()
-
-
-def _shown(folder: Path, names: Sequence[str] | None) -> dict[str, Path]:
-    """The files of a folder that are not hidden, by relative name."""
-    roots = [folder] if names is None else [folder / name for name in names]
-    found = {path for root in roots for path in (root, *root.rglob("*")) if path.is_file()}
-    named = {path.relative_to(folder).as_posix(): path for path in found}
-    return {n: p for n, p in named.items() if n != UNFINISHED and not any(part[0] == "." for part in n.split("/"))}
-
-
-def damaged(folder: Path, stage: Mapping[str, Any]) -> str:
-    """Which files of a finished stage are not as it wrote them, in words; "" if all are. Later files do not count.
-
-    Args:
-        folder: Of the stage.
-        stage: The entry "stage" of its record; before there were checksums, it held none.
-    """
-    wrong = [name for name, known in stage.get("files", {}).items() if not _is(folder / name, known)]
-    return f"{listed(wrong)} not as written (checksum)" if wrong else ""
-
-
-def _is(path: Path, known: str) -> bool:
-    try:
-        return _checksum(path) == known
-    except OSError:  # missing, a folder, or not to be read
-        return False
-
-
-def _checksum(path: Path) -> str:
-    return hashlib.blake2b(_content_digest(path), digest_size=16).hexdigest()
-
-
-# Hashes of files seen before: every method reads the same inputs.
-_CONTENTS: dict[tuple[Path, int, int, int, int], bytes] = {}
-SETTLED = 2_000_000_000  # ns; a file changed more recently may change again without its time stamp showing it
-
-
-def _content_digest(path: Path) -> bytes:
-    path = path.resolve()
-    stat = path.stat()
-    # A clock set back, or a copy that keeps its time stamp, can repeat the time of modification; hardly that of change.
-    key = (path, stat.st_ino, stat.st_mtime_ns, stat.st_ctime_ns, stat.st_size)
-    if key in _CONTENTS:
-        return _CONTENTS[key]
-    content = _read_digest(path)
-    if time.time_ns() - stat.st_mtime_ns > SETTLED:
-        _CONTENTS[key] = content
-    return content
-
-
-def _read_digest(path: Path) -> bytes:
-    if path.suffix == ".json" and (record := _record(path)) is not None:
-        return digest(_lasting(record)).encode()
-    content = hashlib.blake2b()
-    with path.open("rb") as file:
-        while chunk := file.read(1 << 20):
-            content.update(chunk)
-    return content.digest()
-
-
-def _record(path: Path) -> dict[str, Any] | None:
-    """The record of a stage, or None for any other JSON file."""
-    try:
-        value = json.loads(path.read_bytes())
-    except ValueError:
-        return None
-    return value if isinstance(value, dict) and "stage" in value else None
-
-
-def _lasting(value: Any) -> Any:
-    """The value without what it cost, at any depth."""
-    if isinstance(value, dict):
-        return {name: _lasting(part) for name, part in value.items() if name not in VOLATILE}
-    return [_lasting(part) for part in value] if isinstance(value, list) else value
 
 
 def run_stage(
@@ -313,15 +176,18 @@ class _Stage:
             self._clear(key, [*told, *(self.folder / owned for owned in (self.record_name, *self.owns))])
         before, most = earlier or (0.0, 0)
         try:
-            body = dict(work(prepared))
+            with witnessed(read_digest) as witness:
+                body = dict(work(prepared))
         except BaseException:
             with suppress(OSError):  # a full disk, say: whose work this is, is there already
                 self._mark(key, before + time.perf_counter() - start, max(most, memory.peak_bytes()))
             raise
+        files = self._checksums()
+        self._refuse_other_hands(witness, files)
         seconds = before + time.perf_counter() - start
         cost = {"seconds": seconds, "peak_bytes": max(most, memory.peak_bytes()), **environment()}
         body["stage"] = {
-            "name": self.name, "key": key, "inputs": inputs, "config": config, **cost, "files": self._checksums(),
+            "name": self.name, "key": key, "inputs": inputs, "config": config, **cost, "files": files,
         }  # fmt: skip
         write_json(record_path, body)
         self._tidy()
@@ -329,7 +195,18 @@ class _Stage:
 
     def _checksums(self) -> dict[str, str]:
         names = [name for name in self.owns if name not in (self.record_name, *self.scrap)]
-        return {name: _checksum(path) for name, path in sorted(_shown(self.folder, names).items())}
+        return {name: checksum(path) for name, path in sorted(shown(self.folder, names).items())}
+
+    def _refuse_other_hands(self, witness: Witness, files: Mapping[str, str]) -> None:
+        """Raise ValueError if a file is not as it was when this stage wrote it."""
+        for name, known in files.items():
+            written = witness.found.get(os.path.abspath(self.folder / name))
+            if written is not None and name not in GROWING and shortened(written) != known:
+                self._mark(None)  # nothing here can be gone on from
+                raise ValueError(
+                    f"{self.folder / name} was changed by somebody else while {self.name} was at work: its "
+                    "result is not kept; let nothing else write there and run the same command again"
+                )
 
     @property
     def _unfinished(self) -> Path:
@@ -343,10 +220,7 @@ class _Stage:
     def _tidy(self) -> None:
         """Remove what only unfinished work needs; what marks it goes last, so that this can be interrupted too."""
         for name in self.scrap:
-            if (self.folder / name).is_dir():
-                shutil.rmtree(self.folder / name)
-            else:
-                (self.folder / name).unlink(missing_ok=True)
+            remove(self.folder / name)
         self._unfinished.unlink(missing_ok=True)
 
     def _earlier_cost(self, key: str) -> tuple[float, int] | None:
@@ -383,10 +257,7 @@ class _Stage:
         """Remove files and folders, in this order; what an interruption leaves behind belongs to no work."""
         self._mark(None)
         for target in targets:
-            if target.is_dir() and not target.is_symlink():
-                shutil.rmtree(target)
-            else:
-                target.unlink(missing_ok=True)
+            remove(target)
         self._mark(key)
 
     def _mark(self, key: str | None, seconds: float = 0.0, peak_bytes: int = 0) -> None:

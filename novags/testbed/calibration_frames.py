@@ -28,6 +28,7 @@ import numpy as np
 from novags.testbed.folders.raw_files import is_raw, read_mosaic
 from novags.testbed.importing.exposures import stated_of
 from sensor_model import Characterisation, Sensor, Stack, characterise, sensor_from_dict
+from sensor_model.files.door import opened
 from sensor_model.files.reading import reading
 from sensor_model.files.records import check_shape
 from sensor_model.files.toml_file import read_toml
@@ -129,7 +130,8 @@ def _read(path: Path) -> _File:
     time = None
     if path.suffix.lower() == ".npy":
         with reading(path, "replace or remove it"):
-            dn = np.load(path, allow_pickle=False)
+            with opened(path) as file:
+                dn = np.load(file, allow_pickle=False)
         dn = dn[None] if dn.ndim == 2 else dn
     else:
         dn, time = read_image(path, cv2.IMREAD_UNCHANGED)[None], stated_of(path)[0]

@@ -1,5 +1,6 @@
 """Progress on the terminal: a live bar on a terminal, plain lines elsewhere. Everything goes to standard error."""
 
+import re
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -10,6 +11,7 @@ from rich.console import Console as RichConsole
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from novags.testbed.time_left import TimeLeft
+from sensor_model.files.reading import printable
 
 Update = Callable[[int, int, str], None]  # steps done, total steps, and the current activity (a view, a loss)
 PLAIN_INTERVAL = 5.0  # s between two plain lines of one stage: shows progress, and suits a log file
@@ -29,7 +31,7 @@ class Console:
     def note(self, text: str) -> None:
         """Print one line."""
         if not self.quiet:
-            self._rich.print(text, markup=False)
+            self._rich.print(shown(text), markup=False)
 
     def warn(self, text: str) -> None:
         """Print one line, once: every stage opens the same folders and meets the same oddities."""
@@ -51,10 +53,10 @@ class Console:
             yield lambda done, total, what: None
         elif self.live:
             with self._bar() as bar:
-                task = bar.add_task(stage, total=None, what="", left="")
+                task = bar.add_task(shown(stage), total=None, what="", left="")
 
                 def update(done: int, total: int, what: str) -> None:
-                    bar.update(task, completed=done, total=total, what=what, left=_left(left, done, total, what))
+                    bar.update(task, completed=done, total=total, what=shown(what), left=_left(left, done, total, what))
 
                 yield update
         else:
@@ -83,6 +85,11 @@ class Console:
             self.note(f"{stage}: {done}/{total}  {what}{text and '  '}{text}")
 
         return update
+
+
+def shown(text: str) -> str:
+    """Lines as they can be shown on a terminal, which would obey ESC, say, in a name of somebody's."""
+    return re.sub(r"[^\n\t]+", lambda found: printable(found[0]), text)
 
 
 def _left(left: TimeLeft, done: int, total: int, what: str) -> str:

@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed import stages
-from novags.testbed.cache import UNFINISHED, read_json, refuse_other, write_json
+from novags.testbed.cache import refuse_other
 from novags.testbed.console import Console
+from novags.testbed.contents import UNFINISHED, read_json, write_json
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders import shapes
 from novags.testbed.folders.experiment import EXPERIMENT, REPORT, REPORT_FILES, find_runs
@@ -18,6 +19,7 @@ from novags.testbed.report.page import write_report
 from novags.testbed.stages.rendering import RECORD as SET
 from novags.testbed.stages.scoring import merge
 from novags.testbed.study.steps import make_set
+from sensor_model.files.door import resolved
 from sensor_model.files.lock import locked
 
 DESCRIBED = (EXPERIMENT, METRICS, REPORT, REPORT_FILES)  # files that describe all runs in the folder
@@ -99,7 +101,7 @@ def _refuse_set_elsewhere(out: Path) -> None:
     if not record.exists():
         return
     made_of = place_of(out / "capture", read_json(record, shapes.CAPTURE)["set"]["path"])
-    if made_of != (out / "set").resolve():
+    if made_of != resolved(out / "set"):
         raise ValueError(f"{out / 'capture'} is a finished capture of the set {made_of}, which this request does not "
                          "name: name it (--scene), choose another --out, or add --overwrite")  # fmt: skip
 

@@ -1,5 +1,6 @@
 """What a capture of a scene would simulate, what it would leave out, and the bounds: the plans, before any work."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +26,7 @@ def light_plan(config: RenderConfig, tolerance: float, console: Console) -> Plan
     Raises:
         ValueError: If there is no such scene.
     """
-    if Path(config.scene).is_dir():
+    if os.path.isdir(config.scene):
         return None
     with warnings_as_notes(console):
         return plan_of(config, tolerance)
@@ -46,7 +47,7 @@ def sensor_plan(
     Raises:
         ValueError: If there is no such scene, or it is black.
     """
-    if Path(pilot.scene).is_dir():
+    if os.path.isdir(pilot.scene):
         return _plan(open_source(Path(pilot.scene), console, config.max_size), config, None, console)
     with scratch("plan") as folder:
         render_views(folder, pilot, *prepare_render(pilot, console), console)

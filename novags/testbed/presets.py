@@ -1,5 +1,6 @@
 """Presets: whole experiments by name, from a demonstration to the paper's own settings."""
 
+import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
@@ -19,6 +20,7 @@ from novags.testbed.stages.importing import ImportConfig
 from novags.testbed.stages.posing import PosesConfig
 from novags.testbed.stages.reconstructing import ReconstructConfig
 from novags.testbed.stages.rendering import RenderConfig
+from sensor_model.files.door import resolved
 from simscenes.sets.multiview import is_rendered
 
 if TYPE_CHECKING:
@@ -174,7 +176,7 @@ def variants_in(path: Path) -> tuple[Variant, ...]:
     for name, variant in variants.items():
         whole = chosen(name, variants)
         config = whole.config(METHODS[whole.method].config(), {})
-        settings = starting_at(path.parent.resolve(), variant.settings, config)
+        settings = starting_at(resolved(path.parent), variant.settings, config)
         refuse_lost_files(changed(config, settings, what=name), name)
         found.append(replace(variant, settings=settings))
     return tuple(found)
@@ -222,7 +224,7 @@ def adapted(
         named = level_named(level)
         sensor, pictures = sensor or named.sensor, pictures or named.pictures
         electrons = named.electrons if electrons is None else electrons
-    folder = None if scene is None or not Path(scene).is_dir() else Path(scene)
+    folder = None if scene is None or not os.path.isdir(scene) else Path(scene)
     if folder is not None:
         _refuse_of_render(f"the set {folder}", views=n_views, width=width, height=height, spp=spp)
         scene = None

@@ -29,6 +29,7 @@ from settle import write_table
 
 from novags.methods import METHODS, chosen, with_variants
 from novags.methods.variant import Variant
+from novags.testbed.csv_text import as_csv, text_of
 from novags.testbed.report.study.grid import HELPED, Line, by_place, lines_of
 from novags.testbed.report.study.light import looks_of
 from sensor_model.files.toml_file import read_toml
@@ -76,7 +77,7 @@ def read_source(source: Path) -> list[dict[str, Any]]:
 
 def _value(key: str, text: str) -> Any:
     if key in ("scene", "level", "method", "state", "reason"):
-        return text
+        return text_of(text)
     return int(float(text)) if key in ("seed", "peak_bytes") else float(text)
 
 
@@ -90,9 +91,8 @@ def merged(sources: Sequence[Sequence[Row]]) -> list[Row]:
 def write_rows(path: Path, rows: Sequence[Row]) -> None:
     """Write what the page is made of."""
     names = [*PLACE, "state", "reason", *SCORES, *KEPT]
-    lines = [[("" if row.get(name) is None else row[name]) for name in names] for row in rows]
     with path.open("w", encoding="utf-8", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows([names, *lines])
+        file.write(as_csv(rows, names))
 
 
 def families(names: Sequence[str], study: Mapping[str, Any]) -> dict[str, str]:

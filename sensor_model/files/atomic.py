@@ -5,10 +5,12 @@ from __future__ import annotations
 import os
 import re
 import shutil
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from glob import escape
 from pathlib import Path
+
+from sensor_model.files.door import check_links
 
 _PARTIAL = re.compile(r"\..*\.(\d+)\.partial")  # the beginning of a temporary name, with the number of its process
 
@@ -26,22 +28,58 @@ def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
 
     Raises:
         OSError: If it cannot be written; names `path` where the system names no file.
+        ValueError: If a link leads its folder out of those that were given.
     """
     target = Path(path)
+    check_links(target.parent)
     target.parent.mkdir(parents=True, exist_ok=True)
     temporary = target.with_name(f".{target.stem}.{os.getpid()}.partial{target.suffix}")
-    _remove(temporary)  # what a killed process of the same number may have left
+    remove(temporary)  # what a killed process of the same number may have left
     try:
         yield temporary
+        for witness in _witnesses:
+            witness.see(temporary, target)
         if temporary.is_dir():
-            _remove(target)  # a folder cannot be renamed onto one that holds files
+            remove(target)  # a folder cannot be renamed onto one that holds files
         os.replace(temporary, target)
     except OSError as error:
         if error.errno is None or error.filename not in (None, str(temporary)):
             raise
         raise OSError(error.errno, error.strerror, str(target)) from error  # its name, not the hidden one or none
     finally:
-        _remove(temporary)
+        remove(temporary)
+
+
+class Witness:
+    """What files held when they were written.
+
+    Attributes:
+        found: What `look` returned, by the absolute path.
+    """
+
+    def __init__(self, look: Callable[[Path], bytes]) -> None:
+        self.look, self.found = look, dict[str, bytes]()
+
+    def see(self, temporary: Path, target: Path) -> None:
+        """A file, or a folder of files, is about to appear at `target`."""
+        files = sorted(temporary.rglob("*")) if temporary.is_dir() else [temporary]
+        for file in files:
+            if file.is_file():
+                self.found[os.path.abspath(target / file.relative_to(temporary))] = self.look(file)
+
+
+_witnesses: list[Witness] = []
+
+
+@contextmanager
+def witnessed(look: Callable[[Path], bytes]) -> Iterator[Witness]:
+    """While the block runs, look at every file that appears through `atomic`, before it has its name."""
+    witness = Witness(look)
+    _witnesses.append(witness)
+    try:
+        yield witness
+    finally:
+        _witnesses.remove(witness)
 
 
 def write_text(path: Path, text: str) -> None:
@@ -55,17 +93,17 @@ def sweep(folder: str | os.PathLike[str], inside: Iterable[str] = (), *, own: bo
 
     Args:
         folder: Where to look, not in the folders in it.
-        inside: Folders in it that are searched to any depth.
+        inside: Folders in it that are searched to any depth; a link to one is not followed.
         own: This process has not begun to write: what bears its number is of an earlier one.
     """
-    roots = (root for name in inside if (root := Path(folder) / name).is_dir())
+    roots = (root for name in inside if (root := Path(folder) / name).is_dir() and not root.is_symlink())
     for path in [*Path(folder).glob(".*.partial*"), *(path for root in roots for path in root.rglob(".*.partial*"))]:
         match = _PARTIAL.match(path.name)
         if match is None:
             continue
         process = int(match.group(1))
         if own if process == os.getpid() else not _is_alive(process):
-            _remove(path)
+            remove(path)
 
 
 def sweep_file(path: str | os.PathLike[str]) -> None:
@@ -74,7 +112,7 @@ def sweep_file(path: str | os.PathLike[str]) -> None:
     for left in target.parent.glob(f".{escape(target.stem)}.*.partial{escape(target.suffix)}"):
         match = _PARTIAL.match(left.name)
         if match is not None and not _is_alive(int(match.group(1))):
-            _remove(left)
+            remove(left)
 
 
 def _is_alive(process: int) -> bool:
@@ -87,7 +125,14 @@ def _is_alive(process: int) -> bool:
     return True
 
 
-def _remove(path: Path) -> None:
+def remove(path: Path) -> None:
+    """Remove a file or a folder, if it is there; of a link the link alone.
+
+    Raises:
+        ValueError: If a link leads its folder out of those that were given.
+        OSError: If it cannot be removed.
+    """
+    check_links(path.parent)
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:

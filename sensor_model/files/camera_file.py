@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from sensor_model.files.atomic import atomic
+from sensor_model.files.door import read_bytes
 from sensor_model.files.reading import reading
 from sensor_model.files.toml_file import read_toml
 from sensor_model.params import CFAS, Banding, Defects, DualGain, Sensor, SensorOptics, require
@@ -66,7 +67,7 @@ def write_sensor(path: str | os.PathLike[str], sensor: Sensor, *, comment: str =
         if (value := getattr(sensor, part)) is not None:
             lines += ["", f"[{part}]", *_assignments(value)]
     content = "\n".join([*lines, ""]).encode()
-    if not overwrite and Path(path).exists() and Path(path).read_bytes() != content:
+    if not overwrite and Path(path).exists() and read_bytes(path) != content:
         raise ValueError(
             f"{path} is there with another content: choose another --out, or add --overwrite to replace it"
         )

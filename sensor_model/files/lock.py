@@ -10,6 +10,7 @@ import errno
 import fcntl
 import os
 import platform
+import re
 import shlex
 import stat
 import sys
@@ -22,8 +23,10 @@ from contextvars import ContextVar
 from pathlib import Path
 
 from sensor_model.files.atomic import sweep
+from sensor_model.files.door import check_links, descriptor_of_our_own
 
 NAME = ".novags.lock"  # hidden, so that it is part of no digest and of no listing; removed on release
+SIGNED = re.compile(r"'.*' \(process \d+ on .*, since .*\)")  # what a lock file of ours holds, if it holds anything
 COMMAND_LENGTH = 160  # characters of it in a message: one line
 LOST = 1000  # times that a folder may go while it is made; more is a place where there can be none, as in /proc
 _READ_ONLY = (errno.EACCES, errno.EPERM, errno.EROFS)
@@ -66,10 +69,12 @@ def locked(
         BlockingIOError: If somebody else holds it; says who.
         NotADirectoryError: If `folder` is a file.
         OSError: If the folder cannot be created.
+        ValueError: If a link leads it out of the folders that were given, or a file of that name is not a lock file.
     """
     folder = Path(folder).absolute()
     _refuse_file(folder)
-    path = folder.resolve() / name
+    check_links(folder)
+    path = Path(os.path.realpath(folder)) / name
     me = (os.getpid(), threading.get_ident(), path)
     if me in _held:
         sweep(path.parent, inside)
@@ -129,6 +134,7 @@ def _acquire(path: Path, folder: Path, wait: Tell | None) -> int | None:
                 os.close(fd)
                 return None
             if _is_at(fd, path):
+                _check_ours(fd, path)
                 _sign(fd)
                 return fd
         except BaseException:
@@ -139,12 +145,12 @@ def _acquire(path: Path, folder: Path, wait: Tell | None) -> int | None:
 
 def _opened(path: Path) -> int | None:
     try:
-        return os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        return descriptor_of_our_own(path, os.O_RDWR | os.O_CREAT)
     except OSError as error:
         if error.errno not in _READ_ONLY:
             raise
     try:
-        return os.open(path, os.O_RDONLY)  # left by another user's process that was killed
+        return descriptor_of_our_own(path, os.O_RDONLY)  # left by another user's process that was killed
     except OSError:
         return None
 
@@ -180,6 +186,13 @@ def _is_at(fd: int, path: Path) -> bool:
         return os.path.samestat(os.fstat(fd), os.stat(path))
     except FileNotFoundError:
         return False
+
+
+def _check_ours(fd: int, path: Path) -> None:
+    """Refuse to write over what no holder of this lock has written."""
+    text = os.pread(fd, 4096, 0).decode("utf-8", "replace")
+    if text and not SIGNED.fullmatch(text):
+        raise ValueError(f"{path} holds something else than the name of a process: move it away, it is not a lock file")
 
 
 def _sign(fd: int) -> None:

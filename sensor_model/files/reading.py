@@ -14,14 +14,22 @@ WORDS: dict[type[Exception], str] = {
 
 
 def brief(found: object, length: int = 300) -> str:
-    """What a file holds, or a library says of it, as one line of at most `length` characters."""
-    text = " ".join(str(found).split())
+    """What a file holds, or a library says of it, as one line of at most `length` characters that can be printed.
+
+    Others, such as ESC, are shown as Python writes them: a terminal would obey them.
+    """
+    text = printable(" ".join(str(found).split()))
     return text if len(text) <= length else f"{text[: length - 4]} ..."
+
+
+def printable(text: str) -> str:
+    """The text with characters that cannot be printed written out, as a program in Python would write them."""
+    return text if text.isprintable() else "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
 def some(names: Sequence[str], most: int = 3) -> str:
     """The first `most` names of a list for a message: one line, whatever they are."""
-    shown = [name if name.isprintable() else repr(name) for name in names[:most]]
+    shown = [brief(name if name.isprintable() else repr(name), 200) for name in names[:most]]
     return ", ".join([*shown, "..."] if len(names) > most else shown)
 
 

@@ -17,8 +17,11 @@ import math
 from pathlib import Path
 from typing import Any
 
-from sensor_model.files.reading import reading
+from sensor_model.files.door import TEXT, read_text
+from sensor_model.files.reading import brief, reading
 
+DEPTH = 64  # of lists and objects in each other; deeper ones exhaust what walks through them
+WHOLE = 2**64  # whole numbers stay below it, as in every other language
 Shape = Any
 _WORDS: dict[Any, str] = {
     str: "text", bool: "true or false", int: "a whole number", float: "a finite number", dict: "an object",
@@ -44,17 +47,81 @@ def read_record(path: Path, shape: Shape = dict, remedy: str = "correct it or pu
     Raises:
         ValueError: If the file is unreadable, not JSON or of another shape; names the file and the place in it.
     """
-    try:
-        text = path.read_bytes()
-    except OSError as error:
-        raise ValueError(f"cannot read {path}: {error.strerror or error}") from error
-    with reading(path, remedy):
-        try:
-            value = json.loads(text.decode())
-        except json.JSONDecodeError as error:
-            raise ValueError(f"{path} is not valid JSON ({error}); {remedy}") from error
+    value = read_json(path, remedy)
     check_shape(value, shape, f"{path}", remedy)
     return value
+
+
+def read_json(path: Path, remedy: str = "correct it or put the original back", most: int = TEXT) -> Any:
+    """The content of a JSON file of any shape; `most`: bytes that it may have. Errors as for `read_record`."""
+    try:
+        text = read_text(path, most=most)
+    except OSError as error:
+        raise ValueError(f"cannot read {path}: {error.strerror or error}") from error
+    return parse_json(text, f"{path}", remedy)
+
+
+def parse_json(text: str, where: str, remedy: str = "correct it or put the original back") -> Any:
+    """A value from JSON text, with what readers go wrong on refused: see `DEPTH`, `WHOLE`; NaN, infinity, equal keys.
+
+    Args:
+        text: The JSON.
+        where: The file, or the place in it, for messages.
+        remedy: What the user can do.
+
+    Raises:
+        ValueError: If it is not JSON, or one of these is in it; names `where`.
+    """
+    with reading(where, remedy):
+        try:
+            value = json.loads(
+                text, parse_int=_whole, parse_float=_finite, parse_constant=_no_constant, object_pairs_hook=_unique
+            )
+        except json.JSONDecodeError as error:
+            raise ValueError(f"{where} is not valid JSON ({error}); {remedy}") from error
+        check_depth(value)
+    return value
+
+
+def check_depth(value: Any) -> None:
+    """Refuse lists and objects in each other beyond `DEPTH`.
+
+    Raises:
+        ValueError: If there are more.
+    """
+    level = [value] if isinstance(value, list | dict) else []
+    for _ in range(DEPTH):
+        parts = (part for outer in level for part in (outer.values() if isinstance(outer, dict) else outer))
+        level = [part for part in parts if isinstance(part, list | dict)]
+        if not level:
+            return
+    raise ValueError(f"it is nested more than {DEPTH} deep")
+
+
+def _whole(digits: str) -> int:
+    if len(digits) < 20 or (len(digits) < 22 and abs(int(digits)) < WHOLE):
+        return int(digits)
+    raise ValueError(f"whole numbers must be below 2**64, got one of {len(digits)} digits ({digits[:12]}...)")
+
+
+def _finite(digits: str) -> float:
+    value = float(digits)
+    if math.isinf(value):
+        raise ValueError(f"numbers must be below 1.8e308, got {digits[:40]}")
+    return value
+
+
+def _no_constant(name: str) -> None:
+    raise ValueError(f"numbers must be finite, got {name}")
+
+
+def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        names = [name for name, _ in pairs]
+        twice = next(name for name in names if names.count(name) > 1)
+        raise ValueError(f"{brief(twice, 60)!r} stands twice in one object")
+    return found
 
 
 def check_shape(value: Any, shape: Shape, where: str, remedy: str = "") -> None:

@@ -26,7 +26,7 @@ def scratch(purpose: str) -> Iterator[Path]:
     prefix = f"novags-{purpose}-"
     for left in Path(tempfile.gettempdir()).glob(f"{prefix}*"):
         with suppress(OSError):  # somebody else's, in use, or another process was faster
-            if time.time() - left.stat().st_mtime > YOUNG and left.stat().st_uid == os.getuid():
+            if time.time() - left.lstat().st_mtime > YOUNG and left.lstat().st_uid == os.getuid():
                 _remove_if_free(left)
     folder = Path(tempfile.mkdtemp(prefix=prefix))
     fd = os.open(folder, os.O_RDONLY)
@@ -40,7 +40,7 @@ def scratch(purpose: str) -> Iterator[Path]:
 
 
 def _remove_if_free(folder: Path) -> None:
-    fd = os.open(folder, os.O_RDONLY)
+    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)  # to open a FIFO would wait for ever
     try:
         fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         shutil.rmtree(folder)

@@ -17,7 +17,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_model.files.atomic import atomic
+from sensor_model.files.atomic import atomic, remove
+from sensor_model.files.door import opened
 from sensor_model.isp import to_srgb8
 from simscenes.camera import camera_color
 from simscenes.job.exposure import BELOW_WHITE, RunningQuantile, exposure_scale
@@ -57,15 +58,20 @@ class ViewStore:
 
     def light(self, i: int) -> NDArray[np.float32]:
         """Linear sRGB of view `i`, [h,w,3]."""
-        return np.asarray(np.load(self.folder / f"{i}.light.npy"))
+        return _loaded(self.folder / f"{i}.light.npy")
 
     def depth(self, i: int) -> NDArray[np.float32]:
         """z-depth of view `i`, [h,w]."""
-        return np.asarray(np.load(self.folder / f"{i}.depth.npy"))
+        return _loaded(self.folder / f"{i}.depth.npy")
 
     def exposure_scale(self) -> float:
         """One exposure for the set, once all its views are in."""
         return exposure_scale(self._white.value())
+
+
+def _loaded(path: Path) -> NDArray[np.float32]:
+    with opened(path) as file:
+        return np.asarray(np.load(file, allow_pickle=False))
 
 
 def _save(path: Path, values: NDArray[Any]) -> None:
@@ -80,7 +86,7 @@ def _save(path: Path, values: NDArray[Any]) -> None:
 def view_store(out: Path, rig: Rig, camera: str | None) -> Iterator[ViewStore]:
     """A store in the set folder `out`, removed afterwards, with anything that a killed process left there."""
     folder = out / SCRATCH
-    shutil.rmtree(folder, ignore_errors=True)
+    remove(folder)
     folder.mkdir(parents=True)
     try:
         yield ViewStore(folder, rig, camera)
@@ -91,10 +97,10 @@ def view_store(out: Path, rig: Rig, camera: str | None) -> Iterator[ViewStore]:
 def _remove_stale(out: Path, names: list[str]) -> None:
     """Remove what another set in this folder has left: pictures of more views, and its other layouts."""
     for folder in (DEPTHS, *EXPORTS):
-        shutil.rmtree(out / folder, ignore_errors=True)
+        remove(out / folder)
     for picture in (out / "images").glob("*.png"):
         if picture.stem not in names:
-            picture.unlink()
+            remove(picture)
 
 
 def finish_set(out: Path, names: list[str], rig: Rig, seed: int, views: ViewStore, scene: str) -> dict[str, Any]:

@@ -10,6 +10,7 @@ from typing import Any
 
 from numpy.typing import NDArray
 
+from sensor_model.files.records import read_record
 from sensor_model.plan import Plan
 from simscenes.rigs import Rig
 from simscenes.sets.pictures.exr import read_exr
@@ -54,8 +55,8 @@ def view_key(config: dict[str, Any], rig: Rig, i: int) -> str:
 def is_complete(out: Path, digest: str, names: list[str]) -> bool:
     """Whether a folder holds the finished set of that digest, with all its files."""
     try:
-        same = json.loads((out / "set.json").read_text(encoding="utf-8")).get("digest") == digest
-    except (OSError, ValueError, AttributeError, RecursionError):
+        same = read_record(out / "set.json").get("digest") == digest
+    except ValueError:
         return False  # no set.json, or a damaged one: the set is rendered and written again
     files = [out / "gt" / f"{n}.exr" for n in names] + [out / "images" / f"{n}.png" for n in names]
     return same and all(f.is_file() for f in files)
@@ -64,9 +65,9 @@ def is_complete(out: Path, digest: str, names: list[str]) -> bool:
 def seconds_spent(out: Path, digest: str) -> dict[str, float]:
     """Seconds per stage that the same job took before it was interrupted."""
     try:
-        spent = json.loads((out / SPENT).read_text(encoding="utf-8"))
+        spent = read_record(out / SPENT)
         return dict(spent["seconds"]) if spent["digest"] == digest else {}
-    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+    except (ValueError, KeyError, TypeError):
         return {}  # not interrupted, or in the middle of writing this; it only adds to a sum
 
 

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from sensor_model.files.door import read_bytes
+
 
 def content_digest(description: dict[str, Any] | tuple[Path, ...], params: Any) -> str:
     """Hash a scene (sha256, 64 hex digits).
@@ -25,7 +27,7 @@ def content_digest(description: dict[str, Any] | tuple[Path, ...], params: Any) 
         _feed(digest, description)
     else:
         for file in description:
-            digest.update(f"{file.stat().st_size}:".encode() + file.read_bytes())
+            digest.update(f"{file.stat().st_size}:".encode() + read_bytes(file))
     # Mitsuba names an object without an id by its address, which differs from load to load.
     names = {key: re.sub(r"object_\d+", "object", key).encode() for key in params.keys()}
     for part in sorted(hashlib.sha256(name + b":" + _content(params[key])).digest() for key, name in names.items()):

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from sensor_model.files.door import read_bytes, resolved
 from simscenes.backend import COLORS, using_variant
 from simscenes.loading.checks.complete import check_complete
 from simscenes.loading.checks.meshes import check_faces
@@ -161,7 +162,7 @@ def _hint(said: str, source: SceneRef) -> str:
     """What Mitsuba's words leave out."""
     if missing := re.search(r"undefined parameter: \$([\w.-]+)", said):
         return f" (give it a value: -D {missing[1]}=VALUE)"
-    if source.path is not None and OLD.search(source.path.read_bytes()[:4096]):
+    if source.path is not None and OLD.search(read_bytes(source.path)[:4096]):
         return " (the file is of Mitsuba 0.x, of which Mitsuba 3 reads a part: port it, see its documentation)"
     return ""
 
@@ -169,7 +170,7 @@ def _hint(said: str, source: SceneRef) -> str:
 def _own_integrator(source: SceneRef, mi: Any, allow_outside: bool) -> OwnIntegrator | None:
     if source.path is None:
         return None if source.description is None else own_integrator(in_dict(source.description))
-    path, config = source.path.resolve(), mi.parser.ParserConfig(mi.variant())
+    path, config = resolved(source.path), mi.parser.ParserConfig(mi.variant())
     with nullcontext() if allow_outside else searching_only(path.parent, mi):
         return own_integrator(in_file(mi.parser.parse_file(config, str(path), **dict(source.parameters)).nodes))
 

@@ -15,6 +15,8 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
+from sensor_model.files.door import read_bytes
+
 LISTS = (b"v", b"vt", b"vn")
 
 
@@ -33,11 +35,11 @@ def completed(files: Sequence[Path]) -> Iterator[Path]:
         folder = Path(temporary)
         for file in files:
             if file.suffix.lower() == ".obj" and file.is_file() and file.is_relative_to(root):
-                content = file.read_bytes()
+                content = read_bytes(file)
                 if (whole := complete(content)) is not content:
                     _write(folder / file.relative_to(root), whole)
                     # Mitsuba searches the folder of the scene file before all others.
-                    _write(folder / scene.name, scene.read_bytes())
+                    _write(folder / scene.name, read_bytes(scene))
                     warnings.warn(
                         f"mesh file {file}: not every corner of its faces names a normal and a texture coordinate, or "
                         "some are counted from the end; normals that are missing become those of the face, texture "

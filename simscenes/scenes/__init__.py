@@ -48,6 +48,7 @@ _CATALOGUE: dict[str, tuple[Callable[..., dict[str, Any]], RigMaker]] = {
     "thicket": (thicket, _orbit(52.0, target=(0.0, 0.0, 0.45), radius=1.7, elevation_deg=18.0, **_ROOM)),
 }  # fmt: skip
 
+DIGITS = 18  # of a scene's seed, at most: it is part of file names
 SCENES: dict[str, Callable[..., dict[str, Any]]] = {name: make for name, (make, _) in _CATALOGUE.items()}
 MEASURED_LIGHTS = frozenset({"market"})  # scenes whose lamps have measured spectra
 
@@ -64,8 +65,9 @@ def split_name(name: str) -> tuple[str, int]:
             f"no scene {brief(repr(name), 100)} in the catalogue{_what_it_is(name)}; available: {sorted(SCENES)}. "
             "Mitsuba files end in .xml"
         )
-    if seed and not seed.isdecimal():
-        raise ValueError(f"the seed in scene name {brief(repr(name), 100)} must be a whole number >= 0")
+    if seed and not (seed.isdecimal() and len(seed) <= DIGITS):
+        raise ValueError(f"the seed in scene name {brief(repr(name), 100)} must be a whole number >= 0 of at most "
+                         f"{DIGITS} digits")  # fmt: skip
     return scene, int(seed or 0)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensor_model import srgb_to_linear
+from sensor_model.files.door import enter, resolved
 from sensor_model.files.records import Numbers, read_record
 from simscenes.rigs import Rig
 from simscenes.sets.geometry.tracks import SparsePoints
@@ -80,7 +81,7 @@ class MultiviewSet:
     @property
     def scene(self) -> str:
         """What the scene is called: as it was rendered, else as the folder is."""
-        return str(self.meta.get("scene") or self.path.resolve().name)
+        return str(self.meta.get("scene") or resolved(self.path).name)
 
     @property
     def test_indices(self) -> list[int]:
@@ -195,6 +196,7 @@ def load_set(path: str | Path) -> MultiviewSet:
     path = Path(path)
     if not path.is_dir():
         raise ValueError(f"load_set: no such folder: {path}")
+    enter(path)
     if is_rendered(path) and not (path / "set.json").is_file():
         raise ValueError(
             f"load_set: {path} holds an unfinished render (gt/ without set.json); run the render again, it resumes"

@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from novags.testbed import cache
+from novags.testbed import cache, contents
 from novags.testbed.cache import run_stage
 from novags.testbed.console import Console
 from novags.testbed.study.entry import Order, Step, ensure
@@ -64,7 +64,7 @@ def write(order: Order, console: Console) -> None:
         return {"threads": os.environ.get("OMP_NUM_THREADS")}
 
     run_stage(
-        "write", order.folder, f"{task.kind}.json", inputs={"source": cache.digest(source)}, config=task.config,
+        "write", order.folder, f"{task.kind}.json", inputs={"source": contents.digest(source)}, config=task.config,
         owns=("large.txt", "content.txt"), prepare=lambda: None, work=work, console=console, overwrite=True,
     )  # fmt: skip
 
@@ -75,7 +75,7 @@ def score(order: Order, console: Console) -> None:
     mean = {"lit": {"psnr": value, "tone_aligned_psnr": value}, "enhanced": {"aligned_psnr": value}}
     scores = {"mean": mean, "views": {}, "training_2d": None, "seconds": {"fit": 1.0}, "peak_bytes": 1}
     run_stage(
-        "score", order.folder, "metrics.json", inputs={"content": cache.digest(content)}, config={}, owns=(),
+        "score", order.folder, "metrics.json", inputs={"content": contents.digest(content)}, config={}, owns=(),
         prepare=lambda: None, console=console, overwrite=True,
         work=lambda _: {"methods": {order.task.group: scores}, "recovered": {}, "unavailable": {}},
     )  # fmt: skip

@@ -13,8 +13,8 @@ import pytest
 
 from novags.splats import read_ply
 from novags.testbed import stages
-from novags.testbed.cache import read_json
 from novags.testbed.console import Console, Update
+from novags.testbed.contents import read_json
 from novags.testbed.experiment import run, score_all
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.presets import Preset, adapted

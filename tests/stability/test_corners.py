@@ -15,8 +15,8 @@ from novags.methods import METHODS, chosen, names
 from novags.methods.enhancers import NETWORKS
 from novags.methods.reconstruction import GaussianScene
 from novags.testbed import stages
-from novags.testbed.cache import read_json
 from novags.testbed.console import Console
+from novags.testbed.contents import read_json
 from novags.testbed.presets import EXPERIMENTS, adapted
 from simscenes import SCENES, read_exr
 

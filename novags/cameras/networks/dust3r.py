@@ -10,7 +10,6 @@ Weights are read here and given to the model class: the package's own loader wou
 
 import argparse
 import ast
-import json
 import math
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,6 +25,8 @@ from novags.cameras.estimate import Array, CameraEstimate
 from novags.cameras.networks.dense import Window, check_drop, choose, from_pixels, inverted, numbers, prepare, with_lens
 from novags.cameras.networks.package import brief, part, read_checkpoint, require
 from novags.cameras.pictures import Pictures, check_kind, check_views
+from novags.numbers import STEPS, check_range
+from sensor_model.files.records import read_json
 
 SIZE, PATCH = 512, 16  # px: the longer side of the pictures that the networks were trained on, and their raster
 RATE = 0.01  # of the alignment, with a cosine schedule, as in its README
@@ -44,8 +45,7 @@ class Dust3rConfig:
     def __post_init__(self) -> None:
         check_kind("dust3r", self.pictures)
         check_drop("dust3r", self.drop_percent)
-        if self.iterations < 1:
-            raise ValueError(f"iterations of dust3r must be >= 1, got {self.iterations}")
+        check_range("iterations of dust3r", self.iterations, 1, STEPS)
 
 
 def check_installed(config: Dust3rConfig) -> None:
@@ -174,7 +174,7 @@ def load(model_class: Any, checkpoint: Path, device: str | torch.device) -> Any:
     held = read_checkpoint(checkpoint)
     try:
         if checkpoint.suffix == ".safetensors":
-            weights, arguments = held, json.loads((checkpoint.parent / "config.json").read_text("utf-8"))
+            weights, arguments = held, read_json(checkpoint.parent / "config.json")
         else:
             weights, arguments = held["model"], spelled_arguments(held["args"], model_class.__name__)
         if max(arguments["img_size"]) != SIZE:

@@ -18,6 +18,7 @@ from novags.cameras.networks.dense import check_drop, choose, from_pixels, numbe
 from novags.cameras.networks.dust3r import as_its_loader, cameras_of, load, paired
 from novags.cameras.networks.package import part, require
 from novags.cameras.pictures import Pictures, check_kind, check_views, write_pictures
+from novags.numbers import STEPS, check_range
 from sensor_model.files.scratch import scratch
 
 RATES = 0.07, 0.014  # of the two stages of the alignment, as in its demo
@@ -38,8 +39,7 @@ class Mast3rConfig:
     def __post_init__(self) -> None:
         check_kind("mast3r", self.pictures)
         check_drop("mast3r", self.drop_percent)
-        if self.iterations < 1:
-            raise ValueError(f"iterations of mast3r must be >= 1, got {self.iterations}")
+        check_range("iterations of mast3r", self.iterations, 1, STEPS)
 
 
 def check_installed(config: Mast3rConfig) -> None:

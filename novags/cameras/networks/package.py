@@ -8,6 +8,8 @@ from typing import Any
 
 import torch
 
+from sensor_model.files.door import admitted
+
 
 def require(source: str, package: str, install: str, checkpoint: Path, weights: str) -> None:
     """Raise a ValueError that says what to do if the package or its weights are missing.
@@ -62,9 +64,9 @@ def read_checkpoint(checkpoint: Path) -> Any:
         if checkpoint.suffix == ".safetensors":
             from safetensors.torch import load_file
 
-            return load_file(checkpoint)
+            return load_file(admitted(checkpoint))
         with torch.serialization.safe_globals([argparse.Namespace]):
-            return torch.load(checkpoint, map_location="cpu", weights_only=True)
+            return torch.load(admitted(checkpoint), map_location="cpu", weights_only=True)
     except Exception as error:  # each format has errors of its own
         raise ValueError(
             f"{checkpoint} cannot be read as weights without running code that it may hold: {brief(error)}; "

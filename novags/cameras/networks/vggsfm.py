@@ -19,9 +19,11 @@ from torch import Tensor
 
 from novags.cameras.colmap import quiet
 from novags.cameras.estimate import CameraEstimate
-from novags.cameras.mapping import from_reconstruction
+from novags.cameras.mapping import FEATURES, from_reconstruction
 from novags.cameras.networks.package import read_checkpoint, require_weights
 from novags.cameras.pictures import Pictures, check_kind, check_views, write_pictures
+from novags.numbers import VIEWS, check_range
+from sensor_model.files.door import resolved
 from sensor_model.files.scratch import scratch
 
 ADVICE = "more query_frames, more light, or --cameras known"
@@ -46,6 +48,8 @@ class VggsfmConfig:
                 "vggsfm needs query_frames >= 1 and query_points >= 8, the fewest that fix a pair of cameras; got "
                 f"{self.query_frames} and {self.query_points}"
             )
+        check_range("query_frames of vggsfm", self.query_frames, 1, VIEWS)
+        check_range("query_points of vggsfm", self.query_points, 8, FEATURES)
 
 
 def check_installed(config: VggsfmConfig) -> None:
@@ -56,8 +60,8 @@ def check_installed(config: VggsfmConfig) -> None:
             "https://github.com/facebookresearch/vggsfm, install it by its install.sh into an environment of its own "
             "(CC BY-NC 4.0: non-commercial use only), and give vggsfm:home=FOLDER,python=FILE,checkpoint=FILE"
         )
-    # With a relative path, the current folder would decide which interpreter that is.
-    if shutil.which(config.python) is None or (os.sep in config.python and not os.path.isabs(config.python)):
+    # With a relative path, or a relative folder on PATH, the current folder would decide which interpreter that is.
+    if not os.path.isabs(shutil.which(config.python) or ""):
         raise ValueError(
             f"VGGSfM runs in its own Python, and {config.python} cannot be run: give the absolute path of the "
             "interpreter in its environment as vggsfm:python=FILE"
@@ -102,7 +106,7 @@ def vggsfm_cameras(
         images = root / "images"
         images.mkdir()
         write_pictures(images, pictures)
-        (root / "weights.bin").symlink_to(config.checkpoint.resolve())  # = and , in a path mean something to its parser
+        (root / "weights.bin").symlink_to(resolved(config.checkpoint))  # = and , in a path mean something to its parser
         _run(config, root, seed, torch.device(device))
         model = _model(root / "sparse", pycolmap)
         return from_reconstruction(

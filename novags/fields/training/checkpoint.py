@@ -13,8 +13,9 @@ from torch import Tensor
 from novags.fields.layout import Field, Layout, first_field
 from novags.fields.march import Proposal
 from novags.splats.training.checkpoint import write_tensors
+from sensor_model.files.door import admitted
 from sensor_model.files.reading import brief
-from sensor_model.files.records import check_shape
+from sensor_model.files.records import check_shape, parse_json
 
 STATE = {"iteration": int, "steps": int, "looked": int, "losses": [{"*": float}], "seconds": float, "settings": dict}
 
@@ -79,8 +80,8 @@ def load_state(path: Path, settings: dict[str, object], layout: Layout, extra: M
         ValueError: If the file is not a training checkpoint of a field, or belongs to a run with other settings.
     """
     try:
-        with safe_open(path, framework="pt") as file:
-            rest = json.loads((file.metadata() or {})["state"])
+        with safe_open(admitted(path), framework="pt") as file:
+            rest = parse_json((file.metadata() or {})["state"], "its state")
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # not a dict
         check_shape(rest, STATE, "its state")
     except (SafetensorError, KeyError, TypeError, ValueError, RecursionError) as error:

@@ -4,6 +4,7 @@ import math
 from dataclasses import dataclass, field
 
 from novags.fields.layout import Layout
+from novags.numbers import PIXELS, STEPS, check_range
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,8 +50,8 @@ class FieldFitConfig:
     def __post_init__(self) -> None:
         for name, least in (("iterations", 0), ("rays", 1), ("patch", 1), ("samples", 1), ("warm", 0),
                             ("checkpoint_every", 1)):  # fmt: skip
-            if getattr(self, name) < least:
-                raise ValueError(f"{name} must be >= {least}, got {getattr(self, name)}")
+            check_range(name, getattr(self, name), least, STEPS)
+        check_range("rays x samples", self.rays * self.samples, 1, PIXELS)
         if self.rays % self.patch**2:
             raise ValueError(f"rays must be a multiple of patch^2, got {self.rays} and a patch of {self.patch}")
         if not (0 < self.rate < math.inf and 0 < self.rate_end <= 1):

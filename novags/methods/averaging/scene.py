@@ -14,6 +14,7 @@ from novags.methods.averaging.surface import Array, Camera, Mask, seen_together
 from novags.methods.averaging.warp import Rules, warp
 from novags.methods.problem import encode
 from novags.splats.views import Views
+from sensor_model.files.atomic import atomic
 
 SAME_CAMERA = 1e-4  # radians, and distances between cameras: float32 rounds, and a camera source may turn the world
 LEAST = 1e-12  # of a variance, as a share of the largest: exposures without any noise would be divided by zero
@@ -129,12 +130,12 @@ class AveragedScene:
 
     def save(self, folder: Path) -> None:
         """Write the exposures' cameras and surfaces with what was averaged, scene/exposures.npz."""
-        (folder / "scene").mkdir(exist_ok=True)
-        np.savez_compressed(
-            folder / "scene" / "exposures.npz", viewmats=np.stack([c.viewmat for c in self.sources]),
-            Ks=np.stack([c.K for c in self.sources]), planes=np.stack([c.planes for c in self.sources]).astype("f4"),
-            exposures=self.exposures.astype("f4"), variances=self.variances.astype("f4"),
-        )  # fmt: skip
+        with atomic(folder / "scene" / "exposures.npz") as temporary:
+            np.savez_compressed(
+                temporary, viewmats=np.stack([c.viewmat for c in self.sources]),
+                Ks=np.stack([c.K for c in self.sources]), variances=self.variances.astype("f4"),
+                planes=np.stack([c.planes for c in self.sources]).astype("f4"), exposures=self.exposures.astype("f4"),
+            )  # fmt: skip
 
     def facts(self) -> dict[str, Any]:
         """How many exposures there are, and how many pixels of all rendered views none of them sees."""

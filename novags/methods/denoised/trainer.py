@@ -23,6 +23,7 @@ from novags.methods.problem import Pictures, Problem
 from novags.methods.reconstruction import Reconstruction
 from novags.splats import FitConfig
 from novags.splats.training.checkpoint import digest, write_tensors
+from sensor_model.files.door import read_bytes
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -115,7 +116,7 @@ def _kept(
 def _identity(pictures: Measured, config: DenoiseConfig, seed: int) -> Tensor:
     """Hash of everything that the denoised pictures depend on, uint8."""
     content = digest(pictures.electrons, pictures.mask, pictures.read_variance, pictures.to_linear)
-    weights = hashlib.blake2b(PACKAGED.read_bytes()).hexdigest()
+    weights = hashlib.blake2b(read_bytes(PACKAGED)).hexdigest()
     settings = json.dumps([dataclasses.asdict(config), seed])
     run = hashlib.blake2b((content + weights + settings).encode(), digest_size=16)
     return torch.from_numpy(np.frombuffer(run.digest(), np.uint8).copy())

@@ -12,7 +12,9 @@ from safetensors.torch import save_file
 
 from novags.methods.denoised.network import Network, NetworkConfig
 from sensor_model.files.atomic import atomic
+from sensor_model.files.door import admitted
 from sensor_model.files.reading import brief
+from sensor_model.files.records import parse_json
 
 PACKAGED = Path(__file__).with_name("weights.safetensors")
 
@@ -55,7 +57,7 @@ def _read(path: Path) -> tuple[NetworkConfig, dict[str, torch.Tensor]]:
     facts = _facts(path)
     try:
         config = NetworkConfig(**{name: tuple(value) for name, value in facts["config"].items()})
-        with safe_open(path, "pt") as file:
+        with safe_open(admitted(path), "pt") as file:
             return config, {name: file.get_tensor(name) for name in file.keys()}  # not a dict
     except (TypeError, AttributeError) as error:
         raise ValueError(f"{path} names no network of this version ({brief(error)}): make or fetch it anew") from error
@@ -65,8 +67,8 @@ def _facts(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise ValueError(f"there are no weights at {path}: install the package whole, or run scripts/train_denoiser.py")
     try:
-        with safe_open(path, "pt") as file:
+        with safe_open(admitted(path), "pt") as file:
             stated = file.metadata() or {}
-        return {name: json.loads(stated[name]) for name in ("config", "made")}
+        return {name: parse_json(stated[name], f"its {name}") for name in ("config", "made")}
     except Exception as error:  # safetensors raises its own class, which it does not promise to keep
         raise ValueError(f"{path} is damaged ({brief(error)}): make or fetch it anew") from error

@@ -12,6 +12,7 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from novags.methods.enhancers.keras_file import read_keras
+from sensor_model.files.door import admitted, read_bytes
 from sensor_model.files.reading import brief, reading
 
 REMEDY = "fetch or make it anew"
@@ -34,8 +35,6 @@ def read_weights(paths: Sequence[Path]) -> dict[str, Tensor]:
     for path in paths:
         if not path.is_file():
             raise ValueError(f"there are no weights at {path}: name the file that holds them")
-        if path.stat().st_size > LARGEST:
-            raise ValueError(f"{path} has {path.stat().st_size} bytes, weights have at most {LARGEST}: name another")
         with reading(path, REMEDY):
             tensors = _read(path)
             if not tensors:
@@ -49,12 +48,12 @@ def read_weights(paths: Sequence[Path]) -> dict[str, Tensor]:
 
 def _read(path: Path) -> dict[str, Tensor]:
     if path.suffix == ".safetensors":
-        return load_file(path)
+        return load_file(admitted(path, most=LARGEST))
     if path.suffix in KERAS:
-        return read_keras(path.read_bytes())
+        return read_keras(read_bytes(path, most=LARGEST))
     with torch.serialization.safe_globals([argparse.Namespace]):
         # From memory: of a file, a damaged length would be reserved before it is found to be too long.
-        value: Any = torch.load(io.BytesIO(path.read_bytes()), map_location="cpu", weights_only=True)
+        value: Any = torch.load(io.BytesIO(read_bytes(path, most=LARGEST)), map_location="cpu", weights_only=True)
     if not isinstance(value, Mapping):
         raise ValueError(f"it holds a {type(value).__name__}, not tensors by name")
     inner = [value[name] for name in WRAPPERS if isinstance(value.get(name), Mapping)]
@@ -78,7 +77,7 @@ def digest_of(paths: Sequence[Path]) -> str:
     """Sixteen hexadecimal digits that differ for files of other content."""
     sums = hashlib.sha256()
     for path in paths:
-        sums.update(hashlib.sha256(path.read_bytes()).digest())
+        sums.update(hashlib.sha256(read_bytes(path, most=LARGEST)).digest())
     return sums.hexdigest()[:16]
 
 

@@ -18,8 +18,9 @@ from novags.fields.render import render_field
 from novags.methods.nerf.shading import shading_of
 from novags.splats.training.checkpoint import write_tensors
 from novags.splats.views import Views
+from sensor_model.files.door import admitted
 from sensor_model.files.reading import brief
-from sensor_model.files.records import check_shape
+from sensor_model.files.records import check_shape, parse_json
 
 FILE = Path("scene") / "field.safetensors"  # in the folder of a run
 RECORD = {
@@ -81,8 +82,8 @@ def load_field(folder: Path) -> FieldScene | None:
     if not path.is_file():
         return None
     try:
-        with safe_open(path, framework="pt") as file:
-            record = json.loads((file.metadata() or {})["field"])
+        with safe_open(admitted(path), framework="pt") as file:
+            record = parse_json((file.metadata() or {})["field"], "its record")
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # not a dict
         check_shape(record, RECORD, "its record")
         found = _assembled(record, tensors)

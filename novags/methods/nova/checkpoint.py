@@ -10,6 +10,7 @@ from safetensors.torch import load_file
 from torch import Tensor
 
 from sensor_model.files.atomic import atomic
+from sensor_model.files.door import admitted, read_bytes
 from sensor_model.files.reading import brief
 
 
@@ -20,14 +21,14 @@ def read(path: Path) -> dict[str, Tensor]:
         ValueError: If the file is not a safetensors file.
     """
     try:
-        return load_file(path)
+        return load_file(admitted(path))
     except Exception as error:  # safetensors raises its own class, which it does not promise to keep
         raise ValueError(f"{path} is damaged ({brief(error)}): delete it, the run then starts over") from error
 
 
 def file_as_tensor(path: Path) -> Tensor:
     """The bytes of a file, uint8."""
-    return torch.frombuffer(bytearray(path.read_bytes()), dtype=torch.uint8)
+    return torch.frombuffer(bytearray(read_bytes(path)), dtype=torch.uint8)
 
 
 def tensor_as_file(content: Tensor, path: Path) -> None:

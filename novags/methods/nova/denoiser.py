@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from novags.methods.nova.blindspot import BlindSpotConfig, n2v_loss, replace_masked, sample_mask
 from novags.methods.nova.packed import demosaiced, packed, turned
 from novags.methods.nova.resunet import ResUNet, ResUNetConfig
+from novags.numbers import STEPS, check_range
 from novags.splats.training.companion import pack, unpack
 from novags.splats.training.guard import NotFinite, all_finite, require_finite
 from sensor_model.params import Cfa
@@ -43,8 +44,7 @@ class DenoiserConfig:
     noisy_share: float = 0.0
 
     def __post_init__(self) -> None:
-        if self.warmup_steps < 0:
-            raise ValueError(f"warmup_steps must be >= 0, got {self.warmup_steps}")
+        check_range("warmup_steps", self.warmup_steps, 0, STEPS)
         if self.denoise_every is not None and self.denoise_every < 1:
             raise ValueError(f"denoise_every must be >= 1 or None, got {self.denoise_every}")
         if self.batch < 1 or (self.crop is not None and self.crop < 2):

@@ -10,6 +10,7 @@ from novags.methods.nova_plus.data import Exposures
 from novags.methods.problem import Problem
 from novags.splats.training.checkpoint import digest
 from sensor_model.files.atomic import write_text
+from sensor_model.files.door import read_bytes
 
 OWNER = "run"  # file that holds the identity of the run
 
@@ -35,7 +36,7 @@ def claim(folder: Path, identity: str) -> None:
         ValueError: If the folder holds those of another run.
     """
     owner = folder / OWNER
-    theirs = any(folder.glob("*.safetensors")) and not (owner.is_file() and owner.read_bytes() == identity.encode())
+    theirs = any(folder.glob("*.safetensors")) and not (owner.is_file() and read_bytes(owner) == identity.encode())
     if theirs:
         raise ValueError(f"{folder} belongs to a run of other pictures or settings: delete it or restore them")
     write_text(owner, identity)

@@ -19,6 +19,7 @@ from torch import Tensor, nn
 from novags.methods.reconstruction import GaussianScene
 from novags.splats.training.checkpoint import write_tensors
 from novags.splats.views import Views
+from sensor_model.files.door import admitted
 from sensor_model.files.reading import brief
 
 STAGES = 3
@@ -101,7 +102,7 @@ def with_denoiser(base: GaussianScene, folder: Path) -> "GaussianScene | Denoise
     if not path.is_file():
         return base
     try:
-        tensors = load_file(path)
+        tensors = load_file(admitted(path))
         noise = tensors.pop(NOISE)
         denoiser = Denoiser(tensors["stages.0.inner.weight"].shape[0])
         denoiser.load_state_dict(tensors)

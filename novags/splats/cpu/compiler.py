@@ -11,45 +11,52 @@ from typing import Any
 
 from numba import config, njit
 
+from sensor_model.files.own import cache_folder as user_cache
+from sensor_model.files.own import own_folder
+
 KEEP_DAYS = 30
 FLAGS = ("contract", "nsz")  # neither reassociation nor nnan: results must not depend on how a compiler regroups sums
 _OPTIONS: dict[str, Any] = {"error_model": "numpy", "fastmath": set(FLAGS)}  # Python's division check stops vectorising
 
 
-def cache_folder() -> Path:
+def cache_folder() -> Path | None:
     """A folder named after the sources of all kernels; those of other sources go when unused for KEEP_DAYS.
 
     Numba notices when the file of a kernel changes, not when a file it calls into, or takes constants from, does; stale
-    machine code would then run.
+    machine code would then run. It runs what it finds, whoever wrote that: None if no folder can be this user's alone.
     """
     here = Path(__file__).parent
     fields = here.parents[1] / "fields" / "cpu"  # whose kernels inline those of here
     sources = [*sorted(here.rglob("*.py")), here.parent / "sh.py", *sorted(fields.glob("*.py"))]
     digest = hashlib.sha256(b"".join(path.read_bytes() for path in sources)).hexdigest()[:16]
-    if config.CACHE_DIR:
-        base = Path(config.CACHE_DIR)
-    elif os.access(here, os.W_OK):
-        base = here / "__pycache__"
-    else:
-        base = Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache")) / "novags"
-    folder = base / f"kernels-{digest}"
-    with suppress(OSError):  # not there yet, or somebody else's
+    name = f"kernels-{digest}"
+    beside = [here / "__pycache__" / name] if os.access(here, os.W_OK) else []
+    for folder in [Path(config.CACHE_DIR, name)] if config.CACHE_DIR else [*beside, user_cache(name)]:
+        with suppress(OSError):
+            own_folder(folder)
+            _keep(folder)
+            return folder
+    return None
+
+
+def _keep(folder: Path) -> None:
+    """Mark a folder as used, and remove those of other sources that were not for long."""
+    with suppress(OSError):  # root's
         os.utime(folder)
-    for other in base.glob(f"kernels-{'[0-9a-f]' * 16}"):  # nobody else's: the folder may be shared
-        with suppress(OSError):  # another process was faster
-            if other != folder and other.stat().st_mtime < time.time() - KEEP_DAYS * 86400:
+    for other in folder.parent.glob(f"kernels-{'[0-9a-f]' * 16}"):
+        with suppress(OSError):  # somebody else's, or another process was faster
+            if other != folder and other.lstat().st_mtime < time.time() - KEEP_DAYS * 86400:
                 shutil.rmtree(other)
-    return folder
 
 
-_CACHE = str(cache_folder())
+_CACHE = cache_folder()
 
 
 def kernel(function: Callable[..., Any]) -> Callable[..., Any]:
     """Compile at the first call, keep the machine code on disk, run without the GIL."""
-    previous, config.CACHE_DIR = config.CACHE_DIR, _CACHE
+    previous, config.CACHE_DIR = config.CACHE_DIR, str(_CACHE or "")
     try:
-        return njit(nogil=True, cache=True, no_cfunc_wrapper=True, **_OPTIONS)(function)
+        return njit(nogil=True, cache=_CACHE is not None, no_cfunc_wrapper=True, **_OPTIONS)(function)
     finally:
         config.CACHE_DIR = previous
 

@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from sensor_model.files.atomic import atomic
+from sensor_model.files.door import opened
 from sensor_model.files.reading import brief
 
 from ..gaussians import Gaussians
@@ -111,7 +112,7 @@ def read_ply(path: str | Path) -> Gaussians:
             holds a number that is not finite or a rotation that is 0.
     """
     path = Path(path)
-    with path.open("rb") as file:
+    with opened(path) as file:
         if file.readline(16).strip() != b"ply":
             raise ValueError(f"{path} must start with the line 'ply'")
         kind, n, record, is_last = _read_header(file, path)

@@ -12,8 +12,9 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from sensor_model.files.atomic import atomic
+from sensor_model.files.door import admitted
 from sensor_model.files.reading import brief
-from sensor_model.files.records import check_shape
+from sensor_model.files.records import check_shape, parse_json
 
 from ..gaussians import Gaussians
 from .companion import PREFIX, Companion
@@ -105,8 +106,8 @@ def load_checkpoint(
         ValueError: If the file is not a training checkpoint, or belongs to a run with other settings.
     """
     try:
-        with safe_open(path, framework="pt", device=str(device)) as file:
-            rest = json.loads((file.metadata() or {})["state"])
+        with safe_open(admitted(path), framework="pt", device=str(device)) as file:
+            rest = parse_json((file.metadata() or {})["state"], "its state")
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # not a dict
         check_shape(rest, STATE, "its state")
         saved = rest["settings"]

@@ -7,6 +7,8 @@ from typing import Any
 
 import numpy as np
 
+from novags.numbers import POINTS, STEPS, check_range
+
 from .updates.adam import LearningRates
 from .updates.camera_refinement import CameraRefinement
 from .updates.mcmc import McmcConfig
@@ -60,13 +62,11 @@ class FitConfig:
     checkpoint_every: int = 1000
 
     def __post_init__(self) -> None:
-        if self.iterations < 0 or self.sh_every < 1 or self.checkpoint_every < 1:
-            raise ValueError(
-                "iterations must be >= 0, sh_every and checkpoint_every >= 1, got "
-                f"{self.iterations}, {self.sh_every} and {self.checkpoint_every}"
-            )
-        if self.cap_max is not None and self.cap_max < 1:
-            raise ValueError(f"cap_max must be >= 1 or None, got {self.cap_max}")
+        check_range("iterations", self.iterations, 0, STEPS)
+        check_range("sh_every", self.sh_every, 1, STEPS)
+        check_range("checkpoint_every", self.checkpoint_every, 1, STEPS)
+        if self.cap_max is not None:
+            check_range("cap_max", self.cap_max, 1, POINTS)
         if self.sh_degree not in (0, 1, 2, 3):
             raise ValueError(f"sh_degree must be 0, 1, 2 or 3, got {self.sh_degree}")
         if not 0 <= self.opacity_reg_fall < math.inf:

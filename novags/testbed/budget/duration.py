@@ -1,11 +1,11 @@
 """How people write a time."""
 
-import math
 import re
 
 from sensor_model.files.reading import brief
 
 UNITS = {"": 1.0, "s": 1.0, "sec": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
+LONGEST = 1e9  # s, thirty years
 NUMBER = re.compile(r"(\d+(?:\.\d*)?|\.\d+)\s*([a-z]*)")
 
 
@@ -23,6 +23,6 @@ def seconds_of(text: str) -> float:
         raise ValueError(f"a budget is a time like 120s, 2min or 1h30min, got {brief(repr(text), 60)}")
     for number, unit in parts:
         total += float(number) * UNITS[unit]
-    if not 0 < total < math.inf:
-        raise ValueError(f"a budget must be more than no time, got {brief(repr(text), 60)}")
+    if not 0 < total <= LONGEST:
+        raise ValueError(f"a budget must be more than no time and at most {LONGEST:g}s, got {brief(repr(text), 60)}")
     return total

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed.budget.settings import WORDS, values
-from novags.testbed.cache import jsonable, read_json
+from novags.testbed.contents import jsonable, read_json
 from novags.testbed.folders import shapes
 from novags.testbed.folders.experiment import EXPERIMENT
 from novags.testbed.folders.run import METRICS

@@ -12,8 +12,8 @@ from pathlib import Path
 
 from novags.methods import METHODS
 from novags.testbed import experiment
-from novags.testbed.cache import read_json
 from novags.testbed.console import Console, Update
+from novags.testbed.contents import read_json
 from novags.testbed.folders.run import METRICS, RECORD
 from novags.testbed.presets import Preset, adapted
 from sensor_model.files.scratch import scratch

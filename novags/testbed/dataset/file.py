@@ -9,7 +9,6 @@ description, version, creators, url, date
 [dataset.split]                    train = 0.8, val = 0.1, test = 0.1 if left out; or lists of scenes
 """
 
-import math
 import os
 import re
 from dataclasses import dataclass, field, replace
@@ -18,14 +17,16 @@ from pathlib import Path
 from typing import Any, Literal, get_type_hints
 
 from novags.methods.variant import dotted
-from novags.settings import converted
+from novags.settings import check_seed, converted
 from novags.testbed.dataset.noise import with_own_noise
 from novags.testbed.study.axes import OF_RUNS, changes_of, scene_identity, scene_of
 from novags.testbed.study.grid import Cell, Study, study_of
+from sensor_model.files.door import resolved
 from sensor_model.files.reading import brief
 from sensor_model.files.toml_file import read_toml
 
 SPLITS = ("train", "val", "test")
+LARGEST_SHARD = 1e6  # MB
 SHARES: dict[str, Any] = {"train": 0.8, "val": 0.1, "test": 0.1}
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
@@ -67,8 +68,9 @@ class DatasetConfig:
             raise ValueError("licence must be said: CC-BY-4.0, CC0-1.0, ...")
         if self.date and not re.fullmatch(r"\d{4}-\d{2}-\d{2}", self.date):
             raise ValueError(f"date must be YYYY-MM-DD, got {brief(repr(self.date), 60)}")
-        if self.shard_mb is not None and not (math.isfinite(self.shard_mb) and self.shard_mb > 0):
-            raise ValueError(f"shard_mb must be > 0, got {self.shard_mb:g}")
+        if self.shard_mb is not None and not 0 < self.shard_mb <= LARGEST_SHARD:
+            raise ValueError(f"shard_mb must be > 0 and at most {LARGEST_SHARD:g}, got {self.shard_mb:g}")
+        check_seed(self.seed)
 
 
 def read_dataset(path: Path) -> tuple[Study, DatasetConfig]:
@@ -104,7 +106,7 @@ def read_dataset(path: Path) -> tuple[Study, DatasetConfig]:
 
 def spelled(scene: str, file: Path) -> str:
     """The one name of a scene in a data set: that of the catalogue, or the path from the folder of the file."""
-    return os.path.relpath(scene_identity(scene), file.parent.resolve()) if scene.endswith(".xml") else scene
+    return os.path.relpath(scene_identity(scene), resolved(file.parent)) if scene.endswith(".xml") else scene
 
 
 def _with_named_scenes(config: DatasetConfig, file: Path) -> DatasetConfig:

@@ -6,12 +6,11 @@ README.md  manifest.json  croissant.json  index.csv  shards/  SPLIT/set/  SPLIT/
 import hashlib
 import os
 import re
-import shutil
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import write_json
 from novags.testbed.console import Console
+from novags.testbed.contents import write_json
 from novags.testbed.dataset.card import card
 from novags.testbed.dataset.croissant import croissant
 from novags.testbed.dataset.file import SPLITS, DatasetConfig, spelled
@@ -23,7 +22,8 @@ from novags.testbed.study.conduct import STUDY
 from novags.testbed.study.grid import Study
 from novags.testbed.study.plan import Plan
 from novags.testbed.study.session import jsonable_table
-from sensor_model.files.atomic import write_text
+from sensor_model.files.atomic import remove, write_text
+from sensor_model.files.door import opened
 
 MANIFEST, CARD, CROISSANT = "manifest.json", "README.md", "croissant.json"
 ENTRY = re.compile(".*-[0-9a-f]{16}")  # the name of a set or a capture, as the store has it
@@ -103,9 +103,9 @@ def _remove_others(entries: list[Entry], out: Path) -> None:
     for split in SPLITS:
         for kind in ("set", "capture"):
             for path in sorted((out / split / kind).glob("*")):
-                ours = ENTRY.fullmatch(path.name) and path.is_dir() and not path.is_symlink()
+                ours = ENTRY.fullmatch(path.name) and path.is_dir()
                 if ours and path.relative_to(out).as_posix() not in kept:
-                    shutil.rmtree(path)
+                    remove(path)
 
 
 def _checksums(entries: list[Entry], out: Path, console: Console) -> dict[str, dict[str, Any]]:
@@ -121,7 +121,7 @@ def _checksums(entries: list[Entry], out: Path, console: Console) -> dict[str, d
 
 
 def _facts(path: Path) -> dict[str, Any]:
-    with path.open("rb") as file:
+    with opened(path) as file:
         found = hashlib.sha256()
         while chunk := file.read(1 << 20):
             found.update(chunk)

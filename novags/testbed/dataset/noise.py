@@ -6,7 +6,7 @@ trained and tested on such captures could learn the numbers themselves.
 
 from dataclasses import fields, replace
 
-from novags.testbed.cache import digest
+from novags.testbed.contents import digest
 from novags.testbed.presets import Preset
 from novags.testbed.stages.capturing import OwnNoiseConfig
 

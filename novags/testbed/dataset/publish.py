@@ -3,8 +3,6 @@
 Files are links to those of the store where the disk allows it, and then take no further room; else copies.
 """
 
-import csv
-import io
 import os
 import shutil
 from collections.abc import Iterator, Mapping
@@ -12,7 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import read_json
+from novags.testbed.contents import read_json
+from novags.testbed.csv_text import as_csv
 from novags.testbed.dataset.file import spelled
 from novags.testbed.folders.capture import RECORD as CAPTURE
 from novags.testbed.stages.rendering import RECORD as SET
@@ -21,6 +20,7 @@ from novags.testbed.study.grid import Value
 from novags.testbed.study.plan import Plan
 from novags.testbed.study.store import Seal, damaged, read_seal
 from sensor_model.files.atomic import write_text
+from sensor_model.files.door import admitted, check_links
 from simscenes.sets.multiview import MultiviewSet, load_set
 
 INDEX = "index.csv"
@@ -105,8 +105,9 @@ def link(entry: Entry, store: Path, out: Path) -> None:
         OSError: If the disk is full or may not be written to.
     """
     place = out / entry.place
+    check_links(place)
     for name in damaged(place, entry.seal):
-        file, source = place / name, entry.task.folder(store) / name
+        file, source = place / name, admitted(entry.task.folder(store) / name)
         file.parent.mkdir(parents=True, exist_ok=True)
         temporary = file.with_name(f".{file.name}.partial")
         temporary.unlink(missing_ok=True)
@@ -152,8 +153,4 @@ def views_of(entries: list[Entry], out: Path) -> Iterator[View]:
 
 def write_index(views: list[View], out: Path) -> None:
     """Write index.csv: a row for each view, with paths relative to the data set."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(views[0].row), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(view.row for view in views)
-    write_text(out / INDEX, text.getvalue())
+    write_text(out / INDEX, as_csv([view.row for view in views]))

@@ -12,10 +12,11 @@ from collections.abc import Container, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import read_json, write_json
+from novags.testbed.contents import read_json, write_json
 from novags.testbed.dataset.file import SPLITS
 from novags.testbed.dataset.publish import View
 from sensor_model.files.atomic import atomic
+from sensor_model.files.door import read_bytes
 
 FOLDER, STATE = "shards", ".shards.json"
 SHARD = re.compile(rf"({'|'.join(SPLITS)})-\d{{6,}}\.tar")
@@ -91,7 +92,7 @@ def _write(path: Path, samples: list[tuple[str, View]], out: Path) -> None:
     with tarfile.open(path, "w", format=tarfile.USTAR_FORMAT) as tar:
         for key, view in samples:
             for kind, suffix in MEMBERS.items():
-                _add(tar, f"{key}.{suffix}", (out / view.row[kind]).read_bytes())
+                _add(tar, f"{key}.{suffix}", read_bytes(out / view.row[kind]))
             _add(tar, f"{key}.json", json.dumps(about(view), sort_keys=True).encode())
 
 

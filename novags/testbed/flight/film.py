@@ -9,6 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from sensor_model.files.atomic import atomic
+from sensor_model.files.door import admitted
 
 SUFFIXES = (".mp4", ".webp")
 LARGEST = 2_000_000_000  # bytes of the frames of a WebP
@@ -81,7 +82,7 @@ class _Mp4:
         """Whether the file lists every frame: OpenCV says nothing of a full disk, and the list is written last."""
         import cv2
 
-        reader = cv2.VideoCapture(str(self._path))
+        reader = cv2.VideoCapture(admitted(self._path))
         count = int(reader.get(cv2.CAP_PROP_FRAME_COUNT)) if reader.isOpened() else 0
         reader.release()
         return count == self._frames > 0

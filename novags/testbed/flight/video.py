@@ -94,6 +94,17 @@ class Course:
         return Course(names, viewmats.numpy(), K)
 
 
+def check_length(seconds: float, fps: float) -> None:
+    """Refuse a film of no frames, or of more than anybody will look at.
+
+    Raises:
+        ValueError: If it would be one.
+    """
+    if not (0 < seconds and 0 < fps <= 240 and seconds * fps <= LONGEST):
+        raise ValueError(f"a film takes > 0 seconds at up to 240 frames a second (fps), and at most {LONGEST} frames, "
+                         f"got {seconds:g} s at {fps:g} frames a second")  # fmt: skip
+
+
 def make_video(run: Run, out: Path, console: Console, *, seconds: float, fps: float) -> int:
     """Film the flight; returns the number of frames.
 
@@ -103,9 +114,7 @@ def make_video(run: Run, out: Path, console: Console, *, seconds: float, fps: fl
         OSError: If the file cannot be written.
     """
     check_path(out)
-    if not (0 < seconds and 0 < fps <= 240 and seconds * fps <= LONGEST):
-        raise ValueError(f"a film takes > 0 s at up to 240 frames a second, and at most {LONGEST} frames, got "
-                         f"{seconds:g} s at {fps:g} frames a second")  # fmt: skip
+    check_length(seconds, fps)
     if (scene := scene_of(run)) is None:
         raise ValueError(f"{run.path} has neither {SCENE} nor {FILE}: only Gaussians and fields can be rendered from "
                          f"new places, and {run.method} has made neither")  # fmt: skip

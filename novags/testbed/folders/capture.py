@@ -23,8 +23,8 @@ from novags.methods.memo import Memo
 from novags.methods.noise import Noise, camera_noise
 from novags.methods.noise_estimate import PIXELS, SMALLEST, noise_from
 from novags.methods.problem import LacksInput, Pictures, RawPictures, encode
-from novags.testbed.cache import folder_digest, read_json
 from novags.testbed.console import Console
+from novags.testbed.contents import folder_digest, read_json, refuse_damage
 from novags.testbed.folders import imported, shapes
 from novags.testbed.folders.place import place_of
 from novags.testbed.folders.raw_files import read_digital_numbers
@@ -40,6 +40,7 @@ from sensor_model import (
     srgb_to_linear,
     write_dng,
 )
+from sensor_model.files.door import enter, resolved
 from sensor_model.files.reading import reading
 from sensor_model.isp import DEMOSAIC, Demosaic, white_balance
 from sensor_model.params import Cfa
@@ -49,6 +50,7 @@ from simscenes.sets.pictures.png import read_codes, read_png, write_png
 from simscenes.sets.writers.camera_files import CAMERA_FILES
 
 RECORD = "capture.json"
+REMEDY = "capture or import again, with --overwrite"
 LARGEST = 1e6  # in a colour matrix, whose entries are of order 1: far larger ones overflow the float32 of pictures
 OWNS = (RECORD, "raw", "images16", "images", "truth", "lit", *CAMERA_FILES)
 
@@ -59,17 +61,9 @@ def has_view(folder: Path, name: str) -> bool:
 
 
 def write_view(
-    folder: Path,
-    name: str,
-    frame: RawFrame,
-    sensor: Sensor,
-    exposure: Exposure,
-    demosaic: Demosaic,
-    color_matrix: np.ndarray | None,
-    jpeg_quality: int | None = None,
-    *,
-    clean_rgb: np.ndarray | None = None,
-) -> None:
+    folder: Path, name: str, frame: RawFrame, sensor: Sensor, exposure: Exposure, demosaic: Demosaic,
+    color_matrix: np.ndarray | None, jpeg_quality: int | None = None, *, clean_rgb: np.ndarray | None = None,
+) -> None:  # fmt: skip
     """Write everything about one exposure.
 
     Args:
@@ -228,6 +222,7 @@ class Capture:
     def _read(self, read: Callable[[Path], np.ndarray], kind: str, i: int, suffix: str) -> np.ndarray:
         """A file of view `i`, as large as its camera says."""
         path = self.path / kind / f"{self.names[i]}{suffix}"
+        refuse_damage(self.path, self.record, REMEDY, [f"{kind}/{path.name}"])
         found, rig = read(path), self.cameras.rig
         if found.shape[:2] != (rig.height, rig.width):
             height, width = found.shape[:2]
@@ -364,12 +359,13 @@ def open_capture(path: Path) -> Capture:
         ValueError: If the folder is missing, is not a capture, or is unfinished.
     """
     (record, sensor), content = _read_record(path), folder_digest(path, OWNS)
-    known = _OPENED.get(path.resolve())
+    refuse_damage(path, record, REMEDY)
+    known = _OPENED.get(resolved(path))
     if known is not None and known.content == content:
         return known
     capture = Capture(path=path, record=record, cameras=load_set(path), sensor=sensor, content=content)
     _OPENED.clear()
-    _OPENED[path.resolve()] = capture
+    _OPENED[resolved(path)] = capture
     return capture
 
 
@@ -382,6 +378,7 @@ def open_unchecked(path: Path) -> Capture:
 def _read_record(path: Path) -> tuple[dict[str, Any], Sensor | None]:
     if not path.is_dir():
         raise ValueError(f"no such capture folder: {path}")
+    enter(path)
     if not (path / RECORD).exists():
         raise ValueError(
             f"{path} holds no {RECORD}: it is not a capture, or an unfinished one (run novags capture again)"

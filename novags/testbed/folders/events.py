@@ -3,10 +3,17 @@
 import json
 from pathlib import Path
 from types import TracebackType
-from typing import Any, TextIO
+from typing import Any, BinaryIO
 
-from novags.testbed.cache import jsonable
+from novags.numbers import FLOAT, STEPS, check_range
+from novags.testbed.contents import jsonable
+from novags.testbed.folders.shapes import MEASURED
 from sensor_model.files.atomic import write_text
+from sensor_model.files.door import appending, read_bytes
+from sensor_model.files.records import check_shape, parse_json
+
+AGAIN = "reconstruct again"
+LOSS = {"iteration": float, "photometric": MEASURED}
 
 
 class EventLog:
@@ -18,7 +25,7 @@ class EventLog:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._file: TextIO | None = None
+        self._file: BinaryIO | None = None
 
     def __enter__(self) -> "EventLog":
         return self
@@ -33,20 +40,35 @@ class EventLog:
         """Append one event, {"step": ..., ...}; steps must grow."""
         if self._file is None:
             self._keep(event["step"])
-            self._file = self.path.open("a", encoding="utf-8")
-        self._file.write(f"{json.dumps(jsonable(event))}\n")
+            self._file = appending(self.path)
+        self._file.write(f"{json.dumps(jsonable(event))}\n".encode())
         self._file.flush()  # before the checkpoint of this step is written: the log never lacks a step that a run skips
 
     def _keep(self, before: int | None) -> None:
         """Drop the steps from `before` on, and a line that was cut off."""
-        lines = self.path.read_text(encoding="utf-8", errors="replace").splitlines() if self.path.exists() else []
+        lines = read_bytes(self.path).decode("utf-8", "replace").splitlines() if self.path.exists() else []
         steps = [(line, _step(line)) for line in lines]
         kept = [line for line, step in steps if step is not None and (before is None or step < before)]
         write_text(self.path, "".join(f"{line}\n" for line in kept))
 
 
+def event_of(line: str, where: str) -> dict[str, Any]:
+    """The event in a line of a finished log.
+
+    Raises:
+        ValueError: If it is damaged; begins with `where`.
+    """
+    event: dict[str, Any] = parse_json(line, where, AGAIN)
+    check_shape(event, LOSS if isinstance(event, dict) and "photometric" in event else dict, where, AGAIN)
+    if "photometric" in event:
+        check_range(f"{where}: iteration", event["iteration"], 0, STEPS)
+        if not isinstance(event["photometric"], str):
+            check_range(f"{where}: photometric", event["photometric"] or 0, -FLOAT, FLOAT)
+    return event
+
+
 def _step(line: str) -> int | None:
     try:
-        return int(json.loads(line)["step"])
-    except (ValueError, KeyError, TypeError, OverflowError, RecursionError):  # edited by hand, or damaged
+        return int(parse_json(line, "a line")["step"])
+    except (ValueError, KeyError, TypeError, OverflowError):  # edited by hand, or damaged
         return None

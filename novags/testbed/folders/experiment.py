@@ -8,9 +8,10 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from novags.testbed.cache import UNFINISHED, read_json
+from novags.testbed.contents import UNFINISHED, read_json
 from novags.testbed.folders import shapes
 from novags.testbed.folders.run import RECORD, Run, open_run
+from sensor_model.files.door import resolved
 
 EXPERIMENT = "experiment.json"
 REPORT, REPORT_FILES = "report.html", "report.files"
@@ -68,15 +69,15 @@ def gather(folders: Sequence[Path]) -> dict[str, Run]:
     if not folders:
         raise ValueError("name at least one folder of a run, of an experiment, or of several of them")
     runs = [run for folder in folders for part in experiments_in(folder) for run in find_runs(part).values()]
-    runs = list({run.path.resolve(): run for run in runs}.values())
+    runs = list({resolved(run.path): run for run in runs}.values())
     count = Counter(run.name for run in runs)
     named: dict[str, Run] = {}
     for run in runs:
-        parents = [part for part in reversed(run.path.resolve().parent.parts) if part != run.path.anchor]
+        parents = [part for part in reversed(resolved(run.path).parent.parts) if part != run.path.anchor]
         name = run.name
         if count[run.name] > 1 or name in named:
             # Parent folders are added until no other run has that name.
-            alike = [other.path.resolve().parent.parts[::-1] for other in runs if other.name == run.name]
+            alike = [resolved(other.path).parent.parts[::-1] for other in runs if other.name == run.name]
             depth = next((d for d in range(1, len(parents) + 1)
                           if sum(other[:d] == tuple(parents[:d]) for other in alike) == 1), None)  # fmt: skip
             prefix = "/".join(reversed(parents[:depth])) if depth else run.path.name

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from novags.testbed.cache import read_json
+from novags.testbed.contents import read_json
 from novags.testbed.folders import shapes
 from simscenes.sets.pictures.exr import read_exr, write_exr
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from novags.testbed.folders import raw_files
 from sensor_model import to_srgb8
+from sensor_model.files.door import PICTURE, admitted
 from sensor_model.files.reading import reading
 from simscenes.rigs import Rig, opengl_to_opencv
 from simscenes.sets.multiview import MultiviewSet
@@ -180,7 +181,7 @@ def _size(file: Path) -> tuple[int, int]:
     import OpenEXR
 
     try:
-        with OpenEXR.File(str(file), header_only=True) as image:
+        with OpenEXR.File(admitted(file, most=PICTURE), header_only=True) as image:
             (low, high), whole = (image.header()[window] for window in ("dataWindow", "displayWindow"))
     except Exception as error:  # OpenEXR raises several types
         raise ValueError(f"{file} is not a readable EXR file ({error})") from error

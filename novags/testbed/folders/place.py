@@ -7,7 +7,8 @@ beside it says where the folder was when the same result was last asked for.
 import os
 from pathlib import Path
 
-from novags.testbed.cache import read_json, write_json
+from novags.testbed.contents import read_json, write_json
+from sensor_model.files.door import resolved
 
 MOVED = ".moved.json"  # digests leave hidden files out
 
@@ -23,15 +24,15 @@ def place_of(folder: Path, recorded: str) -> Path:
         ValueError: If the file that says where it was moved to is damaged.
     """
     if (folder / MOVED).is_file():
-        moved = (folder / read_json(folder / MOVED, {"path": str})["path"]).resolve()
+        moved = resolved(folder / read_json(folder / MOVED, {"path": str})["path"])
         if moved.exists():
             return moved
-    return (folder / recorded).resolve()
+    return resolved(folder / recorded)
 
 
 def keep_place(folder: Path, recorded: str, found: Path) -> None:
     """Remember that `folder` was made from what is now at `found`, if its record says something else."""
-    if (folder / recorded).resolve() == found.resolve():
+    if resolved(folder / recorded) == resolved(found):
         (folder / MOVED).unlink(missing_ok=True)
     else:
-        write_json(folder / MOVED, {"path": os.path.relpath(found.resolve(), folder.resolve())})
+        write_json(folder / MOVED, {"path": os.path.relpath(resolved(found), resolved(folder))})

@@ -12,7 +12,6 @@ renders/NNNN.png      held-out views                              renders_train/
 exr/NNNN.exr          of every view, float32: R G B as rendered, Z (expected depth in the method's frame), alpha
 """
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,12 +20,14 @@ import numpy as np
 
 from novags.methods.enhancers import located
 from novags.methods.reconstruction import NETWORK
-from novags.testbed.cache import damaged, folder_digest, read_json
 from novags.testbed.console import Console
+from novags.testbed.contents import folder_digest, read_json, refuse_damage
 from novags.testbed.folders import shapes
 from novags.testbed.folders.capture import Capture, open_capture
+from novags.testbed.folders.events import event_of
 from novags.testbed.folders.place import place_of
 from novags.testbed.folders.set import Source
+from sensor_model.files.door import enter, read_text
 from sensor_model.files.reading import brief
 from sensor_model.files.records import check_shape
 from simscenes.sets.pictures.exr import read_exr
@@ -39,6 +40,7 @@ EVENTS = "events.jsonl"
 CHECKPOINTS = (
     "checkpoint.safetensors", "checkpoint.denoiser.safetensors", "checkpoint.enhancer.safetensors", "checkpoints",
 )  # fmt: skip
+LARGEST = 1e12  # of what is rendered: the sum of its squares over a picture stays within 32 bits
 SCENE = "point_cloud.ply"
 CAMERAS, VIEWERS = "cameras.json", "viewers"
 RESULT = (
@@ -110,8 +112,7 @@ class Run:
     def rendering(self, name: str) -> np.ndarray:
         """The view `name` as rendered, float32 [h,w,3]; of runs made before floats were kept, the 8-bit picture."""
         if (path := self.path / "exr" / f"{name}.exr").exists():
-            channels, _ = read_exr(path)
-            return np.stack([channels[c] for c in "RGB"], -1)
+            return np.stack([*_channels(path, "R", "G", "B")], -1)
         pictures = self._pictures(name)
         return read_png(next((file for file in pictures if file.exists()), pictures[0]))
 
@@ -128,18 +129,20 @@ class Run:
         Both are 0 where the run has none.
         """
         folder = "exr" if (self.path / "exr").is_dir() else "depth"
-        channels, _ = read_exr(self.path / folder / f"{name}.exr")
+        path = self.path / folder / f"{name}.exr"
         if not self.has_depth:
-            nothing = np.zeros_like(next(iter(channels.values())))
+            nothing = np.zeros_like(next(iter(read_exr(path)[0].values())))
             return nothing, nothing
-        return channels["Z"], channels["alpha"]
+        depth, alpha = _channels(path, "Z", "alpha")
+        return depth, alpha
 
     def inputs(self, console: Console) -> tuple[Capture, Source]:
         """The capture it was made from, and the set from which that was made.
 
         Raises:
-            ValueError: If they are no longer where they were, or no longer what they were.
+            ValueError: If they are no longer where they were, or they or the run itself no longer what they were.
         """
+        self.refuse_damage()
         path = place_of(self.path, self.record["capture"])
         if not path.is_dir():
             raise ValueError(
@@ -159,8 +162,7 @@ class Run:
         Raises:
             ValueError: Naming them.
         """
-        if wrong := damaged(self.path, self.record["stage"]):
-            raise ValueError(f"{self.path}: {wrong}; put back what was there, or make the run again, with --overwrite")
+        refuse_damage(self.path, self.record, "make the run again, with --overwrite")
 
     def scores(self) -> dict[str, Any] | None:
         """Its part of metrics.json; None if it has not been scored since it was made."""
@@ -177,9 +179,26 @@ class Run:
         """The losses, one dict per logged step, in order."""
         path = self.path / EVENTS
         try:
-            return [json.loads(line) for line in path.read_text(encoding="utf-8").splitlines()]
-        except (OSError, ValueError, RecursionError) as error:
+            lines = read_text(path).splitlines()
+        except (OSError, ValueError) as error:
             raise ValueError(f"{path} is missing or damaged ({brief(error)}): reconstruct again") from error
+        return [event_of(line, f"{path}, line {number}") for number, line in enumerate(lines, 1)]
+
+
+def _channels(path: Path, *names: str) -> list[np.ndarray]:
+    """Channels of a picture that a method rendered.
+
+    Raises:
+        ValueError: If it lacks one, or one holds what no method renders.
+    """
+    channels, _ = read_exr(path)
+    for name in names:
+        if name not in channels:
+            raise ValueError(f"{path} has no channel {name}: reconstruct again")
+        if wrong := int(np.count_nonzero(~(np.abs(channels[name]) <= LARGEST))):
+            raise ValueError(f"{path} is damaged: {wrong} pixels of its channel {name} are not finite or beyond "
+                             f"{LARGEST:g}; put back what was there, or reconstruct again")  # fmt: skip
+    return [channels[name] for name in names]
 
 
 def open_run(path: Path) -> Run:
@@ -190,6 +209,7 @@ def open_run(path: Path) -> Run:
     """
     if not path.is_dir():
         raise ValueError(f"no such run folder: {path}")
+    enter(path)
     if not (path / RECORD).exists():
         raise ValueError(
             f"{path} holds no {RECORD}: it is not a run, or an unfinished one (run novags reconstruct again: it "

@@ -12,8 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
-from novags.testbed.cache import folder_digest
 from novags.testbed.console import Console
+from novags.testbed.contents import folder_digest, refuse_damage
 from novags.testbed.folders.linear_photographs import load_linear_set
 from novags.testbed.metrics import SSIM_WINDOW
 from sensor_model import linear_to_srgb
@@ -145,7 +145,12 @@ class Source:
         return points.at_size(self.views.rig, self.rig)
 
     def digest(self) -> str:
-        """Hash of everything that is read from the set, wherever its files are."""
+        """Hash of everything that is read from the set, wherever its files are.
+
+        Raises:
+            ValueError: If a file of a set that was rendered here is not as it was written.
+        """
+        refuse_damage(self.views.path, self.views.meta, "render it again, with --overwrite")
         images = {f"images/{name}": file for name, file in zip(self.views.names, self.views.files, strict=True)}
         return folder_digest(self.views.path, READ_FROM, beside=images)
 

@@ -3,11 +3,13 @@
 from pathlib import Path
 
 from novags.testbed.console import Update
+from sensor_model.files.door import admitted
 from simscenes.sets.names import numbered
 from simscenes.sets.pictures.image_file import MAX_PIXELS
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.readers.bare import VIDEOS
 
+VIDEO = 1 << 38  # bytes; a film is read frame by frame
 MOST = 100_000  # frames that are counted on; a damaged header can announce any number
 
 
@@ -30,7 +32,7 @@ def write_frames(video: Path, fps: float, folder: Path, progress: Update) -> dic
     """
     import cv2
 
-    reader = cv2.VideoCapture(str(video))
+    reader = cv2.VideoCapture(admitted(video, most=VIDEO))
     try:
         rate = reader.get(cv2.CAP_PROP_FPS)
         if not reader.isOpened() or not 0 < rate < 1e5:

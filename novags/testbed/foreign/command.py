@@ -15,15 +15,17 @@ from novags.methods import METHODS, VARIANTS
 from novags.methods.problem import encode
 from novags.methods.variant import Variant
 from novags.settings import converted
-from novags.testbed.cache import folder_digest, run_stage
+from novags.testbed.cache import run_stage
 from novags.testbed.console import Console
+from novags.testbed.contents import folder_digest
 from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import RECORD, Capture, open_capture
 from novags.testbed.foreign.pictures import Picture, find_renders, read_picture
 from novags.testbed.foreign.process import Spent, run_program
 from novags.testbed.metrics import Image
 from novags.testbed.stages.paths import keep_apart
-from sensor_model.files.atomic import write_text
+from sensor_model.files.atomic import remove, write_text
+from sensor_model.files.door import admitted, opened, resolved
 from sensor_model.files.reading import brief
 from simscenes.sets.pictures.exr import write_exr
 from simscenes.sets.pictures.png import write_png
@@ -128,9 +130,9 @@ class CommandConfig:
     def _of_machine(self, program: str) -> bool:
         """Whether it is an interpreter by its whole path: part of the machine, as one that is found by its name."""
         path = Path(program)
-        if not path.is_absolute() or path.resolve().is_relative_to(self.folder.resolve()):
+        if not path.is_absolute() or resolved(path).is_relative_to(resolved(self.folder)):
             return False
-        with path.open("rb") as file:
+        with opened(path) as file:
             return file.read(2) != b"#!"
 
 
@@ -161,7 +163,7 @@ def _command(name: str, table: Any, folder: Path) -> CommandConfig:
     if unknown := [key for key in table if key not in hints]:
         raise ValueError(f"it has no setting {brief(repr(unknown[0]), 60)}; there are {', '.join(hints)}")
     values = {key: converted(value, hints[key], key) for key, value in table.items()}
-    return CommandConfig(name=name, folder=folder.resolve(), **values)
+    return CommandConfig(name=name, folder=resolved(folder), **values)
 
 
 def run_command(
@@ -194,12 +196,12 @@ def run_command(
 def _reconstruct(capture: Capture, out: Path, config: CommandConfig, console: Console) -> dict[str, Any]:
     """Run the program and write its pictures; returns the body of run.json."""
     work = out / WORK
-    shutil.rmtree(work, ignore_errors=True)  # what a killed attempt has left
+    remove(work)  # what a killed attempt has left
     try:
         shown, made = work / "capture", work / "out"
         show(capture, shown)
         made.mkdir()
-        words = config.words(capture=str(shown.resolve()), out=str(made.resolve()), seed=str(config.seed))
+        words = config.words(capture=str(resolved(shown)), out=str(resolved(made)), seed=str(config.seed))
         console.note(f"{config.name}: {shlex.join(words)}")
         with console.progress(f"command {config.name}") as progress:
             spent = run_program(words, config.folder, timeout=config.timeout,
@@ -237,7 +239,7 @@ def _body(capture: Capture, out: Path, config: CommandConfig, spent: Spent, with
         "method": config.name,
         "title": config.title or f"the program {config.command}",
         "variant": {},
-        "capture": os.path.relpath(capture.path.resolve(), out.resolve()),
+        "capture": os.path.relpath(resolved(capture.path), resolved(out)),
         "space": config.space,
         "enhancement": None,
         "config": {"command": config.command, "timeout": config.timeout, "space": config.space},
@@ -263,4 +265,4 @@ def show(capture: Capture, folder: Path) -> None:
         for file in files:
             copy = folder / file.relative_to(capture.path)
             copy.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(file, copy)
+            shutil.copyfile(admitted(file), copy)

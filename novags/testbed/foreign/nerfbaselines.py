@@ -10,7 +10,6 @@ installed. Only `reference` decides what is compared; it is part of the name of 
 
 import base64
 import hashlib
-import shutil
 import struct
 from collections.abc import Collection, Iterator, Sequence
 from datetime import datetime, timezone
@@ -19,8 +18,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from novags.testbed.cache import read_json, write_json
 from novags.testbed.console import Console
+from novags.testbed.contents import read_json, write_json
 from novags.testbed.exposures import as_compared, exposures_of
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.experiment import gather
@@ -31,6 +30,8 @@ from novags.testbed.metrics import PerceptualDistance, psnr, ssim
 from novags.testbed.references import references
 from novags.testbed.study.conduct import STUDY
 from novags.testbed.study.results import JSON, ROWS
+from sensor_model.files.atomic import remove
+from sensor_model.files.door import read_bytes, resolved
 from simscenes.sets.names import safe_name
 from simscenes.sets.pictures.png import write_png
 
@@ -72,7 +73,6 @@ def export_results(
     runs = runs_of(folders)
     with console.progress("export") as progress:
         for done, run in enumerate(runs):
-            run.refuse_damage()
             capture, lit = run.inputs(console)
             scene = next(name for name in scene_names(capture) if contents.setdefault(name, capture.content)
                          == capture.content)  # fmt: skip
@@ -100,12 +100,12 @@ def runs_of(folders: Sequence[Path]) -> list[Run]:
         if (folder / STUDY).is_file():
             rows = read_json(folder / JSON, ROWS)["rows"]
             done = [folder / row["folder"] for row in rows if row["state"] == "done"]
-            found += [open_run(path.resolve()) for path in done]
+            found += [open_run(resolved(path)) for path in done]
         else:
             found += gather([folder]).values()
     if not found:
         raise ValueError(f"{', '.join(map(str, folders)) or 'nothing'}: there are no finished runs to export")
-    return list({run.path.resolve(): run for run in found}.values())
+    return list({resolved(run.path): run for run in found}.values())
 
 
 def scene_names(capture: Capture) -> Iterator[str]:
@@ -121,7 +121,7 @@ def scene_names(capture: Capture) -> Iterator[str]:
 
 def _method_of(run: Run, taken: Collection[str]) -> str:
     """The method of a run; where other runs of it show the same scene, with as much of its folder as differs."""
-    parts = run.path.resolve().parts[1:]
+    parts = resolved(run.path).parts[1:]
     names = (run.name, *(f"{run.name}@{safe_name('_'.join(parts[-k:]))}" for k in range(1, len(parts) + 1)))
     return next(name for name in names if name not in taken)
 
@@ -130,7 +130,7 @@ def _results_of(
     run: Run, capture: Capture, lit: Source, reference: str, place: Path, lpips: PerceptualDistance | None
 ) -> dict[str, list[float]]:
     """Scores of every held-out view; writes the pictures that they compare."""
-    shutil.rmtree(place / PREDICTIONS, ignore_errors=True)
+    remove(place / PREDICTIONS)
     found: dict[str, list[float]] = {}
     indices = capture.cameras.test_indices
     exposures = exposures_of(run, capture, lit) if run.space == "linear" else None
@@ -216,7 +216,7 @@ def checksum(found: dict[str, list[float]]) -> str:
 def _files_checksum(folder: Path) -> str:
     total = hashlib.sha256()
     for path in sorted(folder.iterdir()):
-        total.update(path.read_bytes())
+        total.update(read_bytes(path))
     return total.hexdigest()
 
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from shlex import quote
 from typing import NoReturn
 
-from novags.testbed.cache import folder_digest
 from novags.testbed.console import Console
+from novags.testbed.contents import folder_digest
 from novags.testbed.folders import raw_files
 from novags.testbed.folders.linear_photographs import find_linear
 from novags.testbed.folders.set import READ_FROM, Source, open_source, source_of, warnings_as_notes

@@ -10,6 +10,7 @@ import numpy as np
 from novags.testbed.folders.raw_files import SUFFIXES as RAW
 from novags.testbed.folders.raw_files import is_raw
 from sensor_model import srgb_to_linear
+from sensor_model.files.door import read_bytes
 from simscenes.sets.pictures.image_file import alpha_of, has_alpha, header, read_image
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *RAW)
@@ -70,7 +71,7 @@ def is_lossy(file: Path) -> bool:
 
 def chunks_of(file: Path) -> set[bytes]:
     """Names of the chunks of a WebP file; those of its frames, where it is a film."""
-    content, at, found = file.read_bytes(), 12, set[bytes]()
+    content, at, found = read_bytes(file), 12, set[bytes]()
     while at + 8 <= len(content):
         name, length = content[at : at + 4], int.from_bytes(content[at + 4 : at + 8], "little")
         found.add(name)

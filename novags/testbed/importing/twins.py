@@ -6,11 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import folder_digest
 from novags.testbed.console import Console
+from novags.testbed.contents import folder_digest
 from novags.testbed.folders.linear_photographs import load_linear_set
 from novags.testbed.folders.set import warnings_as_notes
 from novags.testbed.importing.stored import PICTURES
+from sensor_model.files.door import resolved
 from sensor_model.files.reading import some
 from simscenes.sets.multiview import MultiviewSet, load_set
 from simscenes.sets.names import file_of, view_names
@@ -37,7 +38,7 @@ class Twins:
 
     def record(self) -> dict[str, Any]:
         """For capture.json."""
-        return {"folder": self.folder.resolve().name, "paired": self.paired}
+        return {"folder": resolved(self.folder).name, "paired": self.paired}
 
 
 def pictures_in(folder: Path) -> dict[str, Path]:

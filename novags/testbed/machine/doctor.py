@@ -10,6 +10,7 @@ from typing import Literal
 
 from novags.testbed.machine.provenance import hardware, package_version
 from novags.testbed.metrics import PerceptualDistance
+from sensor_model.files.python import INTERPRETER, python
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ def examine() -> Iterator[Finding]:
 
 def _python() -> Finding:
     good = (3, 10) <= sys.version_info[:2] <= (3, 13)
-    detail = f"{platform.python_version()} at {sys.executable}"
+    detail = f"{platform.python_version()} at {INTERPRETER}"
     return Finding("Python", "ok" if good else "broken", detail if good else f"{detail}; 3.10 to 3.13 are supported")
 
 
@@ -58,9 +59,7 @@ def _package(name: str, how: str) -> Finding:
 def _import_problem(module: str) -> str:
     """What goes wrong where it is imported, "" if nothing: in a process of its own, which a broken library may end."""
     try:
-        done = subprocess.run(
-            [sys.executable, "-c", f"import {module}"], capture_output=True, text=True, timeout=300, check=False
-        )
+        done = subprocess.run(python(f"import {module}"), capture_output=True, text=True, timeout=300, check=False)
     except (OSError, subprocess.TimeoutExpired) as error:
         return f"the attempt did not finish: {error}"
     if done.returncode == 0:
@@ -103,11 +102,8 @@ def _kernels() -> Finding:
         from novags.splats.cpu.compiler import cache_folder
     except ImportError as error:
         return Finding("numba", "broken", f"{version}; the engine of the splats cannot be imported: {error}")
-    folder = cache_folder().parent
-    there = next(place for place in (folder, *folder.parents) if place.exists())
-    if os.access(there, os.W_OK):
-        return Finding("numba", "ok", f"{version}; keeps compiled kernels in {folder}")
-    how = "set NUMBA_CACHE_DIR to a folder you may write"
-    return Finding(
-        "numba", "missing", f"{version}, but {folder} is not writable, so kernels compile anew each time: {how}"
-    )
+    if (folder := cache_folder()) is not None and os.access(folder, os.W_OK):
+        return Finding("numba", "ok", f"{version}; keeps compiled kernels in {folder.parent}")
+    why = f"{folder} is not writable" if folder else "no folder for compiled kernels can be this user's alone"
+    how = "set NUMBA_CACHE_DIR to a folder that nobody else may write"
+    return Finding("numba", "missing", f"{version}, but {why}, so kernels compile anew each time: {how}")

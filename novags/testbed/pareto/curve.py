@@ -7,13 +7,13 @@ from pathlib import Path
 from statistics import mean, median, stdev
 from typing import Any
 
-from novags.testbed.cache import jsonable
+from novags.testbed.contents import jsonable
 from novags.testbed.pareto.front import front
 from novags.testbed.pareto.knob import Knob, Subject
 from novags.testbed.pareto.samples import NUMBER, Samples
 from sensor_model.files.atomic import write_text
-from sensor_model.files.reading import reading
-from sensor_model.files.records import check_shape
+from sensor_model.files.door import read_text
+from sensor_model.files.records import check_shape, parse_json
 
 CURVES = "curves.jsonl"
 LINE = {
@@ -92,18 +92,14 @@ def read_curves(path: Path) -> list[Point]:
     file = path / CURVES if path.is_dir() else path
     remedy = "remove it and run novags pareto again"
     try:
-        text = file.read_text(encoding="utf-8")
+        text = read_text(file)
     except OSError as error:
         why = error.strerror or error
         raise ValueError(f"cannot read the curves {file}: {why}; novags pareto makes them") from error
     points = []
     for number, line in enumerate(text.splitlines(), 1):
         where = f"{file}, line {number}"
-        with reading(file, remedy):
-            try:
-                point = json.loads(line)
-            except json.JSONDecodeError as error:
-                raise ValueError(f"{where} is not valid JSON ({error}); {remedy}") from error
+        point = parse_json(line, where, remedy)
         check_shape(point, LINE, where, remedy)
         points.append(point)
     return points

@@ -8,6 +8,7 @@ from novags.testbed.pareto.knob import Subject
 from novags.testbed.pareto.samples import Samples
 from novags.testbed.pareto.table import heading, tables
 from sensor_model.files.atomic import write_text
+from sensor_model.files.door import read_text
 
 TITLES = {
     "render": "Renderer: error of a view", "sensor": "Sensor model: error of a frame",
@@ -44,4 +45,4 @@ def embedded(page: str, points: list[Point]) -> str:
 
 def update(page: Path, folder: Path) -> None:
     """Bring the tables in a page up to the curves in a folder."""
-    write_text(page, embedded(page.read_text(encoding="utf-8"), read_curves(folder)))
+    write_text(page, embedded(read_text(page), read_curves(folder)))

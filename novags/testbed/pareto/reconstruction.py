@@ -15,8 +15,8 @@ from novags.methods.variant import Variant
 from novags.settings import changed, flattened, has_setting
 from novags.testbed import stages
 from novags.testbed.budget.settings import values
-from novags.testbed.cache import jsonable, read_json
 from novags.testbed.console import Console
+from novags.testbed.contents import jsonable, read_json
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.metrics import aligned_psnr
 from novags.testbed.pareto.clock import Clock

@@ -5,7 +5,7 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import digest, jsonable, read_json, write_json
+from novags.testbed.contents import digest, jsonable, read_json, write_json
 from novags.testbed.machine.provenance import environment
 from novags.testbed.pareto.knob import Knob, Measured, Setting, Subject, spelled
 from novags.testbed.study.store import version
@@ -76,7 +76,7 @@ def software() -> dict[str, str]:
 
 
 def work_folder(out: Path) -> Path:
-    """Where measurements keep what they have in common: sets, truths, machine code. Other software makes its own."""
+    """Where measurements keep what they have in common: sets and truths. Other software makes its own."""
     return out / "work" / digest(software())[:16]
 
 

@@ -16,6 +16,7 @@ from novags.testbed.report.pictures import ViewTiles, spread, view_tiles
 from novags.testbed.report.verdict import compared
 from novags.testbed.results.again import score_again
 from novags.testbed.results.comparison import MAIN, Group
+from sensor_model.files.door import resolved
 
 VIEWS = 8  # of all captures together; each has one at least
 
@@ -57,7 +58,7 @@ def places(groups: Sequence[Group], folder: Path) -> list[str]:
     """The title of each group, with the folder of its capture where others have the same title."""
     count = Counter(group.title for group in groups)
     return [group.title if count[group.title] == 1
-            else f"{group.title} ({os.path.relpath(group.capture.path.resolve(), folder.resolve())})"
+            else f"{group.title} ({os.path.relpath(resolved(group.capture.path), resolved(folder))})"
             for group in groups]  # fmt: skip
 
 

@@ -5,13 +5,14 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from novags.testbed.cache import read_json
+from novags.testbed.contents import read_json
 from novags.testbed.folders.run import METRICS, Run
 from novags.testbed.report.charts import line_chart
 from novags.testbed.report.material import Material
 from novags.testbed.report.rows import Row, deviations
 from novags.testbed.report.tables import GEOMETRY, GIVEN, NOISE, OWN, PLAIN, Placed, ranked
 
+SMALLEST = 1e-45  # a loss of 32 bits above 0
 EXACT = 1e-4  # degrees or extents; camera files round, and smaller errors are invisible
 
 
@@ -156,9 +157,9 @@ def loss_chart(runs: Mapping[str, Run], rows: Mapping[str, Row]) -> dict[str, An
     """
     series = {}
     for name, run in runs.items():
-        points = [(e["iteration"], e["photometric"]) for e in run.events() if "photometric" in e]
+        points = [(e["iteration"], _drawn(e["photometric"])) for e in run.events() if "photometric" in e]
         series[name] = [point for fit in fits(points) for point in ((fit[0][0], math.nan), *smoothed(fit))]
-    if not any(series.values()):
+    if not any(loss > 0 for points in series.values() for _, loss in points):
         return None
     keys = {name: row.key for name, row in rows.items()}
     series = {name: points for name, points in series.items() if points}
@@ -166,6 +167,11 @@ def loss_chart(runs: Mapping[str, Run], rows: Mapping[str, Row]) -> dict[str, An
         series, keys, x_label="iteration", y_label="photometric loss", title="Photometric loss over iterations"
     )
     return {"chart": chart, "key": [(name, keys[name]) for name in series]}
+
+
+def _drawn(loss: float | str | None) -> float:
+    """A loss as it is drawn: a gap where there is none above 0, or it was not finite, which is text in JSON."""
+    return loss if isinstance(loss, int | float) and loss >= SMALLEST else math.nan
 
 
 def fits(points: Sequence[tuple[float, float]]) -> list[list[tuple[float, float]]]:

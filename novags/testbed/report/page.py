@@ -11,8 +11,8 @@ from pathlib import Path
 from shlex import quote
 from typing import Any
 
-from novags.testbed.cache import digest, jsonable, read_json
 from novags.testbed.console import Console, Update
+from novags.testbed.contents import digest, jsonable, read_json
 from novags.testbed.folders import shapes
 from novags.testbed.folders.experiment import EXPERIMENT, REPORT, experiments_in, find_runs
 from novags.testbed.folders.linear_photographs import LinearPhotographs
@@ -48,6 +48,7 @@ from novags.testbed.results.again import run_again, score_again
 from novags.testbed.results.comparison import MAIN, Group, deltas_of, groups_of
 from novags.testbed.stages.scoring import bounds_of
 from sensor_model.files.atomic import write_text
+from sensor_model.files.door import read_bytes, resolved
 from sensor_model.files.lock import locked
 
 
@@ -104,7 +105,7 @@ def write_reports(
         return write_report(folders[0], console)
     path = out or report_path(folders)
     groups = groups_of(folders, console)
-    identity = digest(sorted(str(run.path.resolve()) for group in groups for run in group.runs.values()))
+    identity = digest(sorted(str(resolved(run.path)) for group in groups for run in group.runs.values()))
     if path.exists() and not overwrite and identity_of(path) != identity:
         raise ValueError(
             f"{path} already exists and is not a report on these runs: choose another --out, or add --overwrite"
@@ -121,14 +122,12 @@ def report_path(folders: Sequence[Path]) -> Path:
     """Where the report on several folders goes by default: beside them, under a name that no stage uses."""
     if len(folders) == 1:
         return folders[0] / REPORT
-    return Path(os.path.commonpath([folder.resolve().parent for folder in folders])) / "comparison.html"
+    return Path(os.path.commonpath([resolved(folder).parent for folder in folders])) / "comparison.html"
 
 
 def identity_of(path: Path) -> str | None:
     """Which runs, or which study, an earlier report is about; None if it does not say."""
-    found = re.search(
-        r'<meta name="novags-runs" content="([^"]*)">', path.read_text(encoding="utf-8", errors="replace")
-    )
+    found = re.search(r'<meta name="novags-runs" content="([^"]*)">', read_bytes(path).decode("utf-8", "replace"))
     return found and found[1]
 
 

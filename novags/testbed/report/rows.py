@@ -9,7 +9,7 @@ from typing import Any
 from novags.methods import METHODS
 from novags.methods.variant import sees_statistics
 from novags.settings import flattened
-from novags.testbed.cache import jsonable
+from novags.testbed.contents import jsonable
 from novags.testbed.folders.run import Run
 from novags.testbed.results.difference import flat
 

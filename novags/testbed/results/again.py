@@ -9,11 +9,12 @@ from typing import Any
 
 from novags.methods import METHODS, VARIANTS, chosen
 from novags.methods.variant import Variant
-from novags.testbed.cache import jsonable
+from novags.testbed.contents import jsonable
 from novags.testbed.folders.place import place_of
 from novags.testbed.folders.run import Run
 from novags.testbed.presets import EXPERIMENTS, Preset
 from novags.testbed.stages.reconstructing import ReconstructConfig
+from sensor_model.files.door import resolved
 
 PRESET = "demo"  # what `novags reconstruct` starts from
 PATHS = ("--scene", "--photos", "--sensor", "--variant", "--curves")  # options whose value may name a file or folder
@@ -54,7 +55,7 @@ def _moved(value: str, option: str, folder: Path) -> str:
 
 
 def _path(value: str, folder: Path) -> str:
-    found = os.path.relpath(Path(value).expanduser().resolve(), folder.resolve())
+    found = os.path.relpath(resolved(Path(value).expanduser()), resolved(folder))
     # "set" could be a scene's name; "./set" is a path.
     return found if os.sep in found else os.path.join(".", found)
 
@@ -68,7 +69,7 @@ def run_again(run: Run, folder: Path, name: str | None = None) -> str | None:
     asked: dict[str, Any] = run.record["stage"]["config"]
     if run.method not in METHODS or not {"points", "seed", "cameras", "config"} <= asked.keys():
         return None
-    capture = os.path.relpath(place_of(run.path, run.record["capture"]), folder.resolve())
+    capture = os.path.relpath(place_of(run.path, run.record["capture"]), resolved(folder))
     words = ["novags", "reconstruct", capture, *_named(run.name, run.method, _with_own_weights(run, folder, asked))]
     if len(words) == 3:
         return None
@@ -93,7 +94,7 @@ def _with_own_weights(run: Run, folder: Path, asked: Mapping[str, Any]) -> dict[
     config: dict[str, Any] = asked["config"]
     if not _at(config, "enhance.weights") or run.enhancement is None:
         return config
-    copies = [os.path.relpath(Path(file).resolve(), folder.resolve()) for file in run.enhancement["config"]["weights"]]
+    copies = [os.path.relpath(resolved(Path(file)), resolved(folder)) for file in run.enhancement["config"]["weights"]]
     return {**config, "enhance": {**config["enhance"], "weights": copies}}
 
 

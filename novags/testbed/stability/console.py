@@ -5,6 +5,7 @@ from pathlib import Path
 
 from novags.testbed import stability
 from sensor_model.files.atomic import write_text
+from sensor_model.files.door import read_text
 
 
 def show(parts: Sequence[str], *, long: bool = False, out: Path | None = None, overwrite: bool = False) -> bool:
@@ -29,7 +30,7 @@ def show(parts: Sequence[str], *, long: bool = False, out: Path | None = None, o
         if out.is_dir():
             raise ValueError(f"{out} is a folder, and the table goes into a file: choose another --out")
         out.parent.mkdir(parents=True, exist_ok=True)
-    page = out.read_text(encoding="utf-8") if out is not None and out.is_file() else ""
+    page = read_text(out) if out is not None and out.is_file() else ""
     if page and not stability.has_place(page) and not overwrite:
         raise ValueError(f"{out} is there and has no place for a table: choose another --out, or add --overwrite")
     results = []

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from novags.numbers import SIDE, check_range
 from novags.settings import check_seed
 from novags.testbed.cache import run_stage
 from novags.testbed.console import Console, Update
@@ -32,6 +33,7 @@ from sensor_model import (
     read_sensor,
 )
 from sensor_model.files.dng import SMALLEST, TIMES
+from sensor_model.files.door import resolved
 from sensor_model.files.lock import locked
 from sensor_model.files.reading import brief
 from sensor_model.isp import DEMOSAIC, Demosaic
@@ -45,6 +47,8 @@ NO_LIGHT = {  # what to do about a black set of each kind
     "rendered": "none reaches its cameras: add an emitter to the scene, or check that one faces what they see",
     "photographs": "check that its pictures are right",
 }
+BRIGHTEST = 1e9  # e-; cameras hold 1e6 at most
+LARGEST_ERROR = 100.0  # of the noise's standard deviation, in units of it
 ROW_LENGTH = 33  # px; the enhancement averages over such windows, so noise that rows share adds up in them
 
 
@@ -65,8 +69,10 @@ class CaptureConfig:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "camera", camera_named(self.sensor))
-        if not (np.isfinite(self.electrons) and self.electrons > 0):
-            raise ValueError(f"electrons must be > 0 and finite, got {self.electrons}")
+        if not 0 < self.electrons <= BRIGHTEST:
+            raise ValueError(f"electrons must be > 0 and at most {BRIGHTEST:g}, got {self.electrons}")
+        if self.max_size is not None:
+            check_range("max_size", self.max_size, 1, SIDE, " px")
         if self.demosaic not in FULL_SIZE:
             raise ValueError(f"demosaic must be one of {', '.join(FULL_SIZE)}, got {self.demosaic!r}")
         if self.jpeg_quality is not None and not 1 <= self.jpeg_quality <= 100:
@@ -76,6 +82,7 @@ class CaptureConfig:
         if self.time and not TIMES[0] <= self.time <= TIMES[1]:  # refuses negative times too
             raise ValueError(f"time must be 0 or in {TIMES} s, the range of its raw files, got {self.time}")
         self.exposure, self.limits(1)  # they check the rest
+        check_range("tolerance", self.tolerance or 0, 0, LARGEST_ERROR)
 
     @property
     def sensor_name(self) -> str:
@@ -258,7 +265,7 @@ def capture_views(
     )
     return {
         "set": {
-            "path": os.path.relpath(source.views.path.resolve(), folder.resolve()),
+            "path": os.path.relpath(resolved(source.views.path), resolved(folder)),
             "kind": source.views.kind,
             "max_size": config.max_size,
             "background": "white" if source.views.transparent else None,  # behind transparent pixels

@@ -7,6 +7,7 @@ from typing import Any, get_args
 
 import numpy as np
 
+from novags.numbers import SIDE, check_range
 from novags.testbed.cache import run_stage
 from novags.testbed.console import Console
 from novags.testbed.folders import capture as capture_folder
@@ -53,6 +54,8 @@ class ImportConfig:
         object.__setattr__(self, "camera", None if self.sensor is None else camera_named(self.sensor))
         if self.time is not None and not (self.time == 0 or TIMES[0] <= self.time <= TIMES[1]):
             raise ValueError(f"time must be 0 or in {TIMES} s, the range of raw files, got {self.time}")
+        if self.max_size is not None:
+            check_range("max_size", self.max_size, 1, SIDE, " px")
         if self.demosaic not in FULL_SIZE:
             raise ValueError(f"demosaic must be one of {', '.join(FULL_SIZE)}, got {self.demosaic!r}")
         if self.curve not in get_args(Curve):

@@ -9,15 +9,19 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from novags.cameras.mapping import FEATURES
 from novags.cameras.registration import PLACED, Observed, Registered, Shot, register
+from novags.numbers import SIDE, check_range
 from novags.settings import check_seed
-from novags.testbed.cache import folder_digest, run_stage
+from novags.testbed.cache import run_stage
 from novags.testbed.console import Console
+from novags.testbed.contents import folder_digest
 from novags.testbed.folders.raw_files import SUFFIXES as RAW
 from novags.testbed.folders.set import left_out
 from novags.testbed.folders.video import is_video, write_frames
 from novags.testbed.stages.paths import keep_apart
 from novags.testbed.stages.rendering import RECORD, SET_FILES
+from sensor_model.files.door import resolved
 from sensor_model.files.reading import some
 from sensor_model.files.scratch import scratch
 from simscenes.rigs import Rig
@@ -28,6 +32,7 @@ from simscenes.sets.readers.bare import SUFFIXES, Bare, picture_files, survey
 from simscenes.sets.writers.camera_files import write_cameras
 
 FPS = 2.0  # of a video, if not given
+FASTEST = 100_000  # frames a second of a video
 BETTER = "take them with more overlap, from places that differ, sharp and with texture"
 
 
@@ -54,6 +59,9 @@ class PosesConfig:
         if self.max_features < 100 or not 0 < self.peak_threshold < 1:
             raise ValueError(f"max_features must be >= 100 and peak_threshold in (0, 1), got {self.max_features} and "
                              f"{self.peak_threshold}")  # fmt: skip
+        check_range("fps", self.frames_a_second, 0, FASTEST, " frames a second")
+        check_range("max_size", self.max_size or SIDE, 64, SIDE, " px")
+        check_range("max_features", self.max_features, 100, FEATURES)
         check_seed(self.seed)
 
     def resolved(self) -> dict[str, Any]:
@@ -69,7 +77,7 @@ class PosesConfig:
     @property
     def name(self) -> str:
         """Name of the scene: the folder's (of the one above, if it is one of many called images), or the video's."""
-        path = self.photographs.resolve()
+        path = resolved(self.photographs)
         if path.name in ("images", "input", "photos"):
             return path.parent.name
         return path.name if path.is_dir() else path.stem  # a folder has no suffix: garden.1 keeps its whole name

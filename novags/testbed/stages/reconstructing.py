@@ -15,10 +15,12 @@ from novags.methods import METHODS
 from novags.methods.problem import LacksInput, Problem, RawPictures, TrueSurface
 from novags.methods.reconstruction import Reconstruction
 from novags.methods.variant import Variant, sees_statistics
+from novags.numbers import POINTS, check_range
 from novags.settings import check_seed, files_among, refuse_lost_files
 from novags.splats import Views
-from novags.testbed.cache import folder_digest, run_stage
+from novags.testbed.cache import run_stage
 from novags.testbed.console import Console, losses_text
+from novags.testbed.contents import folder_digest
 from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.events import EventLog
@@ -31,6 +33,7 @@ from novags.testbed.references import pictured
 from novags.testbed.stages.camera_source import Frame, cameras_of, true_cameras
 from novags.testbed.stages.paths import keep_apart
 from novags.testbed.stages.viewers import viewer_cameras
+from sensor_model.files.door import resolved
 from sensor_model.files.lock import locked
 from simscenes.sets.pictures.exr import write_exr
 from simscenes.sets.pictures.png import write_png
@@ -52,8 +55,7 @@ class ReconstructConfig:
         if self.config is None:
             config = self.variant.config(METHODS[self.variant.method].config(), {})
             object.__setattr__(self, "config", config)
-        if self.points < 4:
-            raise ValueError(f"points must be >= 4, got {self.points}")
+        check_range("points", self.points, 4, POINTS)
         check_seed(self.seed)
         if METHODS[self.variant.method].sees_surface and self.cameras != KnownConfig():
             raise ValueError(
@@ -254,7 +256,7 @@ def reconstruct_views(
         "method": variant.method,
         "title": variant.title or method.title,
         "variant": dict(variant.settings),
-        "capture": os.path.relpath(capture.path.resolve(), folder.resolve()),
+        "capture": os.path.relpath(resolved(capture.path), resolved(folder)),
         "space": result.space,
         "enhancement": result.enhancement,
         **({"found": result.found} if result.found else {}),

@@ -1,16 +1,21 @@
 """Render: a scene of the catalogue or a Mitsuba file in, a ground-truth multiview set out."""
 
 import hashlib
+import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import digest, read_json, run_stage
+from novags.numbers import PIXELS, SAMPLES, SIDE, VIEWS, check_range
+from novags.settings import check_seed
+from novags.testbed.cache import run_stage
 from novags.testbed.console import Console
+from novags.testbed.contents import digest, read_json
 from novags.testbed.folders.set import warnings_as_notes
 from novags.testbed.stages.layouts import LAYOUTS, check_cameras_of, check_layouts, write_layouts
 from sensor_model import Plan
+from sensor_model.files.door import read_bytes
 from sensor_model.files.lock import locked
 from sensor_model.files.reading import brief
 from simscenes import Optics, Rig
@@ -62,8 +67,18 @@ class RenderConfig:
             raise ValueError(f"spp must be >= 2, because the variance needs two halves, got {self.spp}")
         if self.target_error is not None and not 0 < self.target_error < 1:
             raise ValueError(f"target_error must lie in (0, 1), got {self.target_error}")
-        if self.seed < 0:
-            raise ValueError(f"seed must be >= 0, got {self.seed}")
+        check_range("n_views", self.n_views, 3, VIEWS)
+        check_range("width", self.width, 16, SIDE, " px")
+        check_range("height", self.height, 16, SIDE, " px")
+        check_range("width x height", self.width * self.height, 256, PIXELS, " px")
+        if self.spp is not None:
+            check_range("spp", self.spp, 2, SAMPLES)
+        if self.max_depth is not None:
+            check_range("max_depth", self.max_depth, 1, SAMPLES)
+        check_range("sensor_index", self.sensor_index, 0, VIEWS)
+        check_seed(self.seed)
+        if not os.path.isdir(self.scene):  # a set that is there already; pathlib fails at long names
+            _ = self.source  # refuses a scene that there is not
         for what, given, known in (
             ("variant", (self.variant,), VARIANTS),
             ("on and off", (*self.on, *self.off), EFFECTS),
@@ -130,7 +145,7 @@ def scene_digest(config: RenderConfig) -> str:
     if source.path is None:
         return source.name
     files = check_xml(source.path, allow_outside=config.allow_outside, parameters=source.parameters)
-    return digest([hashlib.blake2b(named.read_bytes()).hexdigest() for named in files if named.is_file()])
+    return digest([hashlib.blake2b(read_bytes(named)).hexdigest() for named in files if named.is_file()])
 
 
 def prepare_render(config: RenderConfig, console: Console) -> tuple[Rig, Plan | str]:

@@ -50,7 +50,6 @@ def score(run_path: Path, console: Console) -> dict[str, Any]:
 
 def _score(run_path: Path, console: Console) -> dict[str, Any]:
     run = open_run(run_path)
-    run.refuse_damage()
     captured, lit = run.inputs(console)
     missing = PerceptualDistance.missing(captured.cameras.rig.width, captured.cameras.rig.height)
     inputs = {"run": run.digest(), "capture": captured.content, "set": lit.digest()}

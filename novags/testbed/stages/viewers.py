@@ -9,9 +9,10 @@ import numpy as np
 
 from novags.splats import Views, read_ply, write_ply
 from novags.splats.files.compact import write_splat, write_spz
-from novags.testbed.cache import read_json
+from novags.testbed.contents import read_json
 from novags.testbed.folders.run import CAMERAS, RECORD, SCENE, VIEWERS
 from sensor_model.files.atomic import atomic
+from sensor_model.files.door import admitted
 from sensor_model.files.reading import brief
 
 FORMATS = ("3dgs", "splat", "spz", "spz2")
@@ -43,7 +44,7 @@ def write_viewers(folder: Path, formats: Sequence[str]) -> None:
         write_ply(out / SCENE, gaussians, sh_degree=3)
         if (folder / CAMERAS).is_file():  # runs made before there was one have none
             with atomic(out / CAMERAS) as temporary:
-                shutil.copyfile(folder / CAMERAS, temporary)
+                shutil.copyfile(admitted(folder / CAMERAS), temporary)
     if "splat" in formats:
         write_splat(out / "scene.splat", gaussians)
     for name, file, version in (("spz", "scene.spz", 3), ("spz2", "scene-v2.spz", 2)):

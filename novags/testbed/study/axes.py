@@ -1,5 +1,6 @@
 """What a key of a study file changes in a preset: scene, rig, camera, method, or any setting of a stage or a method."""
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from difflib import get_close_matches
@@ -15,6 +16,7 @@ from novags.testbed.importing.published.named import DATA
 from novags.testbed.levels import level_named
 from novags.testbed.presets import Preset, adapted
 from sensor_model import PRESETS as SENSORS
+from sensor_model.files.door import resolved
 from simscenes.scenes import canonical_name
 
 RENAMED = {"views": "n_views"}  # as the command line calls them -> as `adapted` does
@@ -134,7 +136,7 @@ def _keywords(key: str, value: Any, folder: Path) -> dict[str, Any]:
     if key == "scene":
         return {"scene": scene_of(_text(value), folder)}
     if key == "photos":
-        if not (path := folder / Path(_text(value)).expanduser()).exists():
+        if not os.path.exists(path := folder / Path(_text(value)).expanduser()):
             raise ValueError(f"there are no photographs {path}")
         return {"photos": path}
     if key == "level":
@@ -193,14 +195,14 @@ def scene_of(value: str, folder: Path) -> str:
         ValueError: If the catalogue has no such scene, or the file does not exist.
     """
     path = folder / Path(value).expanduser()
-    if value.endswith(".xml") and not path.is_file():
+    if value.endswith(".xml") and not os.path.isfile(path):
         raise ValueError(f"the scene file {path} does not exist")
-    return str(path) if value.endswith(".xml") or path.is_dir() else canonical_name(value)
+    return str(path) if value.endswith(".xml") or os.path.isdir(path) else canonical_name(value)
 
 
 def scene_identity(scene: str) -> str:
     """What all spellings of a scene have in common: its one name, or where the file or folder really is."""
-    return str(Path(scene).resolve()) if scene.endswith(".xml") or Path(scene).is_dir() else scene
+    return str(resolved(Path(scene))) if scene.endswith(".xml") or os.path.isdir(scene) else scene
 
 
 def _text(value: Any) -> str:

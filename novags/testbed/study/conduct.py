@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import read_json, write_json
 from novags.testbed.console import Console
+from novags.testbed.contents import read_json, write_json
 from novags.testbed.study.costs import Costs, longest_after, time_left
 from novags.testbed.study.elsewhere.nodes import keep_scores
 from novags.testbed.study.engines.choice import Engine, Work, log_of

@@ -11,6 +11,7 @@ preset = "demo"                    where all that is not said comes from
 
 import itertools
 import math
+import os
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -26,6 +27,7 @@ from novags.testbed.foreign.command import read_commands
 from novags.testbed.importing.published.named import DataFolder
 from novags.testbed.presets import EXPERIMENTS, Preset, variants_in
 from novags.testbed.study.axes import Changes, applied, changes_of, check_keys, scene_identity
+from sensor_model.files.door import resolved
 from sensor_model.files.reading import brief
 from sensor_model.files.toml_file import read_toml
 
@@ -165,7 +167,7 @@ class _Reader:
     @cached_property
     def _folder(self) -> Path:
         """Where relative paths start, whichever folder the file was named from: they are part of keys."""
-        return self.path.parent.resolve()
+        return resolved(self.path.parent)
 
     def table(self, table: Any, place: str) -> Changes:
         """All keys of [override] or [rig.NAME], names and types checked."""
@@ -187,9 +189,7 @@ class _Reader:
     def axes(self, grid: dict[str, Any], base: Preset, shared: Changes) -> dict[str, tuple[Value, ...]]:
         """The values of every axis; method and seed are always there."""
         found = {}
-        count = math.prod(len(listed) if isinstance(listed, list) else 1 for listed in dotted(grid).values())
-        if count > MOST:
-            raise ValueError(f"{self.path}: [grid]: {count} combinations, more than {MOST}: split the study")
+        _refuse_many(self.path, {key: _listed(listed) for key, listed in dotted(grid).items()})
         for key, listed in dotted(grid).items():
             with _at(self.path, f"[grid] {key}"):
                 values = _expanded(_listed(listed), self.data)
@@ -199,6 +199,7 @@ class _Reader:
                     self._axis_value(key, value)
                 self._refuse_twice(key, values)
                 found[key] = tuple(values)
+        _refuse_many(self.path, found)
         self._one_place_each(found, shared)
         if self.ends == "run":
             found.setdefault("method", shared.adapted.get("methods", base.methods))
@@ -264,7 +265,7 @@ class _Reader:
             own = own.and_(self._rig(value) if key == "rig" else self._changes(key, value))
         given = {**shared.adapted, **own.adapted}
         scene = given.get("photos") or given.get("dark") or given.get("scene")
-        if scene is not None and (given.keys() & {"photos", "dark"} or Path(scene).is_dir()):
+        if scene is not None and (given.keys() & {"photos", "dark"} or os.path.isdir(scene)):
             shared = shared.without_render()  # it is for the scenes that are rendered
             if named := own.of_render():
                 raise ValueError(f"{self.path}: [grid]: {', '.join(named)} belong to a render, and {scene} is "
@@ -294,6 +295,11 @@ class _Reader:
         return spelled(values)
 
 
+def _refuse_many(path: Path, axes: Mapping[str, Sequence[Value]]) -> None:
+    if (count := math.prod(len(values) for values in axes.values())) > MOST:
+        raise ValueError(f"{path}: [grid]: {count} combinations, more than {MOST}: split the study")
+
+
 def _listed(value: Any) -> list[Any]:
     return value if isinstance(value, list) else [value]
 
@@ -315,6 +321,8 @@ def _variations(values: list[Value]) -> list[Value]:
         first, last = (int(match[2]), int(match[3])) if match else (0, 0)
         if match and not first <= last < first + MOST:
             raise ValueError(f"{value!r} must be NAME:FIRST..LAST with FIRST <= LAST and fewer than {MOST} of them")
+        if len(found) > MOST:
+            raise ValueError(f"it has more than {MOST} values: split the study")
         found += [f"{match[1]}{number}" for number in range(first, last + 1)] if match else [value]
     return found
 

@@ -9,8 +9,8 @@ from typing import Any
 
 from novags.cameras import KnownConfig, check_cameras
 from novags.settings import flattened
-from novags.testbed.cache import digest, folder_digest
 from novags.testbed.console import Console
+from novags.testbed.contents import digest, folder_digest
 from novags.testbed.folders.set import open_source
 from novags.testbed.foreign.command import CommandConfig
 from novags.testbed.machine.devices import chosen_device
@@ -24,6 +24,7 @@ from novags.testbed.study.entry import Task
 from novags.testbed.study.grid import Cell, Study
 from novags.testbed.study.store import key_of, named
 from sensor_model.files.dng import SMALLEST
+from sensor_model.files.door import resolved
 
 
 @dataclass(frozen=True)
@@ -156,7 +157,7 @@ class Planner:
             pixels, views = self.tasks[made_of].pixels, self.contents[made_of]
             name, content = self.tasks[made_of].name.rpartition("-")[0], {"set": made_of}
         else:
-            source = preset.folder.resolve()
+            source = resolved(preset.folder)
             content, views, pixels = self._folder(source, config.max_size)
             name = source.name
         key = self._key("capture", config, content)
@@ -193,7 +194,7 @@ class Planner:
         """
         if (path, max_size) not in self.contents:
             source = open_source(path, self.console, max_size)
-            content = {"content": source.digest(), "place": os.path.relpath(path, self.store.resolve())}
+            content = {"content": source.digest(), "place": os.path.relpath(path, resolved(self.store))}
             views = len(source.views)
             self.contents[path, max_size] = (content, views, float(views * source.rig.width * source.rig.height))
         content, views, pixels = self.contents[path, max_size]

@@ -1,14 +1,13 @@
 """The tables of a study: one row a run, in results.csv and results.json."""
 
-import csv
-import io
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import read_json, write_json
+from novags.testbed.contents import read_json, write_json
+from novags.testbed.csv_text import as_csv
 from novags.testbed.folders import shapes
 from novags.testbed.folders.run import METRICS
 from novags.testbed.stages.scoring import recovered_fractions
@@ -77,11 +76,7 @@ class Table:
         rows = self.rows(states)
         columns = list(dict.fromkeys(name for row in rows for name in row))
         columns.sort(key=lambda name: name.startswith(COSTS))  # stable: costs go last
-        text = io.StringIO()
-        writer = csv.DictWriter(text, columns, restval="", lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(rows)
-        write_text(self.out / CSV, text.getvalue())
+        write_text(self.out / CSV, as_csv(rows, columns))
         write_json(self.out / JSON, {"axes": self.plan.study.axes, "columns": columns, "rows": rows})
         return rows
 

@@ -10,7 +10,7 @@ import os
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import jsonable, read_json, write_json
+from novags.testbed.contents import jsonable, read_json, write_json
 from novags.testbed.folders.experiment import EXPERIMENT
 from novags.testbed.folders.run import RECORD
 from novags.testbed.study.conduct import STUDY

@@ -10,14 +10,15 @@ files are compared with the seal. Studies that run at the same time may share a 
 
 import hashlib
 import re
-import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import digest, read_json, write_json
+from novags.testbed.contents import digest, read_json, write_json
+from sensor_model.files.atomic import remove
+from sensor_model.files.door import opened
 
 KINDS = ("set", "capture", "run")  # in the order in which they are made
 SEAL = ".sealed.json"  # hidden, so that it is part of no digest
@@ -28,9 +29,10 @@ SHAPE: Any = {
 }  # fmt: skip
 # The code that is part of the key of each kind of entry, with the data beside it. Tables and reports do not affect what
 # entries hold.
-_SETS = ("simscenes/sets", "simscenes/rigs.py", "sensor_model", "novags/settings.py")
+_NUMBERS = ("novags/settings.py", "novags/numbers.py")
+_SETS = ("simscenes/sets", "simscenes/rigs.py", "sensor_model", *_NUMBERS)
 CODE = {
-    "set": ("simscenes", "sensor_model", "novags/testbed/stages/rendering.py"),
+    "set": ("simscenes", "sensor_model", *_NUMBERS, "novags/testbed/stages/rendering.py"),
     "poses": (*_SETS, "novags/cameras", "novags/testbed/stages/posing.py", "novags/testbed/folders"),
     "capture": (*_SETS, "novags/testbed/stages/capturing.py", "novags/testbed/folders"),
     "import": (*_SETS, "novags/testbed/stages/importing.py", "novags/testbed/importing", "novags/testbed/folders"),
@@ -104,7 +106,7 @@ def checksums(folder: Path) -> dict[str, str]:
 
 
 def _checksum(path: Path) -> str:
-    with path.open("rb") as file:
+    with opened(path) as file:
         found = hashlib.blake2b(digest_size=16)
         while chunk := file.read(1 << 20):
             found.update(chunk)
@@ -141,7 +143,7 @@ def damaged(folder: Path, seal: Seal) -> list[str]:
 def _is(path: Path, known: str) -> bool:
     try:
         return _checksum(path) == known
-    except OSError:
+    except (OSError, ValueError):  # missing, not a regular file, or not to be read
         return False
 
 
@@ -149,10 +151,8 @@ def clear(folder: Path) -> None:
     """Remove all that an entry holds but its lock; the seal first, so that an interruption leaves nothing believed."""
     (folder / SEAL).unlink(missing_ok=True)
     for path in folder.iterdir():
-        if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path)
-        elif not path.name.startswith("."):
-            path.unlink()
+        if path.is_dir() or not path.name.startswith("."):
+            remove(path)
 
 
 def costs(root: Path) -> Iterator[dict[str, Any]]:

@@ -8,6 +8,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from novags.numbers import check_range
+from novags.testbed.viewer.guard import guarded, names_of
 from novags.testbed.viewer.session import Session
 from novags.testbed.viewer.shown import Shown
 from sensor_model.files.reading import brief
@@ -45,8 +47,7 @@ def serving(all_shown: Sequence[Shown], host: str, port: int) -> Iterator[Viewer
         OSError: If nothing can be served at that host and port.
     """
     check_installed()
-    if not 0 < port < 65536:
-        raise ValueError(f"port must be in 1..65535, got {port}")
+    check_range("port", port, 1, 65535)
     check_host(host)
     server = started(host, port)
     viewer = Viewer(address_of(host, server.get_port()))
@@ -90,10 +91,10 @@ def check_host(host: str) -> None:
 
 
 def started(host: str, port: int) -> Any:
-    """A server of viser."""
+    """A server of viser, which answers its own pages alone."""
     import viser
 
-    with silent():
+    with silent(), guarded(names_of(host)):
         return viser.ViserServer(host=host, port=port, label="novags view", verbose=False)
 
 

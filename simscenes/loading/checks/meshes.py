@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from sensor_model.files.door import opened
 from simscenes.sets.pictures.whole import DEFLATE
 
 PLY_BYTES = {"char": 1, "uchar": 1, "int8": 1, "uint8": 1, "short": 2, "ushort": 2, "int16": 2, "uint16": 2, "int": 4,
@@ -27,7 +28,7 @@ def check_mesh_file(path: Path) -> None:
     if kind not in (".ply", ".serialized"):
         return
     size = path.stat().st_size
-    with path.open("rb") as file:
+    with opened(path) as file:
         start = file.read(MAX_HEADER)
     least = _ply_bytes(start) if kind == ".ply" else _serialized_bytes(start)
     most = size - max(start.find(b"end_header"), 0) if kind == ".ply" else DEFLATE * size

@@ -14,18 +14,19 @@ import os
 import select
 import signal
 import subprocess
-import sys
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from simscenes.backend import cache_folder
+from sensor_model.files.door import read_bytes
+from sensor_model.files.own import remember, remembered
+from sensor_model.files.python import python
 
 FORMAT = "1"  # of what is tried; scenes that passed an earlier one are tried again
 SECONDS = 600.0  # that loading may take; a scene of a gigabyte takes one minute
-_START = "import sys; sys.path[:] = {path!r}; from simscenes.loading.checks.trial_process import serve; serve()"
+_START = "from simscenes.loading.checks.trial_process import serve; serve()"
 
 
 def check_survives(
@@ -43,18 +44,14 @@ def check_survives(
         ValueError: If that process crashes, hangs or refuses the scene; the reason is in the message.
     """
     identity = _identity(files, variant) + (repr(list(parameters)).encode() if parameters else b"")
-    marker = cache_folder("scenes") / hashlib.sha256(identity).hexdigest()[:32]
-    if marker.is_file():
+    name = hashlib.sha256(identity).hexdigest()[:32]
+    if remembered("scenes", name):
         return
     with _ONE_AT_A_TIME:
         problem = _PROCESSES.setdefault(variant, _Process(variant)).load(scene, parameters)
     if problem:
         raise ValueError(problem)
-    try:
-        marker.parent.mkdir(parents=True, exist_ok=True)
-        marker.touch()
-    except OSError:
-        pass  # a read-only home only costs the next process one more trial
+    remember("scenes", name)
 
 
 def _identity(files: Sequence[Path], variant: str) -> bytes:
@@ -62,7 +59,7 @@ def _identity(files: Sequence[Path], variant: str) -> bytes:
     root = files[0].parent
     parts = [FORMAT, variant, *map(importlib.metadata.version, ("drjit", "mitsuba"))]
     for file in files:
-        parts += [os.path.relpath(file, root), hashlib.sha256(file.read_bytes()).hexdigest()]
+        parts += [os.path.relpath(file, root), hashlib.sha256(read_bytes(file)).hexdigest()]
     return "\n".join(parts).encode()
 
 
@@ -112,8 +109,8 @@ class _Process:
         if self.running is None or self.running.poll() is not None:
             self.stop()
             self.running = subprocess.Popen(
-                [sys.executable, "-c", _START.format(path=sys.path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL, start_new_session=True,  # Ctrl-C is for us alone
+                python(_START), stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+                start_new_session=True,  # Ctrl-C is for us alone
             )  # fmt: skip
             atexit.register(self.stop)
         return self.running

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+from sensor_model.files.door import admitted, read_bytes, resolved
 from simscenes.loading.checks.complete import check_complete
 from simscenes.loading.checks.meshes import check_mesh_file
 from simscenes.sets.pictures.whole import check_whole
@@ -49,7 +50,7 @@ def check_xml(
             search path, asks for a plugin by a path, comes with plugins, lacks what a plugin needs, names a mesh
             or picture file that is cut short, or is too large or too deep.
     """
-    path = path.resolve()
+    path = resolved(path)
     given = dict(parameters)
     reader = _Reader(path.parent, allow_outside, parameters=dict(given))
     reader.read(path, 0, 0, "")
@@ -58,6 +59,7 @@ def check_xml(
         raise ValueError(f"scene file {path} has no parameter {', '.join(unused):.200}; it has {known:.500}")
     reader.check_references()
     for file in reader.files:
+        admitted(file)  # Mitsuba opens it by name
         check_mesh_file(file)
         if file.suffix.lower() in PICTURES:
             check_whole(file)
@@ -136,7 +138,7 @@ class _Reader:
             raise ValueError(
                 f"scene file {path} includes files more than {MAX_INCLUDE_DEPTH} deep; does one include itself?"
             )
-        self.files[path.resolve()] = None
+        self.files[resolved(path)] = None
         for tag, attributes, level, within in self._elements(path, depth, owner):
             if "id" in attributes:
                 holder = attributes.get("as", "") if tag == "alias" else within
@@ -156,7 +158,7 @@ class _Reader:
     def _parse(self, path: Path) -> ElementTree.Element:
         try:
             self._spend(path.stat().st_size, path)
-            text = path.read_bytes()
+            text = read_bytes(path, most=MAX_TEXT)
             if not self.trusted:
                 _check_encoding(text, path)
             if b"<!DOCTYPE" in text or b"<!ENTITY" in text:
@@ -228,7 +230,7 @@ class _Reader:
         places = [path.parent, *self.searched] if tag == "include" else self.searched
         try:
             found = next((place / name for place in places if (place / name).is_file()), None) if name else None
-            target = (found or self.root / name).resolve()
+            target = resolved(found or self.root / name)
             is_inside = tag != "path" and any(target.is_relative_to(folder) for folder in self.inside)
         except OSError:  # too long for a path as it stands, but Mitsuba shortens before it opens
             found, is_inside = None, "/" not in name

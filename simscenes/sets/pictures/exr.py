@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensor_model.files.atomic import atomic
+from sensor_model.files.door import PICTURE, admitted
 
 _DTYPES = (np.float16, np.float32, np.uint32)
 
@@ -63,7 +64,7 @@ def read_exr(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]
     if not path.is_file():
         raise ValueError(f"read_exr: no such file: {path}")
     try:
-        with OpenEXR.File(str(path), separate_channels=True) as file:
+        with OpenEXR.File(admitted(path, most=PICTURE), separate_channels=True) as file:
             channels = {name: np.array(channel.pixels) for name, channel in file.channels().items()}
             header = dict(file.header())
     except Exception as error:  # OpenEXR raises RuntimeError, TypeError or OSError, depending on where the file is cut

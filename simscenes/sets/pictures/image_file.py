@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from sensor_model.files.door import PICTURE, opened, read_bytes
 from simscenes.sets.pictures.tiff import (
     AS_STORED,
     EXTRA_SAMPLES,
@@ -56,22 +57,29 @@ def header(file: Path) -> Iterator[Any]:
     """
     from PIL import Image, UnidentifiedImageError
 
-    if file.is_file() and (problem := unread(file)):
-        raise ValueError(f"{file} {problem}")
-    with _PIL, warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of odd metadata; whether the pixels can be read shows when they are
-        limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None  # PIL's own: 179 million
-        try:
-            content = retagged(file, {ORIENTATION: AS_STORED})
-            with Image.open(file if content is None else io.BytesIO(content)) as image:
-                image.info.pop("xmp", None)  # PIL turns TIFFs by a mark in it, too
-                yield image
-        except UnidentifiedImageError as error:
-            raise ValueError(f"{file} is not a readable image (its kind is not known); replace or remove it") from error
-        except Exception as error:  # each format has errors of its own, SyntaxError and struct.error among them
-            raise ValueError(f"{file} is not a readable image ({error}); replace or remove it") from error
-        finally:
-            Image.MAX_IMAGE_PIXELS = limit
+    try:
+        stored = opened(file, most=PICTURE)
+    except OSError as error:
+        raise ValueError(f"{file} is not a readable image ({error.strerror or error}); replace or remove it") from error
+    with stored:
+        if problem := unread(file):
+            raise ValueError(f"{file} {problem}")
+        with _PIL, warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # of odd metadata; whether the pixels can be read shows when they are
+            limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None  # PIL's own: 179 million
+            try:
+                content = retagged(file, {ORIENTATION: AS_STORED})
+                with Image.open(stored if content is None else io.BytesIO(content)) as image:
+                    image.info.pop("xmp", None)  # PIL turns TIFFs by a mark in it, too
+                    yield image
+            except UnidentifiedImageError as error:
+                raise ValueError(
+                    f"{file} is not a readable image (its kind is not known); replace or remove it"
+                ) from error
+            except Exception as error:  # each format has errors of its own, SyntaxError and struct.error among them
+                raise ValueError(f"{file} is not a readable image ({error}); replace or remove it") from error
+            finally:
+                Image.MAX_IMAGE_PIXELS = limit
 
 
 def read_image(file: Path, flags: int) -> NDArray[Any]:
@@ -118,7 +126,7 @@ def _decoded(file: Path, flags: int) -> Any:
     # OpenCV turns TIFFs whatever its flags say, and multiplies 8-bit colours by alpha where the file has not done so.
     content = retagged(file, {ORIENTATION: AS_STORED, EXTRA_SAMPLES: PREMULTIPLIED})
     if content is None:
-        return cv2.imread(str(file), flags)
+        content = read_bytes(file)
     return cv2.imdecode(np.frombuffer(content, np.uint8), flags)
 
 

@@ -13,6 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
+from sensor_model.files.door import PICTURE, opened, read_bytes
+
 BITS, PHOTOMETRIC, ORIENTATION, PLANAR, EXTRA_SAMPLES, SAMPLE_FORMAT = 258, 262, 274, 284, 338, 339
 TAGS = (BITS, PHOTOMETRIC, ORIENTATION, PLANAR, EXTRA_SAMPLES, SAMPLE_FORMAT)
 MIN_IS_WHITE = 0  # of PHOTOMETRIC: gray whose code 0 is white
@@ -44,7 +46,7 @@ def tiff_tags(file: Path) -> dict[int, Tag]:
     Raises:
         OSError: If it cannot be read.
     """
-    with file.open("rb") as source, suppress(struct.error, OverflowError):
+    with opened(file, most=PICTURE) as source, suppress(struct.error, OverflowError):
         return dict(_tags(source))
     return {}
 
@@ -103,7 +105,7 @@ def retagged(file: Path, values: Mapping[int, int]) -> bytes | None:
     changed = {tag: found[tag] for tag in found.keys() & values.keys() if found[tag].values[0] != values[tag]}
     if not changed:
         return None
-    content = bytearray(file.read_bytes())
+    content = bytearray(read_bytes(file))
     for tag, entry in changed.items():
         struct.pack_into(entry.form, content, entry.at, values[tag])
     return bytes(content)

@@ -10,6 +10,8 @@ import re
 import struct
 from pathlib import Path
 
+from sensor_model.files.door import read_bytes
+
 JPEG, PNG, EXR = b"\xff\xd8", b"\x89PNG\r\n\x1a\n", b"\x76\x2f\x31\x01"
 EOI = 0xD9
 # In coded data, 0xFF is followed by 0 (a plain 0xFF), a restart marker or more 0xFF; anything else ends it.
@@ -31,7 +33,7 @@ def check_whole(file: Path) -> None:
         ValueError: If it is.
         OSError: If it cannot be read.
     """
-    content = file.read_bytes()
+    content = read_bytes(file)
     if content.startswith(JPEG) and not _reaches_end(content):
         raise ValueError(f"{file} is cut short: a part of the picture is missing, copy it again")
     if content.startswith(PNG) and (problem := _png_problem(content)):

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sensor_model.files.door import resolved
 from sensor_model.files.reading import some
 from simscenes.rigs import Rig
 from simscenes.sets.geometry.tracks import SparsePoints
@@ -111,12 +112,12 @@ def read_points(pictures: Path, model: Path, files: Sequence[Path], rig: Rig) ->
     points = [reconstruction.points3D[number] for number in row]
     found = SparsePoints.untracked([p.xyz for p in points], [p.color for p in points])
     found = replace(found, error=np.array([p.error for p in points], np.float64))
-    views = {file.resolve(): i for i, file in enumerate(files)}
+    views = {resolved(file): i for i, file in enumerate(files)}
     seen = [(np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros((0, 2)))]
     posed = {number: image for number, image in reconstruction.images.items() if image.has_pose}
     there = named_pictures(pictures, [names[number] for number in posed])
     for image, file in zip(posed.values(), there, strict=True):
-        if file is None or (i := views.get(file.resolve())) is None:
+        if file is None or (i := views.get(resolved(file))) is None:
             continue
         observed = [p for p in image.points2D if p.has_point3D()]
         rays = image.camera.cam_from_img(np.array([p.xy for p in observed]).reshape(-1, 2))

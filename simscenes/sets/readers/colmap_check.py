@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sensor_model.files.door import admitted, opened, read_text
 from sensor_model.files.reading import reading
 
 NEEDED = ("cameras", "images")
@@ -115,7 +116,7 @@ def with_points(folder: Path) -> Iterator[Path]:
     with TemporaryDirectory() as scratch:
         for part in ("cameras", "images", "rigs", "frames"):
             if (file := folder / f"{part}.{suffix}").is_file():
-                shutil.copyfile(file, Path(scratch) / file.name)
+                shutil.copyfile(admitted(file), Path(scratch) / file.name)
         (Path(scratch) / f"points3D.{suffix}").write_bytes(_U64.pack(0) if suffix == "bin" else b"")
         yield Path(scratch)
 
@@ -124,7 +125,7 @@ def count_images(folder: Path) -> int:
     """How many images a model has, without reading all of it; 0 if it is damaged."""
     with suppress(OSError, ValueError, StructError):
         if model_suffix(folder) == "bin":
-            with (folder / "images.bin").open("rb") as file:
+            with opened(folder / "images.bin") as file:
                 (count,) = _U64.unpack(file.read(_U64.size))
                 return int(count) if count * LEAST_IMAGE <= (folder / "images.bin").stat().st_size else 0
         return len(_image_lines(folder / "images.txt"))
@@ -143,7 +144,7 @@ def _read_binary(folder: Path) -> dict[int, str]:
     )  # fmt: skip
     for part, step in steps:
         if (path := folder / f"{part}.bin").is_file():
-            with reading(path, REMEDY), path.open("rb") as file:
+            with reading(path, REMEDY), opened(path) as file:
                 _require(path.stat().st_size >= 8, "is cut short: it has no count")
                 with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
                     data = _Bytes(content)
@@ -303,7 +304,7 @@ def _image_lines(path: Path) -> list[tuple[str, str]]:
 
 def _stripped(path: Path, *, may_be_empty: bool = False) -> list[str]:
     """All lines. A file of no points may have none: COLMAP asks for an empty one where poses are known."""
-    text = path.read_text(encoding="utf-8")
+    text = read_text(path)
     _require(text.endswith("\n") or (may_be_empty and not text), "is cut short: its last line does not end (add a line "
              "break if it is whole)")  # fmt: skip
     return [line.strip() for line in text.split("\n")[:-1]]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sensor_model.files.door import admitted
 from sensor_model.files.reading import reading
 from simscenes.rigs import invert_rigid
 from simscenes.sets.readers.photographs import DistortedPinhole, Photographs, check_pose, collect, rescaled
@@ -48,7 +49,7 @@ def llff_cameras(source: Path) -> tuple[NDArray[np.float64], list[tuple[float, f
     """
     with reading(source):
         # Mapped, so that a damaged header, which may claim any size, is compared with the file before memory is taken.
-        rows = np.load(source, allow_pickle=False, mmap_mode="r")
+        rows = np.load(admitted(source), allow_pickle=False, mmap_mode="r")
     if rows.ndim != 2 or rows.shape[1] != 17 or rows.dtype.kind != "f":
         raise ValueError(f"{source} must hold 17 numbers for each camera, got {rows.dtype} {list(rows.shape)}")
     parts = rows[:, :15].astype(np.float64).reshape(-1, 3, 5)

@@ -12,6 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sensor_model.files.atomic import atomic
+from sensor_model.files.door import admitted
 from simscenes.rigs import Rig, opencv_to_opengl
 from simscenes.sets.geometry.depth_range import Depths
 from simscenes.sets.multiview import MultiviewSet
@@ -143,7 +145,8 @@ def export_llff(views: MultiviewSet, folder: str | Path, *, truth: MultiviewSet 
         pose = np.stack([-up, right, back, centre, [rig.height, rig.width, rig.Ks[i, 0, 0]]], -1)
         rows.append(np.concatenate([pose.ravel(), depths.bounds(i)]))
         _write_image(views, i, folder / "images")
-    np.save(folder / "poses_bounds.npy", np.array(rows))
+    with atomic(folder / "poses_bounds.npy") as temporary:
+        np.save(temporary, np.array(rows))
     write_cameras(folder, views.names, rig, points=views.points(), held_out=views.test_indices, scene=views.scene)
     return folder
 
@@ -152,7 +155,8 @@ def _write_image(views: MultiviewSet, i: int, folder: Path) -> None:
     """The image of view `i` under its name: a copy, or what the cameras describe of a photograph."""
     source, target = views.files[i], folder / file_of(views.names[i])
     if source.suffix == target.suffix and views.lenses is None:
-        shutil.copyfile(source, target)
+        with atomic(target) as temporary:
+            shutil.copyfile(admitted(source), temporary)
     else:
         write_png(target, views.image(i))
 

@@ -24,7 +24,7 @@ def make_curves(folder: Path) -> None:
     (folder / "curves.jsonl").write_text("".join(json.dumps(point) + "\n" for point in points))
 
 
-def read_curves(folder: Path, file: Path) -> None:
+def read_curves(folder: Path, file: Path) -> object:
     """As a budget and the page of curves do."""
     from novags.testbed.budget.choice import choose
     from novags.testbed.budget.known import known
@@ -32,8 +32,9 @@ def read_curves(folder: Path, file: Path) -> None:
     from novags.testbed.pareto.page import embedded
 
     options = known(folder).options
-    choose({"fit": 10.0, "denoiser": 5.0, "fixed": 1.0}, options, 9.0)
+    chosen = choose({"fit": 10.0, "denoiser": 5.0, "fixed": 1.0}, options, 9.0)
     embedded("<!-- curves: nova -->\n<!-- end of curves -->", read_curves(folder))
+    return options, chosen
 
 
 def make_state(folder: Path) -> None:
@@ -48,17 +49,17 @@ def make_state(folder: Path) -> None:
     (folder / "budget.json").write_text(json.dumps(state))
 
 
-def read_state(folder: Path, file: Path) -> None:
+def read_state(folder: Path, file: Path) -> object:
     """As a budget does that was interrupted, and one that is done."""
     from novags.testbed.budget.conduct import Request, begun, result
     from novags.testbed.budget.settings import turned
     from novags.testbed.presets import EXPERIMENTS
 
     request = Request(EXPERIMENTS["demo"], 60.0)
-    if (state := begun(request, folder)) is not None:
-        turned(request.preset, state["shares"])
-        if "seconds" in state:
-            result(request, folder, None)
+    if (state := begun(request, folder)) is None:
+        return None
+    preset = turned(request.preset, state["shares"])
+    return state, preset, result(request, folder, None) if "seconds" in state else None
 
 
 def make_samples(folder: Path) -> None:
@@ -72,7 +73,7 @@ def make_samples(folder: Path) -> None:
             samples.add(subject.knobs[0], setting, seed, Measured(1.0, 2.0, 1 / setting, {"fit": 1.0}), 3.0)
 
 
-def read_samples(folder: Path, file: Path) -> None:
+def read_samples(folder: Path, file: Path) -> object:
     """As the measuring does that goes on."""
     from novags.testbed.pareto.curve import curves
     from novags.testbed.pareto.figure import figure
@@ -80,8 +81,10 @@ def read_samples(folder: Path, file: Path) -> None:
     from novags.testbed.pareto.table import tables
 
     subject = _subject()
-    if points := curves(subject, Samples(file, subject)):
+    points = curves(subject, Samples(file, subject))
+    if points:
         figure(points, "x"), tables(points)
+    return points
 
 
 def _subject():  # type: ignore[no-untyped-def]  # of a module that is imported late
@@ -106,9 +109,9 @@ def make(folder: Path) -> None:
     make_curves(folder), make_state(folder), make_samples(folder)
 
 
-def read(folder: Path, file: Path) -> None:
+def read(folder: Path, file: Path) -> object:
     kind = {"curves.jsonl": read_curves, "budget.json": read_state}.get(file.name, read_samples)
-    kind(folder, file)
+    return kind(folder, file)
 
 
 READERS = [Reader("curves and budgets", make, read, ("*.json", "*.jsonl"), share=1.5, prepare=_prepare)]

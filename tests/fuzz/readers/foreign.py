@@ -23,12 +23,12 @@ def make_renders(folder: Path) -> None:
     write_exr(folder / "depth.exr", planes)
 
 
-def read_renders(folder: Path, file: Path) -> None:
+def read_renders(folder: Path, file: Path) -> object:
     """As `novags score --renders` does."""
     from novags.testbed.foreign.pictures import find_renders, read_picture
 
-    for path in find_renders(folder, ["eight", "sixteen", "alpha", "depth"]).files.values():
-        read_picture(path, SIZE[1], SIZE[0])
+    found = find_renders(folder, ["eight", "sixteen", "alpha", "depth"]).files
+    return {name: read_picture(path, SIZE[1], SIZE[0]) for name, path in found.items()}
 
 
 def make_files(folder: Path) -> None:
@@ -45,15 +45,15 @@ def make_files(folder: Path) -> None:
     )
 
 
-def read_file(folder: Path, file: Path) -> None:
+def read_file(folder: Path, file: Path) -> object:
     from novags.testbed.dataset.file import read_dataset
     from novags.testbed.dataset.make import splits
     from novags.testbed.study.grid import read_study
 
     if file.name == "data.toml":
-        splits(*read_dataset(file))
-    else:
-        read_study(file)
+        found = read_dataset(file)
+        return found, splits(*found)
+    return read_study(file)
 
 
 def _pictures() -> None:

@@ -27,12 +27,11 @@ def make_exr(folder: Path) -> None:
             file.write(str(folder / f"{kind.lower()}.exr"))
 
 
-def read_exr(folder: Path, file: Path) -> None:
+def read_exr(folder: Path, file: Path) -> object:
     from novags.testbed.folders.linear_photographs import _size
     from simscenes.sets.pictures.exr import read_exr
 
-    _size(file)
-    read_exr(file)
+    return _size(file), read_exr(file)
 
 
 def make_png(folder: Path) -> None:
@@ -91,7 +90,7 @@ def make_jpeg(folder: Path) -> None:
     picture.save(folder / "exif.jpeg", exif=exif)
 
 
-def read_picture(folder: Path, file: Path) -> None:
+def read_picture(folder: Path, file: Path) -> object:
     """By every way in which a picture is read: as codes, as a photograph, and its size alone."""
     from novags.testbed.calibration_frames import _read
     from simscenes.rigs import Rig, intrinsics
@@ -104,19 +103,20 @@ def read_picture(folder: Path, file: Path) -> None:
     ways = [image_size, read_codes, lambda f: one.image(0)]
     if file.name == "grey16.png":
         ways.append(_read)
-    _try_all(ways, file)
+    return _try_all(ways, file)
 
 
-def _try_all(ways: list[Callable[[Path], object]], file: Path) -> None:
+def _try_all(ways: list[Callable[[Path], object]], file: Path) -> list[object]:
     """Every reader, even where an earlier one refuses the file; then the first refusal."""
-    errors = []
+    errors, found = [], []
     for way in ways:
         try:
-            way(file)
+            found.append(way(file))
         except (ValueError, OSError) as error:
             errors.append(error)
     if errors:
         raise errors[0]
+    return found
 
 
 def make_dng(folder: Path) -> None:
@@ -134,13 +134,13 @@ def make_dng(folder: Path) -> None:
     )
 
 
-def read_dng(folder: Path, file: Path) -> None:
+def read_dng(folder: Path, file: Path) -> object:
     from novags.testbed.folders import raw_files
 
     ways = [raw_files.size, raw_files.read_digital_numbers, raw_files.read_radiance]
     if not file.name.startswith("three"):
         ways.append(raw_files.read_mosaic)
-    _try_all(ways, file)
+    return _try_all(ways, file)
 
 
 def _images() -> None:

@@ -40,7 +40,7 @@ def make_photographs(folder: Path) -> None:
     listing.write_text(listing.read_text().replace(".png", ".tif"))
 
 
-def import_whole(folder: Path, file: Path) -> None:
+def import_whole(folder: Path, file: Path) -> object:
     """By the command's own stage, whatever was damaged."""
     from novags.testbed.console import Console
     from novags.testbed.stages.importing import ImportConfig, import_photographs
@@ -52,6 +52,7 @@ def import_whole(folder: Path, file: Path) -> None:
     try:
         config = ImportConfig(demosaic="bilinear", **twins)
         import_photographs(folder / part, out, config, Console(quiet=True))
+        return {path.name: path.read_bytes() for path in out.rglob("*.[pe][nx][gr]")}
     finally:
         shutil.rmtree(out, ignore_errors=True)
 
@@ -66,16 +67,15 @@ def make_imported(folder: Path) -> None:
     import_photographs(folder / "from" / "dark", folder / "cap", config, Console(quiet=True))
 
 
-def read_imported(folder: Path, file: Path) -> None:
+def read_imported(folder: Path, file: Path) -> object:
     """As reconstruct and score do."""
     from novags.testbed.console import Console
     from novags.testbed.folders.capture import open_capture
 
     capture = open_capture(folder / "cap")
     source = capture.source(Console(quiet=True))
-    for part in (capture.srgb8, capture.linear, capture.clean, capture.raw, source.lit):
-        part(0)
-    _ = capture.levels, capture.noise, capture.channels_share, source.digest(), source.points()
+    parts = [part(0) for part in (capture.srgb8, capture.linear, capture.clean, capture.raw, source.lit)]
+    return parts, capture.levels, capture.noise, capture.channels_share, source.digest(), source.points()
 
 
 def _stage() -> None:

@@ -48,10 +48,10 @@ def make_ply(folder: Path) -> None:
         write_ply(folder / f"{degree}.ply", Gaussians.from_points(points, torch.rand(5, 3), sh_degree=degree))
 
 
-def read_ply(folder: Path, file: Path) -> None:
+def read_ply(folder: Path, file: Path) -> object:
     from novags.splats.files.ply import read_ply
 
-    read_ply(file)
+    return read_ply(file)
 
 
 SETTINGS: dict[str, object] = {"iterations": 10, "seed": 0, "sh_degree": 1, "refine_cameras": None}
@@ -71,12 +71,12 @@ def make_checkpoint(folder: Path) -> None:
     save_checkpoint(folder / "c.safetensors", state, SETTINGS)
 
 
-def read_checkpoint(folder: Path, file: Path) -> None:
+def read_checkpoint(folder: Path, file: Path) -> object:
     import torch
 
     from novags.splats.training.checkpoint import load_checkpoint
 
-    load_checkpoint(file, SETTINGS, torch.device("cpu"))
+    return load_checkpoint(file, SETTINGS, torch.device("cpu"))
 
 
 def _network():
@@ -99,11 +99,13 @@ def make_network(folder: Path) -> None:
     write_tensors(folder / "n.safetensors", pack("denoiser", network, adam))
 
 
-def read_network(folder: Path, file: Path) -> None:
+def read_network(folder: Path, file: Path) -> object:
     from novags.methods.nova.checkpoint import read
     from novags.splats.training.companion import unpack
 
-    unpack("denoiser", read(file), *_network())
+    network, adam = _network()
+    unpack("denoiser", read(file), network, adam)
+    return network.state_dict()
 
 
 def _stand_in() -> None:
@@ -130,10 +132,10 @@ def make_weights(folder: Path) -> None:
     save_file(weights, folder / "w.safetensors")
 
 
-def read_weights(folder: Path, file: Path) -> None:
+def read_weights(folder: Path, file: Path) -> object:
     from novags.cameras.networks.vggt import _load
 
-    _load(file, "cpu")
+    return _load(file, "cpu").state_dict()
 
 
 def make_enhancer(folder: Path) -> None:
@@ -152,10 +154,10 @@ def make_enhancer(folder: Path) -> None:
     (folder / "w.h5").write_bytes(keras_bytes(arrays))
 
 
-def read_enhancer(folder: Path, file: Path) -> None:
+def read_enhancer(folder: Path, file: Path) -> object:
     from novags.methods.enhancers.weights import read_weights
 
-    read_weights((file,))
+    return read_weights((file,))
 
 
 def make_field(folder: Path) -> None:
@@ -169,12 +171,11 @@ def make_field(folder: Path) -> None:
     FieldScene(field, box, Proposal(), 4, "light", {"unit": 0.5}).save(folder)
 
 
-def read_field(folder: Path, file: Path) -> None:
+def read_field(folder: Path, file: Path) -> object:
     from novags.methods.nerf.scene import load_field
 
     found = load_field(folder)
-    if found is not None:
-        found.render(_view())
+    return None if found is None else found.render(_view())
 
 
 def _view():
@@ -203,10 +204,10 @@ def make_denoiser(folder: Path) -> None:
     DenoisedScene(_wall(), torch.rand(5, 3), Denoiser(2)).save(folder)
 
 
-def read_denoiser(folder: Path, file: Path) -> None:
+def read_denoiser(folder: Path, file: Path) -> object:
     from novags.methods.rivals.denoised_scene import with_denoiser
 
-    with_denoiser(_wall(), folder).render(_view())
+    return with_denoiser(_wall(), folder).render(_view())
 
 
 def _torch() -> None:

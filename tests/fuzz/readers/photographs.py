@@ -53,12 +53,11 @@ def make_bare(folder: Path) -> None:
     Image.fromarray(rng.integers(0, 255, (33, 19, 4), np.uint8)).save(folder / "upright.png")
 
 
-def read_bare(folder: Path, file: Path) -> None:
+def read_bare(folder: Path, file: Path) -> object:
     from simscenes.sets.readers.bare import picture_files, survey
 
     bare, _ = survey(picture_files(folder), 20)
-    for one in bare:
-        one.pixels()
+    return [one.pixels() for one in bare]
 
 
 def make_video(folder: Path) -> None:
@@ -72,11 +71,12 @@ def make_video(folder: Path) -> None:
         writer.release()
 
 
-def read_video(folder: Path, file: Path) -> None:
+def read_video(folder: Path, file: Path) -> object:
     from novags.testbed.folders.video import write_frames
 
     with tempfile.TemporaryDirectory() as frames:
         write_frames(file, 4.0, Path(frames), lambda *_: None)
+        return [path.read_bytes() for path in sorted(Path(frames).rglob("*.*")) if path.is_file()]
 
 
 def _sets() -> None:

@@ -54,16 +54,15 @@ def make_set(folder: Path) -> None:
     (folder / "seconds.json").write_text(json.dumps({"digest": "ab" * 32, "seconds": {"load": 0.5}}))
 
 
-def read_set(folder: Path, file: Path) -> None:
+def read_set(folder: Path, file: Path) -> object:
     """As capture and render do."""
     from novags.testbed.console import Console
     from novags.testbed.folders.set import open_source
     from simscenes.job.identity import is_complete, seconds_spent
 
-    is_complete(folder, "ab" * 32, ["0000"])
-    seconds_spent(folder, "ab" * 32)
+    complete, spent = is_complete(folder, "ab" * 32, ["0000"]), seconds_spent(folder, "ab" * 32)
     source = open_source(folder, Console(quiet=True), 28)
-    source.radiance(0), source.lit(0), source.digest(), source.color_matrix
+    return complete, spent, source.radiance(0), source.lit(0), source.digest(), source.color_matrix
 
 
 def make_capture(folder: Path) -> None:
@@ -76,13 +75,13 @@ def make_capture(folder: Path) -> None:
     capture(folder / "set", folder / "capture", CaptureConfig(electrons=200.0), Console(quiet=True))
 
 
-def read_capture(folder: Path, file: Path) -> None:
+def read_capture(folder: Path, file: Path) -> object:
     from novags.testbed.console import Console
     from novags.testbed.folders.capture import open_capture
 
     capture = open_capture(folder / "capture")
-    capture.clean(0), capture.linear16(0), capture.exposure, capture.channels_share
     capture.source(Console(quiet=True))
+    return capture.clean(0), capture.linear16(0), capture.exposure, capture.channels_share
 
 
 def make_run(folder: Path) -> None:
@@ -129,7 +128,7 @@ def make_run(folder: Path) -> None:
     )
 
 
-def read_experiment(folder: Path, file: Path) -> None:
+def read_experiment(folder: Path, file: Path) -> object:
     """As score and report do before they compute."""
     from novags.testbed.console import Console
     from novags.testbed.folders.experiment import find_runs
@@ -139,10 +138,13 @@ def read_experiment(folder: Path, file: Path) -> None:
     quiet = Console(quiet=True)
     material = read_material(folder, quiet)
     runs = find_runs(folder)
+    found = []
     for run in runs.values():
-        run.events(), run.rendering("0000"), run.depth("0000"), run.depth_scale, run.enhancement, run.space
-        stage_seconds(run, *run.inputs(quiet))
-    merge({name: material.metrics for name in runs}, {name: run.method for name, run in runs.items()})
+        found.append(
+            (run.events(), run.rendering("0000"), run.depth("0000"), run.depth_scale, run.enhancement, run.space)
+        )
+        found.append((stage_seconds(run, *run.inputs(quiet)), material.metrics))
+    return found, merge({name: material.metrics for name in runs}, {name: run.method for name, run in runs.items()})
 
 
 def make_viewed(folder: Path) -> None:
@@ -161,7 +163,7 @@ def make_viewed(folder: Path) -> None:
     (folder / "naive" / "cameras.json").write_text(json.dumps(viewer_cameras(["0000", "0001", "0002"], views)))
 
 
-def read_viewed(folder: Path, file: Path) -> None:
+def read_viewed(folder: Path, file: Path) -> object:
     """As the viewer does."""
     from novags.testbed.console import Console
     from novags.testbed.viewer.shown import shown_of
@@ -171,6 +173,7 @@ def read_viewed(folder: Path, file: Path) -> None:
     found = true_from(shown.runs["naive"], shown.capture)
     if not (found.scale > 0 and bool(found.rotation.isfinite().all()) and bool(found.translation.isfinite().all())):
         raise AssertionError(f"the run is placed at {found}")
+    return found
 
 
 def read_unfinished(folder: Path, file: Path) -> None:
@@ -237,7 +240,7 @@ READERS = [
     Reader("capture.json", make_capture, read_capture, ("capture/capture.json",), share=2, prepare=_line),
     Reader("records of runs", make_run, read_experiment, RUN, share=2, prepare=_line),
     Reader("cameras.json", make_viewed, read_viewed, ("naive/cameras.json",), share=3, prepare=_line),
-    Reader("events.jsonl", make_log, read_log, ("events.jsonl",), share=4, prepare=_line),
+    Reader("events.jsonl", make_log, read_log, ("events.jsonl",), share=4, prepare=_line, placed=False),
     Reader(
         "unfinished.json", make_unfinished, read_unfinished, ("unfinished.json", "metrics.json"), share=8, prepare=_line
     ),

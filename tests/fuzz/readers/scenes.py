@@ -64,7 +64,7 @@ def make(folder: Path) -> None:
     (folder / "m.serialized").write_bytes(data + struct.pack("<QI", 0, 1))
 
 
-def read(folder: Path, file: Path) -> None:
+def read(folder: Path, file: Path) -> object:
     """Load, and look at a few pixels by geometry and light."""
     from simscenes.backend import activate
     from simscenes.loading.load import build_scene
@@ -79,7 +79,7 @@ def read(folder: Path, file: Path) -> None:
         if "did not finish" in str(error):
             raise RuntimeError("Mitsuba hangs") from error
         raise
-    own_rig(loaded, mi, 4, 3)
+    return own_rig(loaded, mi, 4, 3)
 
 
 def make_given(folder: Path) -> None:
@@ -161,6 +161,15 @@ def _mitsuba() -> None:
 
 FILES = ("scene.xml", "m.ply", "m.obj", "m.serialized", "t.png", "e.exr")
 READERS = [
-    Reader("Mitsuba scene", make, read, FILES, also=bare, share=1.5, prepare=_mitsuba),
-    Reader("Mitsuba parameters", make_given, read_given, ("given.txt",), share=1.5, prepare=_mitsuba),
+    Reader("Mitsuba scene", make, read, FILES, also=bare, share=1.0, prepare=_mitsuba),
+    Reader(
+        "Mitsuba parameters",
+        make_given,
+        read_given,
+        ("given.txt",),
+        share=0.5,
+        prepare=_mitsuba,
+        placed=False,
+        odd=False,
+    ),
 ]

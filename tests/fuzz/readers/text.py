@@ -35,10 +35,10 @@ def make_sensor(folder: Path) -> None:
     )
 
 
-def read_sensor(folder: Path, file: Path) -> None:
+def read_sensor(folder: Path, file: Path) -> object:
     from sensor_model import read_sensor
 
-    read_sensor(file)
+    return read_sensor(file)
 
 
 VARIANTS = """[variant.no-sh]
@@ -56,11 +56,11 @@ pictures = "16bit"
 """
 
 
-def read_variants(folder: Path, file: Path) -> None:
+def read_variants(folder: Path, file: Path) -> object:
     from novags.methods.variant import read_variants
     from novags.testbed.presets import EXPERIMENTS, adapted
 
-    adapted(EXPERIMENTS["demo"], variants=tuple(read_variants(file)))
+    return adapted(EXPERIMENTS["demo"], variants=tuple(read_variants(file)))
 
 
 def make_frames(folder: Path) -> None:
@@ -82,10 +82,10 @@ def make_frames(folder: Path) -> None:
     (folder / "frames.toml").write_text("\n".join(lines))
 
 
-def read_frames(folder: Path, file: Path) -> None:
+def read_frames(folder: Path, file: Path) -> object:
     from novags.testbed.calibration_frames import read_frames
 
-    read_frames(folder)
+    return read_frames(folder)
 
 
 def make_transforms(folder: Path) -> None:
@@ -104,13 +104,12 @@ def make_transforms(folder: Path) -> None:
     (folder / "transforms.json").write_text(json.dumps(content))
 
 
-def read_transforms(folder: Path, file: Path) -> None:
+def read_transforms(folder: Path, file: Path) -> object:
     from novags.testbed.console import Console
     from novags.testbed.folders.set import open_source
 
     source = open_source(folder, Console(quiet=True))
-    source.radiance(0)
-    source.views.points()
+    return source.radiance(0), source.views.points(), source.views.names, source.views.rig
 
 
 def make_linear(folder: Path) -> None:

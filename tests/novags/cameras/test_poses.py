@@ -15,8 +15,8 @@ from scipy.spatial.transform import Rotation
 from novags.cameras.align import align
 from novags.cameras.registration import Observed, Registered, pairs_of
 from novags.testbed import stages
-from novags.testbed.cache import folder_digest
 from novags.testbed.console import Console
+from novags.testbed.contents import folder_digest
 from novags.testbed.folders.set import open_source
 from novags.testbed.folders.video import write_frames
 from novags.testbed.stages import posing

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from novags.testbed import stages
-from novags.testbed.cache import read_json
 from novags.testbed.console import Console
+from novags.testbed.contents import read_json
 from novags.testbed.folders import shapes
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.folders.run import open_run
@@ -195,8 +195,9 @@ def test_truth_that_lacks_a_channel_or_has_another_size_is_refused_by_name(line:
 
 def test_small_faults_that_only_many_damaged_files_show(tmp_path: Path) -> None:
     """Rationale: each was found by `python -m tests.fuzz`, in records that looked right but for one value."""
-    from novags.testbed.cache import UNFINISHED, _Stage
+    from novags.testbed.cache import _Stage
     from novags.testbed.console import Console
+    from novags.testbed.contents import UNFINISHED
     from novags.testbed.folders.experiment import find_runs
     from novags.testbed.folders.run import Run
     from simscenes.job.identity import is_complete, seconds_spent

@@ -12,8 +12,10 @@ import pytest
 import torch
 
 from novags.testbed import cache
-from novags.testbed.cache import UNFINISHED, digest, folder_digest, jsonable, read_json, run_stage, write_json
+from novags.testbed.cache import run_stage
 from novags.testbed.console import Console
+from novags.testbed.contents import UNFINISHED, digest, folder_digest, jsonable, read_json, write_json
+from sensor_model.files.atomic import atomic, write_text
 
 QUIET = Console(quiet=True)
 
@@ -397,3 +399,27 @@ def test_broken_records_give_one_clear_error(tmp_path: Path, content: str | None
         (tmp_path / "r.json").write_text(content)
     with pytest.raises(ValueError, match=message):
         read_json(tmp_path / "r.json")
+
+
+@pytest.mark.parametrize("name", ["a.txt", "parts/b.txt", "parts/inner/c.json"])
+def test_a_file_that_another_hand_changes_while_a_stage_is_at_work_is_never_sealed(tmp_path: Path, name: str) -> None:
+    def work() -> dict[str, int]:
+        assert [path.name for path in tmp_path.iterdir() if path.name[0] != "."] == [
+            UNFINISHED
+        ]  # nothing to go on from
+        write_text(tmp_path / "a.txt", "a")
+        with atomic(tmp_path / "parts") as temporary:
+            (temporary / "inner").mkdir(parents=True)
+            (temporary / "b.txt").write_text("b")
+            (temporary / "inner" / "c.json").write_text("[1]")
+        write_text(tmp_path / "a.txt", "its last content")
+        if harmed:
+            (tmp_path / name).write_text("[2]")
+        return {}
+
+    harmed = True
+    with pytest.raises(ValueError, match=f"{name} was changed by somebody else while toy was at work"):
+        stage(tmp_path, work)
+    assert not (tmp_path / "record.json").exists()
+    harmed = False
+    assert stage(tmp_path, work)["stage"]["files"].keys() == {"a.txt", "parts/b.txt", "parts/inner/c.json"}

@@ -10,8 +10,8 @@ import torch
 from novags.methods.enhancers.sci import Sci
 from novags.methods.variant import parse_variant
 from novags.testbed import stages
-from novags.testbed.cache import read_json
 from novags.testbed.console import Console
+from novags.testbed.contents import read_json
 from novags.testbed.folders.run import open_run
 from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.references import enhanced_dark

@@ -15,6 +15,7 @@ from typing import Any
 import pytest
 
 from sensor_model.files.atomic import atomic
+from sensor_model.files.door import given
 from sensor_model.files.lock import NAME, locked
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
@@ -272,3 +273,45 @@ def test_what_killed_processes_left_half_written_is_swept_and_nothing_else(tmp_p
             with locked(tmp_path):
                 assert temporary.exists()
     assert (tmp_path / "now.txt").exists()
+
+
+@pytest.mark.parametrize("way", [os.symlink, os.link], ids=["link", "second name"])
+def test_the_lock_file_is_no_way_to_write_over_another_file(tmp_path: Path, way: Callable[[Path, Path], None]) -> None:
+    victim, folder = tmp_path / "victim", tmp_path / "out"
+    victim.write_text("precious")
+    folder.mkdir()
+    way(victim, folder / NAME)
+    with pytest.raises(ValueError, match="is not a file that novags made: remove it"), locked(folder):
+        pass
+    assert victim.read_text() == "precious"
+    assert (folder / NAME).exists()
+
+
+def test_a_fifo_under_the_name_of_the_lock_is_refused_at_once(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / NAME)
+    with pytest.raises(ValueError, match="is not a file that novags made"), locked(tmp_path):
+        pass
+
+
+def test_a_file_of_somebody_else_under_the_name_of_the_lock_is_kept(tmp_path: Path) -> None:
+    (tmp_path / NAME).write_text("notes of mine")
+    with pytest.raises(ValueError, match="it is not a lock file"), locked(tmp_path):
+        pass
+    assert (tmp_path / NAME).read_text() == "notes of mine"
+
+
+def test_the_name_of_a_killed_holder_is_written_over(tmp_path: Path) -> None:
+    (tmp_path / NAME).write_text("'novags report x' (process 12 on host, since 2026-01-01 00:00:00 +0000)")
+    with locked(tmp_path) as held:
+        assert held
+        assert f"process {os.getpid()} " in (tmp_path / NAME).read_text()
+
+
+def test_a_lock_behind_a_link_out_of_a_given_folder_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "given").mkdir()
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "given" / "run").symlink_to(tmp_path / "outside")
+    with given([str(tmp_path / "given")]):
+        with pytest.raises(ValueError, match="--allow-links"), locked(tmp_path / "given" / "run"):
+            pass
+    assert list((tmp_path / "outside").iterdir()) == []

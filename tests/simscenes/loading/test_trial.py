@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from sensor_model.files.python import python
 from simscenes.backend import activate
 from simscenes.loading.checks import trial
 from simscenes.loading.checks.meshes import check_mesh_file
@@ -19,7 +20,7 @@ CORNERS = b"".join(struct.pack("<3f", *p) for p in [(0, 0, 0), (1, 0, 0), (0, 1,
 
 @pytest.fixture(autouse=True)
 def nothing_remembered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(trial, "cache_folder", lambda kind: tmp_path / "cache" / kind)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
 
 
 def ply(*face: int, vertices: int = 3, faces: int = 1) -> bytes:
@@ -153,7 +154,7 @@ def test_a_file_that_failed_is_tried_again(tmp_path: Path, monkeypatch: pytest.M
 
 def stand_in(code: str, monkeypatch: pytest.MonkeyPatch) -> "trial._Process":
     """A process that runs this instead of serving."""
-    monkeypatch.setattr(trial, "_START", code.replace("{", "{{").replace("}", "}}"))
+    monkeypatch.setattr(trial, "_START", code)
     return trial._Process("scalar_rgb")
 
 
@@ -191,13 +192,8 @@ def test_an_interrupted_trial_leaves_no_answer_for_the_next_file(monkeypatch: py
 
 def test_the_process_ends_when_nothing_is_asked() -> None:
     code = "from simscenes.loading.checks import trial_process as p; p.IDLE = 0.1; p.serve()"
-    assert os.waitstatus_to_exitcode(os.waitpid(os.spawnv(os.P_NOWAIT, *_python(code)), 0)[1]) == 0
-
-
-def _python(code: str) -> tuple[str, list[str]]:
-    import sys
-
-    return sys.executable, [sys.executable, "-c", f"import sys; sys.path[:] = {sys.path!r}; {code}"]
+    words = python(code)
+    assert os.waitstatus_to_exitcode(os.waitpid(os.spawnv(os.P_NOWAIT, words[0], words), 0)[1]) == 0
 
 
 @pytest.mark.slow

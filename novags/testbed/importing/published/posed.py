@@ -9,6 +9,7 @@ from pathlib import Path
 
 from novags.testbed.folders.linear_photographs import load_linear_set
 from novags.testbed.importing.split import Split
+from sensor_model.files.door import resolved
 from simscenes.sets.multiview import MultiviewSet, load_photographs
 from simscenes.sets.readers.colmap import find_colmap
 from simscenes.sets.readers.llff import is_llff
@@ -45,4 +46,4 @@ def lit_beside(folder: Path) -> Path | None:
 
 def places(folder: Path) -> list[Path]:
     """A folder from the root: by the names that lead to it, and where links among these lead, if that is elsewhere."""
-    return list(dict.fromkeys([Path(os.path.abspath(folder)), folder.resolve()]))
+    return list(dict.fromkeys([Path(os.path.abspath(folder)), resolved(folder)]))

@@ -1,4 +1,4 @@
-"""`python -m novags.testbed.pareto.splat_engine.child ORDER`: make a truth, or measure a setting.
+"""A process of its own that makes a truth, or measures a setting.
 
 The caller gives every setting a NUMBA_CACHE_DIR of its own: machine code of one setting must not serve another.
 """
@@ -14,6 +14,7 @@ from torch import Tensor
 
 from novags.testbed.pareto.clock import fastest
 from novags.testbed.pareto.splat_engine.scene import NAMES, cube_scene, draw, reference, strips, turn
+from sensor_model.files.door import opened
 
 CALLS = 15
 SUPERSAMPLE = 4  # samples a pixel and axis of the truth that dilation stands in for
@@ -25,8 +26,7 @@ def truth(out: str, n: int, size: int, seed: int, supersampled: bool) -> dict[st
         image = reference(n, size, seed, exact=True, supersample=SUPERSAMPLE, eps2d=0.0)
     else:
         image = reference(n, size, seed, exact=True)
-    with open(out, "wb") as file:
-        np.save(file, image.numpy())
+    np.save(out, image.numpy(), allow_pickle=False)
     return {}
 
 
@@ -55,7 +55,7 @@ def measure(knob: str, setting: Any, changed: bool, n: int, size: int, seed: int
 
     with torch.no_grad():  # whole: in strips Gaussians beyond their borders are drawn a little differently
         image = reference(n, size, seed, exact=False, bits=bits) if plain else next(pictures())
-    error = float(np.sqrt(np.mean((image.double().numpy() - np.load(truth)) ** 2)))
+    error = float(np.sqrt(np.mean((image.double().numpy() - np.load(opened(truth), allow_pickle=False)) ** 2)))
     if not plain:
         once()
     seconds, cpu = fastest(once, 1 if plain else CALLS)
@@ -66,6 +66,7 @@ PLAIN = (("float_bits", 64), ("backend", "torch"))
 """Settings that the readable reference stands for, in strips."""
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Do what the order in the first argument says."""
     order = json.loads(sys.argv[1])
     print(json.dumps((truth if order.pop("do") == "truth" else measure)(**order)))

@@ -3,18 +3,19 @@
 import json
 import os
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 from novags.testbed.console import Console
 from novags.testbed.pareto.knob import Knob, Measured, Setting, Subject
 from sensor_model.files.atomic import atomic
+from sensor_model.files.own import cache_folder
+from sensor_model.files.python import python
 from sensor_model.files.reading import brief
 
 COUNT, SIZE = 2000, 64
 SMALL_COUNT, SMALL_SIZE = 500, 32
-CHILD = "novags.testbed.pareto.splat_engine.child"
+CHILD = "from novags.testbed.pareto.splat_engine.child import main; main()"
 # Settings from the fastest on, the default, and why.
 KNOBS: dict[str, tuple[tuple[Setting, ...], Setting, str]] = {
     "alpha_min": (
@@ -36,7 +37,7 @@ KNOBS: dict[str, tuple[tuple[Setting, ...], Setting, str]] = {
 
 
 def splats(small: bool, folder: Path, console: Console) -> Subject:
-    """Forward and backward passes over random Gaussians; truths and machine code are kept in `folder`."""
+    """Forward and backward passes over random Gaussians; truths are kept in `folder`."""
     n, size = (SMALL_COUNT, SMALL_SIZE) if small else (COUNT, SIZE)
 
     def knob(name: str) -> Knob:
@@ -64,23 +65,26 @@ def measured(folder: Path, knob: str, setting: Setting, n: int, size: int, seed:
     if not truth.exists():
         with atomic(truth) as file:
             make = {"do": "truth", "out": str(file), "supersampled": supersampled, **common}
-            in_child(make, folder / "code" / "default")
+            in_child(make, "default")
     changed = knob in ("alpha_min", "transmittance_min", "exp2_degree", "tile") and setting != KNOBS[knob][1]
-    code = folder / "code" / (f"{knob}-{setting:.3g}" if changed else "default")
+    code = f"{knob}-{setting:.3g}" if changed else "default"
     order = {"do": "measure", "knob": knob, "setting": setting, "changed": changed, "truth": str(truth), **common}
     return Measured(**in_child(order, code))
 
 
-def in_child(order: dict[str, Any], code: Path) -> dict[str, Any]:
+def in_child(order: dict[str, Any], code: str) -> dict[str, Any]:
     """What the child process says.
+
+    Args:
+        order: What it has to do.
+        code: Name of the folder of its machine code. That is no part of the folder of the measurements: it would run,
+            whoever made that folder.
 
     Raises:
         OSError: If it fails; with its last words.
     """
-    code.mkdir(parents=True, exist_ok=True)
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(code)}
-    command = [sys.executable, "-m", CHILD, json.dumps(order)]
-    done = subprocess.run(command, capture_output=True, text=True, env=environment)
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache_folder("pareto") / code)}
+    done = subprocess.run(python(CHILD, json.dumps(order)), capture_output=True, text=True, env=environment)
     if done.returncode:
         words = done.stderr.strip().splitlines() or ["no message"]
         raise OSError(f"measuring {order.get('knob', 'the truth')} = {order.get('setting', '')} ended with exit code "

@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 
 from sensor_model.files.atomic import atomic
+from sensor_model.files.door import read_bytes
 
 INSIDE = 14_000_000  # bytes of text that pictures and data may take in a page: with the rest it stays below 20 MB
 THUMB = 144  # px, longest side
@@ -133,7 +134,7 @@ class Album:
                 picture.src = _uri(picture.data, picture.kind)
         if used > self.inside:
             for picture in self._pictures:
-                picture.src = _thumbnail((self.page.parent / str(picture.full)).read_bytes(), side)
+                picture.src = _thumbnail(read_bytes(self.page.parent / str(picture.full)), side)
             used = sum(len(picture.src) for picture in self._pictures)
         for script in self._scripts:
             script.inside = used + self._size["data"] <= self.inside

@@ -46,7 +46,9 @@ novags.tables = {
   },
 
   csv(table) {
-    const quoted = (text) => (/[",\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
+    // As `novags.testbed.csv_text`: what a spreadsheet would compute is marked as text.
+    const asText = (text) => (/^['=+\-@\t\r\n＝＋－＠]/.test(text) && Number.isNaN(Number(text)) ? `'${text}` : text);
+    const quoted = (text) => (/[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text);
     const all = novags.rows.of(table), heads = [...table.tHead.rows[0].cells];
     const marked = all.some((row) => row.querySelector(".dagger"));
     const rows = [...all, ...(table.tFoot ? table.tFoot.rows : [])].filter((row) => !row.hidden);
@@ -56,7 +58,7 @@ novags.tables = {
     const line = (row) => [...row.cells].flatMap((cell, k) => [this.value(cell).replace("†", ""), ...(spread[k] ? [cell.dataset.sd ?? ""] : [])]);
     const lines = [[...told, ...(marked ? ["sees truth"] : [])]];
     for (const row of rows) lines.push([...line(row), ...(marked ? [row.querySelector(".dagger") ? "yes" : "no"] : [])]);
-    return lines.map((cells) => cells.map(quoted).join(",") + "\n").join("");
+    return lines.map((cells) => cells.map(asText).map(quoted).join(",") + "\n").join("");
   },
 
   download(table) {

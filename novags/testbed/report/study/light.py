@@ -4,8 +4,6 @@ light.json   light.csv (every point of every curve)   light-knees.csv
 light-MEASURE.svg      light-MEASURE-PLACE.svg  (where other axes than light, method and seed have several values)
 """
 
-import csv
-import io
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -15,7 +13,8 @@ from typing import Any
 from novags.methods import METHODS, chosen, with_variants
 from novags.methods.variant import STATISTICS, Variant, dotted, sees_statistics
 from novags.settings import changed, has_setting
-from novags.testbed.cache import write_json
+from novags.testbed.contents import write_json
+from novags.testbed.csv_text import as_csv
 from novags.testbed.report.level_chart import Line, alone, level_chart
 from novags.testbed.report.rows import OTHER, distinct
 from novags.testbed.study.light import ELECTRONS, Curve, Measure, light_curves
@@ -212,15 +211,6 @@ def knee_rows(curves: Sequence[Curve]) -> list[dict[str, Any]]:
              "bright": curve.bright, **vars(knee), "slope_per_doubling": curve.slope}
         )  # fmt: skip
     return found
-
-
-def as_csv(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Rows as CSV; an empty cell is a value that there is not."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(dict.fromkeys(key for row in rows for key in row)), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
 
 
 def files_in(folder: Path, axes: Mapping[str, Sequence[Any]]) -> list[Path]:

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import digest
+from novags.testbed.contents import digest
 from novags.testbed.folders import shapes
 from novags.testbed.folders.experiment import REPORT
 from novags.testbed.report.look.album import Album
@@ -28,6 +28,7 @@ from novags.testbed.report.study.records import Records, read_records, signals
 from novags.testbed.study.conduct import STUDY
 from novags.testbed.study.light import MEASURES, METHOD
 from novags.testbed.study.results import CSV, JSON, counted
+from sensor_model.files.door import resolved
 from sensor_model.files.records import check_shape, read_record
 
 AGAIN = "run the study again: what is done is kept"
@@ -63,8 +64,8 @@ def write_study(folder: Path, out: Path | None = None, *, overwrite: bool = Fals
     study = read_record(folder / STUDY, TABLE, AGAIN)
     if not any(row["state"] == "done" for row in rows):
         raise ValueError(f"{folder} has no finished run to show: run its study first, or with --retry-failed")
-    path, identity = out or folder / REPORT, digest(["study", str(folder.resolve())])
-    if path.resolve() != (folder / REPORT).resolve() and not overwrite:
+    path, identity = out or folder / REPORT, digest(["study", str(resolved(folder))])
+    if resolved(path) != resolved(folder / REPORT) and not overwrite:
         _refuse_foreign(path, identity, folder, axes)
     looks = looks_of(dict.fromkeys(str(row[METHOD]) for row in rows), study["table"])
     competes = {name: look.competes for name, look in looks.items()}
@@ -85,7 +86,7 @@ def write_study(folder: Path, out: Path | None = None, *, overwrite: bool = Fals
         "failed": [row for row in rows if row["state"] in ("failed", "skipped")], "costs": records.costs(),
         "effects": records.effects(), "departures": records.departures(), "lost": len(records.lost),
         "configuration": json.dumps(study["table"], indent=2, ensure_ascii=False), "csv": CSV,
-        "beside": path.parent.resolve() == folder.resolve(),
+        "beside": resolved(path.parent) == resolved(folder),
     }  # fmt: skip
     return fill_page("study.html", path, context)
 
@@ -94,7 +95,7 @@ def _refuse_foreign(path: Path, identity: str, study: Path, axes: Mapping[str, S
     """Refuse to write over a file that no report on this study has left."""
     if path.exists() and identity_of(path) == identity:
         return
-    beside = [] if path.parent.resolve() == study.resolve() else files_in(path.parent, axes)
+    beside = [] if resolved(path.parent) == resolved(study) else files_in(path.parent, axes)
     if found := [file for file in (path, *beside) if file.exists()]:
         raise ValueError(
             f"{found[0]} already exists and is not of a report on this study: choose another --out, or add --overwrite"

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import read_json
+from novags.testbed.contents import read_json
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders import shapes
 from novags.testbed.folders.place import place_of

@@ -1,5 +1,7 @@
 """Entries whose store is at a URL: a node fetches what it lacks to a folder of its own, works there, and sends."""
 
+import re
+import secrets
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,8 +15,10 @@ from novags.testbed.study.entry import Order, Task
 from novags.testbed.study.plan import Plan
 from novags.testbed.study.steps import depends
 from novags.testbed.study.store import SEAL, Seal, damaged, read_seal
-from sensor_model.files.atomic import atomic
+from sensor_model.files.atomic import atomic, write_text
+from sensor_model.files.door import read_text
 from sensor_model.files.lock import locked
+from sensor_model.files.own import cache_folder, own_folder
 
 PLACE = "novags.testbed.study.elsewhere.nodes:make"
 
@@ -28,8 +32,8 @@ class Away:
         threads: Of each of these.
         version: Of the code that planned it.
         url: The store.
-        scratch: Folder on each node for entries, which may be deleted between studies; None: in the node's folder for
-            temporary files.
+        scratch: Folder on each node that holds the folder of entries, see `scratch_folder`; None: that for temporary
+            files.
         place: MODULE:FUNCTION that makes an entry from its `Order`.
     """
 
@@ -43,7 +47,7 @@ class Away:
 
 def make(away: Away, console: Console) -> dict[str, Any]:
     """Make sure that an entry is complete in the store; what nodes do. Returns as `entry.ensure`, and its scores."""
-    scratch = Path(away.scratch or Path(tempfile.gettempdir(), "novags-scratch")).expanduser()
+    scratch = scratch_folder(Path(away.scratch or tempfile.gettempdir()).expanduser())
     contents: dict[str, str] = {}
     for task, threads in zip(away.chain, away.threads, strict=True):
         made_of = {need: contents[need] for need in task.needs}
@@ -53,6 +57,31 @@ def make(away: Away, console: Console) -> dict[str, Any]:
         contents[task.key] = result["content"]
     metrics = order.folder / METRICS
     return {**result, "scores": metrics.read_bytes() if metrics.exists() else None}
+
+
+def scratch_folder(parent: Path) -> Path:
+    """The folder of entries on this node, in a place that others may share; it may be deleted between studies.
+
+    Entries in it are believed by their seals, so nobody else may have written them: it is this user's alone, and its
+    name, which the user's cache folder knows, can neither be taken beforehand nor be in an archive that somebody made.
+
+    Raises:
+        OSError: If there can be no such folder.
+    """
+    try:
+        known = own_folder(cache_folder("scratch")) / "name"
+        if not known.exists():  # of two processes that are here at once, one works in a folder of its own once
+            write_text(known, secrets.token_hex(8))
+        name = read_text(known, most=100)
+    except OSError as error:
+        raise OSError(f"{error}: set XDG_CACHE_HOME to a folder of your own") from error
+    if not re.fullmatch("[0-9a-f]{16}", name):
+        raise OSError(f"{known} does not hold the name of a scratch folder: remove it")
+    try:
+        return own_folder(parent / f"novags-scratch-{name}")
+    except OSError as error:
+        raise OSError(f"{error}: give --scratch DIR, a place on the node's disk, or remove {known}, and another name "
+                      "is taken") from error  # fmt: skip
 
 
 def _provide(order: Order, remote: Remote, place: str, console: Console) -> dict[str, Any]:

@@ -77,7 +77,8 @@ class Remote:
         if content is None:
             return None
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / FETCHED).write_bytes(content)
+        with atomic(folder / FETCHED) as temporary:
+            temporary.write_bytes(content)
         try:
             seal = read_seal(folder, FETCHED)
         except ValueError as error:

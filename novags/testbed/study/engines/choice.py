@@ -19,6 +19,7 @@ from novags.testbed.study.entry import Order, Task
 from novags.testbed.study.plan import Plan
 from novags.testbed.study.store import KINDS, version
 from sensor_model.files.atomic import write_text
+from sensor_model.files.door import read_text
 
 MARKER = ".novags-store"  # in a store that nodes share: what they see must be the same folder
 
@@ -189,7 +190,7 @@ def log_of(task: Task) -> str:
 def _mark(store: Path) -> tuple[str, str]:
     """Write what nodes must find in the store."""
     path = (store / MARKER).absolute()
-    text = path.read_text(encoding="ascii") if path.exists() else ""
+    text = read_text(path) if path.exists() else ""
     if not text:
         text = uuid.uuid4().hex
         write_text(path, text)

@@ -15,6 +15,7 @@ from novags.testbed.study.engines.needs import fits
 from novags.testbed.study.engines.processes import threads_environment
 from novags.testbed.study.engines.queue import Job, Queue, Watcher, lateness
 from novags.testbed.study.engines.worker import Outcome
+from sensor_model.files.door import appending
 from sensor_model.files.reading import brief
 
 LOOK = 0.5  # s between two looks at what the nodes say
@@ -263,8 +264,8 @@ def _first(error: BaseException) -> str:
 
 def _append(log: Path, text: str) -> None:
     log.parent.mkdir(parents=True, exist_ok=True)
-    with log.open("a", encoding="utf-8") as file:
-        file.write(text)
+    with appending(log) as file:
+        file.write(text.encode("utf-8", "replace"))
 
 
 @contextmanager
@@ -282,7 +283,8 @@ def connected(address: str | None) -> Iterator[Any]:
         raise ValueError(f"engine ray needs the package ray ({error}): scripts/setup cluster") from error
     handlers = {number: signal.getsignal(number) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
-        ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
+        with _elsewhere():
+            ray.init(address=address, log_to_driver=False, logging_level=logging.ERROR)
     except (OSError, RuntimeError, ValueError) as error:
         where = address or os.environ.get("RAY_ADDRESS") or "this machine"
         raise OSError(f"no Ray cluster can be reached at {where}: {brief(error, 300)}") from error
@@ -292,3 +294,15 @@ def connected(address: str | None) -> Iterator[Any]:
         yield ray
     finally:
         ray.shutdown()
+
+
+@contextmanager
+def _elsewhere() -> Iterator[None]:
+    """Away from the working directory: Ray lets its workers import from there first, and starts nodes there."""
+    here = os.open(os.curdir, os.O_RDONLY)
+    try:
+        os.chdir(os.sep)  # which root alone can fill
+        yield
+    finally:
+        os.fchdir(here)
+        os.close(here)

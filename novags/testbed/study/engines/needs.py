@@ -7,7 +7,9 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from novags.testbed.study.store import KINDS
+from sensor_model.files.reading import brief
 
+MOST = 1e6  # of anything, in its unit
 UNITS = {"": 1e9, "GB": 1e9, "MB": 1e6}  # a bare number means GB
 
 
@@ -36,7 +38,10 @@ def read_needs(texts: Iterable[str]) -> dict[str, Needs]:
     for text in texts:
         kind, colon, listed = text.rpartition(":")
         if colon and kind not in KINDS:
-            raise ValueError(f"needs: there are no tasks {kind!r} in {text!r}; there are {', '.join(KINDS)}")
+            raise ValueError(
+                f"needs: there are no tasks {brief(repr(kind), 60)} in {brief(repr(text), 60)}; "
+                f"there are {', '.join(KINDS)}"
+            )
         changes: dict[str, Any] = dict(_amount(part, text) for part in listed.split(","))
         for name in (kind,) if colon else KINDS:
             found[name] = replace(found[name], **changes)
@@ -46,8 +51,15 @@ def read_needs(texts: Iterable[str]) -> dict[str, Needs]:
 def _amount(part: str, text: str) -> tuple[str, float]:
     match = re.fullmatch(r"(cpus|gpus|memory)=(\d+(?:\.\d+)?)(GB|MB|)", part.strip())
     if match is None or (match[1] != "memory" and match[3]):
-        raise ValueError(f"needs: {part!r} in {text!r} must be cpus=N, gpus=N, or memory=N with GB or MB")
+        raise ValueError(
+            f"needs: {brief(repr(part), 60)} in {brief(repr(text), 60)} must be cpus=N, gpus=N, or memory=N "
+            "with GB or MB"
+        )
     name, number = match[1], float(match[2])
+    if number > MOST:
+        raise ValueError(
+            f"needs: {name} must be at most {MOST:g}, got {brief(match[2], 40)} in {brief(repr(text), 60)}"
+        )
     if name == "memory":
         return name, number * UNITS[match[3]]
     if name == "cpus" and (number < 1 or number % 1):

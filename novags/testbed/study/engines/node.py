@@ -15,6 +15,7 @@ from typing import Any
 
 from novags.testbed.study.engines.processes import Worker
 from novags.testbed.study.engines.worker import Outcome
+from sensor_model.files.door import read_text
 
 LOOK = 0.5  # s between two looks whether the task has been cancelled
 STOP = 10.0  # s that a task gets to mark how far it is
@@ -87,7 +88,7 @@ def _unseen(marker: tuple[str, str] | None) -> str | None:
         return None
     path, text = Path(marker[0]), marker[1]
     with suppress(OSError):
-        if path.read_text(encoding="ascii") == text:
+        if read_text(path) == text:
             return None
     return f"{os.uname().nodename} does not see the store {path.parent}: give --store a folder of all nodes, or a URL"
 

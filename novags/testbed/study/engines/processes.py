@@ -2,7 +2,6 @@
 
 import os
 import subprocess
-import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -13,6 +12,7 @@ from typing import Any
 
 from novags.testbed.machine.cores import cores_here
 from novags.testbed.machine.memory import resident_bytes
+from sensor_model.files.python import python
 
 TASKS = "novags.testbed.study.steps:make"  # what the workers of a study do
 # Ctrl-C on a terminal reaches all its processes: the parent decides what becomes of its workers.
@@ -50,9 +50,8 @@ class Worker:
         """Start one that does jobs by the function MODULE:FUNCTION, which it loads meanwhile."""
         ours, theirs = Pipe()
         process = subprocess.Popen(
-            [sys.executable, "-c", PROGRAM, str(theirs.fileno()), place], pass_fds=[theirs.fileno()],
-            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
-            env={**os.environ, **environment, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+            python(PROGRAM, str(theirs.fileno()), place), pass_fds=[theirs.fileno()],
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, env={**os.environ, **environment},
         )  # fmt: skip
         theirs.close()
         return Worker(process, ours, environment=environment)

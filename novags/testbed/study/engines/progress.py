@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from rich.console import Console as RichConsole
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from novags.testbed.console import Console
+from novags.testbed.console import Console, shown
 
 PLAIN_INTERVAL = 15.0  # s between two plain lines
 At = tuple[str, int, int, str]  # stage, steps done, steps in all, what
@@ -30,14 +30,14 @@ class StudyProgress:
             self.all = self.bars.add_task("runs", total=runs, what="")
 
     def _bars(self) -> Progress:
-        columns = (TextColumn("{task.description:<44.44}"), BarColumn(bar_width=24), MofNCompleteColumn())
+        columns = (TextColumn("{task.description:<44.44}", markup=False), BarColumn(bar_width=24), MofNCompleteColumn())
         shown = RichConsole(file=self.console.stream, highlight=False, soft_wrap=True)
         return Progress(*columns, TimeElapsedColumn(), TextColumn("{task.fields[what]}", markup=False), console=shown)
 
     def note(self, text: str) -> None:
         """Print a line."""
         if self.bars is not None:
-            self.bars.console.print(text, markup=False)
+            self.bars.console.print(shown(text), markup=False)
         else:
             self.console.note(text)
 
@@ -65,8 +65,8 @@ class StudyProgress:
             self.bars.remove_task(self.lines.pop(key))
         for key, (name, (stage, k, n, at)) in under_way.items():
             if key not in self.lines:
-                self.lines[key] = self.bars.add_task(f"  {name}", total=None, what="")
-            self.bars.update(self.lines[key], completed=k, total=n or None, what=f"{stage} {at}")
+                self.lines[key] = self.bars.add_task(f"  {shown(name)}", total=None, what="")
+            self.bars.update(self.lines[key], completed=k, total=n or None, what=shown(f"{stage} {at}"))
 
     def close(self) -> None:
         """Leave the terminal as it was."""

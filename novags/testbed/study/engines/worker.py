@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from novags.testbed.console import Console, Update
+from sensor_model.files.door import descriptor_of_our_own
 from sensor_model.files.reading import brief
 
 BETWEEN = 0.5  # s between two reports of progress
@@ -169,8 +170,9 @@ def _log_to(path: Path) -> None:
     sys.stdout.flush()
     sys.stderr.flush()
     path.parent.mkdir(parents=True, exist_ok=True)
-    log = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o666)
+    log = descriptor_of_our_own(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
     os.dup2(log, 1)
     os.dup2(log, 2)
     os.close(log)
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr] # who reads it must not wait for the next task
     faulthandler.enable(sys.__stderr__)  # type: ignore[arg-type]

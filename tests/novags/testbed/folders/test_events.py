@@ -5,9 +5,12 @@ import os
 import signal
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from novags.testbed.folders.events import EventLog
+from novags.testbed.folders.run import Run
+from simscenes.sets.pictures.exr import write_exr
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 
@@ -71,3 +74,54 @@ def test_a_run_without_steps_has_an_empty_log(tmp_path: Path) -> None:
     with EventLog(tmp_path / "events.jsonl"):
         pass
     assert (tmp_path / "events.jsonl").read_text() == ""
+
+
+@pytest.mark.parametrize(
+    ("line", "said"),
+    [
+        ('{"step": 2, "photometric": 0.5}', "iteration must be there"),
+        ('{"iteration": -1, "photometric": 0.5}', "iteration must be >= 0, got -1"),
+        ('{"iteration": 1, "photometric": 1e308}', r"photometric must be <= 3.4e\+38, got 1e\+308"),
+        ('{"iteration": 1, "photometric": [0.5]}', "photometric must be"),
+        ('{"iteration": 1, "photometric": NaN}', "NaN"),
+        ('{"iteration": 1' + "0" * 400 + ', "photometric": 1}', "400|401"),
+        ("[" * 100_000, "nested"),
+        ("[]", "must be an object"),
+        ("{", "not valid JSON"),
+    ],
+)
+def test_a_damaged_line_is_named_with_what_is_wrong_in_it(tmp_path: Path, line: str, said: str) -> None:
+    good = '{"iteration": 1, "photometric": "inf"}'
+    (tmp_path / "events.jsonl").write_text(f"{good}\n{line}\n")
+    with pytest.raises(ValueError, match=said) as error:
+        Run(tmp_path, {}).events()
+    assert str(error.value).startswith(f"{tmp_path}/events.jsonl, line 2")
+    assert len(str(error.value)) < 400 + len(str(tmp_path))
+
+
+def test_a_log_that_is_a_link_or_not_utf8_is_refused_by_name(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "victim").write_text(lines(1))
+    (tmp_path / "events.jsonl").symlink_to(tmp_path / "victim")
+    log = EventLog(tmp_path / "events.jsonl")
+    monkeypatch.setattr(log, "_keep", lambda before: None)  # which puts a file in the place of the link
+    with pytest.raises(ValueError, match=r"events\.jsonl is not a file that novags made"):
+        add(log, 2)
+    assert (tmp_path / "victim").read_text() == lines(1)
+    (tmp_path / "events.jsonl").unlink()
+    (tmp_path / "events.jsonl").write_bytes(b"\xff\xfe")
+    with pytest.raises(ValueError, match=r"events\.jsonl is missing or damaged .*UTF-8"):
+        Run(tmp_path, {}).events()
+
+
+def test_a_run_that_renders_what_is_no_light_is_refused_with_the_name_of_the_picture(tmp_path: Path) -> None:
+    plane = np.full((2, 3), 0.5, np.float32)
+    for wrong in (np.nan, np.inf, -np.inf, 1e38):
+        for channel in ("R", "Z", "alpha"):
+            planes = {name: plane.copy() for name in ("R", "G", "B", "Z", "alpha")}
+            planes[channel][1, 2] = wrong
+            write_exr(tmp_path / "exr" / "0001.exr", planes)
+            with pytest.raises(ValueError, match=rf"0001\.exr is damaged: 1 pixels of its channel {channel} are not"):
+                (Run(tmp_path, {}).rendering if channel == "R" else Run(tmp_path, {}).depth)("0001")
+    write_exr(tmp_path / "exr" / "0001.exr", {"R": plane, "G": plane})
+    with pytest.raises(ValueError, match=r"0001\.exr has no channel B: reconstruct again"):
+        Run(tmp_path, {}).rendering("0001")

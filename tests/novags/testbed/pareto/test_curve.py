@@ -98,6 +98,23 @@ def test_a_damaged_line_is_refused_with_its_place(made: Any, tmp_path: Path, dam
         read_curves(path)
 
 
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"\xff\xfe\n", "curves.jsonl is not UTF-8"),
+        (b"[" * 100_000, "curves.jsonl, line 1.*nested"),
+        (b'{"seconds": 1' + b"0" * 400 + b"}", "curves.jsonl, line 1.*whole numbers"),
+        (b'{"seconds": 1, "seconds": 2}', "curves.jsonl, line 1.*twice"),
+        (b'{"seconds": NaN}', "curves.jsonl, line 1.*NaN"),
+    ],
+)
+def test_a_file_of_curves_that_cannot_be_read_is_named(tmp_path: Path, content: bytes, said: str) -> None:
+    (tmp_path / "curves.jsonl").write_bytes(content)
+    with pytest.raises(ValueError, match=said) as error:
+        read_curves(tmp_path)
+    assert len(str(error.value)) < 400 + len(str(tmp_path))
+
+
 def test_no_curves_is_one_line_that_says_how_to_get_them(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="novags pareto makes them"):
         read_curves(tmp_path)

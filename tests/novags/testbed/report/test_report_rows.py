@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from novags.methods import METHODS, chosen
-from novags.testbed.cache import jsonable
+from novags.testbed.contents import jsonable
 from novags.testbed.folders.run import Run
 from novags.testbed.report import verdict
 from novags.testbed.report.rows import Deviation, deviations, distinct, enhancement_of, main_row, rows_of

@@ -15,8 +15,8 @@ from novags.methods.denoised.measured import of_capture
 from novags.methods.denoised.recorrupted import AdaptConfig
 from novags.methods.problem import LacksInput
 from novags.testbed import stages
-from novags.testbed.cache import read_json
 from novags.testbed.console import Console
+from novags.testbed.contents import read_json
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.stages.capturing import CaptureConfig

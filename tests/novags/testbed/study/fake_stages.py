@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from novags.testbed import cache
+from novags.testbed import cache, contents
 from novags.testbed.console import Console
 from novags.testbed.study.entry import Order, Step, Task, ensure
 from sensor_model.files.atomic import write_text
@@ -34,7 +34,7 @@ def write(order: Order, console: Console) -> None:
     config: Made = order.task.config
     source = "" if order.source is None else "".join(piece(order.source, k).read_text() for k in range(PIECES))
     cache.run_stage(
-        "write", order.folder, "made.json", inputs={"source": cache.digest(source)}, config={"text": config.text},
+        "write", order.folder, "made.json", inputs={"source": contents.digest(source)}, config={"text": config.text},
         owns=("made.json", *(f"{k}.txt" for k in range(PIECES))), prepare=lambda: None, console=console,
         work=lambda _: write_pieces(order, source, console),
     )  # fmt: skip

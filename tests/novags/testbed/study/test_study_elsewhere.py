@@ -2,6 +2,8 @@
 
 import itertools
 import os
+import shutil
+import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
@@ -36,7 +38,9 @@ def tasks(fake: ModuleType) -> list[Any]:
 
 
 @pytest.fixture
-def make(fake: ModuleType, tasks: list[Any], tmp_path: Path) -> Callable[..., dict[str, Any]]:
+def make(
+    fake: ModuleType, tasks: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., dict[str, Any]]:
     """Make `b`, or find it, on a node with a disk of its own."""
 
     def on(disk: str, url: str, chain: Any = None) -> dict[str, Any]:
@@ -44,11 +48,16 @@ def make(fake: ModuleType, tasks: list[Any], tmp_path: Path) -> Callable[..., di
         away = Away(chain, (1,) * len(chain), version(), url, str(tmp_path / disk), "fake_stages:make")
         return elsewhere.make(away, QUIET)
 
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     return on
 
 
+def scratch(tmp_path: Path, disk: str) -> Path:
+    return elsewhere.scratch_folder(tmp_path / disk)
+
+
 def count(tmp_path: Path, disk: str, key: str) -> int:
-    path = tmp_path / disk / "run" / f".{key}.count"
+    path = scratch(tmp_path, disk) / "run" / f".{key}.count"
     return len(path.read_text()) if path.exists() else 0
 
 
@@ -67,13 +76,13 @@ def test_a_node_fetches_what_another_made_and_the_store_is_laid_out_as_on_a_disk
 ) -> None:
     first = make("one", url)
     assert (first["made"], count(tmp_path, "one", "a"), count(tmp_path, "one", "b")) == (True, 1, 1)
-    folder = tmp_path / "one" / "run"
+    folder = scratch(tmp_path, "one") / "run"
     local = {f"/run/{p.relative_to(folder).as_posix()}": p.read_bytes() for p in folder.rglob("*") if p.is_file()}
     assert files(url) == {name: content for name, content in local.items() if not name.endswith((".count", ".process"))}
     second = make("two", url)
     assert (second["made"], second["content"]) == (False, first["content"])
     assert count(tmp_path, "two", "a") + count(tmp_path, "two", "b") == 0
-    assert (tmp_path / "two" / "run" / "b" / "2.txt").read_text() == "b2(a0()a1()a2()a3())"
+    assert (scratch(tmp_path, "two") / "run" / "b" / "2.txt").read_text() == "b2(a0()a1()a2()a3())"
 
 
 @pytest.mark.parametrize("harm", ["changed", "gone", "seal cut", "seal of another", "seal gone", "path"])
@@ -109,7 +118,7 @@ def test_what_a_killed_node_has_half_fetched_is_not_believed(
 ) -> None:
     make("one", url)
     whole = files(url)
-    half = tmp_path / "two" / "run" / "a"
+    half = scratch(tmp_path, "two") / "run" / "a"
     half.mkdir(parents=True)
     (half / FETCHED).write_bytes(whole[f"/run/a/{SEAL}"])
     (half / "made.json").write_bytes(whole["/run/a/made.json"])  # a record that says that all is there
@@ -213,3 +222,38 @@ def test_needs_that_mean_nothing_are_refused(text: str, said: str) -> None:
     with pytest.raises(ValueError, match="needs: ") as error:
         read_needs([text])
     assert said in str(error.value)
+
+
+def test_a_forged_entry_under_a_name_that_anybody_knows_is_not_believed(
+    make: Callable[..., dict[str, Any]], tasks: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rationale: the folder in the place for temporary files was called the same for everybody, and its seals believed."""
+    make("one", f"memory://store{next(counter)}")
+    forged = tmp_path / "tmp" / "novags-scratch"
+    shutil.copytree(scratch(tmp_path, "one"), forged)
+    monkeypatch.setattr(tempfile, "tempdir", str(forged.parent))
+    away = Away(tuple(tasks), (1, 1), version(), f"memory://store{next(counter)}", None, "fake_stages:make")
+    assert elsewhere.make(away, QUIET)["made"]
+    (own,) = [folder for folder in forged.parent.iterdir() if folder != forged]
+    assert own.name.startswith("novags-scratch-")
+    assert own.stat().st_mode & 0o777 == 0o700
+    assert not elsewhere.make(away, QUIET)["made"]  # what this user made is kept
+
+
+@pytest.mark.usefixtures("make")
+def test_a_scratch_folder_that_another_has_made_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    folder = scratch(tmp_path, "one")
+    folder.rmdir()
+    (tmp_path / "theirs").mkdir()
+    folder.symlink_to(tmp_path / "theirs")
+    with pytest.raises(OSError, match=f"{folder} is a link, .*: give --scratch DIR, .*, or remove .*/scratch/name"):
+        scratch(tmp_path, "one")
+    assert list((tmp_path / "theirs").iterdir()) == []
+
+
+@pytest.mark.usefixtures("make")
+def test_the_name_of_the_scratch_folder_leads_nowhere_else(tmp_path: Path) -> None:
+    scratch(tmp_path, "one")
+    (tmp_path / "cache" / "novags" / "scratch" / "name").write_text("../../theirs")
+    with pytest.raises(OSError, match="does not hold the name of a scratch folder: remove it"):
+        scratch(tmp_path, "one")

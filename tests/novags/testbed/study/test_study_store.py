@@ -8,8 +8,8 @@ from typing import Any
 
 import pytest
 
-from novags.testbed.cache import write_json
 from novags.testbed.console import Console
+from novags.testbed.contents import write_json
 from novags.testbed.study.conduct import FAILURES, STUDY, read_failures
 from novags.testbed.study.entry import Order
 from novags.testbed.study.grid import read_study

@@ -49,7 +49,7 @@ def test_without_viser_one_line_says_how_to_install_it(
     [
         ((".",), "neither a run"),
         ((), "name at least one folder of a run"),
-        (("first", "--port", "70000"), "port must be in 1..65535, got 70000"),
+        (("first", "--port", "70000"), "port must be <= 65535, got 70000"),
         (("first", "--sensor", "kodak"), "unknown sensor 'kodak'"),
         (("first", "--host", "203.0.113.7"), "203.0.113.7"),
     ],

@@ -1,0 +1,188 @@
+"""What things hold: values as canonical JSON, and hashes of values, files and folders."""
+
+import hashlib
+import json
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, is_dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from novags.testbed.results.difference import listed
+from sensor_model.files.atomic import write_text
+from sensor_model.files.door import opened, resolved
+from sensor_model.files.records import read_json as read_any
+from sensor_model.files.records import read_record
+
+UNFINISHED = "unfinished.json"  # while a stage is under way: part of nothing
+# Entries of a record that say what it cost, not what it is.
+VOLATILE = ("stage", "seconds", "predicted_seconds", "peak_bytes", "versions")
+
+
+def jsonable(value: Any) -> Any:
+    """Plain JSON types for dataclasses, paths, numpy numbers and containers; infinities and NaN become strings.
+
+    Raises:
+        TypeError: For a type that has no obvious JSON form.
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        return jsonable(asdict(value))
+    if isinstance(value, Mapping):
+        return {str(k): jsonable(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [jsonable(v) for v in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return jsonable(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return repr(value)  # strict JSON has no inf or nan, and browsers and jq refuse them
+    if isinstance(value, Path):
+        return str(value)
+    if value is None or isinstance(value, str | int | float | bool):
+        return value
+    raise TypeError(f"{type(value).__name__} has no JSON form: {value!r}")
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write `jsonable(value)` atomically, indented so that people can read and compare it."""
+    write_text(path, json.dumps(jsonable(value), indent=1, allow_nan=False) + "\n")
+
+
+def read_json(path: Path, shape: Any = dict) -> dict[str, Any]:
+    """Read a JSON object of a shape (see `sensor_model.files.records`).
+
+    Raises:
+        ValueError: If the file is missing, unreadable, not JSON, or of another shape.
+    """
+    value: dict[str, Any] = read_record(path, shape, "remove it and run the stage that makes it again")
+    return value
+
+
+def digest(value: Any) -> str:
+    """Hash of a value's canonical JSON: equal configurations hash equally whatever their key order."""
+    text = json.dumps(jsonable(value), sort_keys=True, separators=(",", ":"), allow_nan=False)
+    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+
+
+def folder_digest(folder: Path, names: Sequence[str] | None = None, *, beside: Mapping[str, Path] | None = None) -> str:
+    """Hash of every file's relative name and content; hidden files are left out, unless they are named.
+
+    Of a record, costs and versions are left out as well: repeated work with the same outcome does not make the
+    stages after it stale.
+
+    Args:
+        folder: Where to look.
+        names: The entries of `folder` that count, where they exist; None: all of them.
+        beside: Further files by any name, wherever they are.
+
+    Raises:
+        ValueError: If `folder` is not a folder.
+    """
+    if not folder.is_dir():
+        raise ValueError(f"{folder} is not a folder")
+    total = hashlib.blake2b(digest_size=16)
+    for name, path in sorted({**shown(folder, names), **(beside or {})}.items()):
+        total.update(f"{name}\0".encode())
+        total.update(_content_digest(path))
+    return total.hexdigest()
+
+
+def shown(folder: Path, names: Sequence[str] | None) -> dict[str, Path]:
+    """The files of a folder that are not hidden, by relative name."""
+    roots = [folder] if names is None else [folder / name for name in names]
+    found = {path for root in roots for path in (root, *root.rglob("*")) if path.is_file()}
+    named = {path.relative_to(folder).as_posix(): path for path in found}
+    return {n: p for n, p in named.items() if n != UNFINISHED and not any(part[0] == "." for part in n.split("/"))}
+
+
+def damaged(folder: Path, stage: Mapping[str, Any]) -> str:
+    """Which files of a finished stage are not as it wrote them, in words; "" if all are. Later files do not count.
+
+    Args:
+        folder: Of the stage.
+        stage: The entry "stage" of its record; before there were checksums, it held none.
+    """
+    wrong = [name for name, known in stage.get("files", {}).items() if not _is(folder / name, known)]
+    return f"{listed(wrong)} not as written (checksum)" if wrong else ""
+
+
+def refuse_damage(folder: Path, record: Mapping[str, Any], remedy: str, names: Sequence[str] | None = None) -> None:
+    """Refuse a finished result whose files are not as its stage wrote them: exchanged, edited or damaged ones.
+
+    Args:
+        folder: Of the stage.
+        record: What the stage wrote last.
+        remedy: What the user can do beside putting back what was there.
+        names: The files that are to be looked at; None: all.
+
+    Raises:
+        ValueError: Naming them.
+    """
+    stage = record.get("stage") or {}
+    files = {name: known for name, known in stage.get("files", {}).items() if names is None or name in names}
+    if wrong := damaged(folder, {"files": files}):
+        raise ValueError(f"{folder}: {wrong}; put back what was there, or {remedy}")
+
+
+def _is(path: Path, known: str) -> bool:
+    try:
+        return checksum(path) == known
+    except (OSError, ValueError):  # missing, not a regular file, or not to be read
+        return False
+
+
+def checksum(path: Path) -> str:
+    """What records hold of a file: a hash of its content, without costs and versions where it is a record."""
+    return shortened(_content_digest(path))
+
+
+def shortened(content: bytes) -> str:
+    """The checksum of a file from its whole digest."""
+    return hashlib.blake2b(content, digest_size=16).hexdigest()
+
+
+# Hashes of files seen before: every method reads the same inputs.
+_CONTENTS: dict[tuple[Path, int, int, int, int], bytes] = {}
+SETTLED = 2_000_000_000  # ns; a file changed more recently may change again without its time stamp showing it
+
+
+def _content_digest(path: Path) -> bytes:
+    path = resolved(path)
+    stat = path.stat()
+    # A clock set back, or a copy that keeps its time stamp, can repeat the time of modification; hardly that of change.
+    key = (path, stat.st_ino, stat.st_mtime_ns, stat.st_ctime_ns, stat.st_size)
+    if key in _CONTENTS:
+        return _CONTENTS[key]
+    content = read_digest(path)
+    if time.time_ns() - stat.st_mtime_ns > SETTLED:
+        _CONTENTS[key] = content
+    return content
+
+
+def read_digest(path: Path) -> bytes:
+    """The whole digest of a file, from the disk whatever was seen before."""
+    if path.suffix == ".json" and (record := _record(path)) is not None:
+        return digest(_lasting(record)).encode()
+    content = hashlib.blake2b()
+    with opened(path) as file:
+        while chunk := file.read(1 << 20):
+            content.update(chunk)
+    return content.digest()
+
+
+def _record(path: Path) -> dict[str, Any] | None:
+    """The record of a stage, or None for any other JSON file."""
+    try:
+        value = read_any(path)
+    except ValueError:
+        return None
+    return value if isinstance(value, dict) and "stage" in value else None
+
+
+def _lasting(value: Any) -> Any:
+    """The value without what it cost, at any depth."""
+    if isinstance(value, dict):
+        return {name: _lasting(part) for name, part in value.items() if name not in VOLATILE}
+    return [_lasting(part) for part in value] if isinstance(value, list) else value

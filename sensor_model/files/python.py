@@ -1,0 +1,42 @@
+"""Python processes of our own: what they can import is what this one can, without the folder that it was started in.
+
+That folder is often a stranger's, and a file in it that is called `torch.py` or `signal.py` would run.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+
+INTERPRETER = sys.executable
+ROOT = str(Path(__file__).resolve().parents[2])  # where the three packages lie
+
+
+def python(program: str, *arguments: str) -> list[str]:
+    """The command that runs a program in a Python of its own.
+
+    Args:
+        program: Its text; `sys.argv[1:]` are its arguments.
+        arguments: What it is given.
+    """
+    # -I: neither the working directory nor an entry of PYTHONPATH decides what is imported, while Python starts either,
+    # and in the processes that this one starts in its turn. Python 3.10 has no -P, which does half of that. The other
+    # variables of Python are unknown to it too: of these, how names of files are read must be the same on both sides.
+    kept = ["-X", f"utf8={sys.flags.utf8_mode}", *(["-B"] if sys.dont_write_bytecode else [])]
+    program = f"import sys; sys.path[:] = {import_path()!r}\n{program}"
+    return [INTERPRETER, "-I", *kept, "-c", program, *arguments]
+
+
+def import_path() -> list[str]:
+    """`sys.path` of this process without the working directory, by whatever name it stands there."""
+    here = os.stat(os.curdir)
+    return list(dict.fromkeys([*(folder for folder in sys.path if not _is(folder, here)), ROOT]))
+
+
+def _is(folder: str, here: os.stat_result) -> bool:
+    """Whether an entry is the working directory, or could be wherever a process goes."""
+    try:
+        return not os.path.isabs(folder) or os.path.samestat(os.stat(folder), here)
+    except OSError:  # it does not exist, as the archive of the standard library mostly does not
+        return False

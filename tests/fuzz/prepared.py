@@ -1,0 +1,71 @@
+"""The valid folder of a reader, and its cases; a folder that is not read without any error stops the run."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from tests.fuzz.case import Cases, Reader
+from tests.fuzz.digest import digest
+from tests.fuzz.engine import run
+from tests.fuzz.inside import Reading
+from tests.fuzz.judge import Finding
+
+
+@contextmanager
+def made(reader: Reader, seed: int) -> Iterator[tuple[Cases, Path]]:
+    """The cases of a reader and its valid folder, in memory where that can be."""
+    with memory_folder() as temporary:
+        folder = temporary / reader.name
+        folder.mkdir()
+        reader.prepare()
+        in_child(lambda: reader.make(folder))
+        cases = Cases.of(reader, folder, seed)
+        problem = [found for name in cases.files if (found := _whole(cases, folder, name))]
+        if problem:
+            raise SystemExit(f"{reader.name}: the undamaged file is a finding: {problem[0]}")
+        yield cases, folder
+
+
+@contextmanager
+def memory_folder() -> Iterator[Path]:
+    """A temporary folder, in memory where that can be."""
+    place = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+    with tempfile.TemporaryDirectory(prefix="fuzz-", dir=place) as temporary:
+        yield Path(temporary).resolve()
+
+
+def in_child(work: Callable[[], object]) -> None:
+    """Writers start threads, which no later fork may inherit."""
+    pid = os.fork()
+    if pid == 0:
+        try:
+            work()
+            os._exit(0)
+        except BaseException:
+            sys.excepthook(*sys.exc_info())
+            os._exit(1)
+    if os.waitpid(pid, 0)[1]:
+        raise SystemExit("the valid files could not be written, see above")
+
+
+def _whole(cases: Cases, folder: Path, name: str) -> Finding | None:
+    """What reading the undamaged file does wrong: it must be read without any error, and twice alike."""
+    read = cases.reader.read
+    intact = replace(cases.reader, read=lambda folder, path: _must_read(read, folder, path))
+    whole = Cases(intact, cases.files, cases.seed, [(name, cases.files[name])], [], cases.tree)
+    return next(run(Reading(whole), [0], folder), None)
+
+
+def _must_read(read: Callable[[Path, Path], object], folder: Path, path: Path) -> None:
+    try:
+        first, second = digest(read(folder, path)), digest(read(folder, path))
+    except (ValueError, OSError) as error:
+        raise RuntimeError(f"refused: {error}") from error
+    if first != second:
+        raise RuntimeError("two readings differ")
