@@ -1,11 +1,11 @@
 """`novags run`: a whole comparison."""
 
+import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from novags.commands.shared import announce, cameras_of, command_line, say, variants_of, writing
 from novags.options import Define, Device, PresetName, Repeated
-from sensor_model.files.door import resolved
 
 if TYPE_CHECKING:
     from novags.testbed.presets import Preset
@@ -140,7 +140,7 @@ def _default_name(preset: str, source: str | None, level: str | None, electrons:
 
     parts = [preset]
     if source is not None:
-        path = resolved(Path(source))
+        path = Path(os.path.realpath(source))
         parts.append(safe_name(path.name if path.is_dir() else path.stem))  # a folder's name has no suffix
     parts += [] if level is None else [level]
     return "-".join([*parts, *([] if electrons is None else [f"{electrons:g}e"])])

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import tyro
 
+from novags.commands.shared import say
 from novags.options import Listed
 
 

@@ -1,5 +1,6 @@
 """The commands about what is there: score, report, characterise."""
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -7,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Literal
 from novags.commands import shared
 from novags.commands.shared import announce, next_, say, typed, writing
 from novags.options import Folder, Folders
-from sensor_model.files.door import resolved
 
 _Reference = Literal["lit", "linear", "clean", "linear_demosaiced", "clean_demosaiced"]
 
@@ -167,7 +167,7 @@ def characterise(folder: Folder, *, out: Path, window: int = 1024, overwrite: bo
     check_range("window", window, 2, SIDE, " px")
     with writing(out.parent, wait, name=f".{out.name}.lock"):
         sensor, found = characterise_folder(folder, window=window)
-        comment = f"measured from {resolved(folder).name}; what the frames say:\n{found}"
+        comment = f"measured from {os.path.basename(os.path.realpath(folder))}; what the frames say:\n{found}"
         write_sensor(out, sensor, comment=comment, overwrite=overwrite)
     say(f"{found}\n{out}")
     next_(f"novags capture SET --sensor {typed(out)} --electrons 20 --out CAPTURE")

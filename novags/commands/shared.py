@@ -8,8 +8,6 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
 
-from sensor_model.files.door import resolved
-
 if TYPE_CHECKING:  # heavy: torch and its friends load when a command runs, so that --help answers at once
     from novags.methods.variant import Variant
     from novags.testbed.console import Console
@@ -85,6 +83,6 @@ def command_line(folder: Path) -> str:
 
 def announce(path: Path) -> None:
     """Say where a report is."""
-    say(f"report: {resolved(path)}")
-    say(f"open it in a browser: {resolved(path).as_uri()}")
+    say(f"report: {path.resolve()}")
+    say(f"open it in a browser: {path.resolve().as_uri()}")
     next_("novags run --scene cornell, or novags list for what else is available")

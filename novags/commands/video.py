@@ -1,10 +1,10 @@
 """The command that films a flight through a reconstruction."""
 
+import os
 from pathlib import Path
 
 from novags.commands.shared import next_, say, typed, writing
 from novags.options import Folder
-from sensor_model.files.door import resolved
 
 
 def video(
@@ -30,7 +30,7 @@ def video(
     from sensor_model.files.atomic import sweep_file
 
     check_length(seconds, fps)
-    opened, place = open_run(run), resolved(run)
+    opened, place = open_run(run), Path(os.path.realpath(run))
     path = out or place.with_name(f"{place.name}.mp4")  # not with_suffix: a name may hold a dot, as sh0.5 does
     keep_apart(path, run)
     with writing(path.parent, wait, name=f".{path.name}.lock") as console:

@@ -3,6 +3,7 @@
 import hashlib
 import json
 import math
+import os
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass
@@ -13,7 +14,7 @@ import numpy as np
 
 from novags.testbed.results.difference import listed
 from sensor_model.files.atomic import write_text
-from sensor_model.files.door import opened, resolved
+from sensor_model.files.door import opened
 from sensor_model.files.records import read_json as read_any
 from sensor_model.files.records import read_record
 
@@ -143,20 +144,19 @@ def shortened(content: bytes) -> str:
     return hashlib.blake2b(content, digest_size=16).hexdigest()
 
 
-# Hashes of files seen before: every method reads the same inputs.
-_CONTENTS: dict[tuple[Path, int, int, int, int], bytes] = {}
+# Hashes of files seen before: every method reads the same inputs. By device, inode, times, size and suffix.
+_CONTENTS: dict[tuple[int, int, int, int, int, str], bytes] = {}
 SETTLED = 2_000_000_000  # ns; a file changed more recently may change again without its time stamp showing it
 
 
 def _content_digest(path: Path) -> bytes:
-    path = resolved(path)
-    stat = path.stat()
+    stat = os.stat(path)
     # A clock set back, or a copy that keeps its time stamp, can repeat the time of modification; hardly that of change.
-    key = (path, stat.st_ino, stat.st_mtime_ns, stat.st_ctime_ns, stat.st_size)
+    key = (stat.st_dev, stat.st_ino, stat.st_mtime_ns, stat.st_ctime_ns, stat.st_size, path.suffix)
     if key in _CONTENTS:
         return _CONTENTS[key]
     content = read_digest(path)
-    if time.time_ns() - stat.st_mtime_ns > SETTLED:
+    if time.time_ns() - max(stat.st_mtime_ns, stat.st_ctime_ns) > SETTLED:
         _CONTENTS[key] = content
     return content
 

@@ -77,10 +77,10 @@ def write_sensor(path: str | os.PathLike[str], sensor: Sensor, *, comment: str =
 
 def _values(kind: type, data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     known = {field.name: field for field in fields(kind)}
-    for key in data:
+    for key in sorted(data.keys() - known.keys(), key=str):
         near = get_close_matches(key, known, n=1)
         hint = f"did you mean {near[0]!r}?" if near else f"known are {', '.join(known)}"
-        require(key in known, "key", "a camera parameter", prefix + key, hint)
+        require(False, "key", "a camera parameter", prefix + key, hint)
     missing = [name for name, f in known.items() if f.default is f.default_factory and name not in data]
     require(not missing, "camera", f"complete: {', '.join(prefix + m for m in missing)} missing", sorted(data))
     return {key: _value(key, value, prefix) for key, value in data.items()}

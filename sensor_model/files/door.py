@@ -92,7 +92,7 @@ def check_links(path: AnyPath) -> None:
 def _target(path: AnyPath) -> str:
     """The path without links, as `check_links`."""
     absolute = _absolute(path)
-    target = os.path.realpath(absolute)
+    target = os.path.realpath(path)  # not of `absolute`, where ".." behind a link has lost the link
     if os.path.islink(target):  # where realpath gives up
         raise ValueError(f"{path} is a link that leads to itself: remove it")
     if target == absolute or not _is_inside(absolute, _given):

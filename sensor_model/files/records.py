@@ -52,30 +52,43 @@ def read_record(path: Path, shape: Shape = dict, remedy: str = "correct it or pu
     return value
 
 
-def read_json(path: Path, remedy: str = "correct it or put the original back", most: int = TEXT) -> Any:
-    """The content of a JSON file of any shape; `most`: bytes that it may have. Errors as for `read_record`."""
+def read_json(
+    path: Path, remedy: str = "correct it or put the original back", *, most: int = TEXT, infinite: bool = False
+) -> Any:
+    """The content of a JSON file of any shape; errors as for `read_record`.
+
+    Args:
+        path: The file.
+        remedy: What the user can do about a file that cannot be read.
+        most: Bytes that it may have.
+        infinite: Let Infinity and NaN pass, as `parse_json`.
+    """
     try:
         text = read_text(path, most=most)
     except OSError as error:
         raise ValueError(f"cannot read {path}: {error.strerror or error}") from error
-    return parse_json(text, f"{path}", remedy)
+    return parse_json(text, f"{path}", remedy, infinite=infinite)
 
 
-def parse_json(text: str, where: str, remedy: str = "correct it or put the original back") -> Any:
+def parse_json(
+    text: str, where: str, remedy: str = "correct it or put the original back", *, infinite: bool = False
+) -> Any:
     """A value from JSON text, with what readers go wrong on refused: see `DEPTH`, `WHOLE`; NaN, infinity, equal keys.
 
     Args:
         text: The JSON.
         where: The file, or the place in it, for messages.
         remedy: What the user can do.
+        infinite: Let Infinity and NaN pass, which are not JSON: for files of programs that are known to write them.
 
     Raises:
         ValueError: If it is not JSON, or one of these is in it; names `where`.
     """
     with reading(where, remedy):
         try:
+            constant = float if infinite else _no_constant
             value = json.loads(
-                text, parse_int=_whole, parse_float=_finite, parse_constant=_no_constant, object_pairs_hook=_unique
+                text, parse_int=_whole, parse_float=_finite, parse_constant=constant, object_pairs_hook=_unique
             )
         except json.JSONDecodeError as error:
             raise ValueError(f"{where} is not valid JSON ({error}); {remedy}") from error
@@ -111,7 +124,7 @@ def _finite(digits: str) -> float:
     return value
 
 
-def _no_constant(name: str) -> None:
+def _no_constant(name: str) -> Any:
     raise ValueError(f"numbers must be finite, got {name}")
 
 

@@ -16,7 +16,6 @@ from sensor_model.files.door import VARIABLE, allow
 from tests.fuzz.tree import remove
 
 TERABYTE = 1 << 40
-INSIDE = ".elsewhere"  # hidden: readers of pictures must not find one more in it
 DEVICES = {"zero": (1, 5), "null": (1, 3), "tty": (5, 0), "random": (1, 9)}
 
 # What a reader may do with each. "same": it gives the result of the valid folder. "refused": it refuses, or goes on
@@ -48,14 +47,17 @@ def standing(kind: str, root: Path, name: str, outside: Path) -> Iterator[None]:
     finally:
         os.environ.pop(VARIABLE, None) if allowed is None else os.environ.__setitem__(VARIABLE, allowed)
         remove(victim)
-        remove(victim.parent / INSIDE)
+        remove(hidden(victim))
         victim.parent.mkdir(parents=True, exist_ok=True)  # whoever read it may have removed more
         aside.rename(victim)
 
 
-def replace(kind: str, root: Path, name: str, outside: Path) -> tuple[Path, Path]:
-    """Put it there for good; what was replaced, and where that lies now. Arguments as for `standing`."""
-    victim = root / (Path(name).parts[0] if kind in OF_FOLDERS else name)
+def replace(kind: str, root: Path, name: str, outside: Path, level: int = 1) -> tuple[Path, Path]:
+    """Put it there for good; what was replaced, and where that lies now.
+
+    Arguments as for `standing`; `level`: which of the folders that hold the file it is that is replaced.
+    """
+    victim = root.joinpath(*Path(name).parts[:level]) if kind in OF_FOLDERS else root / name
     aside = outside / "aside" / victim.name
     aside.parent.mkdir(parents=True, exist_ok=True)
     remove(aside)
@@ -64,9 +66,9 @@ def replace(kind: str, root: Path, name: str, outside: Path) -> tuple[Path, Path
     return victim, aside
 
 
-def fitting(kind: str, name: str) -> str:
-    """The kind itself, or what comes nearest where the file lies in no folder."""
-    if kind in OF_FOLDERS and "/" not in name:
+def fitting(kind: str, name: str, level: int = 1) -> str:
+    """The kind itself, or what comes nearest where the file does not lie in so many folders."""
+    if kind in OF_FOLDERS and name.count("/") < level:
         return {"folder linked outside": "link outside"}.get(kind, "folder for file")
     return kind
 
@@ -81,6 +83,11 @@ def put(kind: str, path: Path, aside: Path, root: Path, outside: Path) -> None:
     _PUT[kind](path, aside, root, outside)
 
 
+def hidden(path: Path) -> Path:
+    """Where a link inside leads: beside it, for what a file names by relative paths; pictures must not become more."""
+    return path.with_name(f".linked-{path.name}")
+
+
 def device(name: str, outside: Path) -> Path:
     """A device of our own where we may make one: nobody is to lose /dev/null by what is tried here."""
     own = outside / f"device-{name}"
@@ -93,10 +100,9 @@ def device(name: str, outside: Path) -> Path:
 
 
 def _inside(path: Path, aside: Path, root: Path, outside: Path) -> None:
-    target = path.parent / INSIDE / path.name
-    target.parent.mkdir(exist_ok=True)
+    target = hidden(path)
     target.write_bytes(aside.read_bytes())
-    path.symlink_to(os.path.relpath(target, path.parent))
+    path.symlink_to(target.name)
 
 
 def _loop(path: Path, aside: Path, root: Path, outside: Path) -> None:

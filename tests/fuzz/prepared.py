@@ -26,9 +26,8 @@ def made(reader: Reader, seed: int) -> Iterator[tuple[Cases, Path]]:
         reader.prepare()
         in_child(lambda: reader.make(folder))
         cases = Cases.of(reader, folder, seed)
-        problem = [found for name in cases.files if (found := _whole(cases, folder, name))]
-        if problem:
-            raise SystemExit(f"{reader.name}: the undamaged file is a finding: {problem[0]}")
+        if (problem := _whole(cases, folder)) is not None:
+            raise SystemExit(f"{reader.name}: the undamaged file is a finding: {problem}")
         yield cases, folder
 
 
@@ -54,18 +53,19 @@ def in_child(work: Callable[[], object]) -> None:
         raise SystemExit("the valid files could not be written, see above")
 
 
-def _whole(cases: Cases, folder: Path, name: str) -> Finding | None:
-    """What reading the undamaged file does wrong: it must be read without any error, and twice alike."""
-    read = cases.reader.read
-    intact = replace(cases.reader, read=lambda folder, path: _must_read(read, folder, path))
-    whole = Cases(intact, cases.files, cases.seed, [(name, cases.files[name])], [], cases.tree)
-    return next(run(Reading(whole), [0], folder), None)
+def _whole(cases: Cases, folder: Path) -> Finding | None:
+    """What reading the undamaged files does wrong: they must be read without any error, and twice alike."""
+    reader = cases.reader
+    intact = replace(reader, read=lambda folder, path: _must_read(reader, folder, path))
+    whole = Cases(intact, cases.files, cases.seed, list(cases.files.items()), [], cases.tree)
+    return next(run(Reading(whole), range(len(whole.whole)), folder), None)
 
 
-def _must_read(read: Callable[[Path, Path], object], folder: Path, path: Path) -> None:
+def _must_read(reader: Reader, folder: Path, path: Path) -> None:
+    compared = reader.placed or reader.odd
     try:
-        first, second = digest(read(folder, path)), digest(read(folder, path))
+        found = {digest(reader.read(folder, path)) for _ in range(2 if compared else 1)}
     except (ValueError, OSError) as error:
         raise RuntimeError(f"refused: {error}") from error
-    if first != second:
+    if len(found) > 1:
         raise RuntimeError("two readings differ")

@@ -174,7 +174,7 @@ def load(model_class: Any, checkpoint: Path, device: str | torch.device) -> Any:
     held = read_checkpoint(checkpoint)
     try:
         if checkpoint.suffix == ".safetensors":
-            weights, arguments = held, read_json(checkpoint.parent / "config.json")
+            weights, arguments = held, read_json(checkpoint.parent / "config.json", infinite=True)
         else:
             weights, arguments = held["model"], spelled_arguments(held["args"], model_class.__name__)
         if max(arguments["img_size"]) != SIZE:

@@ -69,18 +69,22 @@ def gather(folders: Sequence[Path]) -> dict[str, Run]:
     if not folders:
         raise ValueError("name at least one folder of a run, of an experiment, or of several of them")
     runs = [run for folder in folders for part in experiments_in(folder) for run in find_runs(part).values()]
-    runs = list({resolved(run.path): run for run in runs}.values())
-    count = Counter(run.name for run in runs)
+    places = {resolved(run.path): run for run in runs}
+    count = Counter(run.name for run in places.values())
+    # How many runs of a name lie in folders that end alike, by that end, the innermost folder first.
+    ends = Counter((run.name, end) for path, run in places.items() for end in _ends(path))
     named: dict[str, Run] = {}
-    for run in runs:
-        parents = [part for part in reversed(resolved(run.path).parent.parts) if part != run.path.anchor]
+    for path, run in places.items():
         name = run.name
         if count[run.name] > 1 or name in named:
             # Parent folders are added until no other run has that name.
-            alike = [resolved(other.path).parent.parts[::-1] for other in runs if other.name == run.name]
-            depth = next((d for d in range(1, len(parents) + 1)
-                          if sum(other[:d] == tuple(parents[:d]) for other in alike) == 1), None)  # fmt: skip
-            prefix = "/".join(reversed(parents[:depth])) if depth else run.path.name
-            name = f"{prefix}/{run.name}"
+            own = next((end for end in _ends(path) if ends[run.name, end] == 1), None)
+            name = f"{'/'.join(reversed(own)) if own else run.path.name}/{run.name}"
         named[name] = run
     return named
+
+
+def _ends(path: Path) -> list[tuple[str, ...]]:
+    """The folders above a path without its anchor, the innermost first: the first of them, the first two, ..."""
+    above = path.parent.parts[:0:-1]
+    return [above[:depth] for depth in range(1, len(above) + 1)]

@@ -40,7 +40,7 @@ class Deed:
 
     def without(self) -> Deed | None:
         """The same without the one file or folder that is a link outside; None where that is not all."""
-        if len(self.changes) != 1 or self.changes[0].rule != "refused":
+        if len(self.changes) != 1 or self.changes[0].rule != "refused" or self.changes[0].name in self.words:
             return None
         kind = "file for folder" if self.changes[0].kind in places.OF_FOLDERS else "missing"
         return Deed(self.words, (Case(self.changes[0].name, b"", kind),))
@@ -82,7 +82,9 @@ class Deeds:
         share, content = rng.random(), self.tree.files[name]
         kinds = [kind for kind in (*texts.SAME, *texts.OTHER) if texts.suits(kind, name)]
         if share < 0.45:
-            return Case(name, b"", places.fitting(rng.choice(sorted(places.RULE)), name))
+            kind = places.fitting(rng.choice(sorted(places.RULE)), name, _level(name, self.line.words))
+            foreign = "/" in name and not _given(name, self.line.words)  # a folder that another one's record names
+            return Case(name, b"", "missing" if foreign and places.RULE[kind] == "refused" else kind)
         if share < 0.75 and kinds:
             kind = rng.choice(kinds)
             return Case(name, texts.changed(kind, name, content, rng), kind)
@@ -107,6 +109,16 @@ class Deeds:
         return sorted({*self.written, *(f"{folder}/{name}" for folder in folders for name in OWN)})
 
 
+def _given(name: str, words: Sequence[str]) -> list[str]:
+    """The words that name a folder in which a file lies."""
+    return [word for word in words if word and name.startswith(f"{word}/")]
+
+
+def _level(name: str, words: Sequence[str]) -> int:
+    """The outermost folder of a file that the command line does not name: what that names may be a link."""
+    return 1 + max((word.count("/") + 1 for word in _given(name, words)), default=0)
+
+
 def apply(deed: Deed, tree: Tree, world: Path, beside: Path) -> None:
     """Make the project of a case; canaries lie beside it."""
     tree.restore(world)
@@ -118,7 +130,7 @@ def apply(deed: Deed, tree: Tree, world: Path, beside: Path) -> None:
         if not (world / case.name).is_file():
             continue  # an earlier change has taken its folder away
         if case.kind in places.RULE:
-            places.replace(case.kind, world, case.name, beside)
+            places.replace(case.kind, world, case.name, beside, _level(case.name, deed.words))
         else:
             (world / case.name).write_bytes(case.content)
     for name, kind in deed.outputs:

@@ -139,6 +139,17 @@ def test_links_on_the_way_to_what_was_given_are_the_users_own(folder: Path) -> N
     assert read_text(folder.parent / "latest" / "secret") == "secret"
 
 
+def test_the_folder_above_a_link_is_that_of_its_target(folder: Path) -> None:
+    (folder / "run").mkdir()
+    (folder.parent / "latest").symlink_to("inside/run")
+    enter(folder.parent / "latest")
+    assert resolved(folder.parent / "latest" / ".." / "own") == folder / "own"
+    assert read_text(folder.parent / "latest" / ".." / "own") == "own"
+    (folder / "link").symlink_to("../outside")
+    with pytest.raises(ValueError, match="--allow-links"):
+        read_text(folder / "link" / ".." / "outside" / "secret")
+
+
 def test_a_folder_behind_a_link_out_of_a_given_one_is_not_given_by_being_opened(folder: Path) -> None:
     (folder / "run").symlink_to("../outside")
     with pytest.raises(ValueError, match="--allow-links"):

@@ -44,3 +44,26 @@ def test_what_a_killed_process_left_is_removed_and_what_is_in_use_is_not(
     assert [path.name for path in tmp_path.iterdir()] == ["novags-test-new"]
     for end in (*ready, *go):
         os.close(end)
+
+
+def test_links_and_pipes_that_are_called_as_a_folder_left_behind_are_let_be(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rationale: to open a pipe waits for ever for somebody who writes to it."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "file").touch()
+    (tmp_path / "novags-test-link").symlink_to(tmp_path / "mine")
+    os.mkfifo(tmp_path / "novags-test-pipe")
+    for path in tmp_path.iterdir():
+        os.utime(path, (1e9, 1e9), follow_symlinks=False)
+    signal.signal(signal.SIGALRM, lambda *_: pytest.fail("it waits"))
+    signal.alarm(20)
+    try:
+        with scratch("test"):
+            pass
+    finally:
+        signal.alarm(0)
+        signal.signal(signal.SIGALRM, signal.SIG_DFL)
+    assert (tmp_path / "mine" / "file").exists()
+    assert (tmp_path / "novags-test-pipe").exists()

@@ -16,7 +16,7 @@ from novags.testbed.study.plan import Plan
 from novags.testbed.study.steps import depends
 from novags.testbed.study.store import SEAL, Seal, damaged, read_seal
 from sensor_model.files.atomic import atomic, write_text
-from sensor_model.files.door import read_text
+from sensor_model.files.door import read_bytes, read_text
 from sensor_model.files.lock import locked
 from sensor_model.files.own import cache_folder, own_folder
 
@@ -56,7 +56,7 @@ def make(away: Away, console: Console) -> dict[str, Any]:
         result = _provide(order, Remote(away.url), away.place, console)
         contents[task.key] = result["content"]
     metrics = order.folder / METRICS
-    return {**result, "scores": metrics.read_bytes() if metrics.exists() else None}
+    return {**result, "scores": read_bytes(metrics) if metrics.exists() else None}
 
 
 def scratch_folder(parent: Path) -> Path:

@@ -49,3 +49,17 @@ def test_folders_of_other_sources_go_when_unused_for_a_month(sources):
     assert not old.exists()
     assert recent.exists()
     assert other.exists()
+
+
+def test_machine_code_that_others_could_have_written_is_not_run(sources, monkeypatch):
+    """Rationale: it is loaded and run; in a NUMBA_CACHE_DIR that many share, anybody could make the folder first."""
+    monkeypatch.setattr(compiler.config, "CACHE_DIR", str(sources / "shared"))
+    folder = compiler.cache_folder()
+    assert folder.parent == sources / "shared"
+    (folder / "code.nbc").write_bytes(b"theirs")
+    folder.chmod(0o777)
+    assert compiler.cache_folder() == folder
+    assert list(folder.iterdir()) == []
+    folder.rmdir()
+    folder.symlink_to(sources)
+    assert compiler.cache_folder() is None

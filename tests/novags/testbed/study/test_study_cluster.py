@@ -212,3 +212,17 @@ def test_a_node_lost_in_the_middle_costs_what_ran_there(
     assert {outcome.state for outcome in found.values()} == {"done"}
     assert gone
     assert [times_made(tmp_path, key) for key in "abc"] == [2, 1, 1]
+
+
+def test_no_worker_of_ray_imports_from_the_working_directory(
+    nodes: Nodes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rationale: Ray puts it first in `sys.path` of its workers, which then import what our functions are made of."""
+    from novags.testbed.study.engines.cluster import connected
+
+    def path() -> list[str]:
+        return [os.path.realpath(folder) for folder in sys.path]
+
+    monkeypatch.chdir(tmp_path)
+    with connected(nodes.address) as ray:
+        assert os.path.realpath(tmp_path) not in ray.get(ray.remote(path).remote())

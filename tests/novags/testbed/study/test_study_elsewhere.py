@@ -227,7 +227,7 @@ def test_needs_that_mean_nothing_are_refused(text: str, said: str) -> None:
 def test_a_forged_entry_under_a_name_that_anybody_knows_is_not_believed(
     make: Callable[..., dict[str, Any]], tasks: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Rationale: the folder in the place for temporary files was called the same for everybody, and its seals believed."""
+    """Rationale: the folder for temporary files held one that was called the same for everybody, and was believed."""
     make("one", f"memory://store{next(counter)}")
     forged = tmp_path / "tmp" / "novags-scratch"
     shutil.copytree(scratch(tmp_path, "one"), forged)
