@@ -16,7 +16,7 @@ from tests.fuzz.commands.lines import LINES  # noqa: E402
 from tests.fuzz.tree import Tree  # noqa: E402
 
 TRIED = ("list", "score", "score --renders", "report", "plan", "capture of photographs", "characterise")
-CASES = 45
+CASES = 30
 
 
 @pytest.fixture(scope="module")

@@ -1,20 +1,16 @@
 """Claims about stages as folders."""
 
-import json
-import math
-import os
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
-import numpy as np
 import pytest
 import torch
 
 from novags.testbed import cache
 from novags.testbed.cache import run_stage
 from novags.testbed.console import Console
-from novags.testbed.contents import UNFINISHED, digest, folder_digest, jsonable, read_json, write_json
+from novags.testbed.contents import UNFINISHED, read_json, write_json
 from sensor_model.files.atomic import atomic, write_text
 
 QUIET = Console(quiet=True)
@@ -313,92 +309,6 @@ def test_a_record_says_what_it_cost_and_what_made_it(tmp_path: Path) -> None:
     assert record["config"] == {"x": 1}
     assert {"python", "numpy", "torch", "novags"} <= record["versions"].keys()
     assert {"processor", "cores", "memory_bytes", "gpu"} <= record["hardware"].keys()
-
-
-def test_folder_digest_sees_content_and_names_but_not_costs(tmp_path: Path) -> None:
-    (tmp_path / "sub").mkdir()
-    (tmp_path / "sub" / "a.bin").write_bytes(b"1")
-    write_json(tmp_path / "record.json", {"x": 1, "stage": {"seconds": 1.0}})
-    before = folder_digest(tmp_path)
-    write_json(tmp_path / "record.json", {"x": 1, "stage": {"seconds": 2.0}})
-    (tmp_path / ".hidden").write_text("ignored")
-    assert folder_digest(tmp_path) == before
-    (tmp_path / "sub" / "a.bin").write_bytes(b"2")
-    changed = folder_digest(tmp_path)
-    (tmp_path / "sub" / "a.bin").rename(tmp_path / "sub" / "b.bin")
-    assert len({before, changed, folder_digest(tmp_path)}) == 3
-
-
-def test_folder_digest_follows_links_and_sees_files_elsewhere(tmp_path: Path) -> None:
-    """Rationale: images often lie on another disk, behind a link or named by a path that leaves the folder."""
-    (tmp_path / "far").mkdir()
-    (tmp_path / "near").mkdir()
-    image = tmp_path / "far" / "0.png"
-    image.write_bytes(b"1")
-    (tmp_path / "near" / "images").symlink_to(tmp_path / "far")
-
-    def digests() -> set[str]:
-        return {folder_digest(tmp_path / "near", ["images"]), folder_digest(tmp_path / "near", [], beside={"0": image})}
-
-    before = digests()
-    image.write_bytes(b"2")
-    assert len(before | digests()) == 4
-
-
-@pytest.mark.parametrize("name", [".hidden.png", "../up/0.png", UNFINISHED])
-def test_folder_digest_sees_a_file_that_is_named_whatever_it_is_called(tmp_path: Path, name: str) -> None:
-    image, found = tmp_path / "0.png", set()
-    for content in (b"1", b"2"):
-        image.write_bytes(content)
-        found.add(folder_digest(tmp_path, (), beside={name: image}))
-    assert len(found) == 2
-
-
-def test_folder_digest_takes_only_records_of_stages_for_records(tmp_path: Path) -> None:
-    def changes(first: object, second: object) -> bool:
-        seen = set()
-        for value in (first, second):
-            (tmp_path / "cameras.json").write_text(json.dumps(value))
-            seen.add(folder_digest(tmp_path))
-        return len(seen) == 2
-
-    assert changes([{"id": 0}], [{"id": 1}])  # the cameras.json of 3DGS is a list
-    assert changes({"seconds": 1.0}, {"seconds": 2.5})
-    assert not changes({"stage": {}, "views": [{"seconds": 1.0}]}, {"stage": {"x": 1}, "views": [{"seconds": 2.5}]})
-
-
-def test_a_file_that_was_hashed_before_is_read_again_once_it_changed(tmp_path: Path) -> None:
-    path = tmp_path / "a.bin"
-    path.write_bytes(b"1")
-    os.utime(path, (1e9, 1e9))
-    before = folder_digest(tmp_path)
-    assert folder_digest(tmp_path) == before
-    path.write_bytes(b"2")
-    os.utime(path, (1e9, 1e9))  # as a copy that keeps time stamps does, or a clock that was set back
-    assert folder_digest(tmp_path) != before
-
-
-def test_digest_ignores_key_order_and_sees_values() -> None:
-    assert digest({"a": 1, "b": (2, 3)}) == digest({"b": [2, 3], "a": 1})
-    assert digest({"a": 1}) != digest({"a": 2})
-
-
-def test_jsonable_keeps_numbers_and_spells_out_what_json_lacks() -> None:
-    value = jsonable({"inf": math.inf, "array": np.arange(3), "path": Path("a/b"), "none": None, "f": np.float32(0.5)})
-    assert value == {"inf": "inf", "array": [0, 1, 2], "path": "a/b", "none": None, "f": 0.5}
-    with pytest.raises(TypeError, match="object"):
-        jsonable(object())
-
-
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [(None, "cannot read"), ("{", "not valid JSON"), ("[1]", "must be an object")],
-)
-def test_broken_records_give_one_clear_error(tmp_path: Path, content: str | None, message: str) -> None:
-    if content is not None:
-        (tmp_path / "r.json").write_text(content)
-    with pytest.raises(ValueError, match=message):
-        read_json(tmp_path / "r.json")
 
 
 @pytest.mark.parametrize("name", ["a.txt", "parts/b.txt", "parts/inner/c.json"])

@@ -55,7 +55,9 @@ def measure(knob: str, setting: Any, changed: bool, n: int, size: int, seed: int
 
     with torch.no_grad():  # whole: in strips Gaussians beyond their borders are drawn a little differently
         image = reference(n, size, seed, exact=False, bits=bits) if plain else next(pictures())
-    error = float(np.sqrt(np.mean((image.double().numpy() - np.load(opened(truth), allow_pickle=False)) ** 2)))
+    with opened(truth) as file:
+        exact = np.load(file, allow_pickle=False)
+    error = float(np.sqrt(np.mean((image.double().numpy() - exact) ** 2)))
     if not plain:
         once()
     seconds, cpu = fastest(once, 1 if plain else CALLS)

@@ -197,3 +197,10 @@ def test_a_report_says_what_recovered_is_measured_by_where_a_bound_has_several_r
         shutil.copytree(experiment, tmp_path / name)
     page = write_reports([tmp_path / "first", tmp_path / "second"], QUIET).read_text(encoding="utf-8")
     assert "from <em>the mean of 2 runs of naive</em> (0 %) to <em>the mean of 2 runs of oracle</em> (100 %)" in page
+
+
+def test_a_table_saved_as_csv_holds_no_formula(visit: Callable[..., Any], experiment: Path) -> None:
+    cell = "document.querySelector('[data-name=scores-enhanced] tbody td:not(.rank)')"
+    tab = visit(experiment / "report.html")
+    tab.evaluate(f"delete {cell}.dataset.value, {cell}.textContent = '=1'")
+    assert "'=1," in tab.evaluate(f"novags.tables.csv({cell}.closest('table'))")

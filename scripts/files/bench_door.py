@@ -1,6 +1,6 @@
 """What opening many runs for a report costs, beside another version of the sources in the same run.
 
-    python scripts/bench_door.py [--runs 500] [--rounds 7] [--beside CHECKOUT]
+    python scripts/files/bench_door.py [--runs 500] [--rounds 7] [--beside CHECKOUT]
 
 A tiny set, capture and run are made and the run is copied. Opening is what `novags report FOLDER` does before it draws:
 each run's record, scores and losses, its capture and set compared with what they were. Every round is a process of its
@@ -16,7 +16,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[1]
+ROOT = Path(__file__).resolve().parents[2]
 MAKE = """
 import sys
 from novags.cli import main
