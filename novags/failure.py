@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+TURNING = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"
 OURS = ("novags.", "simscenes.", "sensor_model.")
 NAME = re.compile(r"[^\s/]{256,}")  # longer than any file can be called: repeating it whole would hide the rest
 INTERRUPTED = "interrupted; the same command again continues where this one stopped"
@@ -26,7 +27,7 @@ def errors_in_one_line() -> Iterator[None]:
     nobody reads any more, as in `novags list | head -1`, says nothing and ends with 141, as SIGPIPE would end it.
     """
     try:
-        _check_encoding(sys.argv[1:])
+        _check_words(sys.argv[1:])
         yield
         _end_if_nobody_reads()
     except KeyboardInterrupt:
@@ -101,9 +102,15 @@ def _report(error: BaseException) -> str:
     return f"the traceback is in {name}"
 
 
-def _check_encoding(words: list[str]) -> None:
-    """Refuse paths that are not UTF-8 before any work: the libraries that write images cannot open them."""
+def _check_words(words: list[str]) -> None:
+    """Refuse paths that are not UTF-8 before any work: the libraries that write images cannot open them.
+
+    So are words that a terminal would obey when they are shown: control characters, and those that turn the direction
+    of writing.
+    """
     for word in words:
+        if any(ord(c) < 32 or 127 <= ord(c) < 160 or c in TURNING for c in word):
+            raise ValueError(f"{word!a:.80} holds control characters: rename that file or folder")
         if any("\ud800" <= c <= "\udfff" for c in word):
             raise ValueError(f"{word!r} is not valid UTF-8: rename that file or folder")
 

@@ -98,7 +98,8 @@ def read_frames(folder: Path, window: int = 1024) -> Frames:
         if not folders:
             raise ValueError(f"{folder} needs a folder {kind}/ with a folder for each stack of frames in it")
         for place in folders:
-            found = sorted(p for p in place.iterdir() if is_raw(p) or p.suffix.lower() in (*IMAGES, ".npy"))
+            shown = sorted(place.glob("[!.]*"))  # without hidden files, which archives made on a Mac have
+            found = [p for p in shown if is_raw(p) or p.suffix.lower() in (*IMAGES, ".npy")]
             files[f"{kind}/{place.name}"] = [_cut(_read(p), window) for p in found]
     if unknown := sorted(set(notes["stacks"]) - set(files)):
         raise ValueError(f"{folder / 'frames.toml'} names stacks that are not there: {', '.join(unknown)}")

@@ -14,7 +14,7 @@ import numpy as np
 
 from novags.testbed.results.difference import listed
 from sensor_model.files.atomic import write_text
-from sensor_model.files.door import opened
+from sensor_model.files.door import check_links, opened
 from sensor_model.files.records import read_json as read_any
 from sensor_model.files.records import read_record
 
@@ -130,7 +130,10 @@ def refuse_damage(folder: Path, record: Mapping[str, Any], remedy: str, names: S
 def _is(path: Path, known: str) -> bool:
     try:
         return checksum(path) == known
-    except (OSError, ValueError):  # missing, not a regular file, or not to be read
+    except OSError:  # missing, or not to be read
+        return False
+    except ValueError:  # not a regular file; or behind a link that leads out, which is said as that
+        check_links(path)
         return False
 
 

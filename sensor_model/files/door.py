@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import errno
 import io
+import json
 import os
 import stat
 import sys
@@ -28,7 +29,9 @@ AnyPath = str | os.PathLike[str]
 # Bytes at most, by what a file is. Far above the largest that anybody has, far below what exhausts a machine.
 TEXT = 256 << 20  # JSON, TOML, XML, CSV; COLMAP's text of a hundred thousand points is 50 MiB
 PICTURE = 4 << 30  # 2**29 pixels of 16-bit RGB, uncompressed
-VARIABLE = "NOVAGS_ALLOW_LINKS"  # folders, as in PATH: how `allow` reaches child processes
+VARIABLE = (
+    "NOVAGS_ALLOW_LINKS"  # a list in JSON, since names can hold any other sign: how `allow` reaches child processes
+)
 OPTION = "--allow-links"  # of every command (`novags.commands.links`): says the same
 
 _given: dict[str, str] = {}  # folders: absolute path as written -> without links
@@ -45,9 +48,8 @@ def enter(folder: AnyPath) -> None:
 
 def allow(places: Iterable[AnyPath]) -> None:
     """Let links lead to these folders and files, in this process and in those that it starts."""
-    before = os.environ.get(VARIABLE, "").split(os.pathsep)
-    both = dict.fromkeys([*before, *(os.path.realpath(place) for place in places)])
-    os.environ[VARIABLE] = os.pathsep.join(filter(None, both))
+    both = dict.fromkeys([*_allowed(), *(os.path.realpath(place) for place in places)])
+    os.environ[VARIABLE] = json.dumps(list(both))
 
 
 @contextmanager
@@ -97,12 +99,22 @@ def _target(path: AnyPath) -> str:
         raise ValueError(f"{path} is a link that leads to itself: remove it")
     if target == absolute or not _is_inside(absolute, _given):
         return target
-    allowed = os.environ.get(VARIABLE, "").split(os.pathsep)
-    if not _is_inside(target, [*_given.values(), *filter(None, allowed)]):
+    if not is_given(target):
         raise ValueError(f"{path} leads by a link to {target}, outside the folders that were given: add {OPTION} "
                          f"{os.path.dirname(target)} (in Python: {__name__}.allow) if you trust it, or put a copy "
                          "in its place")  # fmt: skip
     return target
+
+
+def is_given(target: str) -> bool:
+    """Whether a path without links lies in a folder that was given or allowed."""
+    return _is_inside(target, [*_given.values(), *_allowed()])
+
+
+def _allowed() -> list[str]:
+    """What `allow` was told, in this process or in one that started it."""
+    found = json.loads(os.environ.get(VARIABLE) or "[]")
+    return found if isinstance(found, list) else []
 
 
 def resolved(path: AnyPath) -> Path:

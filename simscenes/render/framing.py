@@ -52,6 +52,9 @@ def own_rig(loaded: LoadedScene, mi: Any, width: int | None = None, height: int 
     film = sensor.film()
     crop_width, crop_height = (int(n) for n in film.crop_size())
     w, h = width or crop_width, height or crop_height
+    if min(crop_width, crop_height) < 1:
+        raise ValueError(f"{which} must have a film of at least one pixel, got {crop_width} x {crop_height}: correct "
+                         "its size")  # fmt: skip
     if w * h > MAX_PIXELS:
         raise ValueError(f"scene {loaded.name!r} asks for a film of {w} x {h} pixels, more than {MAX_PIXELS >> 20} Mi; "
                          "give width and height")  # fmt: skip

@@ -18,14 +18,14 @@ from typing import Any
 os.environ |= {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
 
 from tests.fuzz.case import DAMAGE, Reader
+from tests.fuzz.damage.places import RULE
+from tests.fuzz.damage.tree import remove
 from tests.fuzz.engine import Work, run
 from tests.fuzz.inside import Reading, applied, outside
 from tests.fuzz.judge import SECONDS, Limits
-from tests.fuzz.places import RULE
 from tests.fuzz.prepared import made
 from tests.fuzz.readers import READERS
 from tests.fuzz.records import advance, opened, shares, table
-from tests.fuzz.tree import remove
 
 Job = tuple[dict[str, Any], Work, list[int], Path, Path]  # record, work, numbers of cases, folder, the record's file
 

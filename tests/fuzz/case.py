@@ -9,9 +9,9 @@ from pathlib import Path
 from random import Random
 from typing import NamedTuple
 
-from tests.fuzz import places, texts
-from tests.fuzz.mutate import damaged
-from tests.fuzz.tree import Tree
+from tests.fuzz.damage import places, texts
+from tests.fuzz.damage.mutate import damaged
+from tests.fuzz.damage.tree import Tree
 
 DAMAGE = "damage"
 PLACED, TEXTS = 0.15, 0.15  # of the cases that are drawn: what stands in a file's place, and odd texts

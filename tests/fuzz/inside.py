@@ -14,11 +14,11 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from tests.fuzz import places
 from tests.fuzz.case import Case, Cases
+from tests.fuzz.damage import places
+from tests.fuzz.damage.tree import remove
 from tests.fuzz.digest import digest
 from tests.fuzz.judge import Finding, Limits, Outcome, judged
-from tests.fuzz.tree import remove
 
 LARGEST = 1 << 30  # bytes of a file that a case may write: a copy of a terabyte of holes would fill the memory
 

@@ -14,10 +14,10 @@ from collections.abc import Callable
 from pathlib import Path
 
 from tests.fuzz.case import Cases, Reader
+from tests.fuzz.damage.tree import Tree
 from tests.fuzz.engine import run
 from tests.fuzz.inside import Reading
 from tests.fuzz.judge import Limits, jsonable
-from tests.fuzz.tree import Tree
 
 LIMITS = Limits(seconds=1.0, bytes=256 << 20)
 calls: list[int] = []

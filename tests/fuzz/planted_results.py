@@ -17,10 +17,10 @@ from tests.fuzz.case import Case, Cases, Reader
 from tests.fuzz.commands import doing
 from tests.fuzz.commands.cases import MODULES, Deed
 from tests.fuzz.commands.job import tried
+from tests.fuzz.damage.tree import Tree
 from tests.fuzz.engine import run
 from tests.fuzz.inside import Reading
 from tests.fuzz.judge import Limits, jsonable
-from tests.fuzz.tree import Tree
 
 VALID = b'{"w": 3, "h": 4}\n'
 LIMITS = Limits(seconds=1.0, bytes=256 << 20)

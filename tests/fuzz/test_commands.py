@@ -13,7 +13,7 @@ sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a 
 
 from tests.fuzz.commands.cases import Deeds  # noqa: E402
 from tests.fuzz.commands.lines import LINES  # noqa: E402
-from tests.fuzz.tree import Tree  # noqa: E402
+from tests.fuzz.damage.tree import Tree  # noqa: E402
 
 TRIED = ("list", "score", "score --renders", "report", "plan", "capture of photographs", "characterise")
 CASES = 30

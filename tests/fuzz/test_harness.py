@@ -13,8 +13,8 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a module
 
-from tests.fuzz import mutate, structure  # noqa: E402
 from tests.fuzz.case import Cases, Reader  # noqa: E402
+from tests.fuzz.damage import mutate, structure  # noqa: E402
 
 
 @pytest.fixture(scope="module")

@@ -14,10 +14,10 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 sys.path.insert(0, str(ROOT))  # where pytest is started by itself and not as a module
 
-from tests.fuzz import places, texts  # noqa: E402
 from tests.fuzz.case import DAMAGE, Cases, Reader  # noqa: E402
+from tests.fuzz.damage import places, texts  # noqa: E402
+from tests.fuzz.damage.tree import Tree  # noqa: E402
 from tests.fuzz.digest import digest  # noqa: E402
-from tests.fuzz.tree import Tree  # noqa: E402
 
 
 @pytest.fixture(scope="module")

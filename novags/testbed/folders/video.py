@@ -1,5 +1,6 @@
 """Frames of a video file, through OpenCV."""
 
+import os
 from pathlib import Path
 
 from novags.testbed.console import Update
@@ -32,6 +33,8 @@ def write_frames(video: Path, fps: float, folder: Path, progress: Update) -> dic
     """
     import cv2
 
+    # FFmpeg says what it thinks of a damaged film on standard error, in the film's own characters. Read at first use.
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # AV_LOG_QUIET
     reader = cv2.VideoCapture(admitted(video, most=VIDEO))
     try:
         rate = reader.get(cv2.CAP_PROP_FPS)

@@ -16,6 +16,7 @@ from novags.testbed.folders import shapes
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import CAMERAS, Run
 from novags.testbed.stages.camera_source import true_cameras
+from sensor_model.files.reading import brief
 from sensor_model.files.records import read_record
 
 SIZE = 3.0  # viewer units from the mean camera to the outermost one, and a tenth
@@ -90,6 +91,6 @@ def true_from(run: Run, capture: Capture) -> Similarity:
         return IDENTITY
     names, viewmats = found
     if unknown := [name for name in names if name not in capture.names]:
-        raise ValueError(f"{run.path / CAMERAS} names {unknown[0]}, which is not a view of {capture.path}: reconstruct "
-                         "again")  # fmt: skip
+        raise ValueError(f"{run.path / CAMERAS} names {brief(unknown[0], 100)}, which is not a view of {capture.path}: "
+                         "reconstruct again")  # fmt: skip
     return align(viewmats, true_cameras(capture)[[capture.names.index(name) for name in names]]).similarity

@@ -23,6 +23,7 @@ from typing import Any
 from sensor_model.files.door import read_bytes
 from sensor_model.files.own import remember, remembered
 from sensor_model.files.python import python
+from sensor_model.files.reading import brief
 
 FORMAT = "1"  # of what is tried; scenes that passed an earlier one are tried again
 SECONDS = 600.0  # that loading may take; a scene of a gigabyte takes one minute
@@ -50,7 +51,7 @@ def check_survives(
     with _ONE_AT_A_TIME:
         problem = _PROCESSES.setdefault(variant, _Process(variant)).load(scene, parameters)
     if problem:
-        raise ValueError(problem)
+        raise ValueError(brief(problem, 600))
     remember("scenes", name)
 
 

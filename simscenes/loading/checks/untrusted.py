@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from graphlib import CycleError, TopologicalSorter
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from sensor_model.files.door import admitted, read_bytes, resolved
+from sensor_model.files.door import admitted, is_given, read_bytes, resolved
 from simscenes.loading.checks.complete import check_complete
 from simscenes.loading.checks.meshes import check_mesh_file
 from simscenes.sets.pictures.whole import check_whole
@@ -223,15 +224,25 @@ class _Reader:
             value = value.replace(f"${name}", self.parameters[name])
         return value
 
+    @staticmethod
+    def _refuse_endless(name: str, places: Sequence[Path]) -> None:
+        """Mitsuba would open a FIFO or a device of that name, and wait or read for ever."""
+        for path in (place / name for place in places if name):
+            if path.exists() and not path.is_dir():
+                admitted(path)
+
     def _name(self, name: str, tag: str, path: Path) -> Path | None:
         """Record the file that Mitsuba would open for this word, which may not be a file name at all."""
         if tag == "path":
             self.searched.append(self.root / name)
         places = [path.parent, *self.searched] if tag == "include" else self.searched
         try:
+            self._refuse_endless(name, places)
             found = next((place / name for place in places if (place / name).is_file()), None) if name else None
             target = resolved(found or self.root / name)
             is_inside = tag != "path" and any(target.is_relative_to(folder) for folder in self.inside)
+            linked = found is not None and tag != "path" and Path(os.path.abspath(found)).is_relative_to(self.root)
+            is_inside |= linked and is_given(str(target))  # by a link of the folder to where links may lead
         except OSError:  # too long for a path as it stands, but Mitsuba shortens before it opens
             found, is_inside = None, "/" not in name
         if not self.trusted and not is_inside:

@@ -9,12 +9,12 @@ from fnmatch import fnmatch
 from pathlib import Path
 from random import Random
 
-from tests.fuzz import places, texts
 from tests.fuzz.case import DAMAGE, Case
 from tests.fuzz.commands.lines import Line
-from tests.fuzz.mutate import damaged
-from tests.fuzz.structure import arguments
-from tests.fuzz.tree import Tree, remove
+from tests.fuzz.damage import places, texts
+from tests.fuzz.damage.mutate import damaged
+from tests.fuzz.damage.structure import arguments
+from tests.fuzz.damage.tree import Tree, remove
 
 # Written under these names by most commands, or for a while.
 OWN = (".novags.lock", "unfinished.json", ".sealed.json", "events.jsonl", "report.html", "metrics.json")

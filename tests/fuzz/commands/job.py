@@ -15,10 +15,10 @@ from tests.fuzz.commands import doing, world
 from tests.fuzz.commands.cases import MARK, Deed, Deeds, apply
 from tests.fuzz.commands.lines import LINES, Line
 from tests.fuzz.commands.verdict import seen, verdict
+from tests.fuzz.damage.tree import Tree, remove
 from tests.fuzz.judge import Finding, Limits, jsonable
 from tests.fuzz.prepared import in_child, memory_folder
 from tests.fuzz.records import opened, shares
-from tests.fuzz.tree import Tree, remove
 
 VALID = Limits(seconds=100)
 PATIENCE = 10.0  # times what a command may take: the engine's own limit, which its child keeps by itself

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tests.fuzz import structure
 from tests.fuzz.case import Reader
+from tests.fuzz.damage import structure
 
 SCENE = """<scene version="3.0.0">
   <default name="size" value="12"/>

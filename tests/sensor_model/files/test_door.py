@@ -1,7 +1,9 @@
 """Claims about the one door: what is let in, what is refused, and that a refusal costs one line and no wait."""
 
+import json
 import os
 import socket
+import subprocess
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -20,6 +22,7 @@ from sensor_model.files.door import (
     read_text,
     resolved,
 )
+from sensor_model.files.python import python
 
 
 @pytest.fixture(autouse=True)
@@ -168,8 +171,17 @@ def test_a_command_line_gives_its_folders_and_files_and_takes_them_back(folder: 
 def test_what_was_allowed_reaches_child_processes_through_their_environment(folder: Path) -> None:
     door.allow([folder])
     door.allow([folder.parent / "outside"])
-    allowed = os.environ[door.VARIABLE].split(os.pathsep)
-    assert allowed == [os.path.realpath(folder), os.path.realpath(folder.parent / "outside")]
+    (folder.parent / "a:b").mkdir()
+    door.allow([folder.parent / "a:b"])
+    allowed = json.loads(os.environ[door.VARIABLE])
+    assert allowed == [os.path.realpath(place) for place in (folder, folder.parent / "outside", folder.parent / "a:b")]
+    (folder / "link").symlink_to("../outside/secret")
+    program = (
+        "import sys; from sensor_model.files.door import enter, read_text; enter(sys.argv[1]); "
+        "print(read_text(sys.argv[1] + '/link'))"
+    )
+    done = subprocess.run(python(program, str(folder)), capture_output=True, text=True, check=True)
+    assert done.stdout == "secret\n"
 
 
 @pytest.mark.parametrize("read", [check_links, resolved, enter])

@@ -198,7 +198,7 @@ def safetensors_head(content: bytes, rng: Random) -> bytes:
 
 def zip_member(content: bytes, rng: Random) -> bytes:
     """Change one file of an archive; torch's checkpoints are such."""
-    from tests.fuzz import mutate
+    from tests.fuzz.damage import mutate
 
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -218,7 +218,7 @@ def zip_member(content: bytes, rng: Random) -> bytes:
 
 
 def ply_head(content: bytes, rng: Random) -> bytes:
-    from tests.fuzz import mutate
+    from tests.fuzz.damage import mutate
 
     head, end, body = content.partition(b"end_header\n")
     return rng.choice(mutate.TEXTUAL)(head, rng) + end + body

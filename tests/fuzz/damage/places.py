@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from sensor_model.files.door import VARIABLE, allow
-from tests.fuzz.tree import remove
+from tests.fuzz.damage.tree import remove
 
 TERABYTE = 1 << 40
 DEVICES = {"zero": (1, 5), "null": (1, 3), "tty": (5, 0), "random": (1, 9)}

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from random import Random
 from typing import Any
 
-from tests.fuzz import mutate
+from tests.fuzz.damage import mutate
 
 DEPTH = 100_000
 NUMBERS = ("9" * 400, "-" + "9" * 400, "0." + "0" * 400 + "1", "1e999", "-1e999", "NaN", "-NaN", "Infinity",

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Callable
 from random import Random
 
-from tests.fuzz import structure
+from tests.fuzz.damage import structure
 
 Mutator = Callable[[bytes, Random], bytes]
 
