@@ -29,9 +29,14 @@ def python(program: str, *arguments: str) -> list[str]:
 
 
 def import_path() -> list[str]:
-    """`sys.path` of this process without the working directory, by whatever name it stands there."""
+    """`sys.path` of this process without the working directory, by whatever name it stands there.
+
+    Where our own packages lie in the working directory, as in a checkout, they keep their place.
+    """
     here = os.stat(os.curdir)
-    return list(dict.fromkeys([*(folder for folder in sys.path if not _is(folder, here)), ROOT]))
+    ours = _is(ROOT, here)
+    found = (ROOT if ours and _is(folder, here) else folder for folder in sys.path)
+    return list(dict.fromkeys([*(folder for folder in found if folder == ROOT or not _is(folder, here)), ROOT]))
 
 
 def _is(folder: str, here: os.stat_result) -> bool:

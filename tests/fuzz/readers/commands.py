@@ -130,4 +130,4 @@ def _refused(*_: Any, **__: Any) -> Any:
     return __import__("sensor_model").PRESETS["ideal"], "measured"
 
 
-READERS = [Reader("command line", make, read, ("*.argv",), share=1.5, prepare=_imports, placed=False, odd=False)]
+READERS = [Reader("command line", make, read, ("*.argv",), share=0.5, prepare=_imports, placed=False, odd=False)]

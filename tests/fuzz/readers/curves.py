@@ -114,4 +114,4 @@ def read(folder: Path, file: Path) -> object:
     return kind(folder, file)
 
 
-READERS = [Reader("curves and budgets", make, read, ("*.json", "*.jsonl"), share=1.5, prepare=_prepare)]
+READERS = [Reader("curves and budgets", make, read, ("*.json", "*.jsonl"), share=0.5, prepare=_prepare)]

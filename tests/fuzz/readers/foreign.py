@@ -71,6 +71,6 @@ def _files() -> None:
 
 
 READERS = [
-    Reader("pictures of a program", make_renders, read_renders, ("*.png", "*.exr"), share=2, prepare=_pictures),
-    Reader("TOML: a study and a data set", make_files, read_file, ("*.toml",), share=2, prepare=_files),
+    Reader("pictures of a program", make_renders, read_renders, ("*.png", "*.exr"), share=1, prepare=_pictures),
+    Reader("TOML: a study and a data set", make_files, read_file, ("*.toml",), share=1, prepare=_files),
 ]

@@ -91,7 +91,7 @@ def _stage() -> None:
 
 FILES = ("dark/*", "sixteen/*", "lit/*", "long/*")
 READERS = [
-    Reader("photographs to import", make_photographs, import_whole, FILES, share=1.5, prepare=_stage),
+    Reader("photographs to import", make_photographs, import_whole, FILES, share=0.5, prepare=_stage),
     Reader("an imported capture", make_imported, read_imported, ("cap/capture.json", "cap/truth/*", "cap/lit/*"),
-           share=1.5, prepare=_stage),
+           share=0.7, prepare=_stage),
 ]  # fmt: skip

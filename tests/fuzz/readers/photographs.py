@@ -99,5 +99,5 @@ READERS = [
     Reader("NeRF-synthetic layout", make_layout, read_transforms, ("transforms_*.json",), share=4, prepare=_sets),
     Reader("LLFF layout", make_llff, read_transforms, ("poses_bounds.npy",), share=4, prepare=_sets),
     Reader("photographs without poses", make_bare, read_bare, ("*.jpg", "*.png"), share=4, prepare=_pictures),
-    Reader("video", make_video, read_video, ("walk.*",), share=2, prepare=_pictures),
+    Reader("video", make_video, read_video, ("walk.*",), share=0.7, prepare=_pictures),
 ]

@@ -237,9 +237,9 @@ RUN = (
 )
 READERS = [
     Reader("set.json", make_set, read_set, ("set.json", "seconds.json"), share=3, prepare=_line),
-    Reader("capture.json", make_capture, read_capture, ("capture/capture.json",), share=2, prepare=_line),
-    Reader("records of runs", make_run, read_experiment, RUN, share=2, prepare=_line),
-    Reader("cameras.json", make_viewed, read_viewed, ("naive/cameras.json",), share=3, prepare=_line),
+    Reader("capture.json", make_capture, read_capture, ("capture/capture.json",), share=1, prepare=_line),
+    Reader("records of runs", make_run, read_experiment, RUN, share=0.5, prepare=_line),
+    Reader("cameras.json", make_viewed, read_viewed, ("naive/cameras.json",), share=1, prepare=_line),
     Reader("events.jsonl", make_log, read_log, ("events.jsonl",), share=4, prepare=_line, placed=False),
     Reader(
         "unfinished.json", make_unfinished, read_unfinished, ("unfinished.json", "metrics.json"), share=8, prepare=_line

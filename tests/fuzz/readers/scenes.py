@@ -161,13 +161,13 @@ def _mitsuba() -> None:
 
 FILES = ("scene.xml", "m.ply", "m.obj", "m.serialized", "t.png", "e.exr")
 READERS = [
-    Reader("Mitsuba scene", make, read, FILES, also=bare, share=1.0, prepare=_mitsuba),
+    Reader("Mitsuba scene", make, read, FILES, also=bare, share=0.2, prepare=_mitsuba),
     Reader(
         "Mitsuba parameters",
         make_given,
         read_given,
         ("given.txt",),
-        share=0.5,
+        share=0.1,
         prepare=_mitsuba,
         placed=False,
         odd=False,

@@ -44,5 +44,5 @@ def _page() -> None:
 
 
 READERS = [
-    Reader("tables of studies", make_study, read_study, ("results.json", "study.json"), share=3, prepare=_page),
+    Reader("tables of studies", make_study, read_study, ("results.json", "study.json"), share=1, prepare=_page),
 ]

@@ -140,7 +140,7 @@ def _sets() -> None:
 
 READERS = [
     Reader("TOML: a camera", make_sensor, read_sensor, ("*.toml",), share=8),
-    Reader("TOML: variants", lambda f: (f / "v.toml").write_text(VARIANTS), read_variants, ("*.toml",), share=1.5),  # type: ignore[arg-type, return-value]
+    Reader("TOML: variants", lambda f: (f / "v.toml").write_text(VARIANTS), read_variants, ("*.toml",), share=0.5),  # type: ignore[arg-type, return-value]
     Reader("frames of a camera", make_frames, read_frames, ("frames.toml", "*.npy", "*.png"), share=3, prepare=_frames),
     Reader("transforms.json", make_transforms, read_transforms, ("transforms.json",), share=10, prepare=_sets),
     Reader("transforms.json of EXR images", make_linear, read_transforms, ("transforms.json",), share=3, prepare=_sets),
