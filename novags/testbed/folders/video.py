@@ -5,6 +5,7 @@ from pathlib import Path
 
 from novags.testbed.console import Update
 from sensor_model.files.door import admitted
+from sensor_model.files.reading import brief
 from simscenes.sets.names import numbered
 from simscenes.sets.pictures.image_file import MAX_PIXELS
 from simscenes.sets.pictures.png import write_png
@@ -56,6 +57,8 @@ def write_frames(video: Path, fps: float, folder: Path, progress: Update) -> dic
                     taken.append((path, k / rate))
             k += 1
             progress(min(k, count), count, f"frame {k}")
+    except cv2.error as error:
+        raise ValueError(f"{video} is damaged ({brief(error)}): convert it, or give a folder of its frames") from error
     finally:
         reader.release()
     if not taken:

@@ -128,6 +128,8 @@ def _outcome(place: str, request: Mapping[str, Any], connection: Connection) -> 
     try:
         _log_to(Path(request["log"]))
         console = Reporting(connection.send)
+    except ValueError as error:  # of a name that somebody has put something else at
+        return Outcome("machine", f"cannot write a log: {brief(error)}")
     except OSError as error:
         return Outcome("machine", f"cannot write the log {request['log']}: {error.strerror or error}")
     try:
