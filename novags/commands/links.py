@@ -24,7 +24,8 @@ def without_links(words: Sequence[str]) -> tuple[list[str], AbstractContextManag
         folders.append(value if equals else next(left, ""))
         if not os.path.isdir(folders[-1]):
             raise ValueError(f"{OPTION} must be followed by a folder that is there, got {folders[-1]!r:.80}")
-    named = [*folders, *rest, *(word.partition("=")[2] for word in rest if word.startswith("-"))]
+    # Not the first, which names the command: a folder called "study" is not meant by it.
+    named = [*folders, *rest[1:], *(word.partition("=")[2] for word in rest if word.startswith("-"))]
     if set(rest) & {"-h", "--help"}:
         return rest, nullcontext()
     from sensor_model.files.door import given  # numpy comes with it: --help must not wait for that

@@ -9,7 +9,7 @@ from typing import Any
 
 from sensor_model.files.door import read_text
 from sensor_model.files.reading import brief, reading
-from sensor_model.files.records import check_depth
+from sensor_model.files.records import WHOLE, check_depth
 
 if sys.version_info >= (3, 11):
     import tomllib
@@ -46,7 +46,7 @@ def _check_numbers(value: Any, place: str) -> None:
     elif isinstance(value, list):
         for i, part in enumerate(value):
             _check_numbers(part, f"{place}[{i}]")
-    elif isinstance(value, int) and not -(2**63) <= value < 2**63:
-        raise ValueError(f"{brief(place, 80)} must fit 64 bits, got a whole number of more than 18 digits")
+    elif isinstance(value, int) and abs(value) >= WHOLE:
+        raise ValueError(f"{brief(place, 80)} must be below 2**64, got a whole number of more than 19 digits")
     elif isinstance(value, float) and math.isnan(value):
         raise ValueError(f"{brief(place, 80)} must be a number, got nan")

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from novags.commands.links import OPTION, without_links
+from sensor_model.files.door import read_bytes
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
 
@@ -62,6 +63,14 @@ def test_pictures_may_be_links_into_another_folder_that_the_command_line_names(l
     (linked.parent / "disk" / "cap").mkdir()
     assert call("capture", "set", "--out", "disk/cap") == 2  # of which the pictures are no part
     assert call("score", "--renders", "disk", "--set", "set") == 0
+
+
+def test_a_folder_that_is_called_like_the_command_is_not_given_by_its_name(linked: Path, call: Call) -> None:
+    linked.rename(linked.parent / "capture")
+    with without_links(["capture", "x"])[1]:
+        assert read_bytes(linked.parent / "capture" / "images" / "0000.png")
+    with without_links(["plan", "capture"])[1], pytest.raises(ValueError, match=OPTION):
+        read_bytes(linked.parent / "capture" / "images" / "0000.png")
 
 
 def test_what_one_command_allows_the_next_does_not(linked: Path, call: Call) -> None:

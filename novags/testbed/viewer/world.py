@@ -63,6 +63,9 @@ class World:
         return int(np.argmin(np.hypot(np.arccos(np.clip(cosines, -1, 1)), distances)))
 
 
+LARGEST = 1e12  # of a camera: float64 then still resolves a tenth of a millimetre in metres
+
+
 def own_cameras(run: Run) -> tuple[list[str], Tensor] | None:
     """Names and matrices [R, 4, 4] float64 of the training cameras in a run's frame; None if it did not write them.
 
@@ -75,6 +78,8 @@ def own_cameras(run: Run) -> tuple[list[str], Tensor] | None:
     listed = read_record(path, shapes.VIEWER_CAMERAS, "reconstruct again")
     turns = np.array([camera["rotation"] for camera in listed], np.float64).reshape(-1, 3, 3).transpose(0, 2, 1)
     places = np.array([camera["position"] for camera in listed], np.float64).reshape(-1, 3)
+    if (most := max(np.abs(turns).max(initial=0), np.abs(places).max(initial=0))) > LARGEST:
+        raise ValueError(f"{path} must hold positions and rotations up to {LARGEST:g}, got {most:g}: reconstruct again")
     viewmats = np.tile(np.eye(4), (len(listed), 1, 1))
     viewmats[:, :3, :3], viewmats[:, :3, 3] = turns, -np.einsum("cij,cj->ci", turns, places)
     return [camera["img_name"] for camera in listed], torch.from_numpy(viewmats)

@@ -110,8 +110,8 @@ class Deeds:
 
 
 def _given(name: str, words: Sequence[str]) -> list[str]:
-    """The words that name a folder in which a file lies."""
-    return [word for word in words if word and name.startswith(f"{word}/")]
+    """The words that name a folder in which a file lies; the first names the command."""
+    return [word for word in words[1:] if word and name.startswith(f"{word}/")]
 
 
 def _level(name: str, words: Sequence[str]) -> int:

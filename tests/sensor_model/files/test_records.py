@@ -74,8 +74,8 @@ def test_json_and_toml_are_read_with_and_without_a_byte_order_mark(tmp_path: Pat
     [
         ("a = nan", "a must be a number, got nan"),
         ("[t]\na = [1.0, -nan]", r"t.a\[1\] must be a number, got nan"),
-        (f"a = {2**63}", "a must fit 64 bits"),
-        (f"a = {'9' * 400}", "a must fit 64 bits"),
+        (f"a = {2**64}", r"a must be below 2\*\*64"),
+        (f"a = {'9' * 400}", r"a must be below 2\*\*64"),
         (f"a = {'9' * 5000}", "a.toml"),
         (f"a = {'[' * 5000}{']' * 5000}", "is nested too deeply"),
         (f"a = {'[' * (DEPTH + 1)}{']' * (DEPTH + 1)}", f"nested more than {DEPTH} deep"),
@@ -93,5 +93,5 @@ def test_toml_that_readers_go_wrong_on_is_refused_in_one_line(tmp_path: Path, te
 
 
 def test_infinity_in_toml_is_left_to_its_reader(tmp_path: Path) -> None:
-    (tmp_path / "a.toml").write_text("mu_e_sat = inf")
-    assert read_toml(tmp_path / "a.toml") == {"mu_e_sat": float("inf")}
+    (tmp_path / "a.toml").write_text(f"mu_e_sat = inf\nserial = {2**64 - 1}")
+    assert read_toml(tmp_path / "a.toml") == {"mu_e_sat": float("inf"), "serial": 2**64 - 1}

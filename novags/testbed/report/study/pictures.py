@@ -9,7 +9,7 @@ from pathlib import Path
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_unchecked
 from novags.testbed.folders.run import Run
-from novags.testbed.folders.set import Source
+from novags.testbed.folders.set import Source, warnings_as_notes
 from novags.testbed.report.look.album import Album
 from novags.testbed.report.material import Material
 from novags.testbed.report.pictures import ViewTiles, view_tiles
@@ -90,7 +90,8 @@ def _rendered(runs: Mapping[str, Run], name: str) -> dict[str, Run]:
 
 def _opened(path: Path) -> tuple[Capture, Source]:
     """A capture and its set; where that is gone, the capture's own cameras without any truth in good light."""
-    capture = open_unchecked(path)
+    with warnings_as_notes(QUIET):  # a picture that is missing has its place in the page
+        capture = open_unchecked(path)
     try:
         return capture, capture.unchecked_source(QUIET)
     except ValueError:
