@@ -119,3 +119,10 @@ def mvtv(root: Path, scene: str = "hall") -> Path:
         write16(folder / "images" / name, codes16(i))
     colmap(folder / "sparse" / "0", names, RIG)
     return folder
+
+
+def unsealed(record: Path) -> None:
+    """Take the checksums out of a record, as in those of earlier versions: then tests may change its files."""
+    content = json.loads(record.read_text(encoding="utf-8"))
+    del content["stage"]["files"]
+    record.write_text(json.dumps(content), encoding="utf-8")

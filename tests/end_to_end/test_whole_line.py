@@ -286,17 +286,17 @@ def test_a_damaged_picture_gives_one_clear_error(
     folder = copy(experiment, tmp_path, "set", "capture")
     picture = folder / "capture" / "images" / "0003.png"
     picture.write_bytes(picture.read_bytes()[:50])
-    with pytest.raises(ValueError, match=r"0003\.png is (cut short|not a readable image)"):
+    with pytest.raises(ValueError, match=r"images/0003\.png not as written"):
         stages.reconstruct(folder / "capture", folder / "naive", naive(tiny), quiet)
 
 
 def test_missing_truth_gives_one_clear_error(experiment: Path, quiet: Console, tmp_path: Path) -> None:
     folder = copy(experiment, tmp_path, "set", "capture", "naive")
     (folder / "capture" / "truth" / "0008.exr").unlink()
-    with pytest.raises(ValueError, match="capture has changed"):
+    with pytest.raises(ValueError, match=r"capture: truth/0008\.exr not as written"):
         stages.score(folder / "naive", quiet)
     with pytest.raises(ValueError, match=r"0008\.exr"):
-        open_capture(folder / "capture").clean(8)
+        open_capture(folder / "capture")
 
 
 def test_a_moved_set_gives_one_clear_error(experiment: Path, quiet: Console, tmp_path: Path) -> None:

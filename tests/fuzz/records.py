@@ -52,7 +52,10 @@ def table(records: list[dict[str, Any]]) -> str:
     return "\n".join(rows) + "\n"
 
 
+LEAST = 5  # cases of the slowest reader, in however short a run
+
+
 def shares(cases: int, weights: dict[str, float]) -> dict[str, int]:
     """How many of `cases` each reader or command gets."""
     whole = sum(weights.values())
-    return {name: max(1, round(cases * weight / whole)) for name, weight in weights.items()}
+    return {name: max(min(LEAST, cases), round(cases * weight / whole)) for name, weight in weights.items()}

@@ -25,6 +25,7 @@ from novags.testbed.stages.capturing import CaptureConfig
 from novags.testbed.stages.scoring import merge
 from simscenes import orbit_rig
 from simscenes.sets.multiview import load_set, write_cameras
+from tests.miniatures import unsealed
 
 QUIET = Console(quiet=True)
 ODD: list[Any] = [
@@ -47,6 +48,8 @@ def line(tmp_path_factory: pytest.TempPathFactory) -> Path:
     config = adapted(EXPERIMENTS["demo"], points=20, iterations=1).reconstruct("naive")
     stages.reconstruct(folder / "capture", folder / "run", config, QUIET)
     stages.score(folder / "run", QUIET)
+    for record in ("capture/capture.json", "run/run.json"):
+        unsealed(folder / record)
     return folder
 
 
@@ -143,7 +146,7 @@ POSE = [[1.0, 0, 0, 1], [0, 1, 0, 2], [0, 0, 1, 3], [0, 0, 0, 1]]
     ("changes", "message"),
     [
         ({"w": "800"}, r'w must be a finite number, got "800"'),
-        ({"fl_x": 10**400}, r"fl_x must be a finite number, got a number of more than 30 digits"),
+        ({"fl_x": 10**400}, r"whole numbers must be below 2"),
         ({"w": 0}, "w must lie between 0 and"),
         ({"fl_x": -3.0}, "fl_x must lie between 0 and"),
         ({"cx": 1e9}, "cx must lie between"),
@@ -207,11 +210,11 @@ def test_small_faults_that_only_many_damaged_files_show(tmp_path: Path) -> None:
         (tmp_path / name).write_text(deep)
     assert not is_complete(tmp_path, "d", [])
     assert seconds_spent(tmp_path, "d") == {}
-    with pytest.raises(ValueError, match=r"events.jsonl is missing or damaged"):
+    with pytest.raises(ValueError, match=r"events.jsonl, line 1 is nested too deeply"):
         Run(tmp_path, {}).events()
     for seconds in ("{}", "[1]", "null", "1" + "0" * 400):
         (tmp_path / UNFINISHED).write_text(f'{{"key": "k", "seconds": {seconds}}}')
-        with pytest.raises(ValueError, match=rf"{UNFINISHED}.* seconds must be a finite number"):
+        with pytest.raises(ValueError, match=rf"{UNFINISHED}.*(seconds must be a finite number|below 2\*\*64)"):
             _Stage("score", tmp_path, "metrics.json", (), (), quiet)._earlier_cost("k")
     (tmp_path / UNFINISHED).unlink()
     (tmp_path / "experiment.json").write_text('{"command": null, "methods": [], "preset": {}}')

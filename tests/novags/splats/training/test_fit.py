@@ -217,7 +217,7 @@ def test_bad_targets_and_losses_are_refused():
     ("changes", "message"),
     [
         ({"iterations": -1}, "iterations must be >= 0"),
-        ({"cap_max": 0}, "cap_max must be >= 1 or None, got 0"),
+        ({"cap_max": 0}, "cap_max must be >= 1, got 0"),
         ({"sh_degree": 4}, "sh_degree must be 0, 1, 2 or 3, got 4"),
         ({"dssim_weight": 1.5}, "dssim_weight must lie in 0..1"),
         ({"opacity_reg_fall": -1.0}, "opacity_reg_fall must be finite and >= 0, got -1"),

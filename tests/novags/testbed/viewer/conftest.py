@@ -7,12 +7,12 @@ import pytest
 
 from novags.testbed import stages
 from novags.testbed.console import Console
-from novags.testbed.contents import read_json, write_json
 from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.stages.capturing import CaptureConfig
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
 from simscenes.sets.pictures.png import write_png
+from tests.miniatures import unsealed
 
 QUIET = Console(quiet=True)
 NAMES = [f"{i:04d}" for i in range(9)]
@@ -34,9 +34,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     for name, method in (("first", "naive"), ("second", "naive-l1")):
         short = adapted(EXPERIMENTS["demo"], methods=(method,), points=80, iterations=10)
         stages.reconstruct(folder / "capture", folder / name, short.reconstruct(method), QUIET)
-        record = read_json(folder / name / "run.json")
-        del record["stage"]["files"]
-        write_json(folder / name / "run.json", record)
+        unsealed(folder / name / "run.json")
     for name in NAMES[1:8]:
         write_png(folder / "second" / "denoised" / f"{name}.png", np.full((HEIGHT, WIDTH, 3), 0.25, np.float32))
     return {name: folder / name for name in ("capture", "first", "second")}
