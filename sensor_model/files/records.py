@@ -91,7 +91,7 @@ def parse_json(
                 text, parse_int=_whole, parse_float=_finite, parse_constant=constant, object_pairs_hook=_unique
             )
         except json.JSONDecodeError as error:
-            raise ValueError(f"{where} is not valid JSON ({error}); {remedy}") from error
+            raise ValueError(f"{where} is not valid JSON ({brief(error)}); {remedy}") from error
         check_depth(value)
     return value
 

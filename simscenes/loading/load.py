@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from sensor_model.files.door import read_bytes, resolved
+from sensor_model.files.reading import brief
 from simscenes.backend import COLORS, using_variant
 from simscenes.loading.checks.complete import check_complete
 from simscenes.loading.checks.meshes import check_faces
@@ -123,7 +124,7 @@ def load_here(source: SceneRef, mi: Any, *, allow_outside: bool = False) -> Load
     try:
         loaded, description = _load(source, mi, allow_outside)
     except (RuntimeError, TypeError, KeyError, AttributeError) as error:  # what Mitsuba and its bindings raise
-        raise ValueError(f"scene {name!r} cannot be loaded: {error}{_hint(str(error), source)}") from error
+        raise ValueError(f"scene {name!r} cannot be loaded: {brief(error, 600)}{_hint(str(error), source)}") from error
     if not isinstance(loaded, mi.Scene) or len(loaded.shapes()) == 0:
         raise ValueError(f"scene {name!r} has no shapes: there is nothing to see")
     if problem := why_unusable(loaded, mi):

@@ -24,6 +24,7 @@ from novags.cameras.networks.package import read_checkpoint, require_weights
 from novags.cameras.pictures import Pictures, check_kind, check_views, write_pictures
 from novags.numbers import VIEWS, check_range
 from sensor_model.files.door import resolved
+from sensor_model.files.reading import brief
 from sensor_model.files.scratch import scratch
 
 ADVICE = "more query_frames, more light, or --cameras known"
@@ -141,6 +142,6 @@ def _model(folder: Path, pycolmap: Any) -> Any:
             return pycolmap.Reconstruction(folder)
     except Exception as error:
         raise ValueError(
-            f"VGGSfM ended without an error, but its sparse folder holds no COLMAP model ({error}): use the version of "
-            "its main branch, which writes SCENE_DIR/sparse"
+            f"VGGSfM ended without an error, but its sparse folder holds no COLMAP model ({brief(error)}): use the version "
+            "of its main branch, which writes SCENE_DIR/sparse"
         ) from error

@@ -14,7 +14,7 @@ import numpy as np
 from novags.testbed.folders import raw_files
 from sensor_model import to_srgb8
 from sensor_model.files.door import PICTURE, admitted
-from sensor_model.files.reading import reading
+from sensor_model.files.reading import brief, reading
 from simscenes.rigs import Rig, opengl_to_opencv
 from simscenes.sets.multiview import MultiviewSet
 from simscenes.sets.pictures.exr import read_exr
@@ -184,7 +184,7 @@ def _size(file: Path) -> tuple[int, int]:
         with OpenEXR.File(admitted(file, most=PICTURE), header_only=True) as image:
             (low, high), whole = (image.header()[window] for window in ("dataWindow", "displayWindow"))
     except Exception as error:  # OpenEXR raises several types
-        raise ValueError(f"{file} is not a readable EXR file ({error})") from error
+        raise ValueError(f"{file} is not a readable EXR file ({brief(error)})") from error
     if not np.array_equal((low, high), whole):  # a part has another principal point than its camera
         raise ValueError(f"{file} holds a part of its picture, or more than it (data window {low.tolist()} to "
                          f"{high.tolist()}, display window {whole[0].tolist()} to {whole[1].tolist()}): save whole "

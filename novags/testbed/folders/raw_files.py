@@ -10,6 +10,7 @@ import numpy as np
 
 from sensor_model.files.dng import SMALLEST, XYZ_TO_SRGB
 from sensor_model.files.door import PICTURE, admitted
+from sensor_model.files.reading import brief
 from sensor_model.params import CFAS, Cfa
 
 SUFFIXES = (".dng", ".nef", ".nrw", ".cr2", ".cr3", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw")
@@ -231,6 +232,6 @@ def _opened(path: Path, *, pixels: bool = True) -> Iterator[Any]:
             yield raw
     except (rawpy.LibRawError, OSError) as error:
         raise ValueError(
-            f"{path} is not a readable raw file ({error}); replace or remove it. LibRaw also refuses images under "
-            f"{SMALLEST} px wide or high"
+            f"{path} is not a readable raw file ({brief(error)}); replace or remove it. LibRaw also refuses images "
+            f"under {SMALLEST} px wide or high"
         ) from error

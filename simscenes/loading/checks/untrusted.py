@@ -14,6 +14,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from sensor_model.files.door import admitted, is_given, read_bytes, resolved
+from sensor_model.files.reading import brief
 from simscenes.loading.checks.complete import check_complete
 from simscenes.loading.checks.meshes import check_mesh_file
 from simscenes.sets.pictures.whole import check_whole
@@ -166,7 +167,7 @@ class _Reader:
                 raise ValueError(f"scene file {path} declares entities, which can grow without bound; write them out")
             return ElementTree.fromstring(text)
         except (OSError, ElementTree.ParseError) as error:
-            raise ValueError(f"scene file {path} cannot be read as XML: {error}") from error
+            raise ValueError(f"scene file {path} cannot be read as XML: {brief(error)}") from error
 
     def _elements(self, path: Path, depth: int, owner: str) -> Iterator[tuple[str, dict[str, str], int, str]]:
         """Tags and attributes in document order, each with its depth and the id of the object around it."""

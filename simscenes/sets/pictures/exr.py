@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sensor_model.files.atomic import atomic
 from sensor_model.files.door import PICTURE, admitted
+from sensor_model.files.reading import brief
 
 _DTYPES = (np.float16, np.float32, np.uint32)
 
@@ -69,6 +70,6 @@ def read_exr(path: str | Path) -> tuple[dict[str, NDArray[Any]], dict[str, Any]]
             header = dict(file.header())
     except Exception as error:  # OpenEXR raises RuntimeError, TypeError or OSError, depending on where the file is cut
         raise ValueError(
-            f"read_exr: {path} is not a readable EXR file ({error}); delete it and write it again"
+            f"read_exr: {path} is not a readable EXR file ({brief(error)}); delete it and write it again"
         ) from error
     return channels, header

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensor_model.files.door import PICTURE, opened, read_bytes
+from sensor_model.files.reading import brief
 from simscenes.sets.pictures.tiff import (
     AS_STORED,
     EXTRA_SAMPLES,
@@ -77,7 +78,7 @@ def header(file: Path) -> Iterator[Any]:
                     f"{file} is not a readable image (its kind is not known); replace or remove it"
                 ) from error
             except Exception as error:  # each format has errors of its own, SyntaxError and struct.error among them
-                raise ValueError(f"{file} is not a readable image ({error}); replace or remove it") from error
+                raise ValueError(f"{file} is not a readable image ({brief(error)}); replace or remove it") from error
             finally:
                 Image.MAX_IMAGE_PIXELS = limit
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sensor_model.files.door import resolved
-from sensor_model.files.reading import some
+from sensor_model.files.reading import brief, some
 from simscenes.rigs import Rig
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.readers.colmap_check import check_model, count_images, with_points
@@ -144,7 +144,7 @@ def read_reconstruction(model: Path) -> tuple[Any, dict[int, str]]:
         with with_points(model) as whole:
             return pycolmap.Reconstruction(str(whole)), names
     except Exception as error:  # pycolmap raises several types, some of them its own
-        raise ValueError(f"load_set: {model} is not a readable COLMAP model ({error})") from error
+        raise ValueError(f"load_set: {model} is not a readable COLMAP model ({brief(error)})") from error
 
 
 def colmap_lens(camera: Any, width: int, height: int, source: Path) -> DistortedPinhole:
