@@ -250,9 +250,9 @@ def test_variants_through_the_command_line(name: str, method: str, settings: dic
 plain = st.recursive(
     st.none()
     | st.booleans()
+    | st.text()
     | st.integers(1 - 2**64, 2**64 - 1)
-    | st.floats(allow_nan=False, allow_infinity=False)
-    | st.text(),
+    | st.floats(allow_nan=False, allow_infinity=False),
     lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(), inner, max_size=3),
     max_leaves=8,
 )

@@ -142,6 +142,6 @@ def _model(folder: Path, pycolmap: Any) -> Any:
             return pycolmap.Reconstruction(folder)
     except Exception as error:
         raise ValueError(
-            f"VGGSfM ended without an error, but its sparse folder holds no COLMAP model ({brief(error)}): use the version "
-            "of its main branch, which writes SCENE_DIR/sparse"
+            f"VGGSfM ended without an error, but its sparse folder holds no COLMAP model ({brief(error)}): use the "
+            "version of its main branch, which writes SCENE_DIR/sparse"
         ) from error
