@@ -13,7 +13,7 @@ from tests.fuzz.commands.doing import Ended
 from tests.fuzz.judge import LONGEST, MEMORY, Limits, places_in
 
 CODES = (0, 1, 2, 130, 141)
-WARNING = re.compile(r"^\S*:\d+: \w*Warning: .*$|^\w*Warning: .*$", re.MULTILINE)
+WARNING = re.compile(r"^[^\n:]*:\d+: \w*Warning: .*$|^\w*Warning: .*$", re.MULTILINE)  # a path may hold spaces
 CONTROL = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u200e\u200f\u202a-\u202e\u2066-\u2069]")
 SLACK = 300  # characters of a message that are not the file's: what it is about, and what to do
 

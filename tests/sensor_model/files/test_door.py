@@ -26,8 +26,9 @@ from sensor_model.files.python import python
 
 
 @pytest.fixture(autouse=True)
-def _nothing_given() -> Iterator[None]:
+def _nothing_given(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """What a test gives is forgotten after it."""
+    monkeypatch.delenv(door.VARIABLE, raising=False)
     with given([]):
         yield
 

@@ -1,5 +1,6 @@
 """Scene files nobody vouches for: nothing outside their folder is read or run, and checking them always ends."""
 
+import os
 import shutil
 import struct
 from pathlib import Path
@@ -209,3 +210,11 @@ def test_a_texture_that_is_cut_short_or_declares_too_much_is_refused_unread(tmp_
         (tmp_path / name).write_bytes(content)
         with pytest.raises(ValueError, match=f"{name} .*{reason}"):
             check_xml(tmp_path / "scene.xml")
+
+
+@pytest.mark.parametrize("tag", ["shape", "emitter"])
+def test_a_fifo_that_a_scene_names_is_refused_and_not_waited_for(folder: Path, tag: str) -> None:
+    kind = "ply" if tag == "shape" else "envmap"
+    os.mkfifo(folder / "pipe.exr")
+    content = f'<{tag} type="{kind}"><string name="filename" value="pipe.exr"/></{tag}>'
+    refused(write(folder / "scene.xml", wrapped(content)), "pipe.exr must be a regular file, got a FIFO")

@@ -203,7 +203,7 @@ WRONG: dict[str, tuple[str, str]] = {
     "whole": ("[grid]\nseed = [0.5]", "[grid] seed: it must be a whole number or none, got 0.5"),
     "range": ("[grid]\nelectrons = [5, -1]", "[grid] electrons: electrons must be > 0 and at most 1e+09, got -1"),
     "seed": ("[grid]\nseed = [-1]", "[grid] seed: seed must be >= 0 and < 2**64, got -1"),
-    "large seed": (f"[grid]\nseed = [{2**64}]", "grid.seed[0] must fit 64 bits"),
+    "large seed": (f"[grid]\nseed = [{2**64}]", "grid.seed[0] must be below 2**64"),
     "empty": ("[grid]\nseed = []", "[grid] seed: it has no values"),
     "twice": ("[grid]\nelectrons = [5, 5.0]", "[grid] electrons: 5 is listed twice"),
     "scene twice": ("[grid]\nscene = ['cornell', 'cornell:0']", "[grid] scene: 'cornell' is listed twice, also as"),

@@ -178,3 +178,13 @@ def test_cameras_that_are_not_those_of_the_capture_are_one_line(runs: Runs, tmp_
     (run / "cameras.json").write_text(text.replace("[", "", 1))
     with pytest.raises(ValueError, match=r"cameras.json is not valid JSON .*; reconstruct again"):
         shown.scene("naive")
+
+
+def test_cameras_beyond_what_float64_tells_apart_are_one_line(runs: Runs, tmp_path: Path) -> None:
+    run = plain(runs["first"], tmp_path)
+    listed = json.loads((run / "cameras.json").read_text())
+    listed[0]["position"][1] = 1e300
+    (run / "cameras.json").write_text(json.dumps(listed))
+    (shown,) = shown_of([run], QUIET)
+    with pytest.raises(ValueError, match=r"cameras.json must hold positions and rotations up to 1e\+12, got 1e\+300"):
+        shown.scene("naive")
