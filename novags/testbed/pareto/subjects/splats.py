@@ -77,8 +77,8 @@ def in_child(order: dict[str, Any], code: str) -> dict[str, Any]:
 
     Args:
         order: What it has to do.
-        code: Name of the folder of its machine code. That is no part of the folder of the measurements: it would run,
-            whoever made that folder.
+        code: Name of the folder for compiled kernels, in the user's own cache: machine code in the folder of the
+            measurements would run whoever had made that folder.
 
     Raises:
         OSError: If it fails; with its last words.
