@@ -4,8 +4,8 @@ import math
 from typing import Any
 
 from sensor_model.files.reading import brief
+from sensor_model.files.records import WHOLE  # seeds need all of it
 
-WHOLE = 2**64  # whole numbers stay below it: seeds need all of it
 FLOAT = 3.4e38  # and others below this, the largest of 32 bits: pictures and scenes are computed in such
 KINDS: dict[Any, str] = {int: "a whole number", float: "a number"}
 

@@ -37,7 +37,6 @@ from sensor_model.files.lock import locked
 
 Prepared = TypeVar("Prepared")
 
-GROWING = ("events.jsonl",)  # written line by line, not at once
 STATE = {"stage?": str, "record?": str, "key?": (str, None), "seconds?": float, "peak_bytes?": int}  # what that holds
 FILES = {"files?": {"*": str}}  # checksums of what the stage wrote
 KEYED = {"stage?": {"key?": str, **FILES}}  # what a record of any stage holds
@@ -201,7 +200,7 @@ class _Stage:
         """Raise ValueError if a file is not as it was when this stage wrote it."""
         for name, known in files.items():
             written = witness.found.get(os.path.abspath(self.folder / name))
-            if written is not None and name not in GROWING and shortened(written) != known:
+            if written is not None and shortened(written) != known:
                 self._mark(None)  # nothing here can be gone on from
                 raise ValueError(
                     f"{self.folder / name} was changed by somebody else while {self.name} was at work: its "

@@ -122,7 +122,9 @@ def refuse_damage(folder: Path, record: Mapping[str, Any], remedy: str, names: S
         ValueError: Naming them.
     """
     stage = record.get("stage") or {}
-    files = {name: known for name, known in stage.get("files", {}).items() if names is None or name in names}
+    files: Mapping[str, str] = stage.get("files", {})
+    if names is not None:
+        files = {name: files[name] for name in names if name in files}
     if wrong := damaged(folder, {"files": files}):
         raise ValueError(f"{folder}: {wrong}; put back what was there, or {remedy}")
 

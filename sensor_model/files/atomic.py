@@ -1,4 +1,4 @@
-"""Files and folders that appear whole or not at all."""
+"""Files and folders that appear whole or not at all, and logs that grow."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from glob import escape
 from pathlib import Path
+from typing import BinaryIO
 
-from sensor_model.files.door import check_links
+from sensor_model.files.door import check_links, descriptor_of_our_own
 
 _PARTIAL = re.compile(r"\..*\.(\d+)\.partial")  # the beginning of a temporary name, with the number of its process
 
@@ -80,6 +81,20 @@ def witnessed(look: Callable[[Path], bytes]) -> Iterator[Witness]:
         yield witness
     finally:
         _witnesses.remove(witness)
+
+
+def appending(path: str | os.PathLike[str]) -> BinaryIO:
+    """Open a file of our own to write at its end; it is made if it is missing.
+
+    It grows from now on, so that no witness knows its content.
+
+    Raises:
+        ValueError: As `descriptor_of_our_own`.
+    """
+    file = os.fdopen(descriptor_of_our_own(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT), "ab")
+    for witness in _witnesses:
+        witness.found.pop(os.path.abspath(path), None)
+    return file
 
 
 def write_text(path: Path, text: str) -> None:

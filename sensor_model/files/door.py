@@ -43,7 +43,7 @@ def enter(folder: AnyPath) -> None:
     Raises:
         ValueError: If it lies in another folder that was given, behind a link that leads out of all of them.
     """
-    _given[_absolute(folder)] = _target(folder)
+    _given[os.path.abspath(folder)] = _target(folder)
 
 
 def allow(places: Iterable[AnyPath]) -> None:
@@ -93,7 +93,7 @@ def check_links(path: AnyPath) -> None:
 
 def _target(path: AnyPath) -> str:
     """The path without links, as `check_links`."""
-    absolute = _absolute(path)
+    absolute = os.path.abspath(path)
     target = os.path.realpath(path)  # not of `absolute`, where ".." behind a link has lost the link
     if os.path.islink(target):  # where realpath gives up
         raise ValueError(f"{path} is a link that leads to itself: remove it")
@@ -138,12 +138,12 @@ def opened(path: AnyPath, *, most: int | None = None) -> BinaryIO:
         OSError: If it is missing or cannot be read.
     """
     _check_kind(path, os.stat(path))  # before it is opened: that alone can block, or wind a tape back
-    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK | getattr(os, "O_BINARY", 0))
+    descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     try:
         found = os.fstat(descriptor)
         _check_kind(path, found)
         _check_size(path, found.st_size, largest() if most is None else most)
-        if _reached(descriptor) != _absolute(path):
+        if _reached(descriptor) != os.path.abspath(path):
             check_links(path)
         return os.fdopen(descriptor, "rb")
     except BaseException:
@@ -178,24 +178,15 @@ def read_text(path: AnyPath, *, most: int = TEXT) -> str:
     return io.StringIO(text, newline=None).read()
 
 
-def appending(path: AnyPath) -> BinaryIO:
-    """Open a file of our own to write at its end; it is made if it is missing.
-
-    Raises:
-        ValueError: If its name belongs to a link, to anything else than a regular file, or to a file with a second
-            name: none of these was made by us.
-    """
-    return os.fdopen(descriptor_of_our_own(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT), "ab")
-
-
 def descriptor_of_our_own(path: AnyPath, flags: int) -> int:
     """`os.open` for a file under a name of ours, which somebody else may have put a link or a FIFO at.
 
     Raises:
-        ValueError: As for `appending`.
+        ValueError: If it is a link, anything else than a regular file, or a file with a second name: none of these was
+            made by us.
         OSError: As `os.open`.
     """
-    check_links(os.path.dirname(_absolute(path)))
+    check_links(os.path.dirname(os.path.abspath(path)))
     try:
         # Not blocking: to open a FIFO would wait for its other end.
         descriptor = os.open(path, flags | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, 0o666)
@@ -230,10 +221,6 @@ def _check_size(path: AnyPath, size: int, most: int) -> None:
     if size > most:
         raise ValueError(f"{path} must have at most {most:,} bytes to be read here, got {size:,}: is it the right "
                          "file, and whole?")  # fmt: skip
-
-
-def _absolute(path: AnyPath) -> str:
-    return os.path.abspath(path)
 
 
 def _reached(descriptor: int) -> str:

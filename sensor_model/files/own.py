@@ -37,9 +37,9 @@ def own_folder(folder: Path) -> Path:
 
 
 def _why_not(found: os.stat_result) -> str:
-    """Why what has been found is no folder of this user alone; "" if it is one."""
+    """Why something is not a folder of this user alone; "" if it is one."""
     if not stat.S_ISDIR(found.st_mode):
-        return "is a link" if stat.S_ISLNK(found.st_mode) else "is no folder"
+        return "is a link" if stat.S_ISLNK(found.st_mode) else "is not a folder"
     if found.st_uid not in (os.getuid(), 0):  # root may do everything anyway
         return f"belongs to the user with number {found.st_uid}"
     return "can be written to by others" if _is_open(found) else ""

@@ -17,7 +17,7 @@ from sensor_model.files.door import admitted, is_given, read_bytes, resolved
 from sensor_model.files.reading import brief
 from simscenes.loading.checks.complete import check_complete
 from simscenes.loading.checks.meshes import check_mesh_file
-from simscenes.sets.pictures.whole import check_whole
+from simscenes.sets.pictures.whole import whole_content
 
 MAX_TEXT = 64 << 20  # characters of all files together, parameters written out
 MAX_INCLUDES = 1000
@@ -61,10 +61,9 @@ def check_xml(
         raise ValueError(f"scene file {path} has no parameter {', '.join(unused):.200}; it has {known:.500}")
     reader.check_references()
     for file in reader.files:
-        admitted(file)  # Mitsuba opens it by name
         check_mesh_file(file)
         if file.suffix.lower() in PICTURES:
-            check_whole(file)
+            whole_content(file)
     return tuple(reader.files)
 
 

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_model.files.door import PICTURE, opened, read_bytes
+from sensor_model.files.door import PICTURE, opened
 from sensor_model.files.reading import brief
 from simscenes.sets.pictures.tiff import (
     AS_STORED,
@@ -26,7 +26,7 @@ from simscenes.sets.pictures.tiff import (
     tiff_tags,
     unread,
 )
-from simscenes.sets.pictures.whole import check_whole
+from simscenes.sets.pictures.whole import whole_content
 
 # 23,170 x 23,170: above any camera's (phones have 200 million), and 1.6 GB as 8-bit RGB. What a file declares beyond it
 # is refused before a byte is decoded, since a few kilobytes can declare a picture that fills any memory.
@@ -92,12 +92,12 @@ def read_image(file: Path, flags: int) -> NDArray[Any]:
     if not file.is_file():
         raise ValueError(f"{file} is missing or not a readable image")
     image_size(file)
-    check_whole(file)
+    content = whole_content(file)
     if flags & cv2.IMREAD_ANYDEPTH and (problem := misread(file)):  # a part of IMREAD_UNCHANGED, too
         raise ValueError(f"{file} {problem}")
     try:
         with _quiet_opencv():
-            pixels = _decoded(file, flags | cv2.IMREAD_IGNORE_ORIENTATION)
+            pixels = _decoded(file, content, flags | cv2.IMREAD_IGNORE_ORIENTATION)
     except cv2.error as error:
         raise ValueError(f"{file} cannot be decoded ({' '.join(str(error).split())}); replace or remove it") from error
     if pixels is None:
@@ -123,12 +123,10 @@ def _quiet_opencv() -> Iterator[None]:
                 logging.setLogLevel(_level)
 
 
-def _decoded(file: Path, flags: int) -> Any:
+def _decoded(file: Path, content: bytes, flags: int) -> Any:
     # OpenCV turns TIFFs whatever its flags say, and multiplies 8-bit colours by alpha where the file has not done so.
-    content = retagged(file, {ORIENTATION: AS_STORED, EXTRA_SAMPLES: PREMULTIPLIED})
-    if content is None:
-        content = read_bytes(file)
-    return cv2.imdecode(np.frombuffer(content, np.uint8), flags)
+    changed = retagged(file, {ORIENTATION: AS_STORED, EXTRA_SAMPLES: PREMULTIPLIED})
+    return cv2.imdecode(np.frombuffer(content if changed is None else changed, np.uint8), flags)
 
 
 WITH_ALPHA = (".png", ".tif", ".tiff", ".webp")  # formats of 8-bit photographs that can be transparent

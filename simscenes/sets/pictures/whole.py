@@ -24,10 +24,11 @@ SHRINKS_MOST = 64 * DEFLATE  # all others
 BYTES = {0: 4, 1: 2, 2: 4}  # by the type of an EXR channel
 
 
-def check_whole(file: Path) -> None:
-    """Refuse a JPEG or PNG file that is cut short, and a PNG or EXR file that declares more than it can hold.
+def whole_content(file: Path) -> bytes:
+    """The bytes of a picture file.
 
-    Other files pass, and so do those that are damaged in ways that their decoders notice.
+    A JPEG or PNG file that is cut short is refused, and a PNG or EXR file that declares more than it can hold. Other
+    files pass, and so do files that are damaged in ways that their decoders notice.
 
     Raises:
         ValueError: If it is.
@@ -40,6 +41,7 @@ def check_whole(file: Path) -> None:
         raise ValueError(f"{file} {problem}: copy it again")
     if content.startswith(EXR) and (problem := _exr_problem(content)):
         raise ValueError(f"{file} {problem}: copy it again")
+    return content
 
 
 def _reaches_end(content: bytes) -> bool:

@@ -10,8 +10,8 @@ import torch
 from novags.testbed import cache
 from novags.testbed.cache import run_stage
 from novags.testbed.console import Console
-from novags.testbed.contents import UNFINISHED, read_json, write_json
-from sensor_model.files.atomic import atomic, write_text
+from novags.testbed.contents import UNFINISHED, checksum, read_json, write_json
+from sensor_model.files.atomic import appending, atomic, write_text
 
 QUIET = Console(quiet=True)
 
@@ -333,3 +333,14 @@ def test_a_file_that_another_hand_changes_while_a_stage_is_at_work_is_never_seal
     assert not (tmp_path / "record.json").exists()
     harmed = False
     assert stage(tmp_path, work)["stage"]["files"].keys() == {"a.txt", "parts/b.txt", "parts/inner/c.json"}
+
+
+def test_a_log_that_grows_while_a_stage_is_at_work_is_sealed_as_it_is_in_the_end(tmp_path: Path) -> None:
+    def work() -> dict[str, int]:
+        write_text(tmp_path / "a.txt", "one ")
+        with appending(tmp_path / "a.txt") as file:
+            file.write(b"two")
+        return {}
+
+    sealed = stage(tmp_path, work)["stage"]["files"]["a.txt"]
+    assert sealed == checksum(tmp_path / "a.txt")

@@ -10,10 +10,9 @@ from pathlib import Path
 import pytest
 
 from sensor_model.files import door
-from sensor_model.files.atomic import atomic, remove, write_text
+from sensor_model.files.atomic import appending, atomic, remove, write_text
 from sensor_model.files.door import (
     admitted,
-    appending,
     check_links,
     enter,
     given,

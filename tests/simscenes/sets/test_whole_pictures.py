@@ -13,7 +13,7 @@ import pytest
 from PIL import Image
 
 from simscenes.sets.pictures.png import read_codes
-from simscenes.sets.pictures.whole import check_whole
+from simscenes.sets.pictures.whole import whole_content
 
 PICTURE = Image.fromarray(np.random.default_rng(0).integers(0, 255, (19, 33, 3), np.uint8))
 
@@ -46,11 +46,11 @@ def test_a_whole_file_passes_and_every_cut_is_refused(kind: str, tmp_path: Path)
     content, file = KINDS[kind], tmp_path / "a.jpg"
     for more in (b"", b"\0" * 9, b"\xff\xd8 a preview that a camera puts behind"):
         file.write_bytes(content + more)
-        check_whole(file)
+        whole_content(file)
     for length in (*range(2, len(content) - 2, 7), len(content) - 2, len(content) - 1):
         file.write_bytes(content[:length])
         with pytest.raises(ValueError, match=r"a.jpg is cut short"):
-            check_whole(file)
+            whole_content(file)
 
 
 def png(width: int, height: int, depth: int, colour: int, packed: bytes) -> bytes:
@@ -69,13 +69,13 @@ def test_a_png_that_compresses_as_far_as_can_be_passes_and_one_line_more_is_refu
     file, height = tmp_path / "a.png", 3000
     packed = zlib.compress(bytes(height * (row + 1)), 9)
     file.write_bytes(png(2000, height, depth, colour, packed))
-    check_whole(file)
+    whole_content(file)
     most = 1032 * len(packed) // row  # rows of `row` bytes
     file.write_bytes(png(2000, most, depth, colour, packed))
-    check_whole(file)
+    whole_content(file)
     file.write_bytes(png(2000, most + 2, depth, colour, packed))
     with pytest.raises(ValueError, match=rf"a.png declares 2000 x {most + 2} pixels, more than its \d+ bytes can hold"):
-        check_whole(file)
+        whole_content(file)
 
 
 def test_every_cut_of_a_png_is_refused_and_so_is_a_chunk_beyond_the_end(tmp_path: Path) -> None:
@@ -87,7 +87,7 @@ def test_every_cut_of_a_png_is_refused_and_so_is_a_chunk_beyond_the_end(tmp_path
     for length in (*range(8, len(content), 17), len(content) - 1):
         file.write_bytes(content[:length])
         with pytest.raises(ValueError, match=r"a.png is cut short"):
-            check_whole(file)
+            whole_content(file)
     at = content.index(b"IDAT") - 4
     file.write_bytes(content[:at] + b"\x7f\xc0\0\0" + content[at + 4 :])  # 2 GiB in OpenCV's decoder
     with pytest.raises(ValueError, match=r"a chunk of it is damaged"):
@@ -96,7 +96,7 @@ def test_every_cut_of_a_png_is_refused_and_so_is_a_chunk_beyond_the_end(tmp_path
 
 def test_other_files_are_others_business(tmp_path: Path) -> None:
     (tmp_path / "a.jpg").write_bytes(b"GIF89a")
-    check_whole(tmp_path / "a.jpg")
+    whole_content(tmp_path / "a.jpg")
 
 
 def exr(compression: Any, width: int = 2000, height: int = 500) -> bytes:
@@ -117,16 +117,16 @@ def test_an_exr_file_may_declare_what_its_compression_can_hold_and_not_a_thousan
 ) -> None:
     content, file = exr(getattr(OpenEXR, name)), tmp_path / "a.exr"
     file.write_bytes(content)
-    check_whole(file)
+    whole_content(file)
     window = struct.pack("<4i", 0, 0, 1999, 499)
     at = content.index(window)  # the data window, which comes before the display window
     file.write_bytes(content[:at] + struct.pack("<4i", -(10**9), -(10**9), 10**9, 10**9) + content[at + 16 :])
     with pytest.raises(ValueError, match=r"a.exr declares 2000000001 x 2000000001 pixels"):
-        check_whole(file)
+        whole_content(file)
 
 
 def test_a_damaged_exr_header_is_left_to_the_decoder(tmp_path: Path) -> None:
     content, file = exr(OpenEXR.ZIP_COMPRESSION), tmp_path / "a.exr"
     for length in range(4, content.index(b"scanlineimage"), 3):
         file.write_bytes(content[:length])
-        check_whole(file)
+        whole_content(file)

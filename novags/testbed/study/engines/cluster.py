@@ -15,7 +15,7 @@ from novags.testbed.study.engines.needs import fits
 from novags.testbed.study.engines.processes import threads_environment
 from novags.testbed.study.engines.queue import Job, Queue, Watcher, lateness
 from novags.testbed.study.engines.worker import Outcome
-from sensor_model.files.door import appending
+from sensor_model.files.atomic import appending
 from sensor_model.files.reading import brief
 
 LOOK = 0.5  # s between two looks at what the nodes say
