@@ -31,6 +31,8 @@ from simscenes.sets.pictures.whole import whole_content
 # 23,170 x 23,170: above any camera's (phones have 200 million), and 1.6 GB as 8-bit RGB. What a file declares beyond it
 # is refused before a byte is decoded, since a few kilobytes can declare a picture that fills any memory.
 MAX_PIXELS = 2**29
+# PIL knows some forty more, tries them on any file whatever it is called, and reserves what some of their headers say.
+FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "WEBP", "PPM", "JPEG2000")
 _PIL = Lock()  # its limit is one number for the whole process
 _OPENCV = Lock()  # and so is how much OpenCV writes: the last of `_decoding` threads puts `_level` back
 _decoding = _level = 0
@@ -70,9 +72,11 @@ def header(file: Path) -> Iterator[Any]:
             limit, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None  # PIL's own: 179 million
             try:
                 content = retagged(file, {ORIENTATION: AS_STORED})
-                with Image.open(stored if content is None else io.BytesIO(content)) as image:
+                with Image.open(stored if content is None else io.BytesIO(content), formats=FORMATS) as image:
                     image.info.pop("xmp", None)  # PIL turns TIFFs by a mark in it, too
                     yield image
+            except MemoryError:
+                raise
             except UnidentifiedImageError as error:
                 raise ValueError(
                     f"{file} is not a readable image (its kind is not known); replace or remove it"

@@ -12,6 +12,7 @@ import OpenEXR
 import pytest
 from PIL import Image
 
+from simscenes.sets.pictures.image_file import image_size
 from simscenes.sets.pictures.png import read_codes
 from simscenes.sets.pictures.whole import whole_content
 
@@ -130,3 +131,12 @@ def test_a_damaged_exr_header_is_left_to_the_decoder(tmp_path: Path) -> None:
     for length in range(4, content.index(b"scanlineimage"), 3):
         file.write_bytes(content[:length])
         whole_content(file)
+
+
+def test_a_file_of_a_kind_that_no_photograph_has_is_not_tried(tmp_path: Path) -> None:
+    """Rationale: as a brush of GIMP, this file asks PIL for a comment of 3 GiB. Found by `python -m tests.fuzz`."""
+    size, version, width, height, channels = 28 + (3 << 30), 2, 8, 8, 1
+    brush = struct.pack(">5I4sI", size, version, width, height, channels, b"GIMP", 10) + bytes(100)
+    (tmp_path / "a.jpg").write_bytes(brush)
+    with pytest.raises(ValueError, match=r"a\.jpg is not a readable image \(its kind is not known\)"):
+        image_size(tmp_path / "a.jpg")
