@@ -10,6 +10,9 @@ def main() -> None:
     found = [folder for folder in sys.path if os.path.isabs(folder) and not _is_here(folder)]
     sys.path[:] = dict.fromkeys([*found, os.path.dirname(os.path.dirname(os.path.abspath(__file__)))])
 
+    from novags.process import settle
+
+    settle()
     from novags.cli import main as command
 
     command()

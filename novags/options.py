@@ -48,7 +48,7 @@ class LightOptions:
 
     def settings(self) -> dict[str, Any]:
         """As `RenderConfig` takes them."""
-        from simscenes import Optics
+        from simscenes.optics import Optics
 
         lens = {"aperture_radius": self.aperture_radius, "focus_distance": self.focus_distance}
         return {

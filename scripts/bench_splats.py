@@ -38,7 +38,11 @@ def peak_mb() -> float:
 
 def measure_grid(n: int, size: int, repeat: int, backend: str = "numba") -> dict[str, Any]:
     """Forward, backward, and a whole training iteration (SH degree 3, L1 + SSIM, Adam, noise)."""
-    from novags.splats import FitConfig, Gaussians, McmcConfig, Views, fit, rasterize
+    from novags.splats.gaussians import Gaussians
+    from novags.splats.raster.rasterize import rasterize
+    from novags.splats.training.config import FitConfig, McmcConfig
+    from novags.splats.training.fit import fit
+    from novags.splats.views import Views
 
     scene = cube_scene(n, size)
     camera = (scene["viewmats"], scene["Ks"], size, size)
@@ -76,9 +80,9 @@ def measure_common(n: int, size: int, repeat: int, backend: str = "numba", strip
     """
     import numpy as np
 
-    from novags.splats import rasterize
     from novags.splats.cpu.parallel import run
     from novags.splats.cpu.training import optimizer
+    from novags.splats.raster.rasterize import rasterize
 
     scene = common_scene(n, size)
     trained = {name: scene[name].requires_grad_() for name in ("means", "quats", "scales", "opacities", "colors")}
@@ -188,8 +192,8 @@ def measure_memory() -> dict[str, Any]:
     """All that one forward and backward pass allocates, split by least squares over scenes of different make-up."""
     import numpy as np
 
-    from novags.splats import rasterize
     from novags.splats.cpu import memory, pipeline
+    from novags.splats.raster.rasterize import rasterize
 
     total, pairs = 0, 0
 

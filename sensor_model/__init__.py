@@ -1,43 +1,6 @@
 """Physical camera model: radiance in, digital numbers out. Arrays only."""
 
-from sensor_model.capture import RawFrame as RawFrame
-from sensor_model.capture import clean_response as clean_response
-from sensor_model.capture import expose as expose
-from sensor_model.capture import expose_burst as expose_burst
-from sensor_model.characterise import Characterisation as Characterisation
-from sensor_model.characterise import Stack as Stack
-from sensor_model.characterise import characterise as characterise
-from sensor_model.files.camera_file import read_sensor as read_sensor
-from sensor_model.files.camera_file import sensor_from_dict as sensor_from_dict
-from sensor_model.files.camera_file import write_sensor as write_sensor
-from sensor_model.files.dng import write_dng as write_dng
-from sensor_model.isp import Developed as Developed
-from sensor_model.isp import develop as develop
-from sensor_model.isp import develop_linear as develop_linear
-from sensor_model.isp import from_linear16 as from_linear16
-from sensor_model.isp import linear_to_srgb as linear_to_srgb
-from sensor_model.isp import srgb_to_linear as srgb_to_linear
-from sensor_model.isp import to_srgb8 as to_srgb8
-from sensor_model.mosaic import mosaic as mosaic
-from sensor_model.noise import NoiseCurve as NoiseCurve
-from sensor_model.noise import linear_noise as linear_noise
-from sensor_model.noise import raw_noise as raw_noise
-from sensor_model.params import Banding as Banding
-from sensor_model.params import Defects as Defects
-from sensor_model.params import DualGain as DualGain
-from sensor_model.params import Exposure as Exposure
-from sensor_model.params import Sensor as Sensor
-from sensor_model.params import SensorOptics as SensorOptics
-from sensor_model.plan import Effect as Effect
-from sensor_model.plan import Plan as Plan
-from sensor_model.planner import Limits as Limits
-from sensor_model.planner import plan_effects as plan_effects
-from sensor_model.presets import PRESETS as PRESETS
-from sensor_model.radiometry import Lens as Lens
-from sensor_model.radiometry import electrons_from_luminance as electrons_from_luminance
-from sensor_model.radiometry import luminance_from_ev as luminance_from_ev
-from sensor_model.radiometry import luminance_from_lux as luminance_from_lux
-from sensor_model.radiometry import photons_for_electrons as photons_for_electrons
-from sensor_model.radiometry import photons_from_radiance as photons_from_radiance
-from sensor_model.radiometry import photons_from_spectrum as photons_from_spectrum
-from sensor_model.radiometry import rolling_shutter as rolling_shutter
+import lazy_loader
+
+# Each name is imported when it is used: what a stage reaches is no more than it needs. The names: __init__.pyi.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

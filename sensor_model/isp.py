@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sensor_model.capture import RawFrame
-from sensor_model.mosaic import channel_index
+from sensor_model.mosaicking import channel_index
 from sensor_model.params import Cfa, Sensor, require
 
 Demosaic = Literal["menon", "malvar", "bilinear", "half"]

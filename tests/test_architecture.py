@@ -31,7 +31,7 @@ LAYERS: dict[str, tuple[tuple[str, ...], ...]] = {
         ("job",),
     ),
     "novags": (
-        ("numbers",),
+        ("numbers", "process"),
         ("settings", "splats"),
         ("fields",),
         ("cameras",),

@@ -162,7 +162,7 @@ def characterise(folder: Folder, *, out: Path, window: int = 1024, overwrite: bo
     """
     from novags.numbers import SIDE, check_range
     from novags.testbed.calibration_frames import characterise_folder
-    from sensor_model import write_sensor
+    from sensor_model.files.camera_file import write_sensor
 
     check_range("window", window, 2, SIDE, " px")
     with writing(out.parent, wait, name=f".{out.name}.lock"):

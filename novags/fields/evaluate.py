@@ -7,7 +7,8 @@ import torch
 from torch import Tensor
 
 from novags.fields.cpu import encode, heads
-from novags.fields.layout import ENCODED, HIDDEN, LANES, SEEDED, SIDE, Field
+from novags.fields.field import Field
+from novags.fields.layout import ENCODED, HIDDEN, LANES, SEEDED, SIDE
 from novags.splats.cpu.memory import empty
 from novags.splats.cpu.parallel import run
 

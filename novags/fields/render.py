@@ -7,7 +7,7 @@ from torch import Tensor
 
 from novags.fields.box import Box
 from novags.fields.evaluate import basis_of, evaluate
-from novags.fields.layout import Field
+from novags.fields.field import Field
 from novags.fields.march import Proposal, rays_of, sampled, weights_of, without_jitter
 from novags.splats.views import Views
 

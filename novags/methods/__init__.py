@@ -9,13 +9,14 @@ from typing import Any
 from novags.methods import enhance_then_fit, oracle
 from novags.methods.averaging import trainer as averaging
 from novags.methods.denoised import trainer as denoised
-from novags.methods.enhancers import EnhancerConfig, tone_curves
+from novags.methods.enhanced_fit import EnhancedFitConfig, fit_parts
+from novags.methods.enhancers import tone_curves
 from novags.methods.enhancers.mbllen import MbllenConfig
 from novags.methods.enhancers.retinexformer import RetinexformerConfig
+from novags.methods.enhancers.rows.guided import Enhancement
 from novags.methods.enhancers.sci import SciConfig
 from novags.methods.enhancers.uretinex import URetinexConfig
 from novags.methods.enhancers.zero_dce import ZeroDceConfig
-from novags.methods.gaussian_fit import EnhancedFitConfig, fit_parts
 from novags.methods.nerf import aleth, i2, llnerf
 from novags.methods.nerf import clean as clean_nerf
 from novags.methods.nerf import fitting as nerf
@@ -31,7 +32,7 @@ from novags.methods.variant.named import VARIANTS as VARIANTS
 from sensor_model.files.reading import brief
 
 
-def _enhanced(enhance: EnhancerConfig, title: str, color: str, source: str) -> Method:
+def _enhanced(enhance: Enhancement, title: str, color: str, source: str) -> Method:
     """What "naive" is, with another enhancement."""
     return Method(
         title=f"{title}, then fit as naive does", family="2D + GS", color=color, source=source,

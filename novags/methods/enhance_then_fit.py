@@ -10,11 +10,14 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from novags.methods.enhancers import NETWORKS, EnhancerConfig, enhanced, enhancement_record
+from novags.methods.enhanced_fit import EnhancedFitConfig, fit_parts
+from novags.methods.enhancers import NETWORKS, enhanced, enhancement_record
 from novags.methods.enhancers.networks import Kind, described
 from novags.methods.enhancers.rehearsal import learned
-from novags.methods.gaussian_fit import EnhancedFitConfig, Progress, fit_enhanced, fit_parts
-from novags.methods.problem import Pictures, Problem
+from novags.methods.enhancers.rows.guided import Enhancement
+from novags.methods.gaussian_fit import Progress, fit_enhanced
+from novags.methods.inputs import Pictures
+from novags.methods.problem import Problem
 from novags.methods.reconstruction import NETWORK, Reconstruction
 
 
@@ -61,7 +64,7 @@ def _with_network(
     network, earlier = _network(kind, problem, config, progress, checkpoint)
     learning = earlier + time.perf_counter() - started
 
-    def through(problem: Problem, enhance: EnhancerConfig, pictures: Pictures) -> Tensor:
+    def through(problem: Problem, enhance: Enhancement, pictures: Pictures) -> Tensor:
         return torch.stack([kind.picture(network, dark, enhance)[0] for dark in problem.encoded(pictures)])
 
     def report(done: int, total: int, entry: dict[str, float]) -> None:

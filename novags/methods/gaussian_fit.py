@@ -3,41 +3,22 @@
 import dataclasses
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from torch import Tensor
 
-from novags.methods.enhancers import EnhancerConfig, enhancement_record
-from novags.methods.enhancers.guided import EnhanceConfig
-from novags.methods.problem import Pictures, Problem
+from novags.methods.enhanced_fit import EnhancedFitConfig
+from novags.methods.enhancers import enhancement_record
+from novags.methods.enhancers.rows.guided import Enhancement
+from novags.methods.inputs import Pictures
+from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction, Scene, Space
 from novags.methods.start import start_gaussians
-from novags.splats import FitConfig, LearningRates, McmcConfig
+from novags.splats.training.config import FitConfig
 from novags.splats.training.fit import FitResult, fit
 
 Progress = Callable[[int, int, dict[str, float]], None]
-
-# What 3DGS-MCMC itself does: the rate of the means falls over 30,000 iterations however long the run is, and Gaussians
-# move until iteration 25,000.
-ORIGINAL_FIT = FitConfig(rates=LearningRates(schedule="original"), mcmc=McmcConfig(refine_stop=25_000))
-ORIGINAL_SCALE = 0.1  # of an initial Gaussian, in distances to its nearest neighbours
-
-
-@dataclass(frozen=True, kw_only=True)
-class EnhancedFitConfig:
-    """Which pictures, how they are enhanced, how Gaussians are fitted to them."""
-
-    pictures: Pictures = "8bit"
-    enhance: EnhancerConfig = field(default_factory=EnhanceConfig)
-    init_scale: float = ORIGINAL_SCALE
-    fit: FitConfig = ORIGINAL_FIT
-
-
-def fit_parts(config: EnhancedFitConfig) -> dict[str, int]:
-    """`Method.parts`: the fit alone."""
-    return {"fit": config.fit.iterations}
 
 
 def fit_for(problem: Problem, config: FitConfig) -> FitConfig:
@@ -79,7 +60,7 @@ def reconstructed(
 def fit_enhanced(
     problem: Problem,
     config: EnhancedFitConfig,
-    enhance: Callable[[Problem, EnhancerConfig, Pictures], Tensor],
+    enhance: Callable[[Problem, Enhancement, Pictures], Tensor],
     progress: Progress | None,
     checkpoint: Path | None,
 ) -> Reconstruction:

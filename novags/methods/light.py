@@ -6,11 +6,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from novags.methods.inputs import LacksInput
 from novags.methods.noise import Noise, Variance
-from novags.methods.problem import LacksInput, RawPictures, Start
-from sensor_model import NoiseCurve, srgb_to_linear
-from sensor_model.mosaic import channel_index
-from sensor_model.noise import Bend
+from novags.methods.problem import RawPictures, Start
+from sensor_model.isp import srgb_to_linear
+from sensor_model.mosaicking import channel_index
+from sensor_model.noise import Bend, NoiseCurve
 
 BRIGHT = 0.99  # quantile of the green data that becomes a colour of 1
 

@@ -6,8 +6,9 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from sensor_model import Exposure, NoiseCurve, Sensor, linear_noise, raw_noise
 from sensor_model.isp import Demosaic
+from sensor_model.noise import NoiseCurve, linear_noise, raw_noise
+from sensor_model.params import Exposure, Sensor
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,8 @@ from torch import Tensor
 
 from novags.methods.noise import Noise, Variance
 from novags.methods.problem import Problem, RawPictures
-from sensor_model import NoiseCurve, srgb_to_linear
+from sensor_model.isp import srgb_to_linear
+from sensor_model.noise import NoiseCurve
 
 BINS = 16  # of brightness, each with its own estimate of the variance
 FLAT_SHARE = 0.3  # of the pixels of a bin, the flattest ones: texture would count as noise

@@ -4,8 +4,9 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+from novags.methods.enhanced_fit import EnhancedFitConfig
 from novags.methods.enhancers import enhanced_clean
-from novags.methods.gaussian_fit import EnhancedFitConfig, Progress, fit_enhanced
+from novags.methods.gaussian_fit import Progress, fit_enhanced
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import Reconstruction
 

@@ -2,24 +2,20 @@
 
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass, field, replace
-from typing import Literal, Protocol, TypeVar, get_args
+from typing import Protocol, TypeVar, get_args
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from novags.methods.inputs import LacksInput, Pictures
 from novags.methods.memo import Memo
 from novags.methods.noise import Noise
 from novags.splats.views import Views
-from sensor_model import linear_to_srgb
+from sensor_model.isp import linear_to_srgb
 from sensor_model.params import Cfa
 
-Pictures = Literal["8bit", "16bit"]
 Result = TypeVar("Result")
-
-
-class LacksInput(ValueError):
-    """A method needs what a capture does not have; another method may do without."""
 
 
 class Start(Protocol):

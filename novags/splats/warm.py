@@ -7,12 +7,13 @@ import time
 
 import torch
 
+from novags.splats.training.config import McmcConfig
+
 from .gaussians import Gaussians
 from .raster.rasterize import rasterize
 from .training.config import FitConfig
 from .training.fit import fit
 from .training.losses import photometric_loss
-from .training.updates.mcmc import McmcConfig
 from .views import Views
 
 

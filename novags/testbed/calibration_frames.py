@@ -27,12 +27,14 @@ import numpy as np
 
 from novags.testbed.folders.raw_files import is_raw, read_mosaic
 from novags.testbed.importing.exposures import stated_of
-from sensor_model import Characterisation, Sensor, Stack, characterise, sensor_from_dict
+from sensor_model.characterisation import Characterisation, Stack, characterise
+from sensor_model.files.camera_file import sensor_from_dict
 from sensor_model.files.door import opened
 from sensor_model.files.reading import reading
 from sensor_model.files.records import check_shape
 from sensor_model.files.toml_file import read_toml
-from sensor_model.mosaic import channel_index
+from sensor_model.mosaicking import channel_index
+from sensor_model.params import Sensor
 from simscenes.sets.pictures.image_file import read_image
 
 IMAGES = (".png", ".tif", ".tiff")

@@ -10,7 +10,7 @@ from novags.testbed.folders.run import Run
 from novags.testbed.folders.set import Source
 from novags.testbed.metrics import Image, exposure_gain, is_black
 from novags.testbed.references import pictured, references
-from sensor_model import srgb_to_linear
+from sensor_model.isp import srgb_to_linear
 
 
 @dataclass(frozen=True)

@@ -8,8 +8,8 @@ from novags.testbed.console import Console
 from novags.testbed.folders.set import Source, open_source, warnings_as_notes
 from novags.testbed.stages.capturing import CaptureConfig, meter
 from novags.testbed.stages.rendering import RenderConfig, plan_of, prepare_render, render_views
-from sensor_model import Plan
 from sensor_model.files.scratch import scratch
+from sensor_model.plan import Plan
 
 # Enough to know the range of brightness and what the light does; it takes seconds.
 PILOT = RenderConfig(n_views=8, width=48, height=48, spp=32)

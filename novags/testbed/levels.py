@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Any
 
-from novags.methods.problem import Pictures
-from sensor_model import PRESETS
+from novags.methods.inputs import Pictures
 from sensor_model.files.reading import brief
+from sensor_model.presets import PRESETS
 
 CHIPS = "-3chip"  # ends the name of a camera, and of a level, without a colour filter array
 

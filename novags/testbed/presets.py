@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from novags.cameras import CameraConfig, KnownConfig
 from novags.methods import METHODS, chosen, with_variants
 from novags.methods.enhancers import refuse_without_weights
-from novags.methods.problem import LacksInput
+from novags.methods.inputs import LacksInput
 from novags.methods.variant import Variant, read_variants
 from novags.settings import changed, files_among, has_setting, refuse_lost, refuse_lost_files, starting_at
 from novags.testbed.foreign.command import CommandConfig

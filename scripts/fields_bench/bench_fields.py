@@ -16,7 +16,8 @@ import tyro
 
 from novags.fields.box import Box
 from novags.fields.evaluate import basis_of, evaluate, gradients
-from novags.fields.layout import SIDE, Layout, first_field
+from novags.fields.field import first_field
+from novags.fields.layout import SIDE, Layout
 from novags.fields.march import Proposal, Rays, sampled, weights_of
 
 

@@ -16,8 +16,12 @@ from unittest.mock import patch
 import torch
 from torch import Tensor
 
-from novags.splats import FitConfig, Gaussians, Views, fit, rasterize
 from novags.splats.cpu import parallel
+from novags.splats.gaussians import Gaussians
+from novags.splats.raster.rasterize import rasterize
+from novags.splats.training.config import FitConfig
+from novags.splats.training.fit import fit
+from novags.splats.views import Views
 
 # parts of an iteration: the chains and kernels of novags/splats/cpu that Python calls
 PARTS = {
@@ -50,7 +54,7 @@ def oracle_problem(capture: Path, n: int) -> tuple[Gaussians, Views, Tensor]:
     """What the `oracle` method fits to: the noise-free dark exposures of a capture folder, enhanced."""
     from novags.methods import chosen
     from novags.methods.enhancers import enhanced_clean
-    from novags.methods.enhancers.guided import EnhanceConfig
+    from novags.methods.enhancers.rows.guided import EnhanceConfig
     from novags.methods.start import start_gaussians
     from novags.testbed.console import Console
     from novags.testbed.folders.capture import open_capture

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from sensor_model import effects
 from sensor_model.frame import pattern, streams
-from sensor_model.mosaic import channel_index
+from sensor_model.mosaicking import channel_index
 from sensor_model.params import LARGEST, Exposure, Sensor, require
 
 Array = NDArray[np.float64]

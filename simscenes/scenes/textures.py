@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from sensor_model import srgb_to_linear
+from sensor_model.isp import srgb_to_linear
 from simscenes.scenes.remembered import remembered
 
 Rng = np.random.Generator

@@ -13,9 +13,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sensor_model import srgb_to_linear
 from sensor_model.files.door import enter, resolved
 from sensor_model.files.records import Numbers, read_record
+from sensor_model.isp import srgb_to_linear
 from simscenes.rigs import Rig
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.pictures.exr import read_exr

@@ -18,7 +18,7 @@ from sensor_model import (
     plan_effects,
     raw_noise,
 )
-from sensor_model.mosaic import channel_index
+from sensor_model.mosaicking import channel_index
 
 EXPOSURE = Exposure(time=0.05)
 NOISY = Sensor(

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from novags.fields.box import Box, contracted
 from novags.fields.evaluate import evaluate, gradients
-from novags.fields.layout import Field
+from novags.fields.field import Field
 
 COUNT = 256  # points a step, beside the samples of some hundred rays
 ALL_WAYS = (1.0, 0.0, 0.0, 0.0)  # basis of an output averaged over all directions

@@ -10,7 +10,8 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
-from novags.fields.layout import Field, Layout, first_field
+from novags.fields.field import Field, first_field
+from novags.fields.layout import Layout
 from novags.fields.march import Proposal
 from novags.splats.training.checkpoint import write_tensors
 from sensor_model.files.door import admitted

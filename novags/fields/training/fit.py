@@ -13,7 +13,8 @@ from torch import Tensor
 
 from novags.fields.box import Box
 from novags.fields.evaluate import basis_of, evaluate, gradients
-from novags.fields.layout import SIDE, first_field
+from novags.fields.field import first_field
+from novags.fields.layout import SIDE
 from novags.fields.march import Proposal, cells_near, rays_of, sampled, weights_of
 from novags.fields.training.anchors import Anchors, PointLoss
 from novags.fields.training.batch import Batch, chosen_pixels, distortion

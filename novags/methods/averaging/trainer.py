@@ -12,12 +12,13 @@ from torch import Tensor
 from novags.methods.averaging.scene import LEAST, AveragedScene
 from novags.methods.averaging.surface import Array, Camera
 from novags.methods.averaging.warp import Kernel, Rules
-from novags.methods.enhancers import EnhancerConfig, enhanced_like, enhanced_view, enhancement_record
-from novags.methods.enhancers.guided import EnhanceConfig
+from novags.methods.enhancers import enhanced_like, enhanced_view, enhancement_record
+from novags.methods.enhancers.rows.guided import EnhanceConfig, Enhancement
+from novags.methods.inputs import LacksInput, Pictures
 from novags.methods.noise_estimate import noise_of
-from novags.methods.problem import LacksInput, Pictures, Problem, TrueSurface
+from novags.methods.problem import Problem, TrueSurface
 from novags.methods.reconstruction import Reconstruction
-from sensor_model import srgb_to_linear
+from sensor_model.isp import srgb_to_linear
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,7 +31,7 @@ class AveragingConfig:
 
     exposures: Literal["noisy", "noise-free"] = "noisy"
     pictures: Pictures = "8bit"  # through whose enhancement the average goes; what is averaged is linear, 16-bit
-    enhance: EnhancerConfig = field(default_factory=EnhanceConfig)
+    enhance: Enhancement = field(default_factory=EnhanceConfig)
     kernel: Kernel = "cubic"
     tolerance: float = 0.01  # relative difference of depth up to which two views see the same surface
     coarsest: float = 3.0  # pixels of the view along one of a training view, up to which that is used

@@ -5,9 +5,10 @@ from dataclasses import dataclass, fields, replace
 import torch
 from torch import Tensor
 
+from novags.methods.inputs import LacksInput
 from novags.methods.light import MeasuredLight, measured_light
 from novags.methods.noise import Noise, Variance
-from novags.methods.problem import LacksInput, Problem, RawPictures
+from novags.methods.problem import Problem, RawPictures
 
 # Data whose noise does not grow with the signal have no electrons. They are taken as so many that the transform is
 # straight over the whole range: the variance of this many electrons is the read variance.

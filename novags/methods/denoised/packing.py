@@ -11,7 +11,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from sensor_model.mosaic import channel_index
+from sensor_model.mosaicking import channel_index
 from sensor_model.params import Cfa
 
 

@@ -15,14 +15,16 @@ from torch import Tensor
 from novags.methods.denoised.denoiser import DenoiseConfig, denoised
 from novags.methods.denoised.measured import Measured, measured
 from novags.methods.denoised.weights import PACKAGED
-from novags.methods.enhancers import EnhancerConfig, enhanced, enhanced_light
-from novags.methods.enhancers.guided import EnhanceConfig
-from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, EnhancedFitConfig, Progress, fit_enhanced
+from novags.methods.enhanced_fit import ORIGINAL_FIT, ORIGINAL_SCALE, EnhancedFitConfig
+from novags.methods.enhancers import enhanced, enhanced_light
+from novags.methods.enhancers.rows.guided import EnhanceConfig, Enhancement
+from novags.methods.gaussian_fit import Progress, fit_enhanced
+from novags.methods.inputs import Pictures
 from novags.methods.nova.checkpoint import read
-from novags.methods.problem import Pictures, Problem
+from novags.methods.problem import Problem
 from novags.methods.reconstruction import Reconstruction
-from novags.splats import FitConfig
 from novags.splats.training.checkpoint import digest, write_tensors
+from novags.splats.training.config import FitConfig
 from sensor_model.files.door import read_bytes
 
 
@@ -35,7 +37,7 @@ class DenoisedConfig:
     """
 
     pictures: Pictures = "8bit"
-    enhance: EnhancerConfig = field(default_factory=EnhanceConfig)
+    enhance: Enhancement = field(default_factory=EnhanceConfig)
     denoise: DenoiseConfig = field(default_factory=DenoiseConfig)
     init_scale: float = ORIGINAL_SCALE
     fit: FitConfig = ORIGINAL_FIT
@@ -71,7 +73,7 @@ def train(
     denoising = earlier + time.perf_counter() - started
     adapting = parts(config)["denoiser"]
 
-    def targets(problem: Problem, enhancer: EnhancerConfig, pictures: Pictures) -> Tensor:
+    def targets(problem: Problem, enhancer: Enhancement, pictures: Pictures) -> Tensor:
         return enhanced_light(problem, linear, enhancer, pictures)
 
     def report(done: int, total: int, entry: dict[str, float]) -> None:

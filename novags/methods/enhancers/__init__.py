@@ -1,59 +1,28 @@
 """A dark picture in, a bright one out: one file per enhancer, one row in `ENHANCERS`; networks also in `NETWORKS`."""
 
 import dataclasses
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from novags.methods.enhancers import guided, tone_curves
+from novags.methods.enhancers.enhancer import Enhancer
 from novags.methods.enhancers.mbllen import MBLLEN, MbllenConfig, typical
 from novags.methods.enhancers.networks import Kind, no_params, stamps
 from novags.methods.enhancers.retinexformer import RETINEXFORMER, RetinexformerConfig
+from novags.methods.enhancers.rows.guided import EnhanceConfig, Enhancement
 from novags.methods.enhancers.sci import SCI, SciConfig
 from novags.methods.enhancers.uretinex import URETINEX, URetinexConfig
 from novags.methods.enhancers.zero_dce import ZERO_DCE, ZeroDceConfig
+from novags.methods.inputs import LacksInput, Pictures
 from novags.methods.memo import Memo
 from novags.methods.noise import Noise, Variance
-from novags.methods.problem import LacksInput, Pictures, Problem, encode
+from novags.methods.problem import Problem, encode
 from novags.settings import changed
 from sensor_model.files.reading import brief
-
-
-@dataclass(frozen=True)
-class Enhancer:
-    """An enhancement by name.
-
-    Attributes:
-        config: Its configuration, a frozen dataclass, or NoneType.
-        enhance: (dark [H, W, 3] sRGB-encoded in 0..1, config, params or None, variance of the linear pictures or None)
-            -> enhanced [H, W, 3] and params. With the params of the noisy picture, its noise-free twin goes through the
-            very same enhancement.
-        typical: The params in the middle of those of several views, for a picture that has no noisy twin.
-    """
-
-    config: type
-    enhance: Callable[[Tensor, Any, Any, Variance | None], tuple[Tensor, Any]]
-    typical: Callable[[Sequence[Any]], Any]
-
-
-# Of any enhancer; None leaves the pictures dark
-EnhancerConfig: TypeAlias = (
-    guided.EnhanceConfig
-    | tone_curves.GammaConfig
-    | tone_curves.GainConfig
-    | tone_curves.DragoConfig
-    | tone_curves.EqualiseConfig
-    | ZeroDceConfig
-    | SciConfig
-    | MbllenConfig
-    | URetinexConfig
-    | RetinexformerConfig
-    | None
-)
 
 
 def _unchanged(dark: Tensor, config: None, params: Any, noise: Variance | None) -> tuple[Tensor, None]:
@@ -69,7 +38,7 @@ NETWORKS: dict[type, Kind] = {
 }
 
 ENHANCERS: dict[str, Enhancer] = {
-    "guided": Enhancer(guided.EnhanceConfig, guided.enhance, guided.typical),
+    "guided": Enhancer(EnhanceConfig, guided.enhance, guided.typical),
     "gamma": Enhancer(tone_curves.GammaConfig, tone_curves.gamma, tone_curves.mean_params),
     "gain": Enhancer(tone_curves.GainConfig, tone_curves.gain, tone_curves.geometric_mean_params),
     "drago": Enhancer(tone_curves.DragoConfig, tone_curves.drago, tone_curves.geometric_mean_params),
@@ -102,7 +71,7 @@ def refuse_without_weights(config: Any, name: str) -> None:
             raise LacksInput(f"{name}: {error}") from error
 
 
-def enhancement_record(config: EnhancerConfig, pictures: Pictures) -> dict[str, Any]:
+def enhancement_record(config: Enhancement, pictures: Pictures) -> dict[str, Any]:
     """What a run records about its enhancement.
 
     Raises:
@@ -142,7 +111,7 @@ def located(enhancement: dict[str, Any], folder: Path) -> dict[str, Any]:
     return {**enhancement, "config": {**config, "weights": [str(folder / str(name)) for name in weights]}}
 
 
-def enhanced(problem: Problem, config: EnhancerConfig, pictures: Pictures) -> Tensor:
+def enhanced(problem: Problem, config: Enhancement, pictures: Pictures) -> Tensor:
     """The enhanced pictures of a problem [C, H, W, 3]; made once for all methods that share them."""
     dark = problem.encoded(pictures)
     views = zip(problem.names, dark, strict=True)
@@ -151,7 +120,7 @@ def enhanced(problem: Problem, config: EnhancerConfig, pictures: Pictures) -> Te
     )
 
 
-def enhanced_clean(problem: Problem, config: EnhancerConfig, pictures: Pictures, *, demosaiced: bool = False) -> Tensor:
+def enhanced_clean(problem: Problem, config: Enhancement, pictures: Pictures, *, demosaiced: bool = False) -> Tensor:
     """The noise-free exposures, enhanced exactly as their noisy twins [C, H, W, 3].
 
     Args:
@@ -175,7 +144,7 @@ def enhanced_clean(problem: Problem, config: EnhancerConfig, pictures: Pictures,
 
 
 def enhanced_twin(
-    shared: Memo, name: str, dark: Tensor, clean: Tensor, config: EnhancerConfig, pictures: Pictures,
+    shared: Memo, name: str, dark: Tensor, clean: Tensor, config: Enhancement, pictures: Pictures,
     noise: Noise | None, *, demosaiced: bool = False,
 ) -> Tensor:  # fmt: skip
     """The noise-free twin of one view through the enhancement that the view got, [H, W, 3].
@@ -196,19 +165,19 @@ def enhanced_twin(
 
 
 def enhanced_view(
-    shared: Memo, name: str, dark: Tensor, config: EnhancerConfig, pictures: Pictures, noise: Noise | None
+    shared: Memo, name: str, dark: Tensor, config: Enhancement, pictures: Pictures, noise: Noise | None
 ) -> tuple[Tensor, Any]:
     """One view enhanced [H, W, 3], and the parameters of its enhancement; arguments as for `enhanced_twin`."""
     key = ("enhanced", name, pictures, config, stamps(config))
     return shared.once(key, lambda: _enhance(dark, config, None, noise))
 
 
-def enhanced_like(dark: Tensor, config: EnhancerConfig, params: Any) -> Tensor:
+def enhanced_like(dark: Tensor, config: Enhancement, params: Any) -> Tensor:
     """A picture [H, W, 3], sRGB-encoded in 0..1, through the enhancement of another one with these parameters."""
     return _enhance(dark, config, params)[0]
 
 
-def enhanced_light(problem: Problem, light: Iterable[Tensor], config: EnhancerConfig, pictures: Pictures) -> Tensor:
+def enhanced_light(problem: Problem, light: Iterable[Tensor], config: Enhancement, pictures: Pictures) -> Tensor:
     """Linear pictures [H, W, 3] of a problem's views, each through the enhancement that its view got, [C, H, W, 3]."""
     found = []
     for name, dark, view in zip(problem.names, problem.encoded(pictures), light, strict=True):
@@ -218,6 +187,6 @@ def enhanced_light(problem: Problem, light: Iterable[Tensor], config: EnhancerCo
     return torch.stack(found)
 
 
-def _enhance(dark: Tensor, config: EnhancerConfig, params: Any, noise: Noise | None = None) -> tuple[Tensor, Any]:
+def _enhance(dark: Tensor, config: Enhancement, params: Any, noise: Noise | None = None) -> tuple[Tensor, Any]:
     enhancer = next(e for e in ENHANCERS.values() if isinstance(config, e.config))
     return enhancer.enhance(dark, config, params, None if noise is None else noise.linear16)

@@ -22,6 +22,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from novags.methods.enhancers.enhancer import EnhancerConfig
 from novags.methods.enhancers.networks import Kind
 
 BRANCHES = 10
@@ -31,7 +32,7 @@ BRIGHT, HIGH, LOW, SATURATION = 0.8, 0.95, 0.05, 0.8  # level, quantiles, expone
 
 
 @dataclass(frozen=True, kw_only=True)
-class MbllenConfig:
+class MbllenConfig(EnhancerConfig):
     """Where the weights come from, and whether the result is adjusted as the authors' program does."""
 
     weights: tuple[Path, ...] | None = None

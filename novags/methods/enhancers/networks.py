@@ -20,7 +20,7 @@ from torch.optim import Adam
 
 from novags.methods.enhancers.guided import check_picture
 from novags.methods.enhancers.weights import digest_of, fill, read_weights
-from novags.methods.problem import LacksInput
+from novags.methods.inputs import LacksInput
 
 _HELD: OrderedDict[Any, nn.Module] = OrderedDict()
 HELD = 4  # networks that are kept in memory; a file is read once for all views

@@ -18,6 +18,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from novags.methods.enhancers.enhancer import EnhancerConfig
 from novags.methods.enhancers.networks import Kind
 
 WIDTH, BLOCKS = 40, (1, 2, 2)
@@ -25,7 +26,7 @@ MULTIPLE = 4  # px: two levels, each half the size
 
 
 @dataclass(frozen=True, kw_only=True)
-class RetinexformerConfig:
+class RetinexformerConfig(EnhancerConfig):
     """Where the weights come from."""
 
     weights: tuple[Path, ...] | None = None  # the authors' LOL_v1.pth, say

@@ -24,6 +24,7 @@ import torch
 from torch import Tensor, nn
 from torch.optim import Adam
 
+from novags.methods.enhancers.enhancer import EnhancerConfig
 from novags.methods.enhancers.networks import Kind, Rehearsal
 from novags.methods.enhancers.zero_dce import check_training
 
@@ -34,7 +35,7 @@ RADIUS, SPREAD = 2, 200.0  # px around a pixel whose illumination is to be alike
 
 
 @dataclass(frozen=True, kw_only=True)
-class SciConfig:
+class SciConfig(EnhancerConfig):
     """Where the weights come from, and how they are learned where no file names them."""
 
     weights: tuple[Path, ...] | None = None  # official easy.pt, medium.pt or difficult.pt; None: learned from the scene

@@ -14,9 +14,11 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from novags.methods.enhancers.guided import EnhanceConfig, check_picture, solve_gamma
+from novags.methods.enhancers.enhancer import EnhancerConfig
+from novags.methods.enhancers.guided import check_picture, solve_gamma
+from novags.methods.enhancers.rows.guided import EnhanceConfig
 from novags.methods.noise import Variance
-from sensor_model import linear_to_srgb, srgb_to_linear
+from sensor_model.isp import linear_to_srgb, srgb_to_linear
 
 Array: TypeAlias = NDArray[np.float64]
 LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # Rec. 709
@@ -31,7 +33,7 @@ def _check_target(target: float) -> None:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GammaConfig:
+class GammaConfig(EnhancerConfig):
     """A power law of the codes."""
 
     gamma: float | None = 0.2  # None: the one that brings the mean code to `target`
@@ -44,7 +46,7 @@ class GammaConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class GainConfig:
+class GainConfig(EnhancerConfig):
     """A factor on the linear light, as a longer exposure would give; what exceeds white is clipped."""
 
     target: float = 0.5  # mean code
@@ -54,7 +56,7 @@ class GainConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class DragoConfig:
+class DragoConfig(EnhancerConfig):
     """Adaptive logarithmic mapping (Drago, Myszkowski, Annen, Chiba 2003)."""
 
     bias: float = 0.85  # b; the paper recommends 0.7 to 0.9 and uses 0.85
@@ -65,7 +67,7 @@ class DragoConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class EqualiseConfig:
+class EqualiseConfig(EnhancerConfig):
     """Histogram equalisation of the luma; it has no settings."""
 
 

@@ -25,6 +25,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from novags.methods.enhancers.enhancer import EnhancerConfig
 from novags.methods.enhancers.networks import Kind
 
 ROUNDS = 3
@@ -33,7 +34,7 @@ LEAK = 0.2
 
 
 @dataclass(frozen=True, kw_only=True)
-class URetinexConfig:
+class URetinexConfig(EnhancerConfig):
     """Where the weights come from, and how bright the result is to be."""
 
     weights: tuple[Path, ...] | None = None  # L_adjust.pth, or that and the other two

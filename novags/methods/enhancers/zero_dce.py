@@ -20,6 +20,7 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.optim import Adam
 
+from novags.methods.enhancers.enhancer import EnhancerConfig
 from novags.methods.enhancers.networks import Kind, Rehearsal
 
 CURVES = 8
@@ -29,7 +30,7 @@ SMOOTH, COLOR, EXPOSED = 200.0, 5.0, 10.0  # weights beside the spatial loss
 
 
 @dataclass(frozen=True, kw_only=True)
-class ZeroDceConfig:
+class ZeroDceConfig(EnhancerConfig):
     """Where the weights come from, and how they are learned where no file names them."""
 
     weights: tuple[Path, ...] | None = None  # the official Epoch99.pth, say; None: learned from the scene

@@ -33,9 +33,10 @@ from torch import Tensor
 from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
 from novags.methods.gaussian_fit import Progress
+from novags.methods.inputs import Pictures
 from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs
 from novags.methods.nerf.losses import differences, grey_of
-from novags.methods.problem import Pictures, Problem
+from novags.methods.problem import Problem
 from novags.methods.reconstruction import Reconstruction
 
 TAPS = 7  # of the filter along a ray

@@ -15,13 +15,14 @@ from novags.fields.training.anchors import PointLoss
 from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
 from novags.fields.training.fit import FieldFit, fit_field
-from novags.methods.enhancers import EnhancerConfig, enhancement_record
-from novags.methods.enhancers.guided import EnhanceConfig
+from novags.methods.enhancers import enhancement_record
+from novags.methods.enhancers.rows.guided import EnhanceConfig, Enhancement
 from novags.methods.gaussian_fit import Progress
+from novags.methods.inputs import Pictures
 from novags.methods.nerf.losses import robust
 from novags.methods.nerf.scene import FieldScene
 from novags.methods.nerf.shading import at, display
-from novags.methods.problem import Pictures, Problem
+from novags.methods.problem import Problem
 from novags.methods.reconstruction import Reconstruction, Space
 from novags.methods.start import brightened
 
@@ -33,7 +34,7 @@ class NerfConfig:
     """Which pictures, how they are enhanced, how a field is fitted to them."""
 
     pictures: Pictures = "8bit"
-    enhance: EnhancerConfig = field(default_factory=EnhanceConfig)
+    enhance: Enhancement = field(default_factory=EnhanceConfig)
     fit: FieldFitConfig = field(default_factory=FieldFitConfig)
 
 
@@ -83,7 +84,7 @@ def reconstructed(
 def fit_enhanced_field(
     problem: Problem,
     config: NerfConfig,
-    enhance: Callable[[Problem, EnhancerConfig, Pictures], Tensor],
+    enhance: Callable[[Problem, Enhancement, Pictures], Tensor],
     progress: Progress | None,
     checkpoint: Path | None,
 ) -> Reconstruction:

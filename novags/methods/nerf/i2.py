@@ -41,10 +41,11 @@ from novags.fields.layout import DENSITY_MAX
 from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
 from novags.methods.gaussian_fit import Progress
+from novags.methods.inputs import LacksInput, Pictures
 from novags.methods.light import raw_loss
 from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs
 from novags.methods.nerf.losses import grey_of
-from novags.methods.problem import LacksInput, Pictures, Problem
+from novags.methods.problem import Problem
 from novags.methods.reconstruction import Reconstruction
 from novags.splats.training.losses import ssim
 

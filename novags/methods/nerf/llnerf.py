@@ -34,11 +34,12 @@ from torch import Tensor
 from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
 from novags.methods.gaussian_fit import Progress
+from novags.methods.inputs import Pictures
 from novags.methods.light import raw_loss
 from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs
 from novags.methods.nerf.losses import differences
 from novags.methods.nerf.shading import brightened, split
-from novags.methods.problem import Pictures, Problem
+from novags.methods.problem import Problem
 from novags.methods.reconstruction import Reconstruction
 
 EPSILON = 1e-3  # of RawNeRF's loss, for pictures in 0..1

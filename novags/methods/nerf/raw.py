@@ -19,14 +19,15 @@ from torch import Tensor
 
 from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
-from novags.methods.enhancers import EnhancerConfig, enhanced, enhancement_record
-from novags.methods.enhancers.guided import EnhanceConfig
+from novags.methods.enhancers import enhanced, enhancement_record
+from novags.methods.enhancers.rows.guided import EnhanceConfig, Enhancement
 from novags.methods.gaussian_fit import Progress
+from novags.methods.inputs import Pictures
 from novags.methods.light import MeasuredLight, brightness, measured_light, raw_loss
 from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs
 from novags.methods.nerf.shading import light_of
 from novags.methods.noise_estimate import noise_of
-from novags.methods.problem import Pictures, Problem
+from novags.methods.problem import Problem
 from novags.methods.reconstruction import Reconstruction
 
 DIMMEST = 0.01  # share of the brightest light that the mean is taken for at least: noise can bring it to 0 and below
@@ -47,7 +48,7 @@ class RawNerfConfig:
     fit: FieldFitConfig = field(default_factory=FieldFitConfig)
     epsilon: float = 1e-3
     pictures: Pictures = "8bit"
-    enhance: EnhancerConfig = field(default_factory=EnhanceConfig)
+    enhance: Enhancement = field(default_factory=EnhanceConfig)
 
     def __post_init__(self) -> None:
         if not self.epsilon > 0:

@@ -12,7 +12,8 @@ from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from novags.fields.box import Box
-from novags.fields.layout import SIDE, Field, Layout
+from novags.fields.field import Field
+from novags.fields.layout import SIDE, Layout
 from novags.fields.march import Proposal
 from novags.fields.render import render_field
 from novags.methods.nerf.shading import shading_of

@@ -11,19 +11,22 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from novags.methods.enhancers import EnhancerConfig, enhanced, enhancement_record
-from novags.methods.enhancers.guided import EnhanceConfig
-from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, Progress, fit_for
+from novags.methods.enhanced_fit import ORIGINAL_FIT, ORIGINAL_SCALE
+from novags.methods.enhancers import enhanced, enhancement_record
+from novags.methods.enhancers.rows.guided import EnhanceConfig, Enhancement
+from novags.methods.gaussian_fit import Progress, fit_for
+from novags.methods.inputs import Pictures
 from novags.methods.nova.checkpoint import file_as_tensor, read, tensor_as_file
 from novags.methods.nova.consistency import ConsistencyConfig, ConsistencyLoss
 from novags.methods.nova.denoiser import Denoiser, DenoiserConfig
 from novags.methods.nova.sh_penalty import noise_map, sh_penalty
-from novags.methods.problem import Pictures, Problem
+from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.start import start_gaussians
 from novags.splats.gaussians import Gaussians
 from novags.splats.training.checkpoint import digest, write_tensors
-from novags.splats.training.fit import FitConfig, Step, fit
+from novags.splats.training.config import FitConfig
+from novags.splats.training.fit import Step, fit
 from novags.splats.training.guard import NotFinite
 from sensor_model.files.reading import reading
 
@@ -38,7 +41,7 @@ class NovaConfig:
     """
 
     pictures: Pictures = "8bit"
-    enhance: EnhancerConfig = field(default_factory=EnhanceConfig)
+    enhance: Enhancement = field(default_factory=EnhanceConfig)
     denoiser: DenoiserConfig | None = field(default_factory=DenoiserConfig)  # None fits the enhanced pictures
     consistency: ConsistencyConfig | None = field(default_factory=ConsistencyConfig)  # None leaves L_geo out
     sh_weight: float | None = 1.0  # of L_SH; None leaves it out

@@ -21,7 +21,7 @@ from novags.methods.tone import ToneCurve
 from novags.splats.cpu.compiler import kernel
 from novags.splats.first_order import first_order
 from novags.splats.training.step import Step
-from sensor_model import NoiseCurve
+from sensor_model.noise import NoiseCurve
 
 FLOOR = 0.01
 

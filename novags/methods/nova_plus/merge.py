@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import torch
 
-from novags.splats import Gaussians
+from novags.splats.gaussians import Gaussians
 from novags.splats.training.updates.mcmc import relocation
 
 INSIDE = (1e-12, 1 - torch.finfo(torch.float64).eps)  # an opacity of 0 or 1 has an infinite logit

@@ -11,9 +11,10 @@ import torch
 from torch import Tensor
 
 from novags.methods.denoised.denoiser import DenoiseConfig
-from novags.methods.enhancers import EnhancerConfig, enhanced, enhanced_light, enhancement_record
-from novags.methods.enhancers.guided import EnhanceConfig
+from novags.methods.enhancers import enhanced, enhanced_light, enhancement_record
+from novags.methods.enhancers.rows.guided import EnhanceConfig, Enhancement
 from novags.methods.gaussian_fit import Progress, fit_for
+from novags.methods.inputs import LacksInput, Pictures
 from novags.methods.light import first_light
 from novags.methods.noise_estimate import noise_of
 from novags.methods.nova_plus.average import non_local_means
@@ -24,10 +25,11 @@ from novags.methods.nova_plus.judge import compare, mean_tone
 from novags.methods.nova_plus.likelihood import Likelihood
 from novags.methods.nova_plus.merge import merged
 from novags.methods.nova_plus.targets import denoised_light, guided_light
-from novags.methods.problem import LacksInput, Pictures, Problem
+from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.tone import ToneCurve, tone_curve
-from novags.splats import FitConfig, Gaussians, LearningRates, McmcConfig
+from novags.splats.gaussians import Gaussians
+from novags.splats.training.config import FitConfig, LearningRates, McmcConfig
 from novags.splats.training.fit import FitResult, fit
 
 # Several times those of 3DGS, for short fits, and cooled at the end.
@@ -78,7 +80,7 @@ class NovaPlusConfig:
     stages: Literal["likelihood", "all"] = "all"
     noise: Literal["camera", "pictures"] = "camera"
     pictures: Pictures = "8bit"
-    enhance: EnhancerConfig = field(default_factory=EnhanceConfig)
+    enhance: Enhancement = field(default_factory=EnhanceConfig)
 
     def __post_init__(self) -> None:
         if self.seeds < 1:

@@ -22,13 +22,18 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, Progress, fit_for, reconstructed
-from novags.methods.problem import Pictures, Problem
+from novags.methods.enhanced_fit import ORIGINAL_FIT, ORIGINAL_SCALE
+from novags.methods.gaussian_fit import Progress, fit_for, reconstructed
+from novags.methods.inputs import Pictures
+from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.tone import ResponseTable
-from novags.splats import FitConfig, Gaussians, Step, photometric_loss
+from novags.splats.gaussians import Gaussians
 from novags.splats.training.companion import Companion
+from novags.splats.training.config import FitConfig
 from novags.splats.training.fit import fit
+from novags.splats.training.losses import photometric_loss
+from novags.splats.training.step import Step
 
 ANCHOR = 0.5  # weight of what fixes the unit of radiance
 HIDDEN = 32

@@ -27,17 +27,22 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from novags.methods.enhanced_fit import ORIGINAL_FIT, ORIGINAL_SCALE
 from novags.methods.enhancers.zero_dce import exposure
-from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, Progress, fit_for, reconstructed
-from novags.methods.problem import Pictures, Problem
+from novags.methods.gaussian_fit import Progress, fit_for, reconstructed
+from novags.methods.inputs import Pictures
+from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.rivals.denoised_scene import DenoisedScene, Denoiser
 from novags.methods.rivals.invariant import structure
 from novags.methods.rivals.retinex import DIMMEST, slopes, smoothness
-from novags.splats import FitConfig, Gaussians, Step, photometric_loss
+from novags.splats.gaussians import Gaussians
 from novags.splats.training.companion import Companion
+from novags.splats.training.config import FitConfig
 from novags.splats.training.fit import fit
-from sensor_model import srgb_to_linear
+from novags.splats.training.losses import photometric_loss
+from novags.splats.training.step import Step
+from sensor_model.isp import srgb_to_linear
 
 HIDDEN = 32
 

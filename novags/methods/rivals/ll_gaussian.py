@@ -25,13 +25,19 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, Progress, fit_for, reconstructed
-from novags.methods.problem import Pictures, Problem
+from novags.methods.enhanced_fit import ORIGINAL_FIT, ORIGINAL_SCALE
+from novags.methods.gaussian_fit import Progress, fit_for, reconstructed
+from novags.methods.inputs import Pictures
+from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.rivals.retinex import DIMMEST, smoothness
-from novags.splats import FitConfig, Gaussians, Step, Views, photometric_loss
+from novags.splats.gaussians import Gaussians
 from novags.splats.sh import C0
+from novags.splats.training.config import FitConfig
 from novags.splats.training.fit import fit
+from novags.splats.training.losses import photometric_loss
+from novags.splats.training.step import Step
+from novags.splats.views import Views
 
 GAMMAS = (0.01, 1.0)  # between which gamma is looked for
 

@@ -22,14 +22,18 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, Progress, fit_for, reconstructed
-from novags.methods.problem import Pictures, Problem
+from novags.methods.enhanced_fit import ORIGINAL_FIT, ORIGINAL_SCALE
+from novags.methods.gaussian_fit import Progress, fit_for, reconstructed
+from novags.methods.inputs import Pictures
+from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.rivals.luminance_curve import ViewCurves, equalising_curve
 from novags.methods.start import start_gaussians
-from novags.splats import FitConfig, Step, photometric_loss
 from novags.splats.training.companion import Companion
+from novags.splats.training.config import FitConfig
 from novags.splats.training.fit import fit
+from novags.splats.training.losses import photometric_loss
+from novags.splats.training.step import Step
 
 LATER = 0.3  # of the run, after which the histogram counts half: 3,000 of 10,000 iterations
 DARKEST = 1 / 510  # mean of a picture, half a code of 8 bits: a black one asks for no contrast

@@ -23,15 +23,19 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.methods.enhancers import EnhancerConfig, enhanced, enhancement_record
-from novags.methods.enhancers.guided import EnhanceConfig
-from novags.methods.gaussian_fit import ORIGINAL_FIT, ORIGINAL_SCALE, Progress, fit_for, reconstructed
+from novags.methods.enhanced_fit import ORIGINAL_FIT, ORIGINAL_SCALE
+from novags.methods.enhancers import enhanced, enhancement_record
+from novags.methods.enhancers.rows.guided import EnhanceConfig, Enhancement
+from novags.methods.gaussian_fit import Progress, fit_for, reconstructed
+from novags.methods.inputs import Pictures
 from novags.methods.light import MeasuredLight, brightness, first_light, measured_light, raw_loss
 from novags.methods.noise_estimate import noise_of
-from novags.methods.problem import Pictures, Problem
+from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
-from novags.splats import FitConfig, Gaussians, Step
+from novags.splats.gaussians import Gaussians
+from novags.splats.training.config import FitConfig
 from novags.splats.training.fit import fit
+from novags.splats.training.step import Step
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +55,7 @@ class RawGsConfig:
     epsilon: float = 1e-3
     init_scale: float = ORIGINAL_SCALE
     pictures: Pictures = "8bit"
-    enhance: EnhancerConfig = field(default_factory=EnhanceConfig)
+    enhance: Enhancement = field(default_factory=EnhanceConfig)
 
     def __post_init__(self) -> None:
         if not self.epsilon > 0:

@@ -4,13 +4,15 @@ import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from novags.methods.knob import MethodKnob
-from novags.methods.reconstruction import Reconstruction
 from novags.settings import changed, has_setting
 from sensor_model.files.reading import brief, reading
 from sensor_model.files.toml_file import read_toml
+
+if TYPE_CHECKING:
+    from novags.methods.reconstruction import Reconstruction
 
 Family = Literal["ours", "bound", "2D + GS", "3DGS", "NeRF"]
 LONGEST = 100  # characters of a name, which is one of a folder too
@@ -45,7 +47,7 @@ class Method:
     family: Family
     color: str
     config: Callable[[], Any]
-    train: Callable[..., Reconstruction]
+    train: "Callable[..., Reconstruction]"
     source: str
     parts: Callable[[Any], dict[str, int]] | None = None
     knobs: Mapping[str, MethodKnob] = field(default_factory=dict)

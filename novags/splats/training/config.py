@@ -1,7 +1,7 @@
 """How a fit is done, and its schedules."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Any
 
@@ -9,13 +9,137 @@ import numpy as np
 
 from novags.numbers import POINTS, STEPS, check_range
 
-from .updates.adam import LearningRates
-from .updates.camera_refinement import CameraRefinement
-from .updates.mcmc import McmcConfig
-
 NEAR = 0.01  # in units: the default of `rasterize`
 USUAL = (0.5, 8.0)  # extents of scenes that are fitted in their own units; those measured have 0.8 to 4.5
 UNUSUAL = 2.0  # the extent that all other scenes are scaled to
+
+
+COOLED = ("quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest", "features")  # by `cool_to`
+
+
+@dataclass(frozen=True, kw_only=True)
+class LearningRates:
+    """Learning rates of 3DGS (per iteration).
+
+    Attributes:
+        means: At the start, in units of the scene extent.
+        means_final: At the end of the schedule, same units; log-linear in between, so > 0 unless `means` is 0.
+        schedule: "original": `means_final` is reached after 30,000 iterations, however long the run (3DGS, 3DGS-MCMC);
+            "gsplat": at the end of the run.
+        quats: Rotation.
+        log_scales: Log scale.
+        logit_opacities: Logit opacity.
+        sh_dc: Constant colour.
+        sh_rest: Higher spherical harmonics.
+        features: `Gaussians.features`.
+        cool_from: Share of the run after which all rates but that of the means fall, log-linearly.
+        cool_to: What they fall to at its end, as a share of themselves; 1: they do not.
+    """
+
+    means: float = 1.6e-4
+    means_final: float = 1.6e-6
+    schedule: str = "gsplat"
+    quats: float = 1e-3
+    log_scales: float = 5e-3
+    logit_opacities: float = 5e-2
+    sh_dc: float = 2.5e-3
+    sh_rest: float = 1.25e-4
+    features: float = 2.5e-3
+    cool_from: float = 0.6
+    cool_to: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.schedule not in ("original", "gsplat"):
+            raise ValueError(f"schedule must be 'original' or 'gsplat', got {self.schedule!r}")
+        for name in ("means", "means_final", *COOLED):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"learning rate {name} must be >= 0, got {getattr(self, name)}")
+        if self.means > 0 and self.means_final == 0:
+            raise ValueError(
+                f"means_final must be > 0 where means is (the rate falls log-linearly), got 0 and means {self.means}: "
+                "take a small share of means, or means itself for a rate that does not fall"
+            )
+        if not (0 <= self.cool_from < 1 and 0 < self.cool_to <= 1):
+            raise ValueError(
+                f"cool_from must lie in [0, 1) and cool_to in (0, 1], got {self.cool_from} and {self.cool_to}"
+            )
+
+    def at(self, iteration: int, iterations: int) -> "LearningRates":
+        """These rates at an `iteration` of a run of `iterations`: cooled, but for those of the means."""
+        begin = self.cool_from * iterations
+        if self.cool_to == 1 or iteration <= begin:
+            return self
+        factor = self.cool_to ** ((iteration - begin) / (iterations - begin))
+        return replace(self, **{name: factor * getattr(self, name) for name in COOLED})
+
+    def means_at(self, iteration: int, iterations: int, extent: float) -> float:
+        """Learning rate of the means, world units, at `iteration` of a run of `iterations`."""
+        if self.means == 0:
+            return 0.0
+        progress = min(1.0, iteration / (30_000 if self.schedule == "original" else max(1, iterations)))
+        return extent * self.means * (self.means_final / self.means) ** progress
+
+
+@dataclass(frozen=True, kw_only=True)
+class McmcConfig:
+    """When and how Gaussians move.
+
+    Attributes:
+        refine_start: Iteration after which Gaussians may be relocated and added.
+        refine_stop: Iteration from which the population stays; None is 5/6 of the run (25,000 of 30,000).
+        refine_every: Iterations between refinements.
+        growth: Factor of growth per refinement, until the cap.
+        noise_lr: Langevin noise in units of the learning rate of the means; None switches it off.
+    """
+
+    refine_start: int = 500
+    refine_stop: int | None = None
+    refine_every: int = 100
+    growth: float = 1.05
+    noise_lr: float | None = 5e5
+
+    def __post_init__(self) -> None:
+        if self.refine_start < 0 or self.refine_every < 1 or self.growth < 1:
+            raise ValueError(
+                "refine_start must be >= 0, refine_every >= 1 and growth >= 1, got "
+                f"{self.refine_start}, {self.refine_every} and {self.growth}"
+            )
+        if self.noise_lr is not None and self.noise_lr < 0:
+            raise ValueError(f"noise_lr must be >= 0 or None, got {self.noise_lr}")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraRefinement:
+    """How far and when the training cameras may move.
+
+    Attributes:
+        rotation_rate: Learning rate of the turns, rad per visit.
+        translation_rate: Learning rate of the moves, scene extents per visit.
+        start: First iteration that moves cameras; before it the Gaussians settle around the given ones.
+        decay: Factor of both rates at the end of the run; log-linear from 1 at `start`.
+        pull: Weight of the sum of squares of a camera's twist (rad^2, extents^2), added to the loss of its visits.
+    """
+
+    rotation_rate: float = 5e-3
+    translation_rate: float = 2e-3
+    start: int = 100
+    decay: float = 0.1
+    pull: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("rotation_rate", "translation_rate", "pull"):
+            if not 0 <= getattr(self, name) < math.inf:
+                raise ValueError(f"{name} of camera refinement must be finite and >= 0, got {getattr(self, name)}")
+        if self.start < 0:
+            raise ValueError(f"start of camera refinement must be >= 0 iterations, got {self.start}")
+        if not 0 < self.decay <= 1:
+            raise ValueError(f"decay of camera refinement must lie in (0, 1], got {self.decay}")
+
+    def factor_at(self, iteration: int, iterations: int) -> float:
+        """Factor of both rates at `iteration` of a run of `iterations`; 0 before `start`."""
+        if iteration < self.start:
+            return 0.0
+        return self.decay ** ((iteration - self.start) / max(1, iterations - self.start))
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,6 +11,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from novags.splats.training.config import LearningRates
+
 from ..cpu import pipeline
 from ..cpu.chains import training as chains
 from ..cpu.memory import carve, empty
@@ -21,7 +23,7 @@ from ..gaussians import Gaussians
 from ..raster.validation import check_camera
 from ..views import Views
 from .config import FitConfig
-from .updates.adam import Adam, LearningRates
+from .updates.adam import Adam
 
 FAR = 1e10  # the default of `rasterize`
 STEPS = 10  # iterations after which the coefficients are checked again

@@ -13,6 +13,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from novags.splats.training.config import LearningRates
+
 from ..gaussians import Gaussians
 from ..views import Views
 from .checkpoint import TrainingState, digest, load_checkpoint, save_checkpoint
@@ -23,7 +25,7 @@ from .guard import NotFinite, norms
 from .iteration import backpropagate, check_parameters, current, default_photometric, where
 from .losses import compare
 from .step import PixelLoss, Step
-from .updates.adam import Adam, LearningRates
+from .updates.adam import Adam
 from .updates.camera_refinement import CameraState, move_cameras
 from .updates.mcmc import FARTHEST, add_noise, grow, prune_to_cap, relocate
 

@@ -8,7 +8,7 @@ import torch
 
 from novags.methods.nerf.scene import FILE
 from novags.methods.problem import encode
-from novags.splats import Views
+from novags.splats.views import Views
 from novags.testbed.console import Console
 from novags.testbed.flight.film import check_path, film
 from novags.testbed.flight.panels import Panel, frame

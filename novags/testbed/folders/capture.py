@@ -19,31 +19,24 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from novags.methods.inputs import LacksInput, Pictures
 from novags.methods.memo import Memo
 from novags.methods.noise import Noise, camera_noise
 from novags.methods.noise_estimate import PIXELS, SMALLEST, noise_from
-from novags.methods.problem import LacksInput, Pictures, RawPictures, encode
+from novags.methods.problem import RawPictures, encode
 from novags.testbed.console import Console
 from novags.testbed.contents import folder_digest, read_json, refuse_damage
 from novags.testbed.folders import imported, shapes
 from novags.testbed.folders.place import place_of
 from novags.testbed.folders.raw_files import read_digital_numbers
 from novags.testbed.folders.set import Source, open_source
-from sensor_model import (
-    Exposure,
-    RawFrame,
-    Sensor,
-    develop,
-    develop_linear,
-    from_linear16,
-    sensor_from_dict,
-    srgb_to_linear,
-    write_dng,
-)
+from sensor_model.capture import RawFrame
+from sensor_model.files.camera_file import sensor_from_dict
+from sensor_model.files.dng import write_dng
 from sensor_model.files.door import enter, resolved
 from sensor_model.files.reading import reading
-from sensor_model.isp import DEMOSAIC, Demosaic, white_balance
-from sensor_model.params import Cfa
+from sensor_model.isp import DEMOSAIC, Demosaic, develop, develop_linear, from_linear16, srgb_to_linear, white_balance
+from sensor_model.params import Cfa, Exposure, Sensor
 from simscenes.sets.multiview import MultiviewSet, load_set
 from simscenes.sets.pictures.exr import read_exr, write_exr
 from simscenes.sets.pictures.png import read_codes, read_png, write_png

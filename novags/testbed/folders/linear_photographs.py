@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from novags.testbed.folders import raw_files
-from sensor_model import to_srgb8
 from sensor_model.files.door import PICTURE, admitted
 from sensor_model.files.reading import brief, reading
+from sensor_model.isp import to_srgb8
 from simscenes.rigs import Rig, opengl_to_opencv
 from simscenes.sets.multiview import MultiviewSet
 from simscenes.sets.pictures.exr import read_exr

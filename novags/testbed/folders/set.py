@@ -16,7 +16,7 @@ from novags.testbed.console import Console
 from novags.testbed.contents import folder_digest, refuse_damage
 from novags.testbed.folders.linear_photographs import load_linear_set
 from novags.testbed.metrics import SSIM_WINDOW
-from sensor_model import linear_to_srgb
+from sensor_model.isp import linear_to_srgb
 from simscenes.rigs import Rig
 from simscenes.sets.geometry.plausible import with_tested_tracks
 from simscenes.sets.geometry.tracks import SparsePoints

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 
 from novags.testbed.metrics import Image
-from sensor_model import srgb_to_linear
+from sensor_model.isp import srgb_to_linear
 from simscenes.sets.pictures.exr import read_exr
 from simscenes.sets.pictures.image_file import before_white, has_alpha, read_image
 

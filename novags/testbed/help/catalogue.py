@@ -31,7 +31,7 @@ def table(rows: Iterable[tuple[str, str]]) -> str:
 
 def scenes() -> str:
     """The catalogue of scenes with what each is made for."""
-    from simscenes import SCENES
+    from simscenes.scenes import SCENES
 
     rows = [(name, first_sentence(build.__doc__)) for name, build in SCENES.items()]
     rows.append(("NAME:SEED", "a variation of a scene, such as tabletop:3"))
@@ -42,8 +42,7 @@ def scenes() -> str:
 
 def sensors() -> str:
     """The cameras."""
-    from sensor_model import PRESETS
-    from sensor_model.presets import SOURCES
+    from sensor_model.presets import PRESETS, SOURCES
 
     rows = []
     for name, sensor in PRESETS.items():

@@ -9,7 +9,8 @@ from novags.testbed.folders.linear_photographs import middle, within_margins
 from novags.testbed.folders.raw_files import is_raw, read_radiance, size
 from novags.testbed.importing.raw_camera import RawCamera
 from novags.testbed.importing.stored import Codes16, Depth, read_stored, refuse_transparent
-from sensor_model import Sensor, to_srgb8
+from sensor_model.isp import to_srgb8
+from sensor_model.params import Sensor
 from simscenes.rigs import Rig
 from simscenes.sets.multiview import MultiviewSet
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from novags.testbed.folders.raw_files import SUFFIXES as RAW
 from novags.testbed.folders.raw_files import is_raw
-from sensor_model import srgb_to_linear
 from sensor_model.files.door import read_bytes
+from sensor_model.isp import srgb_to_linear
 from simscenes.sets.pictures.image_file import alpha_of, has_alpha, header, read_image
 
 PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".webp", *RAW)

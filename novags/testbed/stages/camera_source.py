@@ -14,7 +14,7 @@ from novags.cameras.align import Alignment, align, to_estimated
 from novags.cameras.estimate import near_origin
 from novags.methods.enhancers import guided
 from novags.methods.nova.denoiser import FAST_DENOISER, Denoiser
-from novags.splats import Views
+from novags.splats.views import Views
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.set import Source

@@ -19,25 +19,19 @@ from novags.testbed.folders.place import keep_place
 from novags.testbed.folders.set import Source, open_source
 from novags.testbed.stages.layouts import LAYOUTS, check_layouts, check_source_of, truth_of, write_layouts
 from novags.testbed.stages.paths import keep_apart
-from sensor_model import (
-    PRESETS,
-    Exposure,
-    Plan,
-    RawFrame,
-    Sensor,
-    clean_response,
-    expose,
-    mosaic,
-    photons_for_electrons,
-    plan_effects,
-    read_sensor,
-)
+from sensor_model.capture import RawFrame, clean_response, expose
+from sensor_model.files.camera_file import read_sensor
 from sensor_model.files.dng import SMALLEST, TIMES
 from sensor_model.files.door import resolved
 from sensor_model.files.lock import locked
 from sensor_model.files.reading import brief
 from sensor_model.isp import DEMOSAIC, Demosaic
-from sensor_model.planner import Limits
+from sensor_model.mosaicking import mosaic
+from sensor_model.params import Exposure, Sensor
+from sensor_model.plan import Plan
+from sensor_model.planner import Limits, plan_effects
+from sensor_model.presets import PRESETS
+from sensor_model.radiometry import photons_for_electrons
 from simscenes.sets.multiview import write_cameras
 
 QUANTILES = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)

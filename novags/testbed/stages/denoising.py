@@ -16,7 +16,7 @@ from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.machine.devices import chosen_device
 from novags.testbed.stages.paths import keep_apart
 from novags.testbed.stages.reconstructing import raw_pictures, stack
-from sensor_model import to_srgb8
+from sensor_model.isp import to_srgb8
 from simscenes.sets.pictures.png import write_png
 
 RECORD, LINEAR, SHOWN = "denoise.json", "linear", "srgb"

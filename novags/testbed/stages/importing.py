@@ -24,9 +24,10 @@ from novags.testbed.importing.stored import Codes16, Curve, is_lossy
 from novags.testbed.importing.twins import Twins, twins_by_order, twins_of
 from novags.testbed.stages.capturing import FULL_SIZE, camera_named, files_of
 from novags.testbed.stages.paths import keep_apart
-from sensor_model import PRESETS, Exposure, Sensor, write_dng
-from sensor_model.files.dng import SMALLEST, TIMES
+from sensor_model.files.dng import SMALLEST, TIMES, write_dng
 from sensor_model.isp import Demosaic, to_linear16
+from sensor_model.params import Exposure, Sensor
+from sensor_model.presets import PRESETS
 from simscenes.sets.multiview import write_cameras
 from simscenes.sets.pictures.png import write_png
 

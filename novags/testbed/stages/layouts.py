@@ -7,8 +7,10 @@ from pathlib import Path
 from novags.testbed.console import Console
 from novags.testbed.folders.set import Source, warnings_as_notes
 from sensor_model.files.reading import brief
-from simscenes import EXPORTS, MultiviewSet, Rig, load_set
+from simscenes.rigs import Rig
 from simscenes.sets.geometry.depth_range import Depths
+from simscenes.sets.multiview import MultiviewSet, load_set
+from simscenes.sets.writers.export import EXPORTS
 
 LAYOUTS = tuple(EXPORTS)
 

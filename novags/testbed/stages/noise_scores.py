@@ -16,7 +16,7 @@ from novags.testbed.folders.set import Source
 from novags.testbed.metrics import PSNR_CEILING, Image, centred_noise, noise_share, squared_bias
 from novags.testbed.references import enhanced_dark, enhanced_truth, pictured
 from novags.testbed.stages.capturing import expose_view
-from sensor_model import develop, from_linear16
+from sensor_model.isp import develop, from_linear16
 from sensor_model.planner import Plan
 from simscenes.sets.pictures.png import read_png
 

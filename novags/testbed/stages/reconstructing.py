@@ -12,12 +12,13 @@ from torch import Tensor
 
 from novags.cameras import CameraConfig, CameraEstimate, KnownConfig, spell_cameras
 from novags.methods import METHODS
-from novags.methods.problem import LacksInput, Problem, RawPictures, TrueSurface
+from novags.methods.inputs import LacksInput
+from novags.methods.problem import Problem, RawPictures, TrueSurface
 from novags.methods.reconstruction import Reconstruction
 from novags.methods.variant import Variant, sees_statistics
 from novags.numbers import POINTS, check_range
 from novags.settings import check_seed, files_among, refuse_lost_files
-from novags.splats import Views
+from novags.splats.views import Views
 from novags.testbed.cache import run_stage
 from novags.testbed.console import Console, losses_text
 from novags.testbed.contents import folder_digest

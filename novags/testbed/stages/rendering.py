@@ -14,16 +14,17 @@ from novags.testbed.console import Console
 from novags.testbed.contents import digest, read_json
 from novags.testbed.folders.set import warnings_as_notes
 from novags.testbed.stages.layouts import LAYOUTS, check_cameras_of, check_layouts, write_layouts
-from sensor_model import Plan
 from sensor_model.files.door import read_bytes
 from sensor_model.files.lock import locked
 from sensor_model.files.reading import brief
-from simscenes import Optics, Rig
+from sensor_model.plan import Plan
 from simscenes.backend import BACKENDS, COLORS, choose_variant
 from simscenes.camera import camera_color
 from simscenes.job.identity import SPENT
 from simscenes.loading.checks.untrusted import check_xml
 from simscenes.loading.reference import SceneRef
+from simscenes.optics import Optics
+from simscenes.rigs import Rig
 from simscenes.sets.writers.camera_files import CAMERA_FILES
 from simscenes.sets.writers.neighbours import DEPTHS
 from simscenes.transport.plan import EFFECTS
@@ -171,7 +172,7 @@ def render_views(out: Path, config: RenderConfig, rig: Rig, plan: Plan | str, co
     Raises:
         ValueError: If the scene cannot be rendered.
     """
-    from simscenes import render_set
+    from simscenes.job.render_set import render_set
 
     with console.progress("render") as progress, warnings_as_notes(console):
         render_set(
@@ -192,7 +193,7 @@ def plan_of(config: RenderConfig, tolerance: float = 0.02) -> Plan:
     Raises:
         ValueError: If no plan can be made for the scene.
     """
-    from simscenes import plan_transport
+    from simscenes.transport import plan_transport
 
     return plan_transport(
         config.source, tolerance, rig=rig_of(config), optics=config.optics, variant=config.variant,
@@ -207,7 +208,9 @@ def rig_of(config: RenderConfig) -> Rig:
     Raises:
         ValueError: If the scene is unknown, cannot be loaded, or has no camera to start from.
     """
-    from simscenes import default_rig, fit_rig, own_cameras
+    from simscenes.render.fitting import fit_rig
+    from simscenes.render.framing import own_cameras
+    from simscenes.scenes import default_rig
 
     source, size = config.source, (config.width, config.height)
     if source.in_catalogue:

@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from novags.splats import Views, read_ply, write_ply
 from novags.splats.files.compact import write_splat, write_spz
+from novags.splats.files.ply import read_ply, write_ply
+from novags.splats.views import Views
 from novags.testbed.contents import read_json
 from novags.testbed.folders.run import CAMERAS, RECORD, SCENE, VIEWERS
 from sensor_model.files.atomic import atomic

@@ -15,8 +15,8 @@ from novags.settings import changed, check_types, converted, flattened, has_sett
 from novags.testbed.importing.published.named import DATA
 from novags.testbed.levels import level_named
 from novags.testbed.presets import Preset, adapted
-from sensor_model import PRESETS as SENSORS
 from sensor_model.files.door import resolved
+from sensor_model.presets import PRESETS as SENSORS
 from simscenes.scenes import canonical_name
 
 RENAMED = {"views": "n_views"}  # as the command line calls them -> as `adapted` does

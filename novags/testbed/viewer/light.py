@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.set import Source
 from novags.testbed.stages.capturing import CaptureConfig, camera_for, expose_view
-from sensor_model import Exposure, Sensor, develop
-from sensor_model.isp import Demosaic, white_balance
+from sensor_model.isp import Demosaic, develop, white_balance
+from sensor_model.params import Exposure, Sensor
 
 GREY = 0.18  # linear; where a brightened picture has its mean green, as photographs have theirs
 

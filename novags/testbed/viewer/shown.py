@@ -20,7 +20,7 @@ from novags.testbed.stages.capturing import CaptureConfig, measure_light
 from novags.testbed.viewer.light import GREY, Camera
 from novags.testbed.viewer.splats import Drawn, drawn, scene_of
 from novags.testbed.viewer.world import World, true_from
-from sensor_model import srgb_to_linear
+from sensor_model.isp import srgb_to_linear
 from simscenes.sets.pictures.png import read_png
 
 KINDS = ("dark", "enhanced", "denoised", "rendered", "true")

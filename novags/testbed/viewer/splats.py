@@ -13,10 +13,11 @@ from novags.methods.problem import encode
 from novags.methods.reconstruction import GaussianScene, Scene
 from novags.methods.rivals.denoised_scene import with_denoiser
 from novags.methods.tone import ResponseTable, ToneCurve
-from novags.splats import Views, read_ply
+from novags.splats.files.ply import read_ply
 from novags.splats.raster.raster_torch import quat_to_rotmat
 from novags.splats.sh import sh_to_rgb
 from novags.splats.training.config import NEAR, FitConfig
+from novags.splats.views import Views
 from novags.testbed.folders.run import SCENE, Run
 
 

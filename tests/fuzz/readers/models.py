@@ -162,7 +162,8 @@ def read_enhancer(folder: Path, file: Path) -> object:
 
 def make_field(folder: Path) -> None:
     from novags.fields.box import Box
-    from novags.fields.layout import Layout, first_field
+    from novags.fields.field import first_field
+    from novags.fields.layout import Layout
     from novags.fields.march import Proposal
     from novags.methods.nerf.scene import FieldScene
 

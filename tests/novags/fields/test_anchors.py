@@ -10,7 +10,8 @@ from torch import Tensor
 
 from novags.fields.box import box_of, contracted
 from novags.fields.evaluate import evaluate
-from novags.fields.layout import SIDE, Layout, first_field
+from novags.fields.field import first_field
+from novags.fields.layout import SIDE, Layout
 from novags.fields.reference import evaluate_reference
 from novags.fields.training.anchors import COUNT, Anchors
 from novags.fields.training.batch import Batch

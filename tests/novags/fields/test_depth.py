@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from novags.fields.box import Box
-from novags.fields.layout import SIDE, Layout, first_field
+from novags.fields.field import first_field
+from novags.fields.layout import SIDE, Layout
 from novags.fields.march import Proposal
 from novags.fields.render import median_distance, render_field
 from novags.splats import Views

@@ -6,7 +6,8 @@ import torch
 from torch import Tensor
 
 from novags.fields.evaluate import GRAIN, basis_of, evaluate, gradients
-from novags.fields.layout import LANES, SIDE, Field, Layout, first_field
+from novags.fields.field import Field, first_field
+from novags.fields.layout import LANES, SIDE, Layout
 from novags.fields.reference import evaluate_reference
 
 LAYOUT = Layout(coarsest=3, finest=40, log2_rows=10, static=2, viewed=3)  # dense levels, and ones that share rows

@@ -9,14 +9,15 @@ import torch
 
 from novags import methods
 from novags.methods import enhance_then_fit, gaussian_fit, oracle
-from novags.methods.enhancers.guided import EnhanceConfig, enhance
-from novags.methods.gaussian_fit import EnhancedFitConfig
+from novags.methods.enhanced_fit import EnhancedFitConfig
+from novags.methods.enhancers.guided import enhance
+from novags.methods.enhancers.rows.guided import EnhanceConfig
 from novags.methods.nerf import fitting
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene
 from novags.splats import FitConfig, Gaussians, Views
+from novags.splats.training.config import CameraRefinement
 from novags.splats.training.fit import FitResult
-from novags.splats.training.updates.camera_refinement import CameraRefinement
 
 CONFIG = EnhancedFitConfig(
     enhance=EnhanceConfig(window=5), init_scale=0.3, fit=FitConfig(iterations=4, sh_degree=1, seed=1)

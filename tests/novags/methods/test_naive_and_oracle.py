@@ -5,8 +5,8 @@ import torch
 
 from novags.methods import enhance_then_fit as naive
 from novags.methods import oracle
+from novags.methods.enhanced_fit import EnhancedFitConfig
 from novags.methods.enhancers.guided import enhance
-from novags.methods.gaussian_fit import EnhancedFitConfig
 from novags.methods.oracle import OracleConfig
 from novags.methods.problem import Problem
 from novags.splats import FitConfig, Gaussians, rasterize

@@ -24,7 +24,7 @@ from novags.methods.noise_estimate import (
 from novags.methods.problem import RawPictures
 from novags.testbed.stages.capturing import expose_with_truth
 from sensor_model import PRESETS, Exposure, develop, from_linear16
-from sensor_model.mosaic import channel_index
+from sensor_model.mosaicking import channel_index
 from sensor_model.params import CFAS, Cfa
 
 EXPOSURE = Exposure(time=1 / 30)

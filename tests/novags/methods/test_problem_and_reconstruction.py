@@ -8,7 +8,8 @@ import torch
 
 from novags.methods import METHODS
 from novags.methods.enhancers import NETWORKS, enhanced, enhanced_clean, enhancement_record, recorded
-from novags.methods.enhancers.guided import EnhanceConfig, enhance
+from novags.methods.enhancers.guided import enhance
+from novags.methods.enhancers.rows.guided import EnhanceConfig
 from novags.methods.memo import Memo
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.settings import changed, has_setting

@@ -1,7 +1,6 @@
 """Adam over the tensors of a set of Gaussians, with a learning rate per tensor (and one for the SH rest)."""
 
 import math
-from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -12,73 +11,10 @@ from ...cpu.parallel import run
 from ...cpu.training import optimizer
 from ...gaussians import Gaussians
 from ...sh import n_coefficients
+from ..config import LearningRates
 
 BETA1, BETA2 = 0.9, 0.999
 EPS = 1e-15  # 3DGS: gradients are tiny, torch's 1e-8 would damp them; without any, 0 / 0 for a Gaussian never seen
-COOLED = ("quats", "log_scales", "logit_opacities", "sh_dc", "sh_rest", "features")  # by `cool_to`
-
-
-@dataclass(frozen=True, kw_only=True)
-class LearningRates:
-    """Learning rates of 3DGS (per iteration).
-
-    Attributes:
-        means: At the start, in units of the scene extent.
-        means_final: At the end of the schedule, same units; log-linear in between, so > 0 unless `means` is 0.
-        schedule: "original": `means_final` is reached after 30,000 iterations, however long the run (3DGS, 3DGS-MCMC);
-            "gsplat": at the end of the run.
-        quats: Rotation.
-        log_scales: Log scale.
-        logit_opacities: Logit opacity.
-        sh_dc: Constant colour.
-        sh_rest: Higher spherical harmonics.
-        features: `Gaussians.features`.
-        cool_from: Share of the run after which all rates but that of the means fall, log-linearly.
-        cool_to: What they fall to at its end, as a share of themselves; 1: they do not.
-    """
-
-    means: float = 1.6e-4
-    means_final: float = 1.6e-6
-    schedule: str = "gsplat"
-    quats: float = 1e-3
-    log_scales: float = 5e-3
-    logit_opacities: float = 5e-2
-    sh_dc: float = 2.5e-3
-    sh_rest: float = 1.25e-4
-    features: float = 2.5e-3
-    cool_from: float = 0.6
-    cool_to: float = 1.0
-
-    def __post_init__(self) -> None:
-        if self.schedule not in ("original", "gsplat"):
-            raise ValueError(f"schedule must be 'original' or 'gsplat', got {self.schedule!r}")
-        for name in ("means", "means_final", *COOLED):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"learning rate {name} must be >= 0, got {getattr(self, name)}")
-        if self.means > 0 and self.means_final == 0:
-            raise ValueError(
-                f"means_final must be > 0 where means is (the rate falls log-linearly), got 0 and means {self.means}: "
-                "take a small share of means, or means itself for a rate that does not fall"
-            )
-        if not (0 <= self.cool_from < 1 and 0 < self.cool_to <= 1):
-            raise ValueError(
-                f"cool_from must lie in [0, 1) and cool_to in (0, 1], got {self.cool_from} and {self.cool_to}"
-            )
-
-    def at(self, iteration: int, iterations: int) -> "LearningRates":
-        """These rates at an `iteration` of a run of `iterations`: cooled, but for those of the means."""
-        begin = self.cool_from * iterations
-        if self.cool_to == 1 or iteration <= begin:
-            return self
-        factor = self.cool_to ** ((iteration - begin) / (iterations - begin))
-        return replace(self, **{name: factor * getattr(self, name) for name in COOLED})
-
-    def means_at(self, iteration: int, iterations: int, extent: float) -> float:
-        """Learning rate of the means, world units, at `iteration` of a run of `iterations`."""
-        if self.means == 0:
-            return 0.0
-        progress = min(1.0, iteration / (30_000 if self.schedule == "original" else max(1, iterations)))
-        return extent * self.means * (self.means_final / self.means) ** progress
 
 
 class Adam:

@@ -10,51 +10,17 @@ done before poses, or renders from true test cameras, are compared. A turn that 
 weakly: pictures agree long before that pair is right, and getting it right takes most of the iterations.
 """
 
-import math
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from ...raster.raster_torch import quat_to_rotmat
+from ..config import CameraRefinement
 
 # A camera is seen once in an epoch, so a memory of 1 / (1 - 0.999) visits would outlast most runs.
 BETA1, BETA2 = 0.9, 0.99
 EPS = 1e-15  # of no weight against any gradient; without it 0 / 0 for an entry whose gradients were all zero
-
-
-@dataclass(frozen=True, kw_only=True)
-class CameraRefinement:
-    """How far and when the training cameras may move.
-
-    Attributes:
-        rotation_rate: Learning rate of the turns, rad per visit.
-        translation_rate: Learning rate of the moves, scene extents per visit.
-        start: First iteration that moves cameras; before it the Gaussians settle around the given ones.
-        decay: Factor of both rates at the end of the run; log-linear from 1 at `start`.
-        pull: Weight of the sum of squares of a camera's twist (rad^2, extents^2), added to the loss of its visits.
-    """
-
-    rotation_rate: float = 5e-3
-    translation_rate: float = 2e-3
-    start: int = 100
-    decay: float = 0.1
-    pull: float = 0.0
-
-    def __post_init__(self) -> None:
-        for name in ("rotation_rate", "translation_rate", "pull"):
-            if not 0 <= getattr(self, name) < math.inf:
-                raise ValueError(f"{name} of camera refinement must be finite and >= 0, got {getattr(self, name)}")
-        if self.start < 0:
-            raise ValueError(f"start of camera refinement must be >= 0 iterations, got {self.start}")
-        if not 0 < self.decay <= 1:
-            raise ValueError(f"decay of camera refinement must lie in (0, 1], got {self.decay}")
-
-    def factor_at(self, iteration: int, iterations: int) -> float:
-        """Factor of both rates at `iteration` of a run of `iterations`; 0 before `start`."""
-        if iteration < self.start:
-            return 0.0
-        return self.decay ** ((iteration - self.start) / max(1, iterations - self.start))
 
 
 @dataclass(kw_only=True)

@@ -1,7 +1,6 @@
 """3DGS as Markov chain Monte Carlo (Kheradmand et al. 2024): relocation of dead Gaussians, growth, Langevin noise."""
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -17,34 +16,6 @@ DEAD_OPACITY = 0.005  # at or below, a Gaussian shows nothing and is moved
 FARTHEST = 1.0
 NODES, REACH = 128, 7.0  # trapezoid rule of the relocation integral; exp(-7^2) is below one float64 step
 ROWS = 16_384  # whose integrands are evaluated at once: at 1 KB a Gaussian, those of all seeds would take gigabytes
-
-
-@dataclass(frozen=True, kw_only=True)
-class McmcConfig:
-    """When and how Gaussians move.
-
-    Attributes:
-        refine_start: Iteration after which Gaussians may be relocated and added.
-        refine_stop: Iteration from which the population stays; None is 5/6 of the run (25,000 of 30,000).
-        refine_every: Iterations between refinements.
-        growth: Factor of growth per refinement, until the cap.
-        noise_lr: Langevin noise in units of the learning rate of the means; None switches it off.
-    """
-
-    refine_start: int = 500
-    refine_stop: int | None = None
-    refine_every: int = 100
-    growth: float = 1.05
-    noise_lr: float | None = 5e5
-
-    def __post_init__(self) -> None:
-        if self.refine_start < 0 or self.refine_every < 1 or self.growth < 1:
-            raise ValueError(
-                "refine_start must be >= 0, refine_every >= 1 and growth >= 1, got "
-                f"{self.refine_start}, {self.refine_every} and {self.growth}"
-            )
-        if self.noise_lr is not None and self.noise_lr < 0:
-            raise ValueError(f"noise_lr must be >= 0 or None, got {self.noise_lr}")
 
 
 def relocation(opacities: Tensor, copies: Tensor) -> tuple[Tensor, Tensor]:

@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.splats import rasterize
 from novags.splats.raster import raster_torch
+from novags.splats.raster.rasterize import rasterize
 
 ROWS = 8  # at a time: for its gradient the readable reference keeps every pixel times Gaussian
 NAMES = ("means", "quats", "scales", "opacities", "sh")

@@ -10,7 +10,13 @@ import numpy as np
 from novags.testbed.console import Console
 from novags.testbed.pareto.clock import fastest
 from novags.testbed.pareto.knob import Knob, Measured, Setting, Subject
-from sensor_model import PRESETS, Exposure, Sensor, develop_linear, expose, mosaic, photons_for_electrons, plan_effects
+from sensor_model.capture import expose
+from sensor_model.isp import develop_linear
+from sensor_model.mosaicking import mosaic
+from sensor_model.params import Exposure, Sensor
+from sensor_model.planner import plan_effects
+from sensor_model.presets import PRESETS
+from sensor_model.radiometry import photons_for_electrons
 
 SIDE, SMALL, DEMOSAIC_SIDE, CALLS = 1000, 200, 512, 7
 LEVELS = (0.5, 2.0, 20.0, 200.0, 2000.0)

@@ -10,7 +10,8 @@ import torch
 
 from novags.fields.box import Box, contracted
 from novags.fields.evaluate import evaluate, gradients
-from novags.fields.layout import SIDE, Layout, first_field
+from novags.fields.field import first_field
+from novags.fields.layout import SIDE, Layout
 from novags.fields.march import Proposal, Rays, sampled, weights_of
 from novags.fields.reference import evaluate_reference
 from novags.methods.nerf import aleth

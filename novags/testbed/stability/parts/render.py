@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 
 from novags.testbed.stability.case import Part, Setting, worse
 from novags.testbed.stability.errors import EPS
-from simscenes import Rig, read_exr, write_exr
 from simscenes.backend import using_variant
 from simscenes.loading.load import build_scene
 from simscenes.render.geometry import geometry_channels, pixel_rays
 from simscenes.render.radiance import Method, View
 from simscenes.render.sequences import Radiance
-from simscenes.rigs import intrinsics, look_at
+from simscenes.rigs import Rig, intrinsics, look_at
+from simscenes.sets.pictures.exr import read_exr, write_exr
 
 PART = Part("render")
 BOTH = ("llvm_ad_rgb", "scalar_rgb")

@@ -12,20 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from novags.testbed.stability.case import Part, Setting, refusal, worse
-from sensor_model import (
-    PRESETS,
-    DualGain,
-    Exposure,
-    RawFrame,
-    Sensor,
-    clean_response,
-    develop,
-    develop_linear,
-    effects,
-    expose,
-    mosaic,
-)
-from sensor_model.params import CFAS
+from sensor_model import effects
+from sensor_model.capture import RawFrame, clean_response, expose
+from sensor_model.isp import develop, develop_linear
+from sensor_model.mosaicking import mosaic
+from sensor_model.params import CFAS, DualGain, Exposure, Sensor
+from sensor_model.presets import PRESETS
 
 PART = Part("sensor")
 BOTH = ("numpy", "numba")

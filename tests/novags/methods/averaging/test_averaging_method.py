@@ -11,7 +11,8 @@ import torch
 
 from novags.cameras import parse_cameras
 from novags.methods import METHODS, chosen
-from novags.methods.problem import LacksInput, Problem
+from novags.methods.inputs import LacksInput
+from novags.methods.problem import Problem
 from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import open_capture

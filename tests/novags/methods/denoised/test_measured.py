@@ -8,11 +8,12 @@ import pytest
 import torch
 
 from novags.methods.denoised.measured import measured
+from novags.methods.inputs import LacksInput
 from novags.methods.light import measured_light
 from novags.methods.noise import Noise, Variance, camera_noise
 from novags.methods.noise_estimate import estimate_noise
 from novags.methods.nova_plus.data import FULL
-from novags.methods.problem import LacksInput, Problem, RawPictures
+from novags.methods.problem import Problem, RawPictures
 from novags.splats import Views
 from sensor_model import PRESETS, Exposure, Sensor, develop, expose, from_linear16, mosaic
 from sensor_model.isp import white_balance

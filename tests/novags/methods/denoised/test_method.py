@@ -15,8 +15,9 @@ from novags.methods.denoised.recorrupted import AdaptConfig
 from novags.methods.denoised.trainer import DenoisedConfig, parts, train
 from novags.methods.denoised.weights import load_weights
 from novags.methods.enhancers import enhanced, enhanced_like, enhanced_view
+from novags.methods.inputs import LacksInput
 from novags.methods.noise import camera_noise
-from novags.methods.problem import LacksInput, Problem, RawPictures, encode
+from novags.methods.problem import Problem, RawPictures, encode
 from novags.splats import FitConfig, Views
 from sensor_model import PRESETS, Exposure, develop, develop_linear, expose, from_linear16
 from sensor_model.isp import white_balance

@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from novags.methods import METHODS, _enhanced
-from novags.methods.enhancers import ENHANCERS, Enhancer, enhanced_twin
+from novags.methods.enhancers import ENHANCERS, enhanced_twin
+from novags.methods.enhancers.enhancer import Enhancer
 from novags.methods.memo import Memo
 from novags.methods.variant import parse_variant
 from novags.testbed import stages

@@ -15,12 +15,14 @@ from novags.methods.enhancers import (
     enhancement_record,
     recorded,
 )
-from novags.methods.enhancers.guided import EnhanceConfig, enhance
+from novags.methods.enhancers.guided import enhance
 from novags.methods.enhancers.noise_level import immerkaer_sigma, known_sigma, patch_pca_sigma
+from novags.methods.enhancers.rows.guided import EnhanceConfig
+from novags.methods.inputs import LacksInput
 from novags.methods.memo import Memo
 from novags.methods.noise import Noise, Variance
 from novags.methods.nova.trainer import NovaConfig
-from novags.methods.problem import LacksInput, Problem
+from novags.methods.problem import Problem
 from novags.settings import changed
 from novags.splats import Views
 from sensor_model import NoiseCurve, linear_to_srgb

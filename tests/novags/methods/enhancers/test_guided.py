@@ -4,8 +4,9 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from novags.methods.enhancers.guided import EnhanceConfig, EnhanceParams, box_mean, enhance, guided_filter, solve_gamma
+from novags.methods.enhancers.guided import EnhanceParams, box_mean, enhance, guided_filter, solve_gamma
 from novags.methods.enhancers.noise_level import immerkaer_sigma, patch_pca_sigma
+from novags.methods.enhancers.rows.guided import EnhanceConfig
 from sensor_model.isp import interpolate
 
 

@@ -8,7 +8,8 @@ import torch
 from scipy.optimize import brentq
 
 from novags.methods.enhancers import guided
-from novags.methods.enhancers.guided import EnhanceConfig, EnhanceParams, enhance, guided_filter, solve_gamma
+from novags.methods.enhancers.guided import EnhanceParams, enhance, guided_filter, solve_gamma
+from novags.methods.enhancers.rows.guided import EnhanceConfig
 
 
 def textured(height: int = 13, width: int = 18, level: float = 0.15) -> np.ndarray:

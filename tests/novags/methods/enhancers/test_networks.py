@@ -14,6 +14,7 @@ import torch
 from safetensors.torch import save_file
 
 from novags.methods.enhance_then_fit import parts, train
+from novags.methods.enhanced_fit import EnhancedFitConfig
 from novags.methods.enhancers import ENHANCERS, enhanced, enhanced_like, located, recorded
 from novags.methods.enhancers.keras_file import read_keras
 from novags.methods.enhancers.networks import crops
@@ -21,8 +22,8 @@ from novags.methods.enhancers.rehearsal import learned
 from novags.methods.enhancers.sci import SCI, Sci, SciConfig
 from novags.methods.enhancers.weights import digest_of, read_weights
 from novags.methods.enhancers.zero_dce import ZERO_DCE, ZeroDce, ZeroDceConfig
-from novags.methods.gaussian_fit import EnhancedFitConfig
-from novags.methods.problem import LacksInput, Problem
+from novags.methods.inputs import LacksInput
+from novags.methods.problem import Problem
 from novags.splats import FitConfig, Views
 from novags.testbed.contents import jsonable
 from tests.fuzz.readers.keras import keras_bytes

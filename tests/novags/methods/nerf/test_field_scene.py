@@ -10,10 +10,12 @@ import pytest
 import torch
 
 from novags.fields.box import box_of
-from novags.fields.layout import Layout, first_field
+from novags.fields.field import first_field
+from novags.fields.layout import Layout
 from novags.fields.march import Proposal
 from novags.fields.training.config import FieldFitConfig
 from novags.methods.enhancers import enhanced, enhanced_clean
+from novags.methods.inputs import LacksInput
 from novags.methods.light import MeasuredLight
 from novags.methods.nerf import clean, fitting, plain
 from novags.methods.nerf.fitting import NerfConfig
@@ -21,7 +23,7 @@ from novags.methods.nerf.losses import robust
 from novags.methods.nerf.raw import numbers_of
 from novags.methods.nerf.scene import FILE, FieldScene, load_field
 from novags.methods.nerf.shading import SHADINGS
-from novags.methods.problem import LacksInput, Problem
+from novags.methods.problem import Problem
 from novags.methods.start import brightened
 from novags.splats.views import Views
 

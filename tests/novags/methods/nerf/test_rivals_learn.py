@@ -12,8 +12,9 @@ from torch import Tensor
 
 from novags.fields.layout import Layout
 from novags.fields.training.config import FieldFitConfig
+from novags.methods.inputs import LacksInput
 from novags.methods.nerf import aleth, i2, llnerf, raw
-from novags.methods.problem import LacksInput, Problem
+from novags.methods.problem import Problem
 
 DIM = 0.12  # what the fixture `problem` leaves of the light
 QUICK = FieldFitConfig(

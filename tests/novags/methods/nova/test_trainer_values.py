@@ -19,8 +19,8 @@ from novags.methods.nova.sh_penalty import sh_penalty
 from novags.methods.nova.trainer import NovaConfig, _PseudoClean, run_identity, train
 from novags.methods.problem import Problem
 from novags.splats import FitConfig, Views
+from novags.splats.training.config import CameraRefinement
 from novags.splats.training.fit import FitResult
-from novags.splats.training.updates.camera_refinement import CameraRefinement
 
 HEIGHT, WIDTH, COUNT, WARM_UP, ITERATIONS = 8, 10, 3, 2, 6
 DENOISER = DenoiserConfig(

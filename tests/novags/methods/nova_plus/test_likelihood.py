@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 import torch
 
+from novags.methods.inputs import LacksInput
 from novags.methods.noise import Variance, camera_noise
 from novags.methods.nova_plus.data import FULL, Exposures, exposures
 from novags.methods.nova_plus.likelihood import FLOOR, Likelihood
-from novags.methods.problem import LacksInput, Problem, RawPictures
+from novags.methods.problem import Problem, RawPictures
 from novags.methods.tone import ToneCurve
 from novags.splats.views import Views
 from sensor_model import PRESETS, DualGain, Exposure, develop_linear, expose, linear_noise, mosaic

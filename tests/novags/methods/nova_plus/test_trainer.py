@@ -12,6 +12,7 @@ import torch
 from novags.methods.denoised.denoiser import DenoiseConfig
 from novags.methods.denoised.recorrupted import AdaptConfig
 from novags.methods.enhancers import enhanced_light
+from novags.methods.inputs import LacksInput
 from novags.methods.light import first_light
 from novags.methods.noise import Noise, Variance
 from novags.methods.nova_plus import trainer
@@ -21,12 +22,12 @@ from novags.methods.nova_plus.data import exposures
 from novags.methods.nova_plus.judge import Verdict
 from novags.methods.nova_plus.targets import denoised_light, guided_light
 from novags.methods.nova_plus.trainer import FIT, NovaPlusConfig, parts, train
-from novags.methods.problem import LacksInput, Problem
+from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.tone import tone_curve
 from novags.splats import McmcConfig
 from novags.splats.files.ply import read_ply
-from novags.splats.training.updates.camera_refinement import CameraRefinement
+from novags.splats.training.config import CameraRefinement
 
 fitting = importlib.import_module("novags.splats.training.fit")  # the package has a function of that name
 MCMC = McmcConfig(refine_start=4, refine_every=4)

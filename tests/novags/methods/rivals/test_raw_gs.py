@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
+from novags.methods.inputs import LacksInput
 from novags.methods.light import BRIGHT, MeasuredLight, first_light
-from novags.methods.problem import LacksInput
 from novags.methods.reconstruction import GaussianScene
 from novags.methods.rivals.raw_gs import RawGsConfig, RawLoss, train
 from novags.splats import FitConfig, McmcConfig

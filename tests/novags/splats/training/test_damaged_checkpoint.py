@@ -10,7 +10,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from novags.splats import FitConfig, Gaussians, McmcConfig, Views, fit
-from novags.splats.training.updates.camera_refinement import CameraRefinement
+from novags.splats.training.config import CameraRefinement
 
 N, SIZE = 5, 8
 CONFIG = FitConfig(iterations=4, sh_degree=1, mcmc=McmcConfig(), refine_cameras=CameraRefinement(start=1))

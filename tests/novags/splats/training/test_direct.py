@@ -13,7 +13,7 @@ from novags.splats.cpu import parallel
 from novags.splats.cpu.chains import stages
 from novags.splats.cpu.compiler import kernel
 from novags.splats.training import direct
-from novags.splats.training.updates.camera_refinement import CameraRefinement
+from novags.splats.training.config import CameraRefinement
 
 loop = importlib.import_module("novags.splats.training.fit")  # the package has a function of that name
 CONFIG = FitConfig(

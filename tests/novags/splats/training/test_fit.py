@@ -9,7 +9,7 @@ import torch
 from safetensors.torch import save_file
 
 from novags.splats import FitConfig, Gaussians, LearningRates, McmcConfig, Step, Views, fit, rasterize
-from novags.splats.training.updates.camera_refinement import CameraRefinement
+from novags.splats.training.config import CameraRefinement
 
 SIZE, N_VIEWS = 32, 6
 

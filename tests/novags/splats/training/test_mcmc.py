@@ -11,12 +11,12 @@ from torch.overrides import TorchFunctionMode
 
 from novags.splats import Gaussians
 from novags.splats.raster.raster_torch import quat_to_rotmat
+from novags.splats.training.config import McmcConfig
 from novags.splats.training.updates.adam import Adam
 from novags.splats.training.updates.mcmc import (
     DEAD_OPACITY,
     NODES,
     ROWS,
-    McmcConfig,
     _add_noise_torch,
     _integral,
     add_noise,

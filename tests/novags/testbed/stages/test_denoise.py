@@ -13,7 +13,7 @@ import pytest
 from novags.methods.denoised.denoiser import DenoiseConfig, denoised
 from novags.methods.denoised.measured import of_capture
 from novags.methods.denoised.recorrupted import AdaptConfig
-from novags.methods.problem import LacksInput
+from novags.methods.inputs import LacksInput
 from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.contents import read_json

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods.enhancers.guided import EnhanceConfig, enhance
+from novags.methods.enhancers.guided import enhance
+from novags.methods.enhancers.rows.guided import EnhanceConfig
 from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.experiment import run
@@ -19,7 +20,7 @@ from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.references import references
 from novags.testbed.stages.capturing import CaptureConfig
 from sensor_model import develop_linear, read_sensor, srgb_to_linear
-from sensor_model.mosaic import channel_index
+from sensor_model.mosaicking import channel_index
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
 from simscenes.sets.pictures.exr import read_exr, write_exr

@@ -12,23 +12,24 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from novags.methods.enhancers import ENHANCERS, NETWORKS, EnhancerConfig
+from novags.methods.enhancers import ENHANCERS, NETWORKS
 from novags.methods.enhancers.mbllen import MbllenConfig, adjust
 from novags.methods.enhancers.networks import Kind
+from novags.methods.enhancers.rows.guided import Enhancement
 from novags.methods.enhancers.tone_curves import DARKEST, DragoConfig, EqualiseConfig, GainConfig, GammaConfig
 from novags.testbed.stability.case import Part, Setting, refusal, worse
 from novags.testbed.stability.errors import EPS, LARGEST, relative_error
 
 PART = Part("enhancers")
 
-CURVES: tuple[EnhancerConfig, ...] = (
+CURVES: tuple[Enhancement, ...] = (
     GammaConfig(), GammaConfig(gamma=None), GainConfig(), DragoConfig(), EqualiseConfig(),
 )  # fmt: skip
 WEIGHTS = (0.2126, 0.7152, 0.0722)
 Pixel = list[float]
 
 
-def _curve(config: EnhancerConfig, dark: Tensor) -> Tensor:
+def _curve(config: Enhancement, dark: Tensor) -> Tensor:
     enhancer = next(each for each in ENHANCERS.values() if isinstance(config, each.config))
     return enhancer.enhance(dark, config, None, None)[0]
 
@@ -77,7 +78,7 @@ def _equalised(pixels: list[Pixel]) -> list[Pixel]:
     return shown
 
 
-def _slow(config: EnhancerConfig, pixels: list[Pixel]) -> list[Pixel]:
+def _slow(config: Enhancement, pixels: list[Pixel]) -> list[Pixel]:
     if isinstance(config, GammaConfig):
         exponent = config.gamma or _root(
             lambda g: math.fsum(v**g for p in pixels for v in p) / (3 * len(pixels)) - config.target, 0.02, 5.0

@@ -13,12 +13,16 @@ from torch import Tensor
 from novags.methods import METHODS, chosen
 from novags.methods.noise import camera_noise
 from novags.methods.problem import Problem, RawPictures
-from novags.splats import Gaussians, Views, rasterize
+from novags.splats.gaussians import Gaussians
+from novags.splats.raster.rasterize import rasterize
 from novags.splats.training.fit import LOG_EVERY
+from novags.splats.views import Views
 from novags.testbed.presets import EXPERIMENTS
 from novags.testbed.stability.case import Part, Setting
-from sensor_model import PRESETS, Exposure, develop, expose
-from sensor_model.isp import white_balance
+from sensor_model.capture import expose
+from sensor_model.isp import develop, white_balance
+from sensor_model.params import Exposure
+from sensor_model.presets import PRESETS
 
 PART = Part("long_runs")
 

@@ -16,10 +16,10 @@ from novags.methods.nova_plus.data import Exposures
 from novags.methods.nova_plus.likelihood import FLOOR, Likelihood
 from novags.methods.nova_plus.merge import merged
 from novags.methods.tone import ToneCurve, tone_curve
-from novags.splats import Gaussians
+from novags.splats.gaussians import Gaussians
 from novags.testbed.stability.case import Part, Setting, worse
 from novags.testbed.stability.errors import EPS, LARGEST, relative_error, worst_error
-from sensor_model import NoiseCurve
+from sensor_model.noise import NoiseCurve
 
 PART = Part("nova_plus")
 

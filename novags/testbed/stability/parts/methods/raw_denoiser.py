@@ -19,7 +19,7 @@ from novags.methods.denoised.weights import load_weights
 from novags.methods.noise import Noise, Variance
 from novags.testbed.stability.case import Part, Setting, refusal
 from novags.testbed.stability.errors import EPS, LARGEST, relative_error
-from sensor_model import NoiseCurve
+from sensor_model.noise import NoiseCurve
 from sensor_model.params import Cfa
 
 PART = Part("raw_denoiser")

@@ -11,7 +11,7 @@ from functools import lru_cache
 import torch
 from torch import Tensor
 
-from novags.splats import rasterize
+from novags.splats.raster.rasterize import rasterize
 from novags.testbed.stability.case import Part, Setting, refusal
 from novags.testbed.stability.errors import EPS, LARGEST, worst_error
 from novags.testbed.stability.parts.splats.dense import NAMES, Camera, render

@@ -14,9 +14,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.splats import Gaussians, LearningRates
 from novags.splats.cpu.parallel import run
 from novags.splats.cpu.training import noise
+from novags.splats.gaussians import Gaussians
+from novags.splats.training.config import LearningRates
 from novags.splats.training.updates import adam, mcmc
 from novags.splats.training.updates.activate import activate
 from novags.testbed.stability.case import Part, Setting, worse

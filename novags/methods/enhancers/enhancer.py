@@ -1,0 +1,29 @@
+"""What an enhancer is: a row of `ENHANCERS`, and the base of all configurations."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+
+@dataclass(frozen=True, kw_only=True)
+class EnhancerConfig:
+    """Base of the configuration of every enhancer."""
+
+
+@dataclass(frozen=True)
+class Enhancer:
+    """An enhancement by name.
+
+    Attributes:
+        config: Its configuration, an `EnhancerConfig`, or NoneType.
+        enhance: (dark [H, W, 3] sRGB-encoded in 0..1, config, params or None, variance of the linear pictures or None)
+            -> enhanced [H, W, 3] and params. With the params of the noisy picture, its noise-free twin goes through the
+            very same enhancement.
+        typical: (params of several views) -> the params in their middle, for a picture that has no noisy twin.
+        network: () -> the `networks.Kind` behind it, if it is a network.
+    """
+
+    config: type
+    enhance: Callable[..., Any]
+    typical: Callable[..., Any]
+    network: Callable[[], Any] | None = None

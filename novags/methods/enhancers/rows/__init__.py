@@ -1,0 +1,1 @@
+"""One file an enhancer: its configuration, its row of `ENHANCERS`, and the method that fits to its pictures."""

@@ -1,0 +1,9 @@
+"""Which pictures a method is given, and what it says where they are not enough."""
+
+from typing import Literal
+
+Pictures = Literal["8bit", "16bit"]
+
+
+class LacksInput(ValueError):
+    """A method needs what a capture does not have; another method may do without."""

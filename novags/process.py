@@ -1,0 +1,35 @@
+"""How a process of ours computes: speed, and the same bits whatever else the machine does.
+
+Commands and workers call `settle` first. Importing novags changes nothing in a process; who uses it as a library calls
+`settle` before torch is imported, or does as docs/in-python.md says.
+"""
+
+import ctypes
+import os
+from contextlib import suppress
+
+ENVIRONMENT = {
+    # Idle threads of torch's OpenMP spin by default, and steal the time of whatever else runs on a machine with few or
+    # busy cores. Not spinning at all makes them sleep and wake between the short layers of the denoiser. So they spin
+    # briefly.
+    "OMP_WAIT_POLICY": "PASSIVE",
+    "GOMP_SPINCOUNT": "20000",
+    # On busy cores MKL sums small products of matrices in an order that changes from call to call, unless told not to:
+    # the last bits of a network's gradients, and of resumed fits of small pictures, would change.
+    "MKL_CBWR": "AUTO",
+}  # read by these libraries when they are loaded or first used
+# Each iteration of a fit frees its arrays, and the next one asks for the same again. glibc returns them to the system
+# in between, which hands them out again page by page and filled with zeros: a third of the time of a fit whose loss is
+# torch's. What is freed is kept instead, in blocks of up to the first of these sizes, up to the second in all.
+KEPT = (("MMAP", -3, 256 << 20), ("TRIM", -1, 1 << 30))  # numbers as in malloc.h
+
+
+def settle() -> None:
+    """Set what the user has not set himself. Must be called before torch is imported, to have its whole effect."""
+    for name, value in ENVIRONMENT.items():
+        os.environ.setdefault(name, value)
+    with suppress(AttributeError, OSError, TypeError):  # other C libraries have no mallopt, and keep what they like
+        mallopt = ctypes.CDLL(None).mallopt
+        for name, number, size in KEPT:
+            if f"MALLOC_{name}_THRESHOLD_" not in os.environ:  # else the user's own choice holds
+                mallopt(number, size)

@@ -1,0 +1,15 @@
+from .files.ply import read_ply as read_ply
+from .files.ply import write_ply as write_ply
+from .gaussians import Gaussians as Gaussians
+from .raster.rasterize import rasterize as rasterize
+from .training.config import CameraRefinement as CameraRefinement
+from .training.config import FitConfig as FitConfig
+from .training.config import LearningRates as LearningRates
+from .training.config import McmcConfig as McmcConfig
+from .training.fit import FitResult as FitResult
+from .training.fit import fit as fit
+from .training.guard import NotFinite as NotFinite
+from .training.losses import photometric_loss as photometric_loss
+from .training.losses import ssim as ssim
+from .training.step import Step as Step
+from .views import Views as Views
