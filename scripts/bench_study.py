@@ -29,13 +29,13 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.cache import run_stage
 from novags.testbed.console import Console
+from novags.testbed.ledger.stage import run_stage
+from novags.testbed.ledger.store import version
 from novags.testbed.study.engines.local import Limits, Pool
 from novags.testbed.study.engines.processes import threads_environment
 from novags.testbed.study.engines.worker import Outcome
 from novags.testbed.study.entry import Order, Step, Task, ensure
-from novags.testbed.study.store import version
 
 STUDY = """
 preset = "demo"

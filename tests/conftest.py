@@ -129,7 +129,7 @@ def smallest() -> str:
 @pytest.fixture(scope="session")
 def without_costs() -> Callable[[Any], Any]:
     """A function that leaves out of a record all that differs from one time to the next."""
-    from novags.testbed.contents import VOLATILE
+    from novags.testbed.ledger.contents import VOLATILE
 
     costs = {*VOLATILE, "hardware"} - {"stage"}
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from novags.testbed.study.store import CODE
+from novags.testbed.ledger.store import CODE
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("sensor_model", "simscenes", "novags")

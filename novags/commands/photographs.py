@@ -39,7 +39,7 @@ def import_(
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
     from novags.testbed import stages
-    from novags.testbed.stages.importing import ImportConfig
+    from novags.testbed.stages.configs.importing import ImportConfig
 
     config = ImportConfig(
         lit=lit, clean=clean, sensor=sensor, time=time, black=black, white=white, curve=curve, demosaic=demosaic,
@@ -73,7 +73,7 @@ def denoise(
     from novags.methods.denoised.denoiser import DenoiseConfig
     from novags.methods.denoised.recorrupted import AdaptConfig
     from novags.testbed import stages
-    from novags.testbed.stages.denoising import DenoisePicturesConfig
+    from novags.testbed.stages.configs.denoising import DenoisePicturesConfig
 
     how = DenoiseConfig(adapt=AdaptConfig() if adapt else None, turns=turns)
     config = DenoisePicturesConfig(denoise=how, seed=seed, device=device)

@@ -64,8 +64,8 @@ def score(
 def _score_pictures(
     renders: Path, set: Path, reference: _Reference, out: Path | None, overwrite: bool
 ) -> None:  # fmt: skip
-    from novags.testbed.contents import write_json
     from novags.testbed.foreign.score import Truth, score_renders
+    from novags.testbed.ledger.contents import write_json
     from novags.testbed.stages.paths import keep_apart
 
     if out is not None:

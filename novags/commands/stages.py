@@ -31,7 +31,7 @@ def plan(
     from novags.numbers import check_range
     from novags.testbed.forecast import PILOT, light_plan, sensor_plan
     from novags.testbed.presets import EXPERIMENTS, adapted
-    from novags.testbed.stages.capturing import CaptureConfig
+    from novags.testbed.stages.configs.capturing import CaptureConfig
 
     check_range("light_tolerance", light_tolerance, 0, 1)
     config = CaptureConfig(sensor=sensor, electrons=electrons, time=time, tolerance=tolerance)
@@ -69,7 +69,7 @@ def render(
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
     from novags.testbed import stages
-    from novags.testbed.stages.rendering import RenderConfig
+    from novags.testbed.stages.configs.rendering import RenderConfig
     from simscenes.job.accuracy import summary
 
     samples = 256 if spp is None and target_error is None else spp
@@ -102,7 +102,7 @@ def poses(
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
     from novags.testbed import stages
-    from novags.testbed.stages.posing import PosesConfig
+    from novags.testbed.stages.configs.posing import PosesConfig
 
     config = PosesConfig(
         photographs=photographs, fps=fps, max_size=max_size, max_features=max_features, peak_threshold=peak_threshold,
@@ -146,7 +146,7 @@ def capture(
     """
     from novags.testbed import stages
     from novags.testbed.levels import Level, level_named
-    from novags.testbed.stages.capturing import CaptureConfig
+    from novags.testbed.stages.configs.capturing import CaptureConfig
 
     named = CaptureConfig() if level is None else level_named(level)
     config = CaptureConfig(

@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed import stages
-from novags.testbed.cache import refuse_other
 from novags.testbed.console import Console
-from novags.testbed.contents import UNFINISHED, read_json, write_json
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders import shapes
 from novags.testbed.folders.experiment import EXPERIMENT, REPORT, REPORT_FILES, find_runs
 from novags.testbed.folders.place import place_of
 from novags.testbed.folders.run import METRICS, RECORD
+from novags.testbed.ledger.contents import UNFINISHED, read_json, write_json
+from novags.testbed.ledger.stage import refuse_other
 from novags.testbed.presets import Preset
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.rendering import RECORD as SET

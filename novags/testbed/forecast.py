@@ -6,8 +6,10 @@ from pathlib import Path
 
 from novags.testbed.console import Console
 from novags.testbed.folders.set import Source, open_source, warnings_as_notes
-from novags.testbed.stages.capturing import CaptureConfig, meter
-from novags.testbed.stages.rendering import RenderConfig, plan_of, prepare_render, render_views
+from novags.testbed.stages.capturing import meter
+from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.rendering import RenderConfig
+from novags.testbed.stages.rendering import plan_of, prepare_render, render_views
 from sensor_model.files.scratch import scratch
 from sensor_model.plan import Plan
 

@@ -15,11 +15,11 @@ from novags.methods.variant import Variant, read_variants
 from novags.settings import changed, files_among, has_setting, refuse_lost, refuse_lost_files, starting_at
 from novags.testbed.foreign.command import CommandConfig
 from novags.testbed.levels import level_named
-from novags.testbed.stages.capturing import CaptureConfig
-from novags.testbed.stages.importing import ImportConfig
-from novags.testbed.stages.posing import PosesConfig
-from novags.testbed.stages.reconstructing import ReconstructConfig
-from novags.testbed.stages.rendering import RenderConfig
+from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.importing import ImportConfig
+from novags.testbed.stages.configs.posing import PosesConfig
+from novags.testbed.stages.configs.reconstructing import ReconstructConfig
+from novags.testbed.stages.configs.rendering import RenderConfig
 from sensor_model.files.door import resolved
 from simscenes.sets.multiview import is_rendered
 

@@ -7,13 +7,13 @@ from typing import Any
 
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_capture
+from novags.testbed.ledger.store import version
 from novags.testbed.machine.cores import cores_here
 from novags.testbed.presets import EXPERIMENTS
 from novags.testbed.study.axes import OF_RUNS, Changes, applied, changes_of
 from novags.testbed.study.entry import Order, Task, ensure
 from novags.testbed.study.plan import Planner
 from novags.testbed.study.steps import depends, steps
-from novags.testbed.study.store import version
 from novags.testing.known import DarkCapture
 from sensor_model.files.lock import locked
 

@@ -23,7 +23,7 @@ from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.folders.set import open_source
 from novags.testbed.stages.capturing import expose_with_truth
-from novags.testbed.stages.rendering import RenderConfig
+from novags.testbed.stages.configs.rendering import RenderConfig
 from sensor_model import PRESETS, Exposure, develop, develop_linear, from_linear16
 
 QUIET = Console(quiet=True)

@@ -58,7 +58,8 @@ def oracle_problem(capture: Path, n: int) -> tuple[Gaussians, Views, Tensor]:
     from novags.methods.start import start_gaussians
     from novags.testbed.console import Console
     from novags.testbed.folders.capture import open_capture
-    from novags.testbed.stages.reconstructing import ReconstructConfig, prepare
+    from novags.testbed.stages.configs.reconstructing import ReconstructConfig
+    from novags.testbed.stages.reconstructing import prepare
 
     console, opened = Console(quiet=True), open_capture(capture)
     config = ReconstructConfig(variant=chosen("oracle"), points=n, device="cpu")

@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed import cache, contents
-from novags.testbed.cache import run_stage
 from novags.testbed.console import Console
+from novags.testbed.ledger.stage import run_stage
 from novags.testbed.study.entry import Order, Step, ensure
 from sensor_model.files.atomic import write_text
 

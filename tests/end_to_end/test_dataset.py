@@ -18,9 +18,9 @@ from novags.testbed.dataset.file import read_dataset
 from novags.testbed.dataset.forecast import forecast
 from novags.testbed.dataset.shards import MEMBERS, remove_shards
 from novags.testbed.folders.capture import open_capture
+from novags.testbed.ledger.store import costs
 from novags.testbed.study.engines.choice import OneMachine
 from novags.testbed.study.plan import plan_of
-from novags.testbed.study.store import costs
 from novags.testbed.viewer.light import Camera
 from sensor_model.files.toml_file import read_toml
 from simscenes.sets.pictures.png import read_png

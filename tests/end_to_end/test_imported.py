@@ -20,8 +20,8 @@ from novags.testbed.metrics import image_scores
 from novags.testbed.presets import Preset, adapted
 from novags.testbed.references import enhanced_truth
 from novags.testbed.report.page import write_report
-from novags.testbed.stages.capturing import CaptureConfig
-from novags.testbed.stages.importing import ImportConfig
+from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.importing import ImportConfig
 from sensor_model import srgb_to_linear
 from simscenes import orbit_rig
 from simscenes.sets.pictures.png import write_png

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from novags.testbed.contents import read_json
+from novags.testbed.ledger.contents import read_json
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
 from simscenes.sets.pictures.exr import read_exr

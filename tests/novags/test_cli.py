@@ -310,7 +310,7 @@ def test_commands_that_messages_advise_are_such_that_a_shell_takes(
     from novags.testbed.report import page
     from novags.testbed.results.comparison import merged
     from novags.testbed.stages import import_photographs
-    from novags.testbed.stages.importing import ImportConfig
+    from novags.testbed.stages.configs.importing import ImportConfig
 
     folder = tmp_path / "Fotos ä (1)"
     folder.mkdir()

@@ -16,7 +16,7 @@ from novags.methods.enhancers import NETWORKS
 from novags.methods.reconstruction import GaussianScene
 from novags.testbed import stages
 from novags.testbed.console import Console
-from novags.testbed.contents import read_json
+from novags.testbed.ledger.contents import read_json
 from novags.testbed.presets import EXPERIMENTS, adapted
 from simscenes import SCENES, read_exr
 

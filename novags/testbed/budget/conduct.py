@@ -15,8 +15,8 @@ from novags.testbed.budget.known import Known, known
 from novags.testbed.budget.settings import OF_A_RENDER, WORDS, open_options, turned, values
 from novags.testbed.budget.trial import Forecast, OutOfTime, forecast
 from novags.testbed.console import Console
-from novags.testbed.contents import digest, jsonable, read_json, write_json
 from novags.testbed.folders.experiment import EXPERIMENT
+from novags.testbed.ledger.contents import digest, jsonable, read_json, write_json
 from novags.testbed.presets import Preset
 from sensor_model.files.lock import locked
 from sensor_model.files.reading import brief

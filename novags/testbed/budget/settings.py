@@ -6,7 +6,7 @@ from typing import Any
 from novags.settings import flattened
 from novags.testbed.budget.choice import Option
 from novags.testbed.presets import Preset, adapted
-from novags.testbed.stages.reconstructing import ReconstructConfig
+from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 
 # The smallest value that still makes sense.
 LEAST = {"iterations": 10, "points": 100, "denoiser_steps": 1, "spp": 2, "size": 16}

@@ -4,11 +4,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from novags.testbed.dataset.file import SPLITS, DatasetConfig
+from novags.testbed.ledger.store import costs
 from novags.testbed.study import forecast as of_study
 from novags.testbed.study.costs import Costs
 from novags.testbed.study.engines.choice import Engine
 from novags.testbed.study.plan import Plan
-from novags.testbed.study.store import costs
 
 
 def forecast(

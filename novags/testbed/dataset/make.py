@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed.console import Console
-from novags.testbed.contents import write_json
 from novags.testbed.dataset.card import card
 from novags.testbed.dataset.croissant import croissant
 from novags.testbed.dataset.file import SPLITS, DatasetConfig, spelled
 from novags.testbed.dataset.publish import INDEX, Entry, entries_of, link, views_of, write_index
 from novags.testbed.dataset.shards import FOLDER, remove_shards, write_shards
 from novags.testbed.dataset.splits import splits_of
+from novags.testbed.ledger.contents import write_json
 from novags.testbed.machine.provenance import package_version
 from novags.testbed.study.conduct import STUDY
 from novags.testbed.study.grid import Study

@@ -10,15 +10,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.contents import read_json
 from novags.testbed.csv_text import as_csv
 from novags.testbed.dataset.file import spelled
 from novags.testbed.folders.capture import RECORD as CAPTURE
+from novags.testbed.ledger.contents import read_json
+from novags.testbed.ledger.store import Seal, damaged, read_seal
 from novags.testbed.stages.rendering import RECORD as SET
 from novags.testbed.study.entry import Task
 from novags.testbed.study.grid import Value
 from novags.testbed.study.plan import Plan
-from novags.testbed.study.store import Seal, damaged, read_seal
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import admitted, check_links
 from simscenes.sets.multiview import MultiviewSet, load_set

@@ -12,9 +12,9 @@ from collections.abc import Container, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.contents import read_json, write_json
 from novags.testbed.dataset.file import SPLITS
 from novags.testbed.dataset.publish import View
+from novags.testbed.ledger.contents import read_json, write_json
 from sensor_model.files.atomic import atomic
 from sensor_model.files.door import read_bytes
 

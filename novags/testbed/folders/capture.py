@@ -25,11 +25,11 @@ from novags.methods.noise import Noise, camera_noise
 from novags.methods.noise_estimate import PIXELS, SMALLEST, noise_from
 from novags.methods.problem import RawPictures, encode
 from novags.testbed.console import Console
-from novags.testbed.contents import folder_digest, read_json, refuse_damage
 from novags.testbed.folders import imported, shapes
 from novags.testbed.folders.place import place_of
 from novags.testbed.folders.raw_files import read_digital_numbers
 from novags.testbed.folders.set import Source, open_source
+from novags.testbed.ledger.contents import folder_digest, read_json, refuse_damage
 from sensor_model.capture import RawFrame
 from sensor_model.files.camera_file import sensor_from_dict
 from sensor_model.files.dng import write_dng

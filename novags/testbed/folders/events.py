@@ -6,8 +6,8 @@ from types import TracebackType
 from typing import Any, BinaryIO
 
 from novags.numbers import FLOAT, STEPS, check_range
-from novags.testbed.contents import jsonable
 from novags.testbed.folders.shapes import MEASURED
+from novags.testbed.ledger.contents import jsonable
 from sensor_model.files.atomic import appending, write_text
 from sensor_model.files.door import read_bytes
 from sensor_model.files.records import check_shape, parse_json

@@ -8,9 +8,9 @@ from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
-from novags.testbed.contents import UNFINISHED, read_json
 from novags.testbed.folders import shapes
 from novags.testbed.folders.run import RECORD, Run, open_run
+from novags.testbed.ledger.contents import UNFINISHED, read_json
 from sensor_model.files.door import resolved
 
 EXPERIMENT = "experiment.json"

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from novags.testbed.contents import read_json
 from novags.testbed.folders import shapes
+from novags.testbed.ledger.contents import read_json
 from simscenes.sets.pictures.exr import read_exr, write_exr
 
 KIND = "imported"

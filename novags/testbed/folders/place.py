@@ -7,7 +7,7 @@ beside it says where the folder was when the same result was last asked for.
 import os
 from pathlib import Path
 
-from novags.testbed.contents import read_json, write_json
+from novags.testbed.ledger.contents import read_json, write_json
 from sensor_model.files.door import resolved
 
 MOVED = ".moved.json"  # digests leave hidden files out

@@ -21,12 +21,12 @@ import numpy as np
 from novags.methods.enhancers import located
 from novags.methods.reconstruction import NETWORK
 from novags.testbed.console import Console
-from novags.testbed.contents import folder_digest, read_json, refuse_damage
 from novags.testbed.folders import shapes
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.events import event_of
 from novags.testbed.folders.place import place_of
 from novags.testbed.folders.set import Source
+from novags.testbed.ledger.contents import folder_digest, read_json, refuse_damage
 from sensor_model.files.door import enter, read_text
 from sensor_model.files.reading import brief
 from sensor_model.files.records import check_shape

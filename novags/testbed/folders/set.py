@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from novags.testbed.console import Console
-from novags.testbed.contents import folder_digest, refuse_damage
 from novags.testbed.folders.linear_photographs import load_linear_set
+from novags.testbed.ledger.contents import folder_digest, refuse_damage
 from novags.testbed.metrics import SSIM_WINDOW
 from sensor_model.isp import linear_to_srgb
 from simscenes.rigs import Rig

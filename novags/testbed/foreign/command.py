@@ -15,13 +15,13 @@ from novags.methods import METHODS, VARIANTS
 from novags.methods.problem import encode
 from novags.methods.variant import Variant
 from novags.settings import converted
-from novags.testbed.cache import run_stage
 from novags.testbed.console import Console
-from novags.testbed.contents import folder_digest
 from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import RECORD, Capture, open_capture
 from novags.testbed.foreign.pictures import Picture, find_renders, read_picture
 from novags.testbed.foreign.process import Spent, run_program
+from novags.testbed.ledger.contents import folder_digest
+from novags.testbed.ledger.stage import run_stage
 from novags.testbed.metrics import Image
 from novags.testbed.stages.paths import keep_apart
 from sensor_model.files.atomic import remove, write_text

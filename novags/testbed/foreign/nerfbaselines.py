@@ -19,12 +19,12 @@ from typing import Any, Literal
 import numpy as np
 
 from novags.testbed.console import Console
-from novags.testbed.contents import read_json, write_json
 from novags.testbed.exposures import as_compared, exposures_of
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.experiment import gather
 from novags.testbed.folders.run import Run, open_run
 from novags.testbed.folders.set import Source
+from novags.testbed.ledger.contents import read_json, write_json
 from novags.testbed.machine.provenance import package_version
 from novags.testbed.metrics import PerceptualDistance, psnr, ssim
 from novags.testbed.references import references

@@ -10,7 +10,6 @@ from shlex import quote
 from typing import NoReturn
 
 from novags.testbed.console import Console
-from novags.testbed.contents import folder_digest
 from novags.testbed.folders import raw_files
 from novags.testbed.folders.linear_photographs import find_linear
 from novags.testbed.folders.set import READ_FROM, Source, open_source, source_of, warnings_as_notes
@@ -18,6 +17,7 @@ from novags.testbed.importing.published.datasets import DEPTH, Dataset, scene_na
 from novags.testbed.importing.published.posed import has_cameras
 from novags.testbed.importing.split import Split, divided
 from novags.testbed.importing.stored import PICTURES, Depth, depth_of
+from novags.testbed.ledger.contents import folder_digest
 from sensor_model.files.reading import some
 from simscenes.sets.readers.nerf_synthetic import is_nerf_synthetic
 

@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed.console import Console
-from novags.testbed.contents import folder_digest
 from novags.testbed.folders.linear_photographs import load_linear_set
 from novags.testbed.folders.set import warnings_as_notes
 from novags.testbed.importing.stored import PICTURES
+from novags.testbed.ledger.contents import folder_digest
 from sensor_model.files.door import resolved
 from sensor_model.files.reading import some
 from simscenes.sets.multiview import MultiviewSet, load_set

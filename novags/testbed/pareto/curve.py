@@ -7,7 +7,7 @@ from pathlib import Path
 from statistics import mean, median, stdev
 from typing import Any
 
-from novags.testbed.contents import jsonable
+from novags.testbed.ledger.contents import jsonable
 from novags.testbed.pareto.front import front
 from novags.testbed.pareto.knob import Knob, Subject
 from novags.testbed.pareto.samples import NUMBER, Samples

@@ -5,10 +5,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.contents import digest, jsonable, read_json, write_json
+from novags.testbed.ledger.contents import digest, jsonable, read_json, write_json
+from novags.testbed.ledger.store import version
 from novags.testbed.machine.provenance import environment
 from novags.testbed.pareto.knob import Knob, Measured, Setting, Subject, spelled
-from novags.testbed.study.store import version
 
 NUMBER = (str, float, None)  # a setting
 LARGEST = 1e100  # of a time or an error: their squares must be numbers too

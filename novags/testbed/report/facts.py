@@ -5,8 +5,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from novags.testbed.contents import read_json
 from novags.testbed.folders.run import METRICS, Run
+from novags.testbed.ledger.contents import read_json
 from novags.testbed.report.charts import line_chart
 from novags.testbed.report.material import Material
 from novags.testbed.report.rows import Row, deviations

@@ -12,11 +12,11 @@ from shlex import quote
 from typing import Any
 
 from novags.testbed.console import Console, Update
-from novags.testbed.contents import digest, jsonable, read_json
 from novags.testbed.folders import shapes
 from novags.testbed.folders.experiment import EXPERIMENT, REPORT, experiments_in, find_runs
 from novags.testbed.folders.linear_photographs import LinearPhotographs
 from novags.testbed.folders.run import METRICS
+from novags.testbed.ledger.contents import digest, jsonable, read_json
 from novags.testbed.report.comparison import comparison_context
 from novags.testbed.report.facts import (
     camera_table,

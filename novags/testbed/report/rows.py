@@ -9,9 +9,9 @@ from typing import Any
 from novags.methods import METHODS
 from novags.methods.variant import sees_statistics
 from novags.settings import flattened
-from novags.testbed.contents import jsonable
 from novags.testbed.folders.run import Run
-from novags.testbed.results.difference import flat
+from novags.testbed.ledger.contents import jsonable
+from novags.testbed.ledger.difference import flat
 
 OTHER = "#777777"  # of a method that this version does not have
 UNLISTED = ("fit.checkpoint_every", "fit.seed", "fit.extent", "fit.backend")  # what every run sets for itself

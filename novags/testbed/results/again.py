@@ -9,11 +9,11 @@ from typing import Any
 
 from novags.methods import METHODS, VARIANTS, chosen
 from novags.methods.variant import Variant
-from novags.testbed.contents import jsonable
 from novags.testbed.folders.place import place_of
 from novags.testbed.folders.run import Run
+from novags.testbed.ledger.contents import jsonable
 from novags.testbed.presets import EXPERIMENTS, Preset
-from novags.testbed.stages.reconstructing import ReconstructConfig
+from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 from sensor_model.files.door import resolved
 
 PRESET = "demo"  # what `novags reconstruct` starts from

@@ -3,119 +3,38 @@
 import math
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from novags.numbers import SIDE, check_range
-from novags.settings import check_seed
-from novags.testbed.cache import run_stage
 from novags.testbed.console import Console, Update
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders.capture import has_view, write_view
 from novags.testbed.folders.place import keep_place
 from novags.testbed.folders.set import Source, open_source
-from novags.testbed.stages.layouts import LAYOUTS, check_layouts, check_source_of, truth_of, write_layouts
+from novags.testbed.ledger.stage import run_stage
+from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.layouts import LAYOUTS, check_source_of, truth_of, write_layouts
 from novags.testbed.stages.paths import keep_apart
 from sensor_model.capture import RawFrame, clean_response, expose
-from sensor_model.files.camera_file import read_sensor
-from sensor_model.files.dng import SMALLEST, TIMES
+from sensor_model.files.dng import SMALLEST
 from sensor_model.files.door import resolved
 from sensor_model.files.lock import locked
-from sensor_model.files.reading import brief
-from sensor_model.isp import DEMOSAIC, Demosaic
 from sensor_model.mosaicking import mosaic
 from sensor_model.params import Exposure, Sensor
 from sensor_model.plan import Plan
-from sensor_model.planner import Limits, plan_effects
-from sensor_model.presets import PRESETS
+from sensor_model.planner import plan_effects
 from sensor_model.radiometry import photons_for_electrons
 from simscenes.sets.multiview import write_cameras
 
 QUANTILES = (0.0, 0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99, 1.0)
 PIXELS_PER_VIEW, PIXELS = 1365, 350_000  # kept for the quantiles of the signal: enough for the 1 % ones
-FULL_SIZE = tuple(name for name in DEMOSAIC if name != "half")  # pictures must be as large as their cameras say
 NO_LIGHT = {  # what to do about a black set of each kind
     "rendered": "none reaches its cameras: add an emitter to the scene, or check that one faces what they see",
     "photographs": "check that its pictures are right",
 }
-BRIGHTEST = 1e9  # e-; cameras hold 1e6 at most
-LARGEST_ERROR = 100.0  # of the noise's standard deviation, in units of it
-ROW_LENGTH = 33  # px; the enhancement averages over such windows, so noise that rows share adds up in them
-
-
-@dataclass(frozen=True, kw_only=True)
-class CaptureConfig:
-    """How to photograph a set in the dark."""
-
-    sensor: str = "a7s2-iso6400-3chip"  # a name of sensor_model.PRESETS, or a camera's TOML file
-    electrons: float = 20.0  # mean signal of the green channel over the set, e- per pixel and exposure
-    time: float = 1 / 30  # s; only the dark current depends on it, since `electrons` fixes the light
-    seed: int = 0
-    max_size: int | None = None  # px; scale larger images down to this longest side
-    demosaic: Demosaic = "menon"  # for sensors with a colour filter array
-    jpeg_quality: int | None = None  # 1..100: the 8-bit pictures go through JPEG; None: they do not
-    tolerance: float | None = 0.05  # leave out effects that change the noise by less; None simulates all
-    export: tuple[str, ...] = ()  # further layouts of the capture: "blender", "llff"
-    camera: Sensor = field(init=False)  # what `sensor` stands for: a file is read once, and its content is hashed
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "camera", camera_named(self.sensor))
-        if not 0 < self.electrons <= BRIGHTEST:
-            raise ValueError(f"electrons must be > 0 and at most {BRIGHTEST:g}, got {self.electrons}")
-        if self.max_size is not None:
-            check_range("max_size", self.max_size, 1, SIDE, " px")
-        if self.demosaic not in FULL_SIZE:
-            raise ValueError(f"demosaic must be one of {', '.join(FULL_SIZE)}, got {self.demosaic!r}")
-        if self.jpeg_quality is not None and not 1 <= self.jpeg_quality <= 100:
-            raise ValueError(f"jpeg_quality must be None or in 1..100, got {self.jpeg_quality}")
-        check_seed(self.seed)
-        check_layouts(self.export)
-        if self.time and not TIMES[0] <= self.time <= TIMES[1]:  # refuses negative times too
-            raise ValueError(f"time must be 0 or in {TIMES} s, the range of its raw files, got {self.time}")
-        self.exposure, self.limits(1)  # they check the rest
-        check_range("tolerance", self.tolerance or 0, 0, LARGEST_ERROR)
-
-    @property
-    def sensor_name(self) -> str:
-        """Name of the preset or of the camera's file."""
-        return self.sensor if self.sensor in PRESETS else Path(self.sensor).stem
-
-    def resolved(self) -> dict[str, Any]:
-        """What determines the pictures: the camera itself, neither the path of its file nor further layouts."""
-        kept = {name: value for name, value in asdict(self).items() if name != "export"}
-        truth = {"truth": "three channels"} if self.camera.cfa else {}  # earlier versions kept the mosaic alone
-        return kept | truth | {"sensor": self.sensor_name}
-
-    @property
-    def noise_seed(self) -> int:
-        """Seed of the random numbers. Captures of one camera and `seed` share them, so that studies compare pairs."""
-        return self.seed
-
-    @property
-    def exposure(self) -> Exposure:
-        """As the sensor model's own type."""
-        return Exposure(time=self.time)
-
-    def limits(self, pixels: int) -> Limits | None:
-        """The error allowed for leaving effects out of images of so many pixels; None: nothing is left out."""
-        if self.tolerance is None:
-            return None
-        return Limits(sd=self.tolerance, row_length=ROW_LENGTH, pixels=pixels)
-
-
-@dataclass(frozen=True, kw_only=True)
-class OwnNoiseConfig(CaptureConfig):
-    """A capture whose noise no other one shares: what is trained on several cannot learn the random numbers."""
-
-    drawn: int  # seed of the random numbers; `seed` says which of several exposures of the same light it is
-
-    @property
-    def noise_seed(self) -> int:
-        """Seed of the random numbers."""
-        return self.drawn
 
 
 def capture(
@@ -172,21 +91,6 @@ def capture(
         keep_place(out, record["set"]["path"], source.views.path)
         write_layouts(out, config.export, console, truth=truth_of(source))
     return record
-
-
-def camera_named(name: str) -> Sensor:
-    """A preset by name, or the camera in a TOML file.
-
-    Raises:
-        ValueError: If there is no such preset, or the file is missing or does not describe a camera.
-    """
-    if name in PRESETS:
-        return PRESETS[name]
-    if not name.endswith(".toml"):
-        raise ValueError(
-            f"unknown sensor {brief(repr(name), 100)}; give a camera's .toml file, or one of {', '.join(PRESETS)}"
-        )
-    return read_sensor(name)
 
 
 def camera_for(source: Source, config: CaptureConfig) -> Sensor:

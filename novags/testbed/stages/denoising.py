@@ -1,37 +1,25 @@
 """Denoise: a capture in, its pictures without noise out, in linear light. No cameras, no model."""
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from novags.methods.denoised.denoiser import DenoiseConfig, denoised
+from novags.methods.denoised.denoiser import denoised
 from novags.methods.denoised.measured import of_capture
 from novags.methods.denoised.weights import made_by
-from novags.settings import check_seed
-from novags.testbed.cache import run_stage
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_capture
+from novags.testbed.ledger.stage import run_stage
 from novags.testbed.machine.devices import chosen_device
+from novags.testbed.stages.configs.denoising import DenoisePicturesConfig
 from novags.testbed.stages.paths import keep_apart
 from novags.testbed.stages.reconstructing import raw_pictures, stack
 from sensor_model.isp import to_srgb8
 from simscenes.sets.pictures.png import write_png
 
 RECORD, LINEAR, SHOWN = "denoise.json", "linear", "srgb"
-
-
-@dataclass(frozen=True, kw_only=True)
-class DenoisePicturesConfig:
-    """How the pictures of a capture are denoised."""
-
-    denoise: DenoiseConfig = field(default_factory=DenoiseConfig)
-    seed: int = 0
-    device: str = "auto"  # "auto", "cpu", "cuda": not part of a result's identity
-
-    def __post_init__(self) -> None:
-        check_seed(self.seed)
 
 
 def denoise(

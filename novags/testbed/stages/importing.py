@@ -1,14 +1,12 @@
 """Import: dark photographs from elsewhere in, a capture folder out, with what truth there is about them."""
 
 import os
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import numpy as np
 
-from novags.numbers import SIDE, check_range
-from novags.testbed.cache import run_stage
 from novags.testbed.console import Console
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders.capture import has_view
@@ -19,71 +17,19 @@ from novags.testbed.importing.darkroom import Darkroom
 from novags.testbed.importing.exposures import OF_CLEAN, check_exposed_alike
 from novags.testbed.importing.published.datasets import DATASETS, Dataset, dataset_of
 from novags.testbed.importing.raw_camera import raw_camera
-from novags.testbed.importing.split import Split
-from novags.testbed.importing.stored import Codes16, Curve, is_lossy
+from novags.testbed.importing.stored import Codes16, is_lossy
 from novags.testbed.importing.twins import Twins, twins_by_order, twins_of
-from novags.testbed.stages.capturing import FULL_SIZE, camera_named, files_of
+from novags.testbed.ledger.stage import run_stage
+from novags.testbed.stages.capturing import files_of
+from novags.testbed.stages.configs.importing import ImportConfig
 from novags.testbed.stages.paths import keep_apart
-from sensor_model.files.dng import SMALLEST, TIMES, write_dng
-from sensor_model.isp import Demosaic, to_linear16
-from sensor_model.params import Exposure, Sensor
-from sensor_model.presets import PRESETS
+from sensor_model.files.dng import SMALLEST, write_dng
+from sensor_model.isp import to_linear16
+from sensor_model.params import Exposure
 from simscenes.sets.multiview import write_cameras
 from simscenes.sets.pictures.png import write_png
 
 OWN_TONE = 1.25  # or more times the light of the raw files is a camera's tone curve, not the rounding to 8 bits
-
-
-@dataclass(frozen=True, kw_only=True)
-class ImportConfig:
-    """What is known about dark photographs besides their files."""
-
-    lit: Path | None = None  # well-lit pictures of the same views
-    clean: Path | None = None  # long exposures of the same views in the same light
-    sensor: str | None = None  # a name of sensor_model.PRESETS or a camera's TOML file: gives methods the noise
-    time: float | None = None  # s, of the dark exposures; None: what raw files say, else unknown and counted as 0
-    black: float = 0.0  # code of no light in 16-bit files
-    white: float = 65535.0  # code of white in them
-    curve: Curve = "linear"  # of their codes in between
-    demosaic: Demosaic = "menon"  # for raw files with a colour filter array
-    max_size: int | None = None  # px; scale larger pictures down to this longest side
-    split: Split = "own"  # which views are held out
-    dataset: str = "auto"  # the published data set that the folder is a scene of; auto: what it looks like; or none
-    camera: Sensor | None = field(init=False)  # what `sensor` stands for
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "camera", None if self.sensor is None else camera_named(self.sensor))
-        if self.time is not None and not (self.time == 0 or TIMES[0] <= self.time <= TIMES[1]):
-            raise ValueError(f"time must be 0 or in {TIMES} s, the range of raw files, got {self.time}")
-        if self.max_size is not None:
-            check_range("max_size", self.max_size, 1, SIDE, " px")
-        if self.demosaic not in FULL_SIZE:
-            raise ValueError(f"demosaic must be one of {', '.join(FULL_SIZE)}, got {self.demosaic!r}")
-        if self.curve not in get_args(Curve):
-            raise ValueError(f"curve must be one of {', '.join(get_args(Curve))}, got {self.curve!r}")
-        if self.split not in get_args(Split):
-            raise ValueError(f"split must be one of {', '.join(get_args(Split))}, got {self.split!r}")
-        if self.dataset not in ("auto", "none", *DATASETS):
-            raise ValueError(f"dataset must be auto, none or one of {', '.join(DATASETS)}, got {self.dataset!r}")
-        self.codes  # noqa: B018 - it checks the levels
-
-    @property
-    def codes(self) -> Codes16:
-        """What 16-bit codes mean."""
-        return Codes16(black=self.black, white=self.white, curve=self.curve)
-
-    @property
-    def sensor_name(self) -> str | None:
-        """Name of the preset or of the camera's file."""
-        return self.sensor if self.sensor is None or self.sensor in PRESETS else Path(self.sensor).stem
-
-    def resolved(self) -> dict[str, Any]:
-        """What determines the result besides the content of folders."""
-        return {
-            "sensor": self.sensor_name, "camera": self.camera, "time": self.time, "black": self.black,
-            "white": self.white, "curve": self.curve, "demosaic": self.demosaic, "max_size": self.max_size,
-            "split": self.split,
-        }  # fmt: skip
 
 
 @dataclass(frozen=True)

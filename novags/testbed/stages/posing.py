@@ -2,26 +2,23 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from novags.cameras.mapping import FEATURES
 from novags.cameras.registration import PLACED, Observed, Registered, Shot, register
-from novags.numbers import SIDE, check_range
-from novags.settings import check_seed
-from novags.testbed.cache import run_stage
 from novags.testbed.console import Console
-from novags.testbed.contents import folder_digest
 from novags.testbed.folders.raw_files import SUFFIXES as RAW
 from novags.testbed.folders.set import left_out
 from novags.testbed.folders.video import is_video, write_frames
+from novags.testbed.ledger.contents import folder_digest
+from novags.testbed.ledger.stage import run_stage
+from novags.testbed.stages.configs.posing import PosesConfig
 from novags.testbed.stages.paths import keep_apart
 from novags.testbed.stages.rendering import RECORD, SET_FILES
-from sensor_model.files.door import resolved
 from sensor_model.files.reading import some
 from sensor_model.files.scratch import scratch
 from simscenes.rigs import Rig
@@ -31,56 +28,7 @@ from simscenes.sets.pictures.png import write_png
 from simscenes.sets.readers.bare import SUFFIXES, Bare, picture_files, survey
 from simscenes.sets.writers.camera_files import write_cameras
 
-FPS = 2.0  # of a video, if not given
-FASTEST = 100_000  # frames a second of a video
 BETTER = "take them with more overlap, from places that differ, sharp and with texture"
-
-
-@dataclass(frozen=True, kw_only=True)
-class PosesConfig:
-    """How to find the cameras of photographs."""
-
-    photographs: Path  # a folder, or a video file
-    fps: float | None = None  # frames taken from each second of a video; None: `FPS`
-    max_size: int | None = 1600  # px; photographs are scaled down to this longest side before anything else
-    max_features: int = 4096  # per picture, the largest ones
-    peak_threshold: float = 0.0067  # contrast of a feature, 0..1; COLMAP's own
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        if self.fps is not None and not (np.isfinite(self.fps) and self.fps > 0):
-            raise ValueError(f"fps must be > 0, got {self.fps}")
-        if self.fps is not None and self.photographs.is_dir():
-            raise ValueError(f"fps belongs to a video, and {self.photographs} is a folder, whose photographs are all "
-                             f"taken: leave out fps, got {self.fps:g}")  # fmt: skip
-        if self.max_size is not None and self.max_size < 64:
-            raise ValueError(f"max_size must be >= 64 px, because smaller pictures hold too few features, got "
-                             f"{self.max_size}")  # fmt: skip
-        if self.max_features < 100 or not 0 < self.peak_threshold < 1:
-            raise ValueError(f"max_features must be >= 100 and peak_threshold in (0, 1), got {self.max_features} and "
-                             f"{self.peak_threshold}")  # fmt: skip
-        check_range("fps", self.frames_a_second, 0, FASTEST, " frames a second")
-        check_range("max_size", self.max_size or SIDE, 64, SIDE, " px")
-        check_range("max_features", self.max_features, 100, FEATURES)
-        check_seed(self.seed)
-
-    def resolved(self) -> dict[str, Any]:
-        """What determines the result, apart from the content of the photographs."""
-        kept = {name: value for name, value in asdict(self).items() if name != "photographs"}
-        return kept | {"fps": self.frames_a_second if is_video(self.photographs) else None}
-
-    @property
-    def frames_a_second(self) -> float:
-        """Of a video."""
-        return FPS if self.fps is None else self.fps
-
-    @property
-    def name(self) -> str:
-        """Name of the scene: the folder's (of the one above, if it is one of many called images), or the video's."""
-        path = resolved(self.photographs)
-        if path.name in ("images", "input", "photos"):
-            return path.parent.name
-        return path.name if path.is_dir() else path.stem  # a folder has no suffix: garden.1 keeps its whole name
 
 
 def poses(

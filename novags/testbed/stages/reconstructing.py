@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,18 +10,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.cameras import CameraConfig, CameraEstimate, KnownConfig, spell_cameras
+from novags.cameras import CameraEstimate
 from novags.methods import METHODS
 from novags.methods.inputs import LacksInput
 from novags.methods.problem import Problem, RawPictures, TrueSurface
 from novags.methods.reconstruction import Reconstruction
-from novags.methods.variant import Variant, sees_statistics
-from novags.numbers import POINTS, check_range
-from novags.settings import check_seed, files_among, refuse_lost_files
+from novags.methods.variant import sees_statistics
 from novags.splats.views import Views
-from novags.testbed.cache import run_stage
 from novags.testbed.console import Console, losses_text
-from novags.testbed.contents import folder_digest
 from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.events import EventLog
@@ -29,9 +25,11 @@ from novags.testbed.folders.imported import MISSING
 from novags.testbed.folders.place import keep_place
 from novags.testbed.folders.run import CAMERAS, CHECKPOINTS, EVENTS
 from novags.testbed.folders.set import Source, warnings_as_notes
+from novags.testbed.ledger.stage import run_stage
 from novags.testbed.machine.devices import chosen_device
 from novags.testbed.references import pictured
 from novags.testbed.stages.camera_source import Frame, cameras_of, true_cameras
+from novags.testbed.stages.configs.reconstructing import ReconstructConfig, files_of
 from novags.testbed.stages.paths import keep_apart
 from novags.testbed.stages.viewers import viewer_cameras
 from sensor_model.files.door import resolved
@@ -39,37 +37,6 @@ from sensor_model.files.lock import locked
 from simscenes.sets.pictures.exr import write_exr
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.writers.camera_files import write_json
-
-
-@dataclass(frozen=True, kw_only=True)
-class ReconstructConfig:
-    """How to reconstruct a capture."""
-
-    variant: Variant
-    config: Any = None  # of the method; None for its defaults with the variant's settings
-    cameras: CameraConfig = field(default_factory=KnownConfig)
-    points: int = 8000  # Gaussians at the start, and at most if the fit's `cap_max` is None
-    seed: int = 0
-    device: str = "auto"  # "auto", "cpu", "cuda": not part of a result's identity
-
-    def __post_init__(self) -> None:
-        if self.config is None:
-            config = self.variant.config(METHODS[self.variant.method].config(), {})
-            object.__setattr__(self, "config", config)
-        check_range("points", self.points, 4, POINTS)
-        check_seed(self.seed)
-        if METHODS[self.variant.method].sees_surface and self.cameras != KnownConfig():
-            raise ValueError(
-                f"{self.variant.name} follows the true surface and so takes the set's own cameras, got cameras = "
-                f"{spell_cameras(self.cameras)}: use known, or leave {self.variant.name} out"
-            )
-
-    def resolved(self) -> dict[str, Any]:
-        """What determines the result."""
-        return {
-            "method": self.variant.method, "points": self.points, "seed": self.seed,
-            "cameras": spell_cameras(self.cameras), "config": asdict(self.config),
-        }  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -118,18 +85,6 @@ def reconstruct(
     with locked(out):
         keep_place(out, record["capture"], capture.path)
     return record
-
-
-def files_of(config: ReconstructConfig) -> dict[str, str]:
-    """Content hash of every file that the settings of the method and of the cameras name, by setting and file.
-
-    Raises:
-        ValueError: If one of the method is not there. A source of cameras says itself what it lacks, and what helps.
-    """
-    refuse_lost_files(config.config, "settings")
-    named = files_among(config.config) | {f"cameras.{name}": p for name, p in files_among(config.cameras).items()}
-    return {f"{setting}: {path.name}": folder_digest(path.parent, (), beside={path.name: path})
-            for setting, paths in named.items() for path in paths if path.is_file()}  # fmt: skip
 
 
 def prepare(capture: Capture, source: Source, config: ReconstructConfig, console: Console) -> Prepared:

@@ -1,111 +1,29 @@
 """Render: a scene of the catalogue or a Mitsuba file in, a ground-truth multiview set out."""
 
 import hashlib
-import os
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from novags.numbers import PIXELS, SAMPLES, SIDE, VIEWS, check_range
-from novags.settings import check_seed
-from novags.testbed.cache import run_stage
 from novags.testbed.console import Console
-from novags.testbed.contents import digest, read_json
 from novags.testbed.folders.set import warnings_as_notes
-from novags.testbed.stages.layouts import LAYOUTS, check_cameras_of, check_layouts, write_layouts
+from novags.testbed.ledger.contents import digest, read_json
+from novags.testbed.ledger.stage import run_stage
+from novags.testbed.stages.configs.rendering import RenderConfig
+from novags.testbed.stages.layouts import LAYOUTS, check_cameras_of, write_layouts
 from sensor_model.files.door import read_bytes
 from sensor_model.files.lock import locked
-from sensor_model.files.reading import brief
 from sensor_model.plan import Plan
-from simscenes.backend import BACKENDS, COLORS, choose_variant
+from simscenes.backend import choose_variant
 from simscenes.camera import camera_color
 from simscenes.job.identity import SPENT
 from simscenes.loading.checks.untrusted import check_xml
-from simscenes.loading.reference import SceneRef
-from simscenes.optics import Optics
 from simscenes.rigs import Rig
 from simscenes.sets.writers.camera_files import CAMERA_FILES
 from simscenes.sets.writers.neighbours import DEPTHS
-from simscenes.transport.plan import EFFECTS
 
 RECORD = "set.json"
 SET_FILES = (RECORD, "gt", "images", DEPTHS, SPENT, *CAMERA_FILES, *LAYOUTS)  # of a set folder made here, of any kind
-VARIANTS = ("auto", *BACKENDS, *(f"{backend}_{color}" for backend in BACKENDS for color in COLORS))
-
-
-@dataclass(frozen=True, kw_only=True)
-class RenderConfig:
-    """What to render and how well."""
-
-    scene: str = "tabletop"  # a name of simscenes.SCENES, "tabletop:3" for its variation 3, or a Mitsuba .xml file
-    n_views: int = 32
-    width: int = 128  # px
-    height: int = 128  # px
-    spp: int | None = 256  # samples per pixel; None: as many as `target_error` requires
-    target_error: float | None = None  # relative RMSE of a view
-    variant: str = "auto"  # of Mitsuba
-    on: tuple[str, ...] = ()  # effects of light that are simulated whatever the plan says
-    off: tuple[str, ...] = ()  # and that are left out
-    max_depth: int | None = None  # longest path of light, as Mitsuba counts; None: as long as the plan finds worthwhile
-    optics: Optics = field(default_factory=Optics)  # lens (None: a file's own, else a pinhole), motion, colour filters
-    allow_outside: bool = False  # let a Mitsuba file read files outside its folder
-    parameters: tuple[str, ...] = ()  # "name=value": what the $names of a Mitsuba file stand for
-    sensor_index: int = 0  # which of a Mitsuba file's sensors the cameras are placed around, from 0
-    own_cameras: bool = False  # all of a Mitsuba file's sensors are the views; their number is not n_views then
-    export: tuple[str, ...] = ()  # further layouts of the set: "blender", "llff"
-    seed: int = 0
-
-    def __post_init__(self) -> None:
-        # The blocks of the enhancement and SSIM's window need room, and every 8th view is held out.
-        if min(self.width, self.height) < 16:
-            raise ValueError(f"width and height must be >= 16 px, got {self.width} x {self.height}")
-        if self.n_views < 3:
-            raise ValueError(f"n_views must be >= 3 (one is held out, two are trained on), got {self.n_views}")
-        if (self.spp is None) == (self.target_error is None):
-            raise ValueError(f"give either spp or target_error, got {self.spp} and {self.target_error}")
-        if self.spp is not None and self.spp < 2:
-            raise ValueError(f"spp must be >= 2, because the variance needs two halves, got {self.spp}")
-        if self.target_error is not None and not 0 < self.target_error < 1:
-            raise ValueError(f"target_error must lie in (0, 1), got {self.target_error}")
-        check_range("n_views", self.n_views, 3, VIEWS)
-        check_range("width", self.width, 16, SIDE, " px")
-        check_range("height", self.height, 16, SIDE, " px")
-        check_range("width x height", self.width * self.height, 256, PIXELS, " px")
-        if self.spp is not None:
-            check_range("spp", self.spp, 2, SAMPLES)
-        if self.max_depth is not None:
-            check_range("max_depth", self.max_depth, 1, SAMPLES)
-        check_range("sensor_index", self.sensor_index, 0, VIEWS)
-        check_seed(self.seed)
-        if not os.path.isdir(self.scene):  # a set that is there already; pathlib fails at long names
-            _ = self.source  # refuses a scene that there is not
-        for what, given, known in (
-            ("variant", (self.variant,), VARIANTS),
-            ("on and off", (*self.on, *self.off), EFFECTS),
-        ):
-            if unknown := [name for name in given if name not in known]:
-                raise ValueError(f"{what} must be among {', '.join(known)}; got {brief(', '.join(unknown))}")
-        check_layouts(self.export)
-        if both := set(self.on) & set(self.off):
-            raise ValueError(f"{brief(', '.join(sorted(both)))}: forced on and off at once; name each effect once")
-
-    def resolved(self) -> dict[str, Any]:
-        """What determines the pixels, apart from the content of the scene: neither its path nor further layouts."""
-        kept = {name: value for name, value in asdict(self).items() if name != "export"}
-        for name in ("parameters", "sensor_index", "own_cameras"):
-            if not kept[name]:
-                del kept[name]  # sets rendered before these options existed stay valid
-        return kept | {"scene": self.source.name}
-
-    @property
-    def source(self) -> SceneRef:
-        """The scene of the catalogue, or the Mitsuba file.
-
-        Raises:
-            ValueError: If no scene of the catalogue has that name, or it cannot have the parameters or the sensor.
-        """
-        return SceneRef.of(self.scene).given(self.parameters, self.sensor_index)
 
 
 def render(

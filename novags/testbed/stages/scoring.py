@@ -7,12 +7,12 @@ import numpy as np
 
 from novags.methods import METHODS
 from novags.methods.problem import encode
-from novags.testbed.cache import run_stage
 from novags.testbed.console import Console, Update
 from novags.testbed.exposures import Exposures, as_compared, exposures_of
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import METRICS, Run, open_run
 from novags.testbed.folders.set import Source
+from novags.testbed.ledger.stage import run_stage
 from novags.testbed.metrics import (
     ConsistencyScores,
     Image,

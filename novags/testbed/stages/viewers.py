@@ -10,8 +10,8 @@ import numpy as np
 from novags.splats.files.compact import write_splat, write_spz
 from novags.splats.files.ply import read_ply, write_ply
 from novags.splats.views import Views
-from novags.testbed.contents import read_json
 from novags.testbed.folders.run import CAMERAS, RECORD, SCENE, VIEWERS
+from novags.testbed.ledger.contents import read_json
 from sensor_model.files.atomic import atomic
 from sensor_model.files.door import admitted
 from sensor_model.files.reading import brief

@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed.console import Console
-from novags.testbed.contents import read_json, write_json
+from novags.testbed.ledger.contents import read_json, write_json
+from novags.testbed.ledger.store import SEAL, costs
 from novags.testbed.study.costs import Costs, longest_after, time_left
 from novags.testbed.study.elsewhere.nodes import keep_scores
 from novags.testbed.study.engines.choice import Engine, Work, log_of
@@ -17,7 +18,6 @@ from novags.testbed.study.engines.progress import At, StudyProgress
 from novags.testbed.study.engines.worker import Outcome
 from novags.testbed.study.plan import Plan
 from novags.testbed.study.results import State, Table, rows_before
-from novags.testbed.study.store import SEAL, costs
 from sensor_model.files.atomic import atomic
 
 STUDY, FAILURES = "study.json", "failures.json"

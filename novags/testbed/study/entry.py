@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed.console import Console
-from novags.testbed.contents import read_json
+from novags.testbed.ledger.contents import read_json
+from novags.testbed.ledger.store import SEAL, Seal, clear, damaged, read_seal, version, write_seal
 from novags.testbed.stages.failing import failing_in
 from novags.testbed.study.engines.worker import MachineError
-from novags.testbed.study.store import SEAL, Seal, clear, damaged, read_seal, version, write_seal
 from sensor_model.files.lock import locked
 
 

@@ -4,6 +4,7 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
+from novags.testbed.ledger.store import KINDS, costs, other_entries
 from novags.testbed.machine.memory import available_bytes
 from novags.testbed.study.conduct import KEPT, there
 from novags.testbed.study.costs import Costs
@@ -11,7 +12,6 @@ from novags.testbed.study.engines.choice import Engine
 from novags.testbed.study.engines.progress import duration
 from novags.testbed.study.plan import Plan
 from novags.testbed.study.simulate import makespan, said_threads, simulated
-from novags.testbed.study.store import KINDS, costs, other_entries
 
 SHOWN = 40  # runs listed by name
 

@@ -10,19 +10,22 @@ from typing import Any
 from novags.cameras import KnownConfig, check_cameras
 from novags.settings import flattened
 from novags.testbed.console import Console
-from novags.testbed.contents import digest, folder_digest
 from novags.testbed.folders.set import open_source
 from novags.testbed.foreign.command import CommandConfig
+from novags.testbed.ledger.contents import digest, folder_digest
+from novags.testbed.ledger.store import key_of, named
 from novags.testbed.machine.devices import chosen_device
 from novags.testbed.presets import Preset
-from novags.testbed.stages.capturing import CaptureConfig
-from novags.testbed.stages.importing import ImportConfig, material_of
-from novags.testbed.stages.posing import PosesConfig, photographs_of
-from novags.testbed.stages.reconstructing import files_of
-from novags.testbed.stages.rendering import RenderConfig, scene_digest
+from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.importing import ImportConfig
+from novags.testbed.stages.configs.posing import PosesConfig
+from novags.testbed.stages.configs.reconstructing import files_of
+from novags.testbed.stages.configs.rendering import RenderConfig
+from novags.testbed.stages.importing import material_of
+from novags.testbed.stages.posing import photographs_of
+from novags.testbed.stages.rendering import scene_digest
 from novags.testbed.study.entry import Task
 from novags.testbed.study.grid import Cell, Study
-from novags.testbed.study.store import key_of, named
 from sensor_model.files.dng import SMALLEST
 from sensor_model.files.door import resolved
 

@@ -10,9 +10,9 @@ import os
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.contents import jsonable, read_json, write_json
 from novags.testbed.folders.experiment import EXPERIMENT
 from novags.testbed.folders.run import RECORD
+from novags.testbed.ledger.contents import jsonable, read_json, write_json
 from novags.testbed.study.conduct import STUDY
 from novags.testbed.study.grid import Study
 from novags.testbed.study.plan import Plan

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.set import Source
-from novags.testbed.stages.capturing import CaptureConfig, camera_for, expose_view
+from novags.testbed.stages.capturing import camera_for, expose_view
+from novags.testbed.stages.configs.capturing import CaptureConfig
 from sensor_model.isp import Demosaic, develop, white_balance
 from sensor_model.params import Exposure, Sensor
 

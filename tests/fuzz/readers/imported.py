@@ -43,7 +43,8 @@ def make_photographs(folder: Path) -> None:
 def import_whole(folder: Path, file: Path) -> object:
     """By the command's own stage, whatever was damaged."""
     from novags.testbed.console import Console
-    from novags.testbed.stages.importing import ImportConfig, import_photographs
+    from novags.testbed.stages.configs.importing import ImportConfig
+    from novags.testbed.stages.importing import import_photographs
 
     part = "sixteen" if file.is_relative_to(folder / "sixteen") else "dark"
     twins: dict[str, Any] = {} if part == "sixteen" else {"lit": folder / "lit", "clean": folder / "long"}
@@ -59,7 +60,8 @@ def import_whole(folder: Path, file: Path) -> object:
 
 def make_imported(folder: Path) -> None:
     from novags.testbed.console import Console
-    from novags.testbed.stages.importing import ImportConfig, import_photographs
+    from novags.testbed.stages.configs.importing import ImportConfig
+    from novags.testbed.stages.importing import import_photographs
 
     make_photographs(folder / "from")
     twins = {"lit": folder / "from" / "lit", "clean": folder / "from" / "long"}

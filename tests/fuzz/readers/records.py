@@ -68,7 +68,7 @@ def read_set(folder: Path, file: Path) -> object:
 def make_capture(folder: Path) -> None:
     from novags.testbed.console import Console
     from novags.testbed.stages import capture
-    from novags.testbed.stages.capturing import CaptureConfig
+    from novags.testbed.stages.configs.capturing import CaptureConfig
 
     (folder / "set").mkdir()
     make_set(folder / "set")
@@ -177,8 +177,8 @@ def read_viewed(folder: Path, file: Path) -> object:
 
 
 def read_unfinished(folder: Path, file: Path) -> None:
-    from novags.testbed.cache import _Stage
     from novags.testbed.console import Console
+    from novags.testbed.ledger.stage import _Stage
 
     class Started(Exception):
         """Instead of work, which would change the folder."""

@@ -16,11 +16,12 @@ from novags.cameras.align import align
 from novags.cameras.registration import Observed, Registered, pairs_of
 from novags.testbed import stages
 from novags.testbed.console import Console
-from novags.testbed.contents import folder_digest
 from novags.testbed.folders.set import open_source
 from novags.testbed.folders.video import write_frames
+from novags.testbed.ledger.contents import folder_digest
 from novags.testbed.stages import posing
-from novags.testbed.stages.posing import PosesConfig, levelled
+from novags.testbed.stages.configs.posing import PosesConfig
+from novags.testbed.stages.posing import levelled
 from simscenes import load_set, orbit_rig
 from simscenes.sets.multiview import is_rendered
 from simscenes.sets.readers.bare import picture_files, survey

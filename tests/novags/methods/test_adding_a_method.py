@@ -15,8 +15,8 @@ from novags.methods.variant import Method, parse_variant
 from novags.splats import Views
 from novags.testbed import stages
 from novags.testbed.console import Console
-from novags.testbed.contents import read_json
 from novags.testbed.experiment import run
+from novags.testbed.ledger.contents import read_json
 from novags.testbed.presets import EXPERIMENTS, adapted
 from simscenes import read_exr
 

@@ -7,8 +7,8 @@ import pytest
 
 from novags import cli
 from novags.testbed.console import Console
-from novags.testbed.contents import read_json
 from novags.testbed.experiment import run
+from novags.testbed.ledger.contents import read_json
 from novags.testbed.metrics import affine_aligned, aligned_psnr, image_scores, is_black, psnr, ssim
 from novags.testbed.metrics.tone import CONTRAST, tone_aligned, with_contrast
 from novags.testbed.presets import EXPERIMENTS, adapted

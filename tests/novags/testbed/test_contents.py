@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from novags.testbed.contents import UNFINISHED, digest, folder_digest, jsonable, read_json, write_json
+from novags.testbed.ledger.contents import UNFINISHED, digest, folder_digest, jsonable, read_json, write_json
 
 
 def test_folder_digest_sees_content_and_names_but_not_costs(tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ from novags.methods.enhancers.sci import Sci
 from novags.methods.variant import parse_variant
 from novags.testbed import stages
 from novags.testbed.console import Console
-from novags.testbed.contents import read_json
 from novags.testbed.folders.run import open_run
+from novags.testbed.ledger.contents import read_json
 from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.references import enhanced_dark
 from simscenes.sets.pictures.png import read_png

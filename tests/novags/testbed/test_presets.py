@@ -21,8 +21,8 @@ from novags.testbed.console import Console, losses_text
 from novags.testbed.experiment import run
 from novags.testbed.machine import provenance
 from novags.testbed.presets import EXPERIMENTS, Preset, adapted
-from novags.testbed.stages.capturing import CaptureConfig
-from novags.testbed.stages.rendering import RenderConfig
+from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.rendering import RenderConfig
 
 
 def config(preset: Preset, name: str) -> Any:

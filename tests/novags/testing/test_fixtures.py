@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from novags.testbed.study.store import read_seal
+from novags.testbed.ledger.store import read_seal
 from novags.testing import DarkCapture
 from novags.testing.making import make_capture
 from simscenes import orbit_rig

@@ -13,8 +13,8 @@ from typing import Any
 from novags.methods import METHODS, chosen, with_variants
 from novags.methods.variant import STATISTICS, Variant, dotted, sees_statistics
 from novags.settings import changed, has_setting
-from novags.testbed.contents import write_json
 from novags.testbed.csv_text import as_csv
+from novags.testbed.ledger.contents import write_json
 from novags.testbed.report.level_chart import Line, alone, level_chart
 from novags.testbed.report.rows import OTHER, distinct
 from novags.testbed.study.light import ELECTRONS, Curve, Measure, light_curves

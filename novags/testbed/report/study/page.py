@@ -5,9 +5,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.contents import digest
 from novags.testbed.folders import shapes
 from novags.testbed.folders.experiment import REPORT
+from novags.testbed.ledger.contents import digest
 from novags.testbed.report.look.album import Album
 from novags.testbed.report.look.maps import ERROR_CEILING
 from novags.testbed.report.page import fill_page, identity_of

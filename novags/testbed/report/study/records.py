@@ -5,11 +5,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.contents import read_json
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders import shapes
 from novags.testbed.folders.place import place_of
 from novags.testbed.folders.run import Run, open_run
+from novags.testbed.ledger.contents import read_json
 from novags.testbed.report.rows import deviations
 from novags.testbed.report.study.grid import Line, by_place
 from novags.testbed.results.again import score_again

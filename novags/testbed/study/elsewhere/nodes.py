@@ -9,12 +9,12 @@ from typing import Any
 
 from novags.testbed.console import Console
 from novags.testbed.folders.run import METRICS
+from novags.testbed.ledger.store import SEAL, Seal, damaged, read_seal
 from novags.testbed.study.elsewhere.remote import FETCHED, Damaged, Remote
 from novags.testbed.study.engines.worker import Outcome, function_at
 from novags.testbed.study.entry import Order, Task
 from novags.testbed.study.plan import Plan
 from novags.testbed.study.steps import depends
-from novags.testbed.study.store import SEAL, Seal, damaged, read_seal
 from sensor_model.files.atomic import atomic, write_text
 from sensor_model.files.door import read_bytes, read_text
 from sensor_model.files.lock import locked

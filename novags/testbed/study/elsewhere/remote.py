@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
+from novags.testbed.ledger.store import SEAL, Seal, clear, damaged, read_seal
 from novags.testbed.study.entry import Task
-from novags.testbed.study.store import SEAL, Seal, clear, damaged, read_seal
 from sensor_model.files.atomic import atomic
 
 AT_ONCE = 16  # files in transfer at a time

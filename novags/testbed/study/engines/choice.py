@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
+from novags.testbed.ledger.store import KINDS, version
 from novags.testbed.machine.cores import cores_here
 from novags.testbed.study.costs import Costs
 from novags.testbed.study.elsewhere import nodes
@@ -17,7 +18,6 @@ from novags.testbed.study.engines.queue import Watcher
 from novags.testbed.study.engines.worker import Outcome
 from novags.testbed.study.entry import Order, Task
 from novags.testbed.study.plan import Plan
-from novags.testbed.study.store import KINDS, version
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import read_text
 

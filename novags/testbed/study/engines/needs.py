@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
-from novags.testbed.study.store import KINDS
+from novags.testbed.ledger.store import KINDS
 from sensor_model.files.reading import brief
 
 MOST = 1e6  # of anything, in its unit

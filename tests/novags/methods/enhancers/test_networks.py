@@ -25,7 +25,7 @@ from novags.methods.enhancers.zero_dce import ZERO_DCE, ZeroDce, ZeroDceConfig
 from novags.methods.inputs import LacksInput
 from novags.methods.problem import Problem
 from novags.splats import FitConfig, Views
-from novags.testbed.contents import jsonable
+from novags.testbed.ledger.contents import jsonable
 from tests.fuzz.readers.keras import keras_bytes
 
 TINY = ZeroDceConfig(steps=6, batch=1, crop=8, rate=1e-2)

@@ -15,7 +15,7 @@ from novags.methods.enhancers.tone_curves import (
     GammaConfig,
     geometric_mean_params,
 )
-from novags.testbed.contents import jsonable
+from novags.testbed.ledger.contents import jsonable
 
 CURVES = [GammaConfig(), GammaConfig(gamma=None), GainConfig(), DragoConfig(), EqualiseConfig()]
 Y = (0.2126, 0.7152, 0.0722)

@@ -14,7 +14,7 @@ from novags.testbed.budget.conduct import Request
 from novags.testbed.budget.known import Known
 from novags.testbed.budget.trial import Forecast, OutOfTime
 from novags.testbed.console import Console
-from novags.testbed.contents import jsonable
+from novags.testbed.ledger.contents import jsonable
 from novags.testbed.presets import EXPERIMENTS, Preset, adapted
 
 LOSSES = ((0.25, 2.0, 0.3), (0.5, 0.8, 0.4), (1.0, 0.0, 0.0))

@@ -5,8 +5,8 @@ import pytest
 from novags.testbed.dataset.card import card
 from novags.testbed.dataset.file import DatasetConfig
 from novags.testbed.dataset.publish import Entry
+from novags.testbed.ledger.store import Seal
 from novags.testbed.study.entry import Task
-from novags.testbed.study.store import Seal
 
 
 @pytest.mark.parametrize(("scenes", "said"), [(["tabletop:1", "cornell"], True), (["cornell", "own/room.xml"], False)])

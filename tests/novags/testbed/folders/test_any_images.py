@@ -14,7 +14,8 @@ from novags.testbed.console import Console
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.folders.linear_photographs import load_linear_set
 from novags.testbed.folders.set import open_source
-from novags.testbed.stages.capturing import QUANTILES, CaptureConfig, measure_light
+from novags.testbed.stages.capturing import QUANTILES, measure_light
+from novags.testbed.stages.configs.capturing import CaptureConfig
 from sensor_model import PRESETS, Exposure, expose, mosaic, photons_for_electrons, srgb_to_linear, write_dng
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras

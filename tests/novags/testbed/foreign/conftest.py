@@ -7,7 +7,7 @@ import pytest
 
 from novags.testbed import stages
 from novags.testbed.console import Console
-from novags.testbed.stages.capturing import CaptureConfig
+from novags.testbed.stages.configs.capturing import CaptureConfig
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
 from simscenes.sets.pictures.png import write_png

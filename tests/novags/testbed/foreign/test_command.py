@@ -18,7 +18,7 @@ from novags.testbed.console import Console
 from novags.testbed.foreign.command import CommandConfig, read_commands, run_command
 from novags.testbed.foreign.nerfbaselines import checksum, encoded, export_results
 from novags.testbed.foreign.process import run_program
-from novags.testbed.stages.capturing import CaptureConfig
+from novags.testbed.stages.configs.capturing import CaptureConfig
 from simscenes.sets.pictures.exr import read_exr
 from simscenes.sets.pictures.png import read_png
 

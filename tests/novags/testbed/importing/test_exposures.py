@@ -17,8 +17,8 @@ from novags.testbed.folders.raw_files import read_digital_numbers
 from novags.testbed.importing.exposures import check_exposed_alike, stated_of
 from novags.testbed.importing.raw_camera import raw_camera
 from novags.testbed.importing.stored import is_lossy
-from novags.testbed.stages.capturing import CaptureConfig
-from novags.testbed.stages.importing import ImportConfig
+from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.importing import ImportConfig
 from sensor_model import PRESETS, Exposure, expose, mosaic, write_dng
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras

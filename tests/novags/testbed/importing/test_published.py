@@ -14,7 +14,7 @@ from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.importing.published.datasets import dataset_of, scenes_below
-from novags.testbed.stages.importing import ImportConfig
+from novags.testbed.stages.configs.importing import ImportConfig
 from simscenes.rigs import opencv_to_opengl
 from simscenes.sets.pictures.png import read_png, write_png
 from tests.miniatures import (

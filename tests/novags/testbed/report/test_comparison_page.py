@@ -16,7 +16,7 @@ from novags.testbed.console import Console
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.report.comparison import places
 from novags.testbed.report.page import write_reports
-from novags.testbed.stages.capturing import CaptureConfig
+from novags.testbed.stages.configs.capturing import CaptureConfig
 from simscenes.sets.pictures.exr import read_exr
 from simscenes.sets.pictures.png import read_png
 

@@ -20,7 +20,7 @@ from novags.testbed.report.look import album
 from novags.testbed.report.look.probe import probe_of
 from novags.testbed.report.page import write_report, write_reports
 from novags.testbed.report.study.page import write_study
-from novags.testbed.stages.capturing import CaptureConfig
+from novags.testbed.stages.configs.capturing import CaptureConfig
 
 QUIET = Console(quiet=True)
 PSNR = {("naive", 5): 20.0, ("better", 5): 23.0, ("naive", 50): 26.0, ("better", 50): 25.0}

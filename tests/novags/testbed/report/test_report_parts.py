@@ -30,7 +30,7 @@ from novags.testbed.report.look.probe import probe_of  # noqa: E402
 from novags.testbed.report.page import write_report  # noqa: E402
 from novags.testbed.report.signal_chart import _chart, by_filter, signal  # noqa: E402
 from novags.testbed.report.tables import per_view, ranks, score_table  # noqa: E402
-from novags.testbed.stages.capturing import CaptureConfig  # noqa: E402
+from novags.testbed.stages.configs.capturing import CaptureConfig  # noqa: E402
 from sensor_model import srgb_to_linear  # noqa: E402
 from simscenes.sets.pictures.exr import read_exr  # noqa: E402
 from tests.fuzz.readers.records import make_set  # noqa: E402

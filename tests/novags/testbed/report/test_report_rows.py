@@ -8,8 +8,8 @@ from typing import Any
 import pytest
 
 from novags.methods import METHODS, chosen
-from novags.testbed.contents import jsonable
 from novags.testbed.folders.run import Run
+from novags.testbed.ledger.contents import jsonable
 from novags.testbed.report import verdict
 from novags.testbed.report.rows import Deviation, deviations, distinct, enhancement_of, main_row, rows_of
 

@@ -12,11 +12,11 @@ from novags.cameras import parse_cameras
 from novags.methods import METHODS, VARIANTS
 from novags.methods.variant import parse_variant
 from novags.testbed import stages
-from novags.testbed.contents import jsonable
 from novags.testbed.folders.run import Run
+from novags.testbed.ledger.contents import jsonable
 from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.results.again import relative_command, run_again
-from novags.testbed.stages.reconstructing import ReconstructConfig
+from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 
 
 def made(folder: Path, config: ReconstructConfig) -> Run:

@@ -14,7 +14,7 @@ from novags.testbed.console import Console  # noqa: E402
 from novags.testbed.folders.experiment import gather  # noqa: E402
 from novags.testbed.report.page import write_reports  # noqa: E402
 from novags.testbed.results.comparison import groups_of  # noqa: E402
-from novags.testbed.stages.capturing import CaptureConfig  # noqa: E402
+from novags.testbed.stages.configs.capturing import CaptureConfig  # noqa: E402
 from tests.fuzz.readers.records import make_run  # noqa: E402
 
 QUIET = Console(quiet=True)

@@ -16,12 +16,12 @@ from novags.methods.denoised.recorrupted import AdaptConfig
 from novags.methods.inputs import LacksInput
 from novags.testbed import stages
 from novags.testbed.console import Console
-from novags.testbed.contents import read_json
 from novags.testbed.folders.capture import Capture, open_capture
+from novags.testbed.ledger.contents import read_json
 from novags.testbed.presets import EXPERIMENTS, adapted
-from novags.testbed.stages.capturing import CaptureConfig
-from novags.testbed.stages.denoising import DenoisePicturesConfig
-from novags.testbed.stages.importing import ImportConfig
+from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.denoising import DenoisePicturesConfig
+from novags.testbed.stages.configs.importing import ImportConfig
 from novags.testbed.stages.reconstructing import raw_pictures
 from sensor_model import to_srgb8
 

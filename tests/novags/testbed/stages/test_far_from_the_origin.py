@@ -13,7 +13,7 @@ from novags.testbed.console import Console
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.stages.camera_source import true_cameras
-from novags.testbed.stages.capturing import CaptureConfig
+from novags.testbed.stages.configs.capturing import CaptureConfig
 from simscenes import Rig, orbit_rig
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.multiview import load_set, write_cameras

@@ -16,9 +16,9 @@ from novags.methods.variant import Variant
 from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_capture
-from novags.testbed.stages.capturing import CaptureConfig
-from novags.testbed.stages.importing import ImportConfig
-from novags.testbed.stages.reconstructing import ReconstructConfig
+from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.importing import ImportConfig
+from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 from sensor_model import linear_to_srgb, srgb_to_linear
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras

@@ -28,8 +28,9 @@ from novags.testbed.metrics import aligned_psnr, image_scores
 from novags.testbed.pareto.reconstruction import held_out_error
 from novags.testbed.references import enhanced_truth, pictured, references
 from novags.testbed.report.page import write_report
-from novags.testbed.stages.capturing import CaptureConfig
-from novags.testbed.stages.reconstructing import ReconstructConfig, prepare
+from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.reconstructing import ReconstructConfig
+from novags.testbed.stages.reconstructing import prepare
 from novags.testbed.viewer.splats import scene_of
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras

@@ -19,7 +19,7 @@ from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.set import Source
 from novags.testbed.metrics import centred_noise
 from novags.testbed.stages import noise_scores as module
-from novags.testbed.stages.capturing import CaptureConfig
+from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.noise_scores import bias_floor, exposed_again, noise_scores
 from sensor_model.planner import Plan
 from simscenes import orbit_rig

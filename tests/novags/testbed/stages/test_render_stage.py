@@ -9,7 +9,8 @@ import pytest
 
 from novags.testbed import stages
 from novags.testbed.console import Console
-from novags.testbed.stages.rendering import RenderConfig, rig_of, scene_digest
+from novags.testbed.stages.configs.rendering import RenderConfig
+from novags.testbed.stages.rendering import rig_of, scene_digest
 from simscenes import Optics
 
 QUIET = Console(quiet=True)

@@ -18,7 +18,7 @@ from novags.testbed.folders.capture import open_capture
 from novags.testbed.folders.run import open_run
 from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.references import references
-from novags.testbed.stages.capturing import CaptureConfig
+from novags.testbed.stages.configs.capturing import CaptureConfig
 from sensor_model import develop_linear, read_sensor, srgb_to_linear
 from sensor_model.mosaicking import channel_index
 from simscenes import orbit_rig

@@ -65,10 +65,10 @@ def diary() -> Diary:
 @pytest.fixture
 def pool(fake: ModuleType, diary: Diary, tmp_path: Path) -> Callable[..., Any]:
     """Make a pool for a list of tasks, with entries in `tmp_path`."""
+    from novags.testbed.ledger.store import version
     from novags.testbed.study.engines.local import Limits, Pool
     from novags.testbed.study.engines.processes import threads_environment
     from novags.testbed.study.entry import Order
-    from novags.testbed.study.store import version
 
     def make(tasks: list[Any], workers: int = 2, **limits: Any) -> Any:
         by_key = {task.key: task for task in tasks}

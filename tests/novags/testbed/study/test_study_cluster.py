@@ -61,9 +61,9 @@ def started(tries: int = 4) -> Nodes:
 @pytest.fixture
 def cluster(nodes: Nodes, fake: ModuleType, diary: Any, tmp_path: Path) -> Callable[..., Any]:
     """Make an engine for a list of tasks, with entries in `tmp_path`."""
+    from novags.testbed.ledger.store import version
     from novags.testbed.study.engines.cluster import Cluster, Terms
     from novags.testbed.study.entry import Order
-    from novags.testbed.study.store import version
 
     def make(tasks: list[Any], asked: Any = None, marker: Any = None, **terms: Any) -> Any:
         by_key = {task.key: task for task in tasks}

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from novags.testbed.console import Console
+from novags.testbed.ledger.store import SEAL, version
 from novags.testbed.study.elsewhere import nodes as elsewhere
 from novags.testbed.study.elsewhere.nodes import Away
 from novags.testbed.study.elsewhere.remote import FETCHED, Remote
@@ -20,7 +21,6 @@ from novags.testbed.study.engines.needs import Needs, fits, read_needs, resource
 from novags.testbed.study.engines.worker import Outcome
 from novags.testbed.study.entry import Order
 from novags.testbed.study.plan import Plan
-from novags.testbed.study.store import SEAL, version
 
 fsspec = pytest.importorskip("fsspec")
 QUIET = Console(quiet=True)

@@ -11,7 +11,7 @@ import pytest
 from novags.cameras.networks.vggt import VggtConfig
 from novags.methods.variant import Variant
 from novags.testbed.console import Console
-from novags.testbed.stages.reconstructing import ReconstructConfig, files_of
+from novags.testbed.stages.configs.reconstructing import ReconstructConfig, files_of
 from novags.testbed.study import store
 from novags.testbed.study.costs import Costs, default, longest_after, time_left
 from novags.testbed.study.engines.choice import OneMachine

@@ -8,9 +8,9 @@ import pytest
 import torch
 
 from novags.testbed import cache
-from novags.testbed.cache import run_stage
 from novags.testbed.console import Console
-from novags.testbed.contents import UNFINISHED, checksum, read_json, write_json
+from novags.testbed.ledger.contents import UNFINISHED, checksum, read_json, write_json
+from novags.testbed.ledger.stage import run_stage
 from sensor_model.files.atomic import appending, atomic, write_text
 
 QUIET = Console(quiet=True)

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from novags.testbed.console import Console
-from novags.testbed.contents import (
+from novags.testbed.ledger.contents import (
     UNFINISHED,
     checksum,
     damaged,
@@ -29,9 +29,9 @@ from novags.testbed.contents import (
     shown,
     write_json,
 )
+from novags.testbed.ledger.difference import differences, listed
 from novags.testbed.machine.memory import memory_shortage_said
 from novags.testbed.machine.provenance import PeakMemory, environment, package_version
-from novags.testbed.results.difference import differences, listed
 from sensor_model.files.atomic import Witness, remove, witnessed
 from sensor_model.files.lock import locked
 

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from novags.testbed.results.difference import listed
+from novags.testbed.ledger.difference import listed
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import check_links, opened
 from sensor_model.files.records import read_json as read_any

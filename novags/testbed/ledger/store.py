@@ -16,7 +16,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.contents import digest, read_json, write_json
+from novags.testbed.ledger.contents import digest, read_json, write_json
 from sensor_model.files.atomic import remove
 from sensor_model.files.door import opened
 

@@ -1,0 +1,1 @@
+"""What each stage is asked for: one file a stage, without what the work itself needs."""

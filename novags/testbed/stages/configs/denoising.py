@@ -1,0 +1,18 @@
+"""How the pictures of a capture are denoised."""
+
+from dataclasses import dataclass, field
+
+from novags.methods.denoised.denoiser import DenoiseConfig
+from novags.settings import check_seed
+
+
+@dataclass(frozen=True, kw_only=True)
+class DenoisePicturesConfig:
+    """How the pictures of a capture are denoised."""
+
+    denoise: DenoiseConfig = field(default_factory=DenoiseConfig)
+    seed: int = 0
+    device: str = "auto"  # "auto", "cpu", "cuda": not part of a result's identity
+
+    def __post_init__(self) -> None:
+        check_seed(self.seed)

@@ -1,0 +1,67 @@
+"""What is known about dark photographs besides their files."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, get_args
+
+from novags.numbers import SIDE, check_range
+from novags.testbed.importing.published.datasets import DATASETS
+from novags.testbed.importing.split import Split
+from novags.testbed.importing.stored import Codes16, Curve
+from novags.testbed.stages.configs.capturing import FULL_SIZE, camera_named
+from sensor_model.files.dng import TIMES
+from sensor_model.isp import Demosaic
+from sensor_model.params import Sensor
+from sensor_model.presets import PRESETS
+
+
+@dataclass(frozen=True, kw_only=True)
+class ImportConfig:
+    """What is known about dark photographs besides their files."""
+
+    lit: Path | None = None  # well-lit pictures of the same views
+    clean: Path | None = None  # long exposures of the same views in the same light
+    sensor: str | None = None  # a name of sensor_model.PRESETS or a camera's TOML file: gives methods the noise
+    time: float | None = None  # s, of the dark exposures; None: what raw files say, else unknown and counted as 0
+    black: float = 0.0  # code of no light in 16-bit files
+    white: float = 65535.0  # code of white in them
+    curve: Curve = "linear"  # of their codes in between
+    demosaic: Demosaic = "menon"  # for raw files with a colour filter array
+    max_size: int | None = None  # px; scale larger pictures down to this longest side
+    split: Split = "own"  # which views are held out
+    dataset: str = "auto"  # the published data set that the folder is a scene of; auto: what it looks like; or none
+    camera: Sensor | None = field(init=False)  # what `sensor` stands for
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "camera", None if self.sensor is None else camera_named(self.sensor))
+        if self.time is not None and not (self.time == 0 or TIMES[0] <= self.time <= TIMES[1]):
+            raise ValueError(f"time must be 0 or in {TIMES} s, the range of raw files, got {self.time}")
+        if self.max_size is not None:
+            check_range("max_size", self.max_size, 1, SIDE, " px")
+        if self.demosaic not in FULL_SIZE:
+            raise ValueError(f"demosaic must be one of {', '.join(FULL_SIZE)}, got {self.demosaic!r}")
+        if self.curve not in get_args(Curve):
+            raise ValueError(f"curve must be one of {', '.join(get_args(Curve))}, got {self.curve!r}")
+        if self.split not in get_args(Split):
+            raise ValueError(f"split must be one of {', '.join(get_args(Split))}, got {self.split!r}")
+        if self.dataset not in ("auto", "none", *DATASETS):
+            raise ValueError(f"dataset must be auto, none or one of {', '.join(DATASETS)}, got {self.dataset!r}")
+        self.codes  # noqa: B018 - it checks the levels
+
+    @property
+    def codes(self) -> Codes16:
+        """What 16-bit codes mean."""
+        return Codes16(black=self.black, white=self.white, curve=self.curve)
+
+    @property
+    def sensor_name(self) -> str | None:
+        """Name of the preset or of the camera's file."""
+        return self.sensor if self.sensor is None or self.sensor in PRESETS else Path(self.sensor).stem
+
+    def resolved(self) -> dict[str, Any]:
+        """What determines the result besides the content of folders."""
+        return {
+            "sensor": self.sensor_name, "camera": self.camera, "time": self.time, "black": self.black,
+            "white": self.white, "curve": self.curve, "demosaic": self.demosaic, "max_size": self.max_size,
+            "split": self.split,
+        }  # fmt: skip

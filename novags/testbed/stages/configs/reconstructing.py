@@ -1,0 +1,54 @@
+"""How to reconstruct a capture."""
+
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from novags.cameras import CameraConfig, KnownConfig, spell_cameras
+from novags.methods import METHODS
+from novags.methods.variant import Variant
+from novags.numbers import POINTS, check_range
+from novags.settings import check_seed, files_among, refuse_lost_files
+from novags.testbed.ledger.contents import folder_digest
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReconstructConfig:
+    """How to reconstruct a capture."""
+
+    variant: Variant
+    config: Any = None  # of the method; None for its defaults with the variant's settings
+    cameras: CameraConfig = field(default_factory=KnownConfig)
+    points: int = 8000  # Gaussians at the start, and at most if the fit's `cap_max` is None
+    seed: int = 0
+    device: str = "auto"  # "auto", "cpu", "cuda": not part of a result's identity
+
+    def __post_init__(self) -> None:
+        if self.config is None:
+            config = self.variant.config(METHODS[self.variant.method].config(), {})
+            object.__setattr__(self, "config", config)
+        check_range("points", self.points, 4, POINTS)
+        check_seed(self.seed)
+        if METHODS[self.variant.method].sees_surface and self.cameras != KnownConfig():
+            raise ValueError(
+                f"{self.variant.name} follows the true surface and so takes the set's own cameras, got cameras = "
+                f"{spell_cameras(self.cameras)}: use known, or leave {self.variant.name} out"
+            )
+
+    def resolved(self) -> dict[str, Any]:
+        """What determines the result."""
+        return {
+            "method": self.variant.method, "points": self.points, "seed": self.seed,
+            "cameras": spell_cameras(self.cameras), "config": asdict(self.config),
+        }  # fmt: skip
+
+
+def files_of(config: ReconstructConfig) -> dict[str, str]:
+    """Content hash of every file that the settings of the method and of the cameras name, by setting and file.
+
+    Raises:
+        ValueError: If one of the method is not there. A source of cameras says itself what it lacks, and what helps.
+    """
+    refuse_lost_files(config.config, "settings")
+    named = files_among(config.config) | {f"cameras.{name}": p for name, p in files_among(config.cameras).items()}
+    return {f"{setting}: {path.name}": folder_digest(path.parent, (), beside={path.name: path})
+            for setting, paths in named.items() for path in paths if path.is_file()}  # fmt: skip
