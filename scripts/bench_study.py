@@ -30,8 +30,8 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed.console import Console
+from novags.testbed.ledger.code import Code
 from novags.testbed.ledger.stage import run_stage
-from novags.testbed.ledger.store import version
 from novags.testbed.study.engines.local import Limits, Pool
 from novags.testbed.study.engines.processes import threads_environment
 from novags.testbed.study.engines.worker import Outcome
@@ -93,8 +93,8 @@ def nothing(order: Order, console: Console) -> dict[str, Any]:
     made = "made.json"
 
     def stage() -> None:
-        run_stage("nothing", order.folder, made, inputs={}, config={}, owns=(made,), prepare=lambda: None,
-                  work=lambda _: {}, console=console)  # fmt: skip
+        run_stage("nothing", order.folder, made, code=Code({}, {}), inputs={}, config={}, owns=(made,),
+                  prepare=lambda: None, work=lambda _: {}, console=console)  # fmt: skip
 
     return ensure(order, {"nothing": Step(stage, made)}, console)
 
@@ -106,7 +106,7 @@ def empty(folder: Path, count: int) -> float:
 
     def request(key: str, results: Mapping[str, Any]) -> dict[str, Any]:
         task = tasks[key]
-        order = Order(task, task.folder(folder), None, {}, threads=1, version=version())
+        order = Order(task, task.folder(folder), None, {}, threads=1)
         return {"task": order, "log": str(folder / "logs" / key)}
 
     before = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]

@@ -7,7 +7,6 @@ from typing import Any
 
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_capture
-from novags.testbed.ledger.store import version
 from novags.testbed.machine.cores import cores_here
 from novags.testbed.presets import EXPERIMENTS
 from novags.testbed.study.axes import OF_RUNS, Changes, applied, changes_of
@@ -64,7 +63,7 @@ def _made(task: Task, store: Path, planner: Planner, content: Mapping[str, str])
     """The content of an entry, made if it is not there; another process at work on it is waited for."""
     folder = task.folder(store)
     source = planner.tasks[task.needs[0]].folder(store) if task.needs else task.source
-    order = Order(task, folder, source, {need: content[need] for need in task.needs}, cores_here(), version())
+    order = Order(task, folder, source, {need: content[need] for need in task.needs}, cores_here())
     with locked(folder, wait=QUIET.note):
         made: str = ensure(order, steps(task, folder, source, QUIET), QUIET, depends(task))["content"]
     return made

@@ -266,7 +266,7 @@ PLAN = {"effects": [EFFECT], "bound": (float, None), "unit": str, "seconds?": {"
 SET = {
     "scene?": (str, None), "exposure_scale?": float, "camera_matrix?": Numbers(3, 3), "plan?": PLAN, "width?": int,
     "height?": int, "unregistered?": [str], "views?": {"*": {"relative_error": float, "fireflies": int}},
-    "stage?": {"seconds": float, "peak_bytes": int, "config": dict},
+    "stage?": {"seconds": float, "peak_bytes": int, "config": dict, "files?": {"*": str}},
 }  # fmt: skip
 
 

@@ -11,13 +11,14 @@ import time
 from pathlib import Path
 from typing import Any
 
-from novags.testbed import cache, contents
 from novags.testbed.console import Console
+from novags.testbed.ledger import contents, stage
+from novags.testbed.ledger.code import Code
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.study.entry import Order, Step, ensure
 from sensor_model.files.atomic import write_text
 
-cache.environment = dict  # type: ignore[assignment]  # the real one loads torch to look for a GPU
+stage.environment = dict  # type: ignore[assignment]  # the real one loads torch to look for a GPU
 SIZE = 8000  # bytes; of the larger file of an entry
 
 
@@ -64,7 +65,8 @@ def write(order: Order, console: Console) -> None:
         return {"threads": os.environ.get("OMP_NUM_THREADS")}
 
     run_stage(
-        "write", order.folder, f"{task.kind}.json", inputs={"source": contents.digest(source)}, config=task.config,
+        "write", order.folder, f"{task.kind}.json", code=Code({}, {}),
+        inputs={"source": contents.digest(source)}, config=task.config,
         owns=("large.txt", "content.txt"), prepare=lambda: None, work=work, console=console, overwrite=True,
     )  # fmt: skip
 
@@ -75,7 +77,8 @@ def score(order: Order, console: Console) -> None:
     mean = {"lit": {"psnr": value, "tone_aligned_psnr": value}, "enhanced": {"aligned_psnr": value}}
     scores = {"mean": mean, "views": {}, "training_2d": None, "seconds": {"fit": 1.0}, "peak_bytes": 1}
     run_stage(
-        "score", order.folder, "metrics.json", inputs={"content": contents.digest(content)}, config={}, owns=(),
+        "score", order.folder, "metrics.json", code=Code({}, {}),
+        inputs={"content": contents.digest(content)}, config={}, owns=(),
         prepare=lambda: None, console=console, overwrite=True,
         work=lambda _: {"methods": {order.task.group: scores}, "recovered": {}, "unavailable": {}},
     )  # fmt: skip

@@ -14,9 +14,9 @@ from typing import Any
 import pytest
 
 from novags import cli
-from novags.testbed import cache
+from novags.testbed.ledger import stage
+from novags.testbed.ledger import store as stores
 from novags.testbed.study import conduct
-from novags.testbed.study import store as stores
 from novags.testbed.study.engines import choice, processes
 
 pytestmark = [
@@ -67,7 +67,7 @@ def start(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Star
     monkeypatch.syspath_prepend(str(HERE))
     for module in (processes, choice):
         monkeypatch.setattr(module, "TASKS", "counting_steps:make")
-    monkeypatch.setattr(cache, "environment", cache.environment)  # which `counting_steps` changes where it is loaded
+    monkeypatch.setattr(stage, "environment", stage.environment)  # which `counting_steps` changes where it is loaded
     order = choice.Order
 
     def light(task: Any, *rest: Any) -> Any:  # so that workers need not load torch

@@ -9,7 +9,8 @@ EFFECT = {"name": str, "on": bool, "forced": bool, "contribution": MEASURED, "bo
           "reason": str}  # fmt: skip
 PLAN = {"effects": [EFFECT], "bound": MEASURED, "unit": str, "biases?": {"*": MEASURED}}
 HARDWARE = {"processor": str, "cores": int, "memory_bytes": int, "gpu": (str, None)}
-STAGE = {"key": str, "inputs": {"*": str}, "config": dict, "seconds": float, "peak_bytes": int}
+STAGE = {"key": str, "code?": str, "inputs": {"*": str}, "config": dict, "seconds": float, "peak_bytes": int,
+         "files?": {"*": str}}  # fmt: skip
 CAPTURE = {
     "set": {"path": str, "kind": str, "max_size": (int, None)}, "sensor_name": str, "sensor": dict,
     "exposure": {"time": float, "temperature?": (float, None), "origin": [int], "line_time?": float},

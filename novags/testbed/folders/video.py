@@ -51,7 +51,7 @@ def write_frames(video: Path, fps: float, folder: Path, progress: Update) -> dic
         while len(taken) < MOST and reader.grab():
             if k / rate >= len(taken) / fps - 1e-9:  # 1e-9: 0.1 * 3 and 3 / 10 differ in the last bit
                 good, frame = reader.retrieve()
-                if good:
+                if good and frame is not None:  # of some damaged films it says good and gives none
                     path = folder / f"{len(taken):06d}.png"
                     write_png(path, frame[..., ::-1])
                     taken.append((path, k / rate))

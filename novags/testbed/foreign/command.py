@@ -20,6 +20,7 @@ from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import RECORD, Capture, open_capture
 from novags.testbed.foreign.pictures import Picture, find_renders, read_picture
 from novags.testbed.foreign.process import Spent, run_program
+from novags.testbed.ledger.code import Code, code_of
 from novags.testbed.ledger.contents import folder_digest
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.metrics import Image
@@ -106,6 +107,11 @@ class CommandConfig:
         filled = [PLACE.sub(lambda found: places[found.group(1)], word) for word in self._split()]
         return [str(self._program(filled[0])), *filled[1:]]
 
+    @property
+    def code(self) -> Code:
+        """What runs the program and keeps its pictures."""
+        return code_of("novags.testbed.foreign.command")
+
     def resolved(self) -> dict[str, Any]:
         """What determines the pictures: the command and the content of the files that it names, not where they lie."""
         return {"method": self.name, "command": self.command, "space": self.space, "seed": self.seed,
@@ -183,6 +189,7 @@ def run_command(
         f"command {config.name}",
         out,
         run_folder.RECORD,
+        code=config.code,
         inputs={"capture": capture.content, "set": source.digest()},
         config=config.resolved(),
         owns=(*run_folder.OWNS, WORK),

@@ -42,16 +42,17 @@ class Code:
         return hashed("\n".join(f"{name} {found}" for name, found in sorted(self.files.items())).encode())
 
 
-def code_of(*roots: str) -> Code:
+def code_of(*roots: str | None) -> Code:
     """The code that some modules reach.
 
     Args:
-        roots: Names of modules: of a stage, and of the rows that it uses.
+        roots: Names of modules: of a stage, and of the rows that it uses; None: of a row that was made as the program
+            ran, whose source is not known.
 
     Raises:
         ValueError: If there is no such module.
     """
-    return _code_of(frozenset(roots))
+    return _code_of(frozenset(root for root in roots if root))
 
 
 @cache
@@ -77,6 +78,14 @@ def reached(roots: Iterable[str]) -> frozenset[str]:
             found.add(module)
             waiting += _edges(module)
     return frozenset(found)
+
+
+@cache
+def version() -> str:
+    """Hash of all code that results depend on, as it is on this machine."""
+    names = (".".join(path.relative_to(ROOT).with_suffix("").parts) for package in PACKAGES
+             for path in Path(ROOT, package).rglob("*.py"))  # fmt: skip
+    return _code_of(frozenset(name.removesuffix(".__init__") for name in names if not _outside(name))).key
 
 
 def modules_of(config: Any) -> set[str]:

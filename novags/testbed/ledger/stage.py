@@ -1,11 +1,12 @@
 """Stages as folders: content hashes, atomic writes, completion, resuming.
 
 A stage writes into one folder and puts its record there last (`set.json`, `capture.json`, `run.json`, ...), so a folder
-with a record is complete. The record's `stage` entry holds the key: a hash of the stage's name, the contents of its
-input folders and its resolved configuration. Same key: not run again. While a stage is under way, `unfinished.json`
-holds the key of the work in the folder; a later start with the same key continues it, another key clears it first.
-Nothing is cleared until the inputs of the new work have been read and found valid. A finished result of other work is
-not cleared at all unless the caller says so. Only one process at a time works in a folder.
+with a record is complete. The record's `stage` entry holds the key: a hash of the stage's name, its code, the contents
+of its inputs and its resolved configuration. Same key: not run again. Other code, the same request: run again, and said
+why. A finished result of another request is not cleared unless the caller says so. While a stage is under way,
+`unfinished.json` holds the key of the work in the folder; a later start with the same key continues it, another key
+clears it first. Nothing is cleared until the inputs of the new work have been read and found valid. Only one process at
+a time works in a folder.
 """
 
 import os
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from novags.testbed.console import Console
+from novags.testbed.ledger.code import Code
 from novags.testbed.ledger.contents import (
     UNFINISHED,
     checksum,
@@ -30,8 +32,9 @@ from novags.testbed.ledger.contents import (
     write_json,
 )
 from novags.testbed.ledger.difference import differences, listed
+from novags.testbed.ledger.made import made_name, made_with, write_made
 from novags.testbed.machine.memory import memory_shortage_said
-from novags.testbed.machine.provenance import PeakMemory, environment, package_version
+from novags.testbed.machine.provenance import PeakMemory, environment
 from sensor_model.files.atomic import Witness, remove, witnessed
 from sensor_model.files.lock import locked
 
@@ -40,7 +43,7 @@ Prepared = TypeVar("Prepared")
 STATE = {"stage?": str, "record?": str, "key?": (str, None), "seconds?": float, "peak_bytes?": int}  # what that holds
 FILES = {"files?": {"*": str}}  # checksums of what the stage wrote
 KEYED = {"stage?": {"key?": str, **FILES}}  # what a record of any stage holds
-MADE = {"stage?": {"key?": str, "config?": dict, "inputs?": {"*": str}, "versions?": {"*": str}, **FILES}}
+MADE = {"stage?": {"key?": str, "code?": str, "config?": dict, "inputs?": {"*": str}, "versions?": {"*": str}, **FILES}}
 
 
 def run_stage(
@@ -48,6 +51,7 @@ def run_stage(
     folder: Path,
     record_name: str,
     *,
+    code: Code,
     inputs: Mapping[str, str],
     config: Mapping[str, Any],
     owns: Sequence[str],
@@ -58,12 +62,13 @@ def run_stage(
     scrap: Sequence[str] = (),
     overwrite: bool = False,
 ) -> dict[str, Any]:
-    """Do a stage's work unless its folder already holds the result of the same inputs and configuration.
+    """Do a stage's work unless its folder already holds the result of the same code, inputs and configuration.
 
     Args:
         name: What the stage is called in messages and records.
         folder: Where it writes.
         record_name: The record, written last.
+        code: What does the work.
         inputs: Content hash of each input, by name.
         config: The resolved configuration (JSON-able).
         owns: Names in `folder` that the stage writes; nothing else is ever removed.
@@ -84,7 +89,7 @@ def run_stage(
         MemoryError: If there is not enough memory, of the GPU too.
     """
     with locked(folder, owns), memory_shortage_said(name):
-        stage = _Stage(name, folder, record_name, tuple(owns), tuple(scrap), console, overwrite)
+        stage = _Stage(name, folder, record_name, code, tuple(owns), tuple(scrap), console, overwrite)
         return stage.run(dict(inputs), jsonable(config), prepare, work, stale)
 
 
@@ -110,9 +115,8 @@ def refuse_other(
     found += [f"another {name}" for name, content in (inputs or {}).items() if before.get(name) != content]
     if not found and (wrong := damaged(folder, stage)):
         raise ValueError(f"{folder}: {wrong}; put back what was there, or add --overwrite to make it again")
-    if not found and inputs is not None:
-        made, here = stage.get("versions", {}).get("novags"), package_version("novags")
-        found.append(f"made by novags {made}, this is {here}" if made != here else "made by another stage")
+    if not found and inputs is not None and "code" not in stage:
+        found.append(f"made by novags {stage.get('versions', {}).get('novags')}, which recorded no code")
     if found:
         raise ValueError(
             f"{folder} holds a finished result of another request ({listed(found)}): choose another --out, or add "
@@ -140,6 +144,7 @@ class _Stage:
     name: str
     folder: Path
     record_name: str
+    code: Code
     owns: tuple[str, ...]
     scrap: tuple[str, ...]
     console: Console
@@ -154,25 +159,27 @@ class _Stage:
         stale: Sequence[Path],
     ) -> dict[str, Any]:
         """As `run_stage` says."""
-        about = {"stage": self.name, "version": package_version("novags"), "inputs": inputs, "config": config}
+        about = {"stage": self.name, "code": self.code.key, "inputs": inputs, "config": config}
         key, record_path = digest(about), self.folder / self.record_name
         record = read_json(record_path, KEYED) if record_path.exists() else {}
         made = record.get("stage", {}).get("key") == key
         wrong = damaged(self.folder, record["stage"]) if made else ""
         if made and not wrong:
             self._forget_interruption()
-            self.console.note(f"{self.name}: unchanged, kept {self.folder}")
+            told = made_with(self.folder, self.record_name).kept_though(self.code)
+            self.console.note(f"{self.name}: unchanged, kept {self.folder}{told}")
             return record
         if not self.overwrite:
             refuse_other(self.folder, self.record_name, config, inputs)
         if wrong:
             self.console.note(f"{self.name}: {self.folder}: {wrong}, doing it again")
-        earlier = None if wrong else self._earlier_cost(key)  # damaged files are nothing to go on from
+        earlier = None if wrong else self._earlier_cost(key, inputs, config)  # damaged files are nothing to go on from
         start, memory = time.perf_counter(), PeakMemory()
         prepared = prepare()
         if earlier is None:
-            told = stale if record_path.exists() else ()
-            self._clear(key, [*told, *(self.folder / owned for owned in (self.record_name, *self.owns))])
+            told_of = stale if record_path.exists() else ()
+            owned = (self.record_name, made_name(self.record_name), *self.owns)
+            self._clear(key, [*told_of, *(self.folder / name for name in owned)])
         before, most = earlier or (0.0, 0)
         try:
             with witnessed(read_digest) as witness:
@@ -185,8 +192,10 @@ class _Stage:
         self._refuse_other_hands(witness, files)
         seconds = before + time.perf_counter() - start
         cost = {"seconds": seconds, "peak_bytes": max(most, memory.peak_bytes()), **environment()}
+        write_made(self.folder, self.record_name, self.code)
         body["stage"] = {
-            "name": self.name, "key": key, "inputs": inputs, "config": config, **cost, "files": files,
+            "name": self.name, "key": key, "code": self.code.key, "inputs": inputs, "config": config, **cost,
+            "files": files,
         }  # fmt: skip
         write_json(record_path, body)
         self._tidy()
@@ -222,7 +231,15 @@ class _Stage:
             remove(self.folder / name)
         self._unfinished.unlink(missing_ok=True)
 
-    def _earlier_cost(self, key: str) -> tuple[float, int] | None:
+    def _why(self, stage: Mapping[str, Any], inputs: Mapping[str, str], config: Mapping[str, Any]) -> str:
+        """Why a finished result is made again."""
+        found = differences(stage.get("config", {}), config)
+        before = stage.get("inputs", {})
+        found += [f"another {name}" for name, content in inputs.items() if before.get(name) != content]
+        changed = made_with(self.folder, self.record_name).changed_in(self.code)
+        return listed([*found, *([changed] if changed else [])]) or "another stage made it"
+
+    def _earlier_cost(self, key: str, inputs: Mapping[str, str], config: Mapping[str, Any]) -> tuple[float, int] | None:
         """Seconds of interrupted attempts at the work of `key` and the most bytes that one held.
 
         None if the folder has to be cleared for it.
@@ -242,9 +259,9 @@ class _Stage:
                     "another --out"
                 )
         elif record.exists():
-            if "stage" not in read_json(record):
+            if "stage" not in (found := read_json(record, MADE)):
                 raise ValueError(f"{record} is there, and novags {name} did not write it: choose another --out")
-            self.console.note(f"{name}: inputs or configuration changed, doing {self.folder} again")
+            self.console.note(f"{name}: made again in {self.folder}: {self._why(found['stage'], inputs, config)}")
         elif taken := sorted(owned for owned in self.owns if (self.folder / owned).exists()):
             raise ValueError(
                 f"{self.folder} already holds {', '.join(taken)}, and novags {name} did not write them: choose another "

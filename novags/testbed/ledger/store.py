@@ -12,10 +12,10 @@ import hashlib
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import cache
 from pathlib import Path
 from typing import Any
 
+from novags.testbed.ledger.code import Code
 from novags.testbed.ledger.contents import digest, read_json, write_json
 from sensor_model.files.atomic import remove
 from sensor_model.files.door import opened
@@ -27,55 +27,17 @@ SHAPE: Any = {
     "cost": {"seconds": {"*": float}, "peak_bytes": int, "bytes": int, "work": float, "pixels": float, "group": str,
              "threads": int},
 }  # fmt: skip
-# The code that is part of the key of each kind of entry, with the data beside it. Tables and reports do not affect what
-# entries hold.
-_NUMBERS = ("novags/settings.py", "novags/numbers.py")
-_SETS = ("simscenes/sets", "simscenes/rigs.py", "sensor_model", *_NUMBERS)
-CODE = {
-    "set": ("simscenes", "sensor_model", *_NUMBERS, "novags/testbed/stages/rendering.py"),
-    "poses": (*_SETS, "novags/cameras", "novags/testbed/stages/posing.py", "novags/testbed/folders"),
-    "capture": (*_SETS, "novags/testbed/stages/capturing.py", "novags/testbed/folders"),
-    "import": (*_SETS, "novags/testbed/stages/importing.py", "novags/testbed/importing", "novags/testbed/folders"),
-    "run": (*_SETS, "novags/splats", "novags/fields", "novags/cameras", "novags/methods", "novags/testbed/stages",
-            "novags/testbed/folders", "novags/testbed/foreign", "novags/testbed/metrics", "novags/testbed/exposures.py",
-            "novags/testbed/references.py"),
-}  # fmt: skip
-ROOT = Path(__file__).resolve().parents[3]  # of the packages
 
 
-@cache
-def code_of(kind: str) -> str:
-    """Hash of the code that makes entries of a kind: two versions of the software share a store without mixing."""
-    found = hashlib.blake2b(digest_size=16)
-    for place in CODE[kind]:
-        path = ROOT / place
-        for file in _kept(path) if path.is_dir() else [path]:
-            found.update(f"{file.relative_to(ROOT).as_posix()}\0".encode())
-            found.update(hashlib.blake2b(file.read_bytes()).digest())
-    return found.hexdigest()
-
-
-def _kept(folder: Path) -> list[Path]:
-    """The files of a package: code and what it reads, such as weights; neither hidden nor compiled ones."""
-    found = [path for path in sorted(folder.rglob("*")) if path.is_file()]
-    return [p for p in found if not any(n[0] == "." or n == "__pycache__" for n in p.relative_to(folder).parts)]
-
-
-@cache
-def version() -> str:
-    """Hash of the code that makes entries of any kind, as it is on this machine."""
-    return digest({kind: code_of(kind) for kind in CODE})
-
-
-def key_of(kind: str, recipe: dict[str, Any], code: str | None = None) -> str:
+def key_of(kind: str, recipe: dict[str, Any], code: Code) -> str:
     """The key of an entry.
 
     Args:
         kind: One of `KINDS`.
         recipe: Configuration and the keys or contents of what it is made from (JSON-able).
-        code: Which of `CODE` makes it; None: that of its kind.
+        code: What makes it.
     """
-    return digest({"kind": kind, "code": code_of(code or kind), **recipe})
+    return digest({"kind": kind, "code": code.key, **recipe})
 
 
 def named(name: str, key: str) -> str:

@@ -5,8 +5,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from novags.testbed.ledger.code import version
 from novags.testbed.ledger.contents import digest, jsonable, read_json, write_json
-from novags.testbed.ledger.store import version
 from novags.testbed.machine.provenance import environment
 from novags.testbed.pareto.knob import Knob, Measured, Setting, Subject, spelled
 

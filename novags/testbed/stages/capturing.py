@@ -79,6 +79,7 @@ def capture(
             "capture",
             out,
             capture_folder.RECORD,
+            code=config.code,
             inputs={"set": source.digest()},
             config=config.resolved(),
             owns=(*capture_folder.OWNS, *LAYOUTS),

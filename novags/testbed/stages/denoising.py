@@ -41,6 +41,7 @@ def denoise(
         "denoise",
         out,
         RECORD,
+        code=config.code,
         inputs={"capture": capture.content},
         config=settings,
         owns=(RECORD, LINEAR, SHOWN),

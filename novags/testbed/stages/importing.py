@@ -74,6 +74,7 @@ def import_photographs(
         "import",
         out,
         capture_folder.RECORD,
+        code=config.code,
         inputs=material.inputs(),
         config=config.resolved(),
         owns=capture_folder.OWNS,

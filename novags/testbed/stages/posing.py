@@ -48,6 +48,7 @@ def poses(
         "poses",
         out,
         RECORD,
+        code=config.code,
         inputs={"photographs": folder_digest(config.photographs.parent, (), beside=files)},
         config=config.resolved(),
         owns=SET_FILES,

@@ -72,6 +72,7 @@ def reconstruct(
         f"reconstruct {config.variant.name}",
         out,
         run_folder.RECORD,
+        code=config.code,
         inputs={"capture": capture.content, "set": source.digest(), **files_of(config)},
         config=config.resolved(),
         owns=run_folder.OWNS,

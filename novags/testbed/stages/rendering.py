@@ -41,6 +41,7 @@ def render(
             "render",
             out,
             RECORD,
+            code=config.code,
             inputs={"scene": scene_digest(config)},
             config=config.resolved(),
             owns=SET_FILES,

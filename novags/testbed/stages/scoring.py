@@ -6,12 +6,14 @@ from typing import Any
 import numpy as np
 
 from novags.methods import METHODS
+from novags.methods.enhancers import ENHANCERS
 from novags.methods.problem import encode
 from novags.testbed.console import Console, Update
 from novags.testbed.exposures import Exposures, as_compared, exposures_of
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import METRICS, Run, open_run
 from novags.testbed.folders.set import Source
+from novags.testbed.ledger.code import Code, code_of
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.metrics import (
     ConsistencyScores,
@@ -78,9 +80,16 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
         return {"methods": {run.name: method}, "recovered": {}, "unavailable": unavailable}
 
     return run_stage(
-        "score", run_path, METRICS, inputs=inputs, config={"lpips": missing is None, "format": 5}, owns=(METRICS,),
+        "score", run_path, METRICS, code=code_of_scores(run), inputs=inputs,
+        config={"lpips": missing is None}, owns=(METRICS,),
         prepare=lambda: None, work=work, console=console, overwrite=True,  # scores describe what is there now
     )  # fmt: skip
+
+
+def code_of_scores(run: Run) -> Code:
+    """What scores a run: the stage, and the enhancement that its references go through."""
+    enhancer = None if run.enhancement is None else ENHANCERS.module_of(run.enhancement["enhancer"])
+    return code_of(__name__, enhancer)
 
 
 def score_test_views(

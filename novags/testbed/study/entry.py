@@ -8,7 +8,7 @@ from typing import Any
 
 from novags.testbed.console import Console
 from novags.testbed.ledger.contents import read_json
-from novags.testbed.ledger.store import SEAL, Seal, clear, damaged, read_seal, version, write_seal
+from novags.testbed.ledger.store import SEAL, Seal, clear, damaged, read_seal, write_seal
 from novags.testbed.stages.failing import failing_in
 from novags.testbed.study.engines.worker import MachineError
 from sensor_model.files.lock import locked
@@ -28,6 +28,7 @@ class Task:
         group: What its cost is compared with: the scene, the camera, the method.
         work: What its cost grows with, in `costs.UNITS`.
         pixels: Of all its views.
+        code: Key of the code that is to make it.
     """
 
     kind: str
@@ -39,6 +40,7 @@ class Task:
     group: str = ""
     work: float = 0.0
     pixels: float = 0.0
+    code: str = ""
 
     def folder(self, store: Path) -> Path:
         """Where it is, or will be."""
@@ -55,7 +57,6 @@ class Order:
         source: Folder that it is made from: of a set for a capture, of a capture for a run.
         made_of: Content of each entry that it is made from, by key.
         threads: That this worker may use.
-        version: Of the code that planned it, see `store.version`.
     """
 
     task: Task
@@ -63,7 +64,6 @@ class Order:
     source: Path | None
     made_of: dict[str, str]
     threads: int
-    version: str
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def ensure(order: Order, steps: Steps, console: Console, depends: dict[str, Any]
         BlockingIOError: If another process is at work there.
         MachineError: If this process has other code than the one that planned the study, whose code the key is of.
     """
-    if version() != order.version:
+    if order.task.code and order.task.config.code.key != order.task.code:
         raise MachineError(
             f"novags on {os.uname().nodename} is another version than the one that planned this study: it was changed "
             "meanwhile, or the nodes have different ones"

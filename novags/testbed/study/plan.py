@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -129,7 +129,7 @@ class Planner:
             return self._command(command, captured)
         config = preset.reconstruct(name)
         recipe = {"name": name, "config": config.resolved(), "capture": captured, "files": files_of(config)}
-        key = key_of("run", recipe)
+        key = key_of("run", recipe, config.code)
         pixels = self.tasks[captured].pixels
         iterations = sum(v for k, v in flattened(config.config).items() if k.rpartition(".")[2] == "iterations")
         views = max(1, self._views(captured))
@@ -141,7 +141,7 @@ class Planner:
 
     def _command(self, config: CommandConfig, captured: str) -> str:
         name, pixels = config.name, self.tasks[captured].pixels
-        key = key_of("run", {"name": name, "config": config.resolved(), "capture": captured})
+        key = key_of("run", {"name": name, "config": config.resolved(), "capture": captured}, config.code)
         return self._task(Task(
             kind="run", key=key, name=named(f"{name}-{self.tasks[captured].name.rpartition('-')[0]}", key),
             config=config, needs=(captured,), group=name, work=pixels, pixels=pixels,
@@ -183,7 +183,7 @@ class Planner:
             name = f"{inputs['dataset']}-{scene}" if inputs["dataset"] else scene
             self.contents[place] = (inputs, name, count, float(count * source.rig.width * source.rig.height))
         inputs, name, views, pixels = self.contents[place]
-        key = key_of("capture", {"config": config.resolved(), "inputs": inputs, "scene": folder.name}, code="import")
+        key = key_of("capture", {"config": config.resolved(), "inputs": inputs, "scene": folder.name}, config.code)
         self.contents[key] = views
         return self._task(Task(
             kind="capture", key=key, name=named(name, key), config=config, source=folder, group="import",
@@ -222,7 +222,7 @@ class Planner:
             content = folder_digest(config.photographs.parent, (), beside=files)
             self.contents[config] = (content, len(files))
         content, count = self.contents[config]
-        key = key_of("set", {"config": config.resolved(), "photographs": content}, code="poses")
+        key = key_of("set", {"config": config.resolved(), "photographs": content}, config.code)
         self.contents[key] = count
         pixels = float(count * (config.max_size or 4000) ** 2)
         return self._task(Task(
@@ -234,9 +234,9 @@ class Planner:
         if place not in self.keys:
             # Further layouts change no picture, but an entry that was made without them lacks what is asked for.
             layouts = {"export": sorted(set(config.export))} if config.export else {}
-            self.keys[place] = key_of(kind, {"config": config.resolved(), **layouts, **made_of})
+            self.keys[place] = key_of(kind, {"config": config.resolved(), **layouts, **made_of}, config.code)
         return self.keys[place]
 
     def _task(self, task: Task) -> str:
-        self.tasks.setdefault(task.key, task)
+        self.tasks.setdefault(task.key, replace(task, code=task.config.code.key))
         return task.key

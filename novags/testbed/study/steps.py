@@ -9,6 +9,7 @@ from novags.testbed.console import Console
 from novags.testbed.folders import capture as captures
 from novags.testbed.folders import run as runs
 from novags.testbed.foreign.command import CommandConfig, run_command
+from novags.testbed.ledger.code import code_of
 from novags.testbed.metrics import PerceptualDistance
 from novags.testbed.stages.configs.importing import ImportConfig
 from novags.testbed.stages.configs.posing import PosesConfig
@@ -64,8 +65,10 @@ def make_set(
 
 
 def depends(task: Task) -> dict[str, Any]:
-    """What the content depends on besides its key: where LPIPS is installed later, only the scores are made again."""
-    return {"lpips": PerceptualDistance.missing() is None} if task.kind == "run" else {}
+    """What the content depends on besides its key: where a score changes, only the scores are made again."""
+    if task.kind != "run":
+        return {}
+    return {"lpips": PerceptualDistance.missing() is None, "scores": code_of("novags.testbed.stages.scoring").key}
 
 
 def limit_threads(count: int) -> None:

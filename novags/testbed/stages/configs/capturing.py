@@ -6,6 +6,7 @@ from typing import Any
 
 from novags.numbers import SIDE, check_range
 from novags.settings import check_seed
+from novags.testbed.ledger.code import Code, code_of
 from novags.testbed.stages.layouts import check_layouts
 from sensor_model.files.camera_file import read_sensor
 from sensor_model.files.dng import TIMES
@@ -69,6 +70,11 @@ class CaptureConfig:
         kept = {name: value for name, value in asdict(self).items() if name != "export"}
         truth = {"truth": "three channels"} if self.camera.cfa else {}  # earlier versions kept the mosaic alone
         return kept | truth | {"sensor": self.sensor_name}
+
+    @property
+    def code(self) -> Code:
+        """What takes it."""
+        return code_of("novags.testbed.stages.capturing")
 
     @property
     def noise_seed(self) -> int:

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 from novags.methods.denoised.denoiser import DenoiseConfig
 from novags.settings import check_seed
+from novags.testbed.ledger.code import Code, code_of, modules_of
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,3 +17,8 @@ class DenoisePicturesConfig:
 
     def __post_init__(self) -> None:
         check_seed(self.seed)
+
+    @property
+    def code(self) -> Code:
+        """What denoises them."""
+        return code_of("novags.testbed.stages.denoising", *modules_of(self.denoise))

@@ -8,6 +8,7 @@ from novags.numbers import SIDE, check_range
 from novags.testbed.importing.published.datasets import DATASETS
 from novags.testbed.importing.split import Split
 from novags.testbed.importing.stored import Codes16, Curve
+from novags.testbed.ledger.code import Code, code_of
 from novags.testbed.stages.configs.capturing import FULL_SIZE, camera_named
 from sensor_model.files.dng import TIMES
 from sensor_model.isp import Demosaic
@@ -47,6 +48,11 @@ class ImportConfig:
         if self.dataset not in ("auto", "none", *DATASETS):
             raise ValueError(f"dataset must be auto, none or one of {', '.join(DATASETS)}, got {self.dataset!r}")
         self.codes  # noqa: B018 - it checks the levels
+
+    @property
+    def code(self) -> Code:
+        """What imports them."""
+        return code_of("novags.testbed.stages.importing")
 
     @property
     def codes(self) -> Codes16:

@@ -10,6 +10,7 @@ from novags.cameras.mapping import FEATURES
 from novags.numbers import SIDE, check_range
 from novags.settings import check_seed
 from novags.testbed.folders.video import is_video
+from novags.testbed.ledger.code import Code, code_of
 from sensor_model.files.door import resolved
 
 FPS = 2.0  # of a video, if not given
@@ -50,6 +51,11 @@ class PosesConfig:
         """What determines the result, apart from the content of the photographs."""
         kept = {name: value for name, value in asdict(self).items() if name != "photographs"}
         return kept | {"fps": self.frames_a_second if is_video(self.photographs) else None}
+
+    @property
+    def code(self) -> Code:
+        """What finds them."""
+        return code_of("novags.testbed.stages.posing")
 
     @property
     def frames_a_second(self) -> float:

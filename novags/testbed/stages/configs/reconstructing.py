@@ -8,6 +8,7 @@ from novags.methods import METHODS
 from novags.methods.variant import Variant
 from novags.numbers import POINTS, check_range
 from novags.settings import check_seed, files_among, refuse_lost_files
+from novags.testbed.ledger.code import Code, code_of, modules_of
 from novags.testbed.ledger.contents import folder_digest
 
 
@@ -33,6 +34,12 @@ class ReconstructConfig:
                 f"{self.variant.name} follows the true surface and so takes the set's own cameras, got cameras = "
                 f"{spell_cameras(self.cameras)}: use known, or leave {self.variant.name} out"
             )
+
+    @property
+    def code(self) -> Code:
+        """What reconstructs it: the stage, the method, the source of cameras and what they are configured with."""
+        used = modules_of(self.config) | modules_of(self.cameras)
+        return code_of("novags.testbed.stages.reconstructing", METHODS.module_of(self.variant.method), *used)
 
     def resolved(self) -> dict[str, Any]:
         """What determines the result."""

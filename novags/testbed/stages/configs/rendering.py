@@ -6,11 +6,13 @@ from typing import Any
 
 from novags.numbers import PIXELS, SAMPLES, SIDE, VIEWS, check_range
 from novags.settings import check_seed
+from novags.testbed.ledger.code import Code, code_of
 from novags.testbed.stages.layouts import check_layouts
 from sensor_model.files.reading import brief
 from simscenes.backend import BACKENDS, COLORS
 from simscenes.loading.reference import SceneRef
 from simscenes.optics import Optics
+from simscenes.scenes import SCENES, split_name
 from simscenes.transport.plan import EFFECTS
 
 VARIANTS = ("auto", *BACKENDS, *(f"{backend}_{color}" for backend in BACKENDS for color in COLORS))
@@ -79,6 +81,12 @@ class RenderConfig:
             if not kept[name]:
                 del kept[name]  # sets rendered before these options existed stay valid
         return kept | {"scene": self.source.name}
+
+    @property
+    def code(self) -> Code:
+        """What renders it."""
+        scene = SCENES.module_of(split_name(self.scene)[0]) if self.source.in_catalogue else None
+        return code_of("novags.testbed.stages.rendering", scene)
 
     @property
     def source(self) -> SceneRef:

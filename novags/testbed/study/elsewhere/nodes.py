@@ -30,7 +30,6 @@ class Away:
     Attributes:
         chain: The task, after all that it is made from.
         threads: Of each of these.
-        version: Of the code that planned it.
         url: The store.
         scratch: Folder on each node that holds the folder of entries, see `scratch_folder`; None: that for temporary
             files.
@@ -39,7 +38,6 @@ class Away:
 
     chain: tuple[Task, ...]
     threads: tuple[int, ...]
-    version: str
     url: str
     scratch: str | None
     place: str
@@ -52,7 +50,7 @@ def make(away: Away, console: Console) -> dict[str, Any]:
     for task, threads in zip(away.chain, away.threads, strict=True):
         made_of = {need: contents[need] for need in task.needs}
         source = away.chain[[t.key for t in away.chain].index(task.needs[0])].folder(scratch) if task.needs else None
-        order = Order(task, task.folder(scratch), source, made_of, threads, away.version)
+        order = Order(task, task.folder(scratch), source, made_of, threads)
         result = _provide(order, Remote(away.url), away.place, console)
         contents[task.key] = result["content"]
     metrics = order.folder / METRICS

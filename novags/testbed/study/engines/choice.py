@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from novags.testbed.ledger.store import KINDS, version
+from novags.testbed.ledger.store import KINDS
 from novags.testbed.machine.cores import cores_here
 from novags.testbed.study.costs import Costs
 from novags.testbed.study.elsewhere import nodes
@@ -63,8 +63,7 @@ class Work:
         task = self.plan.tasks[key]
         source = self.plan.tasks[task.needs[0]].folder(self.store) if task.needs else task.source
         made_of = {need: result["content"] for need, result in results.items()}
-        return Order(task, task.folder(self.store).absolute(), source and source.absolute(), made_of, threads,
-                     version())  # fmt: skip
+        return Order(task, task.folder(self.store).absolute(), source and source.absolute(), made_of, threads)
 
 
 class Engine(Protocol):
@@ -179,7 +178,7 @@ class Nodes:
         assert self.url is not None
         chain = tuple({task.key: task for task in work.plan.above(key)}.values())
         threads = tuple(self.threads[task.kind] for task in chain)
-        return nodes.Away(chain, threads, version(), self.url, self.scratch, TASKS)
+        return nodes.Away(chain, threads, self.url, self.scratch, TASKS)
 
 
 def log_of(task: Task) -> str:

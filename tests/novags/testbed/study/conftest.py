@@ -9,14 +9,14 @@ from typing import Any
 
 import pytest
 
-from novags.testbed import cache
+from novags.testbed.ledger import stage
 
 
 @pytest.fixture
 def fake(monkeypatch: pytest.MonkeyPatch) -> Iterator[ModuleType]:
     """The module `fake_stages`, which workers find too."""
     monkeypatch.syspath_prepend(str(Path(__file__).parent))
-    monkeypatch.setattr(cache, "environment", dict)
+    monkeypatch.setattr(stage, "environment", dict)
     yield importlib.import_module("fake_stages")
     sys.modules.pop("fake_stages", None)
 
@@ -65,7 +65,6 @@ def diary() -> Diary:
 @pytest.fixture
 def pool(fake: ModuleType, diary: Diary, tmp_path: Path) -> Callable[..., Any]:
     """Make a pool for a list of tasks, with entries in `tmp_path`."""
-    from novags.testbed.ledger.store import version
     from novags.testbed.study.engines.local import Limits, Pool
     from novags.testbed.study.engines.processes import threads_environment
     from novags.testbed.study.entry import Order
@@ -77,7 +76,7 @@ def pool(fake: ModuleType, diary: Diary, tmp_path: Path) -> Callable[..., Any]:
             task = by_key[key]
             source = by_key[task.needs[0]].folder(tmp_path) if task.needs else None
             made_of = {need: result["content"] for need, result in results.items()}
-            order = Order(task, task.folder(tmp_path), source, made_of, threads=1, version=version())
+            order = Order(task, task.folder(tmp_path), source, made_of, threads=1)
             return {"task": order, "log": str(tmp_path / "logs" / f"{key}.log")}
 
         return Pool("fake_stages:make", request, Limits(workers, **limits), diary, threads_environment(1))

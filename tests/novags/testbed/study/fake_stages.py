@@ -8,12 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from novags.testbed import cache, contents
 from novags.testbed.console import Console
+from novags.testbed.ledger import contents, stage
+from novags.testbed.ledger.code import Code
 from novags.testbed.study.entry import Order, Step, Task, ensure
 from sensor_model.files.atomic import write_text
 
-cache.environment = dict  # type: ignore[assignment]  # the real one loads torch to look for a GPU
+stage.environment = dict  # type: ignore[assignment]  # the real one loads torch to look for a GPU
 PIECES = 4
 
 
@@ -33,8 +34,9 @@ def make(order: Order, console: Console) -> dict[str, Any]:
 def write(order: Order, console: Console) -> None:
     config: Made = order.task.config
     source = "" if order.source is None else "".join(piece(order.source, k).read_text() for k in range(PIECES))
-    cache.run_stage(
-        "write", order.folder, "made.json", inputs={"source": contents.digest(source)}, config={"text": config.text},
+    stage.run_stage(
+        "write", order.folder, "made.json", code=Code({}, {}),
+        inputs={"source": contents.digest(source)}, config={"text": config.text},
         owns=("made.json", *(f"{k}.txt" for k in range(PIECES))), prepare=lambda: None, console=console,
         work=lambda _: write_pieces(order, source, console),
     )  # fmt: skip

@@ -61,7 +61,6 @@ def started(tries: int = 4) -> Nodes:
 @pytest.fixture
 def cluster(nodes: Nodes, fake: ModuleType, diary: Any, tmp_path: Path) -> Callable[..., Any]:
     """Make an engine for a list of tasks, with entries in `tmp_path`."""
-    from novags.testbed.ledger.store import version
     from novags.testbed.study.engines.cluster import Cluster, Terms
     from novags.testbed.study.entry import Order
 
@@ -72,7 +71,7 @@ def cluster(nodes: Nodes, fake: ModuleType, diary: Any, tmp_path: Path) -> Calla
             task = by_key[key]
             source = by_key[task.needs[0]].folder(tmp_path) if task.needs else None
             made_of = {need: result["content"] for need, result in results.items()}
-            order = Order(task, task.folder(tmp_path), source, made_of, 1, version())
+            order = Order(task, task.folder(tmp_path), source, made_of, 1)
             return {"task": order, "log": str(tmp_path / "logs" / f"{key}.log"), "marker": marker}
 
         def resources(key: str) -> dict[str, float]:

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from novags.testbed.console import Console
-from novags.testbed.ledger.store import SEAL, version
+from novags.testbed.ledger.store import SEAL
 from novags.testbed.study.elsewhere import nodes as elsewhere
 from novags.testbed.study.elsewhere.nodes import Away
 from novags.testbed.study.elsewhere.remote import FETCHED, Remote
@@ -45,7 +45,7 @@ def make(
 
     def on(disk: str, url: str, chain: Any = None) -> dict[str, Any]:
         chain = tuple(tasks) if chain is None else chain
-        away = Away(chain, (1,) * len(chain), version(), url, str(tmp_path / disk), "fake_stages:make")
+        away = Away(chain, (1,) * len(chain), url, str(tmp_path / disk), "fake_stages:make")
         return elsewhere.make(away, QUIET)
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
@@ -161,7 +161,7 @@ def ended() -> Iterator[None]:
 
 def request(fake: ModuleType, folder: Path, marker: Any = None, **config: Any) -> dict[str, Any]:
     task = fake.task("a", **config)
-    return {"task": Order(task, task.folder(folder), None, {}, 1, version()), "marker": marker}
+    return {"task": Order(task, task.folder(folder), None, {}, 1), "marker": marker}
 
 
 @pytest.mark.usefixtures("ended")
@@ -232,7 +232,7 @@ def test_a_forged_entry_under_a_name_that_anybody_knows_is_not_believed(
     forged = tmp_path / "tmp" / "novags-scratch"
     shutil.copytree(scratch(tmp_path, "one"), forged)
     monkeypatch.setattr(tempfile, "tempdir", str(forged.parent))
-    away = Away(tuple(tasks), (1, 1), version(), f"memory://store{next(counter)}", None, "fake_stages:make")
+    away = Away(tuple(tasks), (1, 1), f"memory://store{next(counter)}", None, "fake_stages:make")
     assert elsewhere.make(away, QUIET)["made"]
     (own,) = [folder for folder in forged.parent.iterdir() if folder != forged]
     assert own.name.startswith("novags-scratch-")

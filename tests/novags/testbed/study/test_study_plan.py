@@ -11,8 +11,8 @@ import pytest
 from novags.cameras.networks.vggt import VggtConfig
 from novags.methods.variant import Variant
 from novags.testbed.console import Console
+from novags.testbed.ledger import store
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig, files_of
-from novags.testbed.study import store
 from novags.testbed.study.costs import Costs, default, longest_after, time_left
 from novags.testbed.study.engines.choice import OneMachine
 from novags.testbed.study.forecast import forecast

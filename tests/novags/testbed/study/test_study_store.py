@@ -10,7 +10,7 @@ import pytest
 
 from novags.testbed.console import Console
 from novags.testbed.ledger.contents import write_json
-from novags.testbed.ledger.store import SEAL, read_seal, version
+from novags.testbed.ledger.store import SEAL, read_seal
 from novags.testbed.study.conduct import FAILURES, STUDY, read_failures
 from novags.testbed.study.entry import Order
 from novags.testbed.study.grid import read_study
@@ -26,7 +26,7 @@ def made(fake: ModuleType, tmp_path: Path) -> Callable[..., dict[str, Any]]:
 
     def make(key: str = "a", **made_of: str) -> dict[str, Any]:
         task = fake.task("a")
-        order = Order(type(task)(**{**vars(task), "key": key}), tmp_path / "run" / "a", None, made_of, 1, version())
+        order = Order(type(task)(**{**vars(task), "key": key}), tmp_path / "run" / "a", None, made_of, 1)
         return dict(fake.make(order, QUIET))
 
     return make

@@ -1,5 +1,6 @@
 """Claims about stages as folders."""
 
+import re
 from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
@@ -7,28 +8,32 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from novags.testbed import cache
 from novags.testbed.console import Console
+from novags.testbed.ledger import stage as stages
+from novags.testbed.ledger.code import Code
 from novags.testbed.ledger.contents import UNFINISHED, checksum, read_json, write_json
 from novags.testbed.ledger.stage import run_stage
 from sensor_model.files.atomic import appending, atomic, write_text
 
 QUIET = Console(quiet=True)
+CODE = Code({"a.py": "1", "b.py": "1"}, {"a.py": "whole 1", "b.py": "whole 1"})
 
 
 def stage(
-    folder: Path, work, *, config: dict | None = None, inputs: dict | None = None, prepare=lambda: None, overwrite=True
-):
+    folder: Path, work, *, config: dict | None = None, inputs: dict | None = None, prepare=lambda: None, overwrite=True,
+    code: Code = CODE, console: Console = QUIET,
+):  # fmt: skip
     return run_stage(
         "toy",
         folder,
         "record.json",
+        code=code,
         inputs=inputs or {"in": "1"},
         config=config or {},
         owns=("record.json", "a.txt", "parts"),
         prepare=prepare,
         work=lambda _: work(),
-        console=QUIET,
+        console=console,
         overwrite=overwrite,
     )
 
@@ -73,7 +78,7 @@ def test_damaged_files_of_a_finished_stage_are_refused_and_made_again_on_request
     harm(tmp_path / "a.txt")
     for check in (
         lambda: stage(tmp_path, writes(tmp_path, calls), overwrite=False),
-        lambda: cache.refuse_other(tmp_path, "record.json", {}),
+        lambda: stages.refuse_other(tmp_path, "record.json", {}),
     ):
         with pytest.raises(ValueError, match=r"a\.txt not as written \(checksum\); put back .* add --overwrite"):
             check()
@@ -83,7 +88,7 @@ def test_damaged_files_of_a_finished_stage_are_refused_and_made_again_on_request
     assert calls == ["called", "called"]
     assert (tmp_path / "a.txt").read_text() == "a"
     assert again["stage"]["files"] == first["stage"]["files"]
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.txt", "record.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == [".record.json", "a.txt", "record.json"]
 
 
 def test_results_of_earlier_versions_which_kept_no_checksums_stay(tmp_path: Path) -> None:
@@ -129,11 +134,42 @@ def test_a_finished_result_is_not_replaced_by_another_request_unless_that_is_sai
     assert calls == ["called"]
 
 
-def test_a_result_of_another_version_is_not_replaced_unasked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    stage(tmp_path, writes(tmp_path, []))
-    monkeypatch.setattr(cache, "package_version", lambda name: "99.0")
-    with pytest.raises(ValueError, match=r"made by novags [\d.]+, this is 99.0"):
+def said(capsys: pytest.CaptureFixture[str]) -> str:
+    """What was printed, on one line."""
+    captured = capsys.readouterr()
+    return " ".join((captured.out + captured.err).split())
+
+
+def test_with_other_code_the_same_request_is_made_again_and_said_why(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calls: list[str] = []
+    stage(tmp_path, writes(tmp_path, calls))
+    other = Code({"a.py": "2", "b.py": "1"}, {"a.py": "whole 2", "b.py": "whole 1"})
+    stage(tmp_path, writes(tmp_path, calls), overwrite=False, code=other, console=Console())
+    assert calls == ["called", "called"]
+    assert re.search(r"made again in .*: a\.py has changed since \d+ \w+, \d\d:\d\d", said(capsys))
+    stage(tmp_path, writes(tmp_path, calls), overwrite=False, code=other)
+    assert calls == ["called", "called"]
+
+
+def test_where_only_texts_changed_the_result_is_kept_and_that_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calls: list[str] = []
+    stage(tmp_path, writes(tmp_path, calls))
+    stage(tmp_path, writes(tmp_path, calls), code=Code(CODE.files, {**CODE.texts, "b.py": "2"}), console=Console())
+    assert calls == ["called"]
+    assert "only texts changed, in b.py" in said(capsys)
+
+
+def test_a_result_whose_code_was_not_recorded_is_not_replaced_unasked(tmp_path: Path) -> None:
+    record = stage(tmp_path, writes(tmp_path, []))
+    del record["stage"]["code"]
+    write_json(tmp_path / "record.json", {**record, "stage": {**record["stage"], "key": "of version 0.1.0"}})
+    with pytest.raises(ValueError, match=r"made by novags [\d.]+, which recorded no code"):
         stage(tmp_path, writes(tmp_path, []), overwrite=False)
+    assert stage(tmp_path, writes(tmp_path, []))["answer"] == 42
 
 
 def test_a_replacement_that_was_interrupted_goes_on_without_being_asked_for_again(tmp_path: Path) -> None:
@@ -148,7 +184,7 @@ def test_a_replacement_that_was_interrupted_goes_on_without_being_asked_for_agai
 
 def test_an_interrupted_stage_finds_what_it_had_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     peaks = [7, 3]  # bytes, of the first attempt and of the second
-    monkeypatch.setattr(cache, "PeakMemory", lambda: SimpleNamespace(peak_bytes=partial(int, peaks.pop(0))))
+    monkeypatch.setattr(stages, "PeakMemory", lambda: SimpleNamespace(peak_bytes=partial(int, peaks.pop(0))))
 
     def interrupted():
         (tmp_path / "a.txt").write_text("half")
@@ -237,7 +273,7 @@ def test_unfinished_work_of_another_stage_is_not_taken_over(tmp_path: Path) -> N
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
     other = {"inputs": {}, "config": {}, "owns": ("b.txt",), "prepare": lambda: None, "work": lambda _: {}}
     with pytest.raises(ValueError, match="holds unfinished work of novags toy: finish that, or choose another --out"):
-        run_stage("other", tmp_path, "other.json", **other, console=QUIET)
+        run_stage("other", tmp_path, "other.json", code=CODE, **other, console=QUIET)
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
@@ -249,15 +285,15 @@ def test_a_kill_after_the_record_was_written_leaves_nothing_once_the_stage_has_b
         return {}
 
     def ask() -> None:
-        owned = {"inputs": {}, "config": {}, "owns": ("scrap",), "prepare": lambda: None, "scrap": ("scrap",)}
-        run_stage("toy", tmp_path, "record.json", **owned, work=work, console=QUIET)
+        owned = {"code": CODE, "inputs": {}, "config": {}, "owns": ("scrap",), "scrap": ("scrap",)}
+        run_stage("toy", tmp_path, "record.json", **owned, prepare=lambda: None, work=work, console=QUIET)
 
     with monkeypatch.context() as patch:
-        patch.setattr(cache._Stage, "_tidy", lambda _: None)
+        patch.setattr(stages._Stage, "_tidy", lambda _: None)
         ask()
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["record.json", "scrap", UNFINISHED]
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".record.json", "record.json", "scrap", UNFINISHED]
     ask()
-    assert [p.name for p in tmp_path.iterdir()] == ["record.json"]
+    assert sorted(p.name for p in tmp_path.iterdir()) == [".record.json", "record.json"]
 
 
 @pytest.mark.parametrize(
