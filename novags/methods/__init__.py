@@ -1,10 +1,9 @@
 """What is compared. A new method needs a row of `METHODS` and nothing else; `variant/named.py` names settings."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from difflib import get_close_matches
 from functools import partial
-from typing import Any
 
 from novags.methods import enhance_then_fit, oracle
 from novags.methods.averaging import trainer as averaging
@@ -17,16 +16,21 @@ from novags.methods.enhancers.rows.guided import Enhancement
 from novags.methods.enhancers.sci import SciConfig
 from novags.methods.enhancers.uretinex import URetinexConfig
 from novags.methods.enhancers.zero_dce import ZeroDceConfig
-from novags.methods.nerf import aleth, i2, llnerf
-from novags.methods.nerf import clean as clean_nerf
-from novags.methods.nerf import fitting as nerf
-from novags.methods.nerf import plain as plain_nerf
-from novags.methods.nerf import raw as raw_nerf
+from novags.methods.nerf.rows import aleth_nerf as aleth_nerf_row
+from novags.methods.nerf.rows import i2_nerf as i2_nerf_row
+from novags.methods.nerf.rows import ll_nerf as ll_nerf_row
+from novags.methods.nerf.rows import nerf as nerf_row
+from novags.methods.nerf.rows import nerf_oracle as nerf_oracle_row
+from novags.methods.nerf.rows import raw_nerf as raw_nerf_row
 from novags.methods.nova import trainer as nova
 from novags.methods.nova.knobs import KNOBS as NOVA_KNOBS
 from novags.methods.nova_plus import trainer as nova_plus
 from novags.methods.nova_plus.knobs import KNOBS as NOVA_PLUS_KNOBS
-from novags.methods.rivals import gaussian_dk, lita_gs, ll_gaussian, luminance_gs, raw_gs
+from novags.methods.rivals.rows import gaussian_dk as gaussian_dk_row
+from novags.methods.rivals.rows import lita_gs as lita_gs_row
+from novags.methods.rivals.rows import ll_gaussian as ll_gaussian_row
+from novags.methods.rivals.rows import luminance_gs as luminance_gs_row
+from novags.methods.rivals.rows import raw_gs as raw_gs_row
 from novags.methods.variant import Method, Variant, spelled
 from novags.methods.variant.named import VARIANTS as VARIANTS
 from sensor_model.files.reading import brief
@@ -39,11 +43,6 @@ def _enhanced(enhance: Enhancement, title: str, color: str, source: str) -> Meth
         config=partial(EnhancedFitConfig, enhance=enhance), train=enhance_then_fit.train,
         parts=enhance_then_fit.parts,
     )  # fmt: skip
-
-
-def _rival(config: Callable[[], Any], train: Any, *, title: str, color: str, source: str) -> Method:
-    """Another group's method that consists of one fit of Gaussians."""
-    return Method(title=title, family="3DGS", color=color, source=source, config=config, train=train, parts=fit_parts)
 
 
 METHODS: dict[str, Method] = {
@@ -145,42 +144,11 @@ METHODS: dict[str, Method] = {
         parts=denoised.parts,
         source="recorrupted-to-recorrupted (Pang et al. 2021) in the generalised Anscombe domain (Murtagh et al. 1995)",
     ),
-    "luminance-gs": _rival(
-        luminance_gs.LuminanceGsConfig,
-        luminance_gs.train,
-        title="dark and lit colours for each Gaussian; the lit ones follow curves that are learned with them",
-        color="#66a61e",
-        source="Luminance-GS (Cui et al. 2025)",
-    ),
-    "lita-gs": _rival(
-        lita_gs.LitaGsConfig,
-        lita_gs.train,
-        title="lit colours, illumination and noise of each Gaussian, held to a structure that light does not change; "
-        "shown denoised",
-        color="#d37295",
-        source="LITA-GS (Zhou et al. 2025)",
-    ),
-    "gaussian-dk": _rival(
-        gaussian_dk.GaussianDkConfig,
-        gaussian_dk.train,
-        title="radiance, and a camera response that is learned with it; shown at a larger exposure",
-        color="#b07aa1",
-        source="Gaussian-DK (Ye et al. 2024)",
-    ),
-    "ll-gaussian": _rival(
-        ll_gaussian.LlGaussianConfig,
-        ll_gaussian.train,
-        title="reflectance, illumination and interference of each Gaussian; shown with the illumination raised",
-        color="#9c755f",
-        source="the decomposition of LL-Gaussian (Sun et al. 2025)",
-    ),
-    "raw-gs": _rival(
-        raw_gs.RawGsConfig,
-        raw_gs.train,
-        title="the light of the scene, fitted to the raw data by the loss of RawNeRF",
-        color="#a6761d",
-        source="RawNeRF (Mildenhall et al. 2022) and LE3D (Jin et al. 2024)",
-    ),
+    "luminance-gs": luminance_gs_row.METHOD,
+    "lita-gs": lita_gs_row.METHOD,
+    "gaussian-dk": gaussian_dk_row.METHOD,
+    "ll-gaussian": ll_gaussian_row.METHOD,
+    "raw-gs": raw_gs_row.METHOD,
     "oracle": Method(
         title="enhance the noise-free exposures, then fit: what no real method can see, hence the ceiling",
         family="bound",
@@ -192,61 +160,12 @@ METHODS: dict[str, Method] = {
         sees_clean=True,
         bound="ceiling",
     ),
-    "nerf": Method(
-        title="enhance, then fit a radiance field on grids to the noisy pictures",
-        family="NeRF",
-        color="#4d7d1f",
-        config=nerf.NerfConfig,
-        train=plain_nerf.train,
-        parts=nerf.fit_parts,
-        source="NeRF (Mildenhall et al. 2020) with the encoding of Instant-NGP (Mueller et al. 2022)",
-    ),
-    "raw-nerf": Method(
-        title="a radiance field of linear light, fitted to the raw data by the loss of RawNeRF",
-        family="NeRF",
-        color="#8a6d1d",
-        config=raw_nerf.RawNerfConfig,
-        train=raw_nerf.train,
-        parts=nerf.fit_parts,
-        source="RawNeRF (Mildenhall et al. 2022)",
-    ),
-    "aleth-nerf": Method(
-        title="a radiance field whose dark views are seen through a learned concealing field, which is then removed",
-        family="NeRF",
-        color="#a0483c",
-        config=aleth.AlethConfig,
-        train=aleth.train,
-        parts=nerf.fit_parts,
-        source="Aleth-NeRF (Cui et al. 2024)",
-    ),
-    "ll-nerf": Method(
-        title="a radiance field of reflectance times illumination; the illumination is then brightened",
-        family="NeRF",
-        color="#5a63b8",
-        config=llnerf.LlnerfConfig,
-        train=llnerf.train,
-        parts=nerf.fit_parts,
-        source="LLNeRF (Wang et al. 2023)",
-    ),
-    "i2-nerf": Method(
-        title="a radiance field in a medium that absorbs light, which is then removed",
-        family="NeRF",
-        color="#2a8a8f",
-        config=i2.I2Config,
-        train=i2.train,
-        parts=nerf.fit_parts,
-        source="I2-NeRF (Liu et al. 2025)",
-    ),
-    "nerf-oracle": Method(
-        title="enhance the noise-free exposures, then fit a radiance field: the ceiling of fields",
-        family="bound",
-        color="#2f6b5e",
-        config=nerf.NerfConfig,
-        train=clean_nerf.train,
-        parts=nerf.fit_parts,
-        source="NeRF (Mildenhall et al. 2020) on simulated exposures without noise",
-        sees_clean=True,
-    ),
+    "nerf": nerf_row.METHOD,
+    "raw-nerf": raw_nerf_row.METHOD,
+    "aleth-nerf": aleth_nerf_row.METHOD,
+    "ll-nerf": ll_nerf_row.METHOD,
+    "i2-nerf": i2_nerf_row.METHOD,
+    "nerf-oracle": nerf_oracle_row.METHOD,
     "averaging": Method(
         title="bring the training exposures to the view by the true surface and average them by inverse variance: what "
         "counting statistics across views alone can give",

@@ -24,54 +24,22 @@ nothing through; one set of samples a ray, where the original sums the losses of
 import dataclasses
 import math
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from novags.fields.training.batch import Batch
-from novags.fields.training.config import FieldFitConfig
 from novags.methods.gaussian_fit import Progress
-from novags.methods.inputs import Pictures
 from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs
 from novags.methods.nerf.losses import differences, grey_of
+from novags.methods.nerf.rows.aleth_nerf import AlethConfig
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import Reconstruction
 
 TAPS = 7  # of the filter along a ray
 FIRST_ALONG = 0.5  # g at first, as published
 DARKEST = 1e-3  # O at first for black pictures: at 0 its logit diverges
-
-
-@dataclass(frozen=True, kw_only=True)
-class AlethConfig:
-    """All choices.
-
-    Attributes:
-        pictures: Which dark pictures.
-        target: Mean of the lit colours (ETA).
-        contrast: By which, and ETA, differences between neighbours grow.
-        control: Weight of the mean.
-        structure: Weight of the differences.
-        grey: Weight of grey on average.
-        fit: Of the field.
-    """
-
-    pictures: Pictures = "8bit"
-    target: float = 0.45
-    contrast: float = 12.0
-    control: float = 1e-3
-    structure: float = 1e-3
-    grey: float = 1e-8
-    fit: FieldFitConfig = field(default_factory=lambda: FieldFitConfig(patch=4))
-
-    def __post_init__(self) -> None:
-        if not (0 < self.target < 1 and self.contrast > 0):
-            raise ValueError(f"target must lie in (0, 1) and contrast be > 0, got {self.target} and {self.contrast}")
-        if min(self.control, self.structure, self.grey) < 0 or self.fit.patch < 2:
-            raise ValueError("weights must be >= 0 and fit.patch >= 2 (neighbours are compared), got "
-                             f"{self.control}, {self.structure}, {self.grey} and {self.fit.patch}")  # fmt: skip
 
 
 def tone(x: Tensor) -> Tensor:

@@ -3,7 +3,6 @@
 import dataclasses
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +15,10 @@ from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
 from novags.fields.training.fit import FieldFit, fit_field
 from novags.methods.enhancers import enhancement_record
-from novags.methods.enhancers.rows.guided import EnhanceConfig, Enhancement
+from novags.methods.enhancers.rows.guided import Enhancement
 from novags.methods.gaussian_fit import Progress
 from novags.methods.inputs import Pictures
+from novags.methods.nerf.config import NerfConfig
 from novags.methods.nerf.losses import robust
 from novags.methods.nerf.scene import FieldScene
 from novags.methods.nerf.shading import at, display
@@ -27,20 +27,6 @@ from novags.methods.reconstruction import Reconstruction, Space
 from novags.methods.start import brightened
 
 RENDERED = 2  # samples of a picture's ray, for each that trained: a sample too few shows in every pixel
-
-
-@dataclass(frozen=True, kw_only=True)
-class NerfConfig:
-    """Which pictures, how they are enhanced, how a field is fitted to them."""
-
-    pictures: Pictures = "8bit"
-    enhance: Enhancement = field(default_factory=EnhanceConfig)
-    fit: FieldFitConfig = field(default_factory=FieldFitConfig)
-
-
-def fit_parts(config: NerfConfig) -> dict[str, int]:
-    """`Method.parts`: the fit alone."""
-    return {"fit": config.fit.iterations}
 
 
 def with_outputs(fit: FieldFitConfig, problem: Problem, *, static: int, viewed: int) -> FieldFitConfig:

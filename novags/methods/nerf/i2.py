@@ -29,7 +29,6 @@ of S3IM is made of rays at random, as there, of 64 x 64 pixels or fewer, and is 
 import dataclasses
 import math
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -39,12 +38,12 @@ from torch import Tensor
 from novags.fields.box import Box, box_of
 from novags.fields.layout import DENSITY_MAX
 from novags.fields.training.batch import Batch
-from novags.fields.training.config import FieldFitConfig
 from novags.methods.gaussian_fit import Progress
-from novags.methods.inputs import LacksInput, Pictures
+from novags.methods.inputs import LacksInput
 from novags.methods.light import raw_loss
 from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs
 from novags.methods.nerf.losses import grey_of
+from novags.methods.nerf.rows.i2_nerf import I2Config
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import Reconstruction
 from novags.splats.training.losses import ssim
@@ -52,43 +51,6 @@ from novags.splats.training.losses import ssim
 EPSILON = 1e-3  # of RawNeRF's loss, for pictures in 0..1
 LARGEST = 64  # px; side of the squares of S3IM
 DARKEST, LIGHTEST = 1e-3, 0.45  # mean of dark pictures that the first absorption is made for
-
-
-@dataclass(frozen=True, kw_only=True)
-class I2Config:
-    """All choices.
-
-    Attributes:
-        pictures: Which dark pictures.
-        mean: Of the lit colours.
-        contrast: By how much differences from the mean grow.
-        truth_statistics: Take `mean` from well-lit pictures instead, as the original does.
-        dark: Weight of RawNeRF's loss.
-        structure: Weight of S3IM.
-        bright: Weight of the bright channel.
-        overlap: Weight of medium where the surface is.
-        variation: Weight of the variation along rays.
-        fit: Of the field.
-    """
-
-    pictures: Pictures = "8bit"
-    mean: float = 0.45
-    contrast: float = 6.0
-    truth_statistics: bool = False
-    dark: float = 2.0
-    structure: float = 1.0
-    bright: float = 1e-3
-    overlap: float = 1e-3
-    variation: float = 0.1
-    fit: FieldFitConfig = field(default_factory=lambda: FieldFitConfig(patch=4))
-
-    def __post_init__(self) -> None:
-        if not (0 < self.mean < 1 and self.contrast > 0):
-            raise ValueError(f"mean must lie in (0, 1) and contrast be > 0, got {self.mean} and {self.contrast}")
-        if min(self.dark, self.structure, self.bright, self.overlap, self.variation) < 0:
-            raise ValueError("weights must be >= 0, got "
-                             f"{self.dark}, {self.structure}, {self.bright}, {self.overlap} and {self.variation}"
-                             )  # fmt: skip
 
 
 def first_absorption(images: Tensor, box: Box) -> float:

@@ -25,19 +25,18 @@ L after all, through the features that they share with a and g.
 import dataclasses
 import math
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
 from novags.fields.training.batch import Batch
-from novags.fields.training.config import FieldFitConfig
 from novags.methods.gaussian_fit import Progress
-from novags.methods.inputs import Pictures
 from novags.methods.light import raw_loss
 from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs
 from novags.methods.nerf.losses import differences
+from novags.methods.nerf.rows.ll_nerf import LlnerfConfig
 from novags.methods.nerf.shading import brightened, split
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import Reconstruction
@@ -47,39 +46,6 @@ SMOOTH, LEAST_STEP, LEAST_SPREAD = 1.5, 1e-4, 0.5  # of the smoothness and of th
 DARKEST = 1e-4  # of an illumination whose logarithm is taken, as published
 LEAST_ROOT = 1e-12  # of the grey term before its root: that of a grey ray would have an infinite slope
 FIRST = 1e-3  # nearest to 0 and 1/2 that the mean of pictures counts for the first illumination: its logit diverges
-
-
-@dataclass(frozen=True, kw_only=True)
-class LlnerfConfig:
-    """All choices.
-
-    Attributes:
-        pictures: Which dark pictures.
-        mean: Of the enhanced colours.
-        exposure: Weight of that mean.
-        grey: Weight of the grey term.
-        smooth: Weight of the smoothness of a, and of g.
-        gamma: Weight of mean(g^2).
-        learnt: Share of the steps after which the enhancement comes in.
-        fit: Of the field.
-    """
-
-    pictures: Pictures = "8bit"
-    mean: float = 0.55
-    exposure: float = 0.1
-    grey: float = 0.1
-    smooth: float = 0.1
-    gamma: float = 0.01
-    learnt: float = 0.75
-    fit: FieldFitConfig = field(default_factory=lambda: FieldFitConfig(patch=4))
-
-    def __post_init__(self) -> None:
-        if not (0 < self.mean < 1 and 0 <= self.learnt <= 1):
-            raise ValueError(f"mean must lie in (0, 1) and learnt in 0..1, got {self.mean} and {self.learnt}")
-        if min(self.exposure, self.grey, self.smooth, self.gamma) < 0 or self.fit.patch < 2:
-            raise ValueError("weights must be >= 0 and fit.patch >= 2 (neighbours are compared), got "
-                             f"{self.exposure}, {self.grey}, {self.smooth}, {self.gamma} and {self.fit.patch}"
-                             )  # fmt: skip
 
 
 @dataclass(frozen=True)

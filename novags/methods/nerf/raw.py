@@ -12,47 +12,22 @@ correction. EPSILON is in units of white as there, though pictures here may be d
 
 import dataclasses
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
 
 from torch import Tensor
 
 from novags.fields.training.batch import Batch
-from novags.fields.training.config import FieldFitConfig
 from novags.methods.enhancers import enhanced, enhancement_record
-from novags.methods.enhancers.rows.guided import EnhanceConfig, Enhancement
 from novags.methods.gaussian_fit import Progress
-from novags.methods.inputs import Pictures
 from novags.methods.light import MeasuredLight, brightness, measured_light, raw_loss
 from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs
+from novags.methods.nerf.rows.raw_nerf import RawNerfConfig
 from novags.methods.nerf.shading import light_of
 from novags.methods.noise_estimate import noise_of
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import Reconstruction
 
 DIMMEST = 0.01  # share of the brightest light that the mean is taken for at least: noise can bring it to 0 and below
-
-
-@dataclass(frozen=True, kw_only=True)
-class RawNerfConfig:
-    """All choices.
-
-    Attributes:
-        fit: Of the field.
-        epsilon: Of the loss, in units of white. Without it the darkest pixels, where noise is all there is, would weigh
-            without bound.
-        pictures: Through whose enhancement the result is shown, and compared with methods that enhance.
-        enhance: That enhancement.
-    """
-
-    fit: FieldFitConfig = field(default_factory=FieldFitConfig)
-    epsilon: float = 1e-3
-    pictures: Pictures = "8bit"
-    enhance: Enhancement = field(default_factory=EnhanceConfig)
-
-    def __post_init__(self) -> None:
-        if not self.epsilon > 0:
-            raise ValueError(f"epsilon must be > 0 (black renders would be divided by zero), got {self.epsilon}")
 
 
 def train(

@@ -15,22 +15,19 @@ densification by gradients, which 3DGS-MCMC does without, as for all methods her
 import dataclasses
 import math
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
-from novags.methods.enhanced_fit import ORIGINAL_FIT, ORIGINAL_SCALE
 from novags.methods.gaussian_fit import Progress, fit_for, reconstructed
-from novags.methods.inputs import Pictures
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
+from novags.methods.rivals.rows.gaussian_dk import GaussianDkConfig
 from novags.methods.tone import ResponseTable
 from novags.splats.gaussians import Gaussians
 from novags.splats.training.companion import Companion
-from novags.splats.training.config import FitConfig
 from novags.splats.training.fit import fit
 from novags.splats.training.losses import photometric_loss
 from novags.splats.training.step import Step
@@ -43,31 +40,6 @@ EXPOSURES = (1e-2, 1e5)  # between which the lit one is looked for
 LEVELS = 1 << 16  # of the logarithm of radiance, by which the mean of pictures is found
 ENTRIES = 512  # of the response as a table, over all logarithms that float32 colours can have between its ends
 ENDS = (math.log(FAINT), 20.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class GaussianDkConfig:
-    """All choices.
-
-    Attributes:
-        pictures: Which pictures it sees.
-        fit: Of the Gaussians; `fit.dssim_weight` is w.
-        init_scale: Of an initial Gaussian, in distances to its nearest neighbours.
-        response_rate: Learning rate of the response.
-        target: Mean of the lit training views, sRGB code.
-    """
-
-    pictures: Pictures = "8bit"
-    fit: FitConfig = ORIGINAL_FIT
-    init_scale: float = ORIGINAL_SCALE
-    response_rate: float = 5e-4
-    target: float = 0.5
-
-    def __post_init__(self) -> None:
-        if not 0 < self.target < 1:
-            raise ValueError(f"target must lie in (0, 1), got {self.target}")
-        if not self.response_rate >= 0:
-            raise ValueError(f"response_rate must be >= 0, got {self.response_rate}")
 
 
 class Response(nn.Module):

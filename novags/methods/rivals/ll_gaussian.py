@@ -19,57 +19,24 @@ common, their weights were chosen by us, once, and gamma is what brings the mean
 
 import dataclasses
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from novags.methods.enhanced_fit import ORIGINAL_FIT, ORIGINAL_SCALE
 from novags.methods.gaussian_fit import Progress, fit_for, reconstructed
-from novags.methods.inputs import Pictures
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.rivals.retinex import DIMMEST, smoothness
+from novags.methods.rivals.rows.ll_gaussian import LlGaussianConfig
 from novags.splats.gaussians import Gaussians
 from novags.splats.sh import C0
-from novags.splats.training.config import FitConfig
 from novags.splats.training.fit import fit
 from novags.splats.training.losses import photometric_loss
 from novags.splats.training.step import Step
 from novags.splats.views import Views
 
 GAMMAS = (0.01, 1.0)  # between which gamma is looked for
-
-
-@dataclass(frozen=True, kw_only=True)
-class LlGaussianConfig:
-    """All choices.
-
-    Attributes:
-        pictures: Which pictures it sees.
-        fit: Of the Gaussians; `fit.dssim_weight` is w.
-        init_scale: Of an initial Gaussian, in distances to its nearest neighbours.
-        smooth_weight: Of the slopes of the illumination.
-        bright_weight: Of the illumination against the brightest channel.
-        sparse_weight: Of the interference.
-        target: Mean of the lit training views, sRGB code.
-    """
-
-    pictures: Pictures = "8bit"
-    fit: FitConfig = ORIGINAL_FIT
-    init_scale: float = ORIGINAL_SCALE
-    smooth_weight: float = 0.1
-    bright_weight: float = 0.1
-    sparse_weight: float = 0.1
-    target: float = 0.5
-
-    def __post_init__(self) -> None:
-        weights = self.smooth_weight, self.bright_weight, self.sparse_weight
-        if min(weights) < 0:
-            raise ValueError(f"weights must be >= 0, got {weights}")
-        if not 0 < self.target < 1:
-            raise ValueError(f"target must lie in (0, 1), got {self.target}")
 
 
 def parts_of(gaussians: Gaussians) -> tuple[Tensor, Tensor]:

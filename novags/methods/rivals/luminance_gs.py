@@ -15,66 +15,25 @@ harmonic.
 
 import dataclasses
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from novags.methods.enhanced_fit import ORIGINAL_FIT, ORIGINAL_SCALE
 from novags.methods.gaussian_fit import Progress, fit_for, reconstructed
-from novags.methods.inputs import Pictures
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.rivals.luminance_curve import ViewCurves, equalising_curve
+from novags.methods.rivals.rows.luminance_gs import LuminanceGsConfig
 from novags.methods.start import start_gaussians
 from novags.splats.training.companion import Companion
-from novags.splats.training.config import FitConfig
 from novags.splats.training.fit import fit
 from novags.splats.training.losses import photometric_loss
 from novags.splats.training.step import Step
 
 LATER = 0.3  # of the run, after which the histogram counts half: 3,000 of 10,000 iterations
 DARKEST = 1 / 510  # mean of a picture, half a code of 8 bits: a black one asks for no contrast
-
-
-@dataclass(frozen=True, kw_only=True)
-class LuminanceGsConfig:
-    """All choices; the defaults are the publication's.
-
-    Attributes:
-        pictures: Which pictures it sees.
-        fit: Of the Gaussians; `fit.dssim_weight` is w.
-        init_scale: Of an initial Gaussian, in distances to its nearest neighbours.
-        contrast: Local contrasts of the lit render, as a share of those of the dark picture brought to a mean of 1.
-        lit_weight: Of the lit render against the brightened picture.
-        contrast_weight: Of the contrasts.
-        histogram_weight: Of what the curve is drawn to.
-        curve_rate: Learning rate of the curve that all views share.
-        attention_rate: Of the attention layers.
-        axes_rate: Of the axes of colour.
-        seen: Longest side of the pictures that the attention layers see, px.
-    """
-
-    pictures: Pictures = "8bit"
-    fit: FitConfig = ORIGINAL_FIT
-    init_scale: float = ORIGINAL_SCALE
-    contrast: float = 0.5
-    lit_weight: float = 0.5
-    contrast_weight: float = 1.0
-    histogram_weight: float = 10.0
-    curve_rate: float = 1e-3
-    attention_rate: float = 1e-5
-    axes_rate: float = 2e-4
-    seen: int = 64
-
-    def __post_init__(self) -> None:
-        weights = (self.contrast, self.lit_weight, self.contrast_weight, self.histogram_weight)
-        if min(*weights, self.curve_rate, self.attention_rate, self.axes_rate) < 0:
-            raise ValueError(f"contrast, weights and rates must be >= 0, got {self}")
-        if self.seen < 8:
-            raise ValueError(f"seen must be >= 8 px, got {self.seen}")
 
 
 def contrasts(picture: Tensor) -> Tensor:

@@ -16,50 +16,22 @@ clips at white first.
 
 import dataclasses
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from novags.methods.enhanced_fit import ORIGINAL_FIT, ORIGINAL_SCALE
 from novags.methods.enhancers import enhanced, enhancement_record
-from novags.methods.enhancers.rows.guided import EnhanceConfig, Enhancement
 from novags.methods.gaussian_fit import Progress, fit_for, reconstructed
-from novags.methods.inputs import Pictures
 from novags.methods.light import MeasuredLight, brightness, first_light, measured_light, raw_loss
 from novags.methods.noise_estimate import noise_of
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
+from novags.methods.rivals.rows.raw_gs import RawGsConfig
 from novags.splats.gaussians import Gaussians
-from novags.splats.training.config import FitConfig
 from novags.splats.training.fit import fit
 from novags.splats.training.step import Step
-
-
-@dataclass(frozen=True, kw_only=True)
-class RawGsConfig:
-    """All choices.
-
-    Attributes:
-        fit: Of the Gaussians; `fit.dssim_weight` has no effect.
-        epsilon: Of the loss, in units of white. Without it the darkest pixels, where noise is all there is, would weigh
-            without bound.
-        init_scale: Of an initial Gaussian, in distances to its nearest neighbours.
-        pictures: Through whose enhancement the result is shown, and compared with methods that enhance.
-        enhance: That enhancement.
-    """
-
-    fit: FitConfig = ORIGINAL_FIT
-    epsilon: float = 1e-3
-    init_scale: float = ORIGINAL_SCALE
-    pictures: Pictures = "8bit"
-    enhance: Enhancement = field(default_factory=EnhanceConfig)
-
-    def __post_init__(self) -> None:
-        if not self.epsilon > 0:
-            raise ValueError(f"epsilon must be > 0 (black renders would be divided by zero), got {self.epsilon}")
 
 
 class RawLoss:

@@ -18,7 +18,7 @@ from novags.methods.enhancers import enhanced, enhanced_clean
 from novags.methods.inputs import LacksInput
 from novags.methods.light import MeasuredLight
 from novags.methods.nerf import clean, fitting, plain
-from novags.methods.nerf.fitting import NerfConfig
+from novags.methods.nerf.config import NerfConfig
 from novags.methods.nerf.losses import robust
 from novags.methods.nerf.raw import numbers_of
 from novags.methods.nerf.scene import FILE, FieldScene, load_field

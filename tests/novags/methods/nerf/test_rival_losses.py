@@ -14,6 +14,9 @@ from novags.fields.training.config import FieldFitConfig
 from novags.methods.light import MeasuredLight, raw_loss
 from novags.methods.nerf import aleth, i2, llnerf, raw
 from novags.methods.nerf.losses import differences, robust
+from novags.methods.nerf.rows.aleth_nerf import AlethConfig
+from novags.methods.nerf.rows.i2_nerf import I2Config
+from novags.methods.nerf.rows.ll_nerf import LlnerfConfig
 from novags.methods.nerf.shading import brightened, light_of, product, retinex
 from novags.splats.training.losses import ssim
 
@@ -94,7 +97,7 @@ def test_the_tone_curve_of_aleth_is_the_inverse_of_the_smooth_step() -> None:
 
 
 def test_concealed_colours_and_the_loss_of_aleth_are_those_of_the_equations() -> None:
-    batch, config = some_batch(5), aleth.AlethConfig(fit=FieldFitConfig(patch=PATCH), grey=0.1)
+    batch, config = some_batch(5), AlethConfig(fit=FieldFitConfig(patch=PATCH), grey=0.1)
     along, taps = rng().random(N), rng().normal(size=7)
     along[1] = -0.2  # what is trained may go below 0, and then lets nothing through
     dark, lit = aleth.concealed(batch, torch.from_numpy(along), torch.from_numpy(taps), -0.7)
@@ -134,7 +137,7 @@ def test_the_first_concealing_makes_first_colours_as_dark_as_the_pictures(level:
 
 
 def test_the_decomposition_and_the_enhancement_of_llnerf_are_those_of_the_equations() -> None:
-    batch, config = some_batch(9), llnerf.LlnerfConfig(fit=FieldFitConfig(patch=PATCH))
+    batch, config = some_batch(9), LlnerfConfig(fit=FieldFitConfig(patch=PATCH))
     seen = llnerf.decomposed(batch, -1.5)
     values, w = sigmoid(batch.raw.numpy()), batch.weights.numpy()
     r_, a_, g_, l_ = values[..., 1:4], values[..., 4:5], values[..., 5:8], sigmoid(batch.raw.numpy()[..., 8:9] - 1.5)
@@ -161,7 +164,7 @@ def test_the_decomposition_and_the_enhancement_of_llnerf_are_those_of_the_equati
 
 
 def test_colours_learn_nothing_but_a_and_g_from_the_enhancement_of_llnerf_and_grey_rays_have_a_slope() -> None:
-    batch, config = some_batch(9), llnerf.LlnerfConfig(fit=FieldFitConfig(patch=PATCH))
+    batch, config = some_batch(9), LlnerfConfig(fit=FieldFitConfig(patch=PATCH))
     raw = batch.raw.clone()
     raw[:4, :, 1:4], raw[:4, :, 5:8] = 0.3, 0.1  # four rays are grey
     raw.requires_grad_()
@@ -200,7 +203,7 @@ def test_the_first_medium_makes_first_colours_as_dark_as_the_pictures_halfway_th
 
 
 def test_light_through_the_medium_and_the_loss_of_i2_are_those_of_the_equations() -> None:
-    batch, config = some_batch(5), i2.I2Config(fit=FieldFitConfig(patch=PATCH))
+    batch, config = some_batch(5), I2Config(fit=FieldFitConfig(patch=PATCH))
     dark, lit, medium = i2.seen_through(batch, math.exp(-3))
     raw, w, d = batch.raw.numpy(), batch.weights.numpy(), batch.samples.widths.numpy()
     s, slow = np.exp(raw[..., 1] - 3), np.zeros((RAYS, 3))
@@ -213,7 +216,7 @@ def test_light_through_the_medium_and_the_loss_of_i2_are_those_of_the_equations(
     found = {}
     weights = ("dark", "structure", "bright", "overlap", "variation")
     for name in weights:  # one term at a time
-        one = i2.I2Config(**{other: float(other == name) for other in weights}, fit=config.fit)
+        one = I2Config(**{other: float(other == name) for other in weights}, fit=config.fit)
         found[name] = float(i2.loss_of(dark, lit, medium, batch, target, aim, one))
     assert found["dark"] == pytest.approx(float(raw_loss(dark, target, 1e-3)), rel=1e-9)
     bright = np.mean([(1 - lit.numpy().reshape(-1, 12)[k].max()) ** 2 for k in range(RAYS // 4)])
@@ -224,14 +227,14 @@ def test_light_through_the_medium_and_the_loss_of_i2_are_those_of_the_equations(
     order = np.random.default_rng([RAYS, batch.iteration]).permutation(RAYS)  # one square, of rays in any order
     squares = [image.numpy()[order].reshape(4, 4, 3) for image in (lit, aim)]
     assert found["structure"] == pytest.approx(1 - float(ssim(*map(torch.from_numpy, squares))), rel=1e-9)
-    exact = i2.I2Config(dark=0, structure=1, bright=0, overlap=0, variation=0, fit=config.fit)
+    exact = I2Config(dark=0, structure=1, bright=0, overlap=0, variation=0, fit=config.fit)
     assert float(i2.loss_of(dark, lit, medium, batch, target, lit, exact)) == pytest.approx(0, abs=1e-9)
 
 
 def test_s3im_of_i2_takes_a_square_of_so_many_pixels_at_most(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(i2, "LARGEST", 3)
     fit = FieldFitConfig(patch=PATCH)
-    batch, config = some_batch(5), i2.I2Config(dark=0, bright=0, overlap=0, variation=0, fit=fit)
+    batch, config = some_batch(5), I2Config(dark=0, bright=0, overlap=0, variation=0, fit=fit)
     dark, lit, medium = i2.seen_through(batch, math.exp(-3))
     aim = torch.from_numpy(rng().random((RAYS, 3)))
     order = np.random.default_rng([RAYS, batch.iteration]).permutation(RAYS)[:9]
@@ -259,10 +262,10 @@ def test_differences_are_those_to_the_right_and_below() -> None:
 @pytest.mark.parametrize(
     ("make", "said"),
     [
-        (lambda: aleth.AlethConfig(target=1.5), "target must lie in"),
-        (lambda: aleth.AlethConfig(fit=FieldFitConfig(patch=1)), "fit.patch >= 2"),
-        (lambda: llnerf.LlnerfConfig(mean=0.0), "mean must lie in"),
-        (lambda: i2.I2Config(contrast=0.0), "contrast be > 0"),
+        (lambda: AlethConfig(target=1.5), "target must lie in"),
+        (lambda: AlethConfig(fit=FieldFitConfig(patch=1)), "fit.patch >= 2"),
+        (lambda: LlnerfConfig(mean=0.0), "mean must lie in"),
+        (lambda: I2Config(contrast=0.0), "contrast be > 0"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(make: Any, said: str) -> None:

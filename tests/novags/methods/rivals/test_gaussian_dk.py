@@ -14,7 +14,6 @@ import torch
 from novags.methods.problem import Problem
 from novags.methods.rivals.gaussian_dk import (
     FAINT,
-    GaussianDkConfig,
     Response,
     ResponseLoss,
     lit_exposure,
@@ -23,6 +22,7 @@ from novags.methods.rivals.gaussian_dk import (
     table_of,
     train,
 )
+from novags.methods.rivals.rows.gaussian_dk import GaussianDkConfig
 from novags.methods.tone import ResponseTable
 from novags.splats import FitConfig, LearningRates
 from novags.splats.training.losses import ssim

@@ -15,7 +15,6 @@ from novags.methods.reconstruction import GaussianScene
 from novags.methods.rivals.denoised_scene import DenoisedScene
 from novags.methods.rivals.invariant import structure
 from novags.methods.rivals.lita_gs import (
-    LitaGsConfig,
     LitaLoss,
     Networks,
     ToneMap,
@@ -26,6 +25,7 @@ from novags.methods.rivals.lita_gs import (
     structures_of,
     train,
 )
+from novags.methods.rivals.rows.lita_gs import LitaGsConfig
 from novags.splats import FitConfig, Gaussians, LearningRates, Views, rasterize
 from novags.splats.training.fit import fit
 from novags.splats.training.losses import ssim

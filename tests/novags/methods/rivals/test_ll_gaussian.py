@@ -12,17 +12,9 @@ import torch
 
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene
-from novags.methods.rivals.ll_gaussian import (
-    DecompositionLoss,
-    LlGaussianConfig,
-    chosen_gamma,
-    first,
-    lit,
-    parts_of,
-    shaded,
-    train,
-)
+from novags.methods.rivals.ll_gaussian import DecompositionLoss, chosen_gamma, first, lit, parts_of, shaded, train
 from novags.methods.rivals.retinex import smoothness
+from novags.methods.rivals.rows.ll_gaussian import LlGaussianConfig
 from novags.splats import FitConfig, Gaussians, LearningRates
 from novags.splats.sh import sh_basis
 from novags.splats.training.losses import ssim

@@ -12,7 +12,6 @@ import torch
 from novags.methods.problem import Problem
 from novags.methods.rivals.luminance_curve import BINS, ViewCurves
 from novags.methods.rivals.luminance_gs import (
-    LuminanceGsConfig,
     LuminanceLoss,
     companion_of,
     contrast_loss,
@@ -20,6 +19,7 @@ from novags.methods.rivals.luminance_gs import (
     histogram_loss,
     train,
 )
+from novags.methods.rivals.rows.luminance_gs import LuminanceGsConfig
 from novags.splats import LearningRates
 from novags.splats.training.losses import ssim
 from tests.novags.methods.rivals.short import SHORT

@@ -12,7 +12,8 @@ import torch
 from novags.methods.inputs import LacksInput
 from novags.methods.light import BRIGHT, MeasuredLight, first_light
 from novags.methods.reconstruction import GaussianScene
-from novags.methods.rivals.raw_gs import RawGsConfig, RawLoss, train
+from novags.methods.rivals.raw_gs import RawLoss, train
+from novags.methods.rivals.rows.raw_gs import RawGsConfig
 from novags.splats import FitConfig, McmcConfig
 from novags.splats.files.ply import read_ply
 from sensor_model import linear_to_srgb, srgb_to_linear

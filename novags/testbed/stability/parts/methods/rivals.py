@@ -13,10 +13,12 @@ from scipy import ndimage
 from torch import Tensor
 
 from novags.methods.rivals.invariant import COLOUR_MODEL, SCALE, invariant
-from novags.methods.rivals.lita_gs import LitaGsConfig, LitaLoss, Networks, structures_of
+from novags.methods.rivals.lita_gs import LitaLoss, Networks, structures_of
 from novags.methods.rivals.luminance_curve import BINS, ViewCurves, mapped, orthogonal_axes, power_then_s
-from novags.methods.rivals.luminance_gs import LuminanceGsConfig, LuminanceLoss, contrast_loss
+from novags.methods.rivals.luminance_gs import LuminanceLoss, contrast_loss
 from novags.methods.rivals.raw_gs import RawLoss
+from novags.methods.rivals.rows.lita_gs import LitaGsConfig
+from novags.methods.rivals.rows.luminance_gs import LuminanceGsConfig
 from novags.testbed.stability.case import Part, Setting
 from novags.testbed.stability.errors import EPS, LARGEST, relative_error, worst_error
 

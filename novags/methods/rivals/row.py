@@ -1,0 +1,12 @@
+"""What the rows of other groups' methods have in common."""
+
+from collections.abc import Callable
+from typing import Any
+
+from novags.methods.enhanced_fit import fit_parts
+from novags.methods.variant import Method
+
+
+def rival(config: Callable[[], Any], train: Any, *, title: str, color: str, source: str) -> Method:
+    """Another group's method that consists of one fit of Gaussians."""
+    return Method(title=title, family="3DGS", color=color, source=source, config=config, train=train, parts=fit_parts)
