@@ -19,6 +19,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from novags.process import settle
+
 ELECTRONS = (2.0, 5.0, 20.0, 80.0, 1000.0)
 PICTURES = ("raw", "enhanced", "denoised")
 MAPPERS = ("incremental", "global")
@@ -174,4 +176,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    settle()
     main()

@@ -28,6 +28,7 @@ from novags.methods.enhancers.guided import enhance
 from novags.methods.enhancers.rows.guided import EnhanceConfig
 from novags.methods.noise import camera_noise
 from novags.methods.problem import RawPictures, encode
+from novags.process import settle
 from novags.testbed.metrics.images import aligned_psnr
 from sensor_model import PRESETS, Exposure, Sensor, develop, expose, from_linear16, mosaic, photons_for_electrons
 from sensor_model.isp import interpolate, white_balance
@@ -168,4 +169,5 @@ def table(rows: list[dict]) -> str:
 
 
 if __name__ == "__main__":
+    settle()
     main()

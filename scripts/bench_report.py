@@ -16,6 +16,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from novags.process import settle
 from novags.testbed.report.look.album import files_of
 from novags.testbed.report.study.page import write_study
 
@@ -79,4 +80,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    settle()
     main()

@@ -25,6 +25,7 @@ from typing import Any
 import torch
 from splats_bench.scenes import best, common_scene
 
+from novags.process import settle
 from novags.testbed.pareto.splat_engine.scene import cube_scene
 
 SIZES = (128, 256, 512, 1024)
@@ -278,4 +279,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    settle()
     main()

@@ -29,6 +29,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from novags.process import settle
 from novags.testbed.console import Console
 from novags.testbed.ledger.code import Code
 from novags.testbed.ledger.stage import run_stage
@@ -178,4 +179,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    settle()
     main()

@@ -16,6 +16,7 @@ from make_scene_thumbnails import VIEWS, render
 from numpy.typing import NDArray
 from PIL import Image
 
+from novags.process import settle
 from novags.testbed.help.catalogue import first_sentence
 from novags.testbed.stages.capturing import expose_view
 from sensor_model import PRESETS, Exposure, develop
@@ -72,4 +73,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    settle()
     main()

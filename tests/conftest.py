@@ -11,8 +11,10 @@ from typing import Any
 import pytest
 from hypothesis import HealthCheck, settings
 
+from novags.process import settle
 from simscenes.backend import backend_status
 
+settle()  # before torch is loaded: what tests compute in this process has the bits that commands and workers compute
 pytest_plugins = ["novags.testing", "pytester"]
 
 PROFILE = os.environ.get("HYPOTHESIS_PROFILE", "ci")

@@ -29,6 +29,7 @@ from settle import write_table
 
 from novags.methods import METHODS, chosen, with_variants
 from novags.methods.variant import Variant
+from novags.process import settle
 from novags.testbed.csv_text import as_csv, text_of
 from novags.testbed.report.study.grid import HELPED, Line, by_place, lines_of
 from novags.testbed.report.study.light import looks_of
@@ -209,4 +210,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    settle()
     main()

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from novags.methods.noise import Variance, camera_noise
 from novags.methods.noise_estimate import camera_figures, noise_from
 from novags.methods.problem import RawPictures
+from novags.process import settle
 from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.folders.set import open_source
@@ -105,4 +106,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    settle()
     main()

@@ -15,6 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from numpy.typing import NDArray
 
+from novags.process import settle
 from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_capture
@@ -128,4 +129,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
+    settle()
     main()

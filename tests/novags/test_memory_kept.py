@@ -6,6 +6,8 @@ import sys
 
 import pytest
 
+from novags.process import ENVIRONMENT
+
 # What is tested is a setting of glibc's malloc (mallopt). Elsewhere novags changes nothing, so nothing can be seen.
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="mallopt is glibc's")
 
@@ -26,6 +28,8 @@ for _ in range(20):
 print(resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before)
 """
 
+SETTLED = "from novags.process import settle; settle()"
+
 
 def faults(first: str, **environment: str) -> int:
     """Pages that the system had to hand out in twenty iterations."""
@@ -38,10 +42,21 @@ def faults(first: str, **environment: str) -> int:
 
 
 def test_freed_arrays_are_used_again() -> None:
-    kept, returned = faults("import novags"), faults("")
+    kept, returned = faults(SETTLED), faults("")
     assert returned > 100_000
     assert kept < returned / 10
 
 
 def test_settings_of_the_user_hold() -> None:
-    assert faults("import novags", MALLOC_TRIM_THRESHOLD_="131072") > 10_000
+    assert faults(SETTLED, MALLOC_TRIM_THRESHOLD_="131072") > 10_000
+
+
+def test_importing_the_packages_changes_nothing_in_the_process() -> None:
+    program = (
+        "import os; before = dict(os.environ); import novags, simscenes, sensor_model, novags.splats, novags.methods; "
+        "print(dict(os.environ) == before)"
+    )
+    bare = {name: value for name, value in os.environ.items() if name not in ENVIRONMENT}
+    done = subprocess.run([sys.executable, "-c", program], env=bare, capture_output=True, text=True, check=True)
+    assert done.stdout == "True\n"
+    assert faults("import novags, simscenes, sensor_model") > 100_000  # nor does it keep freed memory

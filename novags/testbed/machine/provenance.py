@@ -96,7 +96,7 @@ class PeakMemory:
 
 
 def _give_back() -> None:
-    """Return freed memory to the system, so that it does not count in the next peak (novags/__init__.py keeps it)."""
+    """Return freed memory to the system, so that it does not count in the next peak (`process.settle` keeps it)."""
     with suppress(AttributeError, OSError, TypeError):  # another C library
         ctypes.CDLL(None).malloc_trim(0)
 

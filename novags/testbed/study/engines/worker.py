@@ -23,6 +23,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NoReturn
 
+from novags.process import settle
 from novags.testbed.console import Console, Update
 from sensor_model.files.door import descriptor_of_our_own
 from sensor_model.files.reading import brief
@@ -79,6 +80,7 @@ class Reporting(Console):
 
 def main() -> None:
     """Do tasks until the parent ends or says so."""
+    settle()
     connection, place = Connection(int(sys.argv[1])), sys.argv[2]
     parent = os.getppid()
     _end_with_parent()
