@@ -29,7 +29,6 @@ sys.path.insert(0, str(Path(__file__).parent))  # so that it is found where this
 from verdict import Finding, findings, going_on, markdown
 
 from novags.methods.variant import dotted
-from novags.process import settle
 from sensor_model.files.toml_file import read_toml
 
 BASE = "base"
@@ -151,5 +150,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    settle()
     main()

@@ -83,5 +83,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    settle()
     main()
