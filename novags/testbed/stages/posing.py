@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from novags.cameras.mapping import FEATURES
-from novags.cameras.registration import PLACED, Observed, Registered, Shot, register
+from novags.cameras.motion.registration import PLACED, Observed, Registered, Shot, register
+from novags.cameras.settings import FEATURES
 from novags.numbers import SIDE, check_range
 from novags.settings import check_seed
 from novags.testbed.cache import run_stage

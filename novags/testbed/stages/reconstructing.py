@@ -10,7 +10,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.cameras import CameraConfig, CameraEstimate, KnownConfig, spell_cameras
+from novags.cameras import spell_cameras
+from novags.cameras.estimate import CameraEstimate
+from novags.cameras.source import CameraConfig
+from novags.cameras.sources.known import KnownConfig
 from novags.methods import METHODS
 from novags.methods.inputs import LacksInput
 from novags.methods.problem import Problem, RawPictures, TrueSurface
