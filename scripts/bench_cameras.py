@@ -54,7 +54,8 @@ def denoised(enhanced: Tensor, steps: int, seed: int) -> Tensor:
 def measure(pictures: Tensor, dark: Tensor, true: np.ndarray, Ks: np.ndarray, mapper: str, seed: int) -> dict[str, Any]:
     """Share of the views that register and that are right, and the median rotation error of those that register."""
     from novags.cameras.align import align
-    from novags.cameras.sfm import SfmConfig, structure_from_motion
+    from novags.cameras.motion.sfm import structure_from_motion
+    from novags.cameras.sources.sfm import SfmConfig
 
     codes = (pictures * 255).round().to(torch.uint8).numpy()
     start = time.perf_counter()
@@ -129,7 +130,7 @@ def cell(row: dict[str, Any] | None) -> str:
 
 def errors(options: argparse.Namespace) -> None:
     """Reconstruct the demo's capture from turned cameras, print the table."""
-    from novags.cameras import KnownConfig
+    from novags.cameras.sources.known import KnownConfig
     from novags.testbed import stages
     from novags.testbed.console import Console
     from novags.testbed.presets import EXPERIMENTS, adapted

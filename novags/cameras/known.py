@@ -5,8 +5,6 @@ feed-forward network gets wrong is coherent within a view). Points from depth an
 cameras; those of a sparse model stay where they are, exact.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.spatial.transform import Rotation
 from torch import Tensor
@@ -14,21 +12,8 @@ from torch import Tensor
 from novags.cameras.estimate import Array, CameraEstimate, as_estimate, centers_of, extent_of
 from novags.cameras.first import from_depths, from_model, from_pictures
 from novags.cameras.points import averaged
+from novags.cameras.sources.known import KnownConfig
 from simscenes.sets.multiview import MultiviewSet
-
-
-@dataclass(frozen=True, kw_only=True)
-class KnownConfig:
-    """The cameras of the set, with stated errors."""
-
-    rotation_deg: float = 0.0  # root-mean-square angle by which cameras are rotated, about random axes
-    translation: float = 0.0  # root-mean-square distance by which camera centres are moved, scene extents
-    depth_error: float = 0.0  # standard deviation of the log of each view's depth factor; needs a set with depth
-
-    def __post_init__(self) -> None:
-        for name in ("rotation_deg", "translation", "depth_error"):
-            if not 0 <= getattr(self, name) < np.inf:
-                raise ValueError(f"{name} of known cameras must be finite and >= 0, got {getattr(self, name)}")
 
 
 def known(

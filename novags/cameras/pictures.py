@@ -1,19 +1,11 @@
-"""Pictures that a camera source looks at: which ones, of which shape, and as files for programs that read files."""
+"""Pictures that a camera source looks at: of which shape, and as files for programs that read files."""
 
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
-
-Pictures = Literal["raw", "enhanced", "denoised"]
-
-
-def check_kind(source: str, kind: str) -> None:
-    """Raise a ValueError if `kind` does not name pictures."""
-    if kind not in get_args(Pictures):
-        raise ValueError(f"pictures of {source} must be one of {', '.join(get_args(Pictures))}, got {kind!r}")
 
 
 def check_views(

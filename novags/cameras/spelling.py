@@ -5,16 +5,18 @@ from collections.abc import Iterable, Mapping
 from dataclasses import MISSING, fields
 from typing import Any, get_type_hints
 
+from novags.cameras.source import CameraSource
 from novags.settings import converted
 from sensor_model.files.reading import brief
 
 
-def parse_settings(text: str, choices: Mapping[str, type[Any]], what: str) -> Any:
+def parse_settings(text: str, choices: Mapping[str, CameraSource], what: str) -> Any:
     """The configuration that `text` denotes.
 
     Args:
         text: A name of `choices`, and settings of its dataclass. A path must not hold a comma.
-        choices: Dataclasses by name, with fields of type bool, int, float, str, Path or Literal.
+        choices: Sources by name, of whose configurations the fields have type bool, int, float, str, Path or Literal.
+            Only the one that is named is looked at.
         what: What is chosen, for messages.
 
     Raises:
@@ -27,7 +29,7 @@ def parse_settings(text: str, choices: Mapping[str, type[Any]], what: str) -> An
         raise ValueError(
             f"unknown {what} {brief(repr(name), 100)}{_meant(name, choices)}; available: {', '.join(choices)}"
         )
-    config, found = choices[name], dict[str, Any]()
+    config, found = choices[name].config, dict[str, Any]()
     kinds = get_type_hints(config)
     for part in filter(None, (part.strip() for part in rest.split(","))):
         key, equals, value = (piece.strip() for piece in part.partition("="))
@@ -46,9 +48,9 @@ def parse_settings(text: str, choices: Mapping[str, type[Any]], what: str) -> An
     return config(**found)
 
 
-def spell_settings(config: Any, choices: Mapping[str, type[Any]]) -> str:
+def spell_settings(config: Any, choices: Mapping[str, CameraSource]) -> str:
     """The shortest text that `parse_settings` turns into this configuration: defaults are left out."""
-    name = next(name for name, kind in choices.items() if type(config) is kind)
+    name = next(name for name, source in choices.items() if type(config) is source.config)
     given = [f"{f.name}={getattr(config, f.name)}" for f in fields(config) if getattr(config, f.name) != f.default]
     return f"{name}:{','.join(given)}" if given else name
 

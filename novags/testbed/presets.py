@@ -7,7 +7,8 @@ from functools import cache, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from novags.cameras import CameraConfig, KnownConfig
+from novags.cameras.source import CameraConfig
+from novags.cameras.sources.known import KnownConfig
 from novags.methods import METHODS, chosen, with_variants
 from novags.methods.enhancers import refuse_without_weights
 from novags.methods.inputs import LacksInput

@@ -32,7 +32,7 @@ def test_help_loads_no_heavy_library() -> None:
 
 
 def test_variants_and_cameras_reach_the_experiment(call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    from novags.cameras import KnownConfig
+    from novags.cameras.sources.known import KnownConfig
     from novags.testbed import experiment
 
     seen = []

@@ -51,12 +51,6 @@ class Window:
         return result
 
 
-def check_drop(source: str, drop_percent: float) -> None:
-    """Raise a ValueError if this share of pixels cannot be left out."""
-    if not 0 <= drop_percent < 100:
-        raise ValueError(f"drop_percent of {source} must lie in [0, 100), got {drop_percent}")
-
-
 def prepare(
     pictures: NDArray[np.uint8], scaled: tuple[int, int], kept: tuple[int, int], offset: tuple[int, int], resample: int
 ) -> tuple[Tensor, Window]:

@@ -11,7 +11,6 @@ Weights are read here and given to the model class: the package's own loader wou
 import argparse
 import ast
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -22,30 +21,14 @@ from PIL import Image
 from torch import Tensor
 
 from novags.cameras.estimate import Array, CameraEstimate
-from novags.cameras.networks.dense import Window, check_drop, choose, from_pixels, inverted, numbers, prepare, with_lens
+from novags.cameras.networks.dense import Window, choose, from_pixels, inverted, numbers, prepare, with_lens
 from novags.cameras.networks.package import brief, part, read_checkpoint, require
-from novags.cameras.pictures import Pictures, check_kind, check_views
-from novags.numbers import STEPS, check_range
+from novags.cameras.pictures import check_views
+from novags.cameras.sources.dust3r import Dust3rConfig
 from sensor_model.files.records import read_json
 
 SIZE, PATCH = 512, 16  # px: the longer side of the pictures that the networks were trained on, and their raster
 RATE = 0.01  # of the alignment, with a cosine schedule, as in its README
-
-
-@dataclass(frozen=True, kw_only=True)
-class Dust3rConfig:
-    """Weights, which pairs are looked at, how long they are aligned, and which points to believe."""
-
-    checkpoint: Path  # DUSt3R_ViTLarge_BaseDecoder_512_*: model.safetensors with config.json beside it, or the .pth
-    pictures: Pictures = "raw"  # which pictures are used; the caller provides them
-    pairs: str = "complete"  # scene graph of its make_pairs: complete, swin-5, logwin-4, oneref, ...
-    iterations: int = 300  # of the global alignment
-    drop_percent: float = 30.0  # of all pixels, those with the least confident point give no points
-
-    def __post_init__(self) -> None:
-        check_kind("dust3r", self.pictures)
-        check_drop("dust3r", self.drop_percent)
-        check_range("iterations of dust3r", self.iterations, 1, STEPS)
 
 
 def check_installed(config: Dust3rConfig) -> None:

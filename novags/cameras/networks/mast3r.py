@@ -5,41 +5,21 @@ Parts of the package in use: `mast3r.model.AsymmetricMASt3R` and
 with it. Pictures, weights and conventions are those of DUSt3R; dense points come as [H W, 3] in rows of the picture.
 """
 
-from dataclasses import dataclass
-from pathlib import Path
-
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
 from novags.cameras.estimate import CameraEstimate
-from novags.cameras.networks.dense import check_drop, choose, from_pixels, numbers
+from novags.cameras.networks.dense import choose, from_pixels, numbers
 from novags.cameras.networks.dust3r import as_its_loader, cameras_of, load, paired
 from novags.cameras.networks.package import part, require
-from novags.cameras.pictures import Pictures, check_kind, check_views, write_pictures
-from novags.numbers import STEPS, check_range
+from novags.cameras.pictures import check_views, write_pictures
+from novags.cameras.sources.mast3r import Mast3rConfig
 from sensor_model.files.scratch import scratch
 
 RATES = 0.07, 0.014  # of the two stages of the alignment, as in its demo
 MATCH_CONFIDENCE = 5.0  # below it a match does not count, as in its demo
-
-
-@dataclass(frozen=True, kw_only=True)
-class Mast3rConfig:
-    """Weights, which pairs are looked at, how long they are aligned, and which points to believe."""
-
-    checkpoint: Path  # MASt3R_ViTLarge_BaseDecoder_512_*: model.safetensors with config.json beside it, or the .pth
-    pictures: Pictures = "raw"  # which pictures are used; the caller provides them
-    pairs: str = "complete"  # scene graph of its make_pairs: complete, swin-5, logwin-4, oneref, ...
-    iterations: int = 300  # of each stage of the alignment: matched points in space, then in the pictures
-    shared_lens: bool = False  # one focal length for all views
-    drop_percent: float = 30.0  # of all pixels, those with the least confident point give no points
-
-    def __post_init__(self) -> None:
-        check_kind("mast3r", self.pictures)
-        check_drop("mast3r", self.drop_percent)
-        check_range("iterations of mast3r", self.iterations, 1, STEPS)
 
 
 def check_installed(config: Mast3rConfig) -> None:

@@ -8,7 +8,6 @@ pictures. Views that it could not place are not in the model.
 import os
 import shutil
 import subprocess
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -17,40 +16,17 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from novags.cameras.colmap import quiet
 from novags.cameras.estimate import CameraEstimate
-from novags.cameras.mapping import FEATURES, from_reconstruction
+from novags.cameras.motion.colmap import quiet
+from novags.cameras.motion.mapping import from_reconstruction
 from novags.cameras.networks.package import read_checkpoint, require_weights
-from novags.cameras.pictures import Pictures, check_kind, check_views, write_pictures
-from novags.numbers import VIEWS, check_range
+from novags.cameras.pictures import check_views, write_pictures
+from novags.cameras.sources.vggsfm import VggsfmConfig
 from sensor_model.files.door import resolved
 from sensor_model.files.reading import brief
 from sensor_model.files.scratch import scratch
 
 ADVICE = "more query_frames, more light, or --cameras known"
-
-
-@dataclass(frozen=True, kw_only=True)
-class VggsfmConfig:
-    """Where it is installed, weights, and how much it tracks."""
-
-    checkpoint: Path  # vggsfm_v2_0_0.bin
-    home: Path  # the folder of the clone, with demo.py
-    python: str = "python"  # the interpreter of its environment: a whole path, or a name on PATH
-    pictures: Pictures = "raw"  # which pictures are used; the caller provides them
-    query_frames: int = 3  # views whose points are tracked through all others
-    query_points: int = 2048  # points of each, at most
-    shared_lens: bool = False  # one focal length for all views
-
-    def __post_init__(self) -> None:
-        check_kind("vggsfm", self.pictures)
-        if self.query_frames < 1 or self.query_points < 8:
-            raise ValueError(
-                "vggsfm needs query_frames >= 1 and query_points >= 8, the fewest that fix a pair of cameras; got "
-                f"{self.query_frames} and {self.query_points}"
-            )
-        check_range("query_frames of vggsfm", self.query_frames, 1, VIEWS)
-        check_range("query_points of vggsfm", self.query_points, 8, FEATURES)
 
 
 def check_installed(config: VggsfmConfig) -> None:

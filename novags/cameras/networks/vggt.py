@@ -9,7 +9,6 @@ Points are depths in the network's cameras, which is more accurate than its own 
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,25 +19,13 @@ from PIL import Image
 from torch import Tensor
 
 from novags.cameras.estimate import Array, CameraEstimate
-from novags.cameras.networks.dense import Window, as_matrices, check_drop, choose, from_pixels, numbers, prepare
+from novags.cameras.networks.dense import Window, as_matrices, choose, from_pixels, numbers, prepare
 from novags.cameras.networks.package import brief, part, read_checkpoint, require
-from novags.cameras.pictures import Pictures, check_kind, check_views
+from novags.cameras.pictures import check_views
 from novags.cameras.points import unproject
+from novags.cameras.sources.vggt import VggtConfig
 
 WIDTH, PATCH = 518, 14  # px, of the pictures that the network was trained on
-
-
-@dataclass(frozen=True, kw_only=True)
-class VggtConfig:
-    """Weights, and which of the network's depths to believe."""
-
-    checkpoint: Path  # of VGGT-1B: a .pt or .safetensors file
-    pictures: Pictures = "raw"  # which pictures are used; the caller provides them
-    drop_percent: float = 30.0  # of all pixels, those with the least confident depth give no points
-
-    def __post_init__(self) -> None:
-        check_kind("vggt", self.pictures)
-        check_drop("vggt", self.drop_percent)
 
 
 def check_installed(config: VggtConfig) -> None:

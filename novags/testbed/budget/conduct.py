@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from novags.cameras import KnownConfig
+from novags.cameras.sources.known import KnownConfig
 from novags.testbed import experiment
 from novags.testbed.budget import said
 from novags.testbed.budget.choice import Choice, Option, choice_of, choose, fastest

@@ -9,9 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.cameras import CameraConfig, CameraEstimate, KnownConfig, check_cameras, estimate_cameras
+from novags.cameras import check_cameras, source_of
 from novags.cameras.align import Alignment, align, to_estimated
-from novags.cameras.estimate import near_origin
+from novags.cameras.estimate import CameraEstimate, near_origin
+from novags.cameras.estimating import estimate_cameras
+from novags.cameras.source import CameraConfig
 from novags.methods.enhancers import guided
 from novags.methods.nova.denoiser import FAST_DENOISER, Denoiser
 from novags.splats.views import Views
@@ -55,12 +57,12 @@ def _found(
 ) -> CameraEstimate:  # fmt: skip
     dark = torch.from_numpy(np.stack([capture.srgb8(i) for i in indices]))
     views = capture.cameras
-    if isinstance(config, KnownConfig):
+    if source_of(config).takes == "set":
         if not source.scaled:  # depth for the first points; its cameras differ from the capture's by rounding
             views = dataclasses.replace(source.views, rig=views.rig)
         return estimate_cameras(config, views.about(origin_of(capture)), indices, dark, n_points=points, seed=seed)
     with console.progress("cameras") as progress:
-        pictures = pictures_for(config.pictures, dark, seed)
+        pictures = pictures_for(config.looks_at, dark, seed)
         return estimate_cameras(
             config, views, indices, dark, pictures=pictures, n_points=points, seed=seed, device=device,
             progress=progress,

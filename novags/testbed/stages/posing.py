@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from novags.cameras.registration import PLACED, Observed, Registered, Shot, register
+from novags.cameras.motion.registration import PLACED, Observed, Registered, Shot, register
 from novags.testbed.console import Console
 from novags.testbed.folders.raw_files import SUFFIXES as RAW
 from novags.testbed.folders.set import left_out

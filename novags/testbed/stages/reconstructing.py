@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.cameras import CameraEstimate
+from novags.cameras.estimate import CameraEstimate
 from novags.methods import METHODS
 from novags.methods.inputs import LacksInput
 from novags.methods.problem import Problem, RawPictures, TrueSurface

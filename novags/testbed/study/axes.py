@@ -8,7 +8,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, get_type_hints
 
-from novags.cameras import CameraConfig, parse_cameras
+from novags.cameras import parse_cameras
+from novags.cameras.source import CameraConfig
 from novags.methods import METHODS
 from novags.methods.variant import Variant
 from novags.settings import changed, check_types, converted, flattened, has_setting, starting_at

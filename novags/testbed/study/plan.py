@@ -7,7 +7,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from novags.cameras import KnownConfig, check_cameras
+from novags.cameras import check_cameras
+from novags.cameras.sources.known import KnownConfig
 from novags.settings import flattened
 from novags.testbed.console import Console
 from novags.testbed.folders.set import open_source

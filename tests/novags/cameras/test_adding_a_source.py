@@ -1,16 +1,19 @@
 """The example of docs/adding-a-camera-source.md finds the cameras of a turntable, in any frame."""
 
+import ast
 import re
+import sys
 from pathlib import Path
-from types import SimpleNamespace
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
 
-from novags.cameras import SOURCES, CameraSource, check_cameras, estimate_cameras, parse_cameras, spell_cameras
+from novags.cameras import SOURCES, check_cameras, parse_cameras, spell_cameras
 from novags.cameras.align import align
+from novags.cameras.estimating import estimate_cameras
 from simscenes.rigs import Rig, intrinsics, look_at
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "adding-a-camera-source.md"
@@ -18,11 +21,13 @@ PAGE = Path(__file__).resolve().parents[3] / "docs" / "adding-a-camera-source.md
 
 @pytest.fixture
 def source(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The page's row among the others."""
-    code, row = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.S)
-    space: dict[str, Any] = {"__name__": "example", "SOURCES": {}, "CameraSource": CameraSource}
-    exec(compile(code + row, str(PAGE), "exec"), space)
-    monkeypatch.setitem(SOURCES, "turntable", space["SOURCES"]["turntable"])
+    """The page's file among the others, and its line in their table."""
+    code, line = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.S)
+    ((name, row),) = ast.literal_eval(f"{{{line}}}").items()
+    module = ModuleType(row.partition(":")[0])
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    exec(compile(code, str(PAGE), "exec"), module.__dict__)
+    monkeypatch.setitem(SOURCES, name, row)
 
 
 @pytest.mark.usefixtures("source")

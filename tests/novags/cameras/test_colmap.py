@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from novags.cameras.colmap import LOWER_EDGE, detect, extraction, quiet, verification
+from novags.cameras.motion.colmap import LOWER_EDGE, detect, extraction, quiet, verification
 
 
 def test_features_in_the_last_row_whose_descriptors_are_undefined_are_left_out(corner, tmp_path: Path) -> None:

@@ -15,7 +15,8 @@ import pytest
 import torch
 
 from novags.cameras.align import align
-from novags.cameras.hloc import HlocConfig, hloc_cameras
+from novags.cameras.motion.hloc import hloc_cameras
+from novags.cameras.sources.hloc import HlocConfig
 
 WIDTH, HEIGHT = 128, 112
 

@@ -7,7 +7,8 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from novags.cameras.align import align
-from novags.cameras.known import KnownConfig, known, perturb
+from novags.cameras.known import known, perturb
+from novags.cameras.sources.known import KnownConfig
 from simscenes.rigs import Rig, orbit_rig
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.multiview import load_set

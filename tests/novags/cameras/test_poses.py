@@ -13,7 +13,7 @@ from PIL import Image
 from scipy.spatial.transform import Rotation
 
 from novags.cameras.align import align
-from novags.cameras.registration import Observed, Registered, pairs_of
+from novags.cameras.motion.registration import Observed, Registered, pairs_of
 from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.folders.set import open_source

@@ -3,8 +3,9 @@ import pytest
 import torch
 
 from novags.cameras.align import align
+from novags.cameras.motion.sfm import structure_from_motion
 from novags.cameras.points import fill, project
-from novags.cameras.sfm import SfmConfig, structure_from_motion
+from novags.cameras.sources.sfm import SfmConfig
 
 
 def as_dark(pictures: np.ndarray) -> torch.Tensor:

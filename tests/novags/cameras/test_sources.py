@@ -1,3 +1,5 @@
+import subprocess
+import sys
 from dataclasses import fields, replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -8,21 +10,16 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from novags.cameras import (
-    SOURCES,
-    Dust3rConfig,
-    HlocConfig,
-    KnownConfig,
-    Mast3rConfig,
-    SfmConfig,
-    VggsfmConfig,
-    VggtConfig,
-    check_cameras,
-    estimate_cameras,
-    parse_cameras,
-    spell_cameras,
-)
+from novags.cameras import SOURCES, check_cameras, parse_cameras, spell_cameras
 from novags.cameras.estimate import CameraEstimate
+from novags.cameras.estimating import estimate_cameras
+from novags.cameras.sources.dust3r import Dust3rConfig
+from novags.cameras.sources.hloc import HlocConfig
+from novags.cameras.sources.known import KnownConfig
+from novags.cameras.sources.mast3r import Mast3rConfig
+from novags.cameras.sources.sfm import SfmConfig
+from novags.cameras.sources.vggsfm import VggsfmConfig
+from novags.cameras.sources.vggt import VggtConfig
 
 paths = st.sampled_from([Path("w.pt"), Path("a b/c=d:e.pt")])
 configs = st.one_of(
@@ -115,6 +112,27 @@ def test_every_source_has_a_line_and_a_configuration_of_its_own():
     assert list(SOURCES) == ["known", "sfm", "hloc", "vggt", "dust3r", "mast3r", "vggsfm"]
     assert len({source.config for source in SOURCES.values()}) == 7
     assert all(0 < len(source.description) < 90 and "\n" not in source.description for source in SOURCES.values())
+
+
+TABLE = """
+import sys
+from novags.cameras import SOURCES, parse_cameras, source_of, spell_cameras
+
+def loaded():
+    return [name for name in SOURCES if f"novags.cameras.sources.{name}" in sys.modules]
+
+assert "sfm" in SOURCES and len(list(SOURCES)) == 7 and loaded() == [], loaded()
+config = parse_cameras("known:rotation_deg=1")
+assert spell_cameras(config) == "known:rotation_deg=1.0" and source_of(config).check(config) is None
+assert loaded() == ["known"], loaded()
+assert len(dict(SOURCES)) == 7 and loaded() == list(SOURCES), loaded()
+print([name for name in ("torch", "numba", "pycolmap", "mitsuba") if name in sys.modules])
+"""
+
+
+def test_a_row_is_loaded_when_it_is_asked_for_and_none_loads_what_computes():
+    done = subprocess.run([sys.executable, "-c", TABLE], capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("[]\n", "")
 
 
 def test_sources_are_checked_before_they_are_used(monkeypatch):

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from novags.cameras.mapping import FEATURES
+from novags.cameras.settings import FEATURES
 from novags.numbers import SIDE, check_range
 from novags.settings import check_seed
 from novags.testbed.folders.video import is_video

@@ -3,7 +3,9 @@
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from novags.cameras import CameraConfig, KnownConfig, spell_cameras
+from novags.cameras import spell_cameras
+from novags.cameras.source import CameraConfig
+from novags.cameras.sources.known import KnownConfig
 from novags.methods import METHODS
 from novags.methods.variant import Variant
 from novags.numbers import POINTS, check_range

@@ -14,8 +14,10 @@ from PIL import Image
 from safetensors.torch import save_file
 
 from novags.cameras.align import align
-from novags.cameras.networks.dust3r import Dust3rConfig, as_its_loader, dust3r_cameras
-from novags.cameras.networks.mast3r import Mast3rConfig, mast3r_cameras
+from novags.cameras.networks.dust3r import as_its_loader, dust3r_cameras
+from novags.cameras.networks.mast3r import mast3r_cameras
+from novags.cameras.sources.dust3r import Dust3rConfig
+from novags.cameras.sources.mast3r import Mast3rConfig
 
 PACKAGES = {
     "dust3r": (Dust3rConfig, dust3r_cameras, "AsymmetricCroCo3DStereo"),

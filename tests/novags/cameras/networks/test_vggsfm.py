@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from novags.cameras.align import align
-from novags.cameras.networks.vggsfm import VggsfmConfig, vggsfm_cameras
+from novags.cameras.networks.vggsfm import vggsfm_cameras
+from novags.cameras.sources.vggsfm import VggsfmConfig
 
 # In the frame of the estimate, turned, scaled and moved; cameras of the size of the pictures; a file for each part of
 # the model as pycolmap 3.10 writes it, which knows no rigs and no frames.

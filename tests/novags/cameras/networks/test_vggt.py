@@ -11,8 +11,9 @@ from PIL import Image
 from safetensors.torch import save_file
 from scipy.spatial.transform import Rotation
 
-from novags.cameras.networks.vggt import VggtConfig, as_its_loader, vggt_cameras
+from novags.cameras.networks.vggt import as_its_loader, vggt_cameras
 from novags.cameras.points import unproject
+from novags.cameras.sources.vggt import VggtConfig
 
 SIZES = [(40, 30), (40, 60), (96, 96), (560, 420)]  # wide, tall (its middle is kept), square, larger than the network's
 

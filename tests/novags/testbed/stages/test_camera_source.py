@@ -8,7 +8,9 @@ import pytest
 import torch
 from scipy.spatial.transform import Rotation
 
-from novags.cameras import CameraEstimate, KnownConfig, estimate_cameras
+from novags.cameras.estimate import CameraEstimate
+from novags.cameras.estimating import estimate_cameras
+from novags.cameras.sources.known import KnownConfig
 from novags.splats import Gaussians, rasterize
 from novags.testbed import stages
 from novags.testbed.console import Console

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from novags.cameras import SfmConfig, VggsfmConfig
+from novags.cameras.sources.sfm import SfmConfig
+from novags.cameras.sources.vggsfm import VggsfmConfig
 from novags.testbed.presets import EXPERIMENTS
 from novags.testbed.study.grid import Study, read_study
 from sensor_model import PRESETS as SENSORS

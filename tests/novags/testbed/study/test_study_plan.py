@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from novags.cameras.networks.vggt import VggtConfig
+from novags.cameras.sources.vggt import VggtConfig
 from novags.methods.variant import Variant
 from novags.testbed.console import Console
 from novags.testbed.ledger import store

@@ -1,14 +1,11 @@
 """COLMAP (pycolmap) as both uses of it need it: quiet, on the CPU, and reproducible with one thread and a seed."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-
-Progress = Callable[[int, int, str], None]
-"""Steps done, total steps, and the current activity."""
 
 LOWER_EDGE = 1.5  # scales
 SEEDS = 2**31  # number of seeds that COLMAP accepts

@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from novags.cameras.colmap import SEEDS, Progress, detect, extraction, largest, quiet, verification
 from novags.cameras.estimate import Array
+from novags.cameras.motion.colmap import SEEDS, detect, extraction, largest, quiet, verification
+from novags.cameras.source import Progress
 from simscenes.sets.readers.colmap import colmap_lens
 from simscenes.sets.readers.photographs import DistortedPinhole
 

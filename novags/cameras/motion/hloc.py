@@ -11,7 +11,6 @@ first pixel at 0, COLMAP's at 0.5.
 import importlib
 import importlib.util
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -19,44 +18,17 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
-from novags.cameras.colmap import Progress, verification
 from novags.cameras.estimate import CameraEstimate
-from novags.cameras.mapping import (
-    Mapper,
-    Mapping,
-    Scene,
-    check_mapper,
-    check_mapping,
-    from_reconstruction,
-    reconstruct,
-)
-from novags.cameras.pictures import Pictures, check_kind, check_views
+from novags.cameras.motion.colmap import verification
+from novags.cameras.motion.mapping import Mapping, Scene, check_mapper, from_reconstruction, reconstruct
+from novags.cameras.pictures import check_views
+from novags.cameras.source import Progress
+from novags.cameras.sources.hloc import HlocConfig
 from sensor_model.files.door import read_text
 
 ADVICE = (
     "other features (features=superpoint_max enlarges small pictures), the other mapper, more light, or --cameras known"
 )
-
-
-@dataclass(frozen=True, kw_only=True)
-class HlocConfig:
-    """Which features and matcher, by hloc's names, and how reliable a match must be.
-
-    DISK and LightGlue are the default because their code and weights are Apache-2 and come with a plain installation;
-    SuperPoint and SuperGlue need a recursive clone and are for non-commercial research.
-    """
-
-    pictures: Pictures = "raw"  # which pictures are used; the caller provides them
-    features: str = "disk"  # of hloc: disk, aliked-n16, superpoint_aachen, superpoint_max, sift, ...
-    matcher: str = "auto"  # of hloc: disk+lightglue, superglue, NN-ratio, ...; auto: LightGlue for them, else NN-ratio
-    mapper: Mapper = "incremental"  # grow from one pair, or solve for all cameras at once (GLOMAP)
-    min_matches: int = 10  # geometrically consistent ones that a pair needs in order to count, as in sfm
-    max_error: float = 2.0  # px, from the epipolar line, as in sfm
-    threads: int = 1  # of verification and mapping; more change the result
-
-    def __post_init__(self) -> None:
-        check_kind("hloc", self.pictures)
-        check_mapping("hloc", self.mapper, self.min_matches, self.max_error, self.threads)
 
 
 def check_installed(config: HlocConfig) -> None:

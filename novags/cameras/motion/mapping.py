@@ -7,22 +7,19 @@ Everything runs on the CPU and, with one thread, reproducibly.
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
-from novags.cameras.colmap import SEEDS, Progress, largest, quiet
 from novags.cameras.estimate import Array, CameraEstimate, as_estimate
-from novags.cameras.pictures import Pictures, place_of, write_pictures
+from novags.cameras.motion.colmap import SEEDS, largest, quiet
+from novags.cameras.pictures import place_of, write_pictures
 from novags.cameras.points import averaged, fill, seen_colors
-from novags.numbers import check_range
+from novags.cameras.settings import Mapper, Pictures
+from novags.cameras.source import Progress
 from sensor_model.files.scratch import scratch
-
-Mapper = Literal["incremental", "global"]
-FEATURES = 10**6  # of a picture, at most
-THREADS = 4096  # at most
 
 
 @dataclass(frozen=True)
@@ -52,20 +49,6 @@ class Mapping:
     min_matches: int  # of a pair
     threads: int
     seed: int
-
-
-def check_mapping(source: str, mapper: str, min_matches: int, max_error: float, threads: int) -> None:
-    """Raise a ValueError if a setting that `sfm` and `hloc` share does not fit."""
-    if mapper not in get_args(Mapper):
-        raise ValueError(f"mapper of {source} must be one of {', '.join(get_args(Mapper))}, got {mapper!r}")
-    if min_matches < 8:
-        raise ValueError(
-            f"{source} needs min_matches >= 8, because fewer do not fix a pair of cameras; got {min_matches}"
-        )
-    if not max_error > 0 or threads < 1:
-        raise ValueError(f"max_error of {source} must be > 0 and threads >= 1, got {max_error} and {threads}")
-    check_range(f"min_matches of {source}", min_matches, 8, FEATURES)
-    check_range(f"threads of {source}", threads, 1, THREADS)
 
 
 def check_mapper(mapper: str) -> None:

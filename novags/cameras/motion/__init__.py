@@ -1,0 +1,1 @@
+"""Structure from motion by COLMAP (pycolmap): of dark pictures with known lenses, and of photographs without."""

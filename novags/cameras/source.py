@@ -1,0 +1,46 @@
+"""What a source of cameras is, for the table of sources and for whoever adds one."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
+
+from novags.cameras.settings import Pictures
+
+if TYPE_CHECKING:
+    from novags.cameras.estimate import CameraEstimate
+
+Progress = Callable[[int, int, str], None]
+"""Steps done, total steps, and the current activity."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraConfig:
+    """The configuration of a source; each source derives its own, whose fields are its settings."""
+
+    @property
+    def looks_at(self) -> Pictures:
+        """Which pictures the source wants to see: its setting `pictures`; "raw" of one without it."""
+        found: Pictures = getattr(self, "pictures", "raw")
+        return found
+
+
+@dataclass(frozen=True)
+class CameraSource:
+    """A row of `novags.cameras.SOURCES`.
+
+    Attributes:
+        description: One line.
+        config: The class of its configurations.
+        check: Raises a ValueError that says what to install or to give if the source cannot run with a configuration.
+        estimate: Makes cameras and points of what `takes` says and the dark images; its other arguments are n_points,
+            config, seed, and a progress or a device.
+        takes: What it is given: the whole set; the pictures with their intrinsics, "numbered" with `indices` too, their
+            places among all views of the set, for cameras that are known by the order of the pictures; or the pictures
+            alone.
+    """
+
+    description: str
+    config: type[CameraConfig]
+    check: Callable[[Any], None]
+    estimate: Callable[..., "CameraEstimate"]
+    takes: Literal["set", "numbered pictures and lenses", "pictures and lenses", "pictures"]

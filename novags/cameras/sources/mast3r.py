@@ -1,0 +1,35 @@
+"""The network MASt3R."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from novags.cameras.settings import Pictures, check_drop, check_kind
+from novags.cameras.source import CameraConfig, CameraSource
+from novags.numbers import STEPS, check_range
+from sensor_model.files.registry import Later
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mast3rConfig(CameraConfig):
+    """Weights, which pairs are looked at, how long they are aligned, and which points to believe."""
+
+    checkpoint: Path  # MASt3R_ViTLarge_BaseDecoder_512_*: model.safetensors with config.json beside it, or the .pth
+    pictures: Pictures = "raw"  # which pictures are used; the caller provides them
+    pairs: str = "complete"  # scene graph of its make_pairs: complete, swin-5, logwin-4, oneref, ...
+    iterations: int = 300  # of each stage of the alignment: matched points in space, then in the pictures
+    shared_lens: bool = False  # one focal length for all views
+    drop_percent: float = 30.0  # of all pixels, those with the least confident point give no points
+
+    def __post_init__(self) -> None:
+        check_kind("mast3r", self.pictures)
+        check_drop("mast3r", self.drop_percent)
+        check_range("iterations of mast3r", self.iterations, 1, STEPS)
+
+
+SOURCE = CameraSource(
+    "the network MASt3R, by your own installation and weights",
+    Mast3rConfig,
+    Later("novags.cameras.networks.mast3r:check_installed"),
+    Later("novags.cameras.networks.mast3r:mast3r_cameras"),
+    "pictures",
+)

@@ -1,0 +1,30 @@
+"""The network VGGT."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from novags.cameras.settings import Pictures, check_drop, check_kind
+from novags.cameras.source import CameraConfig, CameraSource
+from sensor_model.files.registry import Later
+
+
+@dataclass(frozen=True, kw_only=True)
+class VggtConfig(CameraConfig):
+    """Weights, and which of the network's depths to believe."""
+
+    checkpoint: Path  # of VGGT-1B: a .pt or .safetensors file
+    pictures: Pictures = "raw"  # which pictures are used; the caller provides them
+    drop_percent: float = 30.0  # of all pixels, those with the least confident depth give no points
+
+    def __post_init__(self) -> None:
+        check_kind("vggt", self.pictures)
+        check_drop("vggt", self.drop_percent)
+
+
+SOURCE = CameraSource(
+    "the network VGGT, by your own installation and weights",
+    VggtConfig,
+    Later("novags.cameras.networks.vggt:check_installed"),
+    Later("novags.cameras.networks.vggt:vggt_cameras"),
+    "pictures",
+)
