@@ -3,20 +3,13 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from difflib import get_close_matches
-from functools import partial
 from typing import Any
 
-from novags.methods import enhance_then_fit, oracle
 from novags.methods.averaging import trainer as averaging
 from novags.methods.denoised import trainer as denoised
-from novags.methods.enhanced_fit import EnhancedFitConfig, fit_parts
-from novags.methods.enhancers import tone_curves
-from novags.methods.enhancers.mbllen import MbllenConfig
-from novags.methods.enhancers.retinexformer import RetinexformerConfig
-from novags.methods.enhancers.rows.guided import Enhancement
-from novags.methods.enhancers.sci import SciConfig
-from novags.methods.enhancers.uretinex import URetinexConfig
-from novags.methods.enhancers.zero_dce import ZeroDceConfig
+from novags.methods.enhanced import naive, oracle
+from novags.methods.enhanced.config import fit_parts
+from novags.methods.enhancers.rows import drago, equalise, gain, gamma, mbllen, retinexformer, sci, uretinex, zero_dce
 from novags.methods.nerf import aleth, i2, llnerf
 from novags.methods.nerf import clean as clean_nerf
 from novags.methods.nerf import fitting as nerf
@@ -30,15 +23,6 @@ from novags.methods.rivals import gaussian_dk, lita_gs, ll_gaussian, luminance_g
 from novags.methods.variant import Method, Variant, spelled
 from novags.methods.variant.named import VARIANTS as VARIANTS
 from sensor_model.files.reading import brief
-
-
-def _enhanced(enhance: Enhancement, title: str, color: str, source: str) -> Method:
-    """What "naive" is, with another enhancement."""
-    return Method(
-        title=f"{title}, then fit as naive does", family="2D + GS", color=color, source=source,
-        config=partial(EnhancedFitConfig, enhance=enhance), train=enhance_then_fit.train,
-        parts=enhance_then_fit.parts,
-    )  # fmt: skip
 
 
 def _rival(config: Callable[[], Any], train: Any, *, title: str, color: str, source: str) -> Method:
@@ -70,71 +54,16 @@ METHODS: dict[str, Method] = {
         knobs=NOVA_PLUS_KNOBS,
         source="docs/nova-plus.md",
     ),
-    "naive": Method(
-        title="enhance, then fit the noisy pictures with the same loss (L1 and D-SSIM)",
-        family="2D + GS",
-        color="#c8590a",
-        config=EnhancedFitConfig,
-        train=enhance_then_fit.train,
-        parts=enhance_then_fit.parts,
-        source="section 4.2 of the NOVA-GS paper and 3DGS-MCMC (Kheradmand et al. 2024)",
-        bound="floor",
-    ),
-    "gamma-gs": _enhanced(
-        tone_curves.GammaConfig(),
-        "raise every code to the power 0.2",
-        "#b8860b",
-        "section 5 of the NOVA-GS paper, which names the exponent",
-    ),
-    "gain-gs": _enhanced(
-        tone_curves.GainConfig(),
-        "multiply the light of each picture until its mean code is 0.5",
-        "#a0522d",
-        "a longer exposure, as far as a factor can replace it",
-    ),
-    "drago-gs": _enhanced(
-        tone_curves.DragoConfig(),
-        "map the luminance of each picture by an adaptive logarithm",
-        "#8b6f47",
-        "Adaptive Logarithmic Mapping For Displaying High Contrast Scenes (Drago et al. 2003)",
-    ),
-    "equalise-gs": _enhanced(
-        tone_curves.EqualiseConfig(),
-        "equalise the histogram of each picture's luma",
-        "#cd853f",
-        "histogram equalisation (Gonzalez and Woods, Digital Image Processing)",
-    ),
-    "zero-dce-gs": _enhanced(
-        ZeroDceConfig(),
-        "enhance with the curves of Zero-DCE, learned from the scene without references, or from the authors' file",
-        "#6b8e23",
-        "Zero-Reference Deep Curve Estimation for Low-Light Image Enhancement (Guo et al. 2020)",
-    ),
-    "sci-gs": _enhanced(
-        SciConfig(),
-        "divide by the illumination that SCI estimates, learned from the scene without references, or from the "
-        "authors' file",
-        "#2e8b57",
-        "Toward Fast, Flexible, and Robust Low-Light Image Enhancement (Ma et al. 2022)",
-    ),
-    "mbllen-gs": _enhanced(
-        MbllenConfig(),
-        "enhance with MBLLEN, whose weights have to be given",
-        "#4682b4",
-        "MBLLEN: Low-light Image/Video Enhancement Using CNNs (Lv et al. 2018)",
-    ),
-    "uretinex-gs": _enhanced(
-        URetinexConfig(),
-        "enhance with URetinex-Net, whose weights have to be given",
-        "#5f6caf",
-        "URetinex-Net: Retinex-Based Deep Unfolding Network for Low-Light Image Enhancement (Wu et al. 2022)",
-    ),
-    "retinexformer-gs": _enhanced(
-        RetinexformerConfig(),
-        "enhance with Retinexformer, whose weights have to be given",
-        "#8a5fa8",
-        "Retinexformer: One-stage Retinex-based Transformer for Low-light Image Enhancement (Cai et al. 2023)",
-    ),
+    "naive": naive.METHOD,
+    "gamma-gs": gamma.METHOD,
+    "gain-gs": gain.METHOD,
+    "drago-gs": drago.METHOD,
+    "equalise-gs": equalise.METHOD,
+    "zero-dce-gs": zero_dce.METHOD,
+    "sci-gs": sci.METHOD,
+    "mbllen-gs": mbllen.METHOD,
+    "uretinex-gs": uretinex.METHOD,
+    "retinexformer-gs": retinexformer.METHOD,
     "denoise-gs": Method(
         title="denoise the raw data with a network that was trained on simulated cameras and adapts to the capture, "
         "enhance, then fit as naive does",
@@ -181,17 +110,7 @@ METHODS: dict[str, Method] = {
         color="#a6761d",
         source="RawNeRF (Mildenhall et al. 2022) and LE3D (Jin et al. 2024)",
     ),
-    "oracle": Method(
-        title="enhance the noise-free exposures, then fit: what no real method can see, hence the ceiling",
-        family="bound",
-        color="#008560",
-        config=oracle.OracleConfig,
-        train=oracle.train,
-        parts=fit_parts,
-        source="3DGS-MCMC (Kheradmand et al. 2024) on simulated exposures without noise",
-        sees_clean=True,
-        bound="ceiling",
-    ),
+    "oracle": oracle.METHOD,
     "nerf": Method(
         title="enhance, then fit a radiance field on grids to the noisy pictures",
         family="NeRF",

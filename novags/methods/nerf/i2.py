@@ -40,7 +40,7 @@ from novags.fields.box import Box, box_of
 from novags.fields.layout import DENSITY_MAX
 from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
-from novags.methods.gaussian_fit import Progress
+from novags.methods.enhanced.gaussian_fit import Progress
 from novags.methods.inputs import LacksInput, Pictures
 from novags.methods.light import raw_loss
 from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs

@@ -33,7 +33,7 @@ from torch import Tensor
 
 from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
-from novags.methods.gaussian_fit import Progress
+from novags.methods.enhanced.gaussian_fit import Progress
 from novags.methods.inputs import Pictures
 from novags.methods.light import raw_loss
 from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs

@@ -6,8 +6,8 @@ docs/fields.md.
 
 from pathlib import Path
 
-from novags.methods.enhancers import enhanced
-from novags.methods.gaussian_fit import Progress
+from novags.methods.enhanced.gaussian_fit import Progress
+from novags.methods.enhancers.applying import enhanced
 from novags.methods.nerf.fitting import NerfConfig, fit_enhanced_field
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import Reconstruction

@@ -19,9 +19,10 @@ from torch import Tensor
 
 from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
-from novags.methods.enhancers import enhanced, enhancement_record
-from novags.methods.enhancers.rows.guided import EnhanceConfig, Enhancement
-from novags.methods.gaussian_fit import Progress
+from novags.methods.enhanced.gaussian_fit import Progress
+from novags.methods.enhancers import enhancement_record
+from novags.methods.enhancers.applying import enhanced
+from novags.methods.enhancers.choice import EnhanceConfig, Enhancement
 from novags.methods.inputs import Pictures
 from novags.methods.light import MeasuredLight, brightness, measured_light, raw_loss
 from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs

@@ -27,9 +27,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from novags.methods.enhanced_fit import ORIGINAL_FIT, ORIGINAL_SCALE
+from novags.methods.enhanced.config import ORIGINAL_FIT, ORIGINAL_SCALE
+from novags.methods.enhanced.gaussian_fit import Progress, fit_for, reconstructed
 from novags.methods.enhancers.zero_dce import exposure
-from novags.methods.gaussian_fit import Progress, fit_for, reconstructed
 from novags.methods.inputs import Pictures
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction

@@ -23,10 +23,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.methods.enhanced_fit import ORIGINAL_FIT, ORIGINAL_SCALE
-from novags.methods.enhancers import enhanced, enhancement_record
-from novags.methods.enhancers.rows.guided import EnhanceConfig, Enhancement
-from novags.methods.gaussian_fit import Progress, fit_for, reconstructed
+from novags.methods.enhanced.config import ORIGINAL_FIT, ORIGINAL_SCALE
+from novags.methods.enhanced.gaussian_fit import Progress, fit_for, reconstructed
+from novags.methods.enhancers import enhancement_record
+from novags.methods.enhancers.applying import enhanced
+from novags.methods.enhancers.choice import EnhanceConfig, Enhancement
 from novags.methods.inputs import Pictures
 from novags.methods.light import MeasuredLight, brightness, first_light, measured_light, raw_loss
 from novags.methods.noise_estimate import noise_of

@@ -18,6 +18,7 @@ from novags.testbed.console import Console
 from novags.testbed.contents import read_json
 from novags.testbed.experiment import run
 from novags.testbed.presets import EXPERIMENTS, adapted
+from sensor_model.files.registry import Later
 from simscenes import read_exr
 
 PAGE = Path(__file__).resolve().parents[3] / "docs" / "adding-a-method.md"
@@ -136,7 +137,8 @@ def test_no_code_outside_methods_names_one() -> None:
 
 def test_methods_import_no_other_method() -> None:
     root = Path(__file__).resolve().parents[3] / "novags" / "methods"
-    modules = {method.train.__module__ for method in METHODS.values()}
+    trainers = [method.train for method in METHODS.values()]
+    modules = {t.reference.partition(":")[0] if isinstance(t, Later) else t.__module__ for t in trainers}
     for module in modules:
         file = root.parents[1] / (module.replace(".", "/") + ".py")
         others = [other for other in modules if other != module and other in file.read_text("utf-8")]
