@@ -24,8 +24,8 @@ from novags.methods.denoised.estimate import estimate_all
 from novags.methods.denoised.measured import Measured, of_capture
 from novags.methods.denoised.recorrupted import AdaptConfig, adapt
 from novags.methods.denoised.weights import PACKAGED, load_weights
+from novags.methods.enhancers.choice import EnhanceConfig
 from novags.methods.enhancers.guided import enhance
-from novags.methods.enhancers.rows.guided import EnhanceConfig
 from novags.methods.noise import camera_noise
 from novags.methods.problem import RawPictures, encode
 from novags.process import settle

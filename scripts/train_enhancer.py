@@ -26,9 +26,10 @@ from denoising.pairs import Source
 from denoising.training import Schedule, Training
 from torch import Tensor
 
-from novags.methods.enhancers import ENHANCERS, NETWORKS
+from novags.methods.enhancers import ENHANCERS, network_of
+from novags.methods.enhancers.curves.gain import gain
 from novags.methods.enhancers.networks import Kind
-from novags.methods.enhancers.tone_curves import GainConfig, gain
+from novags.methods.enhancers.rows.gain import GainConfig
 from novags.splats.training.checkpoint import write_tensors
 from novags.splats.training.losses import ssim
 
@@ -83,7 +84,8 @@ def measured(network: torch.nn.Module, kind: Kind, config: object, checks: list[
 def main() -> None:
     asked = arguments()
     enhancer = ENHANCERS[asked.network]
-    kind, config = NETWORKS[enhancer.config], enhancer.config()
+    config = enhancer.config()
+    kind: Kind = network_of(config)
     other = kind.load(enhancer.config(weights=tuple(asked.beside))) if asked.beside else None
     torch.manual_seed(asked.seed)
     network = kind.make(config)

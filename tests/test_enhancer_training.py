@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods.enhancers.mbllen import MBLLEN, MbllenConfig
-from novags.methods.enhancers.weights import read_weights
+from novags.methods.enhancers.files.weights import read_weights
+from novags.methods.enhancers.mbllen import MBLLEN
+from novags.methods.enhancers.rows.mbllen import MbllenConfig
 from sensor_model import Sensor, linear_to_srgb, srgb_to_linear
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"

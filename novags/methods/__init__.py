@@ -5,17 +5,17 @@ from dataclasses import replace
 from difflib import get_close_matches
 from functools import partial
 
-from novags.methods import enhance_then_fit, oracle
+from novags.methods.enhanced import enhance_then_fit, oracle
 from novags.methods.averaging import trainer as averaging
 from novags.methods.denoised import trainer as denoised
-from novags.methods.enhanced_fit import EnhancedFitConfig, fit_parts
+from novags.methods.enhanced.config import EnhancedFitConfig, fit_parts
 from novags.methods.enhancers import tone_curves
-from novags.methods.enhancers.mbllen import MbllenConfig
-from novags.methods.enhancers.retinexformer import RetinexformerConfig
-from novags.methods.enhancers.rows.guided import Enhancement
-from novags.methods.enhancers.sci import SciConfig
-from novags.methods.enhancers.uretinex import URetinexConfig
-from novags.methods.enhancers.zero_dce import ZeroDceConfig
+from novags.methods.enhancers.rows.mbllen import MbllenConfig
+from novags.methods.enhancers.rows.retinexformer import RetinexformerConfig
+from novags.methods.enhancers.choice import Enhancement
+from novags.methods.enhancers.rows.sci import SciConfig
+from novags.methods.enhancers.rows.uretinex import URetinexConfig
+from novags.methods.enhancers.rows.zero_dce import ZeroDceConfig
 from novags.methods.nerf.rows import aleth_nerf as aleth_nerf_row
 from novags.methods.nerf.rows import i2_nerf as i2_nerf_row
 from novags.methods.nerf.rows import ll_nerf as ll_nerf_row

@@ -13,7 +13,8 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
-from novags.methods.enhancers import enhanced_like, enhanced_twin, enhanced_view, recorded
+from novags.methods.enhancers import recorded
+from novags.methods.enhancers.applying import enhanced_like, enhanced_twin, enhanced_view
 from novags.methods.problem import encode
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.imported import MISSING

@@ -53,8 +53,8 @@ def random_cloud(n: int, size: int, n_views: int) -> tuple[Gaussians, Views, Ten
 def oracle_problem(capture: Path, n: int) -> tuple[Gaussians, Views, Tensor]:
     """What the `oracle` method fits to: the noise-free dark exposures of a capture folder, enhanced."""
     from novags.methods import chosen
-    from novags.methods.enhancers import enhanced_clean
-    from novags.methods.enhancers.rows.guided import EnhanceConfig
+    from novags.methods.enhancers.applying import enhanced_clean
+    from novags.methods.enhancers.choice import EnhanceConfig
     from novags.methods.start import start_gaussians
     from novags.testbed.console import Console
     from novags.testbed.folders.capture import open_capture

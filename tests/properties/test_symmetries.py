@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 from novags.cameras.align import Similarity, align, to_estimated
+from novags.methods.enhancers.choice import EnhanceConfig
 from novags.methods.enhancers.guided import enhance
-from novags.methods.enhancers.rows.guided import EnhanceConfig
 from novags.splats import rasterize
 from novags.testbed.metrics import image_scores
 from sensor_model import Exposure, Sensor, expose, mosaic, photons_for_electrons

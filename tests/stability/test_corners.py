@@ -12,7 +12,7 @@ import pytest
 
 from novags.cameras import parse_cameras
 from novags.methods import METHODS, chosen, names
-from novags.methods.enhancers import NETWORKS
+from novags.methods.enhancers import network_of
 from novags.methods.reconstruction import GaussianScene
 from novags.testbed import stages
 from novags.testbed.console import Console
@@ -29,7 +29,7 @@ FOLLOW_TRUTH = tuple(name for name in names() if METHODS[chosen(name).method].se
 NEED_FILES = tuple(
     name
     for name in names()
-    if (kind := NETWORKS.get(type(getattr(METHODS[chosen(name).method].config(), "enhance", None)))) is not None
+    if (kind := network_of(getattr(METHODS[chosen(name).method].config(), "enhance", None))) is not None
     and kind.rehearsal is None
 )
 COLUMNS: dict[str, Sequence[Any]] = {

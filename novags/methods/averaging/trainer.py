@@ -12,8 +12,9 @@ from torch import Tensor
 from novags.methods.averaging.scene import LEAST, AveragedScene
 from novags.methods.averaging.surface import Array, Camera
 from novags.methods.averaging.warp import Kernel, Rules
-from novags.methods.enhancers import enhanced_like, enhanced_view, enhancement_record
-from novags.methods.enhancers.rows.guided import EnhanceConfig, Enhancement
+from novags.methods.enhancers import enhancement_record
+from novags.methods.enhancers.applying import enhanced_like, enhanced_view
+from novags.methods.enhancers.choice import EnhanceConfig, Enhancement
 from novags.methods.inputs import LacksInput, Pictures
 from novags.methods.noise_estimate import noise_of
 from novags.methods.problem import Problem, TrueSurface

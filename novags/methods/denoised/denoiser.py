@@ -8,7 +8,7 @@ from novags.methods.denoised.estimate import TURNS, estimate_all
 from novags.methods.denoised.measured import Measured
 from novags.methods.denoised.recorrupted import AdaptConfig, adapt
 from novags.methods.denoised.weights import load_weights
-from novags.methods.gaussian_fit import Progress
+from novags.methods.enhanced.gaussian_fit import Progress
 
 
 @dataclass(frozen=True, kw_only=True)

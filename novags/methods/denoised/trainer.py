@@ -15,10 +15,10 @@ from torch import Tensor
 from novags.methods.denoised.denoiser import DenoiseConfig, denoised
 from novags.methods.denoised.measured import Measured, measured
 from novags.methods.denoised.weights import PACKAGED
-from novags.methods.enhanced_fit import ORIGINAL_FIT, ORIGINAL_SCALE, EnhancedFitConfig
-from novags.methods.enhancers import enhanced, enhanced_light
-from novags.methods.enhancers.rows.guided import EnhanceConfig, Enhancement
-from novags.methods.gaussian_fit import Progress, fit_enhanced
+from novags.methods.enhanced.config import ORIGINAL_FIT, ORIGINAL_SCALE, EnhancedFitConfig
+from novags.methods.enhanced.gaussian_fit import Progress, fit_enhanced
+from novags.methods.enhancers.applying import enhanced, enhanced_light
+from novags.methods.enhancers.choice import EnhanceConfig, Enhancement
 from novags.methods.inputs import Pictures
 from novags.methods.nova.checkpoint import read
 from novags.methods.problem import Problem

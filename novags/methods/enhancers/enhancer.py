@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 
@@ -27,3 +28,15 @@ class Enhancer:
     enhance: Callable[..., Any]
     typical: Callable[..., Any]
     network: Callable[[], Any] | None = None
+
+
+def stamps(config: Any) -> tuple[tuple[int, ...], ...]:
+    """What changes when a file of weights does that a configuration names; beside it in keys of results."""
+    return tuple(_stamp(path) for path in getattr(config, "weights", None) or ())
+
+
+def _stamp(path: Path) -> tuple[int, ...]:
+    if not path.is_file():
+        return ()
+    stat = path.stat()
+    return stat.st_mtime_ns, stat.st_ctime_ns, stat.st_size, stat.st_ino

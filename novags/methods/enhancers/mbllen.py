@@ -14,29 +14,19 @@ It does not learn from a scene: it needs pairs.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from novags.methods.enhancers.enhancer import EnhancerConfig
 from novags.methods.enhancers.networks import Kind
+from novags.methods.enhancers.rows.mbllen import MbllenConfig
 
 BRANCHES = 10
 SMALLEST = 13  # px: three valid convolutions of 5 x 5 leave one pixel
 GREY = (0.299, 0.587, 0.114)
 BRIGHT, HIGH, LOW, SATURATION = 0.8, 0.95, 0.05, 0.8  # level, quantiles, exponent
-
-
-@dataclass(frozen=True, kw_only=True)
-class MbllenConfig(EnhancerConfig):
-    """Where the weights come from, and whether the result is adjusted as the authors' program does."""
-
-    weights: tuple[Path, ...] | None = None
-    adjusted: bool = True
 
 
 class Mbllen(nn.Module):
@@ -131,3 +121,4 @@ MBLLEN = Kind(
     name="MBLLEN", make=lambda config: Mbllen(), run=run, renamed=from_keras, finish=adjust,
     where="one of the authors' .h5 files, or a file that scripts/train_enhancer.py has made",
 )  # fmt: skip
+enhance = MBLLEN.enhance

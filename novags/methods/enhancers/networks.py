@@ -18,8 +18,9 @@ import torch
 from torch import Tensor, nn
 from torch.optim import Adam
 
-from novags.methods.enhancers.guided import check_picture
-from novags.methods.enhancers.weights import digest_of, fill, read_weights
+from novags.methods.enhancers.enhancer import stamps
+from novags.methods.enhancers.files.weights import digest_of, fill, read_weights
+from novags.methods.enhancers.pictures import check_picture
 from novags.methods.inputs import LacksInput
 
 _HELD: OrderedDict[Any, nn.Module] = OrderedDict()
@@ -103,18 +104,6 @@ class Kind:
     def enhance(self, dark: Tensor, config: Any, params: Any, noise: Any) -> tuple[Tensor, Any]:
         """As `Enhancer.enhance`."""
         return self.picture(self.load(config), dark, config, params)
-
-
-def stamps(config: Any) -> tuple[tuple[int, ...], ...]:
-    """What changes when a file of weights does that a configuration names; beside it in keys of results."""
-    return tuple(_stamp(path) for path in getattr(config, "weights", None) or ())
-
-
-def _stamp(path: Path) -> tuple[int, ...]:
-    if not path.is_file():
-        return ()
-    stat = path.stat()
-    return stat.st_mtime_ns, stat.st_ctime_ns, stat.st_size, stat.st_ino
 
 
 def no_params(params: Sequence[None]) -> None:

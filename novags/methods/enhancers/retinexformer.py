@@ -11,25 +11,14 @@ Deviations: pictures are extended to a multiple of 4 px by repeating their borde
 ones. It does not learn from a scene: it needs pairs.
 """
 
-from dataclasses import dataclass
-from pathlib import Path
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from novags.methods.enhancers.enhancer import EnhancerConfig
 from novags.methods.enhancers.networks import Kind
 
 WIDTH, BLOCKS = 40, (1, 2, 2)
 MULTIPLE = 4  # px: two levels, each half the size
-
-
-@dataclass(frozen=True, kw_only=True)
-class RetinexformerConfig(EnhancerConfig):
-    """Where the weights come from."""
-
-    weights: tuple[Path, ...] | None = None  # the authors' LOL_v1.pth, say
 
 
 class Estimator(nn.Module):
@@ -202,3 +191,4 @@ RETINEXFORMER = Kind(
     name="Retinexformer", make=lambda config: Retinexformer(),
     run=lambda network, picture, config: network(picture),
 )  # fmt: skip
+enhance = RETINEXFORMER.enhance

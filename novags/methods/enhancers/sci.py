@@ -17,39 +17,17 @@ three channels of a pixel: of pictures in 0..1 every weight is 0.99 to 1 either 
 torch draws them, there at 0.
 """
 
-from dataclasses import dataclass
-from pathlib import Path
-
 import torch
 from torch import Tensor, nn
 from torch.optim import Adam
 
-from novags.methods.enhancers.enhancer import EnhancerConfig
 from novags.methods.enhancers.networks import Kind, Rehearsal
-from novags.methods.enhancers.zero_dce import check_training
+from novags.methods.enhancers.rows.sci import SciConfig
 
 STAGES = 3
 DARKEST = 1e-4  # of an illumination: 0 / 0 in black pixels without it
 FIDELITY = 1.5
 RADIUS, SPREAD = 2, 200.0  # px around a pixel whose illumination is to be alike; twice the variance of their colours
-
-
-@dataclass(frozen=True, kw_only=True)
-class SciConfig(EnhancerConfig):
-    """Where the weights come from, and how they are learned where no file names them."""
-
-    weights: tuple[Path, ...] | None = None  # official easy.pt, medium.pt or difficult.pt; None: learned from the scene
-    steps: int = 1000  # published: 1000 epochs of hundreds of pictures; the fewer, the darker the result
-    rate: float = 3e-4
-    decay: float = 3e-4
-    batch: int = 1
-    crop: int = 64  # px; published: whole pictures
-    additivity: float = 0.0  # weight of the condition of SCI++
-
-    def __post_init__(self) -> None:
-        check_training(self.steps, self.rate, self.decay, self.batch, self.crop)
-        if not 0 <= self.additivity < 1e6:
-            raise ValueError(f"additivity must be >= 0, got {self.additivity}")
 
 
 def _conv(inputs: int, outputs: int) -> nn.Conv2d:
@@ -179,3 +157,4 @@ SCI = Kind(
     ),
     where="one of the authors' easy.pt, medium.pt and difficult.pt",
 )  # fmt: skip
+enhance = SCI.enhance

@@ -18,31 +18,16 @@ It does not learn from a scene: it needs pairs.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from pathlib import Path
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from novags.methods.enhancers.enhancer import EnhancerConfig
 from novags.methods.enhancers.networks import Kind
 
 ROUNDS = 3
 FIRST_R, FIRST_L, MORE = 0.1, 0.5, 0.05  # weights of the first round, and what each further one adds
 LEAK = 0.2
-
-
-@dataclass(frozen=True, kw_only=True)
-class URetinexConfig(EnhancerConfig):
-    """Where the weights come from, and how bright the result is to be."""
-
-    weights: tuple[Path, ...] | None = None  # L_adjust.pth, or that and the other two
-    ratio: float = 5.0  # of the illumination; the authors' program's default
-
-    def __post_init__(self) -> None:
-        if not 0 < self.ratio < 1000:
-            raise ValueError(f"ratio must lie in (0, 1000), got {self.ratio}")
 
 
 def leaky(x: Tensor) -> Tensor:
@@ -160,3 +145,4 @@ URETINEX = Kind(
     run=lambda network, picture, config: network(picture, config.ratio),
     where="the authors' L_adjust.pth, which holds all, or a file that scripts/train_enhancer.py has made",
 )  # fmt: skip
+enhance = URETINEX.enhance

@@ -12,44 +12,18 @@ Deviations: it learns from random crops of the scene's own pictures instead of 2
 steps; patches shrink to fit small pictures; the spatial loss has no slopes over the border, where the code pads with 0.
 """
 
-from dataclasses import dataclass
-from pathlib import Path
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 from torch.optim import Adam
 
-from novags.methods.enhancers.enhancer import EnhancerConfig
 from novags.methods.enhancers.networks import Kind, Rehearsal
+from novags.methods.enhancers.rows.zero_dce import ZeroDceConfig
 
 CURVES = 8
 EXPOSURE, PATCH = 0.6, 16  # mean that a patch of so many px is to have
 REGION = 4  # px, of the spatial loss
 SMOOTH, COLOR, EXPOSED = 200.0, 5.0, 10.0  # weights beside the spatial loss
-
-
-@dataclass(frozen=True, kw_only=True)
-class ZeroDceConfig(EnhancerConfig):
-    """Where the weights come from, and how they are learned where no file names them."""
-
-    weights: tuple[Path, ...] | None = None  # the official Epoch99.pth, say; None: learned from the scene
-    steps: int = 200  # published: 200 epochs of 2422 pictures in batches of 8, 60,000 steps
-    rate: float = 1e-4
-    decay: float = 1e-4
-    batch: int = 8
-    crop: int = 64  # px; published: whole pictures of 256 px
-
-    def __post_init__(self) -> None:
-        check_training(self.steps, self.rate, self.decay, self.batch, self.crop)
-
-
-def check_training(steps: int, rate: float, decay: float, batch: int, crop: int) -> None:
-    """Refuse settings of a training that cannot be (ValueError)."""
-    if steps < 0 or batch < 1 or crop < 1:
-        raise ValueError(f"steps must be >= 0, batch and crop >= 1, got {steps}, {batch} and {crop}")
-    if not (0 < rate < 1 and 0 <= decay < 1):
-        raise ValueError(f"rate must lie in (0, 1) and decay in [0, 1), got {rate} and {decay}")
 
 
 class ZeroDce(nn.Module):
@@ -131,3 +105,4 @@ ZERO_DCE = Kind(
     ),
     where="the authors' Epoch99.pth",
 )  # fmt: skip
+enhance = ZERO_DCE.enhance

@@ -30,7 +30,7 @@ import torch
 from torch import Tensor
 
 from novags.fields.training.batch import Batch
-from novags.methods.gaussian_fit import Progress
+from novags.methods.enhanced.gaussian_fit import Progress
 from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs
 from novags.methods.nerf.losses import differences, grey_of
 from novags.methods.nerf.rows.aleth_nerf import AlethConfig

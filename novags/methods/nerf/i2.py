@@ -38,7 +38,7 @@ from torch import Tensor
 from novags.fields.box import Box, box_of
 from novags.fields.layout import DENSITY_MAX
 from novags.fields.training.batch import Batch
-from novags.methods.gaussian_fit import Progress
+from novags.methods.enhanced.gaussian_fit import Progress
 from novags.methods.inputs import LacksInput
 from novags.methods.light import raw_loss
 from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs

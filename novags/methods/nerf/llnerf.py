@@ -32,7 +32,7 @@ import torch
 from torch import Tensor
 
 from novags.fields.training.batch import Batch
-from novags.methods.gaussian_fit import Progress
+from novags.methods.enhanced.gaussian_fit import Progress
 from novags.methods.light import raw_loss
 from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs
 from novags.methods.nerf.losses import differences

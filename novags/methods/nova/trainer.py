@@ -11,10 +11,11 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from novags.methods.enhanced_fit import ORIGINAL_FIT, ORIGINAL_SCALE
-from novags.methods.enhancers import enhanced, enhancement_record
-from novags.methods.enhancers.rows.guided import EnhanceConfig, Enhancement
-from novags.methods.gaussian_fit import Progress, fit_for
+from novags.methods.enhanced.config import ORIGINAL_FIT, ORIGINAL_SCALE
+from novags.methods.enhanced.gaussian_fit import Progress, fit_for
+from novags.methods.enhancers import enhancement_record
+from novags.methods.enhancers.applying import enhanced
+from novags.methods.enhancers.choice import EnhanceConfig, Enhancement
 from novags.methods.inputs import Pictures
 from novags.methods.nova.checkpoint import file_as_tensor, read, tensor_as_file
 from novags.methods.nova.consistency import ConsistencyConfig, ConsistencyLoss

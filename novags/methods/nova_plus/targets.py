@@ -7,7 +7,7 @@ from torch import Tensor
 
 from novags.methods.denoised.denoiser import DenoiseConfig, denoised
 from novags.methods.denoised.measured import in_electrons
-from novags.methods.gaussian_fit import Progress
+from novags.methods.enhanced.gaussian_fit import Progress
 from novags.methods.nova_plus.average import averages
 from novags.methods.nova_plus.data import Exposures
 from novags.methods.tone import ToneCurve

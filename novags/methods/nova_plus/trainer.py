@@ -11,9 +11,10 @@ import torch
 from torch import Tensor
 
 from novags.methods.denoised.denoiser import DenoiseConfig
-from novags.methods.enhancers import enhanced, enhanced_light, enhancement_record
-from novags.methods.enhancers.rows.guided import EnhanceConfig, Enhancement
-from novags.methods.gaussian_fit import Progress, fit_for
+from novags.methods.enhanced.gaussian_fit import Progress, fit_for
+from novags.methods.enhancers import enhancement_record
+from novags.methods.enhancers.applying import enhanced, enhanced_light
+from novags.methods.enhancers.choice import EnhanceConfig, Enhancement
 from novags.methods.inputs import LacksInput, Pictures
 from novags.methods.light import first_light
 from novags.methods.noise_estimate import noise_of

@@ -21,7 +21,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from novags.methods.gaussian_fit import Progress, fit_for, reconstructed
+from novags.methods.enhanced.gaussian_fit import Progress, fit_for, reconstructed
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.rivals.rows.gaussian_dk import GaussianDkConfig

@@ -24,7 +24,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from novags.methods.gaussian_fit import Progress, fit_for, reconstructed
+from novags.methods.enhanced.gaussian_fit import Progress, fit_for, reconstructed
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.rivals.retinex import DIMMEST, smoothness

@@ -21,7 +21,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from novags.methods.gaussian_fit import Progress, fit_for, reconstructed
+from novags.methods.enhanced.gaussian_fit import Progress, fit_for, reconstructed
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.rivals.luminance_curve import ViewCurves, equalising_curve

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from typing import Any
 
-from novags.methods.enhanced_fit import fit_parts
+from novags.methods.enhanced.config import fit_parts
 from novags.methods.variant import Method
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from novags.methods.enhanced_fit import ORIGINAL_FIT
+from novags.methods.enhanced.config import ORIGINAL_FIT
 from novags.methods.nova.denoiser import FAST_DENOISER
 from novags.methods.nova.knobs import TUNED
 from novags.methods.nova.trainer import NovaConfig

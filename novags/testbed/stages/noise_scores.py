@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import torch
 
-from novags.methods.enhancers import enhanced_twin, enhanced_view, recorded
-from novags.methods.enhancers.networks import stamps
+from novags.methods.enhancers import recorded
+from novags.methods.enhancers.applying import enhanced_twin, enhanced_view
+from novags.methods.enhancers.enhancer import stamps
 from novags.methods.memo import Memo
 from novags.methods.problem import encode
 from novags.testbed.folders.capture import Capture

@@ -155,7 +155,7 @@ def make_enhancer(folder: Path) -> None:
 
 
 def read_enhancer(folder: Path, file: Path) -> object:
-    from novags.methods.enhancers.weights import read_weights
+    from novags.methods.enhancers.files.weights import read_weights
 
     return read_weights((file,))
 
@@ -223,7 +223,7 @@ def _torch() -> None:
 def _enhancers() -> None:
     import torch
 
-    import novags.methods.enhancers.weights  # noqa: F401
+    import novags.methods.enhancers.files.weights  # noqa: F401
 
     torch.set_num_threads(1)
 

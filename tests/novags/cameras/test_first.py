@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from novags.cameras.first import FirstPoints, _around_focus, from_depths, from_model, from_pictures
 from novags.cameras.points import fill, project, seen_colors, unproject
 from novags.methods import METHODS
-from novags.methods.gaussian_fit import fit_for
+from novags.methods.enhanced.gaussian_fit import fit_for
 from novags.methods.problem import Problem
 from novags.methods.start import start_gaussians
 from novags.splats import FitConfig, McmcConfig, Views

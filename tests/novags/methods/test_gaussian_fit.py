@@ -8,10 +8,11 @@ import pytest
 import torch
 
 from novags import methods
-from novags.methods import enhance_then_fit, gaussian_fit, oracle
-from novags.methods.enhanced_fit import EnhancedFitConfig
+from novags.methods.enhanced import clean_fit, enhance_then_fit, gaussian_fit
+from novags.methods.enhanced.config import EnhancedFitConfig
+from novags.methods.enhanced.oracle import OracleConfig
+from novags.methods.enhancers.choice import EnhanceConfig
 from novags.methods.enhancers.guided import enhance
-from novags.methods.enhancers.rows.guided import EnhanceConfig
 from novags.methods.nerf import fitting
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene
@@ -77,10 +78,10 @@ def images_of(method, inputs: Problem) -> torch.Tensor:
     return torch.stack([enhance(clean, CONFIG.enhance, params)[0] for clean, (_, _, params) in twins])
 
 
-@pytest.mark.parametrize("method", [enhance_then_fit, oracle], ids=["naive", "oracle"])
+@pytest.mark.parametrize("method", [enhance_then_fit, clean_fit], ids=["naive", "oracle"])
 def test_the_fit_starts_from_and_aims_at_the_same_pictures(seen, method):
     inputs = problem()
-    own = CONFIG if method is enhance_then_fit else oracle.OracleConfig(**vars(CONFIG))
+    own = CONFIG if method is enhance_then_fit else OracleConfig(**vars(CONFIG))
     result = method.train(inputs, own)
     expected = images_of(method, inputs)
     assert torch.equal(torch.stack([seen["target"](view) for view in range(2)]), expected)

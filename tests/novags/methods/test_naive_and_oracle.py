@@ -3,11 +3,11 @@ from dataclasses import replace
 import pytest
 import torch
 
-from novags.methods import enhance_then_fit as naive
-from novags.methods import oracle
-from novags.methods.enhanced_fit import EnhancedFitConfig
+from novags.methods.enhanced import clean_fit as oracle
+from novags.methods.enhanced import enhance_then_fit as naive
+from novags.methods.enhanced.config import EnhancedFitConfig
+from novags.methods.enhanced.oracle import OracleConfig
 from novags.methods.enhancers.guided import enhance
-from novags.methods.oracle import OracleConfig
 from novags.methods.problem import Problem
 from novags.splats import FitConfig, Gaussians, rasterize
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods.enhanced_fit import ORIGINAL_FIT, ORIGINAL_SCALE, EnhancedFitConfig
-from novags.methods.gaussian_fit import fit_for
+from novags.methods.enhanced.config import ORIGINAL_FIT, ORIGINAL_SCALE, EnhancedFitConfig
+from novags.methods.enhanced.gaussian_fit import fit_for
 from novags.methods.problem import Problem, RawPictures
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.start import brightened, start_gaussians

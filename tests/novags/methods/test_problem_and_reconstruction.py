@@ -7,14 +7,16 @@ import pytest
 import torch
 
 from novags.methods import METHODS
-from novags.methods.enhancers import NETWORKS, enhanced, enhanced_clean, enhancement_record, recorded
+from novags.methods.enhancers import enhancement_record, network_of, recorded
+from novags.methods.enhancers.applying import enhanced, enhanced_clean
+from novags.methods.enhancers.choice import EnhanceConfig
 from novags.methods.enhancers.guided import enhance
-from novags.methods.enhancers.rows.guided import EnhanceConfig
 from novags.methods.memo import Memo
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.settings import changed, has_setting
 from novags.splats import Gaussians, Views, read_ply
 from sensor_model import linear_to_srgb
+from sensor_model.files.registry import Later
 
 
 def test_the_linear_pictures_are_encoded_after_clipping(problem) -> None:
@@ -53,7 +55,7 @@ def test_the_record_of_an_enhancement_makes_it_again() -> None:
     config = EnhanceConfig(target=0.4)
     enhancer, again = recorded(enhancement_record(config, "16bit"))
     assert again == config
-    assert enhancer.enhance is enhance
+    assert enhancer.enhance == Later(f"{enhance.__module__}:{enhance.__name__}")
     with pytest.raises(ValueError, match="unknown enhancer 'magic'"):
         recorded({"enhancer": "magic", "pictures": "8bit", "config": {}})
     with pytest.raises(ValueError, match="do not fit this version"):
@@ -103,7 +105,7 @@ def test_a_scene_of_gaussians_renders_all_it_is_made_of_and_saves_itself(tmp_pat
 
 
 FITTED = [name for name, method in METHODS.items() if hasattr(method.config(), "fit")
-          and type(getattr(method.config(), "enhance", None)) not in NETWORKS]  # fmt: skip
+          and network_of(getattr(method.config(), "enhance", None)) is None]  # fmt: skip
 SHORT = {"fit.iterations": 3, "fit.rays": 16, "denoiser": None, "sh_weight": None, "denoise.turns": 1, "gaussians": 90,
          "denoise.adapt": None}  # fmt: skip
 

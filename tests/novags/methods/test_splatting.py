@@ -6,8 +6,8 @@ import math
 import pytest
 import torch
 
-from novags.methods import enhance_then_fit
-from novags.methods.enhanced_fit import EnhancedFitConfig
+from novags.methods.enhanced import enhance_then_fit
+from novags.methods.enhanced.config import EnhancedFitConfig
 from novags.methods.nova import trainer
 from novags.methods.reconstruction import GaussianScene
 from novags.splats import FitConfig, Gaussians, McmcConfig, Views, fit, photometric_loss, rasterize

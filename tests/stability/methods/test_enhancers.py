@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods.enhancers import tone_curves
+from novags.methods.enhancers.curves import drago, gain
 from novags.testbed.stability import Case, Setting, measured
 from novags.testbed.stability.parts.methods import enhancers
 
@@ -24,17 +24,17 @@ def test_a_logarithm_over_its_argument_without_its_limit_is_noticed(
 
 
 def test_a_log_average_in_which_black_ends_the_sum_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tone_curves, "DARKEST", 1e-300)
+    monkeypatch.setattr(drago, "DARKEST", 1e-300)
     assert fails("tone curves: one bright pixel, a faint one, the rest black")
 
 
 def test_a_gain_sought_in_too_small_a_range_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tone_curves, "GAINS", (1.0, 1e3))
+    monkeypatch.setattr(gain, "GAINS", (1.0, 1e3))
     assert fails("tone curves: 16-bit codes of 0 to 3 and of the whole range")
 
 
 def test_a_bisection_that_stops_early_is_noticed(fails: Fails, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(tone_curves, "STEPS", 12)
+    monkeypatch.setattr(gain, "STEPS", 12)
     assert fails("tone curves: pictures of one to nine pixels")
 
 

@@ -3,7 +3,7 @@
 from dataclasses import dataclass, field
 
 from novags.fields.training.config import FieldFitConfig
-from novags.methods.enhancers.rows.guided import EnhanceConfig, Enhancement
+from novags.methods.enhancers.choice import EnhanceConfig, Enhancement
 from novags.methods.inputs import Pictures
 from novags.methods.nerf.config import fit_parts
 from novags.methods.variant import Method

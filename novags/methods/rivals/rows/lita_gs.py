@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from novags.methods.enhanced_fit import ORIGINAL_FIT, ORIGINAL_SCALE
+from novags.methods.enhanced.config import ORIGINAL_FIT, ORIGINAL_SCALE
 from novags.methods.inputs import Pictures
 from novags.methods.rivals.row import rival
 from novags.splats.training.config import FitConfig

@@ -2,8 +2,8 @@
 
 from dataclasses import dataclass, field
 
-from novags.methods.enhanced_fit import ORIGINAL_FIT, ORIGINAL_SCALE
-from novags.methods.enhancers.rows.guided import EnhanceConfig, Enhancement
+from novags.methods.enhanced.config import ORIGINAL_FIT, ORIGINAL_SCALE
+from novags.methods.enhancers.choice import EnhanceConfig, Enhancement
 from novags.methods.inputs import Pictures
 from novags.methods.rivals.row import rival
 from novags.splats.training.config import FitConfig

@@ -14,7 +14,7 @@ from novags.methods.denoised.measured import measured
 from novags.methods.denoised.recorrupted import AdaptConfig
 from novags.methods.denoised.trainer import DenoisedConfig, parts, train
 from novags.methods.denoised.weights import load_weights
-from novags.methods.enhancers import enhanced, enhanced_like, enhanced_view
+from novags.methods.enhancers.applying import enhanced, enhanced_like, enhanced_view
 from novags.methods.inputs import LacksInput
 from novags.methods.noise import camera_noise
 from novags.methods.problem import Problem, RawPictures, encode

@@ -7,17 +7,11 @@ import pytest
 import torch
 from scipy.optimize import brentq
 
-from novags.methods.enhancers import (
-    enhanced,
-    enhanced_clean,
-    enhanced_twin,
-    enhanced_view,
-    enhancement_record,
-    recorded,
-)
+from novags.methods.enhancers import enhancement_record, recorded
+from novags.methods.enhancers.applying import enhanced, enhanced_clean, enhanced_twin, enhanced_view
+from novags.methods.enhancers.choice import EnhanceConfig
 from novags.methods.enhancers.guided import enhance
 from novags.methods.enhancers.noise_level import immerkaer_sigma, known_sigma, patch_pca_sigma
-from novags.methods.enhancers.rows.guided import EnhanceConfig
 from novags.methods.inputs import LacksInput
 from novags.methods.memo import Memo
 from novags.methods.noise import Noise, Variance

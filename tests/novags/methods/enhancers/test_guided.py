@@ -4,9 +4,10 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from novags.methods.enhancers.guided import EnhanceParams, box_mean, enhance, guided_filter, solve_gamma
+from novags.methods.enhancers.choice import EnhanceConfig
+from novags.methods.enhancers.guided import EnhanceParams, box_mean, enhance, guided_filter
 from novags.methods.enhancers.noise_level import immerkaer_sigma, patch_pca_sigma
-from novags.methods.enhancers.rows.guided import EnhanceConfig
+from novags.methods.enhancers.pictures import solve_gamma
 from sensor_model.isp import interpolate
 
 

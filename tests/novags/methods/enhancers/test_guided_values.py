@@ -8,8 +8,9 @@ import torch
 from scipy.optimize import brentq
 
 from novags.methods.enhancers import guided
-from novags.methods.enhancers.guided import EnhanceParams, enhance, guided_filter, solve_gamma
-from novags.methods.enhancers.rows.guided import EnhanceConfig
+from novags.methods.enhancers.choice import EnhanceConfig
+from novags.methods.enhancers.guided import EnhanceParams, enhance, guided_filter
+from novags.methods.enhancers.pictures import solve_gamma
 
 
 def textured(height: int = 13, width: int = 18, level: float = 0.15) -> np.ndarray:

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods.enhancers.mbllen import MBLLEN, Mbllen, MbllenConfig, adjust, from_keras, run, typical
-from novags.methods.enhancers.weights import read_weights
+from novags.methods.enhancers.files.weights import read_weights
+from novags.methods.enhancers.mbllen import MBLLEN, Mbllen, adjust, from_keras, run, typical
+from novags.methods.enhancers.rows.mbllen import MbllenConfig
 
 
 def network() -> Mbllen:

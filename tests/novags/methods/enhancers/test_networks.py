@@ -13,15 +13,19 @@ import pytest
 import torch
 from safetensors.torch import save_file
 
-from novags.methods.enhance_then_fit import parts, train
-from novags.methods.enhanced_fit import EnhancedFitConfig
-from novags.methods.enhancers import ENHANCERS, enhanced, enhanced_like, located, recorded
-from novags.methods.enhancers.keras_file import read_keras
+from novags.methods.enhanced.by_enhancer import parts
+from novags.methods.enhanced.config import EnhancedFitConfig
+from novags.methods.enhanced.enhance_then_fit import train
+from novags.methods.enhancers import ENHANCERS, located, recorded
+from novags.methods.enhancers.applying import enhanced, enhanced_like
+from novags.methods.enhancers.files.keras_file import read_keras
+from novags.methods.enhancers.files.weights import digest_of, read_weights
 from novags.methods.enhancers.networks import crops
 from novags.methods.enhancers.rehearsal import learned
-from novags.methods.enhancers.sci import SCI, Sci, SciConfig
-from novags.methods.enhancers.weights import digest_of, read_weights
-from novags.methods.enhancers.zero_dce import ZERO_DCE, ZeroDce, ZeroDceConfig
+from novags.methods.enhancers.rows.sci import SciConfig
+from novags.methods.enhancers.rows.zero_dce import ZeroDceConfig
+from novags.methods.enhancers.sci import SCI, Sci
+from novags.methods.enhancers.zero_dce import ZERO_DCE, ZeroDce
 from novags.methods.inputs import LacksInput
 from novags.methods.problem import Problem
 from novags.splats import FitConfig, Views

@@ -6,10 +6,11 @@ import pytest
 import torch
 
 from novags.methods import enhancers
-from novags.methods.enhancers import enhanced, enhanced_clean, enhanced_light, enhancement_record, recorded
+from novags.methods.enhancers import enhancement_record, recorded
+from novags.methods.enhancers.applying import enhanced, enhanced_clean, enhanced_light
+from novags.methods.enhancers.choice import EnhanceConfig
 from novags.methods.enhancers.enhancer import Enhancer
 from novags.methods.enhancers.guided import EnhanceParams, enhance, typical
-from novags.methods.enhancers.rows.guided import EnhanceConfig
 from novags.methods.problem import Problem
 from novags.splats import Views
 from sensor_model import linear_to_srgb, srgb_to_linear

@@ -5,9 +5,10 @@ import pytest
 import torch
 
 from novags.methods.enhancers import sci as part
+from novags.methods.enhancers.files.weights import read_weights
 from novags.methods.enhancers.rehearsal import learned
-from novags.methods.enhancers.sci import SCI, Sci, SciConfig
-from novags.methods.enhancers.weights import read_weights
+from novags.methods.enhancers.rows.sci import SciConfig
+from novags.methods.enhancers.sci import SCI, Sci
 
 
 def network(seed: int = 0) -> Sci:

@@ -7,14 +7,13 @@ import pytest
 import torch
 
 from novags.methods import METHODS, chosen
-from novags.methods.enhancers import ENHANCERS, enhanced_like, enhancement_record, recorded
-from novags.methods.enhancers.tone_curves import (
-    DragoConfig,
-    EqualiseConfig,
-    GainConfig,
-    GammaConfig,
-    geometric_mean_params,
-)
+from novags.methods.enhancers import ENHANCERS, enhancement_record, recorded
+from novags.methods.enhancers.applying import enhanced_like
+from novags.methods.enhancers.curves.curve import geometric_mean_params
+from novags.methods.enhancers.rows.drago import DragoConfig
+from novags.methods.enhancers.rows.equalise import EqualiseConfig
+from novags.methods.enhancers.rows.gain import GainConfig
+from novags.methods.enhancers.rows.gamma import GammaConfig
 from novags.testbed.ledger.contents import jsonable
 
 CURVES = [GammaConfig(), GammaConfig(gamma=None), GainConfig(), DragoConfig(), EqualiseConfig()]

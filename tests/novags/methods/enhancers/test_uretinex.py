@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods.enhancers.uretinex import URETINEX, URetinex, URetinexConfig, renamed
-from novags.methods.enhancers.weights import read_weights
+from novags.methods.enhancers.files.weights import read_weights
+from novags.methods.enhancers.rows.uretinex import URetinexConfig
+from novags.methods.enhancers.uretinex import URETINEX, URetinex, renamed
 
 
 def network() -> URetinex:

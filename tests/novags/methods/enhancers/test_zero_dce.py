@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods.enhancers import NETWORKS
+from novags.methods.enhancers import network_of
 from novags.methods.enhancers import zero_dce as part
+from novags.methods.enhancers.files.weights import read_weights
 from novags.methods.enhancers.networks import crops
-from novags.methods.enhancers.weights import read_weights
-from novags.methods.enhancers.zero_dce import ZERO_DCE, ZeroDce, ZeroDceConfig
+from novags.methods.enhancers.rows.zero_dce import ZeroDceConfig
+from novags.methods.enhancers.zero_dce import ZERO_DCE, ZeroDce
 
 
 def network(seed: int = 0, scale: float = 0.15) -> ZeroDce:
@@ -150,7 +151,7 @@ def test_the_official_file_has_these_tensors_and_no_others(official):
     own = ZeroDce().state_dict()
     assert {name: value.shape for name, value in tensors.items()} == {name: value.shape for name, value in own.items()}
     assert sum(value.numel() for value in own.values()) == 79_416
-    assert NETWORKS[ZeroDceConfig] is ZERO_DCE
+    assert network_of(ZeroDceConfig()) is ZERO_DCE
 
 
 def test_official_weights_make_dark_photographs_bright(official, dark_fox, plausible):

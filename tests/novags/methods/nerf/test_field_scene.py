@@ -14,7 +14,7 @@ from novags.fields.field import first_field
 from novags.fields.layout import Layout
 from novags.fields.march import Proposal
 from novags.fields.training.config import FieldFitConfig
-from novags.methods.enhancers import enhanced, enhanced_clean
+from novags.methods.enhancers.applying import enhanced, enhanced_clean
 from novags.methods.inputs import LacksInput
 from novags.methods.light import MeasuredLight
 from novags.methods.nerf import clean, fitting, plain

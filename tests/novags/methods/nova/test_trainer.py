@@ -8,7 +8,7 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import load_file
 
-from novags.methods.enhanced_fit import ORIGINAL_FIT
+from novags.methods.enhanced.config import ORIGINAL_FIT
 from novags.methods.nova import trainer
 from novags.methods.nova.consistency import ConsistencyConfig, ConsistencyLoss
 from novags.methods.nova.denoiser import Denoiser, DenoiserConfig

@@ -11,7 +11,7 @@ import torch
 
 from novags.methods.denoised.denoiser import DenoiseConfig
 from novags.methods.denoised.recorrupted import AdaptConfig
-from novags.methods.enhancers import enhanced_light
+from novags.methods.enhancers.applying import enhanced_light
 from novags.methods.inputs import LacksInput
 from novags.methods.light import first_light
 from novags.methods.noise import Noise, Variance

@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from novags.methods import METHODS
-from novags.methods.enhanced_fit import ORIGINAL_FIT
+from novags.methods.enhanced.config import ORIGINAL_FIT
 from novags.methods.rivals.gaussian_dk import ANCHOR
 
 PUBLISHED: dict[str, dict[str, Any]] = {

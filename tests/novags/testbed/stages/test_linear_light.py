@@ -13,8 +13,8 @@ import torch
 
 from novags.methods import METHODS, chosen
 from novags.methods.enhancers import enhancement_record
+from novags.methods.enhancers.choice import EnhanceConfig
 from novags.methods.enhancers.guided import EnhanceParams, enhance
-from novags.methods.enhancers.rows.guided import EnhanceConfig
 from novags.methods.problem import encode
 from novags.methods.reconstruction import Reconstruction
 from novags.settings import changed

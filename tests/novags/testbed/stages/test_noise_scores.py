@@ -10,8 +10,8 @@ import pytest
 import torch
 
 from novags.methods.enhancers import enhancement_record
+from novags.methods.enhancers.choice import EnhanceConfig
 from novags.methods.enhancers.guided import enhance
-from novags.methods.enhancers.rows.guided import EnhanceConfig
 from novags.methods.memo import Memo
 from novags.testbed import stages
 from novags.testbed.console import Console

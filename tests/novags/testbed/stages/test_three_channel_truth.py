@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import torch
 
+from novags.methods.enhancers.choice import EnhanceConfig
 from novags.methods.enhancers.guided import enhance
-from novags.methods.enhancers.rows.guided import EnhanceConfig
 from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.experiment import run

@@ -13,9 +13,9 @@ from scipy.optimize import brentq
 from torch import Tensor
 
 from novags.methods.enhancers import guided
+from novags.methods.enhancers.choice import EnhanceConfig
 from novags.methods.enhancers.guided import enhance
 from novags.methods.enhancers.noise_level import known_sigma
-from novags.methods.enhancers.rows.guided import EnhanceConfig
 from novags.methods.noise import Variance
 from novags.methods.noise_estimate import _before_8_bits, noise_from
 from novags.methods.problem import RawPictures

@@ -12,11 +12,16 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from novags.methods.enhancers import ENHANCERS, NETWORKS
-from novags.methods.enhancers.mbllen import MbllenConfig, adjust
+from novags.methods.enhancers import ENHANCERS, enhancer_of
+from novags.methods.enhancers.choice import Enhancement
+from novags.methods.enhancers.curves.drago import DARKEST
+from novags.methods.enhancers.mbllen import adjust
 from novags.methods.enhancers.networks import Kind
-from novags.methods.enhancers.rows.guided import Enhancement
-from novags.methods.enhancers.tone_curves import DARKEST, DragoConfig, EqualiseConfig, GainConfig, GammaConfig
+from novags.methods.enhancers.rows.drago import DragoConfig
+from novags.methods.enhancers.rows.equalise import EqualiseConfig
+from novags.methods.enhancers.rows.gain import GainConfig
+from novags.methods.enhancers.rows.gamma import GammaConfig
+from novags.methods.enhancers.rows.mbllen import MbllenConfig
 from novags.testbed.stability.case import Part, Setting, refusal, worse
 from novags.testbed.stability.errors import EPS, LARGEST, relative_error
 
@@ -30,8 +35,9 @@ Pixel = list[float]
 
 
 def _curve(config: Enhancement, dark: Tensor) -> Tensor:
-    enhancer = next(each for each in ENHANCERS.values() if isinstance(config, each.config))
-    return enhancer.enhance(dark, config, None, None)[0]
+    _, enhancer = enhancer_of(config)
+    found: Tensor = enhancer.enhance(dark, config, None, None)[0]
+    return found
 
 
 def _light(code: float) -> float:
@@ -173,7 +179,8 @@ def _pictures() -> list[Tensor]:
 def _networks() -> list[tuple[Kind, nn.Module, Any]]:
     """Every kind of network with the weights that a training begins with."""
     found = []
-    for config, kind in NETWORKS.items():
+    rows = [(row.config, row.network()) for row in ENHANCERS.values() if row.network is not None]
+    for config, kind in rows:
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(0)
             found.append((kind, kind.make(config()).eval(), config()))

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from novags.methods.enhancers.rows.guided import EnhanceConfig, Enhancement
+from novags.methods.enhancers.choice import EnhanceConfig, Enhancement
 from novags.methods.inputs import Pictures
 from novags.splats.training.config import FitConfig, LearningRates, McmcConfig
 

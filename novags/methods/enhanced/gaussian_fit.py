@@ -8,9 +8,9 @@ from typing import Any
 
 from torch import Tensor
 
-from novags.methods.enhanced_fit import EnhancedFitConfig
+from novags.methods.enhanced.config import EnhancedFitConfig
 from novags.methods.enhancers import enhancement_record
-from novags.methods.enhancers.rows.guided import Enhancement
+from novags.methods.enhancers.choice import Enhancement
 from novags.methods.inputs import Pictures
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction, Scene, Space

@@ -11,7 +11,7 @@ import torch
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from novags.methods.enhancers.keras_file import read_keras
+from novags.methods.enhancers.files.keras_file import read_keras
 from sensor_model.files.door import admitted, read_bytes
 from sensor_model.files.reading import brief, reading
 

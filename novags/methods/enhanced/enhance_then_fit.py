@@ -10,30 +10,17 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from novags.methods.enhanced_fit import EnhancedFitConfig, fit_parts
-from novags.methods.enhancers import NETWORKS, enhanced, enhancement_record
+from novags.methods.enhanced.by_enhancer import learning_steps, weights_of
+from novags.methods.enhanced.config import EnhancedFitConfig
+from novags.methods.enhanced.gaussian_fit import Progress, fit_enhanced
+from novags.methods.enhancers import enhancement_record, network_of
+from novags.methods.enhancers.applying import enhanced
+from novags.methods.enhancers.choice import Enhancement
 from novags.methods.enhancers.networks import Kind, described
 from novags.methods.enhancers.rehearsal import learned
-from novags.methods.enhancers.rows.guided import Enhancement
-from novags.methods.gaussian_fit import Progress, fit_enhanced
 from novags.methods.inputs import Pictures
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import NETWORK, Reconstruction
-
-
-def parts(config: EnhancedFitConfig) -> dict[str, int]:
-    """`Method.parts`: what the enhancer learns from the scene, if it does, then the fit."""
-    kind = NETWORKS.get(type(config.enhance))
-    steps = 0 if kind is None else _steps(kind, config)
-    return {"enhancer": steps, **fit_parts(config)} if steps else fit_parts(config)
-
-
-def _weights(config: EnhancedFitConfig) -> tuple[Path, ...]:
-    return getattr(config.enhance, "weights", None) or ()
-
-
-def _steps(kind: Kind, config: EnhancedFitConfig) -> int:
-    return 0 if kind.rehearsal is None or _weights(config) else kind.rehearsal.steps(config.enhance)
 
 
 def train(
@@ -51,7 +38,7 @@ def train(
         LacksInput: If the network needs weights and none are named.
         ValueError: If weights or a checkpoint are damaged, or belong to something else.
     """
-    kind = NETWORKS.get(type(config.enhance))
+    kind: Kind | None = network_of(config.enhance)
     if kind is None:
         return fit_enhanced(problem, config, enhanced, progress, checkpoint)
     return _with_network(kind, problem, config, progress, checkpoint)
@@ -60,7 +47,7 @@ def train(
 def _with_network(
     kind: Kind, problem: Problem, config: EnhancedFitConfig, progress: Progress | None, checkpoint: Path | None
 ) -> Reconstruction:
-    started, steps, files = time.perf_counter(), _steps(kind, config), _weights(config)
+    started, steps, files = time.perf_counter(), learning_steps(kind, config), weights_of(config)
     network, earlier = _network(kind, problem, config, progress, checkpoint)
     learning = earlier + time.perf_counter() - started
 
@@ -85,7 +72,7 @@ def _network(
     kind: Kind, problem: Problem, config: EnhancedFitConfig, progress: Progress | None, checkpoint: Path | None
 ) -> tuple[nn.Module, float]:
     """The network, and the seconds that stopped runs before this one have spent on it."""
-    if kind.rehearsal is None or _weights(config):
+    if kind.rehearsal is None or weights_of(config):
         return kind.load(config.enhance), 0.0
     path = None if checkpoint is None else checkpoint.with_name(f"{checkpoint.stem}.enhancer.safetensors")
     return learned(

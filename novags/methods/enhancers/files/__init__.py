@@ -1,0 +1,1 @@
+"""Files of weights of enhancing networks."""
