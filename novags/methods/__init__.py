@@ -1,5 +1,6 @@
-"""What is compared. A new method needs a row of `METHODS` and nothing else; `variant/named.py` names settings."""
+"""What is compared. A new method needs a row of `METHODS` and nothing else; `VARIANTS` names settings."""
 
+from collections import ChainMap
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from difflib import get_close_matches
@@ -7,8 +8,8 @@ from functools import partial
 from typing import Any
 
 from novags.methods import enhance_then_fit, oracle
-from novags.methods.averaging import trainer as averaging
-from novags.methods.denoised import trainer as denoised
+from novags.methods.averaging import row as averaging_row
+from novags.methods.denoised import row as denoised_row
 from novags.methods.enhanced_fit import EnhancedFitConfig, fit_parts
 from novags.methods.enhancers import tone_curves
 from novags.methods.enhancers.mbllen import MbllenConfig
@@ -22,14 +23,12 @@ from novags.methods.nerf import clean as clean_nerf
 from novags.methods.nerf import fitting as nerf
 from novags.methods.nerf import plain as plain_nerf
 from novags.methods.nerf import raw as raw_nerf
-from novags.methods.nova import trainer as nova
-from novags.methods.nova.knobs import KNOBS as NOVA_KNOBS
-from novags.methods.nova_plus import trainer as nova_plus
-from novags.methods.nova_plus.knobs import KNOBS as NOVA_PLUS_KNOBS
+from novags.methods.nova import row as nova_row
+from novags.methods.nova_plus import row as nova_plus_row
 from novags.methods.rivals import gaussian_dk, lita_gs, ll_gaussian, luminance_gs, raw_gs
 from novags.methods.variant import Method, Variant, spelled
-from novags.methods.variant.named import VARIANTS as VARIANTS
 from sensor_model.files.reading import brief
+from sensor_model.files.registry import Registry
 
 
 def _enhanced(enhance: Enhancement, title: str, color: str, source: str) -> Method:
@@ -47,29 +46,8 @@ def _rival(config: Callable[[], Any], train: Any, *, title: str, color: str, sou
 
 
 METHODS: dict[str, Method] = {
-    "nova": Method(
-        title="NOVA-GS as the paper states it: enhance, denoise with a network that learns from the noisy views alone, "
-        "fit with geometric consistency and a penalty on view-dependent colour where noise is strong",
-        family="ours",
-        color="#0072b2",
-        config=nova.NovaConfig,
-        train=nova.train,
-        parts=nova.parts,
-        knobs=NOVA_KNOBS,
-        source="NOVA-GS: Noise-Aware View-Consistent Gaussian Splatting for Low-Light Novel View Synthesis",
-        cameras="vggt",
-    ),
-    "nova-plus": Method(
-        title="the light of the scene, fitted to the raw data by their known noise, then to denoised data and to "
-        "averages guided by the first fit; two seeds, merged",
-        family="ours",
-        color="#7a3fb0",
-        config=nova_plus.NovaPlusConfig,
-        train=nova_plus.train,
-        parts=nova_plus.parts,
-        knobs=NOVA_PLUS_KNOBS,
-        source="docs/nova-plus.md",
-    ),
+    "nova": nova_row.METHOD,
+    "nova-plus": nova_plus_row.METHOD,
     "naive": Method(
         title="enhance, then fit the noisy pictures with the same loss (L1 and D-SSIM)",
         family="2D + GS",
@@ -135,16 +113,7 @@ METHODS: dict[str, Method] = {
         "#8a5fa8",
         "Retinexformer: One-stage Retinex-based Transformer for Low-light Image Enhancement (Cai et al. 2023)",
     ),
-    "denoise-gs": Method(
-        title="denoise the raw data with a network that was trained on simulated cameras and adapts to the capture, "
-        "enhance, then fit as naive does",
-        family="2D + GS",
-        color="#7a5195",
-        config=denoised.DenoisedConfig,
-        train=denoised.train,
-        parts=denoised.parts,
-        source="recorrupted-to-recorrupted (Pang et al. 2021) in the generalised Anscombe domain (Murtagh et al. 1995)",
-    ),
+    "denoise-gs": denoised_row.METHOD,
     "luminance-gs": _rival(
         luminance_gs.LuminanceGsConfig,
         luminance_gs.train,
@@ -247,18 +216,27 @@ METHODS: dict[str, Method] = {
         source="NeRF (Mildenhall et al. 2020) on simulated exposures without noise",
         sees_clean=True,
     ),
-    "averaging": Method(
-        title="bring the training exposures to the view by the true surface and average them by inverse variance: what "
-        "counting statistics across views alone can give",
-        family="bound",
-        color="#6b6b6b",
-        config=averaging.AveragingConfig,
-        train=averaging.train,
-        source="the Gauss-Markov theorem, and cubic convolution (Keys 1981)",
-        sees_clean=True,
-        sees_surface=True,
-    ),
+    "averaging": averaging_row.METHOD,
 }
+
+VARIANTS: Registry[Variant] = Registry(
+    {
+        "nova-fast": "novags.methods.nova.variants:FAST",
+        "nova-tuned": "novags.methods.nova.variants:TUNED",
+        "nova-no-sh": "novags.methods.nova.variants:NO_SH",
+        "nova-no-geo": "novags.methods.nova.variants:NO_GEO",
+        "nova-no-n2v-sh": "novags.methods.nova.variants:NO_N2V_SH",
+        "naive-l1": "novags.methods.variant.rows.enhanced:NAIVE_L1",
+        "gamma-auto-gs": "novags.methods.variant.rows.enhanced:GAMMA_AUTO",
+        "sci-plus-gs": "novags.methods.variant.rows.enhanced:SCI_PLUS",
+        "oracle-demosaiced": "novags.methods.variant.rows.enhanced:ORACLE_DEMOSAICED",
+        "naive-l1-fast-rates": "novags.methods.variant.rows.fast_rates:NAIVE_L1",
+        "oracle-fast-rates": "novags.methods.variant.rows.fast_rates:ORACLE",
+        "i2-nerf-truth": "novags.methods.variant.rows.others:I2_NERF_TRUTH",
+        "denoise-gs-plain": "novags.methods.variant.rows.others:DENOISE_PLAIN",
+        "averaging-clean": "novags.methods.variant.rows.others:AVERAGING_CLEAN",
+    }
+)
 
 
 def names() -> tuple[str, ...]:
@@ -276,7 +254,7 @@ def chosen(name: str, more: Mapping[str, Variant] | None = None) -> Variant:
     Raises:
         ValueError: If the name is unknown, or it varies a method that does not exist.
     """
-    variants = {**VARIANTS, **(more or {})}
+    variants = ChainMap[str, Variant](dict(more or {}), VARIANTS)  # which loads the row of this name alone
     variant = variants.get(name, Variant(name=name, method=name))
     if variant.method in variants and variant.method not in (name, *METHODS):  # a variant of a variant
         base = chosen(variant.method, {other: v for other, v in (more or {}).items() if other != name})

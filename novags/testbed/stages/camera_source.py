@@ -13,7 +13,8 @@ from novags.cameras import CameraConfig, CameraEstimate, KnownConfig, check_came
 from novags.cameras.align import Alignment, align, to_estimated
 from novags.cameras.estimate import near_origin
 from novags.methods.enhancers import guided
-from novags.methods.nova.denoiser import FAST_DENOISER, Denoiser
+from novags.methods.nova.denoiser import Denoiser
+from novags.methods.nova.denoiser_config import FAST_DENOISER
 from novags.splats.views import Views
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from novags.methods.denoised.denoiser import DenoiseConfig, denoised
+from novags.methods.denoised.config import DenoiseConfig
+from novags.methods.denoised.denoiser import denoised
 from novags.methods.denoised.measured import of_capture
 from novags.methods.denoised.weights import made_by
 from novags.settings import check_seed

@@ -21,7 +21,7 @@ from novags.methods.enhancers.rows.guided import EnhanceConfig
 from novags.methods.inputs import LacksInput
 from novags.methods.memo import Memo
 from novags.methods.noise import Noise, Variance
-from novags.methods.nova.trainer import NovaConfig
+from novags.methods.nova.config import NovaConfig
 from novags.methods.problem import Problem
 from novags.settings import changed
 from novags.splats import Views
