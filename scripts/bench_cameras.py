@@ -43,7 +43,8 @@ def captured(radiances: list[np.ndarray], electrons: float, seed: int) -> Tensor
 
 def denoised(enhanced: Tensor, steps: int, seed: int) -> Tensor:
     """What the self-supervised denoiser of the preset demo makes of them after a short training."""
-    from novags.methods.nova.denoiser import FAST_DENOISER, Denoiser
+    from novags.methods.nova.denoiser import Denoiser
+    from novags.methods.nova.denoiser_config import FAST_DENOISER
 
     denoiser = Denoiser(enhanced, FAST_DENOISER, total_steps=steps, seed=seed)
     for _ in range(steps):

@@ -20,9 +20,10 @@ from denoising.rivals import BLURS, FILTERS, blur, filtered, noise_to_void
 from torch import Tensor
 
 from novags.methods.denoised.anscombe import Anscombe
+from novags.methods.denoised.config import AdaptConfig
 from novags.methods.denoised.estimate import estimate_all
 from novags.methods.denoised.measured import Measured, of_capture
-from novags.methods.denoised.recorrupted import AdaptConfig, adapt
+from novags.methods.denoised.recorrupted import adapt
 from novags.methods.denoised.weights import PACKAGED, load_weights
 from novags.methods.enhancers.choice import EnhanceConfig
 from novags.methods.enhancers.guided import enhance

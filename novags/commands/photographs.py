@@ -70,8 +70,7 @@ def denoise(
         overwrite: Replace a finished result of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
     """
-    from novags.methods.denoised.denoiser import DenoiseConfig
-    from novags.methods.denoised.recorrupted import AdaptConfig
+    from novags.methods.denoised.config import AdaptConfig, DenoiseConfig
     from novags.testbed import stages
     from novags.testbed.stages.configs.denoising import DenoisePicturesConfig
 

@@ -12,7 +12,8 @@ from skimage.restoration import cycle_spin, denoise_nl_means, denoise_wavelet
 from torch import Tensor
 
 from novags.methods.denoised.anscombe import Anscombe
-from novags.methods.nova.denoiser import FAST_DENOISER, Denoiser
+from novags.methods.nova.denoiser import Denoiser
+from novags.methods.nova.denoiser_config import FAST_DENOISER
 
 Planes = NDArray[np.float32]  # [H, W, D] in units of the noise
 BLURS = (0.4, 0.6, 0.8, 1.0, 1.2, 1.5, 1.8, 2.2, 2.8, 3.5)  # px

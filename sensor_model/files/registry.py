@@ -42,6 +42,7 @@ class Registry(MutableMapping[str, Row]):
 
     def __init__(self, rows: Mapping[str, str | Row]) -> None:
         self._rows: dict[str, str | Row] = dict(rows)
+        self._texts = {name: row for name, row in rows.items() if isinstance(row, str)}
 
     def __getitem__(self, name: str) -> Row:
         """The row, loaded.
@@ -54,7 +55,8 @@ class Registry(MutableMapping[str, Row]):
         return found
 
     def __setitem__(self, name: str, row: str | Row) -> None:  # text is loaded when read
-        self._rows[name] = row
+        text = self._texts.get(name)
+        self._rows[name] = text if text is not None and loaded(text) is row else row  # a row that is put back
 
     def __delitem__(self, name: str) -> None:
         del self._rows[name]
@@ -70,6 +72,6 @@ class Registry(MutableMapping[str, Row]):
         return name in self._rows
 
     def module_of(self, name: str) -> str | None:
-        """The module of a row; None of a row that was given as it is."""
-        row = self._rows[name]
+        """The module of a row; None of a row that was given as it is, or is not there."""
+        row = self._rows.get(name)
         return row.partition(":")[0] if isinstance(row, str) else None

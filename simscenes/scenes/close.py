@@ -8,6 +8,7 @@ import numpy as np
 
 from simscenes.scenes import shapes as s
 from simscenes.scenes import textures as t
+from simscenes.scenes.scene import ROOM, Scene, orbit
 
 
 def glassware(seed: int = 0) -> dict[str, Any]:
@@ -52,6 +53,9 @@ def glassware(seed: int = 0) -> dict[str, Any]:
     return parts
 
 
+GLASSWARE = Scene(glassware, orbit(48.0, target=(0.05, 0.05, 0.2), radius=1.5, elevation_deg=22.0, **ROOM))
+
+
 def thicket(seed: int = 0) -> dict[str, Any]:
     """Dry grass, wires and lattices, mostly thinner than a pixel, before a patterned ground.
 
@@ -93,3 +97,6 @@ def thicket(seed: int = 0) -> dict[str, Any]:
         "stone": s.ball((0.5, -0.35, 0.12), 0.2, stone, squash=0.7),
         "post": s.box((-0.55, -0.3, 0.4), (0.08, 0.08, 0.8), s.diffuse(t.wood((128, 32), rng, planks=1)), yaw=30),
     }
+
+
+THICKET = Scene(thicket, orbit(52.0, target=(0.0, 0.0, 0.45), radius=1.7, elevation_deg=18.0, **ROOM))

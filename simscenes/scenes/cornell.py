@@ -8,6 +8,7 @@ import numpy as np
 
 from simscenes.scenes import shapes as s
 from simscenes.scenes import textures as t
+from simscenes.scenes.scene import Scene, forward
 
 
 def cornell(seed: int = 0) -> dict[str, Any]:
@@ -45,3 +46,6 @@ def cornell(seed: int = 0) -> dict[str, Any]:
         "ball": s.ball((0.38, -0.15, -0.24), 0.2, s.metal("Au", 0.25)),
         "small_ball": s.ball((-0.2, -0.45, -0.84), 0.16, s.plastic(leather, 0.1)),
     }
+
+
+CORNELL = Scene(cornell, forward(58.0, position=(0, -1.75, 0), target=(0, 0.3, -0.15), extent=(0.62, 0.5), rows=4))

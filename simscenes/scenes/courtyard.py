@@ -8,6 +8,7 @@ import numpy as np
 
 from simscenes.scenes import shapes as s
 from simscenes.scenes import textures as t
+from simscenes.scenes.scene import Scene, orbit
 
 _WALL = 4.2  # half width of the yard
 
@@ -34,6 +35,13 @@ def courtyard(seed: int = 0) -> dict[str, Any]:
         "ground": s.quad((0, 0, 0), (_WALL + 2, 0, 0), (0, _WALL + 2, 0), s.diffuse(ground, tile=(3, 3))),
         **_houses(rng), **_fountain(rng), **_tree(rng), **_garden(rng),
     }  # fmt: skip
+
+
+COURTYARD = Scene(
+    courtyard,
+    orbit(60.0, target=(0.1, 0.1, 0.95), radius=3.5, elevation_deg=14.0, swing_deg=7.0, start_deg=-195.0,
+          sweep_deg=195.0),
+)  # fmt: skip
 
 
 def _sky(rng: t.Rng) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from simscenes.scenes import shapes as s
 from simscenes.scenes import textures as t
+from simscenes.scenes.scene import ROOM, Scene, orbit
 
 _CANVAS = (("b9bfb8", "a9b1ab", "949e99"), ("c9bda9", "bbae98", "a89a84"))
 _PAINTS = ("1d3557", "c0392b", "f1e4c8", "457b9d", "e2a73b", "3f7d58")
@@ -61,6 +62,9 @@ def studio(seed: int = 0) -> dict[str, Any]:
     return parts
 
 
+STUDIO = Scene(studio, orbit(52.0, target=(0.05, 0.1, 0.35), radius=1.8, elevation_deg=24.0, **ROOM))
+
+
 def gallery(seed: int = 0) -> dict[str, Any]:
     """A white room with pictures and pale stone figures; coves along two walls throw all its light at the ceiling.
 
@@ -110,6 +114,9 @@ def gallery(seed: int = 0) -> dict[str, Any]:
     return parts
 
 
+GALLERY = Scene(gallery, orbit(66.0, target=(0.0, 0.2, 0.8), radius=1.7, elevation_deg=10.0, **ROOM))
+
+
 def hall(seed: int = 0) -> dict[str, Any]:
     """A removal day: a bare wall of one shade, boxes, a rolled rug, a chair, a lamp on its stand and a tall plant.
 
@@ -137,6 +144,9 @@ def hall(seed: int = 0) -> dict[str, Any]:
         card = t.lettering((96, 128), rng, f"BOX {k}", ink="4a2f1b", paper="c9a06b")
         parts[f"box_{k}"] = s.box((x, y, size / 2), (size, size, size), s.diffuse(card), yaw=float(rng.uniform(0, 90)))
     return parts
+
+
+HALL = Scene(hall, orbit(60.0, target=(0.0, 0.5, 0.5), radius=1.9, elevation_deg=16.0, **ROOM))
 
 
 def _left_behind(rng: t.Rng) -> dict[str, Any]:

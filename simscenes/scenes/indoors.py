@@ -11,6 +11,7 @@ from simscenes.scenes import sculpture
 from simscenes.scenes import shapes as s
 from simscenes.scenes import textures as t
 from simscenes.scenes.printed import CHART, NOTICES, VERSES, page
+from simscenes.scenes.scene import ROOM, Scene, orbit
 
 _JACKETS = ("1d3557", "8c2f39", "2f5d50", "d9a441", "5b3a6b", "e8dcc0", "36454f")
 
@@ -55,6 +56,9 @@ def bookshop(seed: int = 0) -> dict[str, Any]:
     )
     parts |= _shelves(rng) | _table(rng)
     return parts
+
+
+BOOKSHOP = Scene(bookshop, orbit(58.0, target=(0.05, 1.3, 1.2), radius=1.9, elevation_deg=9.0, **ROOM))
 
 
 def _cork(rng: t.Rng) -> t.Texels:
@@ -142,3 +146,6 @@ def busts(seed: int = 0) -> dict[str, Any]:
         plinth = s.diffuse(t.marble((160, 160), rng, colors=("c9c2b4", "b5ad9e", "958d80")))
         parts[f"plinth_{k}"] = s.box((place[0], y, top / 2), (0.46, 0.42, top), plinth, yaw=yaw)
     return parts
+
+
+BUSTS = Scene(busts, orbit(50.0, target=(0.1, 0.3, 0.85), radius=1.75, elevation_deg=12.0, **ROOM))

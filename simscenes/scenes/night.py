@@ -8,6 +8,7 @@ import numpy as np
 
 from simscenes.scenes import shapes as s
 from simscenes.scenes import textures as t
+from simscenes.scenes.scene import ROOM, Scene, forward, orbit
 
 
 def street(seed: int = 0) -> dict[str, Any]:
@@ -73,6 +74,9 @@ def street(seed: int = 0) -> dict[str, Any]:
     return parts
 
 
+STREET = Scene(street, forward(62.0, position=(0, -1.6, 1.5), target=(0, 3.5, 1.1), extent=(0.9, 0.45), rows=4))
+
+
 def market(seed: int = 0) -> dict[str, Any]:
     """A stall of fruit and cloth, half in the orange light of a sodium lamp, half in the blue of a white LED.
 
@@ -119,6 +123,13 @@ def market(seed: int = 0) -> dict[str, Any]:
     return parts
 
 
+MARKET = Scene(
+    market,
+    orbit(56.0, target=(0.0, 0.2, 0.75), radius=1.7, elevation_deg=20.0, **ROOM),
+    measured_lights=True,
+)
+
+
 def lantern(seed: int = 0) -> dict[str, Any]:
     """A dark workshop corner lit by one bare bulb that hangs in view.
 
@@ -163,3 +174,6 @@ def lantern(seed: int = 0) -> dict[str, Any]:
             s.diffuse(t.painting((96, 80), rng, colors=("f1e4c8", "457b9d", "c0392b", "e2a73b"))),
         )
     return parts
+
+
+LANTERN = Scene(lantern, orbit(62.0, target=(0.05, 0.4, 0.95), radius=1.8, elevation_deg=12.0, **ROOM))

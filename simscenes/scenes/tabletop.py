@@ -8,6 +8,7 @@ import numpy as np
 
 from simscenes.scenes import shapes as s
 from simscenes.scenes import textures as t
+from simscenes.scenes.scene import Scene, orbit
 
 _BRIGHT = ("1d3557", "c0392b", "f1e4c8", "457b9d", "e2a73b", "3f7d58")
 _FLOOR, _CEILING, _WALL = -0.75, 1.95, 2.3
@@ -30,6 +31,13 @@ def tabletop(seed: int = 0) -> dict[str, Any]:
     """
     rng = np.random.default_rng([seed, 1])
     return {"type": "scene", **_lights(rng), **_room(rng), **_table(rng), **_vessels(rng), **_toys(rng), **_fruit(rng)}
+
+
+TABLETOP = Scene(
+    tabletop,
+    orbit(52.0, target=(0.02, 0.02, 0.12), radius=1.45, elevation_deg=27.0, swing_deg=9.0, start_deg=-150.0,
+          sweep_deg=140.0),
+)  # fmt: skip
 
 
 def _lights(rng: t.Rng) -> dict[str, Any]:

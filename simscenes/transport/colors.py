@@ -12,7 +12,7 @@ from sensor_model.plan import Effect
 from simscenes.camera import camera_color
 from simscenes.loading.contents import unique_materials
 from simscenes.optics import Optics
-from simscenes.scenes import MEASURED_LIGHTS, split_name
+from simscenes.scenes import SCENES, split_name
 from simscenes.transport import pilot, plan, spectra
 from simscenes.transport.effects import DEPTHS, decided
 from simscenes.transport.lengths import SPECULAR
@@ -146,6 +146,6 @@ def _measured_elsewhere(p: Pilot) -> list[str]:
 
 def _has_measured_spectra(p: Pilot) -> bool:
     if p.source.in_catalogue:
-        return split_name(p.source.name)[0] in MEASURED_LIGHTS
+        return SCENES[split_name(p.source.name)[0]].measured_lights
     with p.in_color("spectral") as (mi, loaded):
         return spectra.has_measured(mi, loaded)

@@ -2,49 +2,22 @@
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from torch import Tensor
 
+from novags.methods.averaging.config import AveragingConfig
 from novags.methods.averaging.scene import LEAST, AveragedScene
 from novags.methods.averaging.surface import Array, Camera
-from novags.methods.averaging.warp import Kernel, Rules
+from novags.methods.averaging.warp import Rules
 from novags.methods.enhancers import enhancement_record
 from novags.methods.enhancers.applying import enhanced_like, enhanced_view
-from novags.methods.enhancers.choice import EnhanceConfig, Enhancement
-from novags.methods.inputs import LacksInput, Pictures
+from novags.methods.inputs import LacksInput
 from novags.methods.noise_estimate import noise_of
 from novags.methods.problem import Problem, TrueSurface
 from novags.methods.reconstruction import Reconstruction
 from sensor_model.isp import srgb_to_linear
-
-
-@dataclass(frozen=True, kw_only=True)
-class AveragingConfig:
-    """What is averaged, and what counts as seeing a pixel.
-
-    The surface is taken to look the same from everywhere: what shines or mirrors is averaged all the same, and costs
-    the noise-free average too.
-    """
-
-    exposures: Literal["noisy", "noise-free"] = "noisy"
-    pictures: Pictures = "8bit"  # through whose enhancement the average goes; what is averaged is linear, 16-bit
-    enhance: Enhancement = field(default_factory=EnhanceConfig)
-    kernel: Kernel = "cubic"
-    tolerance: float = 0.01  # relative difference of depth up to which two views see the same surface
-    coarsest: float = 3.0  # pixels of the view along one of a training view, up to which that is used
-
-    def __post_init__(self) -> None:
-        for name, value in (("exposures", ("noisy", "noise-free")), ("kernel", ("cubic", "linear"))):
-            if getattr(self, name) not in value:
-                raise ValueError(f"{name} must be one of {', '.join(value)}, got {getattr(self, name)!r}")
-        if not 0 < self.tolerance < 1:
-            raise ValueError(f"tolerance must lie in (0, 1), got {self.tolerance}")
-        if not self.coarsest >= 1:
-            raise ValueError(f"coarsest must be >= 1 pixel, got {self.coarsest}")
 
 
 def train(

@@ -8,15 +8,14 @@ of the warped picture follows from the squares of its entries.
 
 import math
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from novags.methods.averaging.config import Kernel
 from novags.methods.averaging.surface import Array, Camera, Mask, same_depth
 
-Kernel = Literal["cubic", "linear"]
 FINER = 1.1  # pixels of the other picture along one of this one, from which on it is sampled several times
 MOST_SAMPLES = 8  # along a side of a pixel; where the other picture is finer still, some of its pixels are left out
 ENOUGH = 0.5  # of the kernel's weight must lie on the same surface: dividing by less would magnify noise and errors

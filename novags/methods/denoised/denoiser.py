@@ -1,26 +1,13 @@
 """The trained denoiser on the pictures of one capture: for single pictures, and for the methods that use it."""
 
-from dataclasses import dataclass, field
-
 from torch import Tensor
 
-from novags.methods.denoised.estimate import TURNS, estimate_all
+from novags.methods.denoised.config import DenoiseConfig
+from novags.methods.denoised.estimate import estimate_all
 from novags.methods.denoised.measured import Measured
-from novags.methods.denoised.recorrupted import AdaptConfig, adapt
+from novags.methods.denoised.recorrupted import adapt
 from novags.methods.denoised.weights import load_weights
 from novags.methods.enhanced.gaussian_fit import Progress
-
-
-@dataclass(frozen=True, kw_only=True)
-class DenoiseConfig:
-    """How the pictures are denoised."""
-
-    adapt: AdaptConfig | None = field(default_factory=AdaptConfig)  # to the capture; None: the network as it comes
-    turns: int = TURNS  # flips and quarter turns whose estimates are averaged
-
-    def __post_init__(self) -> None:
-        if not 1 <= self.turns <= TURNS:
-            raise ValueError(f"turns must be 1 to {TURNS}, got {self.turns}")
 
 
 def denoised(

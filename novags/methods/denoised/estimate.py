@@ -7,8 +7,6 @@ from novags.methods.denoised.anscombe import Anscombe
 from novags.methods.denoised.network import Network
 from novags.methods.denoised.packing import turned, turned_back
 
-TURNS = 8  # flips and quarter turns of a square
-
 
 def estimate(network: Network, electrons: Tensor, mask: Tensor, read_variance: Tensor) -> Tensor:
     """The network's estimate of the means, differentiable.

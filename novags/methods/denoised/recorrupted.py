@@ -23,6 +23,7 @@ import torch
 from torch import Tensor
 
 from novags.methods.denoised.blend import Blend, best_blend
+from novags.methods.denoised.config import AdaptConfig
 from novags.methods.denoised.estimate import estimate, estimate_all
 from novags.methods.denoised.measured import Measured
 from novags.methods.denoised.network import Network
@@ -32,25 +33,6 @@ from novags.methods.enhanced.gaussian_fit import Progress
 LEAST_VARIANCE = 1e-4  # electrons**2
 ASKED = 8  # views that say how far to follow an adapted network
 MOST = 1 << 22  # of their values, which bounds the memory
-
-
-@dataclass(frozen=True, kw_only=True)
-class AdaptConfig:
-    """How a network is adapted to a capture."""
-
-    steps: int = 120
-    learning_rate: float = 5e-4  # Adam, falling to zero in half a cosine
-    batch: int = 8  # crops per step
-    crop: int = 64  # px, even
-    strength: float = 0.5  # a
-
-    def __post_init__(self) -> None:
-        if self.steps < 1 or self.batch < 1:
-            raise ValueError(f"need steps and batch >= 1, got {self.steps} and {self.batch}")
-        if self.crop < 2 or self.crop % 2:
-            raise ValueError(f"crop must be even and >= 2 px (a mosaic repeats every 2), got {self.crop}")
-        if not self.learning_rate > 0 or not self.strength > 0:
-            raise ValueError(f"learning_rate and strength must be > 0, got {self.learning_rate} and {self.strength}")
 
 
 def recorrupted(data: Tensor, deviation: Tensor, strength: float, generator: torch.Generator) -> tuple[Tensor, Tensor]:

@@ -5,48 +5,25 @@ import hashlib
 import json
 import math
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from novags.methods.denoised.denoiser import DenoiseConfig, denoised
+from novags.methods.denoised.config import DenoiseConfig, DenoisedConfig, parts
+from novags.methods.denoised.denoiser import denoised
 from novags.methods.denoised.measured import Measured, measured
 from novags.methods.denoised.weights import PACKAGED
-from novags.methods.enhanced.config import ORIGINAL_FIT, ORIGINAL_SCALE, EnhancedFitConfig
+from novags.methods.enhanced.config import EnhancedFitConfig
 from novags.methods.enhanced.gaussian_fit import Progress, fit_enhanced
 from novags.methods.enhancers.applying import enhanced, enhanced_light
-from novags.methods.enhancers.choice import EnhanceConfig, Enhancement
+from novags.methods.enhancers.choice import Enhancement
 from novags.methods.inputs import Pictures
-from novags.methods.nova.checkpoint import read
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import Reconstruction
-from novags.splats.training.checkpoint import digest, write_tensors
-from novags.splats.training.config import FitConfig
+from novags.splats.training.checkpoint import digest, read, write_tensors
 from sensor_model.files.door import read_bytes
-
-
-@dataclass(frozen=True, kw_only=True)
-class DenoisedConfig:
-    """Denoising, then enhancement and fit as in the method that fits the noisy pictures.
-
-    What is denoised are the raw data, or linear pictures; `pictures` are those whose enhancement the denoised ones go
-    through, so that they are compared with the same reference as the noisy ones.
-    """
-
-    pictures: Pictures = "8bit"
-    enhance: Enhancement = field(default_factory=EnhanceConfig)
-    denoise: DenoiseConfig = field(default_factory=DenoiseConfig)
-    init_scale: float = ORIGINAL_SCALE
-    fit: FitConfig = ORIGINAL_FIT
-
-
-def parts(config: DenoisedConfig) -> dict[str, int]:
-    """`Method.parts`: adaptation of the network, then the fit."""
-    adapting = 0 if config.denoise.adapt is None else config.denoise.adapt.steps
-    return {"denoiser": adapting, "fit": config.fit.iterations}
 
 
 def train(

@@ -14,9 +14,9 @@ from novags.fields.training.anchors import PointLoss
 from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
 from novags.fields.training.fit import FieldFit, fit_field
+from novags.methods.enhanced.gaussian_fit import Progress
 from novags.methods.enhancers import enhancement_record
 from novags.methods.enhancers.choice import Enhancement
-from novags.methods.enhanced.gaussian_fit import Progress
 from novags.methods.inputs import Pictures
 from novags.methods.nerf.config import NerfConfig
 from novags.methods.nerf.losses import robust

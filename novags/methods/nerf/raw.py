@@ -17,9 +17,9 @@ from pathlib import Path
 from torch import Tensor
 
 from novags.fields.training.batch import Batch
+from novags.methods.enhanced.gaussian_fit import Progress
 from novags.methods.enhancers import enhancement_record
 from novags.methods.enhancers.applying import enhanced
-from novags.methods.enhanced.gaussian_fit import Progress
 from novags.methods.light import MeasuredLight, brightness, measured_light, raw_loss
 from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs
 from novags.methods.nerf.rows.raw_nerf import RawNerfConfig

@@ -5,44 +5,9 @@ is bool [B, H, W], True where the network is blinded: there its input is another
 there the loss is evaluated.
 """
 
-from dataclasses import dataclass
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor
-
-
-@dataclass(frozen=True, kw_only=True)
-class BlindSpotConfig:
-    """How many pixels are blinded and how they are chosen."""
-
-    mask_count: int | None = 60_000  # per whole view, the paper's number; None leaves only the fraction
-    mask_fraction: float = 0.32  # at most this share of a view; 60,000 px are this much of the paper's smallest (LOM)
-    laplacian_share: float = 0.5  # of the mask, drawn by high-frequency content; the rest is uniform
-    window: int = 5  # px, edge of the neighbourhood that replacements come from
-    # Blind one colour channel of a pixel instead of all three: the other two show its texture. This needs channels with
-    # independent noise: a three-chip camera, without JPEG or a colour matrix. None: wherever that holds. The paper
-    # blinds all three.
-    per_channel: bool | None = False
-    # Blind the sensor's samples, packed as four channels of half the size, instead of demosaiced pictures, whose noise
-    # neighbours share; the result is demosaiced. This needs a known colour filter array, and neither JPEG nor a colour
-    # matrix. None: wherever that holds. Sizes of windows, crops and blurs are then in cells of 2 px.
-    packed: bool | None = False
-
-    def __post_init__(self) -> None:
-        if self.mask_count is not None and self.mask_count < 1:
-            raise ValueError(f"mask_count must be >= 1 or None, got {self.mask_count}")
-        if not 0 < self.mask_fraction < 1:
-            raise ValueError(f"mask_fraction must lie in (0, 1), got {self.mask_fraction}")
-        if not 0 <= self.laplacian_share <= 1:
-            raise ValueError(f"laplacian_share must lie in [0, 1], got {self.laplacian_share}")
-        if self.window < 3 or self.window % 2 == 0:
-            raise ValueError(f"window must be odd and >= 3 px, got {self.window}")
-
-    def fraction(self, view_pixels: int) -> float:
-        """Share of pixels to blind, for views of `view_pixels` pixels; the same share holds for crops of them."""
-        limit = 1.0 if self.mask_count is None else self.mask_count / view_pixels
-        return min(self.mask_fraction, limit)
 
 
 def laplacian_prior(images: Tensor) -> Tensor:

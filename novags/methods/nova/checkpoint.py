@@ -6,24 +6,10 @@ Networks that learn beside a fit keep the fit's own checkpoint in the same file:
 from pathlib import Path
 
 import torch
-from safetensors.torch import load_file
 from torch import Tensor
 
 from sensor_model.files.atomic import atomic
-from sensor_model.files.door import admitted, read_bytes
-from sensor_model.files.reading import brief
-
-
-def read(path: Path) -> dict[str, Tensor]:
-    """The tensors `write_tensors` saved.
-
-    Raises:
-        ValueError: If the file is not a safetensors file.
-    """
-    try:
-        return load_file(admitted(path))
-    except Exception as error:  # safetensors raises its own class, which it does not promise to keep
-        raise ValueError(f"{path} is damaged ({brief(error)}): delete it, the run then starts over") from error
+from sensor_model.files.door import read_bytes
 
 
 def file_as_tensor(path: Path) -> Tensor:

@@ -7,53 +7,19 @@ Pixel coordinates are (x, y) with centres at +0.5; depths are z-depths in their 
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from novags.methods.nova.config import ConsistencyConfig
 from novags.splats.training.companion import pack, unpack
 from novags.splats.training.fit import Step
 from novags.splats.training.guard import require_finite
 from novags.splats.views import Views
 
 FARTHEST = 1e10  # world units: the far plane of `rasterize`
-
-
-@dataclass(frozen=True, kw_only=True)
-class ConsistencyConfig:
-    """Choices of the geometric loss; the paper fixes `occlusion_tolerance` and the network."""
-
-    weight: float = 1.0  # of L_geo in the total loss
-    confidence_weight: float = 0.05  # lambda_c; C saturates at 1 where it exceeds the residual
-    start: float = 0.25  # of the iterations, when depths become meaningful
-    every: int = 1  # iterations between two evaluations, each weighted `every` times; one costs a second rendering
-    occlusion_tolerance: float = 0.1  # relative depth difference
-    min_alpha: float = 0.5  # pixels the Gaussians cover less have no depth
-    # Which views may be the source of a target view: those with the nearest centres, those whose optical axes differ
-    # least, or all within the limits below. The paper does not say.
-    pairs: Literal["nearest", "angle", "random"] = "nearest"
-    neighbours: int = 8  # candidates per view, at most; "random" has no such limit
-    max_angle: float = 30.0  # degrees between optical axes
-    min_distance: float = 0.002  # between camera centres, in scene extents: closer ones carry no parallax
-    max_distance: float = 1.5  # same unit
-    # What is warped from the source and compared with its counterpart in the target: pseudo-clean pictures, noisy
-    # enhanced ones, or renderings. The source's rendering is a constant, like its depth; the target's is not.
-    warped: Literal["clean", "enhanced", "render"] = "clean"
-    confidence: bool = True  # False: C = 1, and so no L_conf
-    learning_rate: float = 1e-3  # Adam, confidence network
-
-    def __post_init__(self) -> None:
-        if self.weight < 0 or self.confidence_weight < 0:
-            raise ValueError(f"weights must be >= 0, got {self.weight} and {self.confidence_weight}")
-        if not 0 <= self.start <= 1:
-            raise ValueError(f"start must lie in [0, 1], got {self.start}")
-        if self.every < 1 or self.neighbours < 1:
-            raise ValueError(f"every and neighbours must be >= 1, got {self.every} and {self.neighbours}")
-        if not self.occlusion_tolerance > 0:
-            raise ValueError(f"occlusion_tolerance must be > 0, got {self.occlusion_tolerance}")
 
 
 @dataclass(frozen=True)

@@ -6,79 +6,18 @@ drawn.
 """
 
 import math
-from dataclasses import dataclass, field
-from typing import Literal
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from novags.methods.nova.blindspot import BlindSpotConfig, n2v_loss, replace_masked, sample_mask
+from novags.methods.nova.blindspot import n2v_loss, replace_masked, sample_mask
+from novags.methods.nova.denoiser_config import DenoiserConfig
 from novags.methods.nova.packed import demosaiced, packed, turned
-from novags.methods.nova.resunet import ResUNet, ResUNetConfig
-from novags.numbers import STEPS, check_range
+from novags.methods.nova.resunet import ResUNet
 from novags.splats.training.companion import pack, unpack
 from novags.splats.training.guard import NotFinite, all_finite, require_finite
 from sensor_model.params import Cfa
-
-
-@dataclass(frozen=True, kw_only=True)
-class DenoiserConfig:
-    """Network, masks and schedule of the denoiser."""
-
-    network: ResUNetConfig = field(default_factory=ResUNetConfig)
-    blind_spots: BlindSpotConfig = field(default_factory=BlindSpotConfig)
-    warmup_steps: int = 500  # before the first splat iteration
-    denoise_every: int | None = 1  # splat iterations between two further steps; None trains in the warm-up only
-    batch: int = 1  # crops per step
-    crop: int | None = None  # px; None takes whole views
-    learning_rate: float = 1e-3  # Adam
-    decay: Literal["constant", "cosine"] = "constant"  # of the learning rate over all steps
-    augment: bool = False  # random flips and quarter turns of a batch
-    # The network predicts the difference to a Gaussian blur (sigma in px) of its blinded input whose kernel leaves out
-    # the centre: training then starts at the quality of a blur. None predicts the image itself, as the paper does.
-    residual_blur: float | None = None
-    # Share of the noisy image in I_clean. A blind-spot network infers a pixel from its neighbours, so its error and the
-    # pixel's own noise are independent, and a mix of the two beats both; fine texture, which neighbours do not predict,
-    # comes back. The paper has 0.
-    noisy_share: float = 0.0
-
-    def __post_init__(self) -> None:
-        check_range("warmup_steps", self.warmup_steps, 0, STEPS)
-        if self.denoise_every is not None and self.denoise_every < 1:
-            raise ValueError(f"denoise_every must be >= 1 or None, got {self.denoise_every}")
-        if self.batch < 1 or (self.crop is not None and self.crop < 2):
-            raise ValueError(f"need batch >= 1 and crop >= 2 px, got {self.batch} and {self.crop}")
-        if not self.learning_rate > 0:
-            raise ValueError(f"learning_rate must be > 0, got {self.learning_rate}")
-        if self.residual_blur is not None and not self.residual_blur > 0:
-            raise ValueError(f"residual_blur must be > 0 px or None, got {self.residual_blur}")
-        if not 0 <= self.noisy_share < 1:
-            raise ValueError(f"noisy_share must lie in [0, 1), got {self.noisy_share}")
-
-    def total_steps(self, iterations: int) -> int:
-        """Optimiser steps in a run of so many splat iterations."""
-        concurrent = 0 if self.denoise_every is None else -(-iterations // self.denoise_every)
-        return self.warmup_steps + concurrent
-
-
-# What a CPU can afford. No instance normalisation, because it erases brightness; no targeted blind spots, because they
-# favour pixels for their own noise. Starting from a blur saves the steps of learning one. Where the channels of a pixel
-# have independent noise, blinding one at a time leaves the others to inform it. A blind spot knows less about a pixel
-# than the pixel itself does, so part of the noisy picture is mixed in. Many steps on small crops learn more in the same
-# time than few steps on whole views.
-FAST_DENOISER = DenoiserConfig(
-    network=ResUNetConfig(widths=(16, 32, 64), bottleneck=96, normalization="none"),
-    blind_spots=BlindSpotConfig(mask_fraction=0.2, laplacian_share=0.0, per_channel=None),
-    denoise_every=None,
-    batch=4,
-    crop=48,
-    learning_rate=1.5e-3,
-    decay="cosine",
-    augment=True,
-    residual_blur=0.8,
-    noisy_share=0.35,
-)
 
 
 def donut_blur(images: Tensor, sigma: float) -> Tensor:

@@ -43,9 +43,3 @@ KNOBS = {
         why="fit iterations between two evaluations of the geometric term, each a second rendering",
     ),
 }  # fmt: skip
-
-# The best that was measured of what the paper leaves open: docs/choices.md.
-TUNED = {
-    "denoiser.noisy_share": 0.7, "denoiser.blind_spots.laplacian_share": 0.0, "fit.dssim_weight": 0.0,
-    "fit.sh_degree": 2,
-}  # fmt: skip

@@ -3,32 +3,11 @@
 Images are [B, D, H, W] of any size; the network works on sizes padded to a multiple of 2**levels.
 """
 
-from dataclasses import dataclass
-from typing import Literal
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-
-@dataclass(frozen=True, kw_only=True)
-class ResUNetConfig:
-    """Size and arithmetic of the network. The defaults are the paper's."""
-
-    widths: tuple[int, ...] = (32, 64, 128, 256)  # channels of the encoder levels
-    bottleneck: int = 512  # channels
-    # "plain": a U-Net of two convolutions a level, without residual blocks and their gates.
-    blocks: Literal["attention-residual", "plain"] = "attention-residual"
-    se_reduction: int = 16
-    # Instance normalisation erases the absolute brightness of a view, which the decoder must then guess back.
-    normalization: Literal["instance", "none"] = "instance"
-    precision: Literal["float32", "bfloat16"] = "float32"  # of convolutions; weights stay float32
-
-    def __post_init__(self) -> None:
-        if not self.widths or min(*self.widths, self.bottleneck) < 1:
-            raise ValueError(f"widths and bottleneck must be >= 1 channel, got {self.widths} and {self.bottleneck}")
-        if self.se_reduction < 1:
-            raise ValueError(f"se_reduction must be >= 1, got {self.se_reduction}")
+from novags.methods.nova.denoiser_config import ResUNetConfig
 
 
 class InstanceNorm(nn.InstanceNorm2d):

@@ -5,69 +5,29 @@ import hashlib
 import json
 import math
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from novags.methods.enhanced.config import ORIGINAL_FIT, ORIGINAL_SCALE
 from novags.methods.enhanced.gaussian_fit import Progress, fit_for
 from novags.methods.enhancers import enhancement_record
 from novags.methods.enhancers.applying import enhanced
-from novags.methods.enhancers.choice import EnhanceConfig, Enhancement
-from novags.methods.inputs import Pictures
-from novags.methods.nova.checkpoint import file_as_tensor, read, tensor_as_file
-from novags.methods.nova.consistency import ConsistencyConfig, ConsistencyLoss
-from novags.methods.nova.denoiser import Denoiser, DenoiserConfig
+from novags.methods.nova.checkpoint import file_as_tensor, tensor_as_file
+from novags.methods.nova.config import NovaConfig, parts
+from novags.methods.nova.consistency import ConsistencyLoss
+from novags.methods.nova.denoiser import Denoiser
 from novags.methods.nova.sh_penalty import noise_map, sh_penalty
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.start import start_gaussians
 from novags.splats.gaussians import Gaussians
-from novags.splats.training.checkpoint import digest, write_tensors
-from novags.splats.training.config import FitConfig
+from novags.splats.training.checkpoint import digest, read, write_tensors
 from novags.splats.training.fit import Step, fit
 from novags.splats.training.guard import NotFinite
 from sensor_model.files.reading import reading
 
 SAVE_INTERVAL = 60.0  # s between two checkpoints of the warm-up: its steps take from milliseconds to many seconds
-
-
-@dataclass(frozen=True, kw_only=True)
-class NovaConfig:
-    """The whole method; the defaults are the paper's. `fit.dssim_weight` is its lambda.
-
-    L_recon is the fit's own photometric loss.
-    """
-
-    pictures: Pictures = "8bit"
-    enhance: Enhancement = field(default_factory=EnhanceConfig)
-    denoiser: DenoiserConfig | None = field(default_factory=DenoiserConfig)  # None fits the enhanced pictures
-    consistency: ConsistencyConfig | None = field(default_factory=ConsistencyConfig)  # None leaves L_geo out
-    sh_weight: float | None = 1.0  # of L_SH; None leaves it out
-    # "The masked loss serves as the sole optimization objective for the denoiser" (section 4.3.3). False lets L_recon
-    # reach it too, which is how section 4.7 can be read ("jointly optimized in an end-to-end manner").
-    detach_target: bool = True
-    refresh_after: int = 1  # denoiser steps after which a view's pseudo-clean image is computed anew
-    init_scale: float = ORIGINAL_SCALE
-    fit: FitConfig = ORIGINAL_FIT
-
-    def __post_init__(self) -> None:
-        if self.sh_weight is not None and not self.sh_weight > 0:
-            raise ValueError(f"sh_weight must be > 0, or None to leave L_SH out, got {self.sh_weight}")
-        if self.refresh_after < 1:
-            raise ValueError(f"refresh_after must be >= 1, got {self.refresh_after}")
-        if self.denoiser is None and self.sh_weight is not None:
-            raise ValueError(
-                f"sh_weight = {self.sh_weight} has no effect without a denoiser, whose residual is the noise map: set "
-                "sh_weight to None too"
-            )
-        if not self.detach_target and (self.denoiser is None or self.denoiser.denoise_every is None):
-            raise ValueError(
-                "detach_target = False has no effect where the denoiser does not train beside the fit: set "
-                "denoiser.denoise_every, or leave detach_target True"
-            )
 
 
 class _PseudoClean:
@@ -108,12 +68,6 @@ class _PseudoClean:
                 if not 0 <= view < len(self.enhanced) or image.shape != self.enhanced[view].shape:
                     raise ValueError(f"{name} does not fit any view: delete it, the run then starts over")
                 self.cached[view] = (step, image.to(self.enhanced))
-
-
-def parts(config: NovaConfig) -> dict[str, int]:
-    """`Method.parts`: warm-up of the denoiser, then the fit with what is left of its training."""
-    warmup = 0 if config.denoiser is None else config.denoiser.warmup_steps
-    return {"denoiser": warmup, "fit": config.fit.iterations}
 
 
 def run_identity(problem: Problem, config: NovaConfig) -> Tensor:

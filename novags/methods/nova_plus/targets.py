@@ -5,7 +5,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from novags.methods.denoised.denoiser import DenoiseConfig, denoised
+from novags.methods.denoised.config import DenoiseConfig
+from novags.methods.denoised.denoiser import denoised
 from novags.methods.denoised.measured import in_electrons
 from novags.methods.enhanced.gaussian_fit import Progress
 from novags.methods.nova_plus.average import averages

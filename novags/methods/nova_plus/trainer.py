@@ -3,24 +3,22 @@
 import dataclasses
 import math
 import time
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from novags.methods.denoised.denoiser import DenoiseConfig
 from novags.methods.enhanced.gaussian_fit import Progress, fit_for
 from novags.methods.enhancers import enhancement_record
 from novags.methods.enhancers.applying import enhanced, enhanced_light
-from novags.methods.enhancers.choice import EnhanceConfig, Enhancement
-from novags.methods.inputs import LacksInput, Pictures
+from novags.methods.inputs import LacksInput
 from novags.methods.light import first_light
 from novags.methods.noise_estimate import noise_of
 from novags.methods.nova_plus.average import non_local_means
 from novags.methods.nova_plus.bandwidth import choose_bandwidth
 from novags.methods.nova_plus.checkpoints import claim, run_identity
+from novags.methods.nova_plus.config import PIXELS_PER_GAUSSIAN, NovaPlusConfig, parts
 from novags.methods.nova_plus.data import Exposures, exposures
 from novags.methods.nova_plus.judge import compare, mean_tone
 from novags.methods.nova_plus.likelihood import Likelihood
@@ -30,89 +28,13 @@ from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.tone import ToneCurve, tone_curve
 from novags.splats.gaussians import Gaussians
-from novags.splats.training.config import FitConfig, LearningRates, McmcConfig
+from novags.splats.training.config import FitConfig, LearningRates
 from novags.splats.training.fit import FitResult, fit
 
-# Several times those of 3DGS, for short fits, and cooled at the end.
-FAST = LearningRates(means=4e-4, means_final=4e-6, quats=4e-3, log_scales=2e-2, sh_dc=2e-2, sh_rest=1e-3, cool_to=0.1)
-MCMC = McmcConfig(refine_start=50, refine_every=50, growth=1.08, noise_lr=2e5)
-# Opacities are regularised early in a stage, which keeps noise out of it, then freed, which makes surfaces dense.
-FIT = FitConfig(rates=FAST, eps2d=0.1, mcmc=MCMC, opacity_reg_fall=1.0)
-PIXELS_PER_GAUSSIAN = 11  # of all training views: more Gaussians gain little, fewer lose
-PARTS = {"likelihood": 10, "structure": 10, "merged": 2}  # each fit, in 24ths of `fit.iterations`
 CHECKPOINTS = "checkpoints"
 CHANGE = 0.03  # step in tone, about the error of a render, at which an enhanced picture's response is measured
 SMOOTH = 0.02  # bandwidth, in tone, that smooths the render before that
 GUIDE_BANDWIDTH = 0.7  # share of the averages' bandwidth that smooths the guide
-
-
-@dataclass(frozen=True, kw_only=True)
-class NovaPlusConfig:
-    """All choices. What is None follows a rule from the data.
-
-    Attributes:
-        fit: Of both stages, each from the first points. They take 10 24ths of `fit.iterations` each (`PARTS`), for each
-            seed, and merging takes 2: in all 1.75 times as many for two seeds. `fit.opacity_reg` is the weight in stage
-            2, and in stage 1 where every pixel measures all channels; merged sets have none.
-        init_scale: Of an initial Gaussian, in distances to its nearest neighbours.
-        gaussians: How many each seed has; None: one for every `PIXELS_PER_GAUSSIAN` of all views, however many points
-            there are at the start. `fit.cap_max`, where it is given, caps all seeds together.
-        seeds: Independent reconstructions that are merged.
-        held_share: Share of the pixels that is held out to judge; nothing is where neighbours share their noise.
-        bandwidth: Of the guided averages, in tone; None: chosen by `choose_bandwidth`.
-        averaged_share: Of the guided averages beside their guide, in the targets of stage 2.
-        denoise: The trained denoiser, for data whose noise is independent; None: without it.
-        denoised_share: Of its pictures in the targets of stage 2.
-        stages: How far to go: "likelihood" alone, or "all".
-        noise: "camera": the known noise, where there is one; "pictures": estimated from the pictures.
-        pictures: Whose enhancement the result is shown through, and compared with methods that enhance.
-        enhance: That enhancement.
-    """
-
-    fit: FitConfig = FIT
-    init_scale: float = 0.7
-    gaussians: int | None = None
-    seeds: int = 2
-    held_share: float = 0.03
-    bandwidth: float | None = None
-    averaged_share: float = 1 / 2
-    denoise: DenoiseConfig | None = field(default_factory=DenoiseConfig)
-    denoised_share: float = 1 / 3
-    stages: Literal["likelihood", "all"] = "all"
-    noise: Literal["camera", "pictures"] = "camera"
-    pictures: Pictures = "8bit"
-    enhance: Enhancement = field(default_factory=EnhanceConfig)
-
-    def __post_init__(self) -> None:
-        if self.seeds < 1:
-            raise ValueError(f"seeds must be >= 1, got {self.seeds}")
-        if not 0 <= self.held_share < 1:
-            raise ValueError(f"held_share must lie in [0, 1), got {self.held_share}")
-        if not (0 <= self.averaged_share <= 1 and 0 <= self.denoised_share <= 1):
-            raise ValueError(
-                f"averaged_share and denoised_share must lie in [0, 1], got {self.averaged_share} and "
-                f"{self.denoised_share}"
-            )
-        if self.bandwidth is not None and not self.bandwidth > 0:
-            raise ValueError(f"bandwidth must be > 0 or None, got {self.bandwidth}")
-        if self.gaussians is not None and self.gaussians < 1:
-            raise ValueError(f"gaussians must be >= 1 or None, got {self.gaussians}")
-
-    def iterations(self, part: str) -> int:
-        """How many one fit of a part takes; "merged" comes once."""
-        return max(1, round(self.fit.iterations * PARTS[part] / 24))
-
-
-def parts(config: NovaPlusConfig) -> dict[str, int]:
-    """`Method.parts`: the fits of all seeds, stage by stage."""
-    counts = {"likelihood": config.seeds * config.iterations("likelihood")}
-    if config.stages == "all":
-        adapt = None if config.denoise is None else config.denoise.adapt
-        counts["denoiser"] = 0 if adapt is None else adapt.steps
-        counts["structure"] = config.seeds * config.iterations("structure")
-    if config.seeds > 1:
-        counts["merged"] = config.iterations("merged")
-    return counts
 
 
 def train(

@@ -22,9 +22,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from novags.methods.enhanced.gaussian_fit import Progress, fit_for, reconstructed
 from novags.methods.enhancers import enhancement_record
 from novags.methods.enhancers.applying import enhanced
-from novags.methods.enhanced.gaussian_fit import Progress, fit_for, reconstructed
 from novags.methods.light import MeasuredLight, brightness, first_light, measured_light, raw_loss
 from novags.methods.noise_estimate import noise_of
 from novags.methods.problem import Problem

@@ -8,7 +8,7 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from sensor_model.files.atomic import atomic
@@ -67,6 +67,18 @@ def write_tensors(path: Path, tensors: dict[str, Tensor], metadata: dict[str, st
             save_file({name: t.contiguous() for name, t in tensors.items()}, temporary, metadata=metadata)
     except SafetensorError as error:  # how safetensors reports a full disk, for example
         raise OSError(f"cannot write {path}: {error}") from error
+
+
+def read(path: Path) -> dict[str, Tensor]:
+    """The tensors that `write_tensors` saved.
+
+    Raises:
+        ValueError: If the file is not a safetensors file.
+    """
+    try:
+        return load_file(admitted(path))
+    except Exception as error:  # safetensors raises its own class, which it does not promise to keep
+        raise ValueError(f"{path} is damaged ({brief(error)}): delete it, the run then starts over") from error
 
 
 def save_checkpoint(path: Path, state: TrainingState, settings: dict[str, object]) -> None:

@@ -33,7 +33,7 @@ def scenes() -> str:
     """The catalogue of scenes with what each is made for."""
     from simscenes.scenes import SCENES
 
-    rows = [(name, first_sentence(build.__doc__)) for name, build in SCENES.items()]
+    rows = [(name, first_sentence(scene.text)) for name, scene in SCENES.items()]
     rows.append(("NAME:SEED", "a variation of a scene, such as tabletop:3"))
     rows.append(("FILE.xml", "any Mitsuba 3 scene"))
     pictures = Path(__file__).resolve().parents[3] / "docs" / "scenes.png"

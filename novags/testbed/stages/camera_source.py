@@ -15,7 +15,8 @@ from novags.cameras.estimate import CameraEstimate, near_origin
 from novags.cameras.estimating import estimate_cameras
 from novags.cameras.source import CameraConfig
 from novags.methods.enhancers import guided
-from novags.methods.nova.denoiser import FAST_DENOISER, Denoiser
+from novags.methods.nova.denoiser import Denoiser
+from novags.methods.nova.denoiser_config import FAST_DENOISER
 from novags.splats.views import Views
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture

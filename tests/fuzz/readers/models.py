@@ -100,7 +100,7 @@ def make_network(folder: Path) -> None:
 
 
 def read_network(folder: Path, file: Path) -> object:
-    from novags.methods.nova.checkpoint import read
+    from novags.splats.training.checkpoint import read
     from novags.splats.training.companion import unpack
 
     network, adam = _network()
@@ -214,7 +214,6 @@ def read_denoiser(folder: Path, file: Path) -> object:
 def _torch() -> None:
     import torch
 
-    import novags.methods.nova.checkpoint
     import novags.splats.files.ply  # noqa: F401
 
     torch.set_num_threads(1)

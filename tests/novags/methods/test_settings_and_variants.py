@@ -7,9 +7,8 @@ from typing import Literal
 import pytest
 
 from novags.methods import METHODS, VARIANTS, chosen, with_variants
-from novags.methods.nova.consistency import ConsistencyConfig
-from novags.methods.nova.denoiser import FAST_DENOISER, DenoiserConfig
-from novags.methods.nova.trainer import NovaConfig
+from novags.methods.nova.config import ConsistencyConfig, NovaConfig
+from novags.methods.nova.denoiser_config import FAST_DENOISER, DenoiserConfig
 from novags.methods.variant import Variant, parse_variant, read_variants
 from novags.settings import changed, flattened, has_setting
 

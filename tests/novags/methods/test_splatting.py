@@ -9,6 +9,7 @@ import torch
 from novags.methods.enhanced import enhance_then_fit
 from novags.methods.enhanced.config import EnhancedFitConfig
 from novags.methods.nova import trainer
+from novags.methods.nova.config import NovaConfig
 from novags.methods.reconstruction import GaussianScene
 from novags.splats import FitConfig, Gaussians, McmcConfig, Views, fit, photometric_loss, rasterize
 from novags.splats.training.config import UNUSUAL
@@ -88,7 +89,7 @@ def test_nova_trains_renders_and_records_with_the_dilation_of_its_fit(problem, m
 
     monkeypatch.setattr(trainer, "fit", watched)
     fit_config = dataclasses.replace(config_of(SHARP, sh_degree=0), iterations=2)
-    result = trainer.train(inputs, trainer.NovaConfig(denoiser=None, sh_weight=None, fit=fit_config))
+    result = trainer.train(inputs, NovaConfig(denoiser=None, sh_weight=None, fit=fit_config))
     assert off == [pytest.approx(0, abs=1e-6)] * 2
     assert (result.scene.eps2d, result.scene.antialiased) == (0.02, True)
 

@@ -13,7 +13,7 @@ import torch
 from novags.methods import METHODS, VARIANTS, chosen
 from novags.methods.enhanced.config import ORIGINAL_FIT
 from novags.methods.enhancers.choice import EnhanceConfig
-from novags.methods.nova.trainer import NovaConfig
+from novags.methods.nova.config import NovaConfig
 from novags.methods.variant import parse_variant
 from novags.settings import flattened
 from novags.splats import FitConfig

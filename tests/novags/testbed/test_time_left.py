@@ -5,9 +5,9 @@ import io
 import pytest
 
 from novags.methods import METHODS
-from novags.methods.denoised.trainer import DenoisedConfig
-from novags.methods.nova.trainer import NovaConfig
-from novags.methods.nova_plus.trainer import NovaPlusConfig
+from novags.methods.denoised.config import DenoisedConfig
+from novags.methods.nova.config import NovaConfig
+from novags.methods.nova_plus.config import NovaPlusConfig
 from novags.testbed import console
 from novags.testbed.time_left import TimeLeft
 

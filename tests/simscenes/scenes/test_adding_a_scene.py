@@ -1,8 +1,10 @@
 """The example of docs/adding-a-scene.md is a scene that the catalogue would accept."""
 
+import ast
 import re
+import sys
 from pathlib import Path
-from typing import Any
+from types import ModuleType
 
 import numpy as np
 import pytest
@@ -17,14 +19,13 @@ PAGE = Path(__file__).resolve().parents[3] / "docs" / "adding-a-scene.md"
 
 @pytest.fixture
 def added(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The page's function and row, in the catalogue for the length of a test."""
+    """The page's file and line, in the catalogue for the length of a test."""
     code, row = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), flags=re.S)
-    catalogue: dict[str, Any] = {}
-    space: dict[str, Any] = {"_CATALOGUE": catalogue, "_orbit": scenes._orbit, "_ROOM": scenes._ROOM}
-    exec(compile(code + row, str(PAGE), "exec"), space)
-    ((name, (make, rig)),) = catalogue.items()
-    monkeypatch.setitem(scenes._CATALOGUE, name, (make, rig))
-    monkeypatch.setitem(scenes.SCENES, name, make)
+    ((name, reference),) = ast.literal_eval(f"{{{row}}}").items()
+    module = ModuleType(reference.partition(":")[0])
+    exec(compile(code, str(PAGE), "exec"), vars(module))
+    monkeypatch.setitem(sys.modules, module.__name__, module)
+    monkeypatch.setitem(scenes.SCENES, name, reference)
 
 
 @pytest.mark.usefixtures("added")

@@ -66,7 +66,7 @@ def test_scene_is_framed_textured_and_repeatable(built: tuple[str, Any, LoadedSc
         assert flat[whole].mean() > 0.2  # its bare wall is what it is for
     else:
         assert flat[whole].mean() < 0.05
-    assert (SCENES[name].__doc__ or "").count("Hard for:") == 1
+    assert SCENES[name].text.count("Hard for:") == 1
 
 
 @pytest.mark.parametrize("name", [n if n == "cornell" else pytest.param(n, marks=pytest.mark.slow) for n in SCENES])

@@ -12,7 +12,7 @@ from simscenes.backend import activate, backend_of, using_variant
 from simscenes.camera import camera_color, srgb_curves
 from simscenes.loading.load import build_scene
 from simscenes.rigs import intrinsics, look_at
-from simscenes.scenes import MEASURED_LIGHTS, SCENES
+from simscenes.scenes import SCENES
 from simscenes.transport.lengths import light_by_length
 from simscenes.transport.plan import MADE_UP
 from simscenes.transport.spectra import WAVELENGTHS, color_error, has_measured
@@ -58,7 +58,7 @@ def test_the_list_of_scenes_with_measured_lamps_is_right() -> None:
     """A scene by name is not loaded in spectra to find out."""
     with using_variant(backend_of(), "spectral") as mi:
         found = {name for name in SCENES if has_measured(mi, build_scene(name, mi))}
-    assert found == MEASURED_LIGHTS
+    assert found == {name for name, scene in SCENES.items() if scene.measured_lights}
 
 
 @pytest.mark.usefixtures("jit")

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from novags.methods.denoised.denoiser import DenoiseConfig
+from novags.methods.denoised.config import DenoiseConfig
 from novags.settings import check_seed
 from novags.testbed.ledger.code import Code, code_of, modules_of
 

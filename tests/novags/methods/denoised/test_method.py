@@ -8,11 +8,10 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
-from novags.methods.denoised.denoiser import DenoiseConfig
+from novags.methods.denoised.config import AdaptConfig, DenoiseConfig, DenoisedConfig, parts
 from novags.methods.denoised.estimate import estimate_all
 from novags.methods.denoised.measured import measured
-from novags.methods.denoised.recorrupted import AdaptConfig
-from novags.methods.denoised.trainer import DenoisedConfig, parts, train
+from novags.methods.denoised.trainer import train
 from novags.methods.denoised.weights import load_weights
 from novags.methods.enhancers.applying import enhanced, enhanced_like, enhanced_view
 from novags.methods.inputs import LacksInput

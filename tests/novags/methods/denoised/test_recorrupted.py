@@ -10,11 +10,12 @@ import torch
 from novags.methods.denoised import blend
 from novags.methods.denoised import recorrupted as module
 from novags.methods.denoised.anscombe import Anscombe
+from novags.methods.denoised.config import AdaptConfig
 from novags.methods.denoised.estimate import estimate, estimate_all
 from novags.methods.denoised.measured import Measured
 from novags.methods.denoised.network import Network, NetworkConfig
 from novags.methods.denoised.packing import mask_of, turned, turned_back
-from novags.methods.denoised.recorrupted import Adaptation, AdaptConfig, adapt, recorrupted
+from novags.methods.denoised.recorrupted import Adaptation, adapt, recorrupted
 from novags.methods.noise import Variance
 from sensor_model import NoiseCurve
 from sensor_model.params import Cfa

@@ -15,7 +15,7 @@ from novags.methods.enhancers.noise_level import immerkaer_sigma, known_sigma, p
 from novags.methods.inputs import LacksInput
 from novags.methods.memo import Memo
 from novags.methods.noise import Noise, Variance
-from novags.methods.nova.trainer import NovaConfig
+from novags.methods.nova.config import NovaConfig
 from novags.methods.problem import Problem
 from novags.settings import changed
 from novags.splats import Views

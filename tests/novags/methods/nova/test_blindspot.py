@@ -3,7 +3,8 @@ import math
 import pytest
 import torch
 
-from novags.methods.nova.blindspot import BlindSpotConfig, laplacian_prior, n2v_loss, replace_masked, sample_mask
+from novags.methods.nova.blindspot import laplacian_prior, n2v_loss, replace_masked, sample_mask
+from novags.methods.nova.denoiser_config import BlindSpotConfig
 
 
 def generator(seed: int = 0) -> torch.Generator:

@@ -5,7 +5,8 @@ import pytest
 import torch
 from scipy.stats import chi2
 
-from novags.methods.nova.blindspot import BlindSpotConfig, laplacian_prior, n2v_loss, replace_masked, sample_mask
+from novags.methods.nova.blindspot import laplacian_prior, n2v_loss, replace_masked, sample_mask
+from novags.methods.nova.denoiser_config import BlindSpotConfig
 
 UNLIKELY = 5.7e-7  # two-sided probability beyond 5 standard errors
 

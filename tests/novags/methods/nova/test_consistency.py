@@ -3,9 +3,9 @@ import math
 import pytest
 import torch
 
+from novags.methods.nova.config import ConsistencyConfig
 from novags.methods.nova.consistency import (
     ConfidenceNet,
-    ConsistencyConfig,
     ConsistencyLoss,
     Pinhole,
     consistency_loss,

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 import torch
 
+from novags.methods.nova.config import ConsistencyConfig
 from novags.methods.nova.consistency import (
     ConfidenceNet,
-    ConsistencyConfig,
     ConsistencyLoss,
     Pinhole,
     consistency_loss,

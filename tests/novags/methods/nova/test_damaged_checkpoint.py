@@ -6,13 +6,11 @@ import pytest
 import torch
 from torch import Tensor
 
-from novags.methods.nova.checkpoint import read
-from novags.methods.nova.consistency import ConsistencyConfig
-from novags.methods.nova.denoiser import DenoiserConfig
-from novags.methods.nova.resunet import ResUNetConfig
-from novags.methods.nova.trainer import NovaConfig, train
+from novags.methods.nova.config import ConsistencyConfig, NovaConfig
+from novags.methods.nova.denoiser_config import DenoiserConfig, ResUNetConfig
+from novags.methods.nova.trainer import train
 from novags.splats import FitConfig
-from novags.splats.training.checkpoint import write_tensors
+from novags.splats.training.checkpoint import read, write_tensors
 from novags.splats.training.companion import pack, unpack
 
 NETWORK = ResUNetConfig(widths=(4,), bottleneck=4, normalization="none")

@@ -3,9 +3,8 @@ import math
 import pytest
 import torch
 
-from novags.methods.nova.blindspot import BlindSpotConfig
-from novags.methods.nova.denoiser import Denoiser, DenoiserConfig, donut_blur
-from novags.methods.nova.resunet import ResUNetConfig
+from novags.methods.nova.denoiser import Denoiser, donut_blur
+from novags.methods.nova.denoiser_config import BlindSpotConfig, DenoiserConfig, ResUNetConfig
 
 TINY = ResUNetConfig(widths=(8, 8), bottleneck=8, normalization="none")
 

@@ -7,9 +7,8 @@ import pytest
 import torch
 
 from novags.methods.nova import denoiser as module
-from novags.methods.nova.blindspot import BlindSpotConfig
-from novags.methods.nova.denoiser import Denoiser, DenoiserConfig, donut_blur
-from novags.methods.nova.resunet import ResUNetConfig
+from novags.methods.nova.denoiser import Denoiser, donut_blur
+from novags.methods.nova.denoiser_config import BlindSpotConfig, DenoiserConfig, ResUNetConfig
 
 TINY = ResUNetConfig(widths=(4,), bottleneck=4, normalization="none")
 

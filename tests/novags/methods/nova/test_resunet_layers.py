@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods.nova.resunet import ResUNet, ResUNetConfig, SqueezeExcite
+from novags.methods.nova.denoiser_config import ResUNetConfig
+from novags.methods.nova.resunet import ResUNet, SqueezeExcite
 
 Weights = dict[str, np.ndarray]
 

@@ -10,10 +10,11 @@ from safetensors.torch import load_file
 
 from novags.methods.enhanced.config import ORIGINAL_FIT
 from novags.methods.nova import trainer
-from novags.methods.nova.consistency import ConsistencyConfig, ConsistencyLoss
-from novags.methods.nova.denoiser import Denoiser, DenoiserConfig
-from novags.methods.nova.resunet import ResUNetConfig
-from novags.methods.nova.trainer import NovaConfig, _Training, train
+from novags.methods.nova.config import ConsistencyConfig, NovaConfig
+from novags.methods.nova.consistency import ConsistencyLoss
+from novags.methods.nova.denoiser import Denoiser
+from novags.methods.nova.denoiser_config import DenoiserConfig, ResUNetConfig
+from novags.methods.nova.trainer import _Training, train
 from novags.splats import FitConfig
 from novags.splats.training.fit import Step
 from novags.testbed.presets import EXPERIMENTS

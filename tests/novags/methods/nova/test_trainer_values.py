@@ -12,11 +12,12 @@ import torch
 
 from novags.methods.enhancers.guided import enhance
 from novags.methods.nova import trainer
-from novags.methods.nova.consistency import ConsistencyConfig, ConsistencyLoss
-from novags.methods.nova.denoiser import Denoiser, DenoiserConfig
-from novags.methods.nova.resunet import ResUNetConfig
+from novags.methods.nova.config import ConsistencyConfig, NovaConfig
+from novags.methods.nova.consistency import ConsistencyLoss
+from novags.methods.nova.denoiser import Denoiser
+from novags.methods.nova.denoiser_config import DenoiserConfig, ResUNetConfig
 from novags.methods.nova.sh_penalty import sh_penalty
-from novags.methods.nova.trainer import NovaConfig, _PseudoClean, run_identity, train
+from novags.methods.nova.trainer import _PseudoClean, run_identity, train
 from novags.methods.problem import Problem
 from novags.splats import FitConfig, Views
 from novags.splats.training.config import CameraRefinement

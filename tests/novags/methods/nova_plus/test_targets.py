@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods.denoised.denoiser import DenoiseConfig, denoised
+from novags.methods.denoised.config import AdaptConfig, DenoiseConfig
+from novags.methods.denoised.denoiser import denoised
 from novags.methods.denoised.measured import measured
-from novags.methods.denoised.recorrupted import AdaptConfig
 from novags.methods.noise import Variance, camera_noise
 from novags.methods.nova_plus.average import averages
 from novags.methods.nova_plus.data import Exposures, exposures

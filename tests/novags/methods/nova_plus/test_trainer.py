@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 import torch
 
-from novags.methods.denoised.denoiser import DenoiseConfig
-from novags.methods.denoised.recorrupted import AdaptConfig
+from novags.methods.denoised.config import AdaptConfig, DenoiseConfig
 from novags.methods.enhancers.applying import enhanced_light
 from novags.methods.inputs import LacksInput
 from novags.methods.light import first_light
@@ -18,10 +17,11 @@ from novags.methods.noise import Noise, Variance
 from novags.methods.nova_plus import trainer
 from novags.methods.nova_plus.average import non_local_means
 from novags.methods.nova_plus.bandwidth import choose_bandwidth
+from novags.methods.nova_plus.config import FIT, PIXELS_PER_GAUSSIAN, NovaPlusConfig, parts
 from novags.methods.nova_plus.data import exposures
 from novags.methods.nova_plus.judge import Verdict
 from novags.methods.nova_plus.targets import denoised_light, guided_light
-from novags.methods.nova_plus.trainer import FIT, NovaPlusConfig, parts, train
+from novags.methods.nova_plus.trainer import train
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.tone import tone_curve
@@ -177,7 +177,7 @@ def test_the_number_of_gaussians_follows_the_pixels_however_many_points_there_ar
     start = dataclasses.replace(inputs.start, points=inputs.start.points[some], colors=inputs.start.colors[some])
     config = dataclasses.replace(CONFIG, gaussians=None, stages="likelihood", seeds=1)
     result = train(dataclasses.replace(inputs, start=start), config)
-    expected = 5 * 24 * 24 // trainer.PIXELS_PER_GAUSSIAN
+    expected = 5 * 24 * 24 // PIXELS_PER_GAUSSIAN
     assert result.found["gaussians"] == expected
     count = len(result.scene.gaussians)  # type: ignore[attr-defined]
     assert points < count < expected if points < expected else count == expected  # the one grows, the other is thinned

@@ -10,9 +10,9 @@ import cv2
 import numpy as np
 import pytest
 
-from novags.methods.denoised.denoiser import DenoiseConfig, denoised
+from novags.methods.denoised.config import AdaptConfig, DenoiseConfig
+from novags.methods.denoised.denoiser import denoised
 from novags.methods.denoised.measured import of_capture
-from novags.methods.denoised.recorrupted import AdaptConfig
 from novags.methods.inputs import LacksInput
 from novags.testbed import stages
 from novags.testbed.console import Console

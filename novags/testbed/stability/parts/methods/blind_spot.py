@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.methods.nova.blindspot import BlindSpotConfig, laplacian_prior, n2v_loss, replace_masked, sample_mask
-from novags.methods.nova.denoiser import Denoiser, DenoiserConfig, donut_blur
-from novags.methods.nova.resunet import ResUNetConfig
+from novags.methods.nova.blindspot import laplacian_prior, n2v_loss, replace_masked, sample_mask
+from novags.methods.nova.denoiser import Denoiser, donut_blur
+from novags.methods.nova.denoiser_config import BlindSpotConfig, DenoiserConfig, ResUNetConfig
 from novags.testbed.stability.case import Part, Setting, refusal, worse
 from novags.testbed.stability.errors import EPS, LARGEST, relative_error, worst_error
 

@@ -9,14 +9,8 @@ import math
 import numpy as np
 import torch
 
-from novags.methods.nova.consistency import (
-    ConsistencyConfig,
-    Pinhole,
-    _sample,
-    consistency_loss,
-    reproject,
-    source_candidates,
-)
+from novags.methods.nova.config import ConsistencyConfig
+from novags.methods.nova.consistency import Pinhole, _sample, consistency_loss, reproject, source_candidates
 from novags.splats.views import Views
 from novags.testbed.stability.case import Part, Setting
 from novags.testbed.stability.errors import EPS, LARGEST, relative_error, worst_error

@@ -12,9 +12,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from novags.methods.nova.blindspot import BlindSpotConfig, n2v_loss, sample_mask
-from novags.methods.nova.denoiser import FAST_DENOISER, Denoiser, DenoiserConfig
-from novags.methods.nova.resunet import ResUNet, ResUNetConfig
+from novags.methods.nova.blindspot import n2v_loss, sample_mask
+from novags.methods.nova.denoiser import Denoiser
+from novags.methods.nova.denoiser_config import FAST_DENOISER, BlindSpotConfig, DenoiserConfig, ResUNetConfig
+from novags.methods.nova.resunet import ResUNet
 from novags.testbed.stability.case import Part, Setting
 from novags.testbed.stability.errors import EPS, LARGEST, relative_error, worst_error
 

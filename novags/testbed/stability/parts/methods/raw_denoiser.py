@@ -10,11 +10,12 @@ from torch import Tensor, nn
 
 from novags.methods.denoised.anscombe import Anscombe
 from novags.methods.denoised.blend import best_blend
+from novags.methods.denoised.config import AdaptConfig
 from novags.methods.denoised.estimate import estimate
 from novags.methods.denoised.measured import Measured, of_capture
 from novags.methods.denoised.network import Network
 from novags.methods.denoised.packing import mask_of
-from novags.methods.denoised.recorrupted import Adaptation, AdaptConfig
+from novags.methods.denoised.recorrupted import Adaptation
 from novags.methods.denoised.weights import load_weights
 from novags.methods.noise import Noise, Variance
 from novags.testbed.stability.case import Part, Setting, refusal

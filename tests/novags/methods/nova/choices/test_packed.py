@@ -5,10 +5,9 @@ import pytest
 import torch
 
 from novags.methods.nova import denoiser as module
-from novags.methods.nova.blindspot import BlindSpotConfig
-from novags.methods.nova.denoiser import Denoiser, DenoiserConfig
+from novags.methods.nova.denoiser import Denoiser
+from novags.methods.nova.denoiser_config import BlindSpotConfig, DenoiserConfig, ResUNetConfig
 from novags.methods.nova.packed import demosaiced, packed, turned
-from novags.methods.nova.resunet import ResUNetConfig
 from sensor_model.isp import interpolate
 from sensor_model.params import CFAS
 

@@ -6,11 +6,9 @@ from types import SimpleNamespace
 import pytest
 import torch
 
-from novags.methods.nova.blindspot import BlindSpotConfig
-from novags.methods.nova.consistency import ConsistencyConfig
-from novags.methods.nova.denoiser import DenoiserConfig
-from novags.methods.nova.resunet import ResUNetConfig
-from novags.methods.nova.trainer import NovaConfig, _Training, suited
+from novags.methods.nova.config import ConsistencyConfig, NovaConfig
+from novags.methods.nova.denoiser_config import BlindSpotConfig, DenoiserConfig, ResUNetConfig
+from novags.methods.nova.trainer import _Training, suited
 from novags.methods.problem import Problem, RawPictures
 from novags.splats import Views
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from novags.methods.nova.consistency import ConsistencyConfig, ConsistencyLoss, Pinhole, reproject
-from novags.methods.nova.trainer import NovaConfig
+from novags.methods.nova.config import ConsistencyConfig, NovaConfig
+from novags.methods.nova.consistency import ConsistencyLoss, Pinhole, reproject
 from novags.splats.views import Views
 
 HEIGHT, WIDTH = 12, 16

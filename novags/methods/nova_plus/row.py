@@ -1,0 +1,18 @@
+"""The method of docs/nova-plus.md as a row of `METHODS`."""
+
+from novags.methods.nova_plus.config import NovaPlusConfig, parts
+from novags.methods.nova_plus.knobs import KNOBS
+from novags.methods.variant import Method
+from sensor_model.files.registry import Later
+
+METHOD = Method(
+    title="the light of the scene, fitted to the raw data by their known noise, then to denoised data and to "
+    "averages guided by the first fit; two seeds, merged",
+    family="ours",
+    color="#7a3fb0",
+    config=NovaPlusConfig,
+    train=Later("novags.methods.nova_plus.trainer:train"),
+    parts=parts,
+    knobs=KNOBS,
+    source="docs/nova-plus.md",
+)
