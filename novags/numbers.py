@@ -14,6 +14,7 @@ KINDS: dict[Any, str] = {int: "a whole number", float: "a number"}
 VIEWS, SIDE, PIXELS = 100_000, 65_536, 2**29  # pixels: of a picture, as many as one is read with
 STEPS, SAMPLES, POINTS = 10**9, 2**24, 10**8
 SETTING = 2**31  # of any other setting: kernels count in 32 bits
+SSIM_WINDOW = 11  # px; smaller images have no SSIM
 
 
 def number(value: Any, kind: Any) -> Any:

@@ -59,7 +59,7 @@ def console() -> "Console":
 @contextmanager
 def writing(folder: Path, wait: bool, **lock: Any) -> "Iterator[Console]":
     """Hold a folder while a command writes there; `lock`: further arguments of `locked`."""
-    from novags.testbed.folders.set import warnings_as_notes
+    from novags.testbed.console import warnings_as_notes
     from sensor_model.files.lock import locked
 
     said = console()

@@ -3,6 +3,7 @@
 import re
 import sys
 import time
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TextIO
@@ -101,3 +102,13 @@ def losses_text(losses: Mapping[str, float]) -> str:
     """Losses of one step in a few characters; counters and norms among them are left out."""
     shown = (name for name in losses if name not in ("iteration", "n_gaussians") and not name.startswith("norm_"))
     return "  ".join(f"{name} {losses[name]:.4f}" for name in shown)
+
+
+@contextmanager
+def warnings_as_notes(console: Console) -> Iterator[None]:
+    """Show warnings (say, about images that a camera file lists but that are missing) as plain lines."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        yield
+    for warning in caught:
+        console.warn(str(warning.message))

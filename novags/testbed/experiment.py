@@ -16,7 +16,7 @@ from novags.testbed.ledger.contents import UNFINISHED, read_json, write_json
 from novags.testbed.ledger.stage import refuse_other
 from novags.testbed.presets import Preset
 from novags.testbed.report.page import write_report
-from novags.testbed.stages.rendering import RECORD as SET
+from novags.testbed.stages.layouts import RECORD as SET
 from novags.testbed.stages.scoring import merge
 from novags.testbed.study.steps import make_set
 from sensor_model.files.door import resolved

@@ -8,7 +8,8 @@ from novags.methods.problem import encode
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import Run
 from novags.testbed.folders.set import Source
-from novags.testbed.metrics import Image, exposure_gain, is_black
+from novags.testbed.metrics.linear import exposure_gain, is_black
+from novags.testbed.metrics.picture import Image
 from novags.testbed.references import pictured, references
 from sensor_model.isp import srgb_to_linear
 

@@ -20,7 +20,7 @@ from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.imported import MISSING
 from novags.testbed.folders.run import Run
 from novags.testbed.folders.set import Source
-from novags.testbed.metrics import Image
+from novags.testbed.metrics.picture import Image
 
 LINEAR = ("linear", "linear_demosaiced")  # the references in linear light
 

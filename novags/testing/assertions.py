@@ -37,7 +37,9 @@ def assert_scores(
         All mean scores.
     """
     __tracebackhide__ = True
-    from novags.testbed.metrics import PerceptualDistance, exposure_gain, image_scores, linear_psnr
+    from novags.testbed.metrics.images import image_scores
+    from novags.testbed.metrics.linear import exposure_gain, linear_psnr
+    from novags.testbed.metrics.perceptual import PerceptualDistance
 
     images = _images(views, pictures, linear=against == "linear")
     if against not in ("lit", "clean", "linear"):
@@ -73,7 +75,7 @@ def assert_depth(
         All mean scores.
     """
     __tracebackhide__ = True
-    from novags.testbed.metrics import geometry_scores
+    from novags.testbed.metrics.geometry import geometry_scores
 
     shape = (len(views), views.height, views.width)
     z = _numbers("depth", depth, shape)
@@ -226,7 +228,7 @@ def _hold(
 ) -> dict[str, float | None]:
     """The mean scores; they must lie within the bounds."""
     __tracebackhide__ = True
-    from novags.testbed.metrics import mean_scores
+    from novags.testbed.metrics.images import mean_scores
 
     names = views.names if isinstance(views, PosedViews) else views
     mean: dict[str, float | None] = mean_scores([dict(view) for view in scores])

@@ -16,7 +16,7 @@ from novags.testbed.console import Console
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.folders.run import open_run
 from novags.testbed.folders.set import open_source
-from novags.testbed.metrics import image_scores
+from novags.testbed.metrics.images import image_scores
 from novags.testbed.presets import Preset, adapted
 from novags.testbed.references import enhanced_truth
 from novags.testbed.report.page import write_report

@@ -12,7 +12,7 @@ from novags.cameras.align import Similarity, align, to_estimated
 from novags.methods.enhancers.choice import EnhanceConfig
 from novags.methods.enhancers.guided import enhance
 from novags.splats import rasterize
-from novags.testbed.metrics import image_scores
+from novags.testbed.metrics.images import image_scores
 from sensor_model import Exposure, Sensor, expose, mosaic, photons_for_electrons
 from sensor_model.params import CFAS
 from simscenes import orbit_rig

@@ -15,7 +15,7 @@ from novags.testbed.dataset.file import spelled
 from novags.testbed.folders.capture import RECORD as CAPTURE
 from novags.testbed.ledger.contents import read_json
 from novags.testbed.ledger.store import Seal, damaged, read_seal
-from novags.testbed.stages.rendering import RECORD as SET
+from novags.testbed.stages.layouts import RECORD as SET
 from novags.testbed.study.entry import Task
 from novags.testbed.study.grid import Value
 from novags.testbed.study.plan import Plan

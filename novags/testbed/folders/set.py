@@ -3,19 +3,17 @@
 Radiance is float32 linear RGB [h,w,3]; lit images are float32 sRGB-encoded [h,w,3], 0..1.
 """
 
-import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
-from novags.testbed.console import Console
+from novags.numbers import SSIM_WINDOW
+from novags.testbed.console import Console, warnings_as_notes
 from novags.testbed.folders.linear_photographs import load_linear_set
 from novags.testbed.ledger.contents import folder_digest, refuse_damage
-from novags.testbed.metrics import SSIM_WINDOW
 from sensor_model.isp import linear_to_srgb
 from simscenes.rigs import Rig
 from simscenes.sets.geometry.plausible import with_tested_tracks
@@ -223,13 +221,3 @@ def scaled_rig(rig: Rig, max_size: int) -> Rig:
     # Scaling keeps pixel edges in place, not centres, so with centres at +0.5 whole rows of K scale.
     scale = np.array([width / rig.width, height / rig.height, 1.0])[:, None]
     return Rig(viewmats=rig.viewmats, Ks=rig.Ks * scale, width=width, height=height)
-
-
-@contextmanager
-def warnings_as_notes(console: Console) -> Iterator[None]:
-    """Show warnings (say, about images that a camera file lists but that are missing) as plain lines."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", UserWarning)
-        yield
-    for warning in caught:
-        console.warn(str(warning.message))

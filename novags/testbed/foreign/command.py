@@ -23,7 +23,7 @@ from novags.testbed.foreign.process import Spent, run_program
 from novags.testbed.ledger.code import Code, code_of
 from novags.testbed.ledger.contents import folder_digest
 from novags.testbed.ledger.stage import run_stage
-from novags.testbed.metrics import Image
+from novags.testbed.metrics.picture import Image
 from novags.testbed.stages.paths import keep_apart
 from sensor_model.files.atomic import remove, write_text
 from sensor_model.files.door import admitted, opened, resolved

@@ -26,7 +26,8 @@ from novags.testbed.folders.run import Run, open_run
 from novags.testbed.folders.set import Source
 from novags.testbed.ledger.contents import read_json, write_json
 from novags.testbed.machine.provenance import package_version
-from novags.testbed.metrics import PerceptualDistance, psnr, ssim
+from novags.testbed.metrics.images import psnr, ssim
+from novags.testbed.metrics.perceptual import PerceptualDistance
 from novags.testbed.references import references
 from novags.testbed.study.conduct import STUDY
 from novags.testbed.study.results import JSON, ROWS

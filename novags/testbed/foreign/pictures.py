@@ -8,7 +8,7 @@ from typing import Literal
 import cv2
 import numpy as np
 
-from novags.testbed.metrics import Image
+from novags.testbed.metrics.picture import Image
 from sensor_model.isp import srgb_to_linear
 from simscenes.sets.pictures.exr import read_exr
 from simscenes.sets.pictures.image_file import before_white, has_alpha, read_image

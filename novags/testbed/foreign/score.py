@@ -14,16 +14,11 @@ from novags.testbed.folders.capture import RECORD, Capture, open_capture
 from novags.testbed.folders.imported import MISSING
 from novags.testbed.folders.set import Source, open_source
 from novags.testbed.foreign.pictures import Picture, find_renders, read_picture
-from novags.testbed.metrics import (
-    Image,
-    PerceptualDistance,
-    exposure_gain,
-    geometry_scores,
-    image_scores,
-    is_black,
-    linear_psnr,
-    mean_scores,
-)
+from novags.testbed.metrics.geometry import geometry_scores
+from novags.testbed.metrics.images import image_scores, mean_scores
+from novags.testbed.metrics.linear import exposure_gain, is_black, linear_psnr
+from novags.testbed.metrics.perceptual import PerceptualDistance
+from novags.testbed.metrics.picture import Image
 from novags.testbed.references import LINEAR, true_depth
 
 Reference = Literal["lit", "linear", "clean", "linear_demosaiced", "clean_demosaiced"]

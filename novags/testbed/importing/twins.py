@@ -6,9 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.console import Console
+from novags.testbed.console import Console, warnings_as_notes
 from novags.testbed.folders.linear_photographs import load_linear_set
-from novags.testbed.folders.set import warnings_as_notes
 from novags.testbed.importing.stored import PICTURES
 from novags.testbed.ledger.contents import folder_digest
 from sensor_model.files.door import resolved

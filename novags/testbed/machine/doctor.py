@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from novags.testbed.machine.provenance import hardware, package_version
-from novags.testbed.metrics import PerceptualDistance
+from novags.testbed.metrics.perceptual import PerceptualDistance
 from sensor_model.files.python import INTERPRETER, python
 
 

@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import map_coordinates
 
-from novags.testbed.metrics.tone import Image, check_pair
+from novags.testbed.metrics.picture import Image
+from novags.testbed.metrics.tone import check_pair
 
 
 class ConsistencyScores(TypedDict):

@@ -11,10 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
+from novags.numbers import SSIM_WINDOW
 from novags.testbed.metrics.perceptual import PerceptualDistance
-from novags.testbed.metrics.tone import Image, affine_aligned, check_pair, tone_aligned, with_contrast
+from novags.testbed.metrics.picture import Image
+from novags.testbed.metrics.tone import affine_aligned, check_pair, tone_aligned, with_contrast
 
-SSIM_WINDOW = 11  # px; smaller images have no SSIM
 PSNR_CEILING = 100.0  # dB; two identical images have no finite PSNR, and JSON has no infinity
 
 Scores = TypeVar("Scores")  # a TypedDict of numbers or None

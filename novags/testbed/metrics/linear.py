@@ -10,7 +10,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from novags.testbed.metrics.images import PSNR_CEILING, psnr
-from novags.testbed.metrics.tone import Image, check_pair
+from novags.testbed.metrics.picture import Image
+from novags.testbed.metrics.tone import check_pair
 
 
 def exposure_gain(pairs: Iterable[tuple[Image, Image]], white: float = 1.0) -> float:

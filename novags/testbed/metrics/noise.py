@@ -9,7 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from novags.testbed.metrics.tone import Image, check_pair
+from novags.testbed.metrics.picture import Image
+from novags.testbed.metrics.tone import check_pair
 
 LEVELS = 32  # of brightness, within each of which noise has the mean 0
 

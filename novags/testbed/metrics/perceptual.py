@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from novags.testbed.metrics.tone import Image
+from novags.testbed.metrics.picture import Image
 
 
 class PerceptualDistance:

@@ -7,12 +7,10 @@ the image as it is, values outside 0..1 included: clipping first would lose what
 - `tone_aligned`: any non-decreasing curve. It contains every affine change of positive gain, gamma and film curve.
 """
 
-from typing import TypeAlias
-
 import numpy as np
 from numpy.typing import NDArray
 
-Image: TypeAlias = np.ndarray
+from novags.testbed.metrics.picture import Image
 
 CONTRAST = 1 / 255  # sRGB code; a channel that spans less shows one colour on any 8-bit screen
 

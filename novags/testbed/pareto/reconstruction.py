@@ -18,7 +18,7 @@ from novags.testbed.budget.settings import values
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.ledger.contents import jsonable, read_json
-from novags.testbed.metrics import aligned_psnr
+from novags.testbed.metrics.images import aligned_psnr
 from novags.testbed.pareto.clock import Clock
 from novags.testbed.pareto.knob import Knob, Measured, Setting
 from novags.testbed.presets import Preset, adapted

@@ -14,16 +14,12 @@ from novags.cameras.align import Alignment, align, to_estimated
 from novags.cameras.estimate import CameraEstimate, near_origin
 from novags.cameras.estimating import estimate_cameras
 from novags.cameras.source import CameraConfig
-from novags.methods.enhancers import guided
-from novags.methods.nova.denoiser import Denoiser
-from novags.methods.nova.denoiser_config import FAST_DENOISER
 from novags.splats.views import Views
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.set import Source
 from novags.testbed.stages.failing import failing_in
-
-DENOISER_STEPS = 300  # for the pictures in which features are detected; the method trains its own
+from novags.testbed.stages.seen import SEEN
 
 
 def cameras_of(
@@ -63,35 +59,11 @@ def _found(
             views = dataclasses.replace(source.views, rig=views.rig)
         return estimate_cameras(config, views.about(origin_of(capture)), indices, dark, n_points=points, seed=seed)
     with console.progress("cameras") as progress:
-        pictures = pictures_for(config.looks_at, dark, seed)
+        pictures = SEEN[config.looks_at](dark, seed)
         return estimate_cameras(
             config, views, indices, dark, pictures=pictures, n_points=points, seed=seed, device=device,
             progress=progress,
         )  # fmt: skip
-
-
-def pictures_for(kind: str, dark: Tensor, seed: int) -> np.ndarray:
-    """The pictures in which features are detected, uint8 [C,h,w,3]: "raw", "enhanced" or "denoised".
-
-    Args:
-        kind: Which of these.
-        dark: [C, h, w, 3], sRGB-encoded, 0..1.
-        seed: Of the denoiser's training.
-    """
-    if kind == "raw":
-        return codes(dark)
-    enhanced = torch.stack([guided.enhance(view)[0] for view in dark])
-    if kind == "enhanced":
-        return codes(enhanced)
-    denoiser = Denoiser(enhanced, FAST_DENOISER, total_steps=DENOISER_STEPS, seed=seed)
-    for _ in range(DENOISER_STEPS):
-        denoiser.train_step()
-    return codes(denoiser.denoise_all())
-
-
-def codes(images: Tensor) -> np.ndarray:
-    """Images 0..1 as 8-bit codes."""
-    return (images.clamp(0, 1) * 255).round().to(torch.uint8).numpy()
 
 
 @dataclass(frozen=True)

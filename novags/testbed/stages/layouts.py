@@ -1,18 +1,23 @@
-"""Further layouts of a set or a capture, each in a folder of its name inside it."""
+"""The files of a set, and further layouts of a set or a capture, each in a folder of its name inside it."""
 
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from novags.testbed.console import Console
-from novags.testbed.folders.set import Source, warnings_as_notes
+from novags.testbed.console import Console, warnings_as_notes
+from novags.testbed.folders.set import Source
 from sensor_model.files.reading import brief
+from simscenes.job.identity import SPENT
 from simscenes.rigs import Rig
 from simscenes.sets.geometry.depth_range import Depths
 from simscenes.sets.multiview import MultiviewSet, load_set
+from simscenes.sets.writers.camera_files import CAMERA_FILES
 from simscenes.sets.writers.export import EXPORTS
+from simscenes.sets.writers.neighbours import DEPTHS
 
+RECORD = "set.json"
 LAYOUTS = tuple(EXPORTS)
+SET_FILES = (RECORD, "gt", "images", DEPTHS, SPENT, *CAMERA_FILES, *LAYOUTS)  # of a set folder made here, of any kind
 
 
 def check_layouts(layouts: Sequence[str]) -> None:

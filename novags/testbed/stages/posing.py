@@ -17,8 +17,8 @@ from novags.testbed.folders.video import is_video, write_frames
 from novags.testbed.ledger.contents import folder_digest
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.stages.configs.posing import PosesConfig
+from novags.testbed.stages.layouts import RECORD, SET_FILES
 from novags.testbed.stages.paths import keep_apart
-from novags.testbed.stages.rendering import RECORD, SET_FILES
 from sensor_model.files.reading import some
 from sensor_model.files.scratch import scratch
 from simscenes.rigs import Rig

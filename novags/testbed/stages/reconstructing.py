@@ -17,14 +17,14 @@ from novags.methods.problem import Problem, RawPictures, TrueSurface
 from novags.methods.reconstruction import Reconstruction
 from novags.methods.variant import sees_statistics
 from novags.splats.views import Views
-from novags.testbed.console import Console, losses_text
+from novags.testbed.console import Console, losses_text, warnings_as_notes
 from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.events import EventLog
 from novags.testbed.folders.imported import MISSING
 from novags.testbed.folders.place import keep_place
 from novags.testbed.folders.run import CAMERAS, CHECKPOINTS, EVENTS
-from novags.testbed.folders.set import Source, warnings_as_notes
+from novags.testbed.folders.set import Source
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.machine.devices import chosen_device
 from novags.testbed.references import pictured

@@ -5,25 +5,18 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from novags.testbed.console import Console
-from novags.testbed.folders.set import warnings_as_notes
+from novags.testbed.console import Console, warnings_as_notes
 from novags.testbed.ledger.contents import digest, read_json
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.stages.configs.rendering import RenderConfig
-from novags.testbed.stages.layouts import LAYOUTS, check_cameras_of, write_layouts
+from novags.testbed.stages.layouts import RECORD, SET_FILES, check_cameras_of, write_layouts
 from sensor_model.files.door import read_bytes
 from sensor_model.files.lock import locked
 from sensor_model.plan import Plan
 from simscenes.backend import choose_variant
 from simscenes.camera import camera_color
-from simscenes.job.identity import SPENT
 from simscenes.loading.checks.untrusted import check_xml
 from simscenes.rigs import Rig
-from simscenes.sets.writers.camera_files import CAMERA_FILES
-from simscenes.sets.writers.neighbours import DEPTHS
-
-RECORD = "set.json"
-SET_FILES = (RECORD, "gt", "images", DEPTHS, SPENT, *CAMERA_FILES, *LAYOUTS)  # of a set folder made here, of any kind
 
 
 def render(

@@ -15,20 +15,12 @@ from novags.testbed.folders.run import METRICS, Run, open_run
 from novags.testbed.folders.set import Source
 from novags.testbed.ledger.code import Code, code_of
 from novags.testbed.ledger.stage import run_stage
-from novags.testbed.metrics import (
-    ConsistencyScores,
-    Image,
-    PerceptualDistance,
-    aligned_psnr,
-    consistency_scores,
-    gaussian_blur,
-    geometry_scores,
-    image_scores,
-    is_black,
-    linear_psnr,
-    mean_scores,
-    psnr,
-)
+from novags.testbed.metrics.consistency import ConsistencyScores, consistency_scores
+from novags.testbed.metrics.geometry import geometry_scores
+from novags.testbed.metrics.images import aligned_psnr, gaussian_blur, image_scores, mean_scores, psnr
+from novags.testbed.metrics.linear import is_black, linear_psnr
+from novags.testbed.metrics.perceptual import PerceptualDistance
+from novags.testbed.metrics.picture import Image
 from novags.testbed.references import LINEAR, missing_references, references, true_depth
 from novags.testbed.stages.noise_scores import noise_scores
 from sensor_model.files.lock import locked

@@ -10,11 +10,11 @@ from novags.testbed.folders import capture as captures
 from novags.testbed.folders import run as runs
 from novags.testbed.foreign.command import CommandConfig, run_command
 from novags.testbed.ledger.code import code_of
-from novags.testbed.metrics import PerceptualDistance
+from novags.testbed.metrics.perceptual import PerceptualDistance
 from novags.testbed.stages.configs.importing import ImportConfig
 from novags.testbed.stages.configs.posing import PosesConfig
 from novags.testbed.stages.configs.rendering import RenderConfig
-from novags.testbed.stages.rendering import RECORD as SET
+from novags.testbed.stages.layouts import RECORD as SET
 from novags.testbed.study.entry import Order, Step, Steps, Task, ensure
 
 

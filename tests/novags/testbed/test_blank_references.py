@@ -9,8 +9,9 @@ from novags import cli
 from novags.testbed.console import Console
 from novags.testbed.experiment import run
 from novags.testbed.ledger.contents import read_json
-from novags.testbed.metrics import affine_aligned, aligned_psnr, image_scores, is_black, psnr, ssim
-from novags.testbed.metrics.tone import CONTRAST, tone_aligned, with_contrast
+from novags.testbed.metrics.images import aligned_psnr, image_scores, psnr, ssim
+from novags.testbed.metrics.linear import is_black
+from novags.testbed.metrics.tone import CONTRAST, affine_aligned, tone_aligned, with_contrast
 from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.stages.scoring import recovered_fractions
 

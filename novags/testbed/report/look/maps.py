@@ -3,7 +3,7 @@
 import matplotlib
 import numpy as np
 
-from novags.testbed.metrics import affine_aligned
+from novags.testbed.metrics.tone import affine_aligned
 
 ERROR_CEILING = 0.25  # sRGB code units at the bright end of the error maps, the same in every report
 

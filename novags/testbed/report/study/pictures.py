@@ -6,10 +6,10 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-from novags.testbed.console import Console
+from novags.testbed.console import Console, warnings_as_notes
 from novags.testbed.folders.capture import Capture, open_unchecked
 from novags.testbed.folders.run import Run
-from novags.testbed.folders.set import Source, warnings_as_notes
+from novags.testbed.folders.set import Source
 from novags.testbed.report.look.album import Album
 from novags.testbed.report.material import Material
 from novags.testbed.report.pictures import ViewTiles, view_tiles

@@ -9,20 +9,11 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from novags.testbed.metrics import (
-    PSNR_CEILING,
-    affine_aligned,
-    consistency_scores,
-    delta_e,
-    exposure_gain,
-    flip,
-    geometry_scores,
-    image_scores,
-    linear_psnr,
-    psnr,
-    ssim,
-    tone_aligned,
-)
+from novags.testbed.metrics.consistency import consistency_scores
+from novags.testbed.metrics.geometry import geometry_scores
+from novags.testbed.metrics.images import PSNR_CEILING, delta_e, flip, image_scores, psnr, ssim
+from novags.testbed.metrics.linear import exposure_gain, linear_psnr
+from novags.testbed.metrics.tone import affine_aligned, tone_aligned
 from novags.testbed.stability.case import Part, Setting, refusal, worse
 from novags.testbed.stability.errors import EPS
 

@@ -7,11 +7,13 @@ from novags.cameras import spell_cameras
 from novags.cameras.source import CameraConfig
 from novags.cameras.sources.known import KnownConfig
 from novags.methods import METHODS
+from novags.methods.enhancers import ENHANCERS, enhancer_of
 from novags.methods.variant import Variant
 from novags.numbers import POINTS, check_range
 from novags.settings import check_seed, files_among, refuse_lost_files
 from novags.testbed.ledger.code import Code, code_of, modules_of
 from novags.testbed.ledger.contents import folder_digest
+from novags.testbed.stages.seen import SEEN
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -40,7 +42,9 @@ class ReconstructConfig:
     @property
     def code(self) -> Code:
         """What reconstructs it: the stage, the method, the source of cameras and what they are configured with."""
-        used = modules_of(self.config) | modules_of(self.cameras)
+        used = {*modules_of(self.config), *modules_of(self.cameras), SEEN.module_of(self.cameras.looks_at)}
+        if hasattr(self.config, "enhance"):
+            used.add(ENHANCERS.module_of(enhancer_of(self.config.enhance)[0]))
         return code_of("novags.testbed.stages.reconstructing", METHODS.module_of(self.variant.method), *used)
 
     def resolved(self) -> dict[str, Any]:

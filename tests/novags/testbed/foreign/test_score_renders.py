@@ -12,7 +12,7 @@ import pytest
 from novags.testbed.console import Console
 from novags.testbed.foreign.pictures import read_picture
 from novags.testbed.foreign.score import Truth, score_renders
-from novags.testbed.metrics import image_scores
+from novags.testbed.metrics.images import image_scores
 from sensor_model import srgb_to_linear
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras

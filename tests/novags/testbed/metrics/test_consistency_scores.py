@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from novags.testbed.metrics import color_change, consistency_scores
+from novags.testbed.metrics.consistency import color_change, consistency_scores
 from simscenes import orbit_rig
 from simscenes.sets.geometry.correspondence import flow_from_depth
 

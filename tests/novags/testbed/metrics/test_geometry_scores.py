@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from novags.testbed.metrics import geometry_scores, mean_scores, opacity_in_front
+from novags.testbed.metrics.geometry import geometry_scores, opacity_in_front
+from novags.testbed.metrics.images import mean_scores
 
 ONE = np.ones((1, 1))
 

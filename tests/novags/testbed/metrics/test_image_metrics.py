@@ -6,10 +6,8 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from novags.testbed.metrics import (
+from novags.testbed.metrics.images import (
     PSNR_CEILING,
-    PerceptualDistance,
-    affine_aligned,
     delta_e,
     flip,
     gaussian_blur,
@@ -17,8 +15,9 @@ from novags.testbed.metrics import (
     mean_scores,
     psnr,
     ssim,
-    tone_aligned,
 )
+from novags.testbed.metrics.perceptual import PerceptualDistance
+from novags.testbed.metrics.tone import affine_aligned, tone_aligned
 
 
 def picture(seed: int = 0, size: int = 32) -> np.ndarray:

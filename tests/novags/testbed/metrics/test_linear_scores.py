@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from novags.testbed.metrics import PSNR_CEILING, exposure_gain, linear_psnr
+from novags.testbed.metrics.images import PSNR_CEILING
+from novags.testbed.metrics.linear import exposure_gain, linear_psnr
 
 
 def views(seed: int, n: int = 3) -> list[np.ndarray]:

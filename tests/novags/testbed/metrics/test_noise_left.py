@@ -5,8 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from novags.testbed.metrics import centred_noise, gaussian_blur, noise_share, squared_bias
-from novags.testbed.metrics.noise import LEVELS
+from novags.testbed.metrics.images import gaussian_blur
+from novags.testbed.metrics.noise import LEVELS, centred_noise, noise_share, squared_bias
 
 
 def pictures(height: int = 40, width: int = 37) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from novags.testbed.metrics import affine_aligned, gaussian_blur, psnr, tone_aligned
+from novags.testbed.metrics.images import gaussian_blur, psnr
+from novags.testbed.metrics.tone import affine_aligned, tone_aligned
 
 PROPERTY = settings(derandomize=True, deadline=None, max_examples=50)
 Values = list[int]

@@ -17,7 +17,9 @@ from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.presets import EXPERIMENTS, adapted
 from novags.testbed.stages import camera_source
-from novags.testbed.stages.camera_source import Frame, cameras_of, codes, pictures_for
+from novags.testbed.stages.camera_source import Frame, cameras_of
+from novags.testbed.stages.seen import SEEN
+from novags.testbed.stages.seen.raw import codes
 from simscenes import Rig, orbit_rig
 
 SCALE = 2.5
@@ -109,7 +111,7 @@ def test_exact_cameras_stay_exact_to_the_bit(rig: Rig) -> None:
 
 def test_pictures_for_matching_are_those_that_were_asked_for() -> None:
     dark = torch.rand(2, 32, 32, 3, generator=torch.Generator().manual_seed(0)) * 0.1
-    raw, enhanced = pictures_for("raw", dark, 0), pictures_for("enhanced", dark, 0)
+    raw, enhanced = SEEN["raw"](dark, 0), SEEN["enhanced"](dark, 0)
     assert (raw == np.round(dark.numpy() * 255)).all()
     assert raw.mean() < 15
     assert enhanced.mean() == pytest.approx(0.5 * 255, abs=25)  # the enhancement's target

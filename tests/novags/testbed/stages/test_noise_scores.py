@@ -17,7 +17,7 @@ from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.set import Source
-from novags.testbed.metrics import centred_noise
+from novags.testbed.metrics.noise import centred_noise
 from novags.testbed.stages import noise_scores as module
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.noise_scores import bias_floor, exposed_again, noise_scores

@@ -1,0 +1,5 @@
+"""The type of what is compared."""
+
+import numpy as np
+
+Image: TypeAlias = np.ndarray
