@@ -8,6 +8,7 @@ from typing import Any, Literal, Protocol
 import torch
 from torch import Tensor
 
+from novags.methods.enhancers.enhancer import NETWORK
 from novags.methods.tone import ResponseTable, ToneCurve
 from novags.splats.files.ply import write_ply
 from novags.splats.gaussians import Gaussians
@@ -17,7 +18,6 @@ from novags.splats.training.config import NEAR, FitConfig
 from novags.splats.views import Views
 
 Space = Literal["enhanced", "linear", "lit"]
-NETWORK = "enhancer.safetensors"  # beside a saved scene: the weights of the network that enhanced its pictures
 
 
 class Scene(Protocol):

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+NETWORK = "enhancer.safetensors"  # beside a saved scene: the weights of the network that enhanced its pictures
+
 
 @dataclass(frozen=True, kw_only=True)
 class EnhancerConfig:

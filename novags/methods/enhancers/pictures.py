@@ -1,9 +1,12 @@
-"""What several enhancers do with a picture: refuse what is none, find the exponent that gives it a mean."""
+"""What several methods do with a picture: refuse what is none, find the exponent for a mean, say how far it is off."""
 
 import torch
+import torch.nn.functional as F
 from torch import Tensor
 
 from novags.methods.enhancers.choice import EnhanceConfig
+
+EXPOSURE, PATCH = 0.6, 16  # mean that a patch of so many px is to have
 
 
 def solve_gamma(brightness: Tensor, config: EnhanceConfig) -> Tensor:
@@ -35,3 +38,14 @@ def check_picture(dark: Tensor) -> None:
             f"dark must be finite and in 0..1, got {float(dark[first])} at {first} "
             f"({int(bad.sum())} of {dark.numel()} values); clip it after encoding"
         )
+
+
+def pooled(pictures: Tensor, size: int) -> Tensor:
+    """Mean grey of whole patches, [B, 1, h, w]."""
+    grey = pictures.mean(1, keepdim=True)
+    return F.avg_pool2d(grey, (min(size, grey.shape[2]), min(size, grey.shape[3])))
+
+
+def exposure(bright: Tensor, target: float = EXPOSURE) -> Tensor:
+    """The mean square by which grey patches of pictures [B, 3, H, W] are off the target."""
+    return (pooled(bright, PATCH) - target).square().mean()

@@ -18,10 +18,10 @@ from torch import Tensor, nn
 from torch.optim import Adam
 
 from novags.methods.enhancers.networks import Kind, Rehearsal
+from novags.methods.enhancers.pictures import exposure, pooled
 from novags.methods.enhancers.rows.zero_dce import ZeroDceConfig
 
 CURVES = 8
-EXPOSURE, PATCH = 0.6, 16  # mean that a patch of so many px is to have
 REGION = 4  # px, of the spatial loss
 SMOOTH, COLOR, EXPOSED = 200.0, 5.0, 10.0  # weights beside the spatial loss
 
@@ -66,23 +66,12 @@ def constancy(bright: Tensor) -> Tensor:
     return powers.clamp_min(1e-24).sqrt().mean()
 
 
-def exposure(bright: Tensor, target: float = EXPOSURE) -> Tensor:
-    """The mean square by which grey patches of pictures [B, 3, H, W] are off the target."""
-    return (_pooled(bright, PATCH) - target).square().mean()
-
-
 def spatial(dark: Tensor, bright: Tensor) -> Tensor:
     """Slopes between neighbouring regions should stay: mean over regions of the sum over four neighbours."""
-    change = _pooled(bright, REGION) - _pooled(dark, REGION)
+    change = pooled(bright, REGION) - pooled(dark, REGION)
     # Each slope has two regions, and counts in both.
     steps = [2 * change.diff(dim=d).square().sum() for d in (2, 3)]
     return (steps[0] + steps[1]) / change.numel()
-
-
-def _pooled(pictures: Tensor, size: int) -> Tensor:
-    """Mean grey of whole patches, [B, 1, h, w]."""
-    grey = pictures.mean(1, keepdim=True)
-    return F.avg_pool2d(grey, (min(size, grey.shape[2]), min(size, grey.shape[3])))
 
 
 def loss(network: nn.Module, dark: Tensor, config: ZeroDceConfig) -> Tensor:

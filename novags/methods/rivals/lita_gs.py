@@ -27,7 +27,7 @@ import torch
 from torch import Tensor, nn
 
 from novags.methods.enhanced.gaussian_fit import Progress, fit_for, reconstructed
-from novags.methods.enhancers.zero_dce import exposure
+from novags.methods.enhancers.pictures import exposure
 from novags.methods.problem import Problem
 from novags.methods.reconstruction import GaussianScene, Reconstruction
 from novags.methods.rivals.denoised_scene import DenoisedScene, Denoiser

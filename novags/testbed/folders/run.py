@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from novags.methods.enhancers import located
-from novags.methods.reconstruction import NETWORK
+from novags.methods.enhancers.enhancer import NETWORK
 from novags.testbed.console import Console
 from novags.testbed.folders import shapes
 from novags.testbed.folders.capture import Capture, open_capture

@@ -17,9 +17,10 @@ from pathlib import Path
 
 from sensor_model.files.atomic import write_text
 from sensor_model.files.own import cache_folder, own_folder
-from sensor_model.files.records import read_json
+from sensor_model.files.records import read_record
 
 MOST = 4000  # sources that are remembered
+SHAPE = {"*": {"tokens": str, "imports": [list], "texts": [str]}}
 _SKIPPED = (tokenize.COMMENT, tokenize.NL, tokenize.ENCODING, tokenize.ENDMARKER)
 _KINDS = {tokenize.INDENT: ">", tokenize.DEDENT: "<", tokenize.NEWLINE: ";"}
 
@@ -56,8 +57,8 @@ class Sources:
         self._new = False
         # What is remembered was found by this very code.
         self._name = f"{hashed(Path(__file__).read_bytes())}.json"
-        with suppress(OSError, ValueError, TypeError, KeyError):
-            for key, found in read_json(own_folder(cache_folder("sources")) / self._name).items():
+        with suppress(OSError, ValueError):
+            for key, found in read_record(own_folder(cache_folder("sources")) / self._name, SHAPE).items():
                 imports = tuple((module, tuple(names)) for module, names in found["imports"])
                 self._known[key] = Source(found["tokens"], imports, tuple(found["texts"]))
 
@@ -139,8 +140,10 @@ def significant(content: bytes) -> Iterator[str]:
             statement.append((kind, text))
             continue
         if kind == tokenize.NEWLINE:
-            yield from _kept(statement)
-            statement = []
+            kept, statement = _kept(statement), []
+            if not kept:
+                continue
+            yield from kept
         yield _KINDS[kind]
 
 

@@ -1,0 +1,167 @@
+"""Claims about which code a result depends on, on a copy of the sources in which something is changed."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from novags.cameras import parse_cameras
+from novags.methods import METHODS, chosen
+from novags.testbed.ledger.code import OUTSIDE, PACKAGES, code_of, modules_of, reached
+from novags.testbed.stages.configs.reconstructing import ReconstructConfig
+
+ROOT = Path(__file__).resolve().parents[4]
+STAGE = "novags.testbed.stages."
+# Prints the key of the code of every result that this installation can make.
+KEYS = """
+import json, sys
+from novags.methods import METHODS, VARIANTS, chosen
+from novags.testbed.ledger.code import code_of
+from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.reconstructing import ReconstructConfig
+from novags.testbed.stages.configs.rendering import RenderConfig
+from simscenes.scenes import SCENES
+
+keys = {f"scene {name}": RenderConfig(scene=name).code.key for name in SCENES}
+keys |= {name: ReconstructConfig(variant=chosen(name)).code.key for name in (*METHODS, *VARIANTS)}
+keys |= {"capture": CaptureConfig().code.key, "score": code_of("novags.testbed.stages.scoring").key}
+assert not {"torch", "numba", "mitsuba", "pycolmap"} & sys.modules.keys()
+print(json.dumps(keys))
+"""
+Edit = Callable[[str, str, str], set[str]]
+
+
+@pytest.fixture(scope="module")
+def edit(tmp_path_factory: pytest.TempPathFactory) -> Edit:
+    """A function (file, text, another text) -> the results that are made again after this change."""
+    root = tmp_path_factory.mktemp("sources")
+    for package in PACKAGES:
+        shutil.copytree(ROOT / package, root / package, ignore=shutil.ignore_patterns("__pycache__"))
+
+    def keys() -> dict[str, str]:
+        environment = {**os.environ, "XDG_CACHE_HOME": str(root / "cache"), "PYTHONPATH": str(root)}
+        done = subprocess.run([sys.executable, "-c", KEYS], env=environment, cwd=root, capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+        found: dict[str, str] = json.loads(done.stdout)
+        return found
+
+    before = keys()
+
+    def changed(file: str, text: str, other: str) -> set[str]:
+        path = root / file
+        content = path.read_text("utf-8")
+        assert content.count(text) == 1, f"{file} holds {text!r} {content.count(text)} times"
+        path.write_text(content.replace(text, other), "utf-8")
+        try:
+            after = keys()
+        finally:
+            path.write_text(content, "utf-8")
+        return {name for name in after if after[name] != before.get(name)}
+
+    return changed
+
+
+def of(*methods: str) -> set[str]:
+    """These methods and their variants."""
+    from novags.methods import VARIANTS
+
+    return {*methods, *(name for name in VARIANTS if chosen(name).method in methods)}
+
+
+FITS = {name for name, method in METHODS.items() if method.family != "NeRF"} - {"nerf-oracle", "averaging"}
+
+
+def test_a_constant_of_a_method_makes_its_runs_again_and_no_others(edit: Edit) -> None:
+    assert edit("novags/methods/rivals/gaussian_dk.py", "ANCHOR = 0.5", "ANCHOR = 0.6") == {"gaussian-dk"}
+    assert edit("novags/methods/rivals/rows/luminance_gs.py", "contrast: float = 0.5", "contrast: float = 0.6") == {
+        "luminance-gs"
+    }
+    assert edit("novags/methods/nova/consistency.py", "FARTHEST = 1e10", "FARTHEST = 1e9") == of("nova")
+
+
+def test_a_constant_of_what_methods_share_makes_the_runs_of_all_that_use_it_again(edit: Edit) -> None:
+    splats = edit("novags/splats/training/updates/adam.py", "EPS = 1e-15", "EPS = 1e-14")
+    assert splats >= of(*FITS)
+    assert not {name for name in splats if name.startswith("scene")} | ({"capture", "score"} & splats)
+
+
+def test_a_constant_of_a_score_makes_scores_again_and_no_fit(edit: Edit) -> None:
+    assert edit("novags/testbed/metrics/tone.py", "CONTRAST = 1 / 255", "CONTRAST = 2 / 255") == {"score"}
+    assert edit("novags/testbed/stages/scoring.py", "BLUR_SIGMA = 1.2", "BLUR_SIGMA = 1.3") == {"score"}
+
+
+def test_a_constant_of_a_scene_makes_that_scene_again(edit: Edit) -> None:
+    assert edit("simscenes/scenes/cornell.py", "58.0", "59.0") == {"scene cornell"}
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "other"),
+    [
+        ("novags/testbed/report/charts.py", '"""', '"""It was: '),
+        ("novags/testbed/console.py", "PLAIN_INTERVAL = 5.0", "PLAIN_INTERVAL = 6.0"),
+        ("novags/commands/results.py", "import", "import"),
+    ],
+)
+def test_what_shows_and_tells_makes_nothing_again(edit: Edit, file: str, text: str, other: str) -> None:
+    content = (ROOT / file).read_text("utf-8")
+    if content.count(text) != 1:  # the first of several
+        line = next(line for line in content.splitlines() if text in line and content.count(line) == 1)
+        text, other = line, line.replace(text, other, 1)
+    assert edit(file, text, other) == set()
+
+
+def test_a_new_row_of_a_table_makes_nothing_again(edit: Edit) -> None:
+    row = '"averaging": "novags.methods.averaging.row:METHOD",'
+    assert edit("novags/methods/__init__.py", row, f'{row} "mine": "novags.methods.averaging.row:METHOD",') == {"mine"}
+
+
+def test_weights_that_lie_beside_code_count_where_that_code_is_used() -> None:
+    names = {name: code_of(METHODS.module_of(name)).files for name in ("denoise-gs", "naive", "gaussian-dk")}
+    weights = "novags/methods/denoised/weights.safetensors"
+    assert [weights in files for files in names.values()] == [True, False, False]
+
+
+def test_a_run_depends_on_the_sources_and_the_enhancers_that_it_uses() -> None:
+    def files(name: str, **how: object) -> set[str]:
+        return set(ReconstructConfig(variant=chosen(name), **how).code.files)  # type: ignore[arg-type]
+
+    sfm = "novags/cameras/motion/sfm.py"
+    assert sfm not in files("naive")
+    assert sfm in files("naive", cameras=parse_cameras("sfm"))
+    assert "novags/methods/nova/denoiser.py" in files("naive", cameras=parse_cameras("sfm:pictures=denoised"))
+    assert "novags/methods/nova/denoiser.py" not in files("naive", cameras=parse_cameras("sfm:pictures=enhanced"))
+    enhancers = {"naive": "guided", "sci-gs": "sci", "gamma-gs": "curves/gamma"}
+    for name, file in enhancers.items():
+        found = files(name)
+        assert f"novags/methods/enhancers/{file}.py" in found
+        others = {f"novags/methods/enhancers/{other}.py" for other in enhancers.values() if other != file}
+        assert not others & found
+
+
+def test_no_result_depends_on_the_row_of_another_method() -> None:
+    rows = {name: METHODS.module_of(name) for name in METHODS}
+    for name, row in rows.items():
+        config = METHODS[name].config()
+        found = reached([f"{STAGE}reconstructing", str(row), *modules_of(config)])
+        assert found & {other for other in rows.values() if other != row} == set(), name
+
+
+def test_stages_reach_nothing_that_shows_and_nothing_shown_is_missing_from_the_rule() -> None:
+    for stage in ("rendering", "posing", "capturing", "importing", "denoising", "reconstructing", "scoring"):
+        found = reached([f"{STAGE}{stage}"])
+        assert f"{STAGE}{stage}" in found
+        assert not {name for name in found if name.startswith(OUTSIDE)}
+    folders = {"metrics", "folders", "importing", "stages", "exposures", "references", "foreign", "calibration_frames"}
+    inside = {name.split(".")[2] for name in reached([f"{STAGE}{stage}" for stage in ("scoring", "importing")])
+              if name.startswith("novags.testbed.")}  # fmt: skip
+    assert inside <= folders
+
+
+def test_a_module_that_does_not_exist_is_refused() -> None:
+    with pytest.raises(ValueError, match="no module of novags"):
+        code_of("novags.methods.nothing")

@@ -1,0 +1,154 @@
+"""Claims about what counts in a file of source, and what it reaches."""
+
+import io
+import sys
+import tokenize
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from novags.testbed.ledger.source import read, significant, sources
+
+SOURCE = b'''"""What this is."""
+
+import os
+from pkg.part import name
+
+LIMIT = 3  # px
+
+
+def halved(value: int) -> float:
+    """Half of it."""
+    if value > LIMIT:
+        raise ValueError(f"value must be <= {LIMIT}, got {value!r:>8}")
+    return value / 2
+'''
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        (b'"""What this is."""', b'"""What that was, in\ntwo lines."""'),
+        (b'    """Half of it."""\n', b""),
+        (b"  # px", b""),
+        (b"  # px", b"  # millimetres"),
+        (b"\n\n\ndef", b"\ndef"),
+        (b"import os\n", b"import   os\n\n\n"),
+        (b"value must be", b"the value must be"),
+        (b"got {value!r:>8}", b"got {value}"),
+        (b"    if value > LIMIT:\n        raise", b"    if value > LIMIT:\n            raise"),
+    ],
+)
+def test_texts_and_layout_do_not_count(before: bytes, after: bytes) -> None:
+    assert before in SOURCE
+    assert read(SOURCE.replace(before, after)).tokens == read(SOURCE).tokens
+
+
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [
+        (b"LIMIT = 3", b"LIMIT = 4"),
+        (b"value / 2", b"value // 2"),
+        (b"value > LIMIT", b"value >= LIMIT"),
+        (b"ValueError", b"TypeError"),
+        (b"    return value / 2", b"        return value / 2"),
+        (b"value: int)", b"value: int = 1)"),
+        (b"import os\n", b"import sys\n"),
+        (b"LIMIT = 3", b"LIMIT = '3'"),
+        (b"return value / 2", b"return f'{value / 2}'"),
+        (b"return value / 2", b"return f'{value / 3}'"),
+    ],
+)
+def test_what_can_change_a_value_counts(before: bytes, after: bytes) -> None:
+    assert before in SOURCE
+    assert read(SOURCE.replace(before, after)).tokens != read(SOURCE).tokens
+
+
+def test_changes_inside_a_formatted_string_count() -> None:
+    assert (
+        len({read(b"x = f'%s'\n" % text).tokens for text in (b"a{b}", b"a{c}", b"a{b:.2f}", b"A{b}", b"a{b}'f'")}) == 5
+    )
+
+
+def test_rows_of_a_table_neither_count_nor_lead_anywhere_but_named_functions_do() -> None:
+    table = b"ROWS: dict = Registry({'a': 'pkg.a:ROW'})\nBEST = 'a'\n"
+    more = table.replace(b"}", b", 'b': 'pkg.b:ROW'}")
+    assert read(table).tokens == read(more).tokens != read(table.replace(b"BEST = 'a'", b"BEST = 'b'")).tokens
+    assert read(more).texts == ()
+    assert read(b"train = Later('pkg.a:train')\n").texts == ("pkg.a:train",)
+
+
+def test_imports_are_found_wherever_they_stand_but_for_type_checkers() -> None:
+    source = read(
+        b"import pkg.one\nfrom .two import a, b\nif TYPE_CHECKING:\n    from pkg.three import c\n"
+        b"else:\n    import pkg.four\ndef f():\n    from .. import five\n"
+    )
+    assert set(source.imports) == {(".two", ("a", "b")), ("..", ("five",)), ("pkg.four", ()), ("pkg.one", ())}
+
+
+def test_formatted_strings_are_one_token_however_python_takes_them_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rationale: from Python 3.12 on they are several, and a store is shared by machines with different versions."""
+    content = b'a = f\'{x}-{y:>{w}}\' + rf\'\\d\' f"""{z}\nb"""\n'
+    expected = read(content).tokens
+    real = tokenize.tokenize
+    start, middle, end = 1001, 1002, 1003  # numbers that no kind of this version has
+    for name, number in (("START", start), ("MIDDLE", middle), ("END", end)):
+        monkeypatch.setattr(tokenize, f"FSTRING_{name}", number, raising=False)
+
+    def apart(readline: Callable[[], bytes]) -> Iterator[tokenize.TokenInfo]:
+        """The tokens of Python 3.12, near enough: a formatted string begins, has parts, and ends."""
+        for token in real(readline):
+            if token.type != tokenize.STRING or "f" not in token.string[:2]:
+                yield token
+                continue
+            yield token._replace(type=start, end=(token.start[0], token.start[1] + 2))
+            yield token._replace(type=middle)
+            yield token._replace(type=tokenize.NAME, string="x")
+            yield token._replace(type=end, start=(token.end[0], token.end[1] - 1))
+
+    if sys.version_info < (3, 12):  # there it is done by Python itself, and the hash above is the same
+        monkeypatch.setattr(tokenize, "tokenize", apart)
+    assert read(content).tokens == expected == "ff3e8cb3a8dbabe86b72bafae3ac826d"
+
+
+def test_a_source_that_was_read_is_remembered_and_read_again_after_a_change(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    sources.cache_clear()
+    try:
+        first = sources().of(SOURCE)
+        sources().remember()
+        sources.cache_clear()
+        monkeypatch.setattr("novags.testbed.ledger.source.read", lambda content: pytest.fail("read again"))
+        assert sources().of(SOURCE) == first
+        with pytest.raises(pytest.fail.Exception):
+            sources().of(SOURCE + b"\n")
+    finally:
+        sources.cache_clear()
+
+
+def test_a_memory_that_was_damaged_costs_nothing_but_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    sources.cache_clear()
+    try:
+        first = sources().of(SOURCE)
+        sources().remember()
+        (file,) = (tmp_path / "novags" / "sources").iterdir()
+        for text in ("", "[]", '{"a": 1}', file.read_text()[:-9]):
+            file.write_text(text)
+            sources.cache_clear()
+            assert sources().of(SOURCE) == first
+    finally:
+        sources.cache_clear()
+
+
+def test_tokens_are_those_of_the_standard_library(tmp_path: Path) -> None:
+    """The hash is of Python's own tokens: here those of a source without strings, comments and errors."""
+    content = b"def f(a, b=2):\n    return a ** b\n\n\nX = f(3)\n"
+    kinds = {tokenize.INDENT: ">", tokenize.DEDENT: "<", tokenize.NEWLINE: ";"}
+    skipped = (tokenize.ENCODING, tokenize.NL, tokenize.ENDMARKER)
+    expected = [kinds.get(t.type, t.string) for t in tokenize.tokenize(io.BytesIO(content).readline)
+                if t.type not in skipped]  # fmt: skip
+    assert list(significant(content)) == expected
