@@ -9,13 +9,14 @@ from typing import Any
 import tyro
 
 from novags.commands.dataset import dataset
+from novags.commands.every import HELP, without_common
 from novags.commands.experiment import run
 from novags.commands.inquiries import doctor, help_, list_
-from novags.commands.links import HELP, without_links
 from novags.commands.pareto import pareto
 from novags.commands.photographs import denoise, import_
 from novags.commands.results import characterise, export_results, report, score
 from novags.commands.stages import capture, plan, poses, reconstruct, render
+from novags.commands.store import store
 from novags.commands.study import study
 from novags.commands.video import video
 from novags.commands.view import view
@@ -27,6 +28,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     for function in (
         run,
         study,
+        store,
         dataset,
         pareto,
         list_,
@@ -57,9 +59,9 @@ def main() -> None:
         print(f"novags {version('novags')}")
         return
     with errors_in_one_line():
-        words, links = without_links(sys.argv[1:])
+        words, common = without_common(sys.argv[1:])
         commands = {name: _with_numbers(command) for name, command in COMMANDS.items()}
-        with links, NUMBERS:
+        with common, NUMBERS:
             tyro.extras.subcommand_cli_from_dict(commands, prog="novags", description=DESCRIPTION, args=words)
 
 

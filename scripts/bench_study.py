@@ -94,7 +94,7 @@ def nothing(order: Order, console: Console) -> dict[str, Any]:
     made = "made.json"
 
     def stage() -> None:
-        run_stage("nothing", order.folder, made, code=Code({}, {}), inputs={}, config={}, owns=(made,),
+        run_stage("nothing", order.folder, made, code=Code({}, {}), inputs=lambda: {}, config={}, owns=(made,),
                   prepare=lambda: None, work=lambda _: {}, console=console)  # fmt: skip
 
     return ensure(order, {"nothing": Step(stage, made)}, console)

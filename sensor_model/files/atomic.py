@@ -43,6 +43,8 @@ def atomic(path: str | os.PathLike[str]) -> Iterator[Path]:
         if temporary.is_dir():
             remove(target)  # a folder cannot be renamed onto one that holds files
         os.replace(temporary, target)
+        for witness in _witnesses:
+            witness.stamp(target)
     except OSError as error:
         if error.errno is None or error.filename not in (None, str(temporary)):
             raise
@@ -56,10 +58,12 @@ class Witness:
 
     Attributes:
         found: What `look` returned, by the absolute path.
+        stamps: Device, inode, times and size of the same files, once they had their names.
     """
 
     def __init__(self, look: Callable[[Path], bytes]) -> None:
         self.look, self.found = look, dict[str, bytes]()
+        self.stamps: dict[str, tuple[int, ...]] = {}
 
     def see(self, temporary: Path, target: Path) -> None:
         """A file, or a folder of files, is about to appear at `target`."""
@@ -67,6 +71,22 @@ class Witness:
         for file in files:
             if file.is_file():
                 self.found[os.path.abspath(target / file.relative_to(temporary))] = self.look(file)
+
+    def stamp(self, target: Path) -> None:
+        """It has appeared."""
+        for file in sorted(target.rglob("*")) if target.is_dir() else [target]:
+            if file.is_file():
+                self.stamps[os.path.abspath(file)] = _stamp(file)
+
+    def unchanged(self, path: Path) -> bytes | None:
+        """What was found of a file that is as it was when it appeared; None if that has to be seen by reading it."""
+        place = os.path.abspath(path)
+        return self.found.get(place) if self.stamps.get(place) == _stamp(path) else None
+
+
+def _stamp(path: Path) -> tuple[int, ...]:
+    found = os.stat(path)
+    return found.st_dev, found.st_ino, found.st_mtime_ns, found.st_ctime_ns, found.st_size
 
 
 _witnesses: list[Witness] = []

@@ -32,7 +32,7 @@ PICTURE = 4 << 30  # 2**29 pixels of 16-bit RGB, uncompressed
 VARIABLE = (
     "NOVAGS_ALLOW_LINKS"  # a list in JSON, since names can hold any other sign: how `allow` reaches child processes
 )
-OPTION = "--allow-links"  # of every command (`novags.commands.links`): says the same
+OPTION = "--allow-links"  # of every command (`novags.commands.every`): says the same
 
 _given: dict[str, str] = {}  # folders: absolute path as written -> without links
 

@@ -66,7 +66,7 @@ def write(order: Order, console: Console) -> None:
 
     run_stage(
         "write", order.folder, f"{task.kind}.json", code=Code({}, {}),
-        inputs={"source": contents.digest(source)}, config=task.config,
+        inputs=lambda: {"source": contents.digest(source)}, config=task.config,
         owns=("large.txt", "content.txt"), prepare=lambda: None, work=work, console=console, overwrite=True,
     )  # fmt: skip
 
@@ -78,7 +78,7 @@ def score(order: Order, console: Console) -> None:
     scores = {"mean": mean, "views": {}, "training_2d": None, "seconds": {"fit": 1.0}, "peak_bytes": 1}
     run_stage(
         "score", order.folder, "metrics.json", code=Code({}, {}),
-        inputs={"content": contents.digest(content)}, config={}, owns=(),
+        inputs=lambda: {"content": contents.digest(content)}, config={}, owns=(),
         prepare=lambda: None, console=console, overwrite=True,
         work=lambda _: {"methods": {order.task.group: scores}, "recovered": {}, "unavailable": {}},
     )  # fmt: skip

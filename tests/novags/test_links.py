@@ -9,7 +9,8 @@ import cv2
 import numpy as np
 import pytest
 
-from novags.commands.links import OPTION, without_links
+from novags.commands.every import LINKS as OPTION
+from novags.commands.every import without_common
 from sensor_model.files.door import read_bytes
 from simscenes import orbit_rig
 from simscenes.sets.multiview import write_cameras
@@ -67,9 +68,9 @@ def test_pictures_may_be_links_into_another_folder_that_the_command_line_names(l
 
 def test_a_folder_that_is_called_like_the_command_is_not_given_by_its_name(linked: Path, call: Call) -> None:
     linked.rename(linked.parent / "capture")
-    with without_links(["capture", "x"])[1]:
+    with without_common(["capture", "x"])[1]:
         assert read_bytes(linked.parent / "capture" / "images" / "0000.png")
-    with without_links(["plan", "capture"])[1], pytest.raises(ValueError, match=OPTION):
+    with without_common(["plan", "capture"])[1], pytest.raises(ValueError, match=OPTION):
         read_bytes(linked.parent / "capture" / "images" / "0000.png")
 
 
@@ -91,4 +92,4 @@ def test_a_folder_that_is_not_there_is_one_line(
 
 def test_all_other_words_are_left_for_the_command() -> None:
     words = ["run", "--scene", "x", "--out=y", "--help"]
-    assert without_links([*words[:2], OPTION, ".", *words[2:]])[0] == words
+    assert without_common([*words[:2], OPTION, ".", *words[2:]])[0] == words

@@ -351,7 +351,7 @@ def open_capture(path: Path) -> Capture:
     Raises:
         ValueError: If the folder is missing, is not a capture, or is unfinished.
     """
-    (record, sensor), content = _read_record(path), folder_digest(path, OWNS)
+    (record, sensor), content = _read_record(path), content_of(path)
     refuse_damage(path, record, REMEDY)
     known = _OPENED.get(resolved(path))
     if known is not None and known.content == content:
@@ -360,6 +360,11 @@ def open_capture(path: Path) -> Capture:
     _OPENED.clear()
     _OPENED[resolved(path)] = capture
     return capture
+
+
+def content_of(path: Path) -> str:
+    """Hash of all that the capture stage wrote into a folder, as it is now."""
+    return folder_digest(path, OWNS)
 
 
 def open_unchecked(path: Path) -> Capture:

@@ -17,7 +17,7 @@ from novags.methods.variant import Variant
 from novags.settings import converted
 from novags.testbed.console import Console
 from novags.testbed.folders import run as run_folder
-from novags.testbed.folders.capture import RECORD, Capture, open_capture
+from novags.testbed.folders.capture import RECORD, Capture, content_of, open_capture
 from novags.testbed.foreign.pictures import Picture, find_renders, read_picture
 from novags.testbed.foreign.process import Spent, run_program
 from novags.testbed.ledger.code import Code, code_of
@@ -190,7 +190,7 @@ def run_command(
         out,
         run_folder.RECORD,
         code=config.code,
-        inputs={"capture": capture.content, "set": source.digest()},
+        inputs=lambda: {"capture": content_of(capture_path), "set": source.digest()},
         config=config.resolved(),
         owns=(*run_folder.OWNS, WORK),
         prepare=lambda: None,

@@ -52,7 +52,7 @@ def run_stage(
     record_name: str,
     *,
     code: Code,
-    inputs: Mapping[str, str],
+    inputs: Callable[[], Mapping[str, str]],
     config: Mapping[str, Any],
     owns: Sequence[str],
     prepare: Callable[[], Prepared],
@@ -69,7 +69,7 @@ def run_stage(
         folder: Where it writes.
         record_name: The record, written last.
         code: What does the work.
-        inputs: Content hash of each input, by name.
+        inputs: Gives the content hash of each input, by name; asked before the work and after it.
         config: The resolved configuration (JSON-able).
         owns: Names in `folder` that the stage writes; nothing else is ever removed.
         prepare: Reads and checks the inputs. An earlier result stays untouched until it has returned.
@@ -90,7 +90,7 @@ def run_stage(
     """
     with locked(folder, owns), memory_shortage_said(name):
         stage = _Stage(name, folder, record_name, code, tuple(owns), tuple(scrap), console, overwrite)
-        return stage.run(dict(inputs), jsonable(config), prepare, work, stale)
+        return stage.run(inputs, jsonable(config), prepare, work, stale)
 
 
 def refuse_other(
@@ -152,13 +152,14 @@ class _Stage:
 
     def run(
         self,
-        inputs: dict[str, str],
+        ask: Callable[[], Mapping[str, str]],
         config: dict[str, Any],
         prepare: Callable[[], Prepared],
         work: Callable[[Prepared], Mapping[str, Any]],
         stale: Sequence[Path],
     ) -> dict[str, Any]:
         """As `run_stage` says."""
+        inputs = dict(ask())
         about = {"stage": self.name, "code": self.code.key, "inputs": inputs, "config": config}
         key, record_path = digest(about), self.folder / self.record_name
         record = read_json(record_path, KEYED) if record_path.exists() else {}
@@ -188,8 +189,8 @@ class _Stage:
             with suppress(OSError):  # a full disk, say: whose work this is, is there already
                 self._mark(key, before + time.perf_counter() - start, max(most, memory.peak_bytes()))
             raise
-        files = self._checksums()
-        self._refuse_other_hands(witness, files)
+        self._refuse_changed(inputs, ask)
+        files = self._checksums(witness)
         seconds = before + time.perf_counter() - start
         cost = {"seconds": seconds, "peak_bytes": max(most, memory.peak_bytes()), **environment()}
         write_made(self.folder, self.record_name, self.code)
@@ -201,20 +202,36 @@ class _Stage:
         self._tidy()
         return read_json(record_path)
 
-    def _checksums(self) -> dict[str, str]:
-        names = [name for name in self.owns if name not in (self.record_name, *self.scrap)]
-        return {name: checksum(path) for name, path in sorted(shown(self.folder, names).items())}
+    def _refuse_changed(self, inputs: Mapping[str, str], ask: Callable[[], Mapping[str, str]]) -> None:
+        """Raise ValueError if an input is no longer what it was when the work began."""
+        if changed := [name for name, content in ask().items() if inputs.get(name) != content]:
+            self._mark(None)  # nothing here can be gone on from
+            raise ValueError(
+                f"{self.name}: the {' and '.join(changed)} that it reads changed while it was at work: its result in "
+                f"{self.folder} is not kept; let nothing write there and run the same command again"
+            )
 
-    def _refuse_other_hands(self, witness: Witness, files: Mapping[str, str]) -> None:
-        """Raise ValueError if a file is not as it was when this stage wrote it."""
-        for name, known in files.items():
-            written = witness.found.get(os.path.abspath(self.folder / name))
-            if written is not None and shortened(written) != known:
-                self._mark(None)  # nothing here can be gone on from
-                raise ValueError(
-                    f"{self.folder / name} was changed by somebody else while {self.name} was at work: its "
-                    "result is not kept; let nothing else write there and run the same command again"
-                )
+    def _checksums(self, witness: Witness) -> dict[str, str]:
+        """Of every file, as it was when this stage wrote it.
+
+        Raises:
+            ValueError: If somebody else has written to one since.
+        """
+        names = [name for name in self.owns if name not in (self.record_name, *self.scrap)]
+        found = {}
+        for name, path in sorted(shown(self.folder, names).items()):
+            if (written := witness.unchanged(path)) is None:
+                found[name] = checksum(path)
+                written = witness.found.get(os.path.abspath(path))
+                if written is not None and shortened(written) != found[name]:
+                    self._mark(None)  # nothing here can be gone on from
+                    raise ValueError(
+                        f"{path} was changed by somebody else while {self.name} was at work: its result is not kept; "
+                        "let nothing else write there and run the same command again"
+                    )
+            else:
+                found[name] = shortened(written)
+        return found
 
     @property
     def _unfinished(self) -> Path:

@@ -80,7 +80,7 @@ def capture(
             out,
             capture_folder.RECORD,
             code=config.code,
-            inputs={"set": source.digest()},
+            inputs=lambda: {"set": source.digest()},
             config=config.resolved(),
             owns=(*capture_folder.OWNS, *LAYOUTS),
             prepare=lambda: meter(source, config, console),

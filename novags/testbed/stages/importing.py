@@ -75,7 +75,7 @@ def import_photographs(
         out,
         capture_folder.RECORD,
         code=config.code,
-        inputs=material.inputs(),
+        inputs=material.inputs,
         config=config.resolved(),
         owns=capture_folder.OWNS,
         prepare=lambda: prepare(material, config, console),

@@ -49,7 +49,7 @@ def poses(
         out,
         RECORD,
         code=config.code,
-        inputs={"photographs": folder_digest(config.photographs.parent, (), beside=files)},
+        inputs=lambda: {"photographs": folder_digest(config.photographs.parent, (), beside=files)},
         config=config.resolved(),
         owns=SET_FILES,
         prepare=lambda: files,

@@ -35,7 +35,7 @@ def render(
             out,
             RECORD,
             code=config.code,
-            inputs={"scene": scene_digest(config)},
+            inputs=lambda: {"scene": scene_digest(config)},
             config=config.resolved(),
             owns=SET_FILES,
             prepare=lambda: prepare_render(config, console),

@@ -10,7 +10,7 @@ from novags.methods.enhancers import ENHANCERS
 from novags.methods.problem import encode
 from novags.testbed.console import Console, Update
 from novags.testbed.exposures import Exposures, as_compared, exposures_of
-from novags.testbed.folders.capture import Capture
+from novags.testbed.folders.capture import Capture, content_of
 from novags.testbed.folders.run import METRICS, Run, open_run
 from novags.testbed.folders.set import Source
 from novags.testbed.ledger.code import Code, code_of
@@ -46,7 +46,9 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
     run = open_run(run_path)
     captured, lit = run.inputs(console)
     missing = PerceptualDistance.missing(captured.cameras.rig.width, captured.cameras.rig.height)
-    inputs = {"run": run.digest(), "capture": captured.content, "set": lit.digest()}
+
+    def inputs() -> dict[str, str]:
+        return {"run": run.digest(), "capture": content_of(captured.path), "set": lit.digest()}
 
     def work(_: None) -> dict[str, Any]:
         lpips = PerceptualDistance() if missing is None else None

@@ -28,7 +28,7 @@ def stage(
         folder,
         "record.json",
         code=code,
-        inputs=inputs or {"in": "1"},
+        inputs=lambda: inputs or {"in": "1"},
         config=config or {},
         owns=("record.json", "a.txt", "parts"),
         prepare=prepare,
@@ -271,7 +271,7 @@ def test_unfinished_work_of_another_stage_is_not_taken_over(tmp_path: Path) -> N
     with pytest.raises(KeyboardInterrupt):
         stage(tmp_path, interrupted)
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
-    other = {"inputs": {}, "config": {}, "owns": ("b.txt",), "prepare": lambda: None, "work": lambda _: {}}
+    other = {"inputs": dict, "config": {}, "owns": ("b.txt",), "prepare": lambda: None, "work": lambda _: {}}
     with pytest.raises(ValueError, match="holds unfinished work of novags toy: finish that, or choose another --out"):
         run_stage("other", tmp_path, "other.json", code=CODE, **other, console=QUIET)
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
@@ -285,7 +285,7 @@ def test_a_kill_after_the_record_was_written_leaves_nothing_once_the_stage_has_b
         return {}
 
     def ask() -> None:
-        owned = {"code": CODE, "inputs": {}, "config": {}, "owns": ("scrap",), "scrap": ("scrap",)}
+        owned = {"code": CODE, "inputs": dict, "config": {}, "owns": ("scrap",), "scrap": ("scrap",)}
         run_stage("toy", tmp_path, "record.json", **owned, prepare=lambda: None, work=work, console=QUIET)
 
     with monkeypatch.context() as patch:

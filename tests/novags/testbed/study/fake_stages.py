@@ -36,7 +36,7 @@ def write(order: Order, console: Console) -> None:
     source = "" if order.source is None else "".join(piece(order.source, k).read_text() for k in range(PIECES))
     stage.run_stage(
         "write", order.folder, "made.json", code=Code({}, {}),
-        inputs={"source": contents.digest(source)}, config={"text": config.text},
+        inputs=lambda: {"source": contents.digest(source)}, config={"text": config.text},
         owns=("made.json", *(f"{k}.txt" for k in range(PIECES))), prepare=lambda: None, console=console,
         work=lambda _: write_pieces(order, source, console),
     )  # fmt: skip

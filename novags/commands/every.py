@@ -1,0 +1,52 @@
+"""What every command takes, `--allow-links` and `--verify`, and what its words say of where links may lead."""
+
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+
+LINKS, VERIFY = "--allow-links", "--verify"
+VARIABLE = "NOVAGS_VERIFY"  # as `ledger.hashes` reads it, without whose imports --help does
+HELP = (
+    f"Every command takes {LINKS} FOLDER: links in the folders that it reads may lead there; others are refused. And "
+    f"{VERIFY}: every file is read to compare it with its record, even where size and times are those of before."
+)
+
+
+def without_common(words: Sequence[str]) -> tuple[list[str], AbstractContextManager[None]]:
+    """The words of a command line that are left for its command, and what is to be held while it runs.
+
+    Raises:
+        ValueError: If the folder of an option is missing.
+    """
+    rest, folders, verify = list[str](), list[str](), False
+    left = iter(words)
+    for word in left:
+        option, equals, value = word.partition("=")
+        if word == VERIFY:
+            verify = True
+        elif option == LINKS:
+            folders.append(value if equals else next(left, ""))
+            if not os.path.isdir(folders[-1]):
+                raise ValueError(f"{LINKS} must be followed by a folder that is there, got {folders[-1]!r:.80}")
+        else:
+            rest.append(word)
+    # Not the first, which names the command: a folder called "study" is not meant by it.
+    named = [*folders, *rest[1:], *(word.partition("=")[2] for word in rest if word.startswith("-"))]
+    if set(rest) & {"-h", "--help"}:
+        return rest, nullcontext()
+    return rest, _held(named, verify)
+
+
+@contextmanager
+def _held(named: Sequence[str], verify: bool) -> Iterator[None]:
+    from sensor_model.files.door import given  # numpy comes with it: --help must not wait for that
+
+    before = os.environ.get(VARIABLE)
+    if verify:
+        os.environ[VARIABLE] = "1"
+    try:
+        with given(named):
+            yield
+    finally:
+        if verify and before is None:
+            del os.environ[VARIABLE]
