@@ -19,7 +19,7 @@ from novags.testbed.console import Console
 from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import RECORD, Capture, content_of, open_capture
 from novags.testbed.foreign.pictures import Picture, find_renders, read_picture
-from novags.testbed.foreign.process import Spent, run_program
+from novags.testbed.foreign.process import Spent, output_of, run_program
 from novags.testbed.ledger.code import Code, code_of
 from novags.testbed.ledger.contents import folder_digest
 from novags.testbed.ledger.stage import run_stage
@@ -53,6 +53,7 @@ class CommandConfig:
         space: What its pictures are: "lit" (as in good light, sRGB-encoded) or "linear" (the light of the scene).
         files: Files and folders beside those that the command names, relative to `folder`, that make it another
             program when they change.
+        version: A command whose output tells one version of the program from another ("theirs --version"); "" for none.
         title: What it does, in a sentence.
         seed: Of the run.
     """
@@ -63,6 +64,7 @@ class CommandConfig:
     timeout: float | None = None
     space: Space = "lit"
     files: tuple[str, ...] = ()
+    version: str = ""
     title: str = ""
     seed: int = 0
 
@@ -75,6 +77,8 @@ class CommandConfig:
         if self.timeout is not None and not (np.isfinite(self.timeout) and self.timeout > 0):
             raise ValueError(f"timeout must be > 0 s, got {self.timeout:g}")
         words = self._split()
+        if self.version and self._program(self._split("version")[0]) is None:
+            raise ValueError(f"version: the program {brief(self._split('version')[0], 100)} was not found")
         used = {name for word in words for name in PLACE.findall(word)}
         if unknown := sorted(used - set(PLACES)):
             raise ValueError(f"command: {{{unknown[0]}}} stands for nothing; there are {', '.join(PLACES)}")
@@ -85,13 +89,14 @@ class CommandConfig:
         if lost := [name for name in self.files if not (self.folder / name).exists()]:
             raise ValueError(f"files: {self.folder / lost[0]} does not exist")
 
-    def _split(self) -> list[str]:
+    def _split(self, setting: str = "command") -> list[str]:
+        text = getattr(self, setting)
         try:
-            words = shlex.split(self.command)
+            words = shlex.split(text)
         except ValueError as error:
-            raise ValueError(f"command: {error}, in {brief(repr(self.command), 100)}") from error
+            raise ValueError(f"{setting}: {error}, in {brief(repr(text), 100)}") from error
         if not words:
-            raise ValueError("command must name a program, got nothing")
+            raise ValueError(f"{setting} must name a program, got nothing")
         return words
 
     def _program(self, word: str) -> str | None:
@@ -114,8 +119,18 @@ class CommandConfig:
 
     def resolved(self) -> dict[str, Any]:
         """What determines the pictures: the command and the content of the files that it names, not where they lie."""
+        told = {"version": self._told()} if self.version else {}
         return {"method": self.name, "command": self.command, "space": self.space, "seed": self.seed,
-                "program": self._digest()}  # fmt: skip
+                "program": self._digest(), **told}  # fmt: skip
+
+    def _told(self) -> str:
+        """What the program says of its version.
+
+        Raises:
+            ValueError: If it says nothing, or fails.
+        """
+        program, *rest = self._split("version")
+        return output_of((str(self._program(program)), *rest), self.folder)
 
     def _digest(self) -> str:
         found: dict[str, Path] = {}
@@ -162,7 +177,8 @@ def read_commands(tables: Any, folder: Path) -> tuple[CommandConfig, ...]:
 
 
 def _command(name: str, table: Any, folder: Path) -> CommandConfig:
-    hints = {"command": str, "timeout": float | None, "space": str, "files": tuple[str, ...], "title": str}
+    hints = {"command": str, "timeout": float | None, "space": str, "files": tuple[str, ...], "version": str,
+             "title": str}  # fmt: skip
     assert hints.keys() <= {field.name for field in fields(CommandConfig)}
     if not isinstance(table, Mapping) or "command" not in table:
         raise ValueError('it needs command = "PROGRAM {capture} {out}"')

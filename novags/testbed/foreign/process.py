@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 from typing import IO
 
@@ -18,6 +19,7 @@ from sensor_model.files.reading import brief
 
 LOOK = 0.2  # s between two looks at its memory
 GRACE = 5.0  # s that it gets to end when it is told to
+SHORT = 60.0  # s that a program gets to say its version
 KEPT = 4000  # bytes of its last output that are kept for a reason
 PR_SET_PDEATHSIG = 1
 _LIBC = ctypes.CDLL(None) if sys.platform == "linux" else None  # loaded before the fork, after which little is allowed
@@ -34,6 +36,28 @@ class Spent:
 
     seconds: float
     peak_bytes: int
+
+
+@cache
+def output_of(words: tuple[str, ...], folder: Path) -> str:
+    """What a program prints that ends at once, asked once.
+
+    Raises:
+        ValueError: If it cannot be started, fails, takes longer than `SHORT` s, or prints nothing or more than `KEPT`
+            bytes.
+    """
+    said = brief(" ".join(words), 100)
+    try:
+        done = subprocess.run(words, cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE,
+                              stderr=subprocess.STDOUT, timeout=SHORT)  # fmt: skip
+    except (OSError, subprocess.TimeoutExpired) as error:
+        raise ValueError(f"version: {said} gave no answer: {brief(error, 200)}") from error
+    text = done.stdout.decode("utf-8", "replace").strip()
+    if done.returncode:
+        raise ValueError(f"version: {said} ended with exit code {done.returncode}: {brief(text, 200) or 'no message'}")
+    if not text or len(done.stdout) > KEPT:
+        raise ValueError(f"version: {said} must print 1 to {KEPT} bytes, got {len(done.stdout)}")
+    return text
 
 
 def run_program(words: Sequence[str], folder: Path, *, timeout: float | None, tick: Callable[[float], None]) -> Spent:

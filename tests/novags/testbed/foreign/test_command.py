@@ -17,7 +17,7 @@ from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.foreign.command import CommandConfig, read_commands, run_command
 from novags.testbed.foreign.nerfbaselines import checksum, encoded, export_results
-from novags.testbed.foreign.process import run_program
+from novags.testbed.foreign.process import output_of, run_program
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from simscenes.sets.pictures.exr import read_exr
 from simscenes.sets.pictures.png import read_png
@@ -222,6 +222,30 @@ def test_another_program_of_the_same_name_is_other_work(tmp_path: Path) -> None:
     assert method(tmp_path, "a = 1", timeout=5).resolved() == first
 
 
+def test_another_version_that_a_program_tells_is_other_work(tmp_path: Path) -> None:
+    (tmp_path / "theirs").write_text("#!/bin/sh\necho theirs 1.$(cat number)\n")
+    (tmp_path / "theirs").chmod(0o755)
+    (tmp_path / "number").write_text("2")
+    found = method(tmp_path, "a = 1", version="./theirs --version").resolved()
+    assert found["version"] == "theirs 1.2"
+    (tmp_path / "number").write_text("3")
+    output_of.cache_clear()  # as of another start: one process asks once
+    assert method(tmp_path, "a = 1", version="./theirs --version").resolved() != found
+
+
+@pytest.mark.parametrize(
+    ("script", "said"),
+    [("exit 3", "ended with exit code 3"), ("true", "must print 1 to"), ("echo no licence >&2; exit 1", "no licence")],
+)
+def test_a_program_that_does_not_tell_its_version_is_refused_in_one_line(
+    tmp_path: Path, script: str, said: str
+) -> None:
+    (tmp_path / "theirs").write_text(f"#!/bin/sh\n{script}\n")
+    (tmp_path / "theirs").chmod(0o755)
+    with pytest.raises(ValueError, match=f"version: .*theirs.*{said}"):
+        method(tmp_path, "a = 1", version="./theirs").resolved()
+
+
 def test_every_file_that_a_command_names_makes_it_another_program(tmp_path: Path) -> None:
     folder, elsewhere = tmp_path / "study", tmp_path / "elsewhere"
     for place in (folder, elsewhere):
@@ -262,6 +286,7 @@ WRONG = {
     "space": ({"mine": {"command": "true {capture} {out}", "space": "dark"}}, "space must be one of lit, linear"),
     "taken": ({"naive": {"command": "true {capture} {out}"}}, "the name naive is taken by a method of the test bed"),
     "name": ({"a b": {"command": "true {capture} {out}"}}, "a variant's name must be letters"),
+    "version": ({"mine": {"command": "true {capture} {out}", "version": "./none"}}, "version: the program ./none was"),
     "files": ({"mine": {"command": "true {capture} {out}", "files": ["lib"]}}, "files: .*lib does not exist"),
 }
 
