@@ -8,8 +8,6 @@ from pathlib import Path
 
 import pytest
 
-from novags.testbed.ledger.store import CODE
-
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("sensor_model", "simscenes", "novags")
 MITSUBA_PLACES = (
@@ -122,34 +120,6 @@ def test_there_are_no_import_cycles() -> None:
         for name in free:
             del graph[name]
     assert not graph, f"import cycle among {sorted(graph)}"
-
-
-# Where the stages of each kind of entry begin, and what they import that does not decide what the entry holds: how
-# stages are kept, told and paid for; and of what was made before, the code that made it, which is in keys of its own.
-MAKERS = {
-    "set": (("stages.rendering",), ("folders", "metrics", "stages.layouts")),
-    "poses": (("stages.posing",), ("metrics", "stages")),
-    "capture": (("stages.capturing",), ("metrics", "stages")),
-    "import": (("stages.importing",), ("metrics", "stages")),
-    "run": (("stages.reconstructing", "stages.scoring", "foreign.command"), ()),
-}
-APART = ("cache", "contents", "console", "time_left", "machine", "results")
-UPSTREAM = {"set": (), "run": ("simscenes",)}
-
-
-@pytest.mark.parametrize("kind", MAKERS)
-def test_the_code_that_decides_what_an_entry_of_a_store_holds_is_part_of_its_key(kind: str) -> None:
-    starts, apart = MAKERS[kind]
-    waiting, reached = [f"novags.testbed.{name}" for name in starts], set[str]()
-    while waiting:
-        if (name := waiting.pop()) in modules() and name not in reached:
-            reached.add(name)
-            waiting += imports(name)
-    harmless = [f"novags.testbed.{name}" for name in (*APART, *apart)]
-    upstream = UPSTREAM.get(kind, ("simscenes", "novags.methods", "novags.splats"))
-    left_out = {module for place in (*harmless, *upstream) for module in inside(place)}
-    keyed = {module for place in CODE[kind] for module in inside(place.removesuffix(".py").replace("/", "."))}
-    assert sorted(reached - keyed - left_out - {"novags", "novags.testbed"}) == []
 
 
 def project_files() -> list[Path]:

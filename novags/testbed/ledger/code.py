@@ -31,10 +31,12 @@ class Code:
     Attributes:
         files: Hash of the tokens (of data: of the content) of every file, by its path from the root.
         texts: Hash of the whole content of the same files.
+        roots: The modules that reach them.
     """
 
     files: dict[str, str]
     texts: dict[str, str]
+    roots: tuple[str, ...] = ()
 
     @property
     def key(self) -> str:
@@ -60,9 +62,8 @@ def _code_of(roots: frozenset[str]) -> Code:
     files = {path for module in reached(roots) for path in _beside(_path(module))}
     found = {path.relative_to(ROOT).as_posix(): _hashes(path) for path in sorted(files)}
     sources().remember()
-    return Code(
-        {name: tokens for name, (tokens, _) in found.items()}, {name: text for name, (_, text) in found.items()}
-    )
+    tokens = {name: kept for name, (kept, _) in found.items()}
+    return Code(tokens, {name: whole for name, (_, whole) in found.items()}, tuple(sorted(roots)))
 
 
 def reached(roots: Iterable[str]) -> frozenset[str]:

@@ -9,7 +9,9 @@ files are compared with the seal. Studies that run at the same time may share a 
 """
 
 import hashlib
+import os
 import re
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,10 +19,12 @@ from typing import Any
 
 from novags.testbed.ledger.code import Code
 from novags.testbed.ledger.contents import digest, read_json, write_json
-from sensor_model.files.atomic import remove
-from sensor_model.files.door import opened
+from sensor_model.files.atomic import remove, write_text
+from sensor_model.files.door import opened, read_text
 
 KINDS = ("set", "capture", "run")  # in the order in which they are made
+RECORDS = ("set.json", "capture.json", "run.json", "metrics.json")  # of stages
+SAME = ".same"  # of a kind: which entry has which mark, see `find_same`
 SEAL = ".sealed.json"  # hidden, so that it is part of no digest
 SHAPE: Any = {
     "key": str, "files": {"*": str},
@@ -131,3 +135,39 @@ def other_entries(root: Path, keys: set[str]) -> int:
     """How many entries of a store have none of these keys."""
     ends = {key[:16] for key in keys}
     return sum(path.parent.name.rpartition("-")[2] not in ends for path in root.glob(f"*/*/{SEAL}"))
+
+
+def remember_same(folder: Path, same: str) -> None:
+    """Note that an entry is the one of its kind with this mark, see `find_same`; "" is no mark."""
+    if same:
+        write_text(folder.parent / SAME / same, folder.name)
+
+
+def find_same(folder: Path, same: str) -> Path | None:
+    """Another entry of the kind of `folder` that was made by the same code from equal contents; None if none is known.
+
+    Args:
+        folder: Of an entry; it need not be there.
+        same: Mark of code, configuration and contents.
+    """
+    note = folder.parent / SAME / same
+    if not same or not note.is_file():
+        return None
+    name = read_text(note, most=1000)
+    other = folder.parent / name
+    inside = re.fullmatch(r"[A-Za-z0-9._+-]+", name) and not name.startswith(".")
+    return other if inside and other.is_dir() and name != folder.name else None
+
+
+def copy_files(source: Path, target: Path) -> None:
+    """Give an empty entry the files of another one; they share the disk where that is possible."""
+    for path in sorted(source.rglob("*")):
+        name = path.relative_to(source)
+        # Of hidden files those that say with which code the stages worked; not seals, locks, places of other folders.
+        if not path.is_file() or (name.parts[0].startswith(".") and name.parts[0][1:] not in RECORDS):
+            continue
+        (target / name).parent.mkdir(parents=True, exist_ok=True)
+        try:
+            os.link(path, target / name)
+        except OSError:  # another disk, or a file system without links
+            shutil.copy2(path, target / name)

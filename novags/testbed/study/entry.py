@@ -7,8 +7,19 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed.console import Console
-from novags.testbed.ledger.contents import read_json
-from novags.testbed.ledger.store import SEAL, Seal, clear, damaged, read_seal, write_seal
+from novags.testbed.ledger.code import code_of
+from novags.testbed.ledger.contents import digest, read_json
+from novags.testbed.ledger.store import (
+    SEAL,
+    Seal,
+    clear,
+    copy_files,
+    damaged,
+    find_same,
+    read_seal,
+    remember_same,
+    write_seal,
+)  # fmt: skip
 from novags.testbed.stages.failing import failing_in
 from novags.testbed.study.engines.worker import MachineError
 from sensor_model.files.lock import locked
@@ -29,6 +40,8 @@ class Task:
         work: What its cost grows with, in `costs.UNITS`.
         pixels: Of all its views.
         code: Key of the code that is to make it.
+        roots: The modules that reach this code.
+        own: Key of its code and its configuration, without what it is made from.
     """
 
     kind: str
@@ -41,6 +54,8 @@ class Task:
     work: float = 0.0
     pixels: float = 0.0
     code: str = ""
+    roots: tuple[str, ...] = ()
+    own: str = ""
 
     def folder(self, store: Path) -> Path:
         """Where it is, or will be."""
@@ -101,7 +116,7 @@ def ensure(order: Order, steps: Steps, console: Console, depends: dict[str, Any]
         BlockingIOError: If another process is at work there.
         MachineError: If this process has other code than the one that planned the study, whose code the key is of.
     """
-    if order.task.code and order.task.config.code.key != order.task.code:
+    if order.task.code and code_of(*order.task.roots).key != order.task.code:
         raise MachineError(
             f"novags on {os.uname().nodename} is another version than the one that planned this study: it was changed "
             "meanwhile, or the nodes have different ones"
@@ -112,12 +127,40 @@ def ensure(order: Order, steps: Steps, console: Console, depends: dict[str, Any]
         made = seal is None or seal.made_of != made_of
         if made:
             (order.folder / SEAL).unlink(missing_ok=True)
+            made = not _taken_over(order, console)
             for name, step in steps.items():
                 with failing_in(name):
                     step.do()
             seal = write_seal(order.folder, order.task.key, made_of, _cost(order, steps))
+            remember_same(order.folder, _same(order))
     assert seal is not None
     return {"content": seal.content, "cost": seal.cost, "made": made}
+
+
+def _same(order: Order) -> str:
+    """What entries have in common that are made by the same code from equal contents; "" if that is this one alone."""
+    task = order.task
+    return digest([task.kind, task.own, [order.made_of[key] for key in task.needs]]) if task.needs and task.own else ""
+
+
+def _taken_over(order: Order, console: Console) -> bool:
+    """Whether the files of an entry under another key were taken, where these are the same: the stages then keep them.
+
+    What it was made from has got another key, by a change of its code, and has come out equal.
+    """
+    other = find_same(order.folder, _same(order))
+    if other is None or any(path for path in order.folder.iterdir() if not path.name.startswith(".")):
+        return False
+    try:
+        with locked(other, make=False):
+            seal = read_seal(other)
+            if seal is None or damaged(other, seal):
+                return False
+            copy_files(other, order.folder)
+    except (BlockingIOError, ValueError):  # somebody is at work there; or its seal is damaged
+        return False
+    console.note(f"{order.folder}: kept, made from equal contents as {other.name}")
+    return True
 
 
 def _believed(order: Order, steps: Steps, console: Console) -> Seal | None:

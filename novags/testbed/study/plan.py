@@ -129,8 +129,8 @@ class Planner:
         if (command := preset.command(name)) is not None:
             return self._command(command, captured)
         config = preset.reconstruct(name)
-        recipe = {"name": name, "config": config.resolved(), "capture": captured, "files": files_of(config)}
-        key = key_of("run", recipe, config.code)
+        recipe = {"name": name, "config": config.resolved(), "files": files_of(config)}
+        key = key_of("run", {**recipe, "capture": captured}, config.code)
         pixels = self.tasks[captured].pixels
         iterations = sum(v for k, v in flattened(config.config).items() if k.rpartition(".")[2] == "iterations")
         views = max(1, self._views(captured))
@@ -138,15 +138,16 @@ class Planner:
             kind="run", key=key, name=named(f"{name}-{self.tasks[captured].name.rpartition('-')[0]}", key),
             config=config, needs=(captured,), group=name,
             work=max(1, iterations) * (pixels / views + config.points), pixels=pixels,
-        ))  # fmt: skip
+        ), recipe)  # fmt: skip
 
     def _command(self, config: CommandConfig, captured: str) -> str:
         name, pixels = config.name, self.tasks[captured].pixels
-        key = key_of("run", {"name": name, "config": config.resolved(), "capture": captured}, config.code)
+        recipe = {"name": name, "config": config.resolved()}
+        key = key_of("run", {**recipe, "capture": captured}, config.code)
         return self._task(Task(
             kind="run", key=key, name=named(f"{name}-{self.tasks[captured].name.rpartition('-')[0]}", key),
             config=config, needs=(captured,), group=name, work=pixels, pixels=pixels,
-        ))  # fmt: skip
+        ), recipe)  # fmt: skip
 
     def _views(self, captured: str) -> int:
         return int(self.contents[captured])
@@ -170,7 +171,7 @@ class Planner:
         return self._task(Task(
             kind="capture", key=key, name=named("-".join(parts), key), config=config, source=source,
             needs=() if source is not None else (made_of,), group=config.sensor_name, work=pixels, pixels=pixels,
-        ))  # fmt: skip
+        ), {"config": config.resolved(), **_layouts(config)})  # fmt: skip
 
     def _imported(self, folder: Path, config: ImportConfig) -> str:
         """The key of a capture of photographs that are dark already; it holds all that it is made of."""
@@ -233,11 +234,19 @@ class Planner:
     def _key(self, kind: str, config: RenderConfig | CaptureConfig, made_of: dict[str, Any]) -> str:
         place = (kind, repr((config, made_of)))
         if place not in self.keys:
-            # Further layouts change no picture, but an entry that was made without them lacks what is asked for.
-            layouts = {"export": sorted(set(config.export))} if config.export else {}
-            self.keys[place] = key_of(kind, {"config": config.resolved(), **layouts, **made_of}, config.code)
+            recipe = {"config": config.resolved(), **_layouts(config), **made_of}
+            self.keys[place] = key_of(kind, recipe, config.code)
         return self.keys[place]
 
-    def _task(self, task: Task) -> str:
-        self.tasks.setdefault(task.key, replace(task, code=task.config.code.key))
+    def _task(self, task: Task, recipe: dict[str, Any] | None = None) -> str:
+        """Plan a task; `recipe`: what it depends on besides its code and what other tasks make."""
+        if task.key not in self.tasks:
+            code = task.config.code
+            own = key_of(task.kind, recipe, code) if recipe is not None else ""
+            self.tasks[task.key] = replace(task, code=code.key, roots=code.roots, own=own)
         return task.key
+
+
+def _layouts(config: RenderConfig | CaptureConfig) -> dict[str, Any]:
+    """Further layouts change no picture, but an entry that was made without them lacks what is asked for."""
+    return {"export": sorted(set(config.export))} if config.export else {}

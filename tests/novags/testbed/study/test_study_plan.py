@@ -12,6 +12,8 @@ from novags.cameras.sources.vggt import VggtConfig
 from novags.methods.variant import Variant
 from novags.testbed.console import Console
 from novags.testbed.ledger import store
+from novags.testbed.ledger.code import Code
+from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig, files_of
 from novags.testbed.study.costs import Costs, default, longest_after, time_left
 from novags.testbed.study.engines.choice import OneMachine
@@ -64,7 +66,7 @@ def test_stages_that_runs_share_are_planned_once(tmp_path: Path) -> None:
 def test_what_runs_share_is_made_and_hashed_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     hashed, made = Counter[str](), list[str]()
 
-    def key_of(kind: str, recipe: dict[str, Any], code: str | None = None) -> str:
+    def key_of(kind: str, recipe: dict[str, Any], code: Code) -> str:
         hashed[kind] += 1
         return store.key_of(kind, recipe, code)
 
@@ -77,7 +79,7 @@ def test_what_runs_share_is_made_and_hashed_once(tmp_path: Path, monkeypatch: py
     monkeypatch.setattr(Variant, "config", config)
     found = plan(tmp_path, f"{GRID.replace('[0, 1]', str(list(range(20))))}[override]\niterations = 123\n")
     assert len(found.runs) == 160
-    assert hashed == {"set": 2, "capture": 80, "run": 160}
+    assert hashed == {"set": 2, "capture": 160, "run": 320}  # with and without what they are made from
     assert len(made) < 20  # of the two methods, and of those of the preset
 
 
@@ -90,8 +92,7 @@ def test_a_key_stays_the_same_and_changes_with_settings_above_it_and_with_its_co
     assert not finer.tasks.keys() & first.tasks.keys()
     longer = plan(tmp_path, f"{GRID}[override]\niterations = 7")
     assert [task.kind for key, task in longer.tasks.items() if key in first.tasks] == ["set", *["capture"] * 4] * 2
-    real = store.code_of
-    monkeypatch.setattr(store, "code_of", lambda kind: "another version" if kind == "capture" else real(kind))
+    monkeypatch.setattr(CaptureConfig, "code", Code({"capturing.py": "another version"}, {}))
     other = plan(tmp_path)
     assert {first.tasks[key].kind for key in other.tasks.keys() & first.tasks.keys()} == {"set"}
 
@@ -120,32 +121,6 @@ def test_an_entry_without_the_layouts_that_are_asked_for_is_another_one(tmp_path
     asked = plan(tmp_path, f"{export}['llff', 'blender']").tasks
     assert not {key for key in asked.keys() & first.keys() if first[key].kind == {"render": "set"}.get(stage, stage)}
     assert list(asked) == list(plan(tmp_path, f"{export}['blender', 'llff']").tasks)
-
-
-def test_the_code_of_an_entry_is_there_and_covers_what_makes_it() -> None:
-    for kind, places in store.CODE.items():
-        assert all((store.ROOT / place).exists() for place in places), kind
-    assert len({store.code_of(kind) for kind in store.KINDS}) == 3
-
-
-def test_the_weights_that_come_with_a_method_are_part_of_the_key_of_its_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    for place in store.CODE["run"]:
-        for file in [path] if (path := store.ROOT / place).is_file() else path.rglob("*.*"):
-            if "__pycache__" not in file.parts:
-                copy = tmp_path / file.relative_to(store.ROOT)
-                copy.parent.mkdir(parents=True, exist_ok=True)
-                copy.write_bytes(file.read_bytes())
-    before = store.code_of("run")
-    monkeypatch.setattr(store, "ROOT", tmp_path)
-    monkeypatch.setattr(store, "code_of", store.code_of.__wrapped__)  # as of another start
-    (tmp_path / "novags" / "methods" / "__pycache__").mkdir()
-    (tmp_path / "novags" / "methods" / "__pycache__" / "noise.cpython.pyc").write_bytes(b"compiled")
-    assert store.code_of("run") == before
-    weights = tmp_path / "novags" / "methods" / "denoised" / "weights.safetensors"
-    weights.write_bytes(weights.read_bytes()[:-1] + b"x")
-    assert store.code_of("run") != before
 
 
 def test_weights_that_are_replaced_under_their_name_make_other_runs(tmp_path: Path) -> None:
