@@ -133,7 +133,7 @@ def without_costs() -> Callable[[Any], Any]:
     """A function that leaves out of a record all that differs from one time to the next."""
     from novags.testbed.ledger.contents import VOLATILE
 
-    costs = {*VOLATILE, "hardware"} - {"stage"}
+    costs = {*VOLATILE, "hardware", "date"} - {"stage"}
 
     def rest(value: Any) -> Any:
         if isinstance(value, dict):

@@ -320,6 +320,7 @@ def test_two_versions_of_novags_share_a_store_and_no_entry_that_their_code_makes
     code, said = run("--overwrite", "--store", "mixed", prepare=workers_of_another)
     assert (code, "is another version than the one that planned this study" in one_line(said)) == (1, True)
     assert set(states(tmp_path)) == {"waiting"}
+    count = len(made(tmp_path))  # sets are made alike by both
     assert run(prepare=another)[0] == 0
     assert [row["lit.psnr"] for row in rows(tmp_path)] == [row["lit.psnr"] for row in first]
     # The captures come out equal, and so the runs of before are kept under their new keys.

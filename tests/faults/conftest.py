@@ -35,7 +35,7 @@ STAGES = {
     "capture": Stage(["capture", "set", "--out", "capture"], ("set",), "capture"),
     "reconstruct": Stage(
         ["reconstruct", "capture", "--out", "run", "--variant", VARIANT, *SHORT], ("set", "capture"), "run",
-        later=("metrics.json", "report.html"),
+        later=("metrics.json", ".metrics.json", "report.html"),
     ),
     "score": Stage(["score", "run"], ("set", "capture", "run"), "run", later=("report.html",)),
     "report": Stage(["report", "run"], ("set", "capture", "run"), "run"),
@@ -150,7 +150,7 @@ def begun(server: Server, tmp_path: Path) -> Callable[..., Path]:
         for need in stage.needs:
             # Links: no stage may change what it reads, and what it writes anew gets new files.
             shutil.copytree(server.reference / need, folder / need, copy_function=os.link)
-        for later in (*stage.later, *(("metrics.json",) if name == "score" else ())):
+        for later in (*stage.later, *(("metrics.json", ".metrics.json") if name == "score" else ())):
             (folder / stage.out / later).unlink(missing_ok=True)
         if name == "report":
             (folder / "run" / "report.html").unlink()

@@ -5,6 +5,7 @@ import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -94,12 +95,20 @@ def test_a_worker_imports_nothing_that_lies_there(
 
 
 def test_a_measurement_imports_nothing_that_lies_there_and_keeps_its_machine_code_elsewhere(
-    strange: Path, nothing_ran: Callable[[], bool], tmp_path: Path
+    strange: Path, nothing_ran: Callable[[], bool], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Rationale: machine code is loaded and run; a folder of curves that somebody made may hold theirs."""
     order = {"do": "truth", "out": str(strange / "truth.npy"), "supersampled": False, "n": 20, "size": 16, "seed": 0}
+    run, environments = subprocess.run, list[dict[str, str]]()
+
+    def observed(*words: Any, env: dict[str, str], **how: Any) -> Any:
+        environments.append(env)
+        return run(*words, env=env, **how)
+
+    monkeypatch.setattr(subprocess, "run", observed)
     assert isinstance(in_child(order, "default"), dict)
     assert nothing_ran()
     assert (strange / "truth.npy").exists()
     assert not (strange / "code").exists()
-    assert (tmp_path / "cache" / "novags" / "pareto" / "default").is_dir()
+    kept = [Path(environment["NUMBA_CACHE_DIR"]) for environment in environments]
+    assert kept == [tmp_path / "cache" / "novags" / "pareto" / "default"]

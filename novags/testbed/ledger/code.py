@@ -5,6 +5,7 @@ What a module reaches is read from its source: what it imports, anywhere in it, 
 that it uses, not on all that could have been used.
 """
 
+import sys
 from collections.abc import Iterable
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
@@ -60,7 +61,7 @@ def code_of(*roots: str | None) -> Code:
 @cache
 def _code_of(roots: frozenset[str]) -> Code:
     files = {path for module in reached(roots) for path in _beside(_path(module))}
-    found = {path.relative_to(ROOT).as_posix(): _hashes(path) for path in sorted(files)}
+    found = {_name(path): _hashes(path) for path in sorted(files)}
     sources().remember()
     tokens = {name: kept for name, (kept, _) in found.items()}
     return Code(tokens, {name: whole for name, (_, whole) in found.items()}, tuple(sorted(roots)))
@@ -75,10 +76,14 @@ def reached(roots: Iterable[str]) -> frozenset[str]:
     found, waiting = set[str](), list(roots)
     while waiting:
         module = waiting.pop()
-        if module not in found and not _outside(module):
+        if module not in found and not _outside(module) and _known(module):
             found.add(module)
             waiting += _edges(module)
     return frozenset(found)
+
+
+def _name(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix() if path.is_relative_to(ROOT) else path.name
 
 
 @cache
@@ -101,19 +106,39 @@ def _outside(module: str) -> bool:
 
 
 def _file(module: str) -> Path | None:
+    """The file of a module: of ours by its name, of another one by where it was loaded from; None if it has none."""
     place = Path(ROOT, *module.split("."))
-    return next((path for path in (place.with_suffix(".py"), place / "__init__.py") if path.is_file()), None)
+    if module.partition(".")[0] in PACKAGES:
+        if found := next((path for path in (place.with_suffix(".py"), place / "__init__.py") if path.is_file()), None):
+            return found
+    loaded = getattr(sys.modules.get(module), "__file__", None)
+    return Path(loaded) if loaded and loaded.endswith(".py") and Path(loaded).is_file() else None
+
+
+def _known(module: str) -> bool:
+    """Whether it has a file. One that was loaded without (typed in, or made as the program ran) says nothing of itself.
+
+    Raises:
+        ValueError: If there is no such module.
+    """
+    if _file(module) is not None:
+        return True
+    if module.partition(".")[0] in PACKAGES and module not in sys.modules:
+        raise ValueError(f"{module} is no module of {', '.join(PACKAGES)}")
+    return False
 
 
 def _path(module: str) -> Path:
-    if (path := _file(module)) is None:
-        raise ValueError(f"{module} is no module of {', '.join(PACKAGES)}")
-    return path
+    found = _file(module)
+    assert found is not None  # it is known
+    return found
 
 
 @cache
 def _beside(path: Path) -> tuple[Path, ...]:
     """A file of code and the data in its folder."""
+    if not path.is_relative_to(ROOT):  # what lies beside a file of somebody else is not ours to judge
+        return (path,)
     others = (file for file in path.parent.iterdir() if file.suffix not in (".py", ".pyi") and file.is_file())
     return (path, *(file for file in others if not file.name.startswith(".")))
 
@@ -132,10 +157,11 @@ def _edges(module: str) -> frozenset[str]:
     path = _path(module)
     package = module if path.name == "__init__.py" else module.rpartition(".")[0]
     source, found = sources().of(path.read_bytes()), set[str]()
+    ours = {*PACKAGES, module.partition(".")[0]}
     for name, names in source.imports:
-        if (base := _absolute(name, package)).partition(".")[0] in PACKAGES:
+        if (base := _absolute(name, package)).partition(".")[0] in ours:
             found |= {_defining(base, each) for each in names} if names else {base}
-    found |= {text.partition(":")[0] for text in source.texts if text.partition(".")[0] in PACKAGES}
+    found |= {text.partition(":")[0] for text in source.texts if text.partition(".")[0] in ours}
     return frozenset(found - {module})
 
 

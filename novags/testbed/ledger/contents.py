@@ -106,7 +106,7 @@ def damaged(folder: Path, stage: Mapping[str, Any]) -> str:
         folder: Of the stage.
         stage: The entry "stage" of its record; before there were checksums, it held none.
     """
-    wrong = [name for name, known in stage.get("files", {}).items() if not _is(folder / name, known)]
+    wrong = [name for name, known in stage.get("files", {}).items() if not holds(folder / name, known)]
     return f"{listed(wrong)} not as written (checksum)" if wrong else ""
 
 
@@ -130,7 +130,12 @@ def refuse_damage(folder: Path, record: Mapping[str, Any], remedy: str, names: S
         raise ValueError(f"{folder}: {wrong}; put back what was there, or {remedy}")
 
 
-def _is(path: Path, known: str) -> bool:
+def holds(path: Path, known: str) -> bool:
+    """Whether a file is there and has this checksum.
+
+    Raises:
+        ValueError: If it lies behind a link that leads out of what was given.
+    """
     try:
         return checksum(path) == known
     except OSError:  # missing, or not to be read

@@ -8,7 +8,6 @@ written, a hidden file that lists every file with its checksum and says what it 
 files are compared with the seal. Studies that run at the same time may share a store: locks on the folders protect it.
 """
 
-import hashlib
 import os
 import re
 import shutil
@@ -18,9 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed.ledger.code import Code
-from novags.testbed.ledger.contents import digest, read_json, write_json
+from novags.testbed.ledger.contents import checksum, digest, holds, read_json, write_json
 from sensor_model.files.atomic import remove, write_text
-from sensor_model.files.door import opened, read_text
+from sensor_model.files.door import admitted, read_text
 
 KINDS = ("set", "capture", "run")  # in the order in which they are made
 RECORDS = ("set.json", "capture.json", "run.json", "metrics.json")  # of stages
@@ -68,15 +67,7 @@ def checksums(folder: Path) -> dict[str, str]:
     """Checksum of every file in a folder, by its relative name; hidden ones are left out."""
     files = [path for path in sorted(folder.rglob("*")) if path.is_file()]
     names = {path: path.relative_to(folder).as_posix() for path in files}
-    return {name: _checksum(path) for path, name in names.items() if not any(p[0] == "." for p in name.split("/"))}
-
-
-def _checksum(path: Path) -> str:
-    with opened(path) as file:
-        found = hashlib.blake2b(digest_size=16)
-        while chunk := file.read(1 << 20):
-            found.update(chunk)
-    return found.hexdigest()
+    return {name: checksum(path) for path, name in names.items() if not any(p[0] == "." for p in name.split("/"))}
 
 
 def write_seal(folder: Path, key: str, made_of: dict[str, Any], cost: dict[str, Any]) -> Seal:
@@ -103,14 +94,7 @@ def read_seal(folder: Path, name: str = SEAL) -> Seal | None:
 
 def damaged(folder: Path, seal: Seal) -> list[str]:
     """The files that are not as they were when the entry was sealed. Files that came later do not count."""
-    return [name for name, known in seal.files.items() if not _is(folder / name, known)]
-
-
-def _is(path: Path, known: str) -> bool:
-    try:
-        return _checksum(path) == known
-    except (OSError, ValueError):  # missing, not a regular file, or not to be read
-        return False
+    return [name for name, known in seal.files.items() if not holds(folder / name, known)]
 
 
 def clear(folder: Path) -> None:
@@ -170,4 +154,4 @@ def copy_files(source: Path, target: Path) -> None:
         try:
             os.link(path, target / name)
         except OSError:  # another disk, or a file system without links
-            shutil.copy2(path, target / name)
+            shutil.copyfile(admitted(path), target / name)

@@ -178,6 +178,7 @@ def read_viewed(folder: Path, file: Path) -> object:
 
 def read_unfinished(folder: Path, file: Path) -> None:
     from novags.testbed.console import Console
+    from novags.testbed.ledger.code import Code
     from novags.testbed.ledger.stage import _Stage
 
     class Started(Exception):
@@ -186,9 +187,9 @@ def read_unfinished(folder: Path, file: Path) -> None:
     def prepare() -> None:
         raise Started
 
-    stage = _Stage("score", folder, "metrics.json", ("metrics.json",), (), Console(quiet=True), True)
+    stage = _Stage("score", folder, "metrics.json", Code({}, {}), ("metrics.json",), (), Console(quiet=True), True)
     with contextlib.suppress(Started):
-        stage.run({}, {}, prepare, lambda _: {}, ())
+        stage.run(dict, {}, prepare, lambda _: {}, ())
 
 
 def make_unfinished(folder: Path) -> None:

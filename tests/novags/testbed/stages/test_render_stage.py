@@ -116,7 +116,7 @@ def test_cameras_that_a_layout_cannot_hold_are_refused_before_anything_is_render
 ) -> None:
     rig = rig_of(RenderConfig(scene=str(scene), **TINY))
     Ks = rig.Ks * [[[1.0], [1.1], [1.0]]]
-    monkeypatch.setattr(sys.modules[RenderConfig.__module__], "rig_of", lambda _: replace(rig, Ks=Ks))
+    monkeypatch.setattr(sys.modules[rig_of.__module__], "rig_of", lambda _: replace(rig, Ks=Ks))
     config = RenderConfig(scene=str(scene), export=("blender",), **TINY)
     with pytest.raises(ValueError, match="the Blender layout holds one field of view for all"):
         stages.render(tmp_path / "set", config, QUIET)
