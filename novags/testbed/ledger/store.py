@@ -12,21 +12,22 @@ import os
 import re
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from novags.testbed.ledger.code import Code
 from novags.testbed.ledger.contents import checksum, digest, holds, read_json, write_json
+from novags.testbed.ledger.source import hashed
 from sensor_model.files.atomic import remove, write_text
-from sensor_model.files.door import admitted, read_text
+from sensor_model.files.door import admitted, read_bytes, read_text
 
 KINDS = ("set", "capture", "run")  # in the order in which they are made
 RECORDS = ("set.json", "capture.json", "run.json", "metrics.json")  # of stages
 SAME = ".same"  # of a kind: which entry has which mark, see `find_same`
 SEAL = ".sealed.json"  # hidden, so that it is part of no digest
 SHAPE: Any = {
-    "key": str, "files": {"*": str},
+    "key": str, "files": {"*": str}, "records?": {"*": str},
     "cost": {"seconds": {"*": float}, "peak_bytes": int, "bytes": int, "work": float, "pixels": float, "group": str,
              "threads": int},
 }  # fmt: skip
@@ -56,6 +57,7 @@ class Seal:
     files: dict[str, str]  # relative name -> checksum
     made_of: dict[str, Any]  # the contents of the entries it was made from, and what else its making depended on
     cost: dict[str, Any]
+    records: dict[str, str] = field(default_factory=dict)  # of records the hash of all of it, costs included
 
     @property
     def content(self) -> str:
@@ -74,9 +76,14 @@ def write_seal(folder: Path, key: str, made_of: dict[str, Any], cost: dict[str, 
     """Seal a complete entry; `cost` as in `SHAPE`, but for the bytes."""
     files = checksums(folder)
     size = sum((folder / name).stat().st_size for name in files)
-    seal = Seal(key, files, made_of, {**cost, "bytes": size})
-    write_json(folder / SEAL, {"key": key, "made_of": made_of, "cost": seal.cost, "files": files})
+    records = {name: _whole(folder / name) for name in files if name in RECORDS}
+    seal = Seal(key, files, made_of, {**cost, "bytes": size}, records)
+    write_json(folder / SEAL, {"key": key, "made_of": made_of, "cost": seal.cost, "files": files, "records": records})
     return seal
+
+
+def _whole(path: Path) -> str:
+    return hashed(read_bytes(path))
 
 
 def read_seal(folder: Path, name: str = SEAL) -> Seal | None:
@@ -89,12 +96,16 @@ def read_seal(folder: Path, name: str = SEAL) -> Seal | None:
     if not path.exists():
         return None
     found = read_json(path, {**SHAPE, "made_of": dict})
-    return Seal(found["key"], found["files"], found["made_of"], found["cost"])
+    return Seal(found["key"], found["files"], found["made_of"], found["cost"], found.get("records", {}))
 
 
 def damaged(folder: Path, seal: Seal) -> list[str]:
     """The files that are not as they were when the entry was sealed. Files that came later do not count."""
-    return [name for name, known in seal.files.items() if not holds(folder / name, known)]
+    wrong = [name for name, known in seal.files.items() if not holds(folder / name, known)]
+    return [
+        *wrong,
+        *(name for name, known in seal.records.items() if name not in wrong and _whole(folder / name) != known),
+    ]
 
 
 def clear(folder: Path) -> None:

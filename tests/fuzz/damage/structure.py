@@ -204,7 +204,7 @@ def zip_member(content: bytes, rng: Random) -> bytes:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             members = {name: archive.read(name) for name in archive.namelist()}
     # What `zipfile` raises where an earlier change has damaged the archive itself, which is a case too: it stays so.
-    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError, EOFError, zlib.error, struct.error):
+    except (zipfile.BadZipFile, OSError, ValueError, RuntimeError, EOFError, zlib.error, struct.error):
         return content
     if not members:
         return content
