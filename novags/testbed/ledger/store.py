@@ -76,7 +76,7 @@ def write_seal(folder: Path, key: str, made_of: dict[str, Any], cost: dict[str, 
     """Seal a complete entry; `cost` as in `SHAPE`, but for the bytes."""
     files = checksums(folder)
     size = sum((folder / name).stat().st_size for name in files)
-    records = {name: _whole(folder / name) for name in files if name in RECORDS}
+    records = {name: _whole(folder / name) for name in files if name.endswith(".json") and "/" not in name}
     seal = Seal(key, files, made_of, {**cost, "bytes": size}, records)
     write_json(folder / SEAL, {"key": key, "made_of": made_of, "cost": seal.cost, "files": files, "records": records})
     return seal

@@ -216,6 +216,21 @@ def test_an_interrupted_stage_starts_afresh_under_another_configuration(tmp_path
     assert read_json(tmp_path / "record.json")["had"] is False
 
 
+def test_an_input_that_changes_under_a_stage_is_noticed_and_nothing_is_kept(tmp_path: Path) -> None:
+    inputs = {"in": "1"}
+
+    def work() -> dict:
+        inputs["in"] = "2"
+        return writes(tmp_path, [])()
+
+    with pytest.raises(ValueError, match="toy: the in that it reads changed while it was at work: its result in"):
+        stage(tmp_path, work, inputs=inputs)
+    assert not (tmp_path / "record.json").exists()
+    again: list[str] = []
+    assert stage(tmp_path, writes(tmp_path, again), inputs=inputs)["answer"] == 42
+    assert again == ["called"]
+
+
 def test_a_wrong_input_costs_no_finished_work(tmp_path: Path) -> None:
     stage(tmp_path, writes(tmp_path, []))
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
