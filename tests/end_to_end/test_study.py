@@ -60,7 +60,7 @@ def test_a_study_makes_what_the_stages_make_and_repeats_or_believes_nothing_wron
     assert call(*words) == 0
     assert json.loads((out / "results.json").read_text())["rows"][0]["lit.psnr"] == rows[0]["lit.psnr"]
     changed = [path for path, time in modified(store).items() if time != before[path]]
-    assert set(changed) == {run / METRICS, run / ".sealed.json"}  # nothing else was done twice
+    assert set(changed) == {run / METRICS, run / f".{METRICS}", run / ".sealed.json"}  # nothing else was done twice
     log = (out / "logs" / f"run-{run.name}.log").read_text()
     assert "metrics.json not as written (checksum)" in log
 

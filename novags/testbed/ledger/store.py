@@ -134,8 +134,9 @@ def other_entries(root: Path, keys: set[str]) -> int:
 
 def remember_same(folder: Path, same: str) -> None:
     """Note that an entry is the one of its kind with this mark, see `find_same`; "" is no mark."""
-    if same:
-        write_text(folder.parent / SAME / same, folder.name)
+    note = folder.parent / SAME / same
+    if same and not (note.is_file() and read_text(note, most=1000) == folder.name):
+        write_text(note, folder.name)
 
 
 def find_same(folder: Path, same: str) -> Path | None:
