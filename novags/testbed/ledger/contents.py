@@ -14,6 +14,7 @@ from novags.testbed.ledger.difference import listed
 from novags.testbed.ledger.hashes import remembered
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import check_links, opened
+from sensor_model.files.reading import brief
 from sensor_model.files.records import read_json as read_any
 from sensor_model.files.records import read_record
 
@@ -107,7 +108,7 @@ def damaged(folder: Path, stage: Mapping[str, Any]) -> str:
         stage: The entry "stage" of its record; before there were checksums, it held none.
     """
     wrong = [name for name, known in stage.get("files", {}).items() if not holds(folder / name, known)]
-    return f"{listed(wrong)} not as written (checksum)" if wrong else ""
+    return f"{listed([brief(name, 100) for name in wrong])} not as written (checksum)" if wrong else ""
 
 
 def refuse_damage(folder: Path, record: Mapping[str, Any], remedy: str, names: Sequence[str] | None = None) -> None:
