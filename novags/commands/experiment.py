@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from novags.commands import shared
 from novags.commands.shared import announce, cameras_of, command_line, say, variants_of, writing
 from novags.options import Define, Device, PresetName, Repeated
 
@@ -40,6 +41,7 @@ def run(
     device: Device = "auto",
     overwrite: bool = False,
     wait: bool = False,
+    dry_run: bool = False,
 ) -> None:
     """Run a whole experiment: render, capture in the dark, reconstruct with several methods, score, report.
 
@@ -82,7 +84,10 @@ def run(
         device: Where training runs; auto takes a GPU if there is one that can be used.
         overwrite: Replace finished results of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
+        dry_run: Only say which stages would be done, or done again and why. Nothing is written.
     """
+    if dry_run and budget is not None:
+        raise ValueError("--dry-run does not go with --budget, whose settings are chosen by measurements")
     from novags.testbed import experiment
     from novags.testbed.presets import EXPERIMENTS, adapted
 
@@ -99,6 +104,9 @@ def run(
         if curves is not None:
             raise ValueError(f"--curves {curves} belong to a budget: add --budget, or leave them out")
         folder = whole if out is None else out
+        if dry_run:
+            experiment.said(chosen, folder, shared.console(), overwrite=overwrite)
+            return
         with writing(folder, wait) as console:
             report_path = experiment.run(chosen, folder, console, command=command_line(folder), overwrite=overwrite)
         announce(report_path)

@@ -14,6 +14,7 @@ def import_(
     split: Literal["own", "every8"] = "own",
     dataset: Literal["auto", "none", "LOM", "LLNeRF", "LLRS", "MVTV"] = "auto",
     overwrite: bool = False, wait: bool = False,
+    dry_run: bool = False,
 ) -> None:  # fmt: skip
     """Make a capture of photographs that were taken in the dark, with what truth there is about them.
 
@@ -37,6 +38,7 @@ def import_(
         dataset: The published data set that the folder is a scene of; auto takes what it looks like, none leaves it.
         overwrite: Replace a finished result of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
+        dry_run: Only say whether it would be made, or made again and why. Nothing is written.
     """
     from novags.testbed import stages
     from novags.testbed.stages.configs.importing import ImportConfig
@@ -45,15 +47,16 @@ def import_(
         lit=lit, clean=clean, sensor=sensor, time=time, black=black, white=white, curve=curve, demosaic=demosaic,
         max_size=max_size, split=split, dataset=dataset,
     )  # fmt: skip
-    with writing(out, wait) as console:
+    with writing(out, wait, dry_run=dry_run) as console:
         stages.import_photographs(folder, out, config, console, overwrite=overwrite)
-    say(out)
-    next_(f"novags reconstruct {typed(out)} --method nova-fast --out RUN")
+        say(out)
+        next_(f"novags reconstruct {typed(out)} --method nova-fast --out RUN")
 
 
 def denoise(
     capture: Folder, *, out: Path, adapt: bool = True, turns: int = 8, seed: int = 0, device: Device = "auto",
     overwrite: bool = False, wait: bool = False,
+    dry_run: bool = False,
 ) -> None:  # fmt: skip
     """Take the noise out of the pictures of a capture, one by one: no cameras, no 3D model.
 
@@ -69,6 +72,7 @@ def denoise(
         device: Where the network runs; auto takes a GPU if there is one that can be used.
         overwrite: Replace a finished result of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
+        dry_run: Only say whether it would be made, or made again and why. Nothing is written.
     """
     from novags.methods.denoised.config import AdaptConfig, DenoiseConfig
     from novags.testbed import stages
@@ -76,7 +80,7 @@ def denoise(
 
     how = DenoiseConfig(adapt=AdaptConfig() if adapt else None, turns=turns)
     config = DenoisePicturesConfig(denoise=how, seed=seed, device=device)
-    with writing(out, wait) as console:
+    with writing(out, wait, dry_run=dry_run) as console:
         stages.denoise(capture, out, config, console, overwrite=overwrite)
-    say(out)
-    next_(f"novags reconstruct {typed(capture)} --method nova-fast --out RUN")
+        say(out)
+        next_(f"novags reconstruct {typed(capture)} --method nova-fast --out RUN")

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def score(
     runs: Folders = (), *, renders: Path | None = None, set: Path | None = None,
     reference: _Reference | None = None, out: Path | None = None, overwrite: bool = False,
-    wait: bool = False,
+    wait: bool = False, dry_run: bool = False,
 ) -> None:  # fmt: skip
     """Score runs against the truth, write metrics.json, and compare them. Or pictures from anywhere: --renders, --set.
 
@@ -33,6 +33,7 @@ def score(
         out: File for all scores of pictures, JSON; the means are printed anyway.
         overwrite: Replace it.
         wait: If another process is writing there, wait until it is done instead of refusing.
+        dry_run: Only say which scores would be made, or made again and why. Nothing is written.
     """
     if renders is not None or set is not None:
         if renders is None or set is None or runs:
@@ -51,7 +52,9 @@ def score(
 
     for folder in [part for given in runs for part in experiments_in(given)]:
         with writing(folder, wait, make=False) as console:
-            score_all(folder, console)
+            score_all(folder, console, dry=dry_run)
+    if dry_run:
+        return
     groups = groups_of(runs, shared.console())
     for group in groups:
         if len(groups) > 1:

@@ -57,16 +57,21 @@ def console() -> "Console":
 
 
 @contextmanager
-def writing(folder: Path, wait: bool, **lock: Any) -> "Iterator[Console]":
-    """Hold a folder while a command writes there; `lock`: further arguments of `locked`."""
+def writing(folder: Path, wait: bool, *, dry_run: bool = False, **lock: Any) -> "Iterator[Console]":
+    """Hold a folder while a command writes there; in a dry run the block ends where work would begin.
+
+    `lock`: further arguments of `locked`.
+    """
     from novags.testbed.console import warnings_as_notes
+    from novags.testbed.ledger.stage import dry_run as dry
     from sensor_model.files.lock import locked
 
     said = console()
     with ExitStack() as held:
         with warnings_as_notes(said):
             held.enter_context(locked(folder, wait=said.note if wait else None, **lock))
-        yield said
+        with dry(dry_run):
+            yield said
 
 
 def terminated(*_: object) -> NoReturn:

@@ -51,6 +51,7 @@ def render(
     scene: Name, *, out: Path, views: int = 32, width: int = 128, height: int = 128, spp: int | None = None,
     target_error: float | None = None, light: Light = LIGHT,
     export: tuple[Literal["blender", "llff"], ...] = (), seed: int = 0, overwrite: bool = False, wait: bool = False,
+    dry_run: bool = False,
 ) -> None:  # fmt: skip
     """Render a scene into a ground-truth multiview set.
 
@@ -67,6 +68,7 @@ def render(
         seed: Of the Monte Carlo noise.
         overwrite: Replace a finished result of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
+        dry_run: Only say whether it would be made, or made again and why. Nothing is written.
     """
     from novags.testbed import stages
     from novags.testbed.stages.configs.rendering import RenderConfig
@@ -77,16 +79,17 @@ def render(
         scene=scene, n_views=views, width=width, height=height, spp=samples, target_error=target_error,
         export=export, seed=seed, **light.settings(),
     )  # fmt: skip
-    with writing(out, wait) as console:
+    with writing(out, wait, dry_run=dry_run) as console:
         record = stages.render(out, config, console, overwrite=overwrite)
         console.note(f"largest of all views: {summary(record['views'])}")
-    say(out)
-    next_(f"novags capture {typed(out)} --electrons 20 --out CAPTURE")
+        say(out)
+        next_(f"novags capture {typed(out)} --electrons 20 --out CAPTURE")
 
 
 def poses(
     photographs: Folder, *, out: Path, fps: float | None = None, max_size: int | None = 1600, max_features: int = 4096,
     peak_threshold: float = 0.0067, seed: int = 0, overwrite: bool = False, wait: bool = False,
+    dry_run: bool = False,
 ) -> None:  # fmt: skip
     """Find the unknown cameras of photographs, and make a multiview set of them.
 
@@ -100,6 +103,7 @@ def poses(
         seed: Of the robust estimates.
         overwrite: Replace a finished result of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
+        dry_run: Only say whether it would be made, or made again and why. Nothing is written.
     """
     from novags.testbed import stages
     from novags.testbed.stages.configs.posing import PosesConfig
@@ -108,10 +112,10 @@ def poses(
         photographs=photographs, fps=fps, max_size=max_size, max_features=max_features, peak_threshold=peak_threshold,
         seed=seed,
     )  # fmt: skip
-    with writing(out, wait) as console:
+    with writing(out, wait, dry_run=dry_run) as console:
         stages.poses(out, config, console, overwrite=overwrite)
-    say(out)
-    next_(f"novags capture {typed(out)} --electrons 20 --out CAPTURE, or novags run --scene {typed(out)}")
+        say(out)
+        next_(f"novags capture {typed(out)} --electrons 20 --out CAPTURE, or novags run --scene {typed(out)}")
 
 
 def capture(
@@ -120,6 +124,7 @@ def capture(
     max_size: int | None = None, demosaic: Literal["menon", "malvar", "bilinear"] = "menon",
     jpeg_quality: int | None = None, tolerance: float | None = 0.05,
     export: tuple[Literal["blender", "llff"], ...] = (), seed: int = 0, overwrite: bool = False, wait: bool = False,
+    dry_run: bool = False,
 ) -> None:  # fmt: skip
     """Photograph a multiview set in the dark: a rendered one, or real posed photographs.
 
@@ -143,6 +148,7 @@ def capture(
         seed: Of the noise.
         overwrite: Replace a finished result of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
+        dry_run: Only say whether it would be made, or made again and why. Nothing is written.
     """
     from novags.testbed import stages
     from novags.testbed.levels import Level, level_named
@@ -154,11 +160,11 @@ def capture(
         electrons=named.electrons if electrons is None else electrons, time=time, max_size=max_size, demosaic=demosaic,
         jpeg_quality=jpeg_quality, tolerance=tolerance, export=export, seed=seed,
     )  # fmt: skip
-    with writing(out, wait) as console:
+    with writing(out, wait, dry_run=dry_run) as console:
         stages.capture(set, out, config, console, overwrite=overwrite)
-    say(out)
-    pictures = " --pictures 16bit" if isinstance(named, Level) and named.pictures == "16bit" else ""
-    next_(f"novags reconstruct {typed(out)} --method nova-fast{pictures} --out RUN")
+        say(out)
+        pictures = " --pictures 16bit" if isinstance(named, Level) and named.pictures == "16bit" else ""
+        next_(f"novags reconstruct {typed(out)} --method nova-fast{pictures} --out RUN")
 
 
 def reconstruct(
@@ -167,6 +173,7 @@ def reconstruct(
     points: int | None = None, iterations: int | None = None, denoiser_steps: int | None = None, seed: int = 0,
     device: Device = "auto", export: tuple[Literal["3dgs", "splat", "spz", "spz2"], ...] = (),
     overwrite: bool = False, wait: bool = False,
+    dry_run: bool = False,
 ) -> None:  # fmt: skip
     """Reconstruct a capture with one method: a 3D model, and pictures rendered from it.
 
@@ -191,6 +198,7 @@ def reconstruct(
             (spz2: of version 2, which is all that some readers know).
         overwrite: Replace a finished result of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
+        dry_run: Only say whether it would be made, or made again and why. Nothing is written.
     """
     from novags.testbed import stages
     from novags.testbed.presets import EXPERIMENTS, adapted
@@ -203,11 +211,11 @@ def reconstruct(
         points=points, iterations=iterations, denoiser_steps=denoiser_steps, pictures=pictures, device=device,
     )  # fmt: skip
     config = replace(chosen.reconstruct(name), seed=seed)
-    with writing(out, wait) as console:
+    with writing(out, wait, dry_run=dry_run) as console:
         stages.reconstruct(capture, out, config, console, overwrite=overwrite)
         write_viewers(out, export)
-    say(out)
-    next_(f"novags score {typed(out)} && novags report {typed(out)}")
+        say(out)
+        next_(f"novags score {typed(out)} && novags report {typed(out)}")
 
 
 def _one_of(variants: list[str], method: str | None) -> str:

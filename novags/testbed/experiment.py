@@ -1,7 +1,8 @@
 """The main job: a set, a capture of it, reconstructions by every method, scores, a report, in one folder."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from novags.testbed.folders.experiment import EXPERIMENT, REPORT, REPORT_FILES, 
 from novags.testbed.folders.place import place_of
 from novags.testbed.folders.run import METRICS, RECORD
 from novags.testbed.ledger.contents import UNFINISHED, read_json, write_json
-from novags.testbed.ledger.stage import refuse_other
+from novags.testbed.ledger.stage import dry_run, refuse_other
 from novags.testbed.presets import Preset
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.layouts import RECORD as SET
@@ -106,15 +107,57 @@ def _refuse_set_elsewhere(out: Path) -> None:
                          "name: name it (--scene), choose another --out, or add --overwrite")  # fmt: skip
 
 
-def score_all(folder: Path, console: Console) -> dict[str, Any]:
+def said(preset: Preset, out: Path, console: Console, *, overwrite: bool = False) -> None:
+    """Say what `run` would do, and write nothing: which stages it would make, or make again and why.
+
+    Raises:
+        ValueError: As `run`.
+    """
+    preset.refuse_lacking()
+    if not overwrite:
+        _refuse_other(preset, out)
+    source = out / "set" if preset.folder is None else preset.folder
+    steps: list[tuple[str, Callable[[], Any]]] = []
+    if preset.folder is None:
+        made = preset.photos or preset.render
+        steps.append(("set", lambda: make_set(out / "set", made, console, overwrite=overwrite)))
+    steps.append(("capture", lambda: stages.capture(source, out / "capture", preset.capture, console,
+                                                    overwrite=overwrite, for_runs=True)))  # fmt: skip
+    for name in preset.methods:
+        config = preset.reconstruct(name)
+        steps.append((name, partial(stages.reconstruct, out / "capture", out / name, config, console,
+                                    overwrite=overwrite)))  # fmt: skip
+    first = ""
+    for name, do in steps:
+        if first:  # an input that is made counts by its key: whether it comes out equal is seen then
+            but = f", unless {first} comes out as before" if (out / name).exists() else ""
+            console.note(f"{name}: to be made{but} (dry run: nothing is done)")
+            continue
+        with dry_run() as kept:
+            do()
+        if kept == [False] and name in ("set", "capture"):
+            first = f"the {name}"
+
+
+def score_all(folder: Path, console: Console, *, dry: bool = False) -> dict[str, Any]:
     """Score a run, or every run of an experiment; returns the mean scores by name.
+
+    Args:
+        folder: Of the run or the experiment.
+        console: Where progress goes.
+        dry: Only say what would be scored; returns nothing.
 
     Raises:
         ValueError: If `folder` is neither, or what its runs refer to is gone.
         BlockingIOError: If another process is writing there.
     """
     with locked(folder, make=False):
-        return _score_all(folder, console)
+        if not dry:
+            return _score_all(folder, console)
+        for run in find_runs(folder).values():
+            with dry_run():
+                stages.score(run.path, console)
+        return {}
 
 
 def _score_all(folder: Path, console: Console) -> dict[str, Any]:

@@ -11,8 +11,9 @@ a time works in a folder.
 
 import os
 import time
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -44,6 +45,37 @@ STATE = {"stage?": str, "record?": str, "key?": (str, None), "seconds?": float, 
 FILES = {"files?": {"*": str}}  # checksums of what the stage wrote
 KEYED = {"stage?": {"key?": str, **FILES}}  # what a record of any stage holds
 MADE = {"stage?": {"key?": str, "code?": str, "config?": dict, "inputs?": {"*": str}, "versions?": {"*": str}, **FILES}}
+
+
+class Planned(Exception):
+    """In a dry run: raised in place of the work, once it was said what would be done.
+
+    Args:
+        kept: Whether nothing would be.
+    """
+
+    def __init__(self, kept: bool) -> None:
+        super().__init__()
+        self.kept = kept
+
+
+_dry: ContextVar[bool] = ContextVar("dry", default=False)
+
+
+@contextmanager
+def dry_run(asked: bool = True) -> Iterator[list[bool]]:
+    """Where asked, a stage says what it would do, writes nothing, and ends the block.
+
+    Yields:
+        A list, to which the stage adds whether its result would be kept.
+    """
+    token, kept = _dry.set(asked), list[bool]()
+    try:
+        yield kept
+    except Planned as planned:
+        kept.append(planned.kept)
+    finally:
+        _dry.reset(token)
 
 
 def run_stage(
@@ -166,15 +198,20 @@ class _Stage:
         made = record.get("stage", {}).get("key") == key
         wrong = damaged(self.folder, record["stage"]) if made else ""
         if made and not wrong:
-            self._forget_interruption()
             told = made_with(self.folder, self.record_name).kept_though(self.code)
             self.console.note(f"{self.name}: unchanged, kept {self.folder}{told}")
+            if _dry.get():
+                raise Planned(kept=True)
+            self._forget_interruption()
             return record
         if not self.overwrite:
             refuse_other(self.folder, self.record_name, config, inputs)
         if wrong:
             self.console.note(f"{self.name}: {self.folder}: {wrong}, doing it again")
         earlier = None if wrong else self._earlier_cost(key, inputs, config)  # damaged files are nothing to go on from
+        if _dry.get():
+            self.console.note(f"{self.name}: to be made in {self.folder} (dry run: nothing is done)")
+            raise Planned(kept=False)
         start, memory = time.perf_counter(), PeakMemory()
         prepared = prepare()
         if earlier is None:

@@ -153,6 +153,34 @@ def test_with_other_code_the_same_request_is_made_again_and_said_why(
     assert calls == ["called", "called"]
 
 
+@pytest.mark.parametrize("change", ["nothing", "code", "a file"])
+def test_a_dry_run_says_what_would_be_done_and_writes_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], change: str
+) -> None:
+    def tree() -> dict[Path, int]:
+        return {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
+
+    with stages.dry_run() as kept:
+        stage(tmp_path / "new", writes(tmp_path, []), console=Console())
+    assert kept == [False]
+    assert not (tmp_path / "new").exists()
+    assert "to be made in" in said(capsys)
+    stage(tmp_path, writes(tmp_path, []))
+    if change == "a file":
+        (tmp_path / "a.txt").write_text("b")
+    before, calls = tree(), list[str]()
+    code = Code({"a.py": "2", "b.py": "1"}, {}) if change == "code" else CODE
+    with stages.dry_run() as kept:
+        stage(tmp_path, writes(tmp_path, calls), code=code, console=Console())
+    assert kept == [change == "nothing"]
+    assert (calls, tree()) == ([], before)
+    words = {"nothing": "unchanged, kept", "code": "a.py has changed since", "a file": "a.txt not as written"}
+    assert words[change] in said(capsys)
+    with stages.dry_run(False):
+        stage(tmp_path, writes(tmp_path, calls), code=code)
+    assert calls == ([] if change == "nothing" else ["called"])
+
+
 def test_where_only_texts_changed_the_result_is_kept_and_that_is_said(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
