@@ -23,9 +23,9 @@ from typing import Any, Literal
 
 from novags.methods import with_variants
 from novags.methods.variant import Variant, dotted
-from novags.testbed.foreign.command import read_commands
 from novags.testbed.importing.published.named import DataFolder
 from novags.testbed.presets import EXPERIMENTS, Preset, variants_in
+from novags.testbed.stages.configs.command import read_commands
 from novags.testbed.study.axes import Changes, applied, changes_of, check_keys, scene_identity
 from sensor_model.files.door import resolved
 from sensor_model.files.reading import brief

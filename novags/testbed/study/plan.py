@@ -12,12 +12,12 @@ from novags.cameras.sources.known import KnownConfig
 from novags.settings import flattened
 from novags.testbed.console import Console
 from novags.testbed.folders.set import open_source
-from novags.testbed.foreign.command import CommandConfig
 from novags.testbed.ledger.contents import digest, folder_digest
 from novags.testbed.ledger.store import key_of, named
 from novags.testbed.machine.devices import chosen_device
 from novags.testbed.presets import Preset
 from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.command import CommandConfig
 from novags.testbed.stages.configs.importing import ImportConfig
 from novags.testbed.stages.configs.posing import PosesConfig
 from novags.testbed.stages.configs.reconstructing import files_of

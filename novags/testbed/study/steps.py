@@ -8,9 +8,10 @@ from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.folders import capture as captures
 from novags.testbed.folders import run as runs
-from novags.testbed.foreign.command import CommandConfig, run_command
+from novags.testbed.foreign.command import run_command
 from novags.testbed.ledger.code import code_of
 from novags.testbed.metrics.perceptual import PerceptualDistance
+from novags.testbed.stages.configs.command import CommandConfig
 from novags.testbed.stages.configs.importing import ImportConfig
 from novags.testbed.stages.configs.posing import PosesConfig
 from novags.testbed.stages.configs.rendering import RenderConfig

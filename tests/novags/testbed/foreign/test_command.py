@@ -15,10 +15,11 @@ import pytest
 
 from novags.testbed import stages
 from novags.testbed.console import Console
-from novags.testbed.foreign.command import CommandConfig, read_commands, run_command
+from novags.testbed.foreign.command import run_command
 from novags.testbed.foreign.nerfbaselines import checksum, encoded, export_results
 from novags.testbed.foreign.process import output_of, run_program
 from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.command import CommandConfig, read_commands
 from simscenes.sets.pictures.exr import read_exr
 from simscenes.sets.pictures.png import read_png
 
