@@ -1,18 +1,25 @@
 """The one entry to the rasterisers: checks the input, picks a backend, assembles the channels."""
 
 from collections.abc import Mapping
-from importlib import import_module
 from typing import Any
 
 import torch
 from torch import Tensor
+
+from sensor_model.files.registry import Later
 
 from .gsplat_call import check_choices, check_others
 from .info import Projected, Watch, describe
 from .sparse import sparse_gradients
 from .validation import check_input, check_numbers, ellipsoids
 
-BACKENDS = ("auto", "torch", "numba", "gsplat")
+# Imported at use: the readable reference must work where numba does not.
+RENDER = {
+    "torch": Later("novags.splats.raster.raster_torch:render"),
+    "numba": Later("novags.splats.raster.raster_numba:render"),
+    "gsplat": Later("novags.splats.raster.raster_gsplat:render"),
+}
+BACKENDS = ("auto", *RENDER)
 
 
 def rasterize(
@@ -134,12 +141,10 @@ def _render_each(
     gaussians: tuple[Any, ...], colors: Tensor, camera: tuple[Any, ...], backend: str, options: dict[str, Any]
 ) -> tuple[Tensor, Tensor, list[Projected]]:
     """Renders [C, H, W, D] and alphas [C, H, W, 1] of the cameras one by one, and their Gaussians."""
-    # Imported at use: the readable reference must work where numba does not.
-    module = import_module(f".raster_{backend}", __package__)
     viewmats, Ks, width, height = camera
     for_each = colors.ndim == (3 if options["sh_degree"] is None else 4)
     views = [
-        module.render(
+        RENDER[backend](
             *gaussians, colors[i] if for_each else colors, viewmats[i], Ks[i], width, height, camera=i, **options
         )
         for i in range(len(viewmats))

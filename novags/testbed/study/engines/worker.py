@@ -7,7 +7,6 @@ reports its progress, and may raise anything. What it prints goes to the log of 
 import ctypes
 import errno
 import faulthandler
-import importlib
 import os
 import pickle
 import queue
@@ -27,6 +26,7 @@ from novags.process import settle
 from novags.testbed.console import Console, Update
 from sensor_model.files.door import descriptor_of_our_own
 from sensor_model.files.reading import brief
+from sensor_model.files.registry import loaded
 
 BETWEEN = 0.5  # s between two reports of progress
 PR_SET_PDEATHSIG = 1
@@ -149,8 +149,7 @@ def _outcome(place: str, request: Mapping[str, Any], connection: Connection) -> 
 
 def function_at(place: str) -> Callable[[Any, Console], Any]:
     """The function MODULE:FUNCTION that does tasks."""
-    module, _, name = place.partition(":")
-    function: Callable[[Any, Console], Any] = getattr(importlib.import_module(module), name)
+    function: Callable[[Any, Console], Any] = loaded(place)
     return function
 
 
