@@ -16,6 +16,7 @@ from novags.testbed.report.pictures import ViewTiles, spread, view_tiles
 from novags.testbed.report.verdict import compared
 from novags.testbed.results.again import score_again
 from novags.testbed.results.comparison import MAIN, Group
+from novags.testbed.results.mixed import mixed
 from sensor_model.files.door import resolved
 
 VIEWS = 8  # of all captures together; each has one at least
@@ -49,9 +50,11 @@ def comparison_context(groups: Sequence[Group], folder: Path, album: Album, prog
                       group.lit.views.unregistered, "unavailable": group.metrics["unavailable"]})  # fmt: skip
         progress(done, len(groups), place)
     count = sum(len(group.runs) for group in groups)
+    named = zip(groups, places(groups, folder), strict=True)
+    every = {f"{place}: {name}": run for group, place in named for name, run in group.runs.items()}
     data = {"left": [*left, "enhanced"], "right": [*right, "truth-lit"]}
     return {"title": f"{count} runs of {len(groups)} captures", "groups": shown, "count": count, "views": views,
-            "unseen": unseen, "error_ceiling": ERROR_CEILING, "data": data}  # fmt: skip
+            "unseen": unseen, "error_ceiling": ERROR_CEILING, "data": data, "mixed": mixed(every)}  # fmt: skip
 
 
 def places(groups: Sequence[Group], folder: Path) -> list[str]:

@@ -46,6 +46,7 @@ from novags.testbed.report.tables import COLUMNS, GEOMETRY, NOISE, per_view, sco
 from novags.testbed.report.verdict import cards, compared, verdict
 from novags.testbed.results.again import run_again, score_again
 from novags.testbed.results.comparison import MAIN, Group, deltas_of, groups_of
+from novags.testbed.results.mixed import mixed
 from novags.testbed.stages.scoring import bounds_of
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import read_bytes, resolved
@@ -226,6 +227,7 @@ def report_context(material: Material, album: Album, progress: Update) -> dict[s
         "configurations": configurations(material),
         "commands": commands(material),
         "environment": material.runs[material.main].record["stage"],
+        "mixed": mixed(material.runs),
     }
 
 
