@@ -4,6 +4,8 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
+from sensor_model.files.reading import brief
+
 SHOWN = 4  # differences that one line can hold
 
 
@@ -19,7 +21,7 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     """Each setting that differs between two configurations (JSON values), as "name was A, is B"."""
     a, b = flat(before), flat(now)
     return [
-        f"{name} was {_shown(a, name)}, is {_shown(b, name)}"
+        f"{brief(name, 100)} was {_shown(a, name)}, is {_shown(b, name)}"
         for name in dict.fromkeys((*a, *b))
         if (name in a, a.get(name)) != (name in b, b.get(name))
     ]

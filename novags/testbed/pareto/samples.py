@@ -9,6 +9,7 @@ from novags.testbed.ledger.code import version
 from novags.testbed.ledger.contents import digest, jsonable, read_json, write_json
 from novags.testbed.machine.provenance import environment
 from novags.testbed.pareto.knob import Knob, Measured, Setting, Subject, spelled
+from sensor_model.files.reading import brief
 
 NUMBER = (str, float, None)  # a setting
 LARGEST = 1e100  # of a time or an error: their squares must be numbers too
@@ -46,7 +47,7 @@ class Samples:
         elif not overwrite:
             before = "; ".join(spelled(_unlike(known[word], self.about[word])) for word in other)
             raise ValueError(f"{path} holds measurements of another {' and '.join(OF[word] for word in other)} "
-                             f"({before}): choose another --out, or add --overwrite to drop them")  # fmt: skip
+                             f"({brief(before, 400)}): choose another --out, or add --overwrite to drop them")  # fmt: skip
 
     def find(self, knob: Knob, setting: Setting, seed: int) -> dict[str, Any] | None:
         """A measurement, or None if it was not made yet."""
