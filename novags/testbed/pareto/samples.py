@@ -45,9 +45,9 @@ class Samples:
         if not other:
             self.rows = _checked(known["samples"], path)
         elif not overwrite:
-            before = "; ".join(spelled(_unlike(known[word], self.about[word])) for word in other)
+            before = brief("; ".join(spelled(_unlike(known[word], self.about[word])) for word in other), 400)
             raise ValueError(f"{path} holds measurements of another {' and '.join(OF[word] for word in other)} "
-                             f"({brief(before, 400)}): choose another --out, or add --overwrite to drop them")  # fmt: skip
+                             f"({before}): choose another --out, or add --overwrite to drop them")  # fmt: skip
 
     def find(self, knob: Knob, setting: Setting, seed: int) -> dict[str, Any] | None:
         """A measurement, or None if it was not made yet."""
