@@ -38,7 +38,8 @@ EXCUSED = Path(__file__).parent / "mutation" / "excused.toml"
 GROUPS = (
     (("novags/methods/enhancers/[!_]*.py",), ("tests/novags/methods/enhancers/test_[!r]*.py",)),
     (("novags/methods/nova/[!t]*.py",), ("tests/novags/methods/nova/test_[!t]*.py",)),
-    (("novags/methods/nova/trainer.py", "novags/methods/enhancers/__init__.py", "novags/methods/*.py"),
+    (("novags/methods/nova/trainer.py", "novags/methods/enhancers/__init__.py", "novags/methods/enhanced/*.py",
+      "novags/methods/*.py"),
      ("tests/novags/methods/test_*.py", "tests/novags/methods/enhancers/test_r*.py",
       "tests/novags/methods/nova/test_trainer*.py")),
     (tuple(f"novags/splats/training/{what}.py"
