@@ -19,7 +19,6 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 MAKE = """
 import sys
-from novags.process import settle
 from novags.cli import main
 small = ["--width", "32", "--height", "32", "--spp", "4"]
 for words in (
