@@ -1,4 +1,4 @@
-"""What a source of cameras is, for the table of sources and for whoever adds one."""
+"""One source of cameras: its row in the table `SOURCES`, and the base of every configuration."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

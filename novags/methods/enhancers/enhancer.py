@@ -1,4 +1,4 @@
-"""What an enhancer is: a row of `ENHANCERS`, and the base of all configurations."""
+"""One enhancer: its row in the table `ENHANCERS`, and the base of every configuration."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

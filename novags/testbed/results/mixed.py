@@ -1,4 +1,4 @@
-"""What runs that are compared do not have in common: software, processor, graphics card.
+"""Differences between runs that are compared: software, processor, graphics card.
 
 Keys of results leave these out: a fit that was made elsewhere is no other fit. The last bits differ, though, and
 scores with them: a comparison says so.
