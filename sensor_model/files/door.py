@@ -108,7 +108,12 @@ def _target(path: AnyPath) -> str:
 
 def is_given(target: str) -> bool:
     """Whether a path without links lies in a folder that was given or allowed."""
-    return _is_inside(target, [*_given.values(), *_allowed()])
+    return _is_inside(target, reachable())
+
+
+def reachable() -> list[str]:
+    """Folders and files to which links may lead now: for a process of ours that was started before they were known."""
+    return list(dict.fromkeys([*_given.values(), *_allowed()]))
 
 
 def _allowed() -> list[str]:

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sensor_model.files.door import read_bytes
+from sensor_model.files.door import reachable, read_bytes
 from sensor_model.files.own import remember, remembered
 from sensor_model.files.python import python
 from sensor_model.files.reading import brief
@@ -88,7 +88,7 @@ class _Process:
         process = self._alive()
         assert process.stdin is not None
         assert process.stdout is not None
-        request = asked | {"variant": self.variant, "cwd": str(Path.cwd())}
+        request = asked | {"variant": self.variant, "cwd": str(Path.cwd()), "links": reachable()}
         try:
             process.stdin.write(json.dumps(request).encode() + b"\n")
             process.stdin.flush()

@@ -14,6 +14,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from sensor_model.files.door import VARIABLE
+
 IDLE = 20.0  # s without a request after which the process ends: it holds some 200 MB
 DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux
 
@@ -21,8 +23,8 @@ DIE_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux
 def serve() -> None:
     """Answer until standard input ends or nothing is asked for a while.
 
-    A request is a line of JSON: {"scene": path, "parameters": pairs, "variant": name, "cwd": folder}. So is an answer:
-    the reason why the scene is refused, or "".
+    A request is a line of JSON: {"scene": path, "parameters": pairs, "variant": name, "cwd": folder, "links": where
+    links may lead}. So is an answer: the reason why the scene is refused, or "".
     """
     _die_with_parent()
     # Mitsuba prints to the standard output too: answers get a copy, and everything else goes nowhere.
@@ -34,6 +36,7 @@ def serve() -> None:
         request = json.loads(line)
         try:
             os.chdir(request["cwd"])
+            os.environ[VARIABLE] = json.dumps(request["links"])  # this process may be older than what is allowed
             _limit_memory()
             answer = _tried(Path(request["scene"]), request["variant"], request["parameters"])
         except MemoryError:

@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from sensor_model.files.door import VARIABLE, allow
 from sensor_model.files.python import python
 from simscenes.backend import activate
 from simscenes.loading.checks import trial
@@ -211,3 +212,22 @@ def test_no_plugin_crashes_for_being_bare_so_that_the_trial_is_for_what_nobody_t
         except ValueError as error:
             crashes += [f"{name}: {error}"] if "crashes" in str(error) else []
     assert crashes == []
+
+
+def test_a_link_that_was_allowed_after_the_trial_process_began_is_followed_there_too(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rationale: that process knew what was allowed when it began. Found by `python -m tests.fuzz`."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))  # nothing is remembered
+    monkeypatch.delenv(VARIABLE, raising=False)
+    (tmp_path / "outside").mkdir()
+    (tmp_path / "scene").mkdir()
+    (tmp_path / "outside" / "m.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (tmp_path / "scene" / "m.obj").symlink_to(tmp_path / "outside" / "m.obj")
+    shapes = ("<shape type='sphere'/>", "<shape type='obj'><string name='filename' value='m.obj'/></shape>")
+    first, second = (tmp_path / "scene" / name for name in ("first.xml", "second.xml"))
+    for file, shape in zip((first, second), shapes, strict=True):
+        file.write_text(f"<scene version='3.0.0'>{shape}<emitter type='constant'/></scene>")
+    trial.check_survives(first, [first], "scalar_rgb")
+    allow([tmp_path / "outside"])
+    trial.check_survives(second, [second, tmp_path / "scene" / "m.obj"], "scalar_rgb")
