@@ -13,8 +13,8 @@ from typing import Any
 from novags.testbed.csv_text import as_csv
 from novags.testbed.dataset.file import spelled
 from novags.testbed.folders.capture import RECORD as CAPTURE
-from novags.testbed.ledger.contents import read_json
-from novags.testbed.ledger.store import Seal, damaged, read_seal
+from novags.testbed.ledger.contents import not_as_written, read_json
+from novags.testbed.ledger.store import Seal, files_of, read_seal
 from novags.testbed.stages.layouts import RECORD as SET
 from novags.testbed.study.entry import Task
 from novags.testbed.study.grid import Value
@@ -35,7 +35,8 @@ class Entry:
         scene: What was rendered, as `spelled` names it.
         split: Where it lies.
         values: Of the axes, of a capture.
-        seal: What it holds.
+        seal: What it cost.
+        files: Checksum of each of its files.
         record: Its set.json or capture.json.
     """
 
@@ -44,6 +45,7 @@ class Entry:
     split: str
     values: dict[str, Value]
     seal: Seal
+    files: dict[str, str]
     record: dict[str, Any]
 
     @property
@@ -94,7 +96,8 @@ def entries_of(plan: Plan, store: Path, splits: Mapping[str, str]) -> list[Entry
         assert seal is not None
         record = read_json(folder / (SET if task.kind == "set" else CAPTURE))
         scene = spelled(made.config.scene, plan.study.path)
-        found.append(Entry(task, scene, splits[scene], dict(values.get(task.key, {})), seal, record))
+        found.append(Entry(task, scene, splits[scene], dict(values.get(task.key, {})), seal,
+                           files_of(folder, seal.records), record))  # fmt: skip
     return found
 
 
@@ -106,7 +109,7 @@ def link(entry: Entry, store: Path, out: Path) -> None:
     """
     place = out / entry.place
     check_links(place)
-    for name in damaged(place, entry.seal):
+    for name in not_as_written(place, entry.files):
         file, source = place / name, admitted(entry.task.folder(store) / name)
         file.parent.mkdir(parents=True, exist_ok=True)
         temporary = file.with_name(f".{file.name}.partial")
@@ -117,7 +120,7 @@ def link(entry: Entry, store: Path, out: Path) -> None:
             shutil.copy2(source, temporary)
         temporary.replace(file)
     there = {path.relative_to(place).as_posix() for path in place.rglob("*") if path.is_file()}
-    for name in there - entry.seal.files.keys():  # of an interrupted start, or of an earlier file
+    for name in there - entry.files.keys():  # of an interrupted start, or of an earlier file
         (place / name).unlink()
 
 

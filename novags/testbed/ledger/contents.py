@@ -3,7 +3,7 @@
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,7 @@ import numpy as np
 
 from novags.testbed.ledger.difference import listed
 from novags.testbed.ledger.hashes import remembered
+from novags.testbed.ledger.source import hashed
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import check_links, opened
 from sensor_model.files.reading import brief
@@ -100,15 +101,33 @@ def shown(folder: Path, names: Sequence[str] | None) -> dict[str, Path]:
     return {n: p for n, p in named.items() if n != UNFINISHED and not any(part[0] == "." for part in n.split("/"))}
 
 
-def damaged(folder: Path, stage: Mapping[str, Any]) -> str:
-    """Which files of a finished stage are not as it wrote them, in words; "" if all are. Later files do not count.
+def stage_key(stage: Mapping[str, Any]) -> str:
+    """The key of a result, of the entry "stage" in its record: a hash of name, code, inputs and configuration."""
+    return digest({part: stage.get(part) for part in ("name", "code", "inputs", "config")})
+
+
+def checksum(path: Path) -> str:
+    """What records hold of a file: a hash of its content, without costs and versions where it is a record."""
+    return hashed(remembered(path, read_digest, HOW))
+
+
+def not_as_written(folder: Path, files: Mapping[str, str], known_by: Callable[[Path], str] = checksum) -> list[str]:
+    """The names of the files that are missing or have another checksum. Further files do not count.
 
     Args:
-        folder: Of the stage.
-        stage: The entry "stage" of its record; before there were checksums, it held none.
+        folder: Where they are.
+        files: Checksum by relative name.
+        known_by: Gives the checksum of a file.
+
+    Raises:
+        ValueError: If one lies behind a link that leads out of what was given.
     """
-    wrong = [name for name, known in stage.get("files", {}).items() if not holds(folder / name, known)]
-    return f"{listed([brief(name, 100) for name in wrong])} not as written (checksum)" if wrong else ""
+    return [name for name, known in files.items() if not _holds(folder / name, known, known_by)]
+
+
+def in_words(wrong: Sequence[str]) -> str:
+    """That these files are not as they were written."""
+    return f"{listed([brief(name, 100) for name in wrong])} not as written (checksum)"
 
 
 def refuse_damage(folder: Path, record: Mapping[str, Any], remedy: str, names: Sequence[str] | None = None) -> None:
@@ -116,7 +135,7 @@ def refuse_damage(folder: Path, record: Mapping[str, Any], remedy: str, names: S
 
     Args:
         folder: Of the stage.
-        record: What the stage wrote last.
+        record: What the stage wrote last; before there were checksums, it held none.
         remedy: What the user can do beside putting back what was there.
         names: The files that are to be looked at; None: all.
 
@@ -127,18 +146,16 @@ def refuse_damage(folder: Path, record: Mapping[str, Any], remedy: str, names: S
     files: Mapping[str, str] = stage.get("files", {})
     if names is not None:
         files = {name: files[name] for name in names if name in files}
-    if wrong := damaged(folder, {"files": files}):
-        raise ValueError(f"{folder}: {wrong}; put back what was there, or {remedy}")
+    wrong = not_as_written(folder, files)
+    if not wrong and "code" in stage and stage.get("key") != stage_key(stage):
+        wrong = ["the entry stage of its record"]
+    if wrong:
+        raise ValueError(f"{folder}: {in_words(wrong)}; put back what was there, or {remedy}")
 
 
-def holds(path: Path, known: str) -> bool:
-    """Whether a file is there and has this checksum.
-
-    Raises:
-        ValueError: If it lies behind a link that leads out of what was given.
-    """
+def _holds(path: Path, known: str, known_by: Callable[[Path], str]) -> bool:
     try:
-        return checksum(path) == known
+        return known_by(path) == known
     except OSError:  # missing, or not to be read
         return False
     except ValueError:  # not a regular file; or behind a link that leads out, which is said as that
@@ -146,25 +163,20 @@ def holds(path: Path, known: str) -> bool:
         return False
 
 
-def checksum(path: Path) -> str:
-    """What records hold of a file: a hash of its content, without costs and versions where it is a record."""
-    return shortened(remembered(path, read_digest, HOW))
-
-
-def shortened(content: bytes) -> str:
-    """The checksum of a file from its whole digest."""
-    return hashlib.blake2b(content, digest_size=16).hexdigest()
-
-
 def read_digest(path: Path) -> bytes:
     """The whole digest of a file, from the disk whatever was seen before."""
     if path.suffix == ".json" and (record := _record(path)) is not None:
-        return digest(_lasting(record)).encode()
+        return record_digest(record)
     content = hashlib.blake2b()
     with opened(path) as file:
         while chunk := file.read(1 << 20):
             content.update(chunk)
     return content.digest()
+
+
+def record_digest(record: Mapping[str, Any]) -> bytes:
+    """The whole digest of the record of a stage: of what it says, not of what it cost."""
+    return digest(_lasting(jsonable(record))).encode()
 
 
 def _record(path: Path) -> dict[str, Any] | None:

@@ -27,6 +27,19 @@ def differences(before: Mapping[str, Any], now: Mapping[str, Any]) -> list[str]:
     ]
 
 
+def from_request(stage: Mapping[str, Any], config: Mapping[str, Any], inputs: Mapping[str, str]) -> list[str]:
+    """What a finished result differs in from what is asked for.
+
+    Args:
+        stage: The entry "stage" of its record.
+        config: The resolved configuration that is asked for.
+        inputs: Content hash of each input that is known.
+    """
+    before = stage.get("inputs", {})
+    others = [f"another {name}" for name, content in inputs.items() if before.get(name) != content]
+    return [*differences(stage.get("config", {}), config), *others]
+
+
 def listed(found: list[str]) -> str:
     """The first few of them, and how many more there are."""
     more = len(found) - SHOWN

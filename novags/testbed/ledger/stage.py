@@ -23,17 +23,20 @@ from novags.testbed.ledger.code import Code
 from novags.testbed.ledger.contents import (
     UNFINISHED,
     checksum,
-    damaged,
-    digest,
+    in_words,
     jsonable,
+    not_as_written,
     read_digest,
     read_json,
-    shortened,
+    record_digest,
+    refuse_damage,
     shown,
+    stage_key,
     write_json,
 )
-from novags.testbed.ledger.difference import differences, listed
+from novags.testbed.ledger.difference import from_request, listed
 from novags.testbed.ledger.made import made_name, made_with, write_made
+from novags.testbed.ledger.source import hashed
 from novags.testbed.machine.memory import memory_shortage_said
 from novags.testbed.machine.provenance import PeakMemory, environment
 from sensor_model.files.atomic import Witness, remove, witnessed
@@ -142,11 +145,9 @@ def refuse_other(
     stage = _finished(folder, record_name)
     if stage is None:
         return
-    found = differences(stage.get("config", {}), jsonable(config))
-    before = stage.get("inputs", {})
-    found += [f"another {name}" for name, content in (inputs or {}).items() if before.get(name) != content]
-    if not found and (wrong := damaged(folder, stage)):
-        raise ValueError(f"{folder}: {wrong}; put back what was there, or add --overwrite to make it again")
+    found = from_request(stage, jsonable(config), inputs or {})
+    if not found:
+        refuse_damage(folder, {"stage": stage}, "add --overwrite to make it again")
     if not found and inputs is not None and "code" not in stage:
         found.append(f"made by novags {stage.get('versions', {}).get('novags')}, which recorded no code")
     if found:
@@ -192,11 +193,11 @@ class _Stage:
     ) -> dict[str, Any]:
         """As `run_stage` says."""
         inputs = dict(ask())
-        about = {"stage": self.name, "code": self.code.key, "inputs": inputs, "config": config}
-        key, record_path = digest(about), self.folder / self.record_name
+        about = {"name": self.name, "code": self.code.key, "inputs": inputs, "config": config}
+        key, record_path = stage_key(about), self.folder / self.record_name
         record = read_json(record_path, KEYED) if record_path.exists() else {}
         made = record.get("stage", {}).get("key") == key
-        wrong = damaged(self.folder, record["stage"]) if made else ""
+        wrong = not_as_written(self.folder, record["stage"].get("files", {})) if made else []
         if made and not wrong:
             told = made_with(self.folder, self.record_name).kept_though(self.code)
             self.console.note(f"{self.name}: unchanged, kept {self.folder}{told}")
@@ -207,7 +208,7 @@ class _Stage:
         if not self.overwrite:
             refuse_other(self.folder, self.record_name, config, inputs)
         if wrong:
-            self.console.note(f"{self.name}: {self.folder}: {wrong}, doing it again")
+            self.console.note(f"{self.name}: {self.folder}: {in_words(wrong)}, doing it again")
         earlier = None if wrong else self._earlier_cost(key, inputs, config)  # damaged files are nothing to go on from
         if _dry.get():
             self.console.note(f"{self.name}: to be made in {self.folder} (dry run: nothing is done)")
@@ -227,14 +228,11 @@ class _Stage:
                 self._mark(key, before + time.perf_counter() - start, max(most, memory.peak_bytes()))
             raise
         self._refuse_changed(inputs, ask)
-        files = self._checksums(witness)
+        files = {**self._checksums(witness), self.record_name: hashed(record_digest(body))}
         seconds = before + time.perf_counter() - start
         cost = {"seconds": seconds, "peak_bytes": max(most, memory.peak_bytes()), **environment()}
         write_made(self.folder, self.record_name, self.code)
-        body["stage"] = {
-            "name": self.name, "key": key, "code": self.code.key, "inputs": inputs, "config": config, **cost,
-            "files": files,
-        }  # fmt: skip
+        body["stage"] = {**about, "key": key, **cost, "files": files}
         write_json(record_path, body)
         self._tidy()
         return read_json(record_path)
@@ -260,14 +258,14 @@ class _Stage:
             if (written := witness.unchanged(path)) is None:
                 found[name] = checksum(path)
                 written = witness.found.get(os.path.abspath(path))
-                if written is not None and shortened(written) != found[name]:
+                if written is not None and hashed(written) != found[name]:
                     self._mark(None)  # nothing here can be gone on from
                     raise ValueError(
                         f"{path} was changed by somebody else while {self.name} was at work: its result is not kept; "
                         "let nothing else write there and run the same command again"
                     )
             else:
-                found[name] = shortened(written)
+                found[name] = hashed(written)
         return found
 
     @property
@@ -287,11 +285,9 @@ class _Stage:
 
     def _why(self, stage: Mapping[str, Any], inputs: Mapping[str, str], config: Mapping[str, Any]) -> str:
         """Why a finished result is made again."""
-        found = differences(stage.get("config", {}), config)
-        before = stage.get("inputs", {})
-        found += [f"another {name}" for name, content in inputs.items() if before.get(name) != content]
         changed = made_with(self.folder, self.record_name).changed_in(self.code)
-        return listed([*found, *([changed] if changed else [])]) or "another stage made it"
+        found = [*from_request(stage, config, inputs), *([changed] if changed else [])]
+        return listed(found) or "another stage made it"
 
     def _earlier_cost(self, key: str, inputs: Mapping[str, str], config: Mapping[str, Any]) -> tuple[float, int] | None:
         """Seconds of interrupted attempts at the work of `key` and the most bytes that one held.

@@ -4,33 +4,32 @@ store/set/tabletop-20x160x160-1f3a…/   store/capture/…   store/run/…
 
 The end of a name is the key: a hash of the stage's code and whole configuration and of all that it was made from. It
 is known before anything is computed, and nothing else ever writes to that folder. When an entry is complete its seal is
-written, a hidden file that lists every file with its checksum and says what it cost. Before an entry is used again, its
-files are compared with the seal. Studies that run at the same time may share a store: locks on the folders protect it.
+written, a hidden file that says what it was made from and what it cost, and holds the hashes of its stages' records;
+these hold the checksum of every file. Before an entry is used again, all are compared. Studies that run at the same
+time may share a store: locks on the folders protect it.
 """
 
-import os
 import re
-import shutil
-from collections.abc import Iterator
-from dataclasses import dataclass, field
-from pathlib import Path
+from collections.abc import Iterable, Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from novags.testbed.ledger.code import Code
-from novags.testbed.ledger.contents import checksum, digest, holds, read_json, write_json
+from novags.testbed.ledger.contents import digest, not_as_written, read_json, write_json
 from novags.testbed.ledger.source import hashed
-from sensor_model.files.atomic import remove, write_text
-from sensor_model.files.door import admitted, read_bytes, read_text
+from sensor_model.files.atomic import remove
+from sensor_model.files.door import read_bytes
+from sensor_model.files.reading import brief
 
 KINDS = ("set", "capture", "run")  # in the order in which they are made
-RECORDS = ("set.json", "capture.json", "run.json", "metrics.json")  # of stages
-SAME = ".same"  # of a kind: which entry has which mark, see `find_same`
 SEAL = ".sealed.json"  # hidden, so that it is part of no digest
 SHAPE: Any = {
-    "key": str, "files": {"*": str}, "records?": {"*": str},
+    "key": str, "content": str, "made_of": dict, "records": {"*": str},
     "cost": {"seconds": {"*": float}, "peak_bytes": int, "bytes": int, "work": float, "pixels": float, "group": str,
              "threads": int},
 }  # fmt: skip
+RECORD = {"stage": {"files": {"*": str}}}  # what a seal needs of the record of a stage
 
 
 def key_of(kind: str, recipe: dict[str, Any], code: Code) -> str:
@@ -51,39 +50,31 @@ def named(name: str, key: str) -> str:
 
 @dataclass(frozen=True)
 class Seal:
-    """What an entry held when it was complete."""
+    """What an entry was when it was complete.
+
+    Attributes:
+        key: Of the entry.
+        content: Hash of all its files.
+        made_of: The contents of the entries it was made from, and what else its making depended on.
+        cost: What it cost.
+        records: Of the record that each stage wrote last, a hash of all of it, costs included.
+    """
 
     key: str
-    files: dict[str, str]  # relative name -> checksum
-    made_of: dict[str, Any]  # the contents of the entries it was made from, and what else its making depended on
+    content: str
+    made_of: dict[str, Any]
     cost: dict[str, Any]
-    records: dict[str, str] = field(default_factory=dict)  # of records the hash of all of it, costs included
-
-    @property
-    def content(self) -> str:
-        """Hash of all files."""
-        return digest(self.files)
+    records: dict[str, str]
 
 
-def checksums(folder: Path) -> dict[str, str]:
-    """Checksum of every file in a folder, by its relative name; hidden ones are left out."""
-    files = [path for path in sorted(folder.rglob("*")) if path.is_file()]
-    names = {path: path.relative_to(folder).as_posix() for path in files}
-    return {name: checksum(path) for path, name in names.items() if not any(p[0] == "." for p in name.split("/"))}
-
-
-def write_seal(folder: Path, key: str, made_of: dict[str, Any], cost: dict[str, Any]) -> Seal:
-    """Seal a complete entry; `cost` as in `SHAPE`, but for the bytes."""
-    files = checksums(folder)
+def write_seal(folder: Path, key: str, made_of: dict[str, Any], cost: dict[str, Any], records: Iterable[str]) -> Seal:
+    """Seal a complete entry; `cost` as in `SHAPE`, but for the bytes; `records`: what its stages wrote last."""
+    files = files_of(folder, records)
     size = sum((folder / name).stat().st_size for name in files)
-    records = {name: _whole(folder / name) for name in files if name.endswith(".json") and "/" not in name}
-    seal = Seal(key, files, made_of, {**cost, "bytes": size}, records)
-    write_json(folder / SEAL, {"key": key, "made_of": made_of, "cost": seal.cost, "files": files, "records": records})
+    found = {name: _whole(folder / name) for name in records}
+    seal = Seal(key, digest(files), made_of, {**cost, "bytes": size}, found)
+    write_json(folder / SEAL, asdict(seal))
     return seal
-
-
-def _whole(path: Path) -> str:
-    return hashed(read_bytes(path))
 
 
 def read_seal(folder: Path, name: str = SEAL) -> Seal | None:
@@ -93,19 +84,34 @@ def read_seal(folder: Path, name: str = SEAL) -> Seal | None:
         ValueError: If the seal itself is damaged.
     """
     path = folder / name
-    if not path.exists():
-        return None
-    found = read_json(path, {**SHAPE, "made_of": dict})
-    return Seal(found["key"], found["files"], found["made_of"], found["cost"], found.get("records", {}))
+    return (
+        Seal(**{part: found for part, found in read_json(path, SHAPE).items() if part in SHAPE})
+        if path.exists()
+        else None
+    )
+
+
+def files_of(folder: Path, records: Iterable[str]) -> dict[str, str]:
+    """Checksum of every file of an entry, its records included, by relative name, as these records say.
+
+    Raises:
+        ValueError: If a record is missing, damaged, or names a file elsewhere.
+    """
+    found: dict[str, str] = {}
+    for record in records:
+        found |= read_json(folder / record, RECORD)["stage"]["files"]
+    if wrong := [name for name in found if PurePosixPath(name).is_absolute() or ".." in PurePosixPath(name).parts]:
+        raise ValueError(f"{folder} names files elsewhere: {brief(wrong[0], 100)}")
+    return found
 
 
 def damaged(folder: Path, seal: Seal) -> list[str]:
     """The files that are not as they were when the entry was sealed. Files that came later do not count."""
-    wrong = [name for name, known in seal.files.items() if not holds(folder / name, known)]
-    return [
-        *wrong,
-        *(name for name, known in seal.records.items() if name not in wrong and _whole(folder / name) != known),
-    ]
+    return not_as_written(folder, seal.records, _whole) or not_as_written(folder, files_of(folder, seal.records))
+
+
+def _whole(path: Path) -> str:
+    return hashed(read_bytes(path))
 
 
 def clear(folder: Path) -> None:
@@ -130,40 +136,3 @@ def other_entries(root: Path, keys: set[str]) -> int:
     """How many entries of a store have none of these keys."""
     ends = {key[:16] for key in keys}
     return sum(path.parent.name.rpartition("-")[2] not in ends for path in root.glob(f"*/*/{SEAL}"))
-
-
-def remember_same(folder: Path, same: str) -> None:
-    """Note that an entry is the one of its kind with this mark, see `find_same`; "" is no mark."""
-    note = folder.parent / SAME / same
-    if same and not (note.is_file() and read_text(note, most=1000) == folder.name):
-        write_text(note, folder.name)
-
-
-def find_same(folder: Path, same: str) -> Path | None:
-    """Another entry of the kind of `folder` that was made by the same code from equal contents; None if none is known.
-
-    Args:
-        folder: Of an entry; it need not be there.
-        same: Mark of code, configuration and contents.
-    """
-    note = folder.parent / SAME / same
-    if not same or not note.is_file():
-        return None
-    name = read_text(note, most=1000)
-    other = folder.parent / name
-    inside = re.fullmatch(r"[A-Za-z0-9._+-]+", name) and not name.startswith(".")
-    return other if inside and other.is_dir() and name != folder.name else None
-
-
-def copy_files(source: Path, target: Path) -> None:
-    """Give an empty entry the files of another one; they share the disk where that is possible."""
-    for path in sorted(source.rglob("*")):
-        name = path.relative_to(source)
-        # Of hidden files those that say with which code the stages worked; not seals, locks, places of other folders.
-        if not path.is_file() or (name.parts[0].startswith(".") and name.parts[0][1:] not in RECORDS):
-            continue
-        (target / name).parent.mkdir(parents=True, exist_ok=True)
-        try:
-            os.link(path, target / name)
-        except OSError:  # another disk, or a file system without links
-            shutil.copyfile(admitted(path), target / name)

@@ -9,17 +9,8 @@ from typing import Any
 from novags.testbed.console import Console
 from novags.testbed.ledger.code import code_of
 from novags.testbed.ledger.contents import digest, read_json
-from novags.testbed.ledger.store import (
-    SEAL,
-    Seal,
-    clear,
-    copy_files,
-    damaged,
-    find_same,
-    read_seal,
-    remember_same,
-    write_seal,
-)  # fmt: skip
+from novags.testbed.ledger.same import remember, taken_over
+from novags.testbed.ledger.store import SEAL, Seal, clear, damaged, read_seal, write_seal
 from novags.testbed.stages.failing import failing_in
 from novags.testbed.study.engines.worker import MachineError
 from sensor_model.files.lock import locked
@@ -127,12 +118,15 @@ def ensure(order: Order, steps: Steps, console: Console, depends: dict[str, Any]
         made = seal is None or seal.made_of != made_of
         if made:
             (order.folder / SEAL).unlink(missing_ok=True)
-            made = not _taken_over(order, console)
+            if equal := taken_over(order.folder, _same(order)):
+                console.note(f"{order.folder}: kept, made from equal contents as {equal}")
+            made = not equal
             for name, step in steps.items():
                 with failing_in(name):
                     step.do()
-            seal = write_seal(order.folder, order.task.key, made_of, _cost(order, steps))
-            remember_same(order.folder, _same(order))
+            records = [step.record for step in steps.values()]
+            seal = write_seal(order.folder, order.task.key, made_of, _cost(order, steps), records)
+            remember(order.folder, _same(order))
     assert seal is not None
     return {"content": seal.content, "cost": seal.cost, "made": made}
 
@@ -143,37 +137,17 @@ def _same(order: Order) -> str:
     return digest([task.kind, task.own, [order.made_of[key] for key in task.needs]]) if task.needs and task.own else ""
 
 
-def _taken_over(order: Order, console: Console) -> bool:
-    """Whether the files of an entry under another key were taken, where these are the same: the stages then keep them.
-
-    What it was made from has got another key, by a change of its code, and has come out equal.
-    """
-    other = find_same(order.folder, _same(order))
-    if other is None or any(path for path in order.folder.iterdir() if not path.name.startswith(".")):
-        return False
-    try:
-        with locked(other, make=False):
-            seal = read_seal(other)
-            if seal is None or damaged(other, seal):
-                return False
-            copy_files(other, order.folder)
-    except (BlockingIOError, ValueError):  # somebody is at work there; or its seal is damaged
-        return False
-    console.note(f"{order.folder}: kept, made from equal contents as {other.name}")
-    return True
-
-
 def _believed(order: Order, steps: Steps, console: Console) -> Seal | None:
     """The seal of a complete entry whose files are as they were; else what cannot be believed is removed."""
     try:
         seal = read_seal(order.folder)
+        if seal is None:
+            return None
+        wrong = damaged(order.folder, seal) if seal.key == order.task.key else [SEAL]
     except ValueError as error:
         console.note(f"{error}: making the entry again")
         clear(order.folder)
         return None
-    if seal is None:
-        return None
-    wrong = damaged(order.folder, seal) if seal.key == order.task.key else [SEAL]
     if not wrong:
         return seal
     console.note(f"{order.folder}: {', '.join(wrong[:3])} not as written (checksum): making the entry again")

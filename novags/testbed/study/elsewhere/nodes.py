@@ -9,7 +9,8 @@ from typing import Any
 
 from novags.testbed.console import Console
 from novags.testbed.folders.run import METRICS
-from novags.testbed.ledger.store import SEAL, Seal, damaged, read_seal
+from novags.testbed.ledger.source import hashed
+from novags.testbed.ledger.store import SEAL, Seal, read_seal
 from novags.testbed.study.elsewhere.remote import FETCHED, Damaged, Remote
 from novags.testbed.study.engines.worker import Outcome, function_at
 from novags.testbed.study.entry import Order, Task
@@ -128,10 +129,11 @@ def known(plan: Plan, remote: Remote, folder: Path) -> dict[str, Outcome]:
         if seal is None or seal.made_of != made_of:
             continue
         place = task.folder(folder)
-        if METRICS in seal.files:
-            keep_scores(place, remote.read(task, METRICS) or b"")
-            if damaged(place, Seal(key, {METRICS: seal.files[METRICS]}, {}, {})):
+        if METRICS in seal.records:
+            scores = remote.read(task, METRICS) or b""
+            if hashed(scores) != seal.records[METRICS]:
                 continue
+            keep_scores(place, scores)
         (place / FETCHED).replace(place / SEAL)
         found[key] = Outcome("done", {"content": seal.content, "cost": seal.cost, "made": False, "scores": None})
     return found

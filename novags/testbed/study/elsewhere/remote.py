@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from novags.testbed.ledger.store import SEAL, Seal, clear, damaged, read_seal
+from novags.testbed.ledger.store import SEAL, Seal, clear, damaged, files_of, read_seal
 from novags.testbed.study.entry import Task
 from sensor_model.files.atomic import atomic
 
@@ -84,7 +84,7 @@ class Remote:
         except ValueError as error:
             raise Damaged(f"{self.url}/{task.kind}/{task.name}: {error}") from error
         assert seal is not None
-        if seal.key != task.key or not all(_is_inside(name) for name in seal.files):
+        if seal.key != task.key or any("/" in name for name in seal.records):
             raise Damaged(f"{self.url}/{task.kind}/{task.name}: its seal is that of another entry")
         return seal
 
@@ -103,22 +103,23 @@ class Remote:
                 self._complete(task, folder, seal)
                 (folder / FETCHED).replace(folder / SEAL)
                 return seal
-        except Damaged:
+        except ValueError as error:
             clear(folder)
             (folder / FETCHED).unlink()
-            raise
+            raise Damaged(f"{self.url}/{task.kind}/{task.name}: {error}") from error
         if (folder / FETCHED).exists():  # a process that was fetching it has been killed, and now it is gone
             clear(folder)
             (folder / FETCHED).unlink()
         return None
 
     def _complete(self, task: Task, folder: Path, seal: Seal) -> None:
-        missing = damaged(folder, seal)
         (folder / SEAL).unlink(missing_ok=True)
-        with ThreadPoolExecutor(AT_ONCE) as pool:
-            list(pool.map(lambda name: self._get(task, name, folder / name), missing))
-        if wrong := damaged(folder, Seal(seal.key, {name: seal.files[name] for name in missing}, {}, {})):
-            raise Damaged(f"{self.url}/{task.kind}/{task.name}: {', '.join(wrong[:3])} not as written (checksum)")
+        for _ in range(2):  # the records, then the files that they list
+            missing = damaged(folder, seal)
+            with ThreadPoolExecutor(AT_ONCE) as pool:
+                list(pool.map(lambda name: self._get(task, name, folder / name), missing))
+        if wrong := damaged(folder, seal):
+            raise ValueError(f"{', '.join(wrong[:3])} not as written (checksum)")
 
     def _get(self, task: Task, name: str, path: Path) -> None:
         fs, root = self._place
@@ -134,7 +135,9 @@ class Remote:
         with suppress(FileNotFoundError):
             fs.rm_file(_path(root, task, SEAL))
         with ThreadPoolExecutor(AT_ONCE) as pool:
-            list(pool.map(lambda name: self._put(folder / name, _path(root, task, name)), seal.files))
+            list(
+                pool.map(lambda name: self._put(folder / name, _path(root, task, name)), files_of(folder, seal.records))
+            )
         self._put(folder / SEAL, _path(root, task, SEAL))
 
     def _put(self, path: Path, target: str) -> None:
@@ -145,8 +148,3 @@ class Remote:
 
 def _path(root: str, task: Task, name: str) -> str:
     return f"{root}/{task.kind}/{task.name}/{name}"
-
-
-def _is_inside(name: str) -> bool:
-    path = PurePosixPath(name)
-    return not path.is_absolute() and ".." not in path.parts

@@ -19,7 +19,7 @@ def made(store: Path, kind: str, key: str, *needs: str, text: str = "x") -> Path
     """A complete entry, made from others."""
     folder = store / kind / named(f"{kind}-a", key * 16)
     write_text(folder / "a.txt", text)
-    write_seal(folder, key * 16, {need * 16: "content" for need in needs} | {"lpips": False}, COST)
+    write_seal(folder, key * 16, {need * 16: "content" for need in needs} | {"lpips": False}, COST, ())
     return folder
 
 

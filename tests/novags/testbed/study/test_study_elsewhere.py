@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 
 from novags.testbed.console import Console
+from novags.testbed.ledger.source import hashed
 from novags.testbed.ledger.store import SEAL
 from novags.testbed.study.elsewhere import nodes as elsewhere
 from novags.testbed.study.elsewhere.nodes import Away
@@ -107,7 +108,11 @@ def test_what_is_damaged_in_the_store_is_made_again_where_it_is_needed(
     elif harm == "seal gone":
         fs.rm_file(f"{root}/run/a/{SEAL}")
     else:
-        write(url, f"run/a/{SEAL}", seal.replace(b'"1.txt"', b'"../../1.txt"'))
+        record = files(url)["/run/a/made.json"]
+        hostile = record.replace(b'"1.txt"', b'"../../1.txt"')
+        assert hostile != record
+        write(url, "run/a/made.json", hostile)
+        write(url, f"run/a/{SEAL}", seal.replace(hashed(record).encode(), hashed(hostile).encode()))
     make("two", url)
     assert [count(tmp_path, "two", key) for key in "ab"] == [1, 0]
     assert {name: content for name, content in files(url).items() if name.endswith(".txt")} == whole

@@ -216,7 +216,7 @@ def test_the_forecast_counts_what_is_there_and_writes_nothing(tmp_path: Path) ->
     folder = first.folder(tmp_path / "store")
     folder.mkdir(parents=True)
     store.write_seal(folder, first.key, {}, {"seconds": {"render": 50.0}, "peak_bytes": 10**9, "group": first.group,
-                                             "work": first.work, "pixels": first.pixels, "threads": 1})  # fmt: skip
+                                             "work": first.work, "pixels": first.pixels, "threads": 1}, ())  # fmt: skip
     before = sorted(tmp_path.rglob("*"))
     text = forecast(found, tmp_path / "store", OneMachine(2, 1))
     assert sorted(tmp_path.rglob("*")) == before
