@@ -61,8 +61,8 @@ def store(folder: Path, without_costs: Callable[[Any], Any]) -> dict[str, object
 
 
 def content(path: Path, without_costs: Callable[[Any], Any]) -> object:
-    if path.name == ".sealed.json":  # checksums of files that hold costs
-        return sorted(json.loads(path.read_text())["files"])
+    if path.name == ".sealed.json":  # hashes of records, which hold costs
+        return sorted(json.loads(path.read_text())["records"])
     return without_costs(json.loads(path.read_text())) if path.suffix == ".json" else path.read_bytes()
 
 
