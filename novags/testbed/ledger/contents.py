@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -15,8 +16,7 @@ from novags.testbed.ledger.hashes import remembered
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import check_links, opened
 from sensor_model.files.reading import brief
-from sensor_model.files.records import read_json as read_any
-from sensor_model.files.records import read_record
+from sensor_model.files.records import read_record, read_whole
 
 UNFINISHED = "unfinished.json"  # while a stage is under way: part of nothing
 # The way in which files are hashed here: another version of this file may do it in another one.
@@ -158,22 +158,16 @@ def shortened(content: bytes) -> str:
 
 def read_digest(path: Path) -> bytes:
     """The whole digest of a file, from the disk whatever was seen before."""
-    if path.suffix == ".json" and (record := _record(path)) is not None:
-        return digest(_lasting(record)).encode()
+    if path.suffix == ".json":
+        with suppress(ValueError):  # not JSON: its bytes count
+            found = read_whole(path)
+            is_record = isinstance(found.value, dict) and "stage" in found.value
+            return digest(_lasting(found.value)).encode() if is_record else found.hash
     content = hashlib.blake2b()
     with opened(path) as file:
         while chunk := file.read(1 << 20):
             content.update(chunk)
     return content.digest()
-
-
-def _record(path: Path) -> dict[str, Any] | None:
-    """The record of a stage, or None for any other JSON file."""
-    try:
-        value = read_any(path)
-    except ValueError:
-        return None
-    return value if isinstance(value, dict) and "stage" in value else None
 
 
 def _lasting(value: Any) -> Any:
