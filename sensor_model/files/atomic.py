@@ -11,7 +11,7 @@ from glob import escape
 from pathlib import Path
 from typing import BinaryIO
 
-from sensor_model.files.door import check_links, descriptor_of_our_own
+from sensor_model.files.door import check_links, descriptor_of_our_own, stamp_of
 
 _PARTIAL = re.compile(r"\..*\.(\d+)\.partial")  # the beginning of a temporary name, with the number of its process
 
@@ -76,17 +76,12 @@ class Witness:
         """It has appeared."""
         for file in sorted(target.rglob("*")) if target.is_dir() else [target]:
             if file.is_file():
-                self.stamps[os.path.abspath(file)] = _stamp(file)
+                self.stamps[os.path.abspath(file)] = stamp_of(file)
 
     def unchanged(self, path: Path) -> bytes | None:
         """What was found of a file that is as it was when it appeared; None if that has to be seen by reading it."""
         place = os.path.abspath(path)
-        return self.found.get(place) if self.stamps.get(place) == _stamp(path) else None
-
-
-def _stamp(path: Path) -> tuple[int, ...]:
-    found = os.stat(path)
-    return found.st_dev, found.st_ino, found.st_mtime_ns, found.st_ctime_ns, found.st_size
+        return self.found.get(place) if self.stamps.get(place) == stamp_of(path) else None
 
 
 _witnesses: list[Witness] = []

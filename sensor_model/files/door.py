@@ -156,6 +156,19 @@ def opened(path: AnyPath, *, most: int | None = None) -> BinaryIO:
         raise
 
 
+def stamp_of(file: AnyPath | int) -> tuple[int, ...]:
+    """What changes when a file does, by its name or its descriptor: device, inode, times, size.
+
+    A clock set back, or a copy that keeps its time stamp, can repeat the time of modification; hardly the time of
+    change.
+
+    Raises:
+        OSError: If there is no such file.
+    """
+    found = os.stat(file)
+    return found.st_dev, found.st_ino, found.st_mtime_ns, found.st_ctime_ns, found.st_size
+
+
 def admitted(path: AnyPath, *, most: int | None = None) -> str:
     """The same for a library that opens files by name: its name, once the file has passed. Arguments as `opened`."""
     with opened(path, most=most):
@@ -175,7 +188,15 @@ def read_text(path: AnyPath, *, most: int = TEXT) -> str:
         ValueError: As `opened`, and if it is not UTF-8.
         OSError: As `opened`.
     """
-    content = read_bytes(path, most=most)
+    return as_text(read_bytes(path, most=most), path)
+
+
+def as_text(content: bytes, path: AnyPath) -> str:
+    """Bytes of the file `path` as text, as `read_text`.
+
+    Raises:
+        ValueError: If they are not UTF-8.
+    """
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:

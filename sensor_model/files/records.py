@@ -1,5 +1,7 @@
 """JSON files: read, and checked against the shape that their readers rely on, so that an edit by hand costs one line.
 
+Where several readers want the same file, and its hash, `read_once` has it opened once for all of them.
+
 A shape is
     str, bool, dict, list, None   a value of that type
     int, float                    a whole number below 2**63; a finite number, in floating point
@@ -12,12 +14,18 @@ A shape is
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from sensor_model.files.door import TEXT, read_text
+from sensor_model.files.door import TEXT, as_text, opened, stamp_of
 from sensor_model.files.reading import brief, reading
 
 DEPTH = 64  # of lists and objects in each other; deeper ones exhaust what walks through them
@@ -34,6 +42,45 @@ class Numbers:
 
     def __init__(self, *size: int) -> None:
         self.size = size
+
+
+@dataclass(frozen=True)
+class Read:
+    """A JSON file as it was when it was opened.
+
+    Attributes:
+        value: What it holds. All readers share it, so none changes it.
+        hash: blake2b of its bytes.
+        stamp: As `stamp_of` gave it.
+    """
+
+    value: Any
+    hash: bytes
+    stamp: tuple[int, ...]
+
+
+Reads = dict[str, Read]  # by absolute path
+
+_reads: ContextVar[Reads | None] = ContextVar("reads", default=None)
+
+
+@contextmanager
+def read_once(reads: Reads) -> Iterator[Reads]:
+    """While the block runs, a JSON file that `reads` holds is not opened again, and one that is opened is held there.
+
+    So what is checked, hashed and used are the same bytes, whoever writes to the file meanwhile.
+    """
+    token = _reads.set(reads)
+    try:
+        yield reads
+    finally:
+        _reads.reset(token)
+
+
+def read_already(path: Path) -> Read | None:
+    """What the block of `read_once` that runs now has read of a file; None: nothing."""
+    reads = _reads.get()
+    return None if reads is None else reads.get(os.path.abspath(path))
 
 
 def read_record(path: Path, shape: Shape = dict, remedy: str = "correct it or put the original back") -> Any:
@@ -63,11 +110,25 @@ def read_json(
         most: Bytes that it may have.
         infinite: Let Infinity and NaN pass, as `parse_json`.
     """
+    return read_whole(path, remedy, most=most, infinite=infinite).value
+
+
+def read_whole(
+    path: Path, remedy: str = "correct it or put the original back", *, most: int = TEXT, infinite: bool = False
+) -> Read:
+    """The content of a JSON file with its hash; arguments and errors as for `read_json`."""
+    if (known := read_already(path)) is not None:
+        return known
     try:
-        text = read_text(path, most=most)
+        with opened(path, most=most) as file:
+            stamp, content = stamp_of(file.fileno()), file.read()
     except OSError as error:
         raise ValueError(f"cannot read {path}: {error.strerror or error}") from error
-    return parse_json(text, f"{path}", remedy, infinite=infinite)
+    value = parse_json(as_text(content, path), f"{path}", remedy, infinite=infinite)
+    found = Read(value, hashlib.blake2b(content).digest(), stamp)
+    if (reads := _reads.get()) is not None:
+        reads[os.path.abspath(path)] = found
+    return found
 
 
 def parse_json(

@@ -35,6 +35,7 @@ from sensor_model.files.camera_file import sensor_from_dict
 from sensor_model.files.dng import write_dng
 from sensor_model.files.door import enter, resolved
 from sensor_model.files.reading import reading
+from sensor_model.files.records import Reads, read_once
 from sensor_model.isp import DEMOSAIC, Demosaic, develop, develop_linear, from_linear16, srgb_to_linear, white_balance
 from sensor_model.params import Cfa, Exposure, Sensor
 from simscenes.sets.multiview import MultiviewSet, load_set
@@ -102,7 +103,8 @@ class Capture:
     record: dict[str, Any]
     cameras: MultiviewSet
     sensor: Sensor | None  # None: of imported photographs whose camera is not known
-    content: str  # hash of all that the capture stage wrote, as it was when this was opened
+    content: str  # hash of all that the capture stage wrote, as it was when this was opened; "": not looked at
+    reads: Reads = field(default_factory=dict, repr=False, compare=False)  # its JSON files, as they were opened
     memo: Memo = field(default_factory=Memo, repr=False, compare=False)  # what was read and computed from it so far
 
     @property
@@ -114,6 +116,10 @@ class Capture:
     def imported(self) -> bool:
         """Whether it is photographs from elsewhere, not simulated exposures."""
         return imported.is_imported(self.record)
+
+    def digest(self) -> str:
+        """Hash of all that the capture stage wrote, as it is now."""
+        return folder_digest(self.path, OWNS)
 
     def holds(self, part: str) -> bool:
         """Whether it has "images16", "raw", "truth" (the noise-free exposure) or, in the folder itself, "lit"."""
@@ -298,7 +304,7 @@ class Capture:
             ValueError: If the set is no longer where it was, or no longer what it was.
         """
         source = self.unchecked_source(console)
-        if not self.imported and source.digest() != self.record["stage"]["inputs"]["set"]:
+        if not self.imported and source.content != self.record["stage"]["inputs"]["set"]:
             path = source.views.path
             raise ValueError(f"{path} has changed since {self.path} was made from it: put it back or capture again")
         return source
@@ -321,7 +327,7 @@ class Capture:
         kind = "lit" if lit else "images"
         files = tuple(self.path / kind / f"{name}.png" for name in self.names)
         views = replace(self.cameras, files=files, meta={"scene": self.record["scene"]}, kind="photographs")
-        return Source(views=views, rig=self.cameras.rig, console=console, lit_known=lit)
+        return Source(views=views, rig=self.cameras.rig, console=console, lit_known=lit, reads=self.reads)
 
 
 def _truth_dn(path: Path, kind: str) -> np.ndarray:
@@ -345,35 +351,34 @@ def exposure_of(record: dict[str, Any]) -> Exposure:
 _OPENED: dict[Path, Capture] = {}  # the last one: stages of one experiment open the same capture again and again
 
 
-def open_capture(path: Path) -> Capture:
+def open_capture(path: Path, *, whole: bool = True) -> Capture:
     """Open a capture folder; an unchanged one that is already open is shared, with everything read from it.
 
+    Args:
+        path: The folder.
+        whole: See whether each of its files is as it was written; else `content` is "", and nothing is shared.
+
     Raises:
-        ValueError: If the folder is missing, is not a capture, or is unfinished.
+        ValueError: If the folder is missing, is not a capture, is unfinished, or is damaged.
     """
-    (record, sensor), content = _read_record(path), content_of(path)
-    refuse_damage(path, record, REMEDY)
-    known = _OPENED.get(resolved(path))
-    if known is not None and known.content == content:
+    _enter(path)
+    place = resolved(path)
+    if whole and (known := _OPENED.get(place)) is not None and known.digest() == known.content:
         return known
-    capture = Capture(path=path, record=record, cameras=load_set(path), sensor=sensor, content=content)
-    _OPENED.clear()
-    _OPENED[resolved(path)] = capture
+    with read_once({}) as reads:
+        record, sensor = _read_record(path)
+        content = folder_digest(path, OWNS) if whole else ""
+        if whole:
+            refuse_damage(path, record, REMEDY)
+        capture = Capture(path=path, record=record, cameras=load_set(path), sensor=sensor, content=content, reads=reads)
+    if whole:
+        _OPENED.clear()
+        _OPENED[place] = capture
     return capture
 
 
-def content_of(path: Path) -> str:
-    """Hash of all that the capture stage wrote into a folder, as it is now."""
-    return folder_digest(path, OWNS)
-
-
-def open_unchecked(path: Path) -> Capture:
-    """As `open_capture`, without reading all of it: `content` is "", and nothing is shared."""
-    record, sensor = _read_record(path)
-    return Capture(path=path, record=record, cameras=load_set(path), sensor=sensor, content="")
-
-
-def _read_record(path: Path) -> tuple[dict[str, Any], Sensor | None]:
+def _enter(path: Path) -> None:
+    """Take a folder as given that holds a finished capture."""
     if not path.is_dir():
         raise ValueError(f"no such capture folder: {path}")
     enter(path)
@@ -381,6 +386,9 @@ def _read_record(path: Path) -> tuple[dict[str, Any], Sensor | None]:
         raise ValueError(
             f"{path} holds no {RECORD}: it is not a capture, or an unfinished one (run novags capture again)"
         )
+
+
+def _read_record(path: Path) -> tuple[dict[str, Any], Sensor | None]:
     record = read_json(path / RECORD)
     foreign = imported.is_imported(record)
     record = imported.check_record(path / RECORD) if foreign else read_json(path / RECORD, shapes.CAPTURE)

@@ -152,7 +152,7 @@ class Run:
         capture = open_capture(path)
         source = capture.source(console)
         made_from = self.record["stage"]["inputs"]
-        if (capture.content, source.digest()) != (made_from["capture"], made_from["set"]):
+        if (capture.content, source.content) != (made_from["capture"], made_from["set"]):
             raise ValueError(f"{path} has changed since {self.path} was made from it: put it back or reconstruct again")
         return capture, source
 

@@ -4,7 +4,7 @@ Radiance is float32 linear RGB [h,w,3]; lit images are float32 sRGB-encoded [h,w
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -14,6 +14,7 @@ from novags.numbers import SSIM_WINDOW
 from novags.testbed.console import Console, warnings_as_notes
 from novags.testbed.folders.linear_photographs import load_linear_set
 from novags.testbed.ledger.contents import folder_digest, refuse_damage
+from sensor_model.files.records import Reads, read_once
 from sensor_model.isp import linear_to_srgb
 from simscenes.rigs import Rig
 from simscenes.sets.geometry.plausible import with_tested_tracks
@@ -41,6 +42,7 @@ class Source:
     console: Console  # where notes on single views go
     lit_known: bool = True  # False: the views themselves are dark, and nothing shows them in good light
     called: str = ""  # what messages call it; "" is the set and its folder
+    reads: Reads = field(default_factory=dict, repr=False, compare=False)  # its JSON files, as they were opened
 
     @property
     def title(self) -> str:
@@ -142,8 +144,14 @@ class Source:
             points = with_tested_tracks(self.views, points)
         return points.at_size(self.views.rig, self.rig)
 
+    @cached_property
+    def content(self) -> str:
+        """What `digest` gives of the set as it was when it was opened; errors as there."""
+        with read_once(self.reads):
+            return self.digest()
+
     def digest(self) -> str:
-        """Hash of everything that is read from the set, wherever its files are.
+        """Hash of everything that is read from the set, wherever its files are, as it is now.
 
         Raises:
             ValueError: If a file of a set that was rendered here is not as it was written.
@@ -178,9 +186,10 @@ def open_source(path: Path, console: Console, max_size: int | None = None) -> So
     Raises:
         ValueError: If the folder holds no posed images, or their shortest side is, or becomes, too short for scores.
     """
-    with warnings_as_notes(console):
+    reads: Reads = {}
+    with warnings_as_notes(console), read_once(reads):
         views = load_linear_set(path) or load_set(path)
-    return source_of(views, console, max_size)
+    return replace(source_of(views, console, max_size), reads=reads)
 
 
 def source_of(views: MultiviewSet, console: Console, max_size: int | None = None) -> Source:

@@ -11,7 +11,7 @@ import numpy as np
 from novags.methods.problem import encode
 from novags.testbed.console import Console
 from novags.testbed.folders import run as run_folder
-from novags.testbed.folders.capture import RECORD, Capture, content_of, open_capture
+from novags.testbed.folders.capture import RECORD, Capture, open_capture
 from novags.testbed.foreign.pictures import Picture, find_renders, read_picture
 from novags.testbed.foreign.process import Spent, run_program
 from novags.testbed.ledger.stage import run_stage
@@ -46,7 +46,8 @@ def run_command(
         out,
         run_folder.RECORD,
         code=config.code,
-        inputs=lambda: {"capture": content_of(capture_path), "set": source.digest()},
+        opened={"capture": capture.content, "set": source.content},
+        inputs=lambda: {"capture": capture.digest(), "set": source.digest()},
         config=config.resolved(),
         owns=(*run_folder.OWNS, WORK),
         prepare=lambda: None,

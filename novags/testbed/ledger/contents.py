@@ -4,6 +4,7 @@ import hashlib
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any
@@ -16,8 +17,7 @@ from novags.testbed.ledger.source import hashed
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import check_links, opened
 from sensor_model.files.reading import brief
-from sensor_model.files.records import read_json as read_any
-from sensor_model.files.records import read_record
+from sensor_model.files.records import read_record, read_whole
 
 UNFINISHED = "unfinished.json"  # while a stage is under way: part of nothing
 # The way in which files are hashed here: another version of this file may do it in another one.
@@ -165,8 +165,11 @@ def _holds(path: Path, known: str, known_by: Callable[[Path], str]) -> bool:
 
 def read_digest(path: Path) -> bytes:
     """The whole digest of a file, from the disk whatever was seen before."""
-    if path.suffix == ".json" and (record := _record(path)) is not None:
-        return record_digest(record)
+    if path.suffix == ".json":
+        with suppress(ValueError):  # not JSON: its bytes count
+            found = read_whole(path)
+            is_record = isinstance(found.value, dict) and "stage" in found.value
+            return record_digest(found.value) if is_record else found.hash
     content = hashlib.blake2b()
     with opened(path) as file:
         while chunk := file.read(1 << 20):
@@ -177,15 +180,6 @@ def read_digest(path: Path) -> bytes:
 def record_digest(record: Mapping[str, Any]) -> bytes:
     """The whole digest of the record of a stage: of what it says, not of what it cost."""
     return digest(_lasting(jsonable(record))).encode()
-
-
-def _record(path: Path) -> dict[str, Any] | None:
-    """The record of a stage, or None for any other JSON file."""
-    try:
-        value = read_any(path)
-    except ValueError:
-        return None
-    return value if isinstance(value, dict) and "stage" in value else None
 
 
 def _lasting(value: Any) -> Any:

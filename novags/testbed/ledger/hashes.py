@@ -14,25 +14,15 @@ from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
+from sensor_model.files.door import stamp_of
 from sensor_model.files.own import cache_folder, own_folder
+from sensor_model.files.records import read_already
 
 VERIFY = "NOVAGS_VERIFY"  # set by --verify of every command; processes that it starts inherit it
 SETTLED = 2_000_000_000  # ns
 MOST = 1_000_000  # files; beyond them all is forgotten
 
-Stamp = tuple[int, int, int, int, int, str]
-
-
-def stamp_of(path: Path) -> Stamp:
-    """What changes when a file does: device, inode, times, size; and its suffix, which decides how it is read.
-
-    A clock set back, or a copy that keeps its time stamp, can repeat the time of modification; hardly that of change.
-
-    Raises:
-        OSError: If there is no such file.
-    """
-    found = os.stat(path)
-    return found.st_dev, found.st_ino, found.st_mtime_ns, found.st_ctime_ns, found.st_size, path.suffix
+Stamp = tuple[int | str, ...]
 
 
 def remembered(path: Path, read: Callable[[Path], bytes], how: str) -> bytes:
@@ -46,15 +36,17 @@ def remembered(path: Path, read: Callable[[Path], bytes], how: str) -> bytes:
     Raises:
         OSError: If there is no such file, or it cannot be read.
     """
-    stamp = stamp_of(path)
+    known = read_already(path)  # whose bytes are hashed: the stamp has to be theirs, whatever lies there by now
+    times = stamp_of(path) if known is None else known.stamp
+    stamp = (*times, path.suffix)  # which decides how it is read
     if os.environ.get(VERIFY):
         return read(path)
-    if stamp not in _SEEN and (known := _base(how, os.getpid()).find(stamp)) is not None:
-        _SEEN[stamp] = known
+    if stamp not in _SEEN and (before := _base(how, os.getpid()).find(stamp)) is not None:
+        _SEEN[stamp] = before
     if stamp in _SEEN:
         return _SEEN[stamp]
     found = read(path)
-    if time.time_ns() - max(stamp[2], stamp[3]) > SETTLED:
+    if time.time_ns() - max(times[2], times[3]) > SETTLED:
         _SEEN[stamp] = found
         _base(how, os.getpid()).keep(stamp, found)
     return found

@@ -88,6 +88,7 @@ def run_stage(
     *,
     code: Code,
     inputs: Callable[[], Mapping[str, str]],
+    opened: Mapping[str, str] | None = None,
     config: Mapping[str, Any],
     owns: Sequence[str],
     prepare: Callable[[], Prepared],
@@ -105,6 +106,7 @@ def run_stage(
         record_name: The record, written last.
         code: What does the work.
         inputs: Gives the content hash of each input, by name; asked before the work and after it.
+        opened: What it gave of the inputs as they were read, where that is known; it is not asked before the work then.
         config: The resolved configuration (JSON-able).
         owns: Names in `folder` that the stage writes; nothing else is ever removed.
         prepare: Reads and checks the inputs. An earlier result stays untouched until it has returned.
@@ -125,7 +127,7 @@ def run_stage(
     """
     with locked(folder, owns), memory_shortage_said(name):
         stage = _Stage(name, folder, record_name, code, tuple(owns), tuple(scrap), console, overwrite)
-        return stage.run(inputs, jsonable(config), prepare, work, stale)
+        return stage.run(inputs, jsonable(config), prepare, work, stale, opened)
 
 
 def refuse_other(
@@ -190,9 +192,10 @@ class _Stage:
         prepare: Callable[[], Prepared],
         work: Callable[[Prepared], Mapping[str, Any]],
         stale: Sequence[Path],
+        opened: Mapping[str, str] | None = None,
     ) -> dict[str, Any]:
         """As `run_stage` says."""
-        inputs = dict(ask())
+        inputs = dict(ask() if opened is None else opened)
         about = {"name": self.name, "code": self.code.key, "inputs": inputs, "config": config}
         key, record_path = stage_key(about), self.folder / self.record_name
         record = read_json(record_path, KEYED) if record_path.exists() else {}

@@ -41,7 +41,7 @@ def cameras_of(
     """
     with failing_in("cameras"):
         check_cameras(config)
-        asked = ("cameras", config, source.digest(), tuple(indices), points, seed, device)
+        asked = ("cameras", config, source.content, tuple(indices), points, seed, device)
         found = capture.memo.once(
             asked, lambda: _found(config, capture, source, indices, points, seed, device, console)
         )

@@ -80,6 +80,7 @@ def capture(
             out,
             capture_folder.RECORD,
             code=config.code,
+            opened={"set": source.content},
             inputs=lambda: {"set": source.digest()},
             config=config.resolved(),
             owns=(*capture_folder.OWNS, *LAYOUTS),

@@ -10,7 +10,7 @@ from novags.methods.denoised.denoiser import denoised
 from novags.methods.denoised.measured import of_capture
 from novags.methods.denoised.weights import made_by
 from novags.testbed.console import Console
-from novags.testbed.folders.capture import Capture, content_of, open_capture
+from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.machine.devices import chosen_device
 from novags.testbed.stages.configs.denoising import DenoisePicturesConfig
@@ -42,7 +42,8 @@ def denoise(
         out,
         RECORD,
         code=config.code,
-        inputs=lambda: {"capture": content_of(capture_path)},
+        opened={"capture": capture.content},
+        inputs=lambda: {"capture": capture.digest()},
         config=settings,
         owns=(RECORD, LINEAR, SHOWN),
         prepare=lambda: None,

@@ -19,7 +19,7 @@ from novags.methods.variant import sees_statistics
 from novags.splats.views import Views
 from novags.testbed.console import Console, losses_text, warnings_as_notes
 from novags.testbed.folders import run as run_folder
-from novags.testbed.folders.capture import Capture, content_of, open_capture
+from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.events import EventLog
 from novags.testbed.folders.imported import MISSING
 from novags.testbed.folders.place import keep_place
@@ -73,7 +73,8 @@ def reconstruct(
         out,
         run_folder.RECORD,
         code=config.code,
-        inputs=lambda: {"capture": content_of(capture_path), "set": source.digest(), **files_of(config)},
+        opened={"capture": capture.content, "set": source.content, **files_of(config)},
+        inputs=lambda: {"capture": capture.digest(), "set": source.digest(), **files_of(config)},
         config=config.resolved(),
         owns=run_folder.OWNS,
         prepare=lambda: prepare(capture, source, config, console),

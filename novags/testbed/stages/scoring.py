@@ -10,7 +10,7 @@ from novags.methods.enhancers import ENHANCERS
 from novags.methods.problem import encode
 from novags.testbed.console import Console, Update
 from novags.testbed.exposures import Exposures, as_compared, exposures_of
-from novags.testbed.folders.capture import Capture, content_of
+from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import METRICS, Run, open_run
 from novags.testbed.folders.set import Source
 from novags.testbed.ledger.code import Code, code_of
@@ -48,7 +48,7 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
     missing = PerceptualDistance.missing(captured.cameras.rig.width, captured.cameras.rig.height)
 
     def inputs() -> dict[str, str]:
-        return {"run": run.digest(), "capture": content_of(captured.path), "set": lit.digest()}
+        return {"run": run.digest(), "capture": captured.digest(), "set": lit.digest()}
 
     def work(_: None) -> dict[str, Any]:
         lpips = PerceptualDistance() if missing is None else None
@@ -75,6 +75,7 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
 
     return run_stage(
         "score", run_path, METRICS, code=code_of_scores(run), inputs=inputs,
+        opened={"run": run.digest(), "capture": captured.content, "set": lit.content},
         config={"lpips": missing is None}, owns=(METRICS,),
         prepare=lambda: None, work=work, console=console, overwrite=True,  # scores describe what is there now
     )  # fmt: skip

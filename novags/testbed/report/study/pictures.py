@@ -7,7 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from novags.testbed.console import Console, warnings_as_notes
-from novags.testbed.folders.capture import Capture, open_unchecked
+from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.run import Run
 from novags.testbed.folders.set import Source
 from novags.testbed.report.look.album import Album
@@ -91,7 +91,7 @@ def _rendered(runs: Mapping[str, Run], name: str) -> dict[str, Run]:
 def _opened(path: Path) -> tuple[Capture, Source]:
     """A capture and its set; where that is gone, the capture's own cameras without any truth in good light."""
     with warnings_as_notes(QUIET):  # a picture that is missing has its place in the page
-        capture = open_unchecked(path)
+        capture = open_capture(path, whole=False)
     try:
         return capture, capture.unchecked_source(QUIET)
     except ValueError:

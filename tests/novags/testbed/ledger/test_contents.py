@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from novags.testbed.ledger.contents import UNFINISHED, digest, folder_digest, jsonable, read_json, write_json
+from sensor_model.files.records import read_once
 
 
 def test_folder_digest_sees_content_and_names_but_not_costs(tmp_path: Path) -> None:
@@ -95,3 +96,19 @@ def test_broken_records_give_one_clear_error(tmp_path: Path, content: str | None
         (tmp_path / "r.json").write_text(content)
     with pytest.raises(ValueError, match=message):
         read_json(tmp_path / "r.json")
+
+
+def test_what_is_hashed_is_what_was_parsed_whoever_writes_meanwhile(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("novags.testbed.ledger.hashes.time.time_ns", lambda: 1 << 62)  # every hash is remembered
+    file = tmp_path / "a.json"
+    file.write_text('{"a": 1}')
+    before = folder_digest(tmp_path)
+    with read_once({}):
+        assert read_json(file) == {"a": 1}
+        file.write_text('{"b": 22}')
+        assert read_json(file) == {"a": 1}
+        assert folder_digest(tmp_path) == before
+    assert read_json(file) == {"b": 22}
+    assert folder_digest(tmp_path) != before
