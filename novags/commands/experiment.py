@@ -4,7 +4,6 @@ import os
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from novags.commands import shared
 from novags.commands.shared import announce, cameras_of, command_line, say, variants_of, writing
 from novags.options import Define, Device, PresetName, Repeated
 
@@ -84,10 +83,9 @@ def run(
         device: Where training runs; auto takes a GPU if there is one that can be used.
         overwrite: Replace finished results of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
-        dry_run: Only say which stages would be done, or done again and why. Nothing is written.
+        dry_run: Only say which stages would be done, or done again and why. Nothing is written. With a budget whose
+            settings are not chosen yet: what would be tried, and what would be chosen from.
     """
-    if dry_run and budget is not None:
-        raise ValueError("--dry-run does not go with --budget, whose settings are chosen by measurements")
     from novags.testbed import experiment
     from novags.testbed.presets import EXPERIMENTS, adapted
 
@@ -104,10 +102,10 @@ def run(
         if curves is not None:
             raise ValueError(f"--curves {curves} belong to a budget: add --budget, or leave them out")
         folder = whole if out is None else out
-        if dry_run:
-            experiment.said(chosen, folder, shared.console(), overwrite=overwrite)
-            return
-        with writing(folder, wait) as console:
+        with writing(folder, wait, dry_run=dry_run) as console:
+            if dry_run:
+                experiment.said(chosen, folder, console, overwrite=overwrite)
+                return
             report_path = experiment.run(chosen, folder, console, command=command_line(folder), overwrite=overwrite)
         announce(report_path)
         return
@@ -116,7 +114,7 @@ def run(
         "size": width or height,
     }  # fmt: skip
     given = frozenset(name for name, value in decided.items() if value is not None)
-    _within(chosen, budget, given, curves, out, whole, wait, overwrite)
+    _within(chosen, budget, given, curves, out, whole, wait, overwrite, dry_run)
 
 
 def _compared(methods: tuple[str, ...] | None, variant: Repeated) -> tuple[str, ...] | None:
@@ -127,7 +125,7 @@ def _compared(methods: tuple[str, ...] | None, variant: Repeated) -> tuple[str, 
 
 def _within(
     preset: "Preset", budget: str, given: frozenset[str], curves: Path | None, out: Path | None, whole: Path,
-    wait: bool, overwrite: bool,
+    wait: bool, overwrite: bool, dry_run: bool,
 ) -> None:  # fmt: skip
     """Run an experiment in a given time; `whole`: where the same one without a budget lies, if it was run."""
     from novags.testbed.budget import conduct
@@ -135,7 +133,10 @@ def _within(
 
     request = conduct.Request(preset, seconds_of(budget), given, curves)
     folder = whole.with_name(f"{whole.name}-{request.budget:g}s") if out is None else out
-    with writing(folder, wait) as console:
+    with writing(folder, wait, dry_run=dry_run) as console:
+        if dry_run:
+            conduct.tell(request, folder, console, overwrite=overwrite)
+            return
         report_path = conduct.run(request, folder, console, command=command_line(folder), overwrite=overwrite)
     for line in conduct.result(request, folder, whole):
         say(line)

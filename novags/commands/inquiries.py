@@ -10,7 +10,7 @@ from novags.options import Listed
 
 
 def doctor(*, stability: bool = False, part: tuple[str, ...] = (), long: bool = False, out: Path | None = None,
-           overwrite: bool = False) -> None:  # fmt: skip
+           overwrite: bool = False, dry_run: bool = False) -> None:  # fmt: skip
     """Check what works on this machine, what does not, and how to install what is missing.
 
     Args:
@@ -19,14 +19,20 @@ def doctor(*, stability: bool = False, part: tuple[str, ...] = (), long: bool = 
         long: With the cases that take minutes.
         out: File for the table of hard cases, Markdown; in a page like docs/stability.md it replaces the old table.
         overwrite: Replace a file that holds anything else.
+        dry_run: Only say whether that file would be made, or made again. Nothing is computed or written.
     """
+    from novags.testbed.ledger.stage import dry_run as dry
     from novags.testbed.machine.doctor import examine
+
+    if dry_run and out is None:
+        raise ValueError("--dry-run belongs to --out: without it doctor makes nothing")
 
     if stability or part or long or out is not None:
         from novags.testbed.stability.console import show
 
-        if not show(part, long=long, out=out, overwrite=overwrite):
-            raise SystemExit(1)
+        with dry(dry_run):
+            if not show(part, long=long, out=out, overwrite=overwrite):
+                raise SystemExit(1)
         return
     marks = {"ok": "ok     ", "missing": "missing", "broken": "BROKEN "}
     broken = False

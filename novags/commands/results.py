@@ -35,10 +35,13 @@ def score(
         wait: If another process is writing there, wait until it is done instead of refusing.
         dry_run: Only say which scores would be made, or made again and why. Nothing is written.
     """
+    from novags.testbed.ledger.stage import dry_run as dry
+
     if renders is not None or set is not None:
         if renders is None or set is None or runs:
             raise ValueError("score takes either folders of runs, or both --renders and --set")
-        _score_pictures(renders, set, reference or "lit", out, overwrite)
+        with dry(dry_run):
+            _score_pictures(renders, set, reference or "lit", out, overwrite)
         return
     if not runs:
         raise ValueError("name at least one folder of a run, or pictures with --renders and --set")
@@ -51,8 +54,8 @@ def score(
     from novags.testbed.results.comparison import groups_of
 
     for folder in [part for given in runs for part in experiments_in(given)]:
-        with writing(folder, wait, make=False) as console:
-            score_all(folder, console, dry=dry_run)
+        with writing(folder, wait, make=False, dry_run=dry_run) as console:
+            score_all(folder, console)
     if dry_run:
         return
     groups = groups_of(runs, shared.console())
@@ -77,7 +80,7 @@ def _score_pictures(
         if out.exists() and not overwrite:
             raise ValueError(f"{out} is there already: choose another --out, or add --overwrite")
     console = shared.console()
-    found = score_renders(renders, Truth.of(set, console), reference, console)
+    found = score_renders(renders, Truth.of(set, console), reference, console, out)
     about = found["about"]
     kinds = " and ".join(about["pictures"])
     say(f"{len(found['views'])} test views, {kinds} pictures, against {reference}: {about['meaning']}")
@@ -90,7 +93,7 @@ def _score_pictures(
 
 def export_results(
     runs: Folders, *, out: Path, reference: Literal["lit", "enhanced"] = "lit", dataset: str = "novags",
-    overwrite: bool = False, wait: bool = False,
+    overwrite: bool = False, wait: bool = False, dry_run: bool = False,
 ) -> None:  # fmt: skip
     """Export scores of runs in the JSON layout of nerfbaselines, with the pictures that they compare.
 
@@ -101,10 +104,11 @@ def export_results(
         dataset: Name of the data set in these files.
         overwrite: Replace results that are there.
         wait: If another process is writing there, wait until it is done instead of refusing.
+        dry_run: Only say which files would be made, or made again. Nothing is written.
     """
     from novags.testbed.foreign.nerfbaselines import export_results as export
 
-    with writing(out, wait) as console:
+    with writing(out, wait, dry_run=dry_run) as console:
         say(export(runs, out, console, reference=reference, dataset=dataset, overwrite=overwrite))
 
 
@@ -129,7 +133,9 @@ def _decibels(score: float | None) -> str:
     return "not scored, because the reference shows nothing" if score is None else f"{score:.2f} dB"
 
 
-def report(runs: Folders, *, out: Path | None = None, overwrite: bool = False, wait: bool = False) -> None:
+def report(
+    runs: Folders, *, out: Path | None = None, overwrite: bool = False, wait: bool = False, dry_run: bool = False
+) -> None:
     """Write a report on scored runs, or on a study: one HTML file. Where there are many pictures, the page holds
     thumbnails, and whole ones lie in a folder beside it.
 
@@ -138,21 +144,23 @@ def report(runs: Folders, *, out: Path | None = None, overwrite: bool = False, w
         out: The file; if not given, report.html in a single folder, comparison.html beside several.
         overwrite: Replace a file even if it is not a report on the same runs or study.
         wait: If another process is writing there, wait until it is done instead of refusing.
+        dry_run: Only say which files would be made, or made again; whether pictures need a folder beside the page is
+            seen when it is made. Nothing is written.
     """
     from novags.testbed.report.page import report_path, write_reports
     from novags.testbed.report.study.page import is_study, write_study
 
     if len(runs) == 1 and is_study(runs[0]):
-        with writing((out or runs[0] / "x").parent, wait, make=out is not None):
-            path = write_study(runs[0], out, overwrite=overwrite)
-        announce(path)
+        with writing((out or runs[0] / "x").parent, wait, make=out is not None, dry_run=dry_run):
+            announce(write_study(runs[0], out, overwrite=overwrite))
         return
-    with writing((out or report_path(runs)).parent, wait, make=out is not None) as console:
-        path = write_reports(runs, console, out=out, overwrite=overwrite)
-    announce(path)
+    with writing((out or report_path(runs)).parent, wait, make=out is not None, dry_run=dry_run) as console:
+        announce(write_reports(runs, console, out=out, overwrite=overwrite))
 
 
-def characterise(folder: Folder, *, out: Path, window: int = 1024, overwrite: bool = False, wait: bool = False) -> None:
+def characterise(
+    folder: Folder, *, out: Path, window: int = 1024, overwrite: bool = False, wait: bool = False, dry_run: bool = False
+) -> None:
     """Estimate a camera from its dark and flat frames, and write it as a TOML file for --sensor.
 
     Args:
@@ -162,15 +170,19 @@ def characterise(folder: Folder, *, out: Path, window: int = 1024, overwrite: bo
         window: Side of the central square of the sensor that is used, in pixels.
         overwrite: Replace a file of other content.
         wait: If another process is writing there, wait until it is done instead of refusing.
+        dry_run: Estimate the camera, on which it depends whether a file there is another, and only say whether it would
+            be made, or made again. Nothing is written.
     """
     from novags.numbers import SIDE, check_range
     from novags.testbed.calibration_frames import characterise_folder
+    from novags.testbed.ledger.stage import planned
     from sensor_model.files.camera_file import write_sensor
 
     check_range("window", window, 2, SIDE, " px")
-    with writing(out.parent, wait, name=f".{out.name}.lock"):
+    with writing(out.parent, wait, name=f".{out.name}.lock", dry_run=dry_run) as console:
         sensor, found = characterise_folder(folder, window=window)
         comment = f"measured from {os.path.basename(os.path.realpath(folder))}; what the frames say:\n{found}"
         write_sensor(out, sensor, comment=comment, overwrite=overwrite)
-    say(f"{found}\n{out}")
-    next_(f"novags capture SET --sensor {typed(out)} --electrons 20 --out CAPTURE")
+        planned(console, "characterise", [out])
+        say(f"{found}\n{out}")
+        next_(f"novags capture SET --sensor {typed(out)} --electrons 20 --out CAPTURE")

@@ -58,7 +58,7 @@ def console() -> "Console":
 
 @contextmanager
 def writing(folder: Path, wait: bool, *, dry_run: bool = False, **lock: Any) -> "Iterator[Console]":
-    """Hold a folder while a command writes there; in a dry run the block ends where work would begin.
+    """Hold a folder while a command writes there; in a dry run nothing is held, and the block ends where work begins.
 
     `lock`: further arguments of `locked`.
     """
@@ -67,11 +67,10 @@ def writing(folder: Path, wait: bool, *, dry_run: bool = False, **lock: Any) -> 
     from sensor_model.files.lock import locked
 
     said = console()
-    with ExitStack() as held:
+    with dry(dry_run), ExitStack() as held:
         with warnings_as_notes(said):
             held.enter_context(locked(folder, wait=said.note if wait else None, **lock))
-        with dry(dry_run):
-            yield said
+        yield said
 
 
 def terminated(*_: object) -> NoReturn:

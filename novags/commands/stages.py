@@ -71,6 +71,8 @@ def render(
         dry_run: Only say whether it would be made, or made again and why. Nothing is written.
     """
     from novags.testbed import stages
+    from novags.testbed.ledger.stage import dry_run as dry
+    from novags.testbed.ledger.stage import planned
     from novags.testbed.stages.configs.rendering import RenderConfig
     from simscenes.job.accuracy import summary
 
@@ -80,7 +82,9 @@ def render(
         export=export, seed=seed, **light.settings(),
     )  # fmt: skip
     with writing(out, wait, dry_run=dry_run) as console:
-        record = stages.render(out, config, console, overwrite=overwrite)
+        with dry(dry_run):
+            record = stages.render(out, config, console, overwrite=overwrite)
+        planned(console, "export", [out / name for name in export])
         console.note(f"largest of all views: {summary(record['views'])}")
         say(out)
         next_(f"novags capture {typed(out)} --electrons 20 --out CAPTURE")
@@ -151,6 +155,8 @@ def capture(
         dry_run: Only say whether it would be made, or made again and why. Nothing is written.
     """
     from novags.testbed import stages
+    from novags.testbed.ledger.stage import dry_run as dry
+    from novags.testbed.ledger.stage import planned
     from novags.testbed.levels import Level, level_named
     from novags.testbed.stages.configs.capturing import CaptureConfig
 
@@ -161,7 +167,9 @@ def capture(
         jpeg_quality=jpeg_quality, tolerance=tolerance, export=export, seed=seed,
     )  # fmt: skip
     with writing(out, wait, dry_run=dry_run) as console:
-        stages.capture(set, out, config, console, overwrite=overwrite)
+        with dry(dry_run):
+            stages.capture(set, out, config, console, overwrite=overwrite)
+        planned(console, "export", [out / name for name in export])
         say(out)
         pictures = " --pictures 16bit" if isinstance(named, Level) and named.pictures == "16bit" else ""
         next_(f"novags reconstruct {typed(out)} --method nova-fast{pictures} --out RUN")
@@ -201,8 +209,10 @@ def reconstruct(
         dry_run: Only say whether it would be made, or made again and why. Nothing is written.
     """
     from novags.testbed import stages
+    from novags.testbed.ledger.stage import dry_run as dry
+    from novags.testbed.ledger.stage import planned
     from novags.testbed.presets import EXPERIMENTS, adapted
-    from novags.testbed.stages.viewers import write_viewers
+    from novags.testbed.stages.viewers import check_viewers, viewer_files, write_viewers
 
     own = variants_of(() if variant is None else (variant,))
     name = _one_of([each.name for each in own], method)
@@ -212,7 +222,11 @@ def reconstruct(
     )  # fmt: skip
     config = replace(chosen.reconstruct(name), seed=seed)
     with writing(out, wait, dry_run=dry_run) as console:
-        stages.reconstruct(capture, out, config, console, overwrite=overwrite)
+        with dry(dry_run) as kept:
+            stages.reconstruct(capture, out, config, console, overwrite=overwrite)
+        if kept != [False]:  # whether a run that is not there yet will hold Gaussians is seen then
+            check_viewers(out, export)
+        planned(console, "viewers", viewer_files(out, export))
         write_viewers(out, export)
         say(out)
         next_(f"novags score {typed(out)} && novags report {typed(out)}")

@@ -9,7 +9,7 @@ from novags.options import Folder
 
 def video(
     run: Folder, *, out: Path | None = None, seconds: float = 8.0, fps: float = 24.0, overwrite: bool = False,
-    wait: bool = False,
+    wait: bool = False, dry_run: bool = False,
 ) -> None:  # fmt: skip
     """Film a flight through a run, on a smooth path through its training cameras, beside truth and dark pictures.
 
@@ -23,20 +23,19 @@ def video(
         fps: Frames a second.
         overwrite: Replace a file that is there.
         wait: If another process is making the same film, wait until it is done instead of refusing.
+        dry_run: Only say which file would be made, or made again. Nothing is written.
     """
     from novags.testbed.flight.video import check_length, make_video
     from novags.testbed.folders.run import open_run
     from novags.testbed.stages.paths import keep_apart
-    from sensor_model.files.atomic import sweep_file
 
     check_length(seconds, fps)
     opened, place = open_run(run), Path(os.path.realpath(run))
     path = out or place.with_name(f"{place.name}.mp4")  # not with_suffix: a name may hold a dot, as sh0.5 does
     keep_apart(path, run)
-    with writing(path.parent, wait, name=f".{path.name}.lock") as console:
+    with writing(path.parent, wait, name=f".{path.name}.lock", dry_run=dry_run) as console:
         if path.exists() and not overwrite:
             raise ValueError(f"{path} is there already: choose another --out, or add --overwrite")
-        sweep_file(path)
         frames = make_video(opened, path, console, seconds=seconds, fps=fps)
-    say(f"{path}: {frames} frames")
-    next_(f"novags report {typed(run)}")
+        say(f"{path}: {frames} frames")
+        next_(f"novags report {typed(run)}")

@@ -1,6 +1,6 @@
 """The main job: a set, a capture of it, reconstructions by every method, scores, a report, in one folder."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -14,14 +14,14 @@ from novags.testbed.folders.experiment import EXPERIMENT, REPORT, REPORT_FILES, 
 from novags.testbed.folders.place import place_of
 from novags.testbed.folders.run import METRICS, RECORD
 from novags.testbed.ledger.contents import UNFINISHED, read_json, write_json
-from novags.testbed.ledger.stage import dry_run, refuse_other
+from novags.testbed.ledger.stage import NOT_DONE, dry_run, planned, refuse_other
 from novags.testbed.presets import Preset
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.layouts import RECORD as SET
 from novags.testbed.stages.scoring import merge
 from novags.testbed.study.steps import make_set
 from sensor_model.files.door import resolved
-from sensor_model.files.lock import locked
+from sensor_model.files.lock import dry, locked
 
 DESCRIBED = (EXPERIMENT, METRICS, REPORT, REPORT_FILES)  # files that describe all runs in the folder
 TAKEN = ("set", "capture", *DESCRIBED, UNFINISHED)  # what lies there beside a folder for each method or variant
@@ -43,10 +43,7 @@ def run(preset: Preset, out: Path, console: Console, *, command: str | None = No
             another request; that is said before any work.
         BlockingIOError: If another process is writing to `out`.
     """
-    preset.refuse_lacking()
-    if taken := [name for name in preset.methods if name in TAKEN]:
-        raise ValueError(f"a variant must not be called {taken[0]}: the folder of an experiment holds something else "
-                         "of that name")  # fmt: skip
+    refuse_impossible(preset)
     with locked(out):
         if not overwrite:
             _refuse_other(preset, out)
@@ -58,6 +55,14 @@ def run(preset: Preset, out: Path, console: Console, *, command: str | None = No
         write_json(out / EXPERIMENT, {"command": command, "methods": preset.methods, "preset": asdict(preset)})
         score_all(out, console)
         return write_report(out, console)
+
+
+def refuse_impossible(preset: Preset) -> None:
+    """Raise ValueError for an experiment that cannot be done, wherever it is to lie."""
+    preset.refuse_lacking()
+    if taken := [name for name in preset.methods if name in TAKEN]:
+        raise ValueError(f"a variant must not be called {taken[0]}: the folder of an experiment holds something else "
+                         "of that name")  # fmt: skip
 
 
 def photograph(preset: Preset, out: Path, console: Console, *, overwrite: bool = False) -> Path:
@@ -113,56 +118,64 @@ def said(preset: Preset, out: Path, console: Console, *, overwrite: bool = False
     Raises:
         ValueError: As `run`.
     """
-    preset.refuse_lacking()
+    refuse_impossible(preset)
     if not overwrite:
         _refuse_other(preset, out)
-    source = out / "set" if preset.folder is None else preset.folder
-    steps: list[tuple[str, Callable[[], Any]]] = []
-    if preset.folder is None:
-        made = preset.photos or preset.render
-        steps.append(("set", lambda: make_set(out / "set", made, console, overwrite=overwrite)))
-    steps.append(("capture", lambda: stages.capture(source, out / "capture", preset.capture, console,
-                                                    overwrite=overwrite, for_runs=True)))  # fmt: skip
-    for name in preset.methods:
-        config = preset.reconstruct(name)
-        steps.append((name, partial(stages.reconstruct, out / "capture", out / name, config, console,
-                                    overwrite=overwrite)))  # fmt: skip
-    first = ""
-    for name, do in steps:
-        if first:  # an input that is made counts by its key: whether it comes out equal is seen then
-            but = f", unless {first} comes out as before" if (out / name).exists() else ""
-            console.note(f"{name}: to be made{but} (dry run: nothing is done)")
+    made = {"": False}  # whether each part would be, of those before
+    for name, needs, record, do in _steps(preset, out, console, overwrite):
+        if made[needs]:  # an input that is made counts by its key: whether it comes out equal is seen then
+            of = needs if needs in preset.methods else f"the {needs}"
+            but = f", unless {of} comes out as before" if record.exists() else ""
+            console.note(f"{name}: to be made{but} {NOT_DONE}")
+            made[name] = True
             continue
         with dry_run() as kept:
             do()
-        if kept == [False] and name in ("set", "capture"):
-            first = f"the {name}"
+        made[name] = kept == [False]
+    with dry_run():
+        planned(console, "run", [out / name for name in (EXPERIMENT, METRICS, REPORT)])
 
 
-def score_all(folder: Path, console: Console, *, dry: bool = False) -> dict[str, Any]:
+def _steps(
+    preset: Preset, out: Path, console: Console, overwrite: bool
+) -> Iterator[tuple[str, str, Path, Callable[[], Any]]]:
+    """Name of each part of `run`, the part that it needs, its record, and what makes it."""
+    source, again = out / "set" if preset.folder is None else preset.folder, {"overwrite": overwrite}
+    if preset.folder is None:
+        wanted = preset.photos or preset.render
+        yield "set", "", out / "set" / SET, partial(make_set, out / "set", wanted, console, **again)
+    capture = out / "capture"
+    yield ("capture", "" if preset.folder else "set", capture / capture_folder.RECORD,
+           partial(stages.capture, source, capture, preset.capture, console, for_runs=True, **again))  # fmt: skip
+    for name in preset.methods:
+        config = preset.reconstruct(name)
+        yield (name, "capture", out / name / RECORD,
+               partial(stages.reconstruct, capture, out / name, config, console, **again))  # fmt: skip
+    for name in preset.methods:
+        yield f"score {name}", name, out / name / METRICS, partial(stages.score, out / name, console)
+
+
+def score_all(folder: Path, console: Console) -> dict[str, Any]:
     """Score a run, or every run of an experiment; returns the mean scores by name.
 
     Args:
         folder: Of the run or the experiment.
         console: Where progress goes.
-        dry: Only say what would be scored; returns nothing.
 
     Raises:
         ValueError: If `folder` is neither, or what its runs refer to is gone.
         BlockingIOError: If another process is writing there.
     """
     with locked(folder, make=False):
-        if not dry:
-            return _score_all(folder, console)
-        for run in find_runs(folder).values():
-            with dry_run():
-                stages.score(run.path, console)
-        return {}
+        return _score_all(folder, console)
 
 
 def _score_all(folder: Path, console: Console) -> dict[str, Any]:
-    runs = find_runs(folder)
-    metrics = {name: stages.score(run.path, console) for name, run in runs.items()}
+    runs, metrics = find_runs(folder), dict[str, Any]()
+    for name, run in runs.items():
+        with dry_run(dry.get()):  # in a dry run each says what it would do
+            metrics[name] = stages.score(run.path, console)
     if not (folder / RECORD).exists():
+        planned(console, "score", [folder / METRICS])
         write_json(folder / METRICS, merge(metrics, {name: run.method for name, run in runs.items()}))
     return {name: run["methods"][name]["mean"] for name, run in metrics.items()}

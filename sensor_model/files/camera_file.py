@@ -14,6 +14,7 @@ import numpy as np
 
 from sensor_model.files.atomic import atomic
 from sensor_model.files.door import read_bytes
+from sensor_model.files.lock import dry
 from sensor_model.files.reading import reading
 from sensor_model.files.toml_file import read_toml
 from sensor_model.params import CFAS, Banding, Defects, DualGain, Sensor, SensorOptics, require
@@ -56,7 +57,7 @@ def _present(data: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def write_sensor(path: str | os.PathLike[str], sensor: Sensor, *, comment: str = "", overwrite: bool = True) -> None:
-    """Write a camera that `read_sensor` reads back exactly; the file appears whole or not at all.
+    """Write a camera that `read_sensor` reads back exactly; the file appears whole or not at all, and in a dry run not.
 
     Raises:
         ValueError: If the file is there with another content, unless `overwrite`.
@@ -71,8 +72,9 @@ def write_sensor(path: str | os.PathLike[str], sensor: Sensor, *, comment: str =
         raise ValueError(
             f"{path} is there with another content: choose another --out, or add --overwrite to replace it"
         )
-    with atomic(path) as temporary:
-        temporary.write_bytes(content)
+    if not dry.get():
+        with atomic(path) as temporary:
+            temporary.write_bytes(content)
 
 
 def _values(kind: type, data: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:

@@ -36,6 +36,7 @@ Tell = Callable[[str], None]
 _held: set[tuple[int, int, Path]] = set()  # process, thread, lock file
 _lockless: set[Path] = set()  # folders for which that was said
 _waiting: ContextVar[Tell | None] = ContextVar("novags_waiting", default=None)
+dry: ContextVar[bool] = ContextVar("novags_dry", default=False)  # whether nothing may be written, and so nothing held
 
 
 @contextmanager
@@ -63,7 +64,8 @@ def locked(
 
     Yields:
         Whether the lock is held. It is not where the folder is read-only, because then nobody can write there, nor on
-        a file system without locks, which is a warning.
+        a file system without locks, which is a warning, nor while `dry` is set: then nothing is made or swept, and the
+        same is refused.
 
     Raises:
         BlockingIOError: If somebody else holds it; says who.
@@ -81,6 +83,10 @@ def locked(
         yield True
         return
     if not make and not folder.exists():
+        yield False
+        return
+    if dry.get():
+        _refuse(path, folder, wait)
         yield False
         return
     missing = [parent for parent in (path.parent, *path.parent.parents) if not parent.exists()]
@@ -111,6 +117,28 @@ def _refuse_file(folder: Path) -> None:
         return
     if not stat.S_ISDIR(mode):
         raise NotADirectoryError(f"{folder} is a file, not a folder: choose another one to write to")
+
+
+def _refuse(path: Path, folder: Path, wait: Tell | None) -> None:
+    """Raise what taking the lock would raise, and make nothing."""
+    there, missing = path.parent, None
+    while True:
+        try:
+            there.stat()  # which raises as making it would where a file is in the way
+            break
+        except FileNotFoundError:
+            there, missing = there.parent, there
+    if missing is not None and not os.access(there, os.W_OK):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(missing))
+    try:
+        fd = descriptor_of_our_own(path, os.O_RDONLY)
+    except OSError:
+        return
+    try:
+        _lock(fd, folder, wait, fcntl.LOCK_SH)
+        _check_ours(fd, path)
+    finally:
+        os.close(fd)
 
 
 def _acquire(path: Path, folder: Path, wait: Tell | None) -> int | None:
@@ -155,17 +183,17 @@ def _opened(path: Path) -> int | None:
         return None
 
 
-def _lock(fd: int, folder: Path, wait: Tell | None) -> bool:
+def _lock(fd: int, folder: Path, wait: Tell | None, how: int = fcntl.LOCK_EX) -> bool:
     """Whether the file is locked now; False where the file system has no locks."""
     try:
         try:
-            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            fcntl.flock(fd, how | fcntl.LOCK_NB)
         except BlockingIOError:
             if wait is None:
                 hint = "wait until it is done (--wait does), or choose another folder"
                 raise BlockingIOError(f"{folder} is in use by {_holder(fd)}: {hint}") from None
             wait(f"waiting for {folder}, in use by {_holder(fd)}")
-            fcntl.flock(fd, fcntl.LOCK_EX)
+            fcntl.flock(fd, how)
     except BlockingIOError:
         raise
     except OSError as error:

@@ -17,6 +17,7 @@ from novags.testbed.budget.trial import Forecast, OutOfTime, forecast
 from novags.testbed.console import Console
 from novags.testbed.folders.experiment import EXPERIMENT
 from novags.testbed.ledger.contents import digest, jsonable, read_json, write_json
+from novags.testbed.ledger.stage import NOT_DONE, dry_run, planned
 from novags.testbed.presets import Preset
 from sensor_model.files.lock import locked
 from sensor_model.files.reading import brief
@@ -95,13 +96,8 @@ def run(request: Request, out: Path, console: Console, *, command: str | None = 
     """
     start = time.perf_counter()
     with locked(out):
-        state = begun(request, out)
-        if state is not None:
-            console.note(f"budget: going on with what was chosen before ({out / RECORD})")
-            start -= state.get("spent", 0.0)
-        elif (out / EXPERIMENT).exists() and not overwrite:
-            raise ValueError(f"{out} holds a finished experiment of another request: choose another --out, or add "
-                             "--overwrite to replace it")  # fmt: skip
+        state = _earlier(request, out, console, overwrite)
+        start -= 0.0 if state is None else state.get("spent", 0.0)
         with _counted(request, out, start):
             if state is None:
                 state = _begin(request, out, console, start, overwrite)
@@ -110,6 +106,41 @@ def run(request: Request, out: Path, console: Console, *, command: str | None = 
         if "seconds" not in state:
             _write(out, {**state, "seconds": time.perf_counter() - start})
     return report
+
+
+def _earlier(request: Request, out: Path, console: Console, overwrite: bool) -> State | None:
+    """What is gone on with, if it is; refuses to replace another experiment unless `overwrite`."""
+    state = begun(request, out)
+    if state is not None:
+        console.note(f"budget: going on with what was chosen before ({out / RECORD})")
+    elif (out / EXPERIMENT).exists() and not overwrite:
+        raise ValueError(f"{out} holds a finished experiment of another request: choose another --out, or add "
+                         "--overwrite to replace it")  # fmt: skip
+    return state
+
+
+def tell(request: Request, out: Path, console: Console, *, overwrite: bool = False) -> None:
+    """Say what `run` would do, and write nothing.
+
+    A choice needs a trial that may take half the budget: it is not made, and what it decides is said instead.
+
+    Raises:
+        ValueError: As `run`, but for what the trial would show.
+    """
+    preset = request.preset
+    if (state := _earlier(request, out, console, overwrite)) is not None:
+        chosen = turned(preset, state["shares"])
+        for line in said.before(preset, chosen, state):
+            console.note(line)
+        experiment.said(chosen, out, console, overwrite=overwrite)
+        return
+    experiment.refuse_impossible(preset)
+    facts = _known(request)
+    options = open_options(preset, facts.options, request.decided)
+    for line in said.untried(preset, request.budget, TRIAL * request.budget, options, facts.source):
+        console.note(f"{line} {NOT_DONE}")
+    with dry_run():
+        planned(console, "budget", [out / RECORD])
 
 
 @contextmanager
@@ -164,9 +195,7 @@ def _planned(request: Request, console: Console) -> Plan:
     Raises:
         ValueError: If the budget is too small.
     """
-    preset = request.preset
-    methods = {preset.reconstruct(name).variant.method for name in preset.methods}
-    start, facts = time.perf_counter(), known(request.curves, methods)
+    start, facts = time.perf_counter(), _known(request)
     what = f"a budget of {request.budget:g} s is too small"
     remedy = "give more time, fewer methods, or smaller pictures"
     console.note(f"budget {request.budget:g} s: trying the experiment on a small scale to see this machine's pace")
@@ -182,6 +211,11 @@ def _planned(request: Request, console: Console) -> Plan:
         least = (fastest(tried.parts, options).seconds + spent) / (1 - RESERVE)
         raise ValueError(f"{what}: the least that this experiment takes here is about {_seconds(least)}; {remedy}")
     return Plan(tried, options, choice, facts, spent)
+
+
+def _known(request: Request) -> Known:
+    methods = {request.preset.reconstruct(name).variant.method for name in request.preset.methods}
+    return known(request.curves, methods)
 
 
 def _seconds(seconds: float) -> str:

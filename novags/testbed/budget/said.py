@@ -1,10 +1,11 @@
 """What a budget says: before the work, when the rest is chosen again, and afterwards."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from novags.testbed.budget.choice import Option
 from novags.testbed.budget.settings import WORDS, values
 from novags.testbed.folders import shapes
 from novags.testbed.folders.experiment import EXPERIMENT
@@ -37,6 +38,29 @@ def before(preset: Preset, chosen: Preset, state: State) -> list[str]:
         f"the preset takes {state['preset_seconds']:.0f} s here",
         f"  {_foretold(state)}",
         f"  losses from the curves {state['curves']}; times from the trial on this machine",
+    ]
+
+
+def untried(
+    preset: Preset, budget: float, limit: float, options: Mapping[str, Sequence[Option]], source: str
+) -> list[str]:
+    """What a choice will be made of that was not tried yet.
+
+    Args:
+        preset: The experiment.
+        budget: Seconds.
+        limit: Seconds that the trial may take.
+        options: What there is to choose.
+        source: Where the curves come from.
+    """
+    own = values(preset)
+    least = {name: max(1, round(own[name] * min(s.share for s in settings))) for name, settings in options.items()}
+    open_ = ", ".join(f"{WORDS[name]} {own[name]} -> {value} at the least" for name, value in least.items())
+    return [
+        f"budget {budget:g} s: the experiment to be tried on a small scale, for {limit:g} s at most, to see this "
+        "machine's pace",
+        f"  then to be chosen, so that least is lost by the curves {source}: {open_ or 'nothing, all is given'}",
+        f"run: {', '.join(preset.methods)} to be made, scored and reported with these settings",
     ]
 
 

@@ -16,10 +16,12 @@ from novags.testbed.flight.path import SAME, fly
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import CAMERAS, SCENE, Run
 from novags.testbed.folders.set import Source
+from novags.testbed.ledger.stage import planned
 from novags.testbed.references import pictured, references
 from novags.testbed.report.pictures import LONG, TRUTHS
 from novags.testbed.viewer.splats import scene_of
 from novags.testbed.viewer.world import own_cameras
+from sensor_model.files.atomic import sweep_file
 from sensor_model.files.records import read_record
 
 LENSES = [{"fx": float, "fy": float}]
@@ -123,6 +125,8 @@ def make_video(run: Run, out: Path, console: Console, *, seconds: float, fps: fl
     flight = fly(course.viewmats, max(2, round(seconds * fps)))
     beside, rig = Beside(run, capture, lit, course.names), capture.cameras.rig
     K = torch.from_numpy(course.K).float()[None]
+    planned(console, "video", [out])
+    sweep_file(out)
     with console.progress("video") as progress, film(out, fps, len(flight.viewmats)) as made:
         for k, viewmat in enumerate(flight.viewmats):
             view = Views(torch.from_numpy(viewmat).float()[None], K, rig.width, rig.height)

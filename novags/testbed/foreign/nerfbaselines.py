@@ -25,6 +25,7 @@ from novags.testbed.folders.experiment import gather
 from novags.testbed.folders.run import Run, open_run
 from novags.testbed.folders.set import Source
 from novags.testbed.ledger.contents import read_json, write_json
+from novags.testbed.ledger.stage import planned
 from novags.testbed.machine.provenance import package_version
 from novags.testbed.metrics.images import psnr, ssim
 from novags.testbed.metrics.perceptual import PerceptualDistance
@@ -36,7 +37,7 @@ from sensor_model.files.door import read_bytes, resolved
 from simscenes.sets.names import safe_name
 from simscenes.sets.pictures.png import write_png
 
-RESULTS, PREDICTIONS = "results.json", "predictions"
+OWN = RESULTS, PREDICTIONS = "results.json", "predictions"
 DIGITS = 5
 METRICS: dict[str, tuple[str, str, bool]] = {  # name, description, whether higher is better
     "psnr": ("PSNR", "Peak signal-to-noise ratio, dB", True),
@@ -66,20 +67,16 @@ def export_results(
     """
     if (out / RESULTS).exists() and not overwrite:
         raise ValueError(f"{out} holds {RESULTS} already: choose another --out, or add --overwrite")
+    runs = _named(runs_of(folders), reference, console)
+    places = [out / safe_name(method) / scene for _, method, scene in runs]
+    planned(console, "export-results", [out / RESULTS, *(place / name for place in places for name in OWN)])
     (out / RESULTS).unlink(missing_ok=True)  # an interruption leaves no table that is not of what lies beside it
     lpips = None if PerceptualDistance.missing() is not None else PerceptualDistance()
     identity = dataset if reference == "lit" else f"{dataset}-{reference}"
     table: dict[str, dict[str, Any]] = {}
-    contents: dict[str, str] = {}  # of captures, by the name of their scene
-    runs = runs_of(folders)
     with console.progress("export") as progress:
-        for done, run in enumerate(runs):
-            capture, lit = run.inputs(console)
-            scene = next(name for name in scene_names(capture) if contents.setdefault(name, capture.content)
-                         == capture.content)  # fmt: skip
-            method = _method_of(run, {name for name, row in table.items() if scene in row["scenes"]})
-            place = out / safe_name(method) / scene
-            found = _results_of(run, capture, lit, reference, place, lpips)
+        for done, ((run, method, scene), place) in enumerate(zip(runs, places, strict=True)):
+            found = _results_of(run, *run.inputs(console), reference, place, lpips)
             write_json(place / RESULTS, _record(run, method, identity, scene, found, place / PREDICTIONS))
             row = table.setdefault(method, {"id": method, "name": method, "description": run.record.get("title", ""),
                                             "scenes": {}})  # fmt: skip
@@ -88,6 +85,25 @@ def export_results(
             progress(done + 1, len(runs), f"{method} {scene}")
     write_json(out / RESULTS, _table(table, identity, reference))
     return out / RESULTS
+
+
+def _named(runs: Sequence[Run], reference: str, console: Console) -> list[tuple[Run, str, str]]:
+    """The runs with the names of their methods and of their scenes.
+
+    Raises:
+        ValueError: If one cannot be read, or lacks the reference.
+    """
+    named: list[tuple[Run, str, str]] = []
+    contents: dict[str, str] = {}  # of captures, by the name of their scene
+    for run in runs:
+        capture, lit = run.inputs(console)
+        known = references(run, capture, lit, capture.cameras.test_indices[0])
+        if reference not in known:
+            raise ValueError(f"{run.path} has no reference {reference}: it has {', '.join(known) or 'none'}")
+        scene = next(name for name in scene_names(capture) if contents.setdefault(name, capture.content)
+                     == capture.content)  # fmt: skip
+        named.append((run, _method_of(run, {method for _, method, where in named if where == scene}), scene))
+    return named
 
 
 def runs_of(folders: Sequence[Path]) -> list[Run]:
@@ -139,8 +155,6 @@ def _results_of(
     lpips = None if PerceptualDistance.missing(rig.width, rig.height) is not None else lpips
     for i in indices:
         known = references(run, capture, lit, i)
-        if reference not in known:
-            raise ValueError(f"{run.path} has no reference {reference}: it has {', '.join(known) or 'none'}")
         rendered = run.rendering(capture.names[i])
         pictures = {
             "color": as_compared(rendered, run, capture, reference, exposures), "gt-color": known[reference],

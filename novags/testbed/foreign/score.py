@@ -14,12 +14,14 @@ from novags.testbed.folders.capture import RECORD, Capture, open_capture
 from novags.testbed.folders.imported import MISSING
 from novags.testbed.folders.set import Source, open_source
 from novags.testbed.foreign.pictures import Picture, find_renders, read_picture
+from novags.testbed.ledger.stage import NOT_DONE, planned
 from novags.testbed.metrics.geometry import geometry_scores
 from novags.testbed.metrics.images import image_scores, mean_scores
 from novags.testbed.metrics.linear import exposure_gain, is_black, linear_psnr
 from novags.testbed.metrics.perceptual import PerceptualDistance
 from novags.testbed.metrics.picture import Image
 from novags.testbed.references import LINEAR, true_depth
+from sensor_model.files.lock import dry
 
 Reference = Literal["lit", "linear", "clean", "linear_demosaiced", "clean_demosaiced"]
 MEANING = {
@@ -102,12 +104,21 @@ class Truth:
         return partial(read, demosaiced=demosaiced)
 
 
-def score_renders(folder: Path, truth: Truth, reference: Reference, console: Console) -> dict[str, Any]:
+def score_renders(
+    folder: Path, truth: Truth, reference: Reference, console: Console, out: Path | None = None
+) -> dict[str, Any]:
     """Scores of the pictures in `folder` of all held-out views.
 
     Files of 8 bits are sRGB-encoded. Those of 16 bits and EXR files hold what the reference holds: sRGB-encoded values
     for "lit" and "clean", linear light for "linear", the same for those of mosaics. EXR files with a
     channel Z (and alpha) are scored in depth too.
+
+    Args:
+        folder: Of the pictures.
+        truth: What is known of the views.
+        reference: What they are compared with.
+        console: Where progress goes.
+        out: Where the scores will be written, for a dry run to say.
 
     Returns:
         `mean` and `views` by reference as in metrics.json, `geometry` (None without depth), and `about`: what was
@@ -127,6 +138,9 @@ def score_renders(folder: Path, truth: Truth, reference: Reference, console: Con
             yield i, name, read_picture(renders.files[name], width, height)
 
     kinds = sorted({picture.kind for _, _, picture in pictures()})  # all are read before anything is computed
+    if dry.get():
+        console.note(f"score: {len(truth.names)} test views of {folder} to be scored against {reference} {NOT_DONE}")
+    planned(console, "score", [] if out is None else [out])
     gain = _gain(read, pictures) if reference in LINEAR else None
     missing = PerceptualDistance.missing(width, height)
     lpips = None if missing is not None or reference in LINEAR else PerceptualDistance()

@@ -11,9 +11,8 @@ a time works in a folder.
 
 import os
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -40,7 +39,7 @@ from novags.testbed.ledger.source import hashed
 from novags.testbed.machine.memory import memory_shortage_said
 from novags.testbed.machine.provenance import PeakMemory, environment
 from sensor_model.files.atomic import Witness, remove, witnessed
-from sensor_model.files.lock import locked
+from sensor_model.files.lock import dry, locked
 
 Prepared = TypeVar("Prepared")
 
@@ -48,6 +47,8 @@ STATE = {"stage?": str, "record?": str, "key?": (str, None), "seconds?": float, 
 FILES = {"files?": {"*": str}}  # checksums of what the stage wrote
 KEYED = {"stage?": {"key?": str, **FILES}}  # what a record of any stage holds
 MADE = {"stage?": {"key?": str, "code?": str, "config?": dict, "inputs?": {"*": str}, "versions?": {"*": str}, **FILES}}
+
+NOT_DONE = "(dry run: nothing is done)"
 
 
 class Planned(Exception):
@@ -62,23 +63,41 @@ class Planned(Exception):
         self.kept = kept
 
 
-_dry: ContextVar[bool] = ContextVar("dry", default=False)
-
-
 @contextmanager
 def dry_run(asked: bool = True) -> Iterator[list[bool]]:
-    """Where asked, a stage says what it would do, writes nothing, and ends the block.
+    """Where asked, a stage says what it would do, writes nothing, and ends the block; and so does `planned`.
 
     Yields:
         A list, to which the stage adds whether its result would be kept.
     """
-    token, kept = _dry.set(asked), list[bool]()
+    token, kept = dry.set(asked), list[bool]()
     try:
         yield kept
     except Planned as planned:
         kept.append(planned.kept)
     finally:
-        _dry.reset(token)
+        dry.reset(token)
+
+
+def planned(console: Console, name: str, files: Iterable[Path]) -> None:
+    """In a dry run, say of each file that it would be made, or made again; otherwise do nothing.
+
+    Call it where all has been checked and nothing is written yet.
+
+    Args:
+        console: Where it is said.
+        name: What makes the files.
+        files: These; what is made with each measurement, say, is said by whoever counts them.
+
+    Raises:
+        Planned: In a dry run.
+    """
+    if not dry.get():
+        return
+    for file in files:
+        again, there = (" again", " is there") if file.exists() else ("", "")
+        console.note(f"{name}: to be made{again} in {file.parent}: {file.name}{there} {NOT_DONE}")
+    raise Planned(kept=False)
 
 
 def run_stage(
@@ -204,7 +223,7 @@ class _Stage:
         if made and not wrong:
             told = made_with(self.folder, self.record_name).kept_though(self.code)
             self.console.note(f"{self.name}: unchanged, kept {self.folder}{told}")
-            if _dry.get():
+            if dry.get():
                 raise Planned(kept=True)
             self._forget_interruption()
             return record
@@ -213,8 +232,8 @@ class _Stage:
         if wrong:
             self.console.note(f"{self.name}: {self.folder}: {in_words(wrong)}, doing it again")
         earlier = None if wrong else self._earlier_cost(key, inputs, config)  # damaged files are nothing to go on from
-        if _dry.get():
-            self.console.note(f"{self.name}: to be made in {self.folder} (dry run: nothing is done)")
+        if dry.get():
+            self.console.note(f"{self.name}: to be made in {self.folder} {NOT_DONE}")
             raise Planned(kept=False)
         start, memory = time.perf_counter(), PeakMemory()
         prepared = prepare()

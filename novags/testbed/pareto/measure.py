@@ -6,9 +6,11 @@ from pathlib import Path
 from statistics import median
 
 from novags.testbed.console import Console
+from novags.testbed.ledger.stage import NOT_DONE
 from novags.testbed.pareto.knob import Knob, Setting, Subject
 from novags.testbed.pareto.samples import Samples
 from novags.testbed.study.engines.progress import duration
+from sensor_model.files.lock import dry
 from sensor_model.files.reading import brief
 
 Step = tuple[Knob, Setting, int]
@@ -49,6 +51,9 @@ def measure(
         only: Names of the knobs to measure; none: all.
         overwrite: Drop measurements of another size, machine or version of the software.
 
+    Returns:
+        What is measured. In a dry run what is missing is said, knob by knob, and not measured.
+
     Raises:
         ValueError: If `repeats` is below 1, a knob is unknown, or the folder holds measurements of another size,
             machine or version of the software.
@@ -57,7 +62,12 @@ def measure(
         raise ValueError(f"repeats must be >= 1, got {repeats}")
     todo = steps(subject, repeats, only)
     samples = Samples(folder / f"{subject.name}.samples.json", subject, overwrite=overwrite)
+    if samples.dropped:
+        console.note(f"pareto {subject.name}: measured again in {folder}: {samples.dropped}")
     missing = [step for step in todo if samples.find(*step) is None]
+    if dry.get():
+        _tell(subject, todo, missing, console)
+        return samples
     if kept := len(todo) - len(missing):
         console.note(f"pareto {subject.name}: {kept} of {len(todo)} measurements are there already")
     with console.progress(f"pareto {subject.name}") as progress:
@@ -70,6 +80,16 @@ def measure(
             samples.add(knob, setting, seed, measured, time.perf_counter() - start)
         progress(len(todo), len(todo), "done")
     return samples
+
+
+def _tell(subject: Subject, todo: Sequence[Step], missing: Sequence[Step], console: Console) -> None:
+    for knob in subject.knobs:
+        count = sum(step[0] is knob for step in missing)
+        kept = sum(step[0] is knob for step in todo) - count
+        if count:
+            console.note(f"pareto {subject.name}: {knob.name}: {count} measurements to be made, {kept} kept {NOT_DONE}")
+        elif kept:
+            console.note(f"pareto {subject.name}: {knob.name}: unchanged, kept {kept} measurements")
 
 
 def time_left(samples: Samples, missing: Sequence[Step]) -> str:

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from novags.testbed.pareto.curve import Point, curves, read_curves, write_curves
+from novags.testbed.pareto.curve import CURVES, Point, curves, read_curves, write_curves
 from novags.testbed.pareto.figure import figure
 from novags.testbed.pareto.knob import Subject
 from novags.testbed.pareto.samples import Samples
@@ -19,12 +19,17 @@ TITLES = {
 def write(subject: Subject, samples: Samples, folder: Path) -> list[Path]:
     """Write `curves.jsonl`, `NAME.svg` and `NAME.md`; returns the three."""
     points = curves(subject, samples)
-    lines = write_curves(folder, points)
-    picture, table = folder / f"{subject.name}.svg", folder / f"{subject.name}.md"
+    lines, picture, table = written(subject, folder)
+    write_curves(folder, points)
     own = f"Reconstruction by {subject.workload.get('method', 'a method')}: error of held-out views"
     write_text(picture, figure(points, TITLES.get(subject.name, own)))
     write_text(table, f"{heading(points)}\n\n{tables(points)}")
     return [lines, picture, table]
+
+
+def written(subject: Subject, folder: Path) -> list[Path]:
+    """The three files."""
+    return [folder / CURVES, folder / f"{subject.name}.svg", folder / f"{subject.name}.md"]
 
 
 def marks(name: str) -> tuple[str, str]:

@@ -38,16 +38,18 @@ class Samples:
         hardware = environment()["hardware"]
         self.about = jsonable({"workload": subject.workload, "hardware": hardware, "versions": software()})
         self.rows: list[dict[str, Any]] = []
+        self.dropped = ""  # why what the file holds is
         if not path.exists():
             return
         known = read_json(path, SHAPE)
         other = [word for word in OF if known[word] != self.about[word]]
         if not other:
             self.rows = _checked(known["samples"], path)
-        elif not overwrite:
-            before = brief("; ".join(spelled(_unlike(known[word], self.about[word])) for word in other), 400)
-            raise ValueError(f"{path} holds measurements of another {' and '.join(OF[word] for word in other)} "
-                             f"({before}): choose another --out, or add --overwrite to drop them")  # fmt: skip
+            return
+        before = brief("; ".join(spelled(_unlike(known[word], self.about[word])) for word in other), 400)
+        self.dropped = f"{path} holds measurements of another {' and '.join(OF[word] for word in other)} ({before})"
+        if not overwrite:
+            raise ValueError(f"{self.dropped}: choose another --out, or add --overwrite to drop them")
 
     def find(self, knob: Knob, setting: Setting, seed: int) -> dict[str, Any] | None:
         """A measurement, or None if it was not made yet."""

@@ -17,6 +17,7 @@ from novags.testbed.folders.experiment import EXPERIMENT, REPORT, experiments_in
 from novags.testbed.folders.linear_photographs import LinearPhotographs
 from novags.testbed.folders.run import METRICS
 from novags.testbed.ledger.contents import digest, jsonable, read_json
+from novags.testbed.ledger.stage import planned
 from novags.testbed.report.comparison import comparison_context
 from novags.testbed.report.facts import (
     camera_table,
@@ -137,6 +138,7 @@ def _write_report(folder: Path, console: Console) -> Path:
 
 
 def _fill_report(path: Path, material: Material, console: Console, identity: str = "") -> Path:
+    planned(console, "report", written(path))
     album = Album(path)
     with console.progress("report") as progress:
         context = report_context(material, album, progress)
@@ -145,11 +147,18 @@ def _fill_report(path: Path, material: Material, console: Console, identity: str
 
 
 def _fill_comparison(path: Path, groups: Sequence[Group], console: Console, identity: str) -> Path:
+    planned(console, "report", written(path))
     album = Album(path)
     with console.progress("report") as progress:
         context = comparison_context(groups, path.parent, album, progress)
     album.settle()
     return fill_page("comparison.html", path, {**context, "identity": identity})
+
+
+def written(path: Path) -> list[Path]:
+    """A page, and the folder beside it if there is one; whether a page needs one is seen when it is made."""
+    beside = files_of(path)
+    return [path, beside] if beside.exists() else [path]
 
 
 def fill_page(template: str, path: Path, context: dict[str, Any]) -> Path:

@@ -16,13 +16,26 @@ from sensor_model.files.atomic import atomic
 from sensor_model.files.door import admitted
 from sensor_model.files.reading import brief
 
-FORMATS = ("3dgs", "splat", "spz", "spz2")
+FILES = {"3dgs": (SCENE, CAMERAS), "splat": ("scene.splat",), "spz": ("scene.spz",), "spz2": ("scene-v2.spz",)}
+FORMATS = tuple(FILES)
 
 
 def check_formats(formats: Sequence[str]) -> None:
     """Raise ValueError for a format that does not exist."""
     if unknown := [name for name in formats if name not in FORMATS]:
         raise ValueError(f"export must be among {', '.join(FORMATS)}; got {brief(', '.join(unknown))}")
+
+
+def check_viewers(folder: Path, formats: Sequence[str]) -> None:
+    """Raise ValueError for a format that does not exist, or where a finished run holds no Gaussians to write."""
+    check_formats(formats)
+    if formats and not (folder / SCENE).is_file():
+        raise ValueError(f"{folder} has no {SCENE}: only Gaussians can be exported as {', '.join(formats)}")
+
+
+def viewer_files(folder: Path, formats: Sequence[str]) -> list[Path]:
+    """What `write_viewers` writes."""
+    return [folder / VIEWERS / file for name in formats for file in FILES[name]]
 
 
 def write_viewers(folder: Path, formats: Sequence[str]) -> None:
@@ -35,11 +48,9 @@ def write_viewers(folder: Path, formats: Sequence[str]) -> None:
     Raises:
         ValueError: If the method has not made Gaussians, or a format cannot hold them.
     """
-    check_formats(formats)
+    check_viewers(folder, formats)
     if not formats:
         return
-    if not (folder / SCENE).is_file():
-        raise ValueError(f"{folder} has no {SCENE}: only Gaussians can be exported as {', '.join(formats)}")
     gaussians, out = read_ply(folder / SCENE), folder / VIEWERS
     if "3dgs" in formats:
         write_ply(out / SCENE, gaussians, sh_degree=3)

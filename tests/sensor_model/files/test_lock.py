@@ -16,7 +16,7 @@ import pytest
 
 from sensor_model.files.atomic import atomic
 from sensor_model.files.door import given
-from sensor_model.files.lock import NAME, locked
+from sensor_model.files.lock import NAME, dry, locked
 
 pytestmark = pytest.mark.filterwarnings("ignore:.*multi-threaded.*fork:DeprecationWarning")
 
@@ -315,3 +315,43 @@ def test_a_lock_behind_a_link_out_of_a_given_folder_is_refused(tmp_path: Path) -
         with pytest.raises(ValueError, match="--allow-links"), locked(tmp_path / "given" / "run"):
             pass
     assert list((tmp_path / "outside").iterdir()) == []
+
+
+@pytest.fixture
+def looking() -> Iterator[None]:
+    token = dry.set(True)
+    yield
+    dry.reset(token)
+
+
+@pytest.mark.usefixtures("looking")
+def test_in_a_dry_run_nothing_is_held_made_or_swept(tmp_path: Path) -> None:
+    (tmp_path / f".a.{2**30}.partial").touch()
+    (tmp_path / NAME).write_text(f"'novags' (process {2**30} on here, since yesterday)")  # of one that was killed
+    for folder in (tmp_path, tmp_path / "a" / "b"):
+        before = [(path.name, path.stat().st_mtime_ns) for path in (tmp_path, *sorted(tmp_path.iterdir()))]
+        with locked(folder) as held:
+            assert not held
+            assert [(path.name, path.stat().st_mtime_ns) for path in (tmp_path, *sorted(tmp_path.iterdir()))] == before
+
+
+@pytest.mark.usefixtures("looking")
+def test_a_dry_run_is_refused_where_the_folder_is_in_use_or_cannot_be_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def holds(pause: Callable[[], None]) -> None:
+        dry.set(False)
+        holding(tmp_path / "out")(pause)
+
+    with another_process(holds), pytest.raises(BlockingIOError, match="in use by"), locked(tmp_path / "out"):
+        pass
+    (tmp_path / "file").touch()
+    for wrong in (tmp_path / "file", tmp_path / "file" / "deeper" / "still"):
+        with pytest.raises(NotADirectoryError, match="file"), locked(wrong):
+            pass
+    (tmp_path / NAME).write_text("my notes")
+    with pytest.raises(ValueError, match="it is not a lock file"), locked(tmp_path):
+        pass
+    monkeypatch.setattr(os, "access", lambda place, _: Path(place) != tmp_path)
+    with pytest.raises(PermissionError, match=f"{tmp_path}/a'"), locked(tmp_path / "a" / "b"):
+        pass

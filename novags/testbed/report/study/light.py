@@ -78,6 +78,13 @@ def light_report(folder: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[
             "files": {"points": POINTS, "knees": KNEES, "data": DATA}}  # fmt: skip
 
 
+def light_files(folder: Path, rows: Sequence[Mapping[str, Any]], axes: Mapping[str, Sequence[Any]]) -> list[Path]:
+    """The files that `light_report` would write."""
+    curves = light_curves(rows, axes) if _varies_light(axes) else ()
+    names = [*(chart.file for chart in charts_of(curves)), DATA, POINTS, KNEES] if curves else []
+    return [folder / name for name in names]
+
+
 def _in_words(column: str, row: Mapping[str, Any], labels: Mapping[str, str]) -> Any:
     """A value of KNEES as the page shows it."""
     if column == "measure":

@@ -5,12 +5,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from novags.testbed.console import Console
 from novags.testbed.folders import shapes
 from novags.testbed.folders.experiment import REPORT
 from novags.testbed.ledger.contents import digest
+from novags.testbed.ledger.stage import planned
 from novags.testbed.report.look.album import Album
 from novags.testbed.report.look.maps import ERROR_CEILING
-from novags.testbed.report.page import fill_page, identity_of
+from novags.testbed.report.page import fill_page, identity_of, written
 from novags.testbed.report.pictures import ViewTiles
 from novags.testbed.report.rows import enhancement_of
 from novags.testbed.report.study.grid import (
@@ -22,7 +24,7 @@ from novags.testbed.report.study.grid import (
     shown_columns,
     verdict,
 )
-from novags.testbed.report.study.light import Look, files_in, light_report, looks_of
+from novags.testbed.report.study.light import Look, files_in, light_files, light_report, looks_of
 from novags.testbed.report.study.pictures import place_of, study_views
 from novags.testbed.report.study.records import Records, read_records, signals
 from novags.testbed.study.conduct import STUDY
@@ -71,6 +73,7 @@ def write_study(folder: Path, out: Path | None = None, *, overwrite: bool = Fals
     competes = {name: look.competes for name, look in looks.items()}
     records = read_records(folder, rows)
     lines = lines_of(rows, axes, competes, {number: enhancement_of(run) for number, run in records.runs.items()})
+    planned(Console(), "report", [*written(path), *light_files(path.parent, rows, axes)])
     album = Album(path)
     views, unseen = study_views(lines, records, album)
     album.settle()

@@ -167,6 +167,34 @@ def test_an_interrupted_experiment_goes_on_with_what_was_chosen(work: Work, tmp_
     assert state["seconds"] == 100.0  # of both calls, as if there had been one
 
 
+def test_a_dry_run_tells_the_choice_that_is_gone_on_with(
+    work: Work, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Preset] = []
+    monkeypatch.setattr(conduct.experiment, "said", lambda preset, *_, **__: asked.append(preset))
+    conduct.run(Request(PRESET, 120.0), tmp_path / "x", Told())
+    before, console = (tmp_path / "x" / "budget.json").read_bytes(), Told()
+    conduct.tell(Request(PRESET, 120.0), tmp_path / "x", console)
+    assert asked == work.ran
+    assert "iterations 1000 -> 500" in console.lines[1]
+    assert "predicted 100 s, of which 10 s are spent on the trial" in console.lines[2]
+    assert (work.tried, (tmp_path / "x" / "budget.json").read_bytes()) == (1, before)
+
+
+def test_a_dry_run_says_what_a_trial_would_decide_and_makes_none(work: Work, tmp_path: Path) -> None:
+    console = Told()
+    conduct.tell(Request(PRESET, 120.0, frozenset({"spp"})), tmp_path / "x", console)
+    assert work.tried == 0
+    assert not (tmp_path / "x").exists()
+    text = "\n".join(console.lines)
+    assert "tried on a small scale, for 60 s at most" in text
+    assert "by the curves made up: iterations 1000 -> 250 at the least (dry run" in text
+    assert "budget: to be made in" in text
+    conduct.run(Request(PRESET, 120.0), tmp_path / "x", Told())
+    with pytest.raises(ValueError, match="holds a finished experiment of another request"):
+        conduct.tell(Request(PRESET, 130.0), tmp_path / "x", console)
+
+
 def test_a_choice_of_another_version_that_this_one_leaves_to_the_variant_is_refused(work: Work, tmp_path: Path) -> None:
     """Versions that took the iterations of a variant for the preset's halved what the variant itself decides."""
     own = Variant(name="long", method="naive", settings={"fit.iterations": 700})

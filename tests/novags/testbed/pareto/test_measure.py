@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from novags.testbed.console import Console, Update
+from novags.testbed.ledger.stage import dry_run
 from novags.testbed.pareto import samples as samples_module
 from novags.testbed.pareto.curve import curves
 from novags.testbed.pareto.measure import measure, time_left
@@ -66,6 +67,27 @@ def test_more_repetitions_add_to_those_that_are_there(made: Any, tmp_path: Path)
     made.asked = []
     measure(made.subject, tmp_path, 3, QUIET)
     assert {seed for *_, seed in made.asked} == {1, 2}
+
+
+def test_a_dry_run_counts_what_is_missing_and_kept_and_measures_nothing(
+    made: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    measure(made.subject, tmp_path, 1, QUIET, only=["steps"])
+    made.asked, before = [], (tmp_path / "made.samples.json").read_bytes()
+    with dry_run():
+        measure(made.subject, tmp_path, 2, Console())
+    assert (made.asked, (tmp_path / "made.samples.json").read_bytes()) == ([], before)
+    said = capsys.readouterr().err
+    for line in ("steps: 3 measurements to be made, 3 kept", "way: 4 measurements to be made, 0 kept", "lone: 4 meas"):
+        assert f"pareto made: {line}" in said
+    made.workload = {"scene": "a wall", "size": 9}
+    with dry_run():
+        measure(made.subject, tmp_path, 2, Console(), overwrite=True)
+    said = capsys.readouterr().err
+    assert "pareto made: measured again in" in said
+    assert "holds measurements of another workload" in said
+    assert "steps: 6 measurements to be made, 0 kept" in said
+    assert (tmp_path / "made.samples.json").read_bytes() == before
 
 
 @pytest.mark.parametrize("what", ["workload", "hardware", "package", "code"])
