@@ -21,7 +21,7 @@ def doctor(*, stability: bool = False, part: tuple[str, ...] = (), long: bool = 
         overwrite: Replace a file that holds anything else.
         dry_run: Only say whether that file would be made, or made again. Nothing is computed or written.
     """
-    from novags.testbed.ledger.stage import dry_run as dry
+    from novags.testbed.ledger.dry import dry_run as dry
     from novags.testbed.machine.doctor import examine
 
     if dry_run and out is None:

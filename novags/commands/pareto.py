@@ -26,7 +26,7 @@ def pareto(
             measured or written.
     """
     from novags.numbers import check_range
-    from novags.testbed.ledger.stage import planned
+    from novags.testbed.ledger.dry import planned
     from novags.testbed.pareto.measure import measure
     from novags.testbed.pareto.page import write, written
     from novags.testbed.pareto.samples import work_folder

@@ -35,7 +35,7 @@ def score(
         wait: If another process is writing there, wait until it is done instead of refusing.
         dry_run: Only say which scores would be made, or made again and why. Nothing is written.
     """
-    from novags.testbed.ledger.stage import dry_run as dry
+    from novags.testbed.ledger.dry import dry_run as dry
 
     if renders is not None or set is not None:
         if renders is None or set is None or runs:
@@ -175,7 +175,7 @@ def characterise(
     """
     from novags.numbers import SIDE, check_range
     from novags.testbed.calibration_frames import characterise_folder
-    from novags.testbed.ledger.stage import planned
+    from novags.testbed.ledger.dry import planned
     from sensor_model.files.camera_file import write_sensor
 
     check_range("window", window, 2, SIDE, " px")

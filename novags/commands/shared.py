@@ -63,7 +63,7 @@ def writing(folder: Path, wait: bool, *, dry_run: bool = False, **lock: Any) -> 
     `lock`: further arguments of `locked`.
     """
     from novags.testbed.console import warnings_as_notes
-    from novags.testbed.ledger.stage import dry_run as dry
+    from novags.testbed.ledger.dry import dry_run as dry
     from sensor_model.files.lock import locked
 
     said = console()

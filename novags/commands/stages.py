@@ -71,8 +71,8 @@ def render(
         dry_run: Only say whether it would be made, or made again and why. Nothing is written.
     """
     from novags.testbed import stages
-    from novags.testbed.ledger.stage import dry_run as dry
-    from novags.testbed.ledger.stage import planned
+    from novags.testbed.ledger.dry import dry_run as dry
+    from novags.testbed.ledger.dry import planned
     from novags.testbed.stages.configs.rendering import RenderConfig
     from simscenes.job.accuracy import summary
 
@@ -155,8 +155,8 @@ def capture(
         dry_run: Only say whether it would be made, or made again and why. Nothing is written.
     """
     from novags.testbed import stages
-    from novags.testbed.ledger.stage import dry_run as dry
-    from novags.testbed.ledger.stage import planned
+    from novags.testbed.ledger.dry import dry_run as dry
+    from novags.testbed.ledger.dry import planned
     from novags.testbed.levels import Level, level_named
     from novags.testbed.stages.configs.capturing import CaptureConfig
 
@@ -209,8 +209,8 @@ def reconstruct(
         dry_run: Only say whether it would be made, or made again and why. Nothing is written.
     """
     from novags.testbed import stages
-    from novags.testbed.ledger.stage import dry_run as dry
-    from novags.testbed.ledger.stage import planned
+    from novags.testbed.ledger.dry import dry_run as dry
+    from novags.testbed.ledger.dry import planned
     from novags.testbed.presets import EXPERIMENTS, adapted
     from novags.testbed.stages.viewers import check_viewers, viewer_files, write_viewers
 

@@ -17,7 +17,7 @@ from novags.testbed.budget.trial import Forecast, OutOfTime, forecast
 from novags.testbed.console import Console
 from novags.testbed.folders.experiment import EXPERIMENT
 from novags.testbed.ledger.contents import digest, jsonable, read_json, write_json
-from novags.testbed.ledger.stage import NOT_DONE, dry_run, planned
+from novags.testbed.ledger.dry import NOT_DONE, dry_run, planned
 from novags.testbed.presets import Preset
 from sensor_model.files.lock import locked
 from sensor_model.files.reading import brief

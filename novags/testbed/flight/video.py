@@ -16,7 +16,7 @@ from novags.testbed.flight.path import SAME, fly
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import CAMERAS, SCENE, Run
 from novags.testbed.folders.set import Source
-from novags.testbed.ledger.stage import planned
+from novags.testbed.ledger.dry import planned
 from novags.testbed.references import pictured, references
 from novags.testbed.report.pictures import LONG, TRUTHS
 from novags.testbed.viewer.splats import scene_of

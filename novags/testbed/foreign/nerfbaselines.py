@@ -25,7 +25,7 @@ from novags.testbed.folders.experiment import gather
 from novags.testbed.folders.run import Run, open_run
 from novags.testbed.folders.set import Source
 from novags.testbed.ledger.contents import read_json, write_json
-from novags.testbed.ledger.stage import planned
+from novags.testbed.ledger.dry import planned
 from novags.testbed.machine.provenance import package_version
 from novags.testbed.metrics.images import psnr, ssim
 from novags.testbed.metrics.perceptual import PerceptualDistance

@@ -14,7 +14,7 @@ from novags.testbed.folders.capture import RECORD, Capture, open_capture
 from novags.testbed.folders.imported import MISSING
 from novags.testbed.folders.set import Source, open_source
 from novags.testbed.foreign.pictures import Picture, find_renders, read_picture
-from novags.testbed.ledger.stage import NOT_DONE, planned
+from novags.testbed.ledger.dry import NOT_DONE, planned
 from novags.testbed.metrics.geometry import geometry_scores
 from novags.testbed.metrics.images import image_scores, mean_scores
 from novags.testbed.metrics.linear import exposure_gain, is_black, linear_psnr

@@ -11,8 +11,8 @@ a time works in a folder.
 
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
@@ -34,6 +34,7 @@ from novags.testbed.ledger.contents import (
     write_json,
 )
 from novags.testbed.ledger.difference import from_request, listed
+from novags.testbed.ledger.dry import NOT_DONE, Planned
 from novags.testbed.ledger.made import made_name, made_with, write_made
 from novags.testbed.ledger.source import hashed
 from novags.testbed.machine.memory import memory_shortage_said
@@ -47,57 +48,6 @@ STATE = {"stage?": str, "record?": str, "key?": (str, None), "seconds?": float, 
 FILES = {"files?": {"*": str}}  # checksums of what the stage wrote
 KEYED = {"stage?": {"key?": str, **FILES}}  # what a record of any stage holds
 MADE = {"stage?": {"key?": str, "code?": str, "config?": dict, "inputs?": {"*": str}, "versions?": {"*": str}, **FILES}}
-
-NOT_DONE = "(dry run: nothing is done)"
-
-
-class Planned(Exception):
-    """In a dry run: raised in place of the work, once it was said what would be done.
-
-    Args:
-        kept: Whether nothing would be.
-    """
-
-    def __init__(self, kept: bool) -> None:
-        super().__init__()
-        self.kept = kept
-
-
-@contextmanager
-def dry_run(asked: bool = True) -> Iterator[list[bool]]:
-    """Where asked, a stage says what it would do, writes nothing, and ends the block; and so does `planned`.
-
-    Yields:
-        A list, to which the stage adds whether its result would be kept.
-    """
-    token, kept = dry.set(asked), list[bool]()
-    try:
-        yield kept
-    except Planned as planned:
-        kept.append(planned.kept)
-    finally:
-        dry.reset(token)
-
-
-def planned(console: Console, name: str, files: Iterable[Path]) -> None:
-    """In a dry run, say of each file that it would be made, or made again; otherwise do nothing.
-
-    Call it where all has been checked and nothing is written yet.
-
-    Args:
-        console: Where it is said.
-        name: What makes the files.
-        files: These; what is made with each measurement, say, is said by whoever counts them.
-
-    Raises:
-        Planned: In a dry run.
-    """
-    if not dry.get():
-        return
-    for file in files:
-        again, there = (" again", " is there") if file.exists() else ("", "")
-        console.note(f"{name}: to be made{again} in {file.parent}: {file.name}{there} {NOT_DONE}")
-    raise Planned(kept=False)
 
 
 def run_stage(
@@ -145,8 +95,25 @@ def run_stage(
         MemoryError: If there is not enough memory, of the GPU too.
     """
     with locked(folder, owns), memory_shortage_said(name):
-        stage = _Stage(name, folder, record_name, code, tuple(owns), tuple(scrap), console, overwrite)
-        return stage.run(inputs, jsonable(config), prepare, work, stale, opened)
+        stage = _Stage(name, folder, record_name, code, tuple(owns), tuple(scrap), console)
+        known = dict(inputs() if opened is None else opened)
+        asked = {"name": name, "code": code.key, "inputs": known, "config": jsonable(config)}
+        asked["key"] = stage_key(asked)
+        made = read_json(folder / record_name, KEYED) if (folder / record_name).exists() else {}
+        current = made.get("stage", {}).get("key") == asked["key"]
+        wrong = not_as_written(folder, made["stage"].get("files", {})) if current else []
+        if current and not wrong:
+            stage.keep()
+            return made
+        if not overwrite:
+            refuse_other(folder, record_name, config, known)
+        if wrong:
+            console.note(f"{name}: {folder}: {in_words(wrong)}, doing it again")
+        earlier = None if wrong else stage.earlier_cost(asked)  # damaged files are nothing to go on from
+        if dry.get():
+            console.note(f"{name}: to be made in {folder} {NOT_DONE}")
+            raise Planned(kept=False)
+        return stage.make(asked, inputs, prepare, work, earlier, stale)
 
 
 def refuse_other(
@@ -202,71 +169,57 @@ class _Stage:
     owns: tuple[str, ...]
     scrap: tuple[str, ...]
     console: Console
-    overwrite: bool = False
 
-    def run(
-        self,
-        ask: Callable[[], Mapping[str, str]],
-        config: dict[str, Any],
-        prepare: Callable[[], Prepared],
-        work: Callable[[Prepared], Mapping[str, Any]],
-        stale: Sequence[Path],
-        opened: Mapping[str, str] | None = None,
-    ) -> dict[str, Any]:
-        """As `run_stage` says."""
-        inputs = dict(ask() if opened is None else opened)
-        about = {"name": self.name, "code": self.code.key, "inputs": inputs, "config": config}
-        key, record_path = stage_key(about), self.folder / self.record_name
-        record = read_json(record_path, KEYED) if record_path.exists() else {}
-        made = record.get("stage", {}).get("key") == key
-        wrong = not_as_written(self.folder, record["stage"].get("files", {})) if made else []
-        if made and not wrong:
-            told = made_with(self.folder, self.record_name).kept_though(self.code)
-            self.console.note(f"{self.name}: unchanged, kept {self.folder}{told}")
-            if dry.get():
-                raise Planned(kept=True)
-            self._forget_interruption()
-            return record
-        if not self.overwrite:
-            refuse_other(self.folder, self.record_name, config, inputs)
-        if wrong:
-            self.console.note(f"{self.name}: {self.folder}: {in_words(wrong)}, doing it again")
-        earlier = None if wrong else self._earlier_cost(key, inputs, config)  # damaged files are nothing to go on from
+    def keep(self) -> None:
+        """Say that the result there stays.
+
+        Raises:
+            Planned: In a dry run.
+        """
+        told = made_with(self.folder, self.record_name).kept_though(self.code)
+        self.console.note(f"{self.name}: unchanged, kept {self.folder}{told}")
         if dry.get():
-            self.console.note(f"{self.name}: to be made in {self.folder} {NOT_DONE}")
-            raise Planned(kept=False)
-        start, memory = time.perf_counter(), PeakMemory()
+            raise Planned(kept=True)
+        # Work on this record may have been stopped after it was written, or before anything was cleared for another.
+        if self._unfinished.exists() and read_json(self._unfinished, STATE).get("record") == self.record_name:
+            self._tidy()
+
+    def make(
+        self, asked: dict[str, Any], ask: Callable[[], Mapping[str, str]], prepare: Callable[[], Prepared],
+        work: Callable[[Prepared], Mapping[str, Any]], earlier: tuple[float, int] | None, stale: Sequence[Path],
+    ) -> dict[str, Any]:  # fmt: skip
+        """Do the work and write the record; `asked`: its entry "stage", but for what the work finds and costs."""
+        start, memory, record_path = time.perf_counter(), PeakMemory(), self.folder / self.record_name
         prepared = prepare()
         if earlier is None:
             told_of = stale if record_path.exists() else ()
             owned = (self.record_name, made_name(self.record_name), *self.owns)
-            self._clear(key, [*told_of, *(self.folder / name for name in owned)])
+            self._clear(asked["key"], [*told_of, *(self.folder / name for name in owned)])
         before, most = earlier or (0.0, 0)
+        cost = lambda: {"seconds": before + time.perf_counter() - start,  # noqa: E731
+                        "peak_bytes": max(most, memory.peak_bytes())}  # fmt: skip
         try:
             with witnessed(read_digest) as witness:
                 body = dict(work(prepared))
         except BaseException:
             with suppress(OSError):  # a full disk, say: whose work this is, is there already
-                self._mark(key, before + time.perf_counter() - start, max(most, memory.peak_bytes()))
+                self._mark(asked["key"], **cost())
             raise
-        self._refuse_changed(inputs, ask)
+        if changed := [name for name, content in ask().items() if asked["inputs"].get(name) != content]:
+            self._refuse(f"the {' and '.join(changed)} that it reads")
         files = {**self._checksums(witness), self.record_name: hashed(record_digest(body))}
-        seconds = before + time.perf_counter() - start
-        cost = {"seconds": seconds, "peak_bytes": max(most, memory.peak_bytes()), **environment()}
         write_made(self.folder, self.record_name, self.code)
-        body["stage"] = {**about, "key": key, **cost, "files": files}
-        write_json(record_path, body)
+        write_json(record_path, {**body, "stage": {**asked, **cost(), **environment(), "files": files}})
         self._tidy()
         return read_json(record_path)
 
-    def _refuse_changed(self, inputs: Mapping[str, str], ask: Callable[[], Mapping[str, str]]) -> None:
-        """Raise ValueError if an input is no longer what it was when the work began."""
-        if changed := [name for name, content in ask().items() if inputs.get(name) != content]:
-            self._mark(None)  # nothing here can be gone on from
-            raise ValueError(
-                f"{self.name}: the {' and '.join(changed)} that it reads changed while it was at work: its result in "
-                f"{self.folder} is not kept; let nothing write there and run the same command again"
-            )
+    def _refuse(self, what: str) -> None:
+        """Raise ValueError, because something was changed by somebody else; nothing here can be gone on from."""
+        self._mark(None)
+        raise ValueError(
+            f"{self.name}: {what} changed while it was at work: its result in {self.folder} is not kept; let nothing "
+            "else write there and run the same command again"
+        )
 
     def _checksums(self, witness: Witness) -> dict[str, str]:
         """Of every file, as it was when this stage wrote it.
@@ -277,27 +230,16 @@ class _Stage:
         names = [name for name in self.owns if name not in (self.record_name, *self.scrap)]
         found = {}
         for name, path in sorted(shown(self.folder, names).items()):
-            if (written := witness.unchanged(path)) is None:
-                found[name] = checksum(path)
-                written = witness.found.get(os.path.abspath(path))
-                if written is not None and hashed(written) != found[name]:
-                    self._mark(None)  # nothing here can be gone on from
-                    raise ValueError(
-                        f"{path} was changed by somebody else while {self.name} was at work: its result is not kept; "
-                        "let nothing else write there and run the same command again"
-                    )
-            else:
-                found[name] = hashed(written)
+            written = witness.unchanged(path)
+            found[name] = checksum(path) if written is None else hashed(written)
+            before = witness.found.get(os.path.abspath(path))
+            if before is not None and hashed(before) != found[name]:
+                self._refuse(f"{path}, which it wrote, was")
         return found
 
     @property
     def _unfinished(self) -> Path:
         return self.folder / UNFINISHED
-
-    def _forget_interruption(self) -> None:
-        """Work on this record was stopped after the record was written, or before anything was cleared for another."""
-        if self._unfinished.exists() and read_json(self._unfinished, STATE).get("record") == self.record_name:
-            self._tidy()
 
     def _tidy(self) -> None:
         """Remove what only unfinished work needs; what marks it goes last, so that this can be interrupted too."""
@@ -305,14 +247,8 @@ class _Stage:
             remove(self.folder / name)
         self._unfinished.unlink(missing_ok=True)
 
-    def _why(self, stage: Mapping[str, Any], inputs: Mapping[str, str], config: Mapping[str, Any]) -> str:
-        """Why a finished result is made again."""
-        changed = made_with(self.folder, self.record_name).changed_in(self.code)
-        found = [*from_request(stage, config, inputs), *([changed] if changed else [])]
-        return listed(found) or "another stage made it"
-
-    def _earlier_cost(self, key: str, inputs: Mapping[str, str], config: Mapping[str, Any]) -> tuple[float, int] | None:
-        """Seconds of interrupted attempts at the work of `key` and the most bytes that one held.
+    def earlier_cost(self, asked: Mapping[str, Any]) -> tuple[float, int] | None:
+        """Seconds of interrupted attempts at this work and the most bytes that one held.
 
         None if the folder has to be cleared for it.
 
@@ -322,7 +258,7 @@ class _Stage:
         record, name = self.folder / self.record_name, self.name
         if self._unfinished.exists():
             state = read_json(self._unfinished, STATE)
-            if state.get("key") == key:
+            if state.get("key") == asked["key"]:
                 self.console.note(f"{name}: continuing in {self.folder}")
                 return float(state.get("seconds", 0.0)), int(state.get("peak_bytes", 0))
             if state.get("record", self.record_name) not in (self.record_name, *self.owns):
@@ -333,7 +269,9 @@ class _Stage:
         elif record.exists():
             if "stage" not in (found := read_json(record, MADE)):
                 raise ValueError(f"{record} is there, and novags {name} did not write it: choose another --out")
-            self.console.note(f"{name}: made again in {self.folder}: {self._why(found['stage'], inputs, config)}")
+            changed = made_with(self.folder, self.record_name).changed_in(self.code)
+            why = [*from_request(found["stage"], asked["config"], asked["inputs"]), *([changed] if changed else [])]
+            self.console.note(f"{name}: made again in {self.folder}: {listed(why) or 'another stage made it'}")
         elif taken := sorted(owned for owned in self.owns if (self.folder / owned).exists()):
             raise ValueError(
                 f"{self.folder} already holds {', '.join(taken)}, and novags {name} did not write them: choose another "

@@ -6,7 +6,7 @@ from pathlib import Path
 from statistics import median
 
 from novags.testbed.console import Console
-from novags.testbed.ledger.stage import NOT_DONE
+from novags.testbed.ledger.dry import NOT_DONE
 from novags.testbed.pareto.knob import Knob, Setting, Subject
 from novags.testbed.pareto.samples import Samples
 from novags.testbed.study.engines.progress import duration

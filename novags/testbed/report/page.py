@@ -17,7 +17,7 @@ from novags.testbed.folders.experiment import EXPERIMENT, REPORT, experiments_in
 from novags.testbed.folders.linear_photographs import LinearPhotographs
 from novags.testbed.folders.run import METRICS
 from novags.testbed.ledger.contents import digest, jsonable, read_json
-from novags.testbed.ledger.stage import planned
+from novags.testbed.ledger.dry import planned
 from novags.testbed.report.comparison import comparison_context
 from novags.testbed.report.facts import (
     camera_table,

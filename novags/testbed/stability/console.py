@@ -6,7 +6,7 @@ from pathlib import Path
 
 from novags.testbed import stability
 from novags.testbed.console import Console
-from novags.testbed.ledger.stage import planned
+from novags.testbed.ledger.dry import planned
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import read_text
 from sensor_model.files.lock import locked

@@ -179,7 +179,7 @@ def read_viewed(folder: Path, file: Path) -> object:
 def read_unfinished(folder: Path, file: Path) -> None:
     from novags.testbed.console import Console
     from novags.testbed.ledger.code import Code
-    from novags.testbed.ledger.stage import _Stage
+    from novags.testbed.ledger.stage import run_stage
 
     class Started(Exception):
         """Instead of work, which would change the folder."""
@@ -187,9 +187,11 @@ def read_unfinished(folder: Path, file: Path) -> None:
     def prepare() -> None:
         raise Started
 
-    stage = _Stage("score", folder, "metrics.json", Code({}, {}), ("metrics.json",), (), Console(quiet=True), True)
     with contextlib.suppress(Started):
-        stage.run(dict, {}, prepare, lambda _: {}, ())
+        run_stage(
+            "score", folder, "metrics.json", code=Code({}, {}), inputs=dict, config={}, owns=("metrics.json",),
+            prepare=prepare, work=lambda _: {}, console=Console(quiet=True), overwrite=True,
+        )  # fmt: skip
 
 
 def make_unfinished(folder: Path) -> None:

@@ -216,7 +216,7 @@ def test_small_faults_that_only_many_damaged_files_show(tmp_path: Path) -> None:
     for seconds in ("{}", "[1]", "null", "1" + "0" * 400):
         (tmp_path / UNFINISHED).write_text(f'{{"key": "k", "seconds": {seconds}}}')
         with pytest.raises(ValueError, match=rf"{UNFINISHED}.*(seconds must be a finite number|below 2\*\*64)"):
-            _Stage("score", tmp_path, "metrics.json", Code({}, {}), (), (), quiet)._earlier_cost("k", {}, {})
+            _Stage("score", tmp_path, "metrics.json", Code({}, {}), (), (), quiet).earlier_cost({"key": "k"})
     (tmp_path / UNFINISHED).unlink()
     (tmp_path / "experiment.json").write_text('{"command": null, "methods": [], "preset": {}}')
     with pytest.raises(ValueError, match=r"experiment.json names no methods"):

@@ -9,7 +9,7 @@ from novags.testbed.console import Console
 from novags.testbed.folders import shapes
 from novags.testbed.folders.experiment import REPORT
 from novags.testbed.ledger.contents import digest
-from novags.testbed.ledger.stage import planned
+from novags.testbed.ledger.dry import planned
 from novags.testbed.report.look.album import Album
 from novags.testbed.report.look.maps import ERROR_CEILING
 from novags.testbed.report.page import fill_page, identity_of, written

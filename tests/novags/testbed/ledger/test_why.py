@@ -9,6 +9,7 @@ from novags.testbed.console import Console
 from novags.testbed.ledger import stage as stages
 from novags.testbed.ledger.code import Code
 from novags.testbed.ledger.contents import write_json
+from novags.testbed.ledger.dry import dry_run
 
 CODE = Code({"a.py": "1", "b.py": "1"}, {"a.py": "whole 1", "b.py": "whole 1"})
 
@@ -56,7 +57,7 @@ def test_a_dry_run_says_what_would_be_done_and_writes_nothing(
     def tree() -> dict[Path, int]:
         return {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*")}
 
-    with stages.dry_run() as kept:
+    with dry_run() as kept:
         stage(tmp_path / "new", writes(tmp_path, []), console=Console())
     assert kept == [False]
     assert not (tmp_path / "new").exists()
@@ -66,13 +67,13 @@ def test_a_dry_run_says_what_would_be_done_and_writes_nothing(
         (tmp_path / "a.txt").write_text("b")
     before, calls = tree(), list[str]()
     code = Code({"a.py": "2", "b.py": "1"}, {}) if change == "code" else CODE
-    with stages.dry_run() as kept:
+    with dry_run() as kept:
         stage(tmp_path, writes(tmp_path, calls), code=code, console=Console())
     assert kept == [change == "nothing"]
     assert (calls, tree()) == ([], before)
     words = {"nothing": "unchanged, kept", "code": "a.py has changed since", "a file": "a.txt not as written"}
     assert words[change] in said(capsys)
-    with stages.dry_run(False):
+    with dry_run(False):
         stage(tmp_path, writes(tmp_path, calls), code=code)
     assert calls == ([] if change == "nothing" else ["called"])
 

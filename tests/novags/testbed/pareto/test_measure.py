@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from novags.testbed.console import Console, Update
-from novags.testbed.ledger.stage import dry_run
+from novags.testbed.ledger.dry import dry_run
 from novags.testbed.pareto import samples as samples_module
 from novags.testbed.pareto.curve import curves
 from novags.testbed.pareto.measure import measure, time_left
