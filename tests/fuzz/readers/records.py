@@ -92,7 +92,7 @@ def make_run(folder: Path) -> None:
 
     make_capture(folder)
     capture = open_capture(folder / "capture")
-    inputs = {"capture": capture.content, "set": capture.record["stage"]["inputs"]["set"]}
+    inputs = {"capture": capture.content, "set": capture.record.simulated.set_content}
     rng = np.random.default_rng(0)
     config = {"enhance": {"radius": 8}, "fit": {"iterations": 10}}
     scores = {k: 20.0 for k in ("psnr", "aligned_psnr", "tone_aligned_psnr", "ssim", "aligned_ssim", "flip", "delta_e")}
