@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 
 from novags.splats.views import Views
+from simscenes.rigs import Rig
 
 Array = NDArray[np.float64]
 
@@ -19,8 +20,7 @@ class CameraEstimate:
 
     Attributes:
         registered: Indices, among the C requested views, of those that have a camera; increasing.
-        viewmats: [R, 4, 4] float64, world to camera, one for each registered view.
-        Ks: [R, 3, 3] float64, pixels, pixel centres at +0.5.
+        rig: One camera for each registered view, of the size of the views.
         points: [P, 3] float32, units of the source's frame.
         colors: [P, 3] float32, 0..1, as the dark images show them.
         extent: 1.1 times the largest distance of a camera from the mean camera, units of the source's frame.
@@ -31,25 +31,38 @@ class CameraEstimate:
     """
 
     registered: tuple[int, ...]
-    viewmats: Tensor
-    Ks: Tensor
+    rig: Rig
     points: Tensor
     colors: Tensor
     extent: float
     made_of: dict[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        count, shapes = len(self.registered), [list(v.shape) for v in (self.viewmats, self.Ks, self.points)]
-        if shapes != [[count, 4, 4], [count, 3, 3], [len(self.points), 3]] or self.colors.shape != self.points.shape:
+        count, shape = len(self.registered), list(self.points.shape)
+        if len(self.rig) != count or shape != [len(self.points), 3] or self.colors.shape != self.points.shape:
             raise ValueError(
-                f"viewmats, Ks, points, colors must be [R, 4, 4], [R, 3, 3], [P, 3], [P, 3] for R = {count} registered "
-                f"views, got {', '.join(map(str, shapes))}, {list(self.colors.shape)}"
+                f"the rig must have one camera for each of {count} registered views, and points and colors must be "
+                f"[P, 3], got {len(self.rig)} cameras, {shape} and {list(self.colors.shape)}"
             )
         if list(self.registered) != sorted(set(self.registered)) or min(self.registered, default=0) < 0:
             raise ValueError(f"registered must hold increasing positions >= 0, got {self.registered}")
-        for name in ("viewmats", "Ks", "points", "colors"):
-            if not torch.isfinite(getattr(self, name)).all():
-                raise ValueError(f"{name} of a camera estimate must be finite; the camera source failed")
+        _check_finite(points=self.points, colors=self.colors)
+
+    @property
+    def viewmats(self) -> Tensor:
+        """[R, 4, 4] float64, world to camera."""
+        return torch.tensor(self.rig.viewmats)
+
+    @property
+    def Ks(self) -> Tensor:
+        """[R, 3, 3] float64, pixels, pixel centres at +0.5."""
+        return torch.tensor(self.rig.Ks)
+
+
+def _check_finite(**values: Tensor) -> None:
+    for name, value in values.items():
+        if not torch.isfinite(value).all():
+            raise ValueError(f"{name} of a camera estimate must be finite; the camera source failed")
 
 
 def as_estimate(
@@ -60,13 +73,18 @@ def as_estimate(
     colors: Array,
     extent: float | None = None,
     *,
+    size: tuple[int, int],
     made_of: dict[str, int],
 ) -> CameraEstimate:
-    """The estimate as tensors of its types; `extent` None: that of the cameras themselves."""
+    """The estimate in its types; `size` is width and height of the views, `extent` None that of the cameras themselves.
+
+    Raises:
+        ValueError: As `CameraEstimate`, and if the cameras are not finite or cannot be those of a `Rig`.
+    """
+    _check_finite(viewmats=torch.as_tensor(viewmats), Ks=torch.as_tensor(Ks))
     return CameraEstimate(
         registered=registered,
-        viewmats=torch.tensor(viewmats, dtype=torch.float64),
-        Ks=torch.tensor(Ks, dtype=torch.float64),
+        rig=Rig(viewmats=viewmats, Ks=Ks, width=size[0], height=size[1]),
         points=torch.tensor(points, dtype=torch.float32),
         colors=torch.tensor(colors, dtype=torch.float32),
         extent=extent_of(viewmats) if extent is None else extent,

@@ -70,7 +70,8 @@ def known(
     # those that a seed has always given.
     viewmats = moved if config.rotation_deg or config.translation else exact
     colors = averaged(first.xyz, first.colors)
-    return as_estimate(tuple(range(len(indices))), viewmats, Ks, first.xyz, colors, extent, made_of=first.made_of)
+    registered, size = tuple(range(len(indices))), (rig.width, rig.height)
+    return as_estimate(registered, viewmats, Ks, first.xyz, colors, extent, size=size, made_of=first.made_of)
 
 
 def perturb(viewmats: Array, rotation_deg: float, translation: float, rng: np.random.Generator) -> Array:

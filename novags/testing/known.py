@@ -136,8 +136,9 @@ class DarkCapture:
                 _indices=tuple(indices), _capture=capture, _source=source,
             )  # fmt: skip
 
-        points = source.points()
+        points, told = source.points(), capture.record.simulated
+        assert told is not None
         return DarkCapture(
             folder=capture.path, train=some(cameras.train_indices), test=some(cameras.test_indices),
-            points=np.empty((0, 3)) if points is None else points.xyz, electrons=float(capture.record["electrons"]),
+            points=np.empty((0, 3)) if points is None else points.xyz, electrons=float(told.electrons),
         )  # fmt: skip

@@ -84,7 +84,7 @@ def test_every_view_is_in_the_index_and_no_scene_in_two_splits(place: Path) -> N
     for row in found:
         assert all((place / "data" / row[kind]).is_file() for kind in ("dark", "dark16", "raw", "truth", "lit", "gt"))
     capture = open_capture(place / "data" / found[0]["capture"])
-    assert capture.record["electrons"] == 5
+    assert capture.record.simulated.electrons == 5
     source = capture.source(Console(quiet=True))  # the set is found beside it, wherever the data set lies
     assert source.views.path.resolve() == (place / "data" / found[0]["set"]).resolve()
     assert np.array_equal(source.lit(0), read_png(place / "data" / found[0]["lit"]))
@@ -141,10 +141,10 @@ def test_no_two_captures_share_their_noise(place: Path) -> None:
     noise = [(c.raw(0) - c.truth(0, "mean")) / np.sqrt(c.truth(0, "variance")) for c in captures]
     shared = np.corrcoef([part.ravel() for part in noise])[np.triu_indices(len(noise), 1)]
     assert np.abs(shared).max() < 5 / np.sqrt(noise[0].size)
-    assert {c.record["seed"] for c in captures} == {0}
+    assert {c.record.simulated.seed for c in captures} == {0}
     manifest = json.loads((place / "data" / "manifest.json").read_text())
     told = [entry["noise_seed"] for entry in manifest["entries"] if entry["kind"] == "capture"]
-    assert [c.record["noise_seed"] for c in captures] == told
+    assert [c.record.simulated.noise_seed for c in captures] == told
     assert len(set(told)) == 4
     assert Camera.of(captures[1], captures[1].source(Console(quiet=True))).seed == told[1]
     assert {row["noise_seed"] for row in rows(place)} == set(map(str, told))

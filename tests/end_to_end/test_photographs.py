@@ -90,7 +90,7 @@ def test_photographs_of_any_name_go_through_the_whole_line(tiny: Preset, quiet: 
     (tmp_path / "set" / "stray.png").write_bytes((tmp_path / "set" / "a.png").read_bytes())
     stages.capture(tmp_path / "set", tmp_path / "capture", CaptureConfig(), quiet)
     capture = open_capture(tmp_path / "capture")
-    assert sorted(capture.record["files"].values()) == sorted(files)
+    assert sorted(capture.record.files.values()) == sorted(files)
     config = adapted(tiny, points=50, iterations=2).reconstruct("naive")
     stages.reconstruct(tmp_path / "capture", tmp_path / "run", config, quiet)
     views = stages.score(tmp_path / "run", quiet)["methods"]["naive"]["views"]

@@ -168,7 +168,8 @@ def from_reconstruction(
     points, colors = _points(model, observed, dark, viewmats, Ks, n_points, np.random.default_rng(seed))
     matched = min(len(points), model.num_points3D())
     made_of = {"of the sparse model": matched, "between its points": len(points) - matched}
-    return as_estimate(registered, viewmats, Ks, points, averaged(points, colors), made_of=made_of)
+    colors, size = averaged(points, colors), (dark.shape[2], dark.shape[1])
+    return as_estimate(registered, viewmats, Ks, points, colors, size=size, made_of=made_of)
 
 
 def _points(

@@ -160,7 +160,7 @@ def from_pixels(
     colors = colors_from.detach().cpu().double().numpy()[view, y, x]
     return as_estimate(
         tuple(range(len(viewmats))), viewmats, window.original_Ks(Ks), points, averaged(points, colors),
-        made_of={"of the network's depths": len(points)},
+        size=(int(sizes[0]), int(sizes[1])), made_of={"of the network's depths": len(points)},
     )  # fmt: skip
 
 

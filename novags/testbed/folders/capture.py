@@ -13,7 +13,6 @@ A capture that was imported (`folders.imported`) has of these what its photograp
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import torch
@@ -25,18 +24,17 @@ from novags.methods.noise import Noise, camera_noise
 from novags.methods.noise_estimate import PIXELS, SMALLEST, noise_from
 from novags.methods.problem import RawPictures, encode
 from novags.testbed.console import Console
-from novags.testbed.folders import imported, shapes
+from novags.testbed.folders.capture_record import CaptureRecord, Imported, read_capture_record
+from novags.testbed.folders.imported import MISSING, read_clean
 from novags.testbed.folders.place import place_of
 from novags.testbed.folders.raw_files import read_digital_numbers
 from novags.testbed.folders.set import Source, open_source
-from novags.testbed.ledger.contents import folder_digest, read_json, refuse_damage
+from novags.testbed.ledger.contents import folder_digest, refuse_damage
 from sensor_model.capture import RawFrame
-from sensor_model.files.camera_file import sensor_from_dict
 from sensor_model.files.dng import write_dng
 from sensor_model.files.door import enter, resolved
-from sensor_model.files.reading import reading
 from sensor_model.files.records import Reads, read_once
-from sensor_model.isp import DEMOSAIC, Demosaic, develop, develop_linear, from_linear16, srgb_to_linear, white_balance
+from sensor_model.isp import Demosaic, develop, develop_linear, from_linear16, srgb_to_linear, white_balance
 from sensor_model.params import Cfa, Exposure, Sensor
 from simscenes.sets.multiview import MultiviewSet, load_set
 from simscenes.sets.pictures.exr import read_exr, write_exr
@@ -45,7 +43,6 @@ from simscenes.sets.writers.camera_files import CAMERA_FILES
 
 RECORD = "capture.json"
 REMEDY = "capture or import again, with --overwrite"
-LARGEST = 1e6  # in a colour matrix, whose entries are of order 1: far larger ones overflow the float32 of pictures
 OWNS = (RECORD, "raw", "images16", "images", "truth", "lit", *CAMERA_FILES)
 
 
@@ -100,9 +97,8 @@ class Capture:
     """A complete capture folder, read view by view."""
 
     path: Path
-    record: dict[str, Any]
+    record: CaptureRecord
     cameras: MultiviewSet
-    sensor: Sensor | None  # None: of imported photographs whose camera is not known
     content: str  # hash of all that the capture stage wrote, as it was when this was opened; "": not looked at
     reads: Reads = field(default_factory=dict, repr=False, compare=False)  # its JSON files, as they were opened
     memo: Memo = field(default_factory=Memo, repr=False, compare=False)  # what was read and computed from it so far
@@ -113,9 +109,14 @@ class Capture:
         return self.cameras.names
 
     @property
-    def imported(self) -> bool:
-        """Whether it is photographs from elsewhere, not simulated exposures."""
-        return imported.is_imported(self.record)
+    def sensor(self) -> Sensor | None:
+        """The camera; None: of imported photographs, not known."""
+        return self.record.sensor
+
+    @property
+    def imported(self) -> Imported | None:
+        """What is known of photographs from elsewhere; None: of simulated exposures."""
+        return self.record.imported
 
     def digest(self) -> str:
         """Hash of all that the capture stage wrote, as it is now."""
@@ -123,11 +124,11 @@ class Capture:
 
     def holds(self, part: str) -> bool:
         """Whether it has "images16", "raw", "truth" (the noise-free exposure) or, in the folder itself, "lit"."""
-        return part in self.record["parts"] if self.imported else part != "lit"
+        return part in self.imported.parts if self.imported else part != "lit"
 
     def _need(self, part: str) -> None:
         if not self.holds(part):
-            raise LacksInput(f"{self.path}: {imported.MISSING[part]}")
+            raise LacksInput(f"{self.path}: {MISSING[part]}")
 
     def srgb8(self, i: int) -> np.ndarray:
         """The 8-bit picture, sRGB-encoded float32 [h,w,3] in 0..1."""
@@ -194,12 +195,12 @@ class Capture:
 
     def _developed_clean(self, i: int, demosaiced: bool) -> np.ndarray:
         if self.imported:
-            return self._read(imported.read_clean, "truth", i, ".exr")
+            return self._read(read_clean, "truth", i, ".exr")
         assert self.sensor is not None
-        matrix = self.record["color_matrix"]
+        matrix = self.record.color_matrix
         if demosaiced:
             dn = self.truth(i, "clean")
-            return develop_linear(dn, self.sensor, demosaic=self.record["demosaic"], color_matrix=matrix)
+            return develop_linear(dn, self.sensor, demosaic=self.record.demosaic, color_matrix=matrix)
         dn = self._read(lambda path: _channels_of(path, "clean"), "truth", i, ".exr")
         return develop_linear(dn, replace(self.sensor, cfa=None), color_matrix=matrix)
 
@@ -221,7 +222,7 @@ class Capture:
     def _read(self, read: Callable[[Path], np.ndarray], kind: str, i: int, suffix: str) -> np.ndarray:
         """A file of view `i`, as large as its camera says."""
         path = self.path / kind / f"{self.names[i]}{suffix}"
-        refuse_damage(self.path, self.record, REMEDY, [f"{kind}/{path.name}"])
+        refuse_damage(self.path, {"stage": self.record.stage}, REMEDY, [f"{kind}/{path.name}"])
         found, rig = read(path), self.cameras.rig
         if found.shape[:2] != (rig.height, rig.width):
             height, width = found.shape[:2]
@@ -231,32 +232,31 @@ class Capture:
     @property
     def exposure(self) -> Exposure:
         """How the camera was used."""
-        return exposure_of(self.record)
+        return self.record.exposure
 
     @property
     def channels_share(self) -> tuple[str, ...]:
         """Why the noise of a pixel's three channels is not independent; empty where it is."""
-        if self.imported:
-            return imported.channels_share(self.record)
-        assert self.sensor is not None
+        levels = self.imported and self.imported.levels
+        cfa = self.sensor.cfa if self.sensor else levels[0] if levels else "unknown"
         reasons = {
-            "demosaicing": self.sensor.cfa is not None,
-            "a colour matrix": self.record["color_matrix"] is not None,
-            "JPEG": self.record.get("jpeg_quality") is not None,
+            "demosaicing": cfa is not None,
+            "a colour matrix": self.record.color_matrix is not None,
+            "JPEG": self.record.jpeg,
         }
         return tuple(reason for reason, holds in reasons.items() if holds)
 
     @property
     def pixels_share(self) -> tuple[str, ...]:
         """Why the noise of neighbouring pixels is not independent, where that of the channels may be."""
-        return () if self.record.get("resampled") is None else ("resampling",)
+        return () if self.record.resampled is None else ("resampling",)
 
     @property
     def levels(self) -> tuple[Cfa | None, float, float]:
         """Colour filter array of the raw frames (None: three chips), DN without light, DN of saturation."""
         if self.imported:
-            raw = self.record["raw"]
-            return raw["cfa"], float(raw["black"]), float(raw["white"])
+            assert self.imported.levels is not None
+            return self.imported.levels
         assert self.sensor is not None
         return self.sensor.cfa, float(self.sensor.black_level), self.sensor.white_dn
 
@@ -266,7 +266,7 @@ class Capture:
         if self.sensor is None:
             return None, None
         red, green, blue = white_balance(self.sensor).tolist()
-        matrix = self.record["color_matrix"]
+        matrix = self.record.color_matrix
         return (red, green, blue), None if matrix is None else tuple(tuple(map(float, row)) for row in matrix)
 
     @property
@@ -277,7 +277,7 @@ class Capture:
         """
         if self.sensor is None or self.pixels_share:
             return self.memo.once("noise from pictures", self._noise_from_pictures)
-        demosaic, matrix = self.record["demosaic"], self.record["color_matrix"]
+        demosaic, matrix = self.record.demosaic, self.record.color_matrix
         return camera_noise(self.sensor, self.exposure, demosaic=demosaic, color_matrix=matrix)
 
     def _noise_from_pictures(self) -> Noise | None:
@@ -304,29 +304,28 @@ class Capture:
             ValueError: If the set is no longer where it was, or no longer what it was.
         """
         source = self.unchecked_source(console)
-        if not self.imported and source.content != self.record["stage"]["inputs"]["set"]:
+        if (simulated := self.record.simulated) is not None and source.content != simulated.set_content:
             path = source.views.path
             raise ValueError(f"{path} has changed since {self.path} was made from it: put it back or capture again")
         return source
 
     def unchecked_source(self, console: Console) -> Source:
         """As `source`, without reading all of the set to see whether it has changed."""
-        if self.imported:
+        if (made_of := self.record.simulated) is None:
             return self._twins(console)
-        made_of = self.record["set"]
-        path = place_of(self.path, made_of["path"])
+        path = place_of(self.path, made_of.set_path)
         if not path.is_dir():
             raise ValueError(
-                f"{self.path} was made from the set {made_of['path']} (relative to it), which is not there: put it "
+                f"{self.path} was made from the set {made_of.set_path} (relative to it), which is not there: put it "
                 "back or capture again"
             )
-        return open_source(path, console, made_of["max_size"])
+        return open_source(path, console, made_of.max_size)
 
     def _twins(self, console: Console) -> Source:
         lit = self.holds("lit")
         kind = "lit" if lit else "images"
         files = tuple(self.path / kind / f"{name}.png" for name in self.names)
-        views = replace(self.cameras, files=files, meta={"scene": self.record["scene"]}, kind="photographs")
+        views = replace(self.cameras, files=files, meta={"scene": self.record.scene}, kind="photographs")
         return Source(views=views, rig=self.cameras.rig, console=console, lit_known=lit, reads=self.reads)
 
 
@@ -341,11 +340,6 @@ def _channels_of(path: Path, kind: str, channels: dict[str, np.ndarray] | None =
     if missing := [name for colour in "RGB" if (name := f"{kind}.{colour}") not in found]:
         raise ValueError(f"{path} lacks the channels {', '.join(missing)}: capture again")
     return np.stack([found[f"{kind}.{colour}"] for colour in "RGB"], axis=-1)
-
-
-def exposure_of(record: dict[str, Any]) -> Exposure:
-    """The exposure in a capture's record."""
-    return Exposure(**{**record["exposure"], "origin": tuple(record["exposure"]["origin"])})
 
 
 _OPENED: dict[Path, Capture] = {}  # the last one: stages of one experiment open the same capture again and again
@@ -366,11 +360,11 @@ def open_capture(path: Path, *, whole: bool = True) -> Capture:
     if whole and (known := _OPENED.get(place)) is not None and known.digest() == known.content:
         return known
     with read_once({}) as reads:
-        record, sensor = _read_record(path)
+        record = read_capture_record(path / RECORD)
         content = folder_digest(path, OWNS) if whole else ""
         if whole:
-            refuse_damage(path, record, REMEDY)
-        capture = Capture(path=path, record=record, cameras=load_set(path), sensor=sensor, content=content, reads=reads)
+            refuse_damage(path, {"stage": record.stage}, REMEDY)
+        capture = Capture(path=path, record=record, cameras=load_set(path), content=content, reads=reads)
     if whole:
         _OPENED.clear()
         _OPENED[place] = capture
@@ -386,18 +380,3 @@ def _enter(path: Path) -> None:
         raise ValueError(
             f"{path} holds no {RECORD}: it is not a capture, or an unfinished one (run novags capture again)"
         )
-
-
-def _read_record(path: Path) -> tuple[dict[str, Any], Sensor | None]:
-    record = read_json(path / RECORD)
-    foreign = imported.is_imported(record)
-    record = imported.check_record(path / RECORD) if foreign else read_json(path / RECORD, shapes.CAPTURE)
-    largest = np.abs(record["color_matrix"] or 0.0).max()
-    if largest > LARGEST:
-        raise ValueError(f"{path / RECORD}: color_matrix must hold numbers up to {LARGEST:g}, got {largest:g}: capture "
-                         "again")  # fmt: skip
-    with reading(path / RECORD, "capture again"):
-        sensor, _ = None if record["sensor"] is None else sensor_from_dict(record["sensor"]), exposure_of(record)
-        if record["demosaic"] not in DEMOSAIC:
-            raise ValueError(f"demosaic must be one of {', '.join(DEMOSAIC)}, got {record['demosaic']!r}")
-    return record, sensor

@@ -5,38 +5,13 @@ truth/NNNN.exr        clean.R, clean.G, clean.B: clean long exposures in linear 
                       pictures (0 = black, 1 = white), if they were given
 """
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from novags.testbed.folders import shapes
-from novags.testbed.ledger.contents import read_json
 from simscenes.sets.pictures.exr import read_exr, write_exr
 
-KIND = "imported"
-PARTS = ("images16", "raw", "truth", "lit")  # folders that a capture of this kind may lack
 CHANNELS = tuple(f"clean.{colour}" for colour in "RGB")
-
-
-def is_imported(record: Mapping[str, Any]) -> bool:
-    """Whether a capture.json describes photographs, not simulated exposures."""
-    return record.get("kind") == KIND
-
-
-def check_record(path: Path) -> dict[str, Any]:
-    """The capture.json of an import.
-
-    Raises:
-        ValueError: If it is not what the import wrote.
-    """
-    record = read_json(path, shapes.IMPORT)
-    if unknown := [part for part in record["parts"] if part not in PARTS]:
-        raise ValueError(f"{path}: parts must be among {', '.join(PARTS)}, got {unknown[0]!r}: import again")
-    if ("raw" in record["parts"]) != (record["raw"] is not None):
-        raise ValueError(f"{path}: raw frames and their levels must both be there or neither: import again")
-    return record
 
 
 def write_clean(folder: Path, name: str, light: np.ndarray) -> None:
@@ -58,18 +33,7 @@ def read_clean(path: Path) -> np.ndarray:
     return np.stack([channels[name] for name in CHANNELS], axis=-1).astype(np.float32)
 
 
-def channels_share(record: Mapping[str, Any]) -> tuple[str, ...]:
-    """Why the noise of a pixel's three channels is not independent; empty only where a three-chip camera is known."""
-    cfa = (record["sensor"] or {}).get("cfa") if record["sensor"] else (record["raw"] or {}).get("cfa", "unknown")
-    reasons = {
-        "demosaicing": cfa is not None,
-        "a colour matrix": record["color_matrix"] is not None,
-        "JPEG": record["jpeg"],
-    }
-    return tuple(reason for reason, holds in reasons.items() if holds)
-
-
-MISSING = {  # of `PARTS`: why a score or a method has nothing to go by, and what would give it
+MISSING = {  # of `capture_record.PARTS`: why a score or a method has nothing to go by, and what would give it
     "truth": "no noise-free exposure is known of these photographs: novags import takes --clean FOLDER (long exposures "
     "of the same views)",
     "lit": "nothing shows these views in good light: novags import takes --lit FOLDER (pictures of the same views)",

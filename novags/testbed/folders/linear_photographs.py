@@ -6,6 +6,7 @@ kind of set, one file in memory at a time.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +14,9 @@ import numpy as np
 
 from novags.testbed.folders import raw_files
 from sensor_model.files.door import PICTURE, admitted
-from sensor_model.files.reading import brief, reading
+from sensor_model.files.reading import brief
 from sensor_model.isp import to_srgb8
-from simscenes.rigs import Rig, opengl_to_opencv
+from simscenes.rigs import opengl_to_opencv
 from simscenes.sets.multiview import MultiviewSet
 from simscenes.sets.pictures.exr import read_exr
 from simscenes.sets.readers.colmap import colmap_lens, colmap_views, find_colmap
@@ -26,6 +27,7 @@ from simscenes.sets.readers.photographs import (
     held_out,
     listed,
     names_for_testing,
+    rig_of,
     transforms_frames,
     transforms_lens,
 )
@@ -59,26 +61,18 @@ def load_linear_set(folder: Path) -> LinearPhotographs | None:
     model = _model(folder)
     if model is None:
         return None
-    found = listed(model.entries, model.source, model.names)
-    entries = list(found.values())
-    files = tuple(entry.file for entry in entries)
+    there = listed(model.files, model.source, model.names)
+    files = tuple(file for i in there.values() if (file := model.files[i]) is not None)
     sizes = {_size(file) for file in files}
     if len(sizes) > 1:
         raise ValueError(f"the images of {model.source} must share one size, got {sorted(sizes)}")
-    width, height = sizes.pop()
+    size = sizes.pop()
     if raw_files.is_raw(files[0]):
-        width, height = _without_margins((width, height), model.size(entries[0].camera))
-    with reading(model.source):
-        lenses = tuple(model.lens(entry.camera, width, height) for entry in entries)
-        rig = Rig(
-            viewmats=np.stack([entry.viewmat for entry in entries]),
-            Ks=np.stack([lens.pinhole(width, height) for lens in lenses]),
-            width=width,
-            height=height,
-        )
+        size = _without_margins(size, model.size(model.cameras[next(iter(there.values()))]))
+    rig, lenses = rig_of(there.values(), model.viewmats, model.cameras, model.source, model.lens, size)
     return LinearPhotographs(
         path=folder,
-        names=tuple(found),
+        names=tuple(there),
         rig=rig,
         kind="photographs",
         meta={"exposure_scale": _exposure_scale(files)},
@@ -93,7 +87,9 @@ class _Model:
     """The cameras of a folder and their linear files, from whichever camera file it has."""
 
     source: Path
-    entries: list[tuple[Path | None, np.ndarray, Any]]
+    files: list[Path | None]  # None: not there
+    viewmats: list[np.ndarray]  # world-to-camera [4,4]
+    cameras: list[Any]
     size: Callable[[Any], tuple[int | None, int | None]]  # that a camera states, px
     lens: Callable[[Any, int, int], DistortedPinhole]
     names: Sequence[str]  # what messages call the files
@@ -109,27 +105,28 @@ def _model(folder: Path) -> _Model | None:
 
 
 def _of_transforms(folder: Path, source: Path) -> _Model | None:
-    frames = transforms_frames(source)
+    frames, poses = transforms_frames(source)
     files = _linear_files(folder, folder, [frame.file_path for frame in frames], source)
     if files is None:
         return None
-    entries = [(f, opengl_to_opencv(frame.pose), frame.camera) for f, frame in zip(files, frames, strict=True)]
     named = {Path(name) for name in names_for_testing(source)}
     tested = {f for f, frame in zip(files, frames, strict=True) if f is not None and Path(frame.file_path) in named}
     return _Model(
-        source, entries, lambda c: (c.get("w"), c.get("h")), lambda c, w, h: transforms_lens(c, w, h, source),
+        source, files, [opengl_to_opencv(pose) for pose in poses], [frame.camera for frame in frames],
+        lambda c: (c.get("w"), c.get("h")), partial(transforms_lens, source=source),
         spelt(folder, [frame.file_path for frame in frames], files), tested,
     )  # fmt: skip
 
 
 def _of_colmap(folder: Path, model: Path) -> _Model | None:
-    views = colmap_views(model)
-    files = _linear_files(folder, folder / "images", [name for name, _, _ in views], model)
+    names, viewmats, cameras = colmap_views(model)
+    files = _linear_files(folder, folder / "images", names, model)
     if files is None:
         return None
-    entries = [(file, viewmat, camera) for file, (_, viewmat, camera) in zip(files, views, strict=True)]
-    names = spelt(folder / "images", [name for name, _, _ in views], files)
-    return _Model(model, entries, lambda c: (c.width, c.height), lambda c, w, h: colmap_lens(c, w, h, model), names)
+    return _Model(
+        model, files, viewmats, cameras, lambda c: (c.width, c.height), partial(colmap_lens, source=model),
+        spelt(folder / "images", names, files),
+    )  # fmt: skip
 
 
 def _has_linear(folder: Path) -> bool:

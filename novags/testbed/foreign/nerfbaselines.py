@@ -128,11 +128,11 @@ def runs_of(folders: Sequence[Path]) -> list[Run]:
 def scene_names(capture: Capture) -> Iterator[str]:
     """What tells a capture from others: scene, camera, light, seed; where that is not enough, size, or its content."""
     record = capture.record
-    parts = [str(record.get("scene", capture.path.name)), str(record.get("sensor_name") or "camera")]
-    if not capture.imported:
-        parts += [f"{record['electrons']:g}e", f"s{record.get('seed', 0)}"]
+    parts = [capture.path.name if record.scene is None else record.scene, record.sensor_name or "camera"]
+    if (told := record.simulated) is not None:
+        parts += [f"{told.electrons:g}e", f"s{told.seed}"]
     yield safe_name("-".join(parts))
-    yield safe_name("-".join([*parts, f"{record['views']}x{record['width']}x{record['height']}"]))
+    yield safe_name("-".join([*parts, f"{record.views}x{record.width}x{record.height}"]))
     yield safe_name("-".join([*parts, capture.content[:12]]))
 
 

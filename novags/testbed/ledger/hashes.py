@@ -22,7 +22,7 @@ VERIFY = "NOVAGS_VERIFY"  # set by --verify of every command; processes that it 
 SETTLED = 2_000_000_000  # ns
 MOST = 1_000_000  # files; beyond them all is forgotten
 
-Stamp = tuple[int | str, ...]
+Stamp = tuple[object, ...]
 
 
 def remembered(path: Path, read: Callable[[Path], bytes], how: str) -> bytes:

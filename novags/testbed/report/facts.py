@@ -23,24 +23,24 @@ def scene_name(material: Material) -> str:
 
 def title(material: Material) -> str:
     """The report's heading."""
-    if material.capture.imported:
+    if (told := material.capture.record.simulated) is None:
         return f"{scene_name(material)}: photographs from the dark"
-    return f"{scene_name(material)} at {material.capture.record['electrons']:g} electrons per pixel"
+    return f"{scene_name(material)} at {told.electrons:g} electrons per pixel"
 
 
 def what_was_done(material: Material) -> str:
     """One sentence: scene, camera, light, methods, time."""
-    if material.capture.imported:
-        return _what_was_imported(material)
     record = material.capture.record
+    if (told := record.simulated) is None:
+        return _what_was_imported(material)
     rendered = material.lit.views.kind == "rendered"
     lost = len(material.lit.views.unregistered)
-    of = f" of {record['views'] + lost}" if lost else ""
-    views = f"{record['views']}{of} {'views' if rendered else 'photographs'} of {scene_name(material)}"
+    of = f" of {record.views + lost}" if lost else ""
+    views = f"{record.views}{of} {'views' if rendered else 'photographs'} of {scene_name(material)}"
     total = sum(row["seconds"] for row in costs(material))
     return (
-        f"{views} ({record['width']} × {record['height']} px) were {'rendered, ' if rendered else ''}"
-        f"taken in the dark by a simulated {record['sensor_name']} camera at {record['electrons']:g} electrons per "
+        f"{views} ({record.width} × {record.height} px) were {'rendered, ' if rendered else ''}"
+        f"taken in the dark by a simulated {record.sensor_name} camera at {told.electrons:g} electrons per "
         f"green pixel, reconstructed by {join(list(material.runs))}, and scored on views that no method had seen; "
         f"all of it took {duration(total)}."
     )
@@ -48,10 +48,10 @@ def what_was_done(material: Material) -> str:
 
 def _what_was_imported(material: Material) -> str:
     record, scored = material.capture.record, leading(material) is not None
-    size = f"{record['width']} × {record['height']} px"
+    size = f"{record.width} × {record.height} px"
     seen = "scored on views that no method had seen" if scored else "rendered from views that no method had seen"
     return (
-        f"{record['views']} dark photographs of {scene_name(material)} ({size}) were imported, reconstructed by "
+        f"{record.views} dark photographs of {scene_name(material)} ({size}) were imported, reconstructed by "
         f"{join(list(material.runs))}, and {seen}; all of it took "
         f"{duration(sum(row['seconds'] for row in costs(material)))}."
     )
@@ -59,20 +59,21 @@ def _what_was_imported(material: Material) -> str:
 
 def photographs_text(material: Material) -> list[str]:
     """What imported photographs are, what is known of their camera, and where the truth comes from."""
-    record = material.capture.record
-    forms = [{"8bit": "8-bit", "16bit": "16-bit", "raw": "raw"}[record["depth"]]]
-    if "raw" in record["parts"] and record["depth"] != "raw":
+    record, told = material.capture.record, material.capture.imported
+    assert told is not None
+    forms = [{"8bit": "8-bit", "16bit": "16-bit", "raw": "raw"}[told.depth]]
+    if material.capture.holds("raw") and told.depth != "raw":
         forms.append("raw")
-    name = record["sensor_name"]
+    name = record.sensor_name
     camera = f"The camera is {name}, as the import was told" if name else "The camera is not known"
     origins = {"camera": "known", "pictures": "estimated from the pictures"}
-    noise = "not known" if (told := material.capture.noise) is None else origins[told.origin]
+    noise = "not known" if (known := material.capture.noise) is None else origins[known.origin]
     found = [f"Nothing was simulated: these are {join(forms)} photographs. {camera}, and its noise is {noise}."]
-    if record["resampled"]:
-        found.append(f"Of their pixels {record['resampled']}.")
-    if (lit := record["lit"]) is not None:
+    if record.resampled:
+        found.append(f"Of their pixels {record.resampled}.")
+    if (lit := told.lit) is not None:
         found.append(f"The views in good light are the pictures of {lit['folder']}, paired by their {lit['paired']}.")
-    if (clean := record["clean"]) is not None:
+    if (clean := told.clean) is not None:
         found.append(
             f"The noise-free exposures are the long exposures of {clean['folder']}, times {clean['gain']:.4g} for all "
             f"views; what noise they have is in the reference, and {clean['white_share']:.2%} of them is white."
@@ -198,10 +199,10 @@ def costs(material: Material) -> list[dict[str, Any]]:
 
     `share` is of the time of all stages, `bar` of the longest one's.
     """
-    stages: list[tuple[str, str, dict[str, Any], dict[str, float]]] = []
+    stages: list[tuple[str, str, Mapping[str, Any], dict[str, float]]] = []
     if (made := material.lit.views.meta.get("stage")) is not None:
         stages.append((made.get("name", "render"), "", made, {}))
-    stages.append(("import" if material.capture.imported else "capture", "", material.capture.record["stage"], {}))
+    stages.append(("import" if material.capture.imported else "capture", "", material.capture.record.stage, {}))
     for name, run in material.runs.items():
         key = material.rows[name].key
         spent = {**run.record["stage"], "peak_bytes": run.peak_bytes}
@@ -227,8 +228,8 @@ def plans(material: Material) -> list[dict[str, Any]]:
         table = plan_table(transport)
         table["saved"] = f"{time_saved(transport['seconds'])} {render_quality(meta)}".strip()
         found.append({"heading": "Light transport", "plan": table})
-    if (sensor := material.capture.record.get("plan")) is not None:
-        found.append({"heading": "Sensor", "plan": plan_table(sensor)})
+    if (told := material.capture.record.simulated) is not None and told.plan is not None:
+        found.append({"heading": "Sensor", "plan": plan_table(told.plan)})
     return found
 
 
@@ -266,7 +267,7 @@ def render_quality(meta: dict[str, Any]) -> str:
 def configurations(material: Material) -> dict[str, str]:
     """Every record's resolved configuration as indented JSON."""
     taken = "import" if material.capture.imported else "capture"
-    records: dict[str, Any] = {taken: material.capture.record["stage"]["config"]}
+    records: dict[str, Any] = {taken: material.capture.record.stage["config"]}
     if (made := material.lit.views.meta.get("stage")) is not None:
         records = {made.get("name", "render"): made["config"], **records}
     for name, run in material.runs.items():

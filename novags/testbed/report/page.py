@@ -230,7 +230,6 @@ def report_context(material: Material, album: Album, progress: Update) -> dict[s
         "photographs": photographs_text(material) if material.capture.imported else None,
         "linear": isinstance(material.lit.views, LinearPhotographs),
         "record": material.capture.record,
-        "background": material.capture.record.get("set", {}).get("background"),
         "unregistered": material.lit.views.unregistered,
         "unavailable": material.metrics["unavailable"],
         "configurations": configurations(material),

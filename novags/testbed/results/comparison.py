@@ -72,9 +72,9 @@ def runs_by_capture(folders: Sequence[Path], console: Console) -> list[tuple[Cap
 def title_of(capture: Capture, lit: Source) -> str:
     """Scene, electrons and camera of a capture."""
     scene = lit.views.meta.get("scene") or lit.views.path.name
-    if capture.imported:
+    if (told := capture.record.simulated) is None:
         return f"{scene}, photographs from the dark"
-    return f"{scene}, {capture.record['electrons']:g} electrons, {capture.record['sensor_name']}"
+    return f"{scene}, {told.electrons:g} electrons, {capture.record.sensor_name}"
 
 
 def merged(runs: Mapping[str, Run]) -> dict[str, Any]:

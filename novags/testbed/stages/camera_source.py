@@ -20,6 +20,7 @@ from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.set import Source
 from novags.testbed.stages.failing import failing_in
 from novags.testbed.stages.seen import SEEN
+from simscenes.rigs import Rig
 
 
 def cameras_of(
@@ -75,33 +76,31 @@ class Frame:
     Attributes:
         capture: The capture.
         indices: Of the capture's views, the training views that have a camera.
-        cameras: Those cameras at the end of training [R, 4, 4] float64.
-        Ks: Their intrinsics [R, 3, 3] float64, which a source may estimate too.
+        rig: Those cameras at the end of training, with the intrinsics of their source, which may estimate them too.
         alignment: Of these cameras to the true ones.
     """
 
     capture: Capture
     indices: list[int]
-    cameras: Tensor
-    Ks: Tensor
+    rig: Rig
     alignment: Alignment
 
     @staticmethod
     def of(capture: Capture, indices: list[int], estimate: CameraEstimate, viewmats: Tensor | None) -> "Frame":
         """The frame of an estimate, or of the cameras that training refined it to (`viewmats` [R, 4, 4])."""
-        cameras = estimate.viewmats if viewmats is None else viewmats.detach().cpu().double()
-        return Frame(capture, indices, cameras, estimate.Ks, align(cameras, true_cameras(capture)[indices]))
+        rig = estimate.rig
+        if viewmats is not None:
+            rig = dataclasses.replace(rig, viewmats=viewmats.detach().cpu().double().numpy())
+        return Frame(capture, indices, rig, align(torch.tensor(rig.viewmats), true_cameras(capture)[indices]))
 
     def view(self, i: int, device: torch.device) -> Views:
         """The camera of view `i` in this frame: the method's own of a training view, else the true one brought here."""
-        rig = self.capture.cameras.rig
         if i in self.indices:
             place = self.indices.index(i)
-            viewmat, K = self.cameras[place][None], self.Ks[place][None]
-        else:
-            viewmat = to_estimated(self.alignment.similarity, true_cameras(self.capture)[i : i + 1])
-            K = torch.from_numpy(np.array(rig.Ks, np.float64)[i : i + 1])
-        return Views(viewmat.to(device, torch.float32), K.to(device, torch.float32), rig.width, rig.height)
+            return views_of(self.rig, [place]).to(device)
+        there = to_estimated(self.alignment.similarity, true_cameras(self.capture)[i : i + 1]).numpy()
+        true = self.capture.cameras.rig
+        return views_of(dataclasses.replace(true, viewmats=there, Ks=true.Ks[i : i + 1])).to(device)
 
     def facts(self) -> dict[str, Any]:
         """For the record: which views have a camera, how large the errors are after alignment, the depth scale.
@@ -122,6 +121,13 @@ class Frame:
             "depth_scale": float(found.similarity.scale),
             **({"origin": list(origin)} if any(origin := origin_of(self.capture)) else {}),
         }
+
+
+def views_of(rig: Rig, chosen: list[int] | None = None) -> Views:
+    """Cameras, or the chosen ones, for the rasteriser, which works in float32."""
+    which = slice(None) if chosen is None else chosen
+    viewmats, Ks = (torch.tensor(values[which], dtype=torch.float32) for values in (rig.viewmats, rig.Ks))
+    return Views(viewmats, Ks, rig.width, rig.height)
 
 
 def true_cameras(capture: Capture) -> Tensor:

@@ -94,16 +94,17 @@ def bias_floor(capture: Capture, lit: Source, enhancement: dict[str, Any]) -> fl
 
 def exposed_again(capture: Capture, lit: Source, i: int, seed: int, pictures: str) -> Image:
     """Another exposure of view `i` of a simulated capture, as `Capture.dark` gives it."""
-    assert capture.sensor is not None
-    record = capture.record
+    record, told = capture.record, capture.record.simulated
+    assert record.sensor is not None, "of a simulated capture"
+    assert told is not None, "of a simulated capture"
+    assert told.mean_green is not None, "of this version"
     frame = expose_view(
-        lit.radiance(i), capture.sensor, capture.exposure, electrons=record["electrons"],
-        mean_green=record["mean_green_radiance"], seed=seed, view=i,
-        plan=None if record["plan"] is None else Plan.from_dict(record["plan"]),
+        lit.radiance(i), record.sensor, record.exposure, electrons=told.electrons, mean_green=told.mean_green,
+        seed=seed, view=i, plan=None if told.plan is None else Plan.from_dict(told.plan),
     )  # fmt: skip
     developed = develop(
-        frame, capture.sensor, demosaic=record["demosaic"], color_matrix=record["color_matrix"],
-        jpeg_quality=record.get("jpeg_quality"),
+        frame, record.sensor, demosaic=record.demosaic, color_matrix=record.color_matrix,
+        jpeg_quality=told.jpeg_quality,
     )  # fmt: skip
     if pictures == "8bit":
         return developed.srgb8.astype(np.float32) / 255

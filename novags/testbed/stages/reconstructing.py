@@ -28,7 +28,7 @@ from novags.testbed.folders.set import Source
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.machine.devices import chosen_device
 from novags.testbed.references import pictured
-from novags.testbed.stages.camera_source import Frame, cameras_of, true_cameras
+from novags.testbed.stages.camera_source import Frame, cameras_of, true_cameras, views_of
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig, files_of
 from novags.testbed.stages.paths import keep_apart
 from novags.testbed.stages.viewers import viewer_cameras
@@ -112,9 +112,8 @@ def prepare(capture: Capture, source: Source, config: ReconstructConfig, console
         console.note(f"{len(lost)} of {len(wanted)} training views have no camera and are left out: {', '.join(lost)}")
     made_of = ", ".join(f"{count} {what}" for what, count in estimate.made_of.items())
     console.note(f"{len(estimate.points)} first points of {config.points} asked for: {made_of}")
-    rig = capture.cameras.rig
     problem = Problem(
-        views=views_of(estimate.viewmats, estimate.Ks, rig.width, rig.height),
+        views=views_of(estimate.rig),
         start=estimate,
         seed=config.seed,
         srgb8=stack([capture.srgb8(i) for i in indices]),
@@ -233,11 +232,6 @@ def reconstruct_views(
 def stack(images: list[np.ndarray]) -> Tensor:
     """Images [h,w,...] -> [C,h,w,...] float32."""
     return torch.from_numpy(np.stack(images).astype(np.float32))
-
-
-def views_of(viewmats: Tensor, Ks: Tensor, width: int, height: int) -> Views:
-    """Cameras for the rasteriser, which works in float32."""
-    return Views(viewmats.to(torch.float32), Ks.to(torch.float32), width, height)
 
 
 def write_images(folder: Path, names: Sequence[str], result: Reconstruction) -> None:

@@ -216,7 +216,7 @@ def stage_seconds(run: Run, captured: Capture, lit: Source) -> dict[str, float]:
     """Seconds of every stage that led to the run, and of the parts of its reconstruction."""
     made = lit.views.meta.get("stage")  # a render, or the poses of photographs
     seconds = {} if made is None else {str(made.get("name", "render")): float(made["seconds"])}
-    seconds["import" if captured.imported else "capture"] = float(captured.record["stage"]["seconds"])
+    seconds["import" if captured.imported else "capture"] = float(captured.record.stage["seconds"])
     seconds["reconstruct"] = float(run.record["stage"]["seconds"])
     return {**seconds, **{f"reconstruct/{part}": float(s) for part, s in run.record["seconds"].items()}}
 

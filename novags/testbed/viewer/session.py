@@ -36,7 +36,8 @@ class Session:
         self.exposed: tuple[Any, ...] | None = None  # what the exposed picture was made from
         self.shown_kind: tuple[str, str] | None = None  # method and kind of the pictures, once all are there
         self.latest = Latest(self._update)
-        first = all_shown[0].capture.record.get("electrons", 20.0)
+        told = all_shown[0].capture.record.simulated
+        first = 20.0 if told is None else told.electrons
         self.panel = Panel(client.gui, [shown.title for shown in all_shown], first, self.latest.ask)
         self.latest.ask("capture")
         client.camera.on_update(lambda _: self.latest.ask("move"))

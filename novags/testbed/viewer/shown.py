@@ -145,9 +145,9 @@ class Shown:
         return self.memo.once("true green", self._true_green)
 
     def _true_green(self) -> float:
-        known = self.capture.record.get("mean_green_radiance")
-        if known is not None:
-            return float(known)
+        told = self.capture.record.simulated
+        if told is not None and told.mean_green is not None:
+            return float(told.mean_green)
         return measure_light(self.source, self.camera.sensor, lambda *_: None)[0]
 
 

@@ -6,6 +6,7 @@ import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -57,18 +58,18 @@ def read_colmap(folder: Path, model: Path) -> Photographs:
         ValueError: If the model cannot be read, a lens is not a pinhole with OpenCV distortion, no image exists, or
             sizes differ.
     """
-    views = colmap_views(model)
-    pictures, names = picture_folder(folder), [name for name, _, _ in views]
+    names, viewmats, cameras = colmap_views(model)
+    pictures = picture_folder(folder)
     files = named_pictures(pictures, names)
-    entries = [(file, viewmat, camera) for file, (_, viewmat, camera) in zip(files, views, strict=True)]
     below = [f"{pictures.name}/{name}" for name in names]
     if next((folder / MASKS).glob("*"), None) is not None:
         warnings.warn(f"load_set: {folder / MASKS} is not used: all pixels count", stacklevel=3)
-    return collect(entries, model, lambda c, w, h: colmap_lens(c, w, h, model), spelt(folder, below, files))
+    lens_of = partial(colmap_lens, source=model)
+    return collect(files, viewmats, cameras, model, lens_of, spelt(folder, below, files))
 
 
-def colmap_views(model: Path) -> list[tuple[str, NDArray[np.float64], Any]]:
-    """File name, world-to-camera [4,4] and camera of each image of a COLMAP model that has a pose.
+def colmap_views(model: Path) -> tuple[list[str], list[NDArray[np.float64]], list[Any]]:
+    """File names, world-to-camera [4,4] and cameras of the images of a COLMAP model that have a pose.
 
     Raises:
         ValueError: If the model cannot be read, or a pose is of no usable size. A warning counts others beside it.
@@ -79,15 +80,12 @@ def colmap_views(model: Path) -> list[tuple[str, NDArray[np.float64], Any]]:
         warnings.warn(f"load_set: of {len(beside)} COLMAP models in {model.parent}, {model.name} is taken: "
                       f"{some(counts, 8)}; the others have no part", stacklevel=4)  # fmt: skip
     reconstruction, names = read_reconstruction(model)
-    found = []
-    for image in reconstruction.images.values():
-        if not image.has_pose:
-            continue
-        viewmat = np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]])
-        name = names[image.image_id]
+    posed = [image for image in reconstruction.images.values() if image.has_pose]
+    viewmats = [np.vstack([image.cam_from_world().matrix(), [0, 0, 0, 1]]) for image in posed]
+    found = [names[image.image_id] for image in posed]
+    for name, viewmat in zip(found, viewmats, strict=True):
         check_pose(viewmat, f"{model}: the pose of {name}")
-        found.append((name, viewmat, reconstruction.cameras[image.camera_id]))
-    return found
+    return found, viewmats, [reconstruction.cameras[image.camera_id] for image in posed]
 
 
 def read_points(pictures: Path, model: Path, files: Sequence[Path], rig: Rig) -> SparsePoints | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,7 @@ def read_llff(folder: Path) -> Photographs:
         names = ", ".join(file.name for file in files[:SHOWN]) or "none"
         raise ValueError(f"{source} has {len(viewmats)} cameras and {pictures} {len(files)} pictures ({names}, ...): "
                          "LLFF pairs them by order alone, so there must be one picture for each camera")  # fmt: skip
-    return collect(list(zip(files, viewmats, sizes, strict=True)), source, lambda c, w, h: llff_lens(c, w, h, source))
+    return collect(files, list(viewmats), sizes, source, partial(llff_lens, source=source))
 
 
 def llff_cameras(source: Path) -> tuple[NDArray[np.float64], list[tuple[float, float, float]]]:

@@ -27,8 +27,10 @@ def read_nerf_synthetic(folder: Path) -> Photographs:
     """
     train = folder / PARTS[0]
     test = next((source for part in PARTS[1:] if (source := folder / part).is_file()), None)
-    frames = [replace(frame, use="train") for frame in transforms_frames(train)]
+    found, poses = transforms_frames(train)
+    frames = [replace(frame, use="train") for frame in found]
     if test is not None:
-        frames += [replace(frame, use="test") for frame in transforms_frames(test)]
+        found, more = transforms_frames(test)
+        frames, poses = frames + [replace(frame, use="test") for frame in found], poses + more
     files = find_files(folder, [frame.file_path for frame in frames])
-    return frames_at(list(zip(files, frames, strict=True)), folder, train)
+    return frames_at(files, frames, poses, folder, train)

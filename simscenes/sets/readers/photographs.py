@@ -41,6 +41,7 @@ RANGES |= dict.fromkeys(("camera_angle_x", "camera_angle_y"), (0.0, np.pi)) | di
     ("x_fov", "y_fov"), (0.0, 180.0)
 )
 RANGES |= dict.fromkeys(("k1", "k2", "k3", "p1", "p2"), (-100.0, 100.0))
+Poses = list[NDArray[np.float64]]
 MAX_COORDINATE = 1e12  # of a camera; float64 then still resolves a tenth of a millimetre in metres
 
 
@@ -79,14 +80,13 @@ def _from_cv(K: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True)
 class Frame:
-    """An entry of a transforms.json: its camera (over that of the file), image and pose (c2w in OpenGL axes [4,4]).
+    """An entry of a transforms.json but for its pose: its camera (over that of the file) and image.
 
     `use` is what its file does with it; None: it does not say.
     """
 
     camera: dict[str, Any]
     file_path: str
-    pose: NDArray[np.float64]
     use: Literal["train", "test", "none"] | None = None
 
 
@@ -128,34 +128,39 @@ def held_out(files: Sequence[Path], tested: Collection[Path], source: Path) -> t
 
 def names_for_testing(source: Path) -> list[str]:
     """`file_path` of the frames that a transforms.json holds out; [] where it does not say."""
-    frames, _ = _frames(source)
+    frames, _, _ = _frames(source)
     return [frame.file_path for frame in frames if frame.use == "test"]
 
 
-def transforms_frames(source: Path) -> list[Frame]:
+def transforms_frames(source: Path) -> tuple[list[Frame], Poses]:
     """The frames that a nerfstudio or instant-ngp transforms.json lists, checked, without those that it leaves out.
 
     Warnings say what it leaves out, and what of it is not used here.
 
+    Returns:
+        The frames, and the pose of each: camera-to-world [4,4] in OpenGL axes.
+
     Raises:
         ValueError: If the file is not valid, or a pose is not a rotation and a translation.
     """
-    return [frame for frame in _all_frames(source) if frame.use != "none"]
+    frames, poses = _all_frames(source)
+    used = [i for i, frame in enumerate(frames) if frame.use != "none"]
+    return [frames[i] for i in used], [poses[i] for i in used]
 
 
-def _all_frames(source: Path) -> list[Frame]:
-    frames, notes = _frames(source)
+def _all_frames(source: Path) -> tuple[list[Frame], Poses]:
+    frames, poses, notes = _frames(source)
     for note in notes:
         warnings.warn(f"load_set: {note}", stacklevel=4)
-    return frames
+    return frames, poses
 
 
-def _frames(source: Path) -> tuple[list[Frame], list[str]]:
-    """All frames of a file, checked, and what the user must know of them."""
+def _frames(source: Path) -> tuple[list[Frame], Poses, list[str]]:
+    """All frames of a file and their poses, checked, and what the user must know of them."""
     content = read_record(source, TRANSFORMS)
     split = split_of(content, source)
     shared = {key: value for key, value in content.items() if key != "frames"}
-    frames = []
+    frames, poses = [], []
     for i, entry in enumerate(content["frames"]):
         pose = np.array(entry["transform_matrix"], np.float64)
         where = f"{source}: frames[{i}].transform_matrix"
@@ -163,13 +168,14 @@ def _frames(source: Path) -> tuple[list[Frame], list[str]]:
             raise ValueError(f"{where} must end in the row 0 0 0 1 (is it transposed?), got {pose[3].tolist()}")
         check_pose(pose, where)
         use = None if split is None else split.use(i)
-        frames.append(Frame(_camera(shared, entry), entry["file_path"], pose, use))
+        poses.append(pose)
+        frames.append(Frame(_camera(shared, entry), entry["file_path"], use))
     masked = sum(bool(entry.get("mask_path")) for entry in content["frames"])
     notes = [] if split is None else list(split.notes)
     if masked:
         notes.append(f"{masked} of {len(frames)} frames of {source} have a mask (mask_path): masks are not used, all "
                      "pixels count")  # fmt: skip
-    return frames, notes
+    return frames, poses, notes
 
 
 def _camera(shared: dict[str, Any], entry: dict[str, Any]) -> dict[str, Any]:
@@ -191,23 +197,11 @@ def check_pose(pose: NDArray[np.float64], where: str) -> None:
                          f"identity by {error:.3g}")  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Listed:
-    """An image that a camera file lists and that is there."""
-
-    file: Path
-    viewmat: NDArray[np.float64]
-    camera: Any
-
-
-Entry = tuple[Path | None, NDArray[np.float64], Any]  # file (None: not there), world-to-camera [4,4] and camera
-
-
-def listed(entries: Sequence[Entry], source: Path, names: Sequence[str] = ()) -> dict[str, Listed]:
-    """What is there of what `source` lists, by the name of the view, in the order of the views.
+def listed(files: Sequence[Path | None], source: Path, names: Sequence[str] = ()) -> dict[str, int]:
+    """What is there of what `source` lists: its place in `files` by the name of the view, in the order of the views.
 
     Args:
-        entries: One for each image.
+        files: The file of each image; None: not there.
         source: For messages.
         names: What messages call the images, as `spelt` makes it; (): images that are missing are counted only.
 
@@ -215,21 +209,20 @@ def listed(entries: Sequence[Entry], source: Path, names: Sequence[str] = ()) ->
         ValueError: If no photograph is there, or one file is listed twice. Missing ones are counted and named in one
             warning.
     """
-    there = [Listed(file, viewmat, camera) for file, viewmat, camera in entries if file is not None]
-    missing = some(sorted(name for name, (file, _, _) in zip(names, entries, strict=bool(names)) if file is None))
+    there = {i: file for i, file in enumerate(files) if file is not None}
+    missing = some(sorted(name for name, file in zip(names, files, strict=bool(names)) if file is None))
     if not there:
-        raise ValueError(f"load_set: none of the {len(entries)} images listed in {source} exists"
+        raise ValueError(f"load_set: none of the {len(files)} images listed in {source} exists"
                          f"{missing and f': {missing}'}; put them where it says, under these names")  # fmt: skip
-    if len(there) < len(entries):
-        warnings.warn(f"load_set: {len(entries) - len(there)} of {len(entries)} views listed in {source} have no image "
+    if len(there) < len(files):
+        warnings.warn(f"load_set: {len(files) - len(there)} of {len(files)} views listed in {source} have no image "
                       f"file and are skipped{missing and f': {missing}'}", stacklevel=5)  # fmt: skip
-    paths = [os.path.abspath(entry.file) for entry in there]
-    for path, count in Counter(paths).items():
+    for path, count in Counter(map(os.path.abspath, there.values())).items():
         if count > 1:
             raise ValueError(f"{source} lists {path} {count} times: keep one, else a held-out view would be trained on")
         if not _is_text(path):
             raise ValueError(f"the name of {path!r}, listed in {source}, is not valid UTF-8: rename it")
-    named = dict(zip(view_names([entry.file for entry in there]), there, strict=True))
+    named = dict(zip(view_names(list(there.values())), there, strict=True))
     return {name: named[name] for name in sorted(named, key=file_of)}
 
 
@@ -242,25 +235,47 @@ def _is_text(path: str) -> bool:
 
 
 def collect(
-    entries: Sequence[Entry],
+    files: Sequence[Path | None],
+    viewmats: Sequence[NDArray[np.float64]],
+    cameras: Sequence[Any],
     source: Path,
     lens_of: Callable[[Any, int, int], DistortedPinhole],
     names: Sequence[str] = (),
 ) -> Photographs:
-    """Bring what is there of what `source` lists to one pinhole rig; `lens_of` (camera, width, height)."""
-    found = listed(entries, source, names)
-    sizes = {image_size(entry.file): entry.file.name for entry in found.values()}
+    """Bring what is there of what `source` lists to one pinhole rig.
+
+    Args:
+        files: The file of each image; None: not there.
+        viewmats: World-to-camera [4,4] of each.
+        cameras: The camera of each, as its source states it.
+        source: For messages.
+        lens_of: The lens of a camera, for images of a width and a height.
+        names: As for `listed`.
+
+    Raises:
+        ValueError: As `listed`, and if sizes differ or a camera is not valid.
+    """
+    there = listed(files, source, names)
+    paths = tuple(file for i in there.values() if (file := files[i]) is not None)
+    sizes = {image_size(file): file.name for file in paths}
     if len(sizes) > 1:
         got = ", ".join(f"{w} x {h} ({name})" for (w, h), name in sorted(sizes.items())[:4])
         raise ValueError(f"load_set: the images of {source} must share one size, got {got}; resize them together with "
                          "their intrinsics, or remove the odd ones")  # fmt: skip
     width, height = next(iter(sizes))
+    rig, lenses = rig_of(there.values(), viewmats, cameras, source, lens_of, (width, height))
+    return Photographs(tuple(there), paths, rig, lenses)
+
+
+def rig_of(
+    chosen: Collection[int], viewmats: Sequence[NDArray[np.float64]], cameras: Sequence[Any], source: Path,
+    lens_of: Callable[[Any, int, int], DistortedPinhole], size: tuple[int, int],
+) -> tuple[Rig, tuple[DistortedPinhole, ...]]:  # fmt: skip
+    """The pinhole rig of some of the cameras that `source` lists, and their lenses; arguments as for `collect`."""
     with reading(source):
-        lenses = tuple(lens_of(entry.camera, width, height) for entry in found.values())
-        Ks = np.stack([lens.pinhole(width, height) for lens in lenses])
-        viewmats = np.stack([entry.viewmat for entry in found.values()])
-        rig = Rig(viewmats=viewmats, Ks=Ks, width=width, height=height)
-    return Photographs(tuple(found), tuple(entry.file for entry in found.values()), rig, lenses)
+        lenses = tuple(lens_of(cameras[i], *size) for i in chosen)
+        Ks = np.stack([lens.pinhole(*size) for lens in lenses])
+        return Rig(viewmats=np.stack([viewmats[i] for i in chosen]), Ks=Ks, width=size[0], height=size[1]), lenses
 
 
 def read_transforms(folder: Path) -> Photographs:
@@ -271,29 +286,34 @@ def read_transforms(folder: Path) -> Photographs:
             or sizes differ.
     """
     source = folder / "transforms.json"
-    every = _all_frames(source)
+    every, poses = _all_frames(source)
     files = find_files(folder, [frame.file_path for frame in every])
-    used = [(file, frame) for file, frame in zip(files, every, strict=True) if frame.use != "none"]
-    found = frames_at(used, folder, source)
+    used = [i for i, frame in enumerate(every) if frame.use != "none"]
+    found = frames_at([files[i] for i in used], [every[i] for i in used], [poses[i] for i in used], folder, source)
     unused = (file for file, frame in zip(files, every, strict=True) if frame.use == "none" and file is not None)
     return replace(found, unused=tuple(unused))
 
 
-def frames_at(found: Sequence[tuple[Path | None, Frame]], folder: Path, source: Path) -> Photographs:
+def frames_at(
+    files: Sequence[Path | None], frames: Sequence[Frame], poses: Poses, folder: Path, source: Path
+) -> Photographs:  # fmt: skip
     """The photographs of these files (None: not there) and frames, with those held out that are for testing.
 
     Args:
-        found: Each image and its frame.
+        files: Of the images.
+        frames: Of each image.
+        poses: As `transforms_frames` gives them.
         folder: What the names of the images are relative to.
         source: The camera file, for messages.
 
     Raises:
         ValueError: As `collect`, and if images are held out and none of them is there, or nothing is left to train on.
     """
-    files, names = [file for file, _ in found], [frame.file_path for _, frame in found]
-    entries = [(file, opengl_to_opencv(frame.pose), frame.camera) for file, frame in found]
-    there = collect(entries, source, lambda c, w, h: transforms_lens(c, w, h, source), spelt(folder, names, files))
-    tested = [(file, frame.file_path) for file, frame in found if frame.use == "test"]
+    there = collect(
+        files, [opengl_to_opencv(pose) for pose in poses], [frame.camera for frame in frames], source,
+        lambda c, w, h: transforms_lens(c, w, h, source), spelt(folder, [frame.file_path for frame in frames], files),
+    )  # fmt: skip
+    tested = [(file, frame.file_path) for file, frame in zip(files, frames, strict=True) if frame.use == "test"]
     if tested and not any(file for file, _ in tested):
         raise ValueError(f"load_set: none of the {len(tested)} images that {folder} holds out for testing exists "
                          f"({some([name for _, name in tested])}); put some there, or hold out others")  # fmt: skip

@@ -92,7 +92,7 @@ def make_run(folder: Path) -> None:
 
     make_capture(folder)
     capture = open_capture(folder / "capture")
-    inputs = {"capture": capture.content, "set": capture.record["stage"]["inputs"]["set"]}
+    inputs = {"capture": capture.content, "set": capture.record.simulated.set_content}
     rng = np.random.default_rng(0)
     config = {"enhance": {"radius": 8}, "fit": {"iterations": 10}}
     scores = {k: 20.0 for k in ("psnr", "aligned_psnr", "tone_aligned_psnr", "ssim", "aligned_ssim", "flip", "delta_e")}
@@ -149,17 +149,13 @@ def read_experiment(folder: Path, file: Path) -> object:
 
 def make_viewed(folder: Path) -> None:
     """A run with the cameras that the viewer aligns."""
-    import torch
-
-    from novags.splats import Views
     from novags.testbed.folders.capture import open_capture
-    from novags.testbed.stages.reconstructing import views_of
+    from novags.testbed.stages.camera_source import views_of
     from novags.testbed.stages.viewers import viewer_cameras
 
     make_run(folder)
     rig = open_capture(folder / "capture").cameras.rig
-    matrices, Ks = (torch.tensor(np.array(values)) for values in (rig.viewmats, rig.Ks))
-    views: list[Views] = [views_of(matrices[[i]], Ks[[i]], rig.width, rig.height) for i in range(3)]
+    views = [views_of(rig, [i]) for i in range(3)]
     (folder / "naive" / "cameras.json").write_text(json.dumps(viewer_cameras(["0000", "0001", "0002"], views)))
 
 

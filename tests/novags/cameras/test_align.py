@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from novags.cameras.align import Similarity, align, depth_scale, to_estimated, to_true
 from novags.cameras.estimate import CameraEstimate, extent_of
-from simscenes.rigs import orbit_rig
+from simscenes.rigs import Rig, orbit_rig
 
 seeds = st.integers(0, 10_000)
 
@@ -225,8 +225,9 @@ def test_points_twice_as_deep_have_a_depth_scale_of_two():
     wall = torch.cat([torch.rand(400, 2, dtype=torch.float64) / 2 + corner, torch.ones(400, 1, dtype=torch.float64)], 1)
     for factor in (1.0, 2.0, 0.5):
         points = similarity.inverse().apply(wall * 2 * factor).float()
+        rig = Rig(viewmats=to_estimated(similarity, viewmats).numpy(), Ks=Ks.numpy(), width=20, height=20)
         estimate = CameraEstimate(
-            registered=(0, 1, 2), viewmats=to_estimated(similarity, viewmats), Ks=Ks, points=points,
+            registered=(0, 1, 2), rig=rig, points=points,
             colors=torch.zeros(400, 3), extent=1.0,
         )  # fmt: skip
         assert depth_scale(estimate, similarity, viewmats, Ks, depths) == pytest.approx(factor, rel=1e-4)

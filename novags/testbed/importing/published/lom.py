@@ -9,10 +9,11 @@ the loader of Luminance-GS.
 
 import warnings
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from novags.testbed.importing.split import Split
 from sensor_model.files.reading import some
@@ -43,6 +44,7 @@ class _View:
     """What the JSON files list of one picture."""
 
     frame: Frame
+    pose: NDArray[np.float64]  # camera-to-world [4,4], OpenGL axes
     source: Path
     parts: set[str] = field(default_factory=set)
 
@@ -86,10 +88,10 @@ def _listed(folder: Path) -> dict[str, _View]:
     for part in PARTS:
         if not (source := folder / part).is_file():
             continue
-        for frame in transforms_frames(source):
+        for frame, pose in zip(*transforms_frames(source), strict=True):
             stem = Path(frame.file_path).stem
-            view = views.setdefault(stem, _View(frame, source))
-            if np.abs(view.frame.pose - frame.pose).max() > SAME_POSE:
+            view = views.setdefault(stem, _View(frame, pose, source))
+            if np.abs(view.pose - pose).max() > SAME_POSE:
                 raise ValueError(f"{view.source} and {source} list different poses of {stem}: download the scene again")
             view.parts.add(part)
     return views
@@ -97,14 +99,17 @@ def _listed(folder: Path) -> dict[str, _View]:
 
 def _photographs(folder: Path, views: dict[str, _View], dark: dict[str, Path]) -> tuple[Photographs, Path | None]:
     """The listed views with the cameras of the model, if it has all of them, else with those of the JSON files."""
+    files = [dark.get(stem) for stem in views]
     model = next((path for path in (folder / MODEL / "0", folder / MODEL) if is_model(path)), None)
     if model is not None:
-        posed = {Path(name).stem: (viewmat, camera) for name, viewmat, camera in colmap_views(model)}
+        names, viewmats, cameras = colmap_views(model)
+        posed = {Path(name).stem: i for i, name in enumerate(names)}
         if not (lacking := sorted(views.keys() - posed.keys())):
-            entries: list[Any] = [(dark.get(stem), *posed[stem]) for stem in views]
-            return collect(entries, model, lambda c, w, h: colmap_lens(c, w, h, model)), model
+            own = [posed[stem] for stem in views]
+            viewmats, cameras = [viewmats[i] for i in own], [cameras[i] for i in own]
+            return collect(files, viewmats, cameras, model, partial(colmap_lens, source=model)), model
         warnings.warn(f"{model} lacks {len(lacking)} of {len(views)} listed views ({some(lacking, 4)}): cameras are "
                       f"taken from {PARTS[0]}, and there are no first points", stacklevel=2)  # fmt: skip
-    entries = [(dark.get(stem), opengl_to_opencv(view.frame.pose), view.frame.camera) for stem, view in views.items()]
-    source = folder / PARTS[0]
-    return collect(entries, source, lambda c, w, h: transforms_lens(c, w, h, source)), None
+    viewmats = [opengl_to_opencv(view.pose) for view in views.values()]
+    cameras, source = [view.frame.camera for view in views.values()], folder / PARTS[0]
+    return collect(files, viewmats, cameras, source, partial(transforms_lens, source=source)), None

@@ -67,8 +67,8 @@ def test_a_scene_of_lom_has_its_twins_its_cameras_and_its_split(tmp_path: Path) 
     views = [i for i in range(VIEWS) if i != 7]
     assert_pairs(capture, views)
     assert [views[place] for place in capture.cameras.test_indices] == list(TEST)
-    assert (capture.record["dataset"], capture.record["split"], capture.record["scene"]) == ("LOM", "own", "buu")
-    assert capture.record["lit"] == {"folder": "high", "paired": "names", "resampled": 0}
+    assert (capture.imported.dataset, capture.imported.split, capture.record.scene) == ("LOM", "own", "buu")
+    assert capture.imported.lit == {"folder": "high", "paired": "names", "resampled": 0}
     assert "is taken for a scene of LOM" in stream.getvalue()
 
 
@@ -113,8 +113,8 @@ def test_llnerf_pairs_by_order_and_counts_pictures_that_have_no_camera(tmp_path:
     folder = llnerf(tmp_path / "LLNeRF")
     capture = brought(folder, tmp_path / "cap")
     assert_pairs(capture, list(range(VIEWS)))
-    assert capture.record["dataset"] == "LLNeRF"
-    assert capture.record["lit"]["paired"] == "order"
+    assert capture.imported.dataset == "LLNeRF"
+    assert capture.imported.lit["paired"] == "order"
     (folder / "poses_bounds.npy").unlink()
     views = [0, 1, 2, 4, 5, 6, 7, 8]
     rig = type(RIG)(viewmats=RIG.viewmats[views], Ks=RIG.Ks[views], width=WIDTH, height=HEIGHT)
@@ -135,7 +135,7 @@ def test_lit_pictures_a_pixel_too_narrow_or_wide_are_resampled_and_that_is_said(
     stream = io.StringIO()
     capture = brought(llnerf(tmp_path, lit_width=width), tmp_path / "cap", Console(stream=stream), dataset="LLNeRF")
     assert "9 of 9 lit pictures are a pixel larger or smaller than the dark ones: resampled" in stream.getvalue()
-    assert capture.record["lit"]["resampled"] == VIEWS
+    assert capture.imported.lit["resampled"] == VIEWS
     where = (np.arange(WIDTH) + 0.5) * width / WIDTH - 0.5
     source = lit_picture(3, width).astype(np.float64)
     for row, column in ((0, 0), (5, 1), (20, 2)):
@@ -159,7 +159,7 @@ def test_a_scene_without_lit_pictures_is_imported_without(tmp_path: Path) -> Non
     shutil.rmtree(tmp_path / "LLNeRF" / "normal-light-scenes")
     stream = io.StringIO()
     capture = brought(folder, tmp_path / "cap", Console(stream=stream))
-    assert capture.record["lit"] is None
+    assert capture.imported.lit is None
     assert not capture.holds("lit")
     assert "still2 has no lit pictures, so that there is nothing to score against" in stream.getvalue()
 
@@ -167,7 +167,7 @@ def test_a_scene_without_lit_pictures_is_imported_without(tmp_path: Path) -> Non
 def test_a_scene_of_llrs_has_lit_pictures_in_gt_and_is_no_unfinished_render(tmp_path: Path) -> None:
     capture = brought(llrs(tmp_path), tmp_path / "cap")
     assert_pairs(capture, list(range(VIEWS)))
-    assert (capture.record["dataset"], capture.cameras.test_indices) == ("LLRS", [0, 8])
+    assert (capture.imported.dataset, capture.cameras.test_indices) == ("LLRS", [0, 8])
 
 
 def test_lit_pictures_are_found_whatever_case_their_folder_is_in(tmp_path: Path) -> None:
@@ -190,7 +190,7 @@ def test_hidden_files_of_archives_are_no_pictures(tmp_path: Path) -> None:
 def test_a_scene_of_mvtv_keeps_its_16_bits(tmp_path: Path) -> None:
     """Expectation: code / 65535, within half a step of the 16-bit pictures of a capture."""
     capture = brought(mvtv(tmp_path), tmp_path / "cap")
-    assert (capture.record["dataset"], capture.record["depth"]) == ("MVTV", "16bit")
+    assert (capture.imported.dataset, capture.imported.depth) == ("MVTV", "16bit")
     assert np.abs(capture.linear16(6) - codes16(6) / 65535).max() <= 0.51 / 61439
     assert np.abs(capture.cameras.rig.viewmats - RIG.viewmats).max() < 1e-9
 
@@ -257,7 +257,7 @@ def test_the_dataset_can_be_said_and_is_refused_where_it_does_not_fit(tmp_path: 
     with pytest.raises(ValueError, match="split must be one of own, every8, got 'half'"):
         ImportConfig(split="half")  # type: ignore[arg-type]
     capture = brought(folder, tmp_path / "cap", dataset="none")
-    assert capture.record["dataset"] is None
+    assert capture.imported.dataset is None
 
 
 def test_every_8th_view_replaces_the_split_of_any_folder(tmp_path: Path) -> None:

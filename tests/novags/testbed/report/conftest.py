@@ -43,7 +43,7 @@ def experiment(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (folder / "set" / "set.json").write_text(json.dumps(facts))
     stages.capture(folder / "set", folder / "capture", CaptureConfig(electrons=200.0), QUIET, overwrite=True)
     captured = open_capture(folder / "capture")
-    inputs = {"capture": captured.content, "set": captured.record["stage"]["inputs"]["set"]}
+    inputs = {"capture": captured.content, "set": captured.record.simulated.set_content}
     shutil.copytree(folder / "naive", folder / "better")
     better = Variant(name="better", method="naive", settings={"fit.dssim_weight": "0.1"})
     preset = adapted(EXPERIMENTS["demo"], variants=(better,))

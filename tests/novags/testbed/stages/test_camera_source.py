@@ -44,7 +44,7 @@ def seen_from(viewmats: np.ndarray) -> torch.Tensor:
 def estimate(viewmats: torch.Tensor, Ks: np.ndarray, registered: tuple[int, ...]) -> CameraEstimate:
     points = torch.zeros(2, 3)
     return CameraEstimate(
-        registered=registered, viewmats=viewmats, Ks=torch.from_numpy(np.array(Ks, np.float64)), points=points,
+        registered=registered, rig=Rig(viewmats=viewmats.numpy(), Ks=Ks, width=33, height=33), points=points,
         colors=points, extent=1.0,
     )  # fmt: skip
 

@@ -51,7 +51,7 @@ def test_a_camera_file_takes_the_pictures_and_its_content_decides_what_is_done_a
     first = take()
     opened = open_capture(out)
     assert opened.sensor == read_sensor(file)
-    assert opened.record["sensor_name"] == "mine"
+    assert opened.record.sensor_name == "mine"
     file.write_text("# a comment changes nothing\n" + CAMERA)
     assert take() == first
     file.write_text(CAMERA.replace("sigma_d = 2.0", "sigma_d = 9.0"))

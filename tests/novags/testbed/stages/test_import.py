@@ -236,7 +236,7 @@ def test_a_long_exposure_becomes_the_noise_free_one_by_one_factor(line: Path, st
     of the noise, 0.45, in what comes close to the clean exposure that the simulated capture knows."""
     long = captured(tmp_path / "long", line / "lit", electrons=300.0)
     capture, ours = brought(strangers, tmp_path / "cap", clean=long / "raw", sensor=A7S2), open_capture(line / "cap")
-    gain = capture.record["clean"]["gain"]
+    gain = capture.imported.clean["gain"]
     x = np.stack([open_capture(long).linear16(i).astype(np.float64) for i in range(VIEWS)])
     y = np.stack([ours.linear16(i).astype(np.float64) for i in range(VIEWS)])
     assert gain == pytest.approx((x * y)[x < 0.99].sum() / (x * x)[x < 0.99].sum(), rel=2e-4)  # x, y in 16 bits
@@ -260,7 +260,7 @@ def test_twins_are_paired_by_name_and_else_by_order(renamed: bool, line: Path, s
     capture = brought(strangers, tmp_path / "cap", Console(stream=stream), lit=twins)
     for i in (0, 5, 8):
         np.testing.assert_array_equal(np.round(255 * capture.source(QUIET).lit(i)), lit_picture(i))
-    assert capture.record["lit"] == {"folder": "twins", "paired": "order" if renamed else "names", "resampled": 0}
+    assert capture.imported.lit == {"folder": "twins", "paired": "order" if renamed else "names", "resampled": 0}
     said = "paired by order, 0000 with IMG_000.png" if renamed else "1 of 10 pictures of"
     assert said in stream.getvalue()
 

@@ -71,7 +71,7 @@ def test_effects_that_the_capture_left_out_are_left_out_again(dark, monkeypatch)
     monkeypatch.setattr(module, "expose_view", lambda *a, **k: seen.append(k["plan"]) or original(*a, **k))
     exposed_again(capture, lit, 1, 3, "8bit")
     assert [effect.name for effect in seen[0].effects if not effect.on]
-    assert seen == [Plan.from_dict(capture.record["plan"])]
+    assert seen == [Plan.from_dict(capture.record.simulated.plan)]
 
 
 def test_the_bias_floor_is_of_new_exposures_each_with_its_own_enhancement(dark, monkeypatch):

@@ -1,0 +1,173 @@
+"""capture.json as a typed value: what its pictures were taken with, and what they were made from.
+
+A capture is simulated, or photographs that were imported: it has one of these two parts.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from novags.testbed.folders import shapes
+from novags.testbed.ledger.contents import read_json
+from sensor_model.files.camera_file import sensor_from_dict
+from sensor_model.files.reading import reading
+from sensor_model.isp import DEMOSAIC, Demosaic
+from sensor_model.params import Cfa, Exposure, Sensor
+
+PARTS = ("images16", "raw", "truth", "lit")  # folders that imported photographs may lack
+LARGEST = 1e6  # in a colour matrix, whose entries are of order 1: far larger ones overflow the float32 of pictures
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulated:
+    """What is known of exposures that were simulated.
+
+    Attributes:
+        set_path: Where the set was, relative to the capture.
+        set_content: Hash of the set as it was.
+        max_size: Of the pictures, px; None: that of the set.
+        background: Behind transparent pixels of photographs; None: there are none.
+        electrons: Mean of green over the set, e-.
+        mean_green: Radiance that gave them; None: of an earlier version.
+        signal_quantiles_e: Of what the sensor's channels collect, e-, by the share of pixels that see less.
+        jpeg_quality: None: PNG.
+        seed: As it was asked for.
+        noise_seed: Of the noise itself.
+        plan: As `Plan.to_dict`; None: every effect is simulated.
+    """
+
+    set_path: str
+    set_content: str
+    max_size: int | None
+    background: str | None
+    electrons: float
+    mean_green: float | None
+    signal_quantiles_e: Mapping[str, float]
+    jpeg_quality: int | None
+    seed: int
+    noise_seed: int
+    plan: dict[str, Any] | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Imported:
+    """What is known of somebody else's photographs.
+
+    Attributes:
+        parts: The folders among `PARTS` that are there.
+        levels: Of raw frames: colour filter array (None: three chips), DN without light, DN of saturation.
+        depth: "8bit", "16bit" or "raw", as they were given.
+        lit: The views in good light: "folder", "paired", "resampled".
+        clean: The long exposures: "folder", "paired", "gain", "white_share".
+        dataset: The published data set; None: none.
+        split: Who chose the held-out views.
+    """
+
+    parts: tuple[str, ...]
+    levels: tuple[Cfa | None, float, float] | None
+    depth: str
+    lit: Mapping[str, Any] | None
+    clean: Mapping[str, Any] | None
+    dataset: str | None
+    split: str | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaptureRecord:
+    """What capture.json says.
+
+    Attributes:
+        scene: Its name; None: of an earlier version.
+        sensor_name: None: not known.
+        sensor: None: not known.
+        exposure: How the camera was used.
+        demosaic: How mosaics became pictures.
+        color_matrix: From the camera's colours to linear sRGB, [3,3]; None: identity.
+        views: How many.
+        width: Of the pictures, px.
+        height: Of the pictures, px.
+        jpeg: Whether some pictures were compressed with losses.
+        resampled: How pixels were averaged after the exposure, in words that complete "of their pixels"; None: not.
+        files: The photograph of each view, where they were renamed or imported.
+        stage: What the ledger knows of its making: key, configuration, cost, checksums.
+        simulated: Of simulated exposures.
+        imported: Of photographs.
+    """
+
+    scene: str | None
+    sensor_name: str | None
+    sensor: Sensor | None
+    exposure: Exposure
+    demosaic: Demosaic
+    color_matrix: list[list[float]] | None
+    views: int
+    width: int
+    height: int
+    jpeg: bool
+    resampled: str | None
+    files: Mapping[str, str]
+    stage: Mapping[str, Any]
+    simulated: Simulated | None
+    imported: Imported | None
+
+
+def read_capture_record(path: Path) -> CaptureRecord:
+    """The capture.json at `path`.
+
+    Raises:
+        ValueError: If it is not what the stage wrote.
+    """
+    foreign = read_json(path).get("kind") == "imported"
+    found = read_json(path, shapes.IMPORT if foreign else shapes.CAPTURE)
+    imported = _imported(found, path) if foreign else None
+    largest = np.abs(found["color_matrix"] or 0.0).max()
+    if largest > LARGEST:
+        raise ValueError(f"{path}: color_matrix must hold numbers up to {LARGEST:g}, got {largest:g}: capture again")
+    with reading(path, "capture again"):
+        sensor = None if found["sensor"] is None else sensor_from_dict(found["sensor"])
+        exposure = Exposure(**{**found["exposure"], "origin": tuple(found["exposure"]["origin"])})
+        if found["demosaic"] not in DEMOSAIC:
+            raise ValueError(f"demosaic must be one of {', '.join(DEMOSAIC)}, got {found['demosaic']!r}")
+    return CaptureRecord(
+        scene=str(found["scene"]) if "scene" in found else None,
+        sensor_name=found["sensor_name"],
+        sensor=sensor,
+        exposure=exposure,
+        demosaic=found["demosaic"],
+        color_matrix=found["color_matrix"],
+        views=found["views"],
+        width=found["width"],
+        height=found["height"],
+        jpeg=found["jpeg"] if foreign else found.get("jpeg_quality") is not None,
+        resampled=found.get("resampled"),
+        files=found.get("files", {}),
+        stage=found["stage"],
+        simulated=None if foreign else _simulated(found),
+        imported=imported,
+    )
+
+
+def _simulated(found: dict[str, Any]) -> Simulated:
+    made_of, seed = found["set"], found.get("seed", 0)
+    return Simulated(
+        set_path=made_of["path"], set_content=found["stage"]["inputs"]["set"], max_size=made_of["max_size"],
+        background=made_of.get("background"), electrons=found["electrons"], mean_green=found.get("mean_green_radiance"),
+        signal_quantiles_e=found["signal_quantiles_e"], jpeg_quality=found.get("jpeg_quality"), seed=seed,
+        noise_seed=found.get("noise_seed", seed), plan=found["plan"],
+    )  # fmt: skip
+
+
+def _imported(found: dict[str, Any], path: Path) -> Imported:
+    raw = found["raw"]
+    if unknown := [part for part in found["parts"] if part not in PARTS]:
+        raise ValueError(f"{path}: parts must be among {', '.join(PARTS)}, got {unknown[0]!r}: import again")
+    if ("raw" in found["parts"]) != (raw is not None):
+        raise ValueError(f"{path}: raw frames and their levels must both be there or neither: import again")
+    return Imported(
+        parts=tuple(found["parts"]), levels=raw and (raw["cfa"], float(raw["black"]), float(raw["white"])),
+        depth=found["depth"], lit=found["lit"], clean=found["clean"], dataset=found.get("dataset"),
+        split=found.get("split"),
+    )  # fmt: skip
