@@ -26,6 +26,7 @@ from novags.methods.noise_estimate import PIXELS, SMALLEST, noise_from
 from novags.methods.problem import RawPictures, encode
 from novags.testbed.console import Console
 from novags.testbed.folders import imported, shapes
+from novags.testbed.folders.exchanged import REMEDIES, refuse_exchanged
 from novags.testbed.folders.place import place_of
 from novags.testbed.folders.raw_files import read_digital_numbers
 from novags.testbed.folders.set import Source, open_source
@@ -43,7 +44,6 @@ from simscenes.sets.pictures.png import read_codes, read_png, write_png
 from simscenes.sets.writers.camera_files import CAMERA_FILES
 
 RECORD = "capture.json"
-REMEDY = "capture or import again, with --overwrite"
 LARGEST = 1e6  # in a colour matrix, whose entries are of order 1: far larger ones overflow the float32 of pictures
 OWNS = (RECORD, "raw", "images16", "images", "truth", "lit", *CAMERA_FILES)
 
@@ -215,7 +215,7 @@ class Capture:
     def _read(self, read: Callable[[Path], np.ndarray], kind: str, i: int, suffix: str) -> np.ndarray:
         """A file of view `i`, as large as its camera says."""
         path = self.path / kind / f"{self.names[i]}{suffix}"
-        refuse_damage(self.path, self.record, REMEDY, [f"{kind}/{path.name}"])
+        refuse_damage(self.path, self.record, REMEDIES[RECORD], [f"{kind}/{path.name}"])
         found, rig = read(path), self.cameras.rig
         if found.shape[:2] != (rig.height, rig.width):
             height, width = found.shape[:2]
@@ -297,24 +297,22 @@ class Capture:
         Raises:
             ValueError: If the set is no longer where it was, or no longer what it was.
         """
-        source = self.unchecked_source(console)
-        if not self.imported and source.digest() != self.record["stage"]["inputs"]["set"]:
-            path = source.views.path
-            raise ValueError(f"{path} has changed since {self.path} was made from it: put it back or capture again")
-        return source
-
-    def unchecked_source(self, console: Console) -> Source:
-        """As `source`, without reading all of the set to see whether it has changed."""
         if self.imported:
             return self._twins(console)
-        made_of = self.record["set"]
-        path = place_of(self.path, made_of["path"])
-        if not path.is_dir():
-            raise ValueError(
-                f"{self.path} was made from the set {made_of['path']} (relative to it), which is not there: put it "
-                "back or capture again"
-            )
-        return open_source(path, console, made_of["max_size"])
+        if self.set_path is None:
+            raise ValueError(f"{self.path} was made from the set {self.record['set']['path']} (relative to it), which "
+                             "is not there: put it back or capture again")  # fmt: skip
+        source = open_source(self.set_path, console, self.record["set"]["max_size"])
+        if source.digest() != self.record["stage"]["inputs"]["set"]:
+            raise ValueError(f"{self.set_path} has changed since {self.path} was made from it: put it back or capture "
+                             "again")  # fmt: skip
+        return source
+
+    @property
+    def set_path(self) -> Path | None:
+        """Where the set lies that it was made from; None of imported photographs, and where it is gone."""
+        path = None if self.imported else place_of(self.path, self.record["set"]["path"])
+        return path if path is not None and path.is_dir() else None
 
     def _twins(self, console: Console) -> Source:
         lit = self.holds("lit")
@@ -352,7 +350,7 @@ def open_capture(path: Path) -> Capture:
         ValueError: If the folder is missing, is not a capture, or is unfinished.
     """
     (record, sensor), content = _read_record(path), content_of(path)
-    refuse_damage(path, record, REMEDY)
+    refuse_exchanged(path)
     known = _OPENED.get(resolved(path))
     if known is not None and known.content == content:
         return known
@@ -365,12 +363,6 @@ def open_capture(path: Path) -> Capture:
 def content_of(path: Path) -> str:
     """Hash of all that the capture stage wrote into a folder, as it is now."""
     return folder_digest(path, OWNS)
-
-
-def open_unchecked(path: Path) -> Capture:
-    """As `open_capture`, without reading all of it: `content` is "", and nothing is shared."""
-    record, sensor = _read_record(path)
-    return Capture(path=path, record=record, cameras=load_set(path), sensor=sensor, content="")
 
 
 def _read_record(path: Path) -> tuple[dict[str, Any], Sensor | None]:
