@@ -25,6 +25,7 @@ from novags.methods.noise_estimate import PIXELS, SMALLEST, noise_from
 from novags.methods.problem import RawPictures, encode
 from novags.testbed.console import Console
 from novags.testbed.folders.capture_record import CaptureRecord, Imported, read_capture_record
+from novags.testbed.folders.exchanged import REMEDIES, refuse_exchanged
 from novags.testbed.folders.imported import MISSING, read_clean
 from novags.testbed.folders.place import place_of
 from novags.testbed.folders.raw_files import read_digital_numbers
@@ -42,7 +43,6 @@ from simscenes.sets.pictures.png import read_codes, read_png, write_png
 from simscenes.sets.writers.camera_files import CAMERA_FILES
 
 RECORD = "capture.json"
-REMEDY = "capture or import again, with --overwrite"
 OWNS = (RECORD, "raw", "images16", "images", "truth", "lit", *CAMERA_FILES)
 
 
@@ -99,7 +99,7 @@ class Capture:
     path: Path
     record: CaptureRecord
     cameras: MultiviewSet
-    content: str  # hash of all that the capture stage wrote, as it was when this was opened; "": not looked at
+    content: str  # hash of all that the capture stage wrote, as it was when this was opened
     reads: Reads = field(default_factory=dict, repr=False, compare=False)  # its JSON files, as they were opened
     memo: Memo = field(default_factory=Memo, repr=False, compare=False)  # what was read and computed from it so far
 
@@ -222,7 +222,7 @@ class Capture:
     def _read(self, read: Callable[[Path], np.ndarray], kind: str, i: int, suffix: str) -> np.ndarray:
         """A file of view `i`, as large as its camera says."""
         path = self.path / kind / f"{self.names[i]}{suffix}"
-        refuse_damage(self.path, {"stage": self.record.stage}, REMEDY, [f"{kind}/{path.name}"])
+        refuse_damage(self.path, {"stage": self.record.stage}, REMEDIES[RECORD], [f"{kind}/{path.name}"])
         found, rig = read(path), self.cameras.rig
         if found.shape[:2] != (rig.height, rig.width):
             height, width = found.shape[:2]
@@ -303,23 +303,24 @@ class Capture:
         Raises:
             ValueError: If the set is no longer where it was, or no longer what it was.
         """
-        source = self.unchecked_source(console)
-        if (simulated := self.record.simulated) is not None and source.content != simulated.set_content:
-            path = source.views.path
-            raise ValueError(f"{path} has changed since {self.path} was made from it: put it back or capture again")
-        return source
-
-    def unchecked_source(self, console: Console) -> Source:
-        """As `source`, without reading all of the set to see whether it has changed."""
         if (made_of := self.record.simulated) is None:
             return self._twins(console)
+        if self.set_path is None:
+            raise ValueError(f"{self.path} was made from the set {made_of.set_path} (relative to it), which is not "
+                             "there: put it back or capture again")  # fmt: skip
+        source = open_source(self.set_path, console, made_of.max_size)
+        if source.content != made_of.set_content:
+            raise ValueError(f"{self.set_path} has changed since {self.path} was made from it: put it back or capture "
+                             "again")  # fmt: skip
+        return source
+
+    @property
+    def set_path(self) -> Path | None:
+        """Where the set lies that it was made from; None of imported photographs, and where it is gone."""
+        if (made_of := self.record.simulated) is None:
+            return None
         path = place_of(self.path, made_of.set_path)
-        if not path.is_dir():
-            raise ValueError(
-                f"{self.path} was made from the set {made_of.set_path} (relative to it), which is not there: put it "
-                "back or capture again"
-            )
-        return open_source(path, console, made_of.max_size)
+        return path if path.is_dir() else None
 
     def _twins(self, console: Console) -> Source:
         lit = self.holds("lit")
@@ -345,29 +346,23 @@ def _channels_of(path: Path, kind: str, channels: dict[str, np.ndarray] | None =
 _OPENED: dict[Path, Capture] = {}  # the last one: stages of one experiment open the same capture again and again
 
 
-def open_capture(path: Path, *, whole: bool = True) -> Capture:
+def open_capture(path: Path) -> Capture:
     """Open a capture folder; an unchanged one that is already open is shared, with everything read from it.
-
-    Args:
-        path: The folder.
-        whole: See whether each of its files is as it was written; else `content` is "", and nothing is shared.
 
     Raises:
         ValueError: If the folder is missing, is not a capture, is unfinished, or is damaged.
     """
     _enter(path)
     place = resolved(path)
-    if whole and (known := _OPENED.get(place)) is not None and known.digest() == known.content:
+    if (known := _OPENED.get(place)) is not None and known.digest() == known.content:
         return known
     with read_once({}) as reads:
         record = read_capture_record(path / RECORD)
-        content = folder_digest(path, OWNS) if whole else ""
-        if whole:
-            refuse_damage(path, {"stage": record.stage}, REMEDY)
+        content = folder_digest(path, OWNS)
+        refuse_exchanged(path)
         capture = Capture(path=path, record=record, cameras=load_set(path), content=content, reads=reads)
-    if whole:
-        _OPENED.clear()
-        _OPENED[place] = capture
+    _OPENED.clear()
+    _OPENED[place] = capture
     return capture
 
 

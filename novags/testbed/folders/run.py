@@ -24,6 +24,7 @@ from novags.testbed.console import Console
 from novags.testbed.folders import shapes
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.events import event_of
+from novags.testbed.folders.exchanged import refuse_exchanged
 from novags.testbed.folders.place import place_of
 from novags.testbed.folders.set import Source
 from novags.testbed.ledger.contents import folder_digest, read_json, refuse_damage
@@ -142,7 +143,18 @@ class Run:
         Raises:
             ValueError: If they are no longer where they were, or they or the run itself no longer what they were.
         """
-        self.refuse_damage()
+        capture = self.capture()
+        source = capture.source(console)
+        self._refuse_other("set", source.content, capture.path)
+        return capture, source
+
+    def capture(self) -> Capture:
+        """The capture it was made from.
+
+        Raises:
+            ValueError: If it is no longer where it was, or it or the run itself no longer what it was.
+        """
+        refuse_exchanged(self.path)
         path = place_of(self.path, self.record["capture"])
         if not path.is_dir():
             raise ValueError(
@@ -150,26 +162,20 @@ class Run:
                 "put it back or reconstruct again"
             )
         capture = open_capture(path)
-        source = capture.source(console)
-        made_from = self.record["stage"]["inputs"]
-        if (capture.content, source.content) != (made_from["capture"], made_from["set"]):
+        self._refuse_other("capture", capture.content, path)
+        return capture
+
+    def _refuse_other(self, name: str, content: str, path: Path) -> None:
+        if content != self.record["stage"]["inputs"][name]:
             raise ValueError(f"{path} has changed since {self.path} was made from it: put it back or reconstruct again")
-        return capture, source
-
-    def refuse_damage(self) -> None:
-        """Refuse a run whose files are not as its method wrote them: scores of it would be of something else.
-
-        Raises:
-            ValueError: Naming them.
-        """
-        refuse_damage(self.path, self.record, "make the run again, with --overwrite")
 
     def scores(self) -> dict[str, Any] | None:
         """Its part of metrics.json; None if it has not been scored since it was made."""
         if not (self.path / METRICS).exists():
             return None
-        methods: dict[str, Any] = read_json(self.path / METRICS, shapes.METRICS)["methods"]
-        return methods.get(self.name)
+        record = read_json(self.path / METRICS, shapes.METRICS)
+        refuse_damage(self.path, record, "score it again")
+        return dict(record["methods"]).get(self.name)
 
     def digest(self) -> str:
         """Hash of everything the method produced, scores excluded."""

@@ -12,8 +12,10 @@ import numpy as np
 
 from novags.numbers import SSIM_WINDOW
 from novags.testbed.console import Console, warnings_as_notes
+from novags.testbed.folders.exchanged import refuse_exchanged
 from novags.testbed.folders.linear_photographs import load_linear_set
-from novags.testbed.ledger.contents import folder_digest, refuse_damage
+from novags.testbed.ledger.contents import folder_digest
+from sensor_model.files.door import enter
 from sensor_model.files.records import Reads, read_once
 from sensor_model.isp import linear_to_srgb
 from simscenes.rigs import Rig
@@ -151,12 +153,7 @@ class Source:
             return self.digest()
 
     def digest(self) -> str:
-        """Hash of everything that is read from the set, wherever its files are, as it is now.
-
-        Raises:
-            ValueError: If a file of a set that was rendered here is not as it was written.
-        """
-        refuse_damage(self.views.path, self.views.meta, "render it again, with --overwrite")
+        """Hash of everything that is read from the set, wherever its files are, as it is now."""
         images = {f"images/{name}": file for name, file in zip(self.views.names, self.views.files, strict=True)}
         return folder_digest(self.views.path, READ_FROM, beside=images)
 
@@ -184,10 +181,13 @@ def open_source(path: Path, console: Console, max_size: int | None = None) -> So
         max_size: Longest image side in pixels; larger images are scaled down to it. None keeps them.
 
     Raises:
-        ValueError: If the folder holds no posed images, or their shortest side is, or becomes, too short for scores.
+        ValueError: If the folder holds no posed images, a file of a set or a capture is not as it was written, or their
+            shortest side is, or becomes, too short for scores.
     """
+    enter(path)
     reads: Reads = {}
     with warnings_as_notes(console), read_once(reads):
+        refuse_exchanged(path)
         views = load_linear_set(path) or load_set(path)
     return replace(source_of(views, console, max_size), reads=reads)
 

@@ -11,6 +11,7 @@ import numpy as np
 from novags.methods.problem import encode
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import RECORD, Capture, open_capture
+from novags.testbed.folders.exchanged import refuse_exchanged
 from novags.testbed.folders.imported import MISSING
 from novags.testbed.folders.set import Source, open_source
 from novags.testbed.foreign.pictures import Picture, find_renders, read_picture
@@ -125,10 +126,12 @@ def score_renders(
         compared with what.
 
     Raises:
-        ValueError: If pictures are missing or cannot be read, or the reference is not known.
+        ValueError: If pictures are missing, cannot be read or are not as a run of ours wrote them, or the reference is
+            not known.
     """
     read, (width, height) = truth.reader(reference), truth.size
     renders = find_renders(folder, truth.names)
+    refuse_exchanged(folder)
     if renders.ignored:
         console.note(f"{folder}: {len(renders.ignored)} pictures are of no test view and are left out "
                      f"({renders.ignored[0]}{', ...' * (len(renders.ignored) > 1)})")  # fmt: skip

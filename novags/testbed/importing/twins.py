@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from novags.testbed.console import Console, warnings_as_notes
+from novags.testbed.folders.exchanged import refuse_exchanged
 from novags.testbed.folders.linear_photographs import load_linear_set
 from novags.testbed.importing.stored import PICTURES
 from novags.testbed.ledger.contents import folder_digest
@@ -77,10 +78,12 @@ def twins_of(dark: MultiviewSet, folder: Path, option: str, console: Console) ->
         console: Where notes go.
 
     Raises:
-        ValueError: If some or all views have none, or it is not clear which is whose.
+        ValueError: If some or all views have none, it is not clear which is whose, or a file of a set or a capture is
+            not as it was written.
     """
     if not folder.is_dir():
         raise ValueError(f"{option}: no such folder: {folder}")
+    refuse_exchanged(folder)
     with warnings_as_notes(console):
         found = pictures_in(folder)
     missing = [name for name in dark.names if name not in found]

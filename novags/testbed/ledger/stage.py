@@ -196,8 +196,10 @@ class _Stage:
             owned = (self.record_name, made_name(self.record_name), *self.owns)
             self._clear(asked["key"], [*told_of, *(self.folder / name for name in owned)])
         before, most = earlier or (0.0, 0)
-        cost = lambda: {"seconds": before + time.perf_counter() - start,  # noqa: E731
-                        "peak_bytes": max(most, memory.peak_bytes())}  # fmt: skip
+
+        def cost() -> dict[str, Any]:
+            return {"seconds": before + time.perf_counter() - start, "peak_bytes": max(most, memory.peak_bytes())}
+
         try:
             with witnessed(read_digest) as witness:
                 body = dict(work(prepared))

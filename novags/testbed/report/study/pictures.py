@@ -23,10 +23,7 @@ QUIET = Console(quiet=True)
 def study_views(
     lines: Sequence[Line], records: Records, album: Album
 ) -> tuple[dict[str, ViewTiles], dict[str, str]]:  # fmt: skip
-    """The pictures of every place that has a finished run on this machine; and what cannot be shown, with the reason.
-
-    Captures and sets are not compared with their checksums: of a study of thousands of runs that would read everything.
-    """
+    """The pictures of every place that has a finished run on this machine, and what cannot be shown with the reason."""
     found, lost = dict[str, ViewTiles](), dict[str, str]()
     opened = lru_cache(maxsize=1)(_opened)  # neighbours often share a capture, with all that was computed from it
     for members in by_place(lines).values():
@@ -79,6 +76,8 @@ def _view(
     if not shown:
         return None
     i, mine = shown[0]
+    for run in mine.values():
+        run.capture()
     scores = {name: run.scores() or {"views": {}} for name, run in mine.items()}
     material = Material(folder, {}, mine, {"methods": scores}, capture, lit)
     return view_tiles(i, material, album, place)
@@ -91,9 +90,8 @@ def _rendered(runs: Mapping[str, Run], name: str) -> dict[str, Run]:
 def _opened(path: Path) -> tuple[Capture, Source]:
     """A capture and its set; where that is gone, the capture's own cameras without any truth in good light."""
     with warnings_as_notes(QUIET):  # a picture that is missing has its place in the page
-        capture = open_capture(path, whole=False)
-    try:
-        return capture, capture.unchecked_source(QUIET)
-    except ValueError:
-        views = replace(capture.cameras, kind="photographs", meta={})
-        return capture, Source(views=views, rig=views.rig, console=QUIET, lit_known=False)
+        capture = open_capture(path)
+    if capture.record.imported or capture.set_path is not None:
+        return capture, capture.source(QUIET)
+    views = replace(capture.cameras, kind="photographs", meta={})
+    return capture, Source(views=views, rig=views.rig, console=QUIET, lit_known=False)

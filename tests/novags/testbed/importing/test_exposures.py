@@ -103,7 +103,7 @@ def test_clean_exposures_of_several_times_are_refused_whatever_the_time_of_the_d
     dark: Path, tmp_path: Path
 ) -> None:
     """Expectation: one factor cannot bring them to the light of the dark pictures, so they are no truth."""
-    long = tmp_path / "long" / "raw"
+    long = shutil.copytree(tmp_path / "long" / "raw", tmp_path / "elsewhere")  # files of a capture may not be exchanged
     write_dng(long / "0002.dng", read_digital_numbers(long / "0002.dng"), CAMERA, Exposure(time=7.0))
     for time in (None, 0.1):
         with pytest.raises(

@@ -205,7 +205,7 @@ def test_a_damaged_picture_costs_its_place_and_not_the_page(study: Path, tmp_pat
     (tmp_path / "runs" / "capture" / "images" / "0000.png").write_bytes(b"no picture")
     page = write_study(tmp_path / "study").read_text(encoding="utf-8")
     assert "Pictures that cannot be shown: electrons 5" in page.replace("scene a, ", "")
-    assert "0000.png is not a readable image" in page
+    assert "images/0000.png not as written (checksum)" in page
     assert 'data-name="combinations"' in page
 
 
