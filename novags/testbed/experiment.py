@@ -146,8 +146,8 @@ def _steps(
         wanted = preset.photos or preset.render
         yield "set", "", out / "set" / SET, partial(make_set, out / "set", wanted, console, overwrite=overwrite)
     capture = out / "capture"
-    yield ("capture", "" if preset.folder else "set", capture / capture_folder.RECORD,
-           partial(stages.capture, source, capture, preset.capture, console, for_runs=True, overwrite=overwrite))  # fmt: skip
+    do = partial(stages.capture, source, capture, preset.capture, console, for_runs=True, overwrite=overwrite)
+    yield "capture", "" if preset.folder else "set", capture / capture_folder.RECORD, do
     for name in preset.methods:
         config = preset.reconstruct(name)
         yield (name, "capture", out / name / RECORD,

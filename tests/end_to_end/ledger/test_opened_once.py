@@ -88,3 +88,17 @@ def test_a_stage_opens_each_record_and_each_camera_file_of_its_inputs_once(
     with counted(made) as found:
         do[stage]()
     assert found == (SET if stage == "capture" else BOTH)
+
+
+def test_a_capture_that_was_opened_is_not_shared_with_another_record(made: Path) -> None:
+    """Rationale: digests leave costs out, so an edited record that is put back would stay in use."""
+    path = made / "capture" / captures.RECORD
+    whole = path.read_text()
+    first = captures.open_capture(made / "capture")
+    assert captures.open_capture(made / "capture") is first
+    path.write_text(whole.replace('"seconds": ', '"seconds": 9', 1))
+    try:
+        assert captures.open_capture(made / "capture").record.stage["seconds"] != first.record.stage["seconds"]
+    finally:
+        path.write_text(whole)
+    assert captures.open_capture(made / "capture").record.stage["seconds"] == first.record.stage["seconds"]
