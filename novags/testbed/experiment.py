@@ -140,17 +140,17 @@ def _steps(
     preset: Preset, out: Path, console: Console, overwrite: bool
 ) -> Iterator[tuple[str, str, Path, Callable[[], Any]]]:
     """Name of each part of `run`, the part that it needs, its record, and what makes it."""
-    source, again = out / "set" if preset.folder is None else preset.folder, {"overwrite": overwrite}
+    source, capture = preset.folder or out / "set", out / "capture"
     if preset.folder is None:
         wanted = preset.photos or preset.render
-        yield "set", "", out / "set" / SET, partial(make_set, out / "set", wanted, console, **again)
-    capture = out / "capture"
-    yield ("capture", "" if preset.folder else "set", capture / capture_folder.RECORD,
-           partial(stages.capture, source, capture, preset.capture, console, for_runs=True, **again))  # fmt: skip
+        yield "set", "", source / SET, partial(make_set, source, wanted, console, overwrite=overwrite)
+    yield ("capture", "" if preset.folder else "set", capture / capture_folder.RECORD, partial(
+        stages.capture, source, capture, preset.capture, console, overwrite=overwrite, for_runs=True
+    ))  # fmt: skip
     for name in preset.methods:
-        config = preset.reconstruct(name)
-        yield (name, "capture", out / name / RECORD,
-               partial(stages.reconstruct, capture, out / name, config, console, **again))  # fmt: skip
+        yield (name, "capture", out / name / RECORD, partial(
+            stages.reconstruct, capture, out / name, preset.reconstruct(name), console, overwrite=overwrite
+        ))  # fmt: skip
     for name in preset.methods:
         yield f"score {name}", name, out / name / METRICS, partial(stages.score, out / name, console)
 
