@@ -28,6 +28,7 @@ def video(
     from novags.testbed.flight.video import check_length, make_video
     from novags.testbed.folders.run import open_run
     from novags.testbed.stages.paths import keep_apart
+    from sensor_model.files.atomic import sweep_file
 
     check_length(seconds, fps)
     opened, place = open_run(run), Path(os.path.realpath(run))
@@ -36,6 +37,8 @@ def video(
     with writing(path.parent, wait, name=f".{path.name}.lock", dry_run=dry_run) as console:
         if path.exists() and not overwrite:
             raise ValueError(f"{path} is there already: choose another --out, or add --overwrite")
+        if not dry_run:
+            sweep_file(path)
         frames = make_video(opened, path, console, seconds=seconds, fps=fps)
         say(f"{path}: {frames} frames")
         next_(f"novags report {typed(run)}")

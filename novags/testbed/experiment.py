@@ -14,8 +14,7 @@ from novags.testbed.folders.experiment import EXPERIMENT, REPORT, REPORT_FILES, 
 from novags.testbed.folders.place import place_of
 from novags.testbed.folders.run import METRICS, RECORD
 from novags.testbed.ledger.contents import UNFINISHED, read_json, write_json
-from novags.testbed.ledger.dry import NOT_DONE, dry_run, planned
-from novags.testbed.ledger.stage import refuse_other
+from novags.testbed.ledger.stage import NOT_DONE, dry_run, planned, refuse_other
 from novags.testbed.presets import Preset
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.layouts import RECORD as SET
@@ -141,17 +140,17 @@ def _steps(
     preset: Preset, out: Path, console: Console, overwrite: bool
 ) -> Iterator[tuple[str, str, Path, Callable[[], Any]]]:
     """Name of each part of `run`, the part that it needs, its record, and what makes it."""
-    source = out / "set" if preset.folder is None else preset.folder
+    source, capture = preset.folder or out / "set", out / "capture"
     if preset.folder is None:
         wanted = preset.photos or preset.render
-        yield "set", "", out / "set" / SET, partial(make_set, out / "set", wanted, console, overwrite=overwrite)
-    capture = out / "capture"
-    do = partial(stages.capture, source, capture, preset.capture, console, for_runs=True, overwrite=overwrite)
-    yield "capture", "" if preset.folder else "set", capture / capture_folder.RECORD, do
+        yield "set", "", source / SET, partial(make_set, source, wanted, console, overwrite=overwrite)
+    yield ("capture", "" if preset.folder else "set", capture / capture_folder.RECORD, partial(
+        stages.capture, source, capture, preset.capture, console, overwrite=overwrite, for_runs=True
+    ))  # fmt: skip
     for name in preset.methods:
-        config = preset.reconstruct(name)
-        yield (name, "capture", out / name / RECORD,
-               partial(stages.reconstruct, capture, out / name, config, console, overwrite=overwrite))  # fmt: skip
+        yield (name, "capture", out / name / RECORD, partial(
+            stages.reconstruct, capture, out / name, preset.reconstruct(name), console, overwrite=overwrite
+        ))  # fmt: skip
     for name in preset.methods:
         yield f"score {name}", name, out / name / METRICS, partial(stages.score, out / name, console)
 

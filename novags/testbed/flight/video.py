@@ -21,7 +21,6 @@ from novags.testbed.references import pictured, references
 from novags.testbed.report.pictures import LONG, TRUTHS
 from novags.testbed.viewer.splats import scene_of
 from novags.testbed.viewer.world import own_cameras
-from sensor_model.files.atomic import sweep_file
 from sensor_model.files.records import read_record
 
 LENSES = [{"fx": float, "fy": float}]
@@ -126,7 +125,6 @@ def make_video(run: Run, out: Path, console: Console, *, seconds: float, fps: fl
     beside, rig = Beside(run, capture, lit, course.names), capture.cameras.rig
     K = torch.from_numpy(course.K).float()[None]
     planned(console, "video", [out])
-    sweep_file(out)
     with console.progress("video") as progress, film(out, fps, len(flight.viewmats)) as made:
         for k, viewmat in enumerate(flight.viewmats):
             view = Views(torch.from_numpy(viewmat).float()[None], K, rig.width, rig.height)

@@ -74,6 +74,10 @@ def test_a_run_says_of_every_part_what_it_would_do(
     assert "reconstruct oracle: to be made in all/oracle" in said
     assert "score oracle: to be made (dry run" in said
     assert "run: to be made again in all: report.html is there" in said
+    assert call("score", "all", "--dry-run") == 0
+    said = capsys.readouterr().err
+    assert "score: unchanged, kept all/naive" in said
+    assert "score: to be made again in all: metrics.json is there" in said
     assert whole(tmp_path) == before
 
 

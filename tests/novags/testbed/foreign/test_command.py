@@ -77,6 +77,9 @@ def test_a_program_makes_a_run_that_is_scored_and_exported_like_any_other(captur
     assert raw.mean() == pytest.approx(row["psnr"], abs=1e-4)
     with pytest.raises(ValueError, match=r"results.json already: choose another --out"):
         export_results([run], tmp_path / "nb", QUIET)
+    with pytest.raises(ValueError, match="has no reference enhanced: it has lit"):
+        export_results([run], tmp_path / "nb", QUIET, reference="enhanced", overwrite=True)
+    assert json.loads((tmp_path / "nb" / "results.json").read_text()) == table  # nothing was begun
 
 
 def test_a_run_with_a_flipped_bit_is_neither_scored_nor_exported(capture: Path, tmp_path: Path) -> None:

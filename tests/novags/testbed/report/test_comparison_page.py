@@ -14,6 +14,7 @@ import pytest
 from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import open_capture
+from novags.testbed.ledger.stage import dry_run
 from novags.testbed.report.comparison import places
 from novags.testbed.report.page import write_reports
 from novags.testbed.stages.configs.capturing import CaptureConfig
@@ -44,6 +45,17 @@ def test_the_commands_of_runs_of_one_name_write_to_different_folders(comparison:
     assert sorted(places) == sorted(
         f"{folder}-{name}-again" for folder in ("first", "second") for name in ("naive", "better", "oracle")
     )
+
+
+def test_a_dry_run_names_the_page_and_leaves_it(comparison: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder, before = comparison.parent, comparison.stat()
+    (folder / "comparison.files").mkdir()
+    with dry_run():
+        write_reports([folder / "first", folder / "second"], Console())
+    (folder / "comparison.files").rmdir()
+    said = f"report: to be made again in {folder}: comparison.{{0}} is there (dry run: nothing is done)\n"
+    assert capsys.readouterr().err == said.format("html") + said.format("files")
+    assert comparison.stat() == before
 
 
 def shown(tab: Any, *ids: str) -> list[str]:
