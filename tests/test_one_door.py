@@ -10,7 +10,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = ("sensor_model", "simscenes", "novags")
-DOOR = {"read_bytes", "read_text", "opened", "admitted", "appending"}
+DOOR = {"read_bytes", "read_text", "as_text", "opened", "admitted", "appending"}
 
 # What opens a file by name: functions, and methods of paths. Some names mean something else in other modules, so that
 # their module belongs to them.

@@ -124,8 +124,8 @@ def read_whole(
             stamp, content = stamp_of(file.fileno()), file.read()
     except OSError as error:
         raise ValueError(f"cannot read {path}: {error.strerror or error}") from error
-    value = parse_json(as_text(content, path), f"{path}", remedy, infinite=infinite)
-    found = Read(value, hashlib.blake2b(content).digest(), stamp)
+    text = as_text(content, path)
+    found = Read(parse_json(text, f"{path}", remedy, infinite=infinite), hashlib.blake2b(content).digest(), stamp)
     if (reads := _reads.get()) is not None:
         reads[os.path.abspath(path)] = found
     return found
