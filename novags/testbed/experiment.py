@@ -14,7 +14,8 @@ from novags.testbed.folders.experiment import EXPERIMENT, REPORT, REPORT_FILES, 
 from novags.testbed.folders.place import place_of
 from novags.testbed.folders.run import METRICS, RECORD
 from novags.testbed.ledger.contents import UNFINISHED, read_json, write_json
-from novags.testbed.ledger.stage import NOT_DONE, dry_run, planned, refuse_other
+from novags.testbed.ledger.dry import NOT_DONE, dry_run, planned
+from novags.testbed.ledger.stage import refuse_other
 from novags.testbed.presets import Preset
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.layouts import RECORD as SET

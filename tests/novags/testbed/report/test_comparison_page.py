@@ -14,7 +14,7 @@ import pytest
 from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import open_capture
-from novags.testbed.ledger.stage import dry_run
+from novags.testbed.ledger.dry import dry_run
 from novags.testbed.report.comparison import places
 from novags.testbed.report.page import write_reports
 from novags.testbed.stages.configs.capturing import CaptureConfig
