@@ -7,14 +7,16 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from sensor_model.capture import RawFrame
 from sensor_model.mosaicking import channel_index
 from sensor_model.params import Cfa, Sensor, require
+
+if TYPE_CHECKING:
+    from sensor_model.capture import RawFrame
 
 Demosaic = Literal["menon", "malvar", "bilinear", "half"]
 DEMOSAIC: tuple[Demosaic, ...] = get_args(Demosaic)
@@ -58,7 +60,7 @@ def develop(
     Raises:
         ValueError: if the shape does not fit the sensor, or an option is out of range.
     """
-    dn = frame_or_dn.dn if isinstance(frame_or_dn, RawFrame) else np.asarray(frame_or_dn)
+    dn = np.asarray(getattr(frame_or_dn, "dn", frame_or_dn))
     require(digital_gain > 0, "digital_gain", "> 0", digital_gain)
     linear = develop_linear(dn, sensor, demosaic=demosaic, color_matrix=color_matrix)
     if digital_gain < 1:  # what white balance lifts over white would stay coloured

@@ -17,7 +17,7 @@ from denoising.pairs import Pairs, photograph, random_camera
 from denoising.pictures import picture
 from novags.methods.denoised.anscombe import Anscombe
 from novags.methods.denoised.network import Network
-from novags.splats.training.checkpoint import read, write_tensors
+from novags.splats.files.tensors import read, write_tensors
 from novags.splats.training.companion import pack, unpack
 
 WARM_UP = 100  # steps

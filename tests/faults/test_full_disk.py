@@ -11,7 +11,7 @@ import pytest
 import torch
 
 from novags.splats import Gaussians, write_ply
-from novags.splats.training.checkpoint import write_tensors
+from novags.splats.files.tensors import write_tensors
 from sensor_model.files.atomic import write_text
 from simscenes import orbit_rig, write_exr
 from simscenes.job.finish import view_store

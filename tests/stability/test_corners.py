@@ -13,7 +13,7 @@ import pytest
 from novags.cameras import parse_cameras
 from novags.methods import METHODS, chosen, names
 from novags.methods.enhancers import network_of
-from novags.methods.reconstruction import GaussianScene
+from novags.methods.gaussian_scene import GaussianScene
 from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.ledger.contents import read_json

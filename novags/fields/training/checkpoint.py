@@ -13,7 +13,7 @@ from torch import Tensor
 from novags.fields.field import Field, first_field
 from novags.fields.layout import Layout
 from novags.fields.march import Proposal
-from novags.splats.training.checkpoint import write_tensors
+from novags.splats.files.tensors import write_tensors
 from sensor_model.files.door import admitted
 from sensor_model.files.reading import brief
 from sensor_model.files.records import check_shape, parse_json

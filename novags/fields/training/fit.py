@@ -22,7 +22,7 @@ from novags.fields.training.checkpoint import FieldState, load_state, save_state
 from novags.fields.training.config import FieldFitConfig
 from novags.splats.cpu.parallel import run
 from novags.splats.cpu.training import optimizer
-from novags.splats.training.checkpoint import digest
+from novags.splats.files.tensors import digest
 from novags.splats.training.guard import NotFinite, norms
 from novags.splats.training.updates.adam import Adam
 from novags.splats.views import Views

@@ -7,7 +7,7 @@ from novags.methods.denoised.estimate import estimate_all
 from novags.methods.denoised.measured import Measured
 from novags.methods.denoised.recorrupted import adapt
 from novags.methods.denoised.weights import load_weights
-from novags.methods.enhanced.gaussian_fit import Progress
+from novags.methods.reconstruction import Progress
 
 
 def denoised(

@@ -28,7 +28,7 @@ from novags.methods.denoised.estimate import estimate, estimate_all
 from novags.methods.denoised.measured import Measured
 from novags.methods.denoised.network import Network
 from novags.methods.denoised.packing import turned
-from novags.methods.enhanced.gaussian_fit import Progress
+from novags.methods.reconstruction import Progress
 
 LEAST_VARIANCE = 1e-4  # electrons**2
 ASKED = 8  # views that say how far to follow an adapted network

@@ -16,13 +16,13 @@ from novags.methods.denoised.denoiser import denoised
 from novags.methods.denoised.measured import Measured, measured
 from novags.methods.denoised.weights import PACKAGED
 from novags.methods.enhanced.config import EnhancedFitConfig
-from novags.methods.enhanced.gaussian_fit import Progress, fit_enhanced
+from novags.methods.enhanced.gaussian_fit import fit_enhanced
 from novags.methods.enhancers.applying import enhanced, enhanced_light
 from novags.methods.enhancers.choice import Enhancement
 from novags.methods.inputs import Pictures
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import Reconstruction
-from novags.splats.training.checkpoint import digest, read, write_tensors
+from novags.methods.reconstruction import Progress, Reconstruction
+from novags.splats.files.tensors import digest, read, write_tensors
 from sensor_model.files.door import read_bytes
 
 

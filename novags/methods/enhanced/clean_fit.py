@@ -3,11 +3,11 @@
 from functools import partial
 from pathlib import Path
 
-from novags.methods.enhanced.gaussian_fit import Progress, fit_enhanced
+from novags.methods.enhanced.gaussian_fit import fit_enhanced
 from novags.methods.enhanced.oracle import OracleConfig
 from novags.methods.enhancers.applying import enhanced_clean
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import Reconstruction
+from novags.methods.reconstruction import Progress, Reconstruction
 
 
 def train(

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from novags.methods.enhanced.by_enhancer import learning_steps, weights_of
 from novags.methods.enhanced.config import EnhancedFitConfig
-from novags.methods.enhanced.gaussian_fit import Progress, fit_enhanced
+from novags.methods.enhanced.gaussian_fit import fit_enhanced
 from novags.methods.enhancers import enhancement_record, network_of
 from novags.methods.enhancers.applying import enhanced
 from novags.methods.enhancers.choice import Enhancement
@@ -21,7 +21,7 @@ from novags.methods.enhancers.networks import Kind, described
 from novags.methods.enhancers.rehearsal import learned
 from novags.methods.inputs import Pictures
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import Reconstruction
+from novags.methods.reconstruction import Progress, Reconstruction
 
 
 def train(

@@ -11,14 +11,13 @@ from torch import Tensor
 from novags.methods.enhanced.config import EnhancedFitConfig
 from novags.methods.enhancers import enhancement_record
 from novags.methods.enhancers.choice import Enhancement
+from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.inputs import Pictures
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import GaussianScene, Reconstruction, Scene, Space
+from novags.methods.reconstruction import Progress, Reconstruction, Scene, Space
 from novags.methods.start import start_gaussians
 from novags.splats.training.config import FitConfig
 from novags.splats.training.fit import FitResult, fit
-
-Progress = Callable[[int, int, dict[str, float]], None]
 
 
 def fit_for(problem: Problem, config: FitConfig) -> FitConfig:

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from novags.methods.enhancers.networks import Kind, crops
-from novags.splats.training.checkpoint import digest, read, write_tensors
+from novags.splats.files.tensors import digest, read, write_tensors
 from novags.splats.training.companion import pack, unpack
 
 Progress = Callable[[int, int, dict[str, float]], None]

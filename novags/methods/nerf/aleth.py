@@ -30,12 +30,11 @@ import torch
 from torch import Tensor
 
 from novags.fields.training.batch import Batch
-from novags.methods.enhanced.gaussian_fit import Progress
 from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs
 from novags.methods.nerf.losses import differences, grey_of
 from novags.methods.nerf.rows.aleth_nerf import AlethConfig
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import Reconstruction
+from novags.methods.reconstruction import Progress, Reconstruction
 
 TAPS = 7  # of the filter along a ray
 FIRST_ALONG = 0.5  # g at first, as published

@@ -2,12 +2,11 @@
 
 from pathlib import Path
 
-from novags.methods.enhanced.gaussian_fit import Progress
 from novags.methods.enhancers.applying import enhanced_clean
 from novags.methods.nerf.config import NerfConfig
 from novags.methods.nerf.fitting import fit_enhanced_field
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import Reconstruction
+from novags.methods.reconstruction import Progress, Reconstruction
 
 
 def train(

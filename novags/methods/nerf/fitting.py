@@ -14,7 +14,6 @@ from novags.fields.training.anchors import PointLoss
 from novags.fields.training.batch import Batch
 from novags.fields.training.config import FieldFitConfig
 from novags.fields.training.fit import FieldFit, fit_field
-from novags.methods.enhanced.gaussian_fit import Progress
 from novags.methods.enhancers import enhancement_record
 from novags.methods.enhancers.choice import Enhancement
 from novags.methods.inputs import Pictures
@@ -23,7 +22,7 @@ from novags.methods.nerf.losses import robust
 from novags.methods.nerf.scene import FieldScene
 from novags.methods.nerf.shading import at, display
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import Reconstruction, Space
+from novags.methods.reconstruction import Progress, Reconstruction, Space
 from novags.methods.start import brightened
 
 RENDERED = 2  # samples of a picture's ray, for each that trained: a sample too few shows in every pixel

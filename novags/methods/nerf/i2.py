@@ -38,14 +38,13 @@ from torch import Tensor
 from novags.fields.box import Box, box_of
 from novags.fields.layout import DENSITY_MAX
 from novags.fields.training.batch import Batch
-from novags.methods.enhanced.gaussian_fit import Progress
 from novags.methods.inputs import LacksInput
 from novags.methods.light import raw_loss
 from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs
 from novags.methods.nerf.losses import grey_of
 from novags.methods.nerf.rows.i2_nerf import I2Config
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import Reconstruction
+from novags.methods.reconstruction import Progress, Reconstruction
 from novags.splats.training.losses import ssim
 
 EPSILON = 1e-3  # of RawNeRF's loss, for pictures in 0..1

@@ -32,14 +32,13 @@ import torch
 from torch import Tensor
 
 from novags.fields.training.batch import Batch
-from novags.methods.enhanced.gaussian_fit import Progress
 from novags.methods.light import raw_loss
 from novags.methods.nerf.fitting import fitted_scene, reconstructed, with_outputs
 from novags.methods.nerf.losses import differences
 from novags.methods.nerf.rows.ll_nerf import LlnerfConfig
 from novags.methods.nerf.shading import brightened, split
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import Reconstruction
+from novags.methods.reconstruction import Progress, Reconstruction
 
 EPSILON = 1e-3  # of RawNeRF's loss, for pictures in 0..1
 SMOOTH, LEAST_STEP, LEAST_SPREAD = 1.5, 1e-4, 0.5  # of the smoothness and of the grey term, as published

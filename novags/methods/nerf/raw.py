@@ -17,7 +17,6 @@ from pathlib import Path
 from torch import Tensor
 
 from novags.fields.training.batch import Batch
-from novags.methods.enhanced.gaussian_fit import Progress
 from novags.methods.enhancers import enhancement_record
 from novags.methods.enhancers.applying import enhanced
 from novags.methods.light import MeasuredLight, brightness, measured_light, raw_loss
@@ -26,7 +25,7 @@ from novags.methods.nerf.rows.raw_nerf import RawNerfConfig
 from novags.methods.nerf.shading import light_of
 from novags.methods.noise_estimate import noise_of
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import Reconstruction
+from novags.methods.reconstruction import Progress, Reconstruction
 
 DIMMEST = 0.01  # share of the brightest light that the mean is taken for at least: noise can bring it to 0 and below
 

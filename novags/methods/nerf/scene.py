@@ -17,7 +17,7 @@ from novags.fields.layout import SIDE, Layout
 from novags.fields.march import Proposal
 from novags.fields.render import render_field
 from novags.methods.nerf.shading import shading_of
-from novags.splats.training.checkpoint import write_tensors
+from novags.splats.files.tensors import write_tensors
 from novags.splats.views import Views
 from sensor_model.files.door import admitted
 from sensor_model.files.reading import brief

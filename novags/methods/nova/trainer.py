@@ -10,19 +10,20 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from novags.methods.enhanced.gaussian_fit import Progress, fit_for
+from novags.methods.enhanced.gaussian_fit import fit_for
 from novags.methods.enhancers import enhancement_record
 from novags.methods.enhancers.applying import enhanced
+from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.nova.checkpoint import file_as_tensor, tensor_as_file
 from novags.methods.nova.config import NovaConfig, parts
 from novags.methods.nova.consistency import ConsistencyLoss
 from novags.methods.nova.denoiser import Denoiser
 from novags.methods.nova.sh_penalty import noise_map, sh_penalty
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import GaussianScene, Reconstruction
+from novags.methods.reconstruction import Progress, Reconstruction
 from novags.methods.start import start_gaussians
+from novags.splats.files.tensors import digest, read, write_tensors
 from novags.splats.gaussians import Gaussians
-from novags.splats.training.checkpoint import digest, read, write_tensors
 from novags.splats.training.fit import Step, fit
 from novags.splats.training.guard import NotFinite
 from sensor_model.files.reading import reading

@@ -8,7 +8,7 @@ from typing import Any
 
 from novags.methods.nova_plus.data import Exposures
 from novags.methods.problem import Problem
-from novags.splats.training.checkpoint import digest
+from novags.splats.files.tensors import digest
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import read_bytes
 

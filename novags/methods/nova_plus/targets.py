@@ -8,9 +8,9 @@ from torch import Tensor
 from novags.methods.denoised.config import DenoiseConfig
 from novags.methods.denoised.denoiser import denoised
 from novags.methods.denoised.measured import in_electrons
-from novags.methods.enhanced.gaussian_fit import Progress
 from novags.methods.nova_plus.average import averages
 from novags.methods.nova_plus.data import Exposures
+from novags.methods.reconstruction import Progress
 from novags.methods.tone import ToneCurve
 
 

@@ -9,9 +9,10 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from novags.methods.enhanced.gaussian_fit import Progress, fit_for
+from novags.methods.enhanced.gaussian_fit import fit_for
 from novags.methods.enhancers import enhancement_record
 from novags.methods.enhancers.applying import enhanced, enhanced_light
+from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.inputs import LacksInput
 from novags.methods.light import first_light
 from novags.methods.noise_estimate import noise_of
@@ -25,7 +26,7 @@ from novags.methods.nova_plus.likelihood import Likelihood
 from novags.methods.nova_plus.merge import merged
 from novags.methods.nova_plus.targets import denoised_light, guided_light
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import GaussianScene, Reconstruction
+from novags.methods.reconstruction import Progress, Reconstruction
 from novags.methods.tone import ToneCurve, tone_curve
 from novags.splats.gaussians import Gaussians
 from novags.splats.training.config import FitConfig, LearningRates

@@ -16,8 +16,8 @@ from safetensors import SafetensorError
 from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from novags.methods.reconstruction import GaussianScene
-from novags.splats.training.checkpoint import write_tensors
+from novags.methods.gaussian_scene import GaussianScene
+from novags.splats.files.tensors import write_tensors
 from novags.splats.views import Views
 from sensor_model.files.door import admitted
 from sensor_model.files.reading import brief

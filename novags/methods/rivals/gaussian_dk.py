@@ -21,9 +21,10 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from novags.methods.enhanced.gaussian_fit import Progress, fit_for, reconstructed
+from novags.methods.enhanced.gaussian_fit import fit_for, reconstructed
+from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import GaussianScene, Reconstruction
+from novags.methods.reconstruction import Progress, Reconstruction
 from novags.methods.rivals.rows.gaussian_dk import GaussianDkConfig
 from novags.methods.tone import ResponseTable
 from novags.splats.gaussians import Gaussians

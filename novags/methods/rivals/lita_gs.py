@@ -26,10 +26,11 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from novags.methods.enhanced.gaussian_fit import Progress, fit_for, reconstructed
+from novags.methods.enhanced.gaussian_fit import fit_for, reconstructed
 from novags.methods.enhancers.pictures import exposure
+from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import GaussianScene, Reconstruction
+from novags.methods.reconstruction import Progress, Reconstruction
 from novags.methods.rivals.denoised_scene import DenoisedScene, Denoiser
 from novags.methods.rivals.invariant import structure
 from novags.methods.rivals.retinex import DIMMEST, slopes, smoothness

@@ -24,9 +24,10 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from novags.methods.enhanced.gaussian_fit import Progress, fit_for, reconstructed
+from novags.methods.enhanced.gaussian_fit import fit_for, reconstructed
+from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import GaussianScene, Reconstruction
+from novags.methods.reconstruction import Progress, Reconstruction
 from novags.methods.rivals.retinex import DIMMEST, smoothness
 from novags.methods.rivals.rows.ll_gaussian import LlGaussianConfig
 from novags.splats.gaussians import Gaussians

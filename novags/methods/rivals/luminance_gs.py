@@ -21,9 +21,10 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from novags.methods.enhanced.gaussian_fit import Progress, fit_for, reconstructed
+from novags.methods.enhanced.gaussian_fit import fit_for, reconstructed
+from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import GaussianScene, Reconstruction
+from novags.methods.reconstruction import Progress, Reconstruction
 from novags.methods.rivals.luminance_curve import ViewCurves, equalising_curve
 from novags.methods.rivals.rows.luminance_gs import LuminanceGsConfig
 from novags.methods.start import start_gaussians

@@ -22,13 +22,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from novags.methods.enhanced.gaussian_fit import Progress, fit_for, reconstructed
+from novags.methods.enhanced.gaussian_fit import fit_for, reconstructed
 from novags.methods.enhancers import enhancement_record
 from novags.methods.enhancers.applying import enhanced
+from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.light import MeasuredLight, brightness, first_light, measured_light, raw_loss
 from novags.methods.noise_estimate import noise_of
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import GaussianScene, Reconstruction
+from novags.methods.reconstruction import Progress, Reconstruction
 from novags.methods.rivals.rows.raw_gs import RawGsConfig
 from novags.splats.gaussians import Gaussians
 from novags.splats.training.fit import fit

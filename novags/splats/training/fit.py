@@ -13,11 +13,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from novags.splats.files.tensors import digest
 from novags.splats.training.config import LearningRates
 
 from ..gaussians import Gaussians
 from ..views import Views
-from .checkpoint import TrainingState, digest, load_checkpoint, save_checkpoint
+from .checkpoint import TrainingState, load_checkpoint, save_checkpoint
 from .companion import Companion
 from .config import FitConfig
 from .direct import DirectFit

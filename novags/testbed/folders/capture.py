@@ -13,6 +13,7 @@ A capture that was imported (`folders.imported`) has of these what its photograp
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -31,7 +32,6 @@ from novags.testbed.folders.place import place_of
 from novags.testbed.folders.raw_files import read_digital_numbers
 from novags.testbed.folders.set import Source, open_source
 from novags.testbed.ledger.contents import folder_digest, refuse_damage
-from sensor_model.capture import RawFrame
 from sensor_model.files.dng import write_dng
 from sensor_model.files.door import enter, resolved
 from sensor_model.files.records import Reads, read_once
@@ -41,6 +41,9 @@ from simscenes.sets.multiview import MultiviewSet, load_set
 from simscenes.sets.pictures.exr import read_exr, write_exr
 from simscenes.sets.pictures.png import read_codes, read_png, write_png
 from simscenes.sets.writers.camera_files import CAMERA_FILES
+
+if TYPE_CHECKING:
+    from sensor_model.capture import RawFrame
 
 RECORD = "capture.json"
 OWNS = (RECORD, "raw", "images16", "images", "truth", "lit", *CAMERA_FILES)
@@ -52,7 +55,7 @@ def has_view(folder: Path, name: str) -> bool:
 
 
 def write_view(
-    folder: Path, name: str, frame: RawFrame, sensor: Sensor, exposure: Exposure, demosaic: Demosaic,
+    folder: Path, name: str, frame: "RawFrame", sensor: Sensor, exposure: Exposure, demosaic: Demosaic,
     color_matrix: np.ndarray | None, jpeg_quality: int | None = None, *, clean_rgb: np.ndarray | None = None,
 ) -> None:  # fmt: skip
     """Write everything about one exposure.

@@ -45,9 +45,8 @@ from sensor_model.files.lock import dry, locked
 Prepared = TypeVar("Prepared")
 
 STATE = {"stage?": str, "record?": str, "key?": (str, None), "seconds?": float, "peak_bytes?": int}  # what that holds
-FILES = {"files?": {"*": str}}  # checksums of what the stage wrote
-KEYED = {"stage?": {"key?": str, **FILES}}  # what a record of any stage holds
-MADE = {"stage?": {"key?": str, "code?": str, "config?": dict, "inputs?": {"*": str}, "versions?": {"*": str}, **FILES}}
+MADE = {"stage?": {"key?": str, "code?": str, "config?": dict, "inputs?": {"*": str}, "versions?": {"*": str},
+                   "files?": {"*": str}}}  # a record of any stage  # fmt: skip
 
 
 def run_stage(
@@ -99,7 +98,7 @@ def run_stage(
         known = dict(inputs() if opened is None else opened)
         asked = {"name": name, "code": code.key, "inputs": known, "config": jsonable(config)}
         asked["key"] = stage_key(asked)
-        made = read_json(folder / record_name, KEYED) if (folder / record_name).exists() else {}
+        made = read_json(folder / record_name, MADE) if (folder / record_name).exists() else {}
         current = made.get("stage", {}).get("key") == asked["key"]
         wrong = not_as_written(folder, made["stage"].get("files", {})) if current else []
         if current and not wrong:

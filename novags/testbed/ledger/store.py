@@ -50,21 +50,13 @@ def named(name: str, key: str) -> str:
 
 @dataclass(frozen=True)
 class Seal:
-    """What an entry was when it was complete.
-
-    Attributes:
-        key: Of the entry.
-        content: Hash of all its files.
-        made_of: The contents of the entries it was made from, and what else its making depended on.
-        cost: What it cost.
-        records: Of the record that each stage wrote last, a hash of all of it, costs included.
-    """
+    """What an entry was when it was complete."""
 
     key: str
-    content: str
-    made_of: dict[str, Any]
+    content: str  # hash of all its files
+    made_of: dict[str, Any]  # contents of the entries it was made from, and what else its making depended on
     cost: dict[str, Any]
-    records: dict[str, str]
+    records: dict[str, str]  # of the record that each stage wrote last, a hash of all of it, costs included
 
 
 def write_seal(folder: Path, key: str, made_of: dict[str, Any], cost: dict[str, Any], records: Iterable[str]) -> Seal:
@@ -83,12 +75,10 @@ def read_seal(folder: Path, name: str = SEAL) -> Seal | None:
     Raises:
         ValueError: If the seal itself is damaged.
     """
-    path = folder / name
-    return (
-        Seal(**{part: found for part, found in read_json(path, SHAPE).items() if part in SHAPE})
-        if path.exists()
-        else None
-    )
+    if not (folder / name).exists():
+        return None
+    found = read_json(folder / name, SHAPE)
+    return Seal(**{part: found[part] for part in SHAPE})
 
 
 def files_of(folder: Path, records: Iterable[str]) -> dict[str, str]:

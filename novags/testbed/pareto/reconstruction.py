@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from novags.methods import METHODS
+from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.knob import MethodKnob
-from novags.methods.reconstruction import GaussianScene, Reconstruction
+from novags.methods.reconstruction import Reconstruction
 from novags.methods.variant import Variant
 from novags.settings import changed, flattened, has_setting
 from novags.testbed import stages

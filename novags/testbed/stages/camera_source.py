@@ -2,6 +2,7 @@
 
 import copy
 import dataclasses
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -141,3 +142,16 @@ def true_cameras(capture: Capture) -> Tensor:
 def origin_of(capture: Capture) -> tuple[float, float, float]:
     """Where the origin of reconstructions lies in the capture's coordinates: not at zero if the set is far from it."""
     return near_origin(np.asarray(capture.cameras.rig.viewmats, np.float64))
+
+
+def viewer_cameras(names: Sequence[str], views: Sequence[Views]) -> list[dict[str, Any]]:
+    """cameras.json of 3DGS: position and rotation from camera to world, OpenCV axes, focal lengths in pixels."""
+    listed = []
+    for i, (name, view) in enumerate(zip(names, views, strict=True)):
+        turn = view.viewmats[0, :3, :3].double().cpu().numpy().T
+        place = -turn @ view.viewmats[0, :3, 3].double().cpu().numpy()
+        fx, fy = (float(view.Ks[0, k, k]) for k in (0, 1))
+        size = {"width": view.width, "height": view.height}
+        pose = {"position": place.tolist(), "rotation": np.asarray(turn).tolist()}
+        listed.append({"id": i, "img_name": name, **size, **pose, "fy": fy, "fx": fx})
+    return listed

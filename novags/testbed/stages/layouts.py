@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from novags.testbed.console import Console, warnings_as_notes
-from novags.testbed.folders.set import Source
 from sensor_model.files.reading import brief
 from simscenes.job.identity import SPENT
 from simscenes.rigs import Rig
@@ -14,6 +14,9 @@ from simscenes.sets.multiview import MultiviewSet, load_set
 from simscenes.sets.writers.camera_files import CAMERA_FILES
 from simscenes.sets.writers.export import EXPORTS
 from simscenes.sets.writers.neighbours import DEPTHS
+
+if TYPE_CHECKING:
+    from novags.testbed.folders.set import Source
 
 RECORD = "set.json"
 LAYOUTS = tuple(EXPORTS)
@@ -32,14 +35,14 @@ def check_cameras_of(layouts: Sequence[str], rig: Rig) -> None:
         EXPORTS[layout].check(rig)
 
 
-def check_source_of(layouts: Sequence[str], source: Source) -> None:
+def check_source_of(layouts: Sequence[str], source: "Source") -> None:
     """Raise ValueError for a layout that cannot be written of a capture of this set, before it is photographed."""
     check_cameras_of(layouts, source.rig)
     if any(EXPORTS[layout].needs_depth for layout in layouts):
         Depths.of_points(replace(source.views, rig=source.rig), source.points(), truth_of(source))
 
 
-def truth_of(source: Source) -> MultiviewSet | None:
+def truth_of(source: "Source") -> MultiviewSet | None:
     """The rendered set, which knows depth; None of photographs."""
     return source.views if source.views.kind == "rendered" else None
 

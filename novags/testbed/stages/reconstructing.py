@@ -28,10 +28,9 @@ from novags.testbed.folders.set import Source
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.machine.devices import chosen_device
 from novags.testbed.references import pictured
-from novags.testbed.stages.camera_source import Frame, cameras_of, true_cameras, views_of
+from novags.testbed.stages.camera_source import Frame, cameras_of, true_cameras, viewer_cameras, views_of
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig, files_of
 from novags.testbed.stages.paths import keep_apart
-from novags.testbed.stages.viewers import viewer_cameras
 from sensor_model.files.door import resolved
 from sensor_model.files.lock import locked
 from simscenes.sets.pictures.exr import write_exr

@@ -3,13 +3,9 @@
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from novags.splats.files.compact import write_splat, write_spz
 from novags.splats.files.ply import read_ply, write_ply
-from novags.splats.views import Views
 from novags.testbed.folders.run import CAMERAS, RECORD, SCENE, VIEWERS
 from novags.testbed.ledger.contents import read_json
 from sensor_model.files.atomic import atomic
@@ -63,16 +59,3 @@ def write_viewers(folder: Path, formats: Sequence[str]) -> None:
         if name in formats:
             antialiased = bool(read_json(folder / RECORD).get("antialiased"))
             write_spz(out / file, gaussians, version=version, antialiased=antialiased)
-
-
-def viewer_cameras(names: Sequence[str], views: Sequence[Views]) -> list[dict[str, Any]]:
-    """cameras.json of 3DGS: position and rotation from camera to world, OpenCV axes, focal lengths in pixels."""
-    listed = []
-    for i, (name, view) in enumerate(zip(names, views, strict=True)):
-        turn = view.viewmats[0, :3, :3].double().cpu().numpy().T
-        place = -turn @ view.viewmats[0, :3, 3].double().cpu().numpy()
-        fx, fy = (float(view.Ks[0, k, k]) for k in (0, 1))
-        size = {"width": view.width, "height": view.height}
-        pose = {"position": place.tolist(), "rotation": np.asarray(turn).tolist()}
-        listed.append({"id": i, "img_name": name, **size, **pose, "fy": fy, "fx": fx})
-    return listed

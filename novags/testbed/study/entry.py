@@ -18,35 +18,20 @@ from sensor_model.files.lock import locked
 
 @dataclass(frozen=True)
 class Task:
-    """One entry of the store that has to be there.
+    """One entry of the store that has to be there."""
 
-    Attributes:
-        kind: "set", "capture" or "run", which is scored too.
-        key: Of the entry.
-        name: Of its folder.
-        config: Of its stage: `RenderConfig`, `CaptureConfig`, `ImportConfig`, `ReconstructConfig`, `CommandConfig`.
-        needs: Keys of the tasks it is made from.
-        source: Where the set is that a capture photographs, or the photographs that it imports, if no task makes it.
-        group: What its cost is compared with: the scene, the camera, the method.
-        work: What its cost grows with, in `costs.UNITS`.
-        pixels: Of all its views.
-        code: Key of the code that is to make it.
-        roots: The modules that reach this code.
-        own: Key of its code and its configuration, without what it is made from.
-    """
-
-    kind: str
+    kind: str  # "set", "capture" or "run", which is scored too
     key: str
-    name: str
-    config: Any
-    needs: tuple[str, ...] = ()
-    source: Path | None = None
-    group: str = ""
-    work: float = 0.0
-    pixels: float = 0.0
-    code: str = ""
-    roots: tuple[str, ...] = ()
-    own: str = ""
+    name: str  # of its folder
+    config: Any  # of its stage: `RenderConfig`, `CaptureConfig`, `ImportConfig`, `ReconstructConfig`, `CommandConfig`
+    needs: tuple[str, ...] = ()  # keys of the tasks it is made from
+    source: Path | None = None  # the set that a capture photographs, or the photographs it imports, if no task makes it
+    group: str = ""  # what its cost is compared with: the scene, the camera, the method
+    work: float = 0.0  # what its cost grows with, in `costs.UNITS`
+    pixels: float = 0.0  # of all its views
+    code: str = ""  # key of the code that is to make it
+    roots: tuple[str, ...] = ()  # the modules that reach this code
+    own: str = ""  # key of its code and its configuration, without what it is made from
 
     def folder(self, store: Path) -> Path:
         """Where it is, or will be."""
@@ -55,36 +40,22 @@ class Task:
 
 @dataclass(frozen=True)
 class Order:
-    """What a worker needs to know of a task.
-
-    Attributes:
-        task: The task.
-        folder: Of its entry.
-        source: Folder that it is made from: of a set for a capture, of a capture for a run.
-        made_of: Content of each entry that it is made from, by key.
-        threads: That this worker may use.
-    """
+    """What a worker needs to know of a task."""
 
     task: Task
-    folder: Path
-    source: Path | None
-    made_of: dict[str, str]
-    threads: int
+    folder: Path  # of its entry
+    source: Path | None  # folder that it is made from: of a set for a capture, of a capture for a run
+    made_of: dict[str, str]  # content of each entry that it is made from, by key
+    threads: int  # that this worker may use
 
 
 @dataclass(frozen=True)
 class Step:
-    """A stage of an entry.
+    """A stage of an entry."""
 
-    Attributes:
-        do: Does it, or nothing if it is done already.
-        record: The file that it writes last; the scores of a run can be removed without what they are of.
-        repeatable: Whether it can be done again alone.
-    """
-
-    do: Callable[[], Any]
-    record: str
-    repeatable: bool = False
+    do: Callable[[], Any]  # does it, or nothing if it is done already
+    record: str  # the file that it writes last
+    repeatable: bool = False  # whether it can be done again alone, as the scores of a run can
 
 
 Steps = dict[str, Step]  # by name, in order

@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from novags.cameras.align import Similarity
+from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.memo import Memo
 from novags.methods.problem import encode
-from novags.methods.reconstruction import GaussianScene, Scene
+from novags.methods.reconstruction import Scene
 from novags.testbed.console import Console
 from novags.testbed.folders.capture import Capture
 from novags.testbed.folders.run import Run

@@ -8,9 +8,10 @@ import torch
 
 from novags.cameras.align import Similarity, to_estimated
 from novags.cameras.estimate import Array
+from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.nerf.scene import load_field
 from novags.methods.problem import encode
-from novags.methods.reconstruction import GaussianScene, Scene
+from novags.methods.reconstruction import Scene
 from novags.methods.rivals.denoised_scene import with_denoiser
 from novags.methods.tone import ResponseTable, ToneCurve
 from novags.splats.files.ply import read_ply

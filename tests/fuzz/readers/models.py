@@ -90,7 +90,7 @@ def _network():
 def make_network(folder: Path) -> None:
     import torch
 
-    from novags.splats.training.checkpoint import write_tensors
+    from novags.splats.files.tensors import write_tensors
     from novags.splats.training.companion import pack
 
     network, adam = _network()
@@ -100,7 +100,7 @@ def make_network(folder: Path) -> None:
 
 
 def read_network(folder: Path, file: Path) -> object:
-    from novags.splats.training.checkpoint import read
+    from novags.splats.files.tensors import read
     from novags.splats.training.companion import unpack
 
     network, adam = _network()
@@ -190,7 +190,7 @@ def _view():
 def _wall():
     import torch
 
-    from novags.methods.reconstruction import GaussianScene
+    from novags.methods.gaussian_scene import GaussianScene
     from novags.splats.gaussians import Gaussians
 
     torch.manual_seed(0)

@@ -150,8 +150,7 @@ def read_experiment(folder: Path, file: Path) -> object:
 def make_viewed(folder: Path) -> None:
     """A run with the cameras that the viewer aligns."""
     from novags.testbed.folders.capture import open_capture
-    from novags.testbed.stages.camera_source import views_of
-    from novags.testbed.stages.viewers import viewer_cameras
+    from novags.testbed.stages.camera_source import viewer_cameras, views_of
 
     make_run(folder)
     rig = open_capture(folder / "capture").cameras.rig

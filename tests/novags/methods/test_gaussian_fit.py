@@ -13,9 +13,9 @@ from novags.methods.enhanced.config import EnhancedFitConfig
 from novags.methods.enhanced.oracle import OracleConfig
 from novags.methods.enhancers.choice import EnhanceConfig
 from novags.methods.enhancers.guided import enhance
+from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.nerf import fitting
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import GaussianScene
 from novags.splats import FitConfig, Gaussians, Views
 from novags.splats.training.config import CameraRefinement
 from novags.splats.training.fit import FitResult

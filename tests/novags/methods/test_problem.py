@@ -8,8 +8,9 @@ import torch
 
 from novags.methods.enhanced.config import ORIGINAL_FIT, ORIGINAL_SCALE, EnhancedFitConfig
 from novags.methods.enhanced.gaussian_fit import fit_for
+from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.problem import Problem, RawPictures
-from novags.methods.reconstruction import GaussianScene, Reconstruction
+from novags.methods.reconstruction import Reconstruction
 from novags.methods.start import brightened, start_gaussians
 from novags.splats import FitConfig, Gaussians, Views, rasterize
 

@@ -11,8 +11,9 @@ from novags.methods.enhancers import enhancement_record, network_of, recorded
 from novags.methods.enhancers.applying import enhanced, enhanced_clean
 from novags.methods.enhancers.choice import EnhanceConfig
 from novags.methods.enhancers.guided import enhance
+from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.memo import Memo
-from novags.methods.reconstruction import GaussianScene, Reconstruction
+from novags.methods.reconstruction import Reconstruction
 from novags.settings import changed, has_setting
 from novags.splats import Gaussians, Views, read_ply
 from sensor_model import linear_to_srgb

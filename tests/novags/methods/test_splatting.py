@@ -8,9 +8,9 @@ import torch
 
 from novags.methods.enhanced import enhance_then_fit
 from novags.methods.enhanced.config import EnhancedFitConfig
+from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.nova import trainer
 from novags.methods.nova.config import NovaConfig
-from novags.methods.reconstruction import GaussianScene
 from novags.splats import FitConfig, Gaussians, McmcConfig, Views, fit, photometric_loss, rasterize
 from novags.splats.training.config import UNUSUAL
 

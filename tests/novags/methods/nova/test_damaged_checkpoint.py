@@ -10,7 +10,7 @@ from novags.methods.nova.config import ConsistencyConfig, NovaConfig
 from novags.methods.nova.denoiser_config import DenoiserConfig, ResUNetConfig
 from novags.methods.nova.trainer import train
 from novags.splats import FitConfig
-from novags.splats.training.checkpoint import read, write_tensors
+from novags.splats.files.tensors import read, write_tensors
 from novags.splats.training.companion import pack, unpack
 
 NETWORK = ResUNetConfig(widths=(4,), bottleneck=4, normalization="none")

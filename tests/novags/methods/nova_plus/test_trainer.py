@@ -11,6 +11,7 @@ import torch
 
 from novags.methods.denoised.config import AdaptConfig, DenoiseConfig
 from novags.methods.enhancers.applying import enhanced_light
+from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.inputs import LacksInput
 from novags.methods.light import first_light
 from novags.methods.noise import Noise, Variance
@@ -23,7 +24,7 @@ from novags.methods.nova_plus.judge import Verdict
 from novags.methods.nova_plus.targets import denoised_light, guided_light
 from novags.methods.nova_plus.trainer import train
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import GaussianScene, Reconstruction
+from novags.methods.reconstruction import Reconstruction
 from novags.methods.tone import tone_curve
 from novags.splats import McmcConfig
 from novags.splats.files.ply import read_ply

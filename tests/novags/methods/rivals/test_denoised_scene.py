@@ -8,8 +8,8 @@ import pytest
 import torch
 from safetensors.torch import load_file, save_file
 
+from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import GaussianScene
 from novags.methods.rivals.denoised_scene import FILE, STAGES, DenoisedScene, Denoiser, with_denoiser
 from novags.splats import Gaussians, rasterize
 

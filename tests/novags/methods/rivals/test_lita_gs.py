@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 
+from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import GaussianScene
 from novags.methods.rivals.denoised_scene import DenoisedScene
 from novags.methods.rivals.invariant import structure
 from novags.methods.rivals.lita_gs import (

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import torch
 
+from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.problem import Problem
-from novags.methods.reconstruction import GaussianScene
 from novags.methods.rivals.ll_gaussian import DecompositionLoss, chosen_gamma, first, lit, parts_of, shaded, train
 from novags.methods.rivals.retinex import smoothness
 from novags.methods.rivals.rows.ll_gaussian import LlGaussianConfig

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 
+from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.inputs import LacksInput
 from novags.methods.light import BRIGHT, MeasuredLight, first_light
-from novags.methods.reconstruction import GaussianScene
 from novags.methods.rivals.raw_gs import RawLoss, train
 from novags.methods.rivals.rows.raw_gs import RawGsConfig
 from novags.splats import FitConfig, McmcConfig

@@ -30,7 +30,7 @@ from novags.testbed.flight.panels import BAR, Panel, frame  # noqa: E402
 from novags.testbed.flight.path import distances, fly, paced, shorter_order  # noqa: E402
 from novags.testbed.folders.run import open_run  # noqa: E402
 from novags.testbed.references import references  # noqa: E402
-from novags.testbed.stages.viewers import viewer_cameras  # noqa: E402
+from novags.testbed.stages.camera_source import viewer_cameras  # noqa: E402
 from simscenes.rigs import orbit_rig  # noqa: E402
 from tests.fuzz.readers.records import make_run  # noqa: E402
 

@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 import torch
 
-from novags.methods.reconstruction import GaussianScene
+from novags.methods.gaussian_scene import GaussianScene
 from novags.testbed.pareto import reconstruction
 
 

@@ -9,7 +9,8 @@ import pytest
 import torch
 
 from novags.splats import Gaussians, Views, read_ply, write_ply
-from novags.testbed.stages.viewers import viewer_cameras, write_viewers
+from novags.testbed.stages.camera_source import viewer_cameras
+from novags.testbed.stages.viewers import write_viewers
 from simscenes import orbit_rig
 
 

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from novags.cameras.align import Similarity
-from novags.methods.reconstruction import GaussianScene
+from novags.methods.gaussian_scene import GaussianScene
 from novags.methods.tone import ResponseTable
 from novags.splats import Gaussians, read_ply, write_ply
 from novags.testbed.console import Console
