@@ -1,56 +1,76 @@
-"""Equal entries of a store under different keys.
+"""Equal results of a store under different entries.
 
-What an entry was made from gets another key where its code changes. If it comes out equal, what follows need not be
-made again: it has another key too, and the mark of its code, its configuration and the contents that it is made from is
-the same. A note under this mark says which entry has it.
+An entry has another key where the code changes that made what it is made from. If that came out equal, the stage asks
+for the same as before: its own key holds contents, and a note under it says which entry has the result.
 """
 
 import os
-import re
 import shutil
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from pathlib import Path
 
+from novags.testbed.ledger.contents import not_as_written, read_json
 from novags.testbed.ledger.made import made_name
-from novags.testbed.ledger.store import damaged, files_of, read_seal
 from sensor_model.files.atomic import write_text
 from sensor_model.files.door import admitted, read_text
 from sensor_model.files.lock import locked
 
-SAME = ".same"  # folder of these notes, of a kind of entries
+SAME = ".same"  # folder of these notes, in the store
+RECORD = {"stage": {"key": str, "files": {"*": str}}}
+
+_store: ContextVar[tuple[Path, list[str]] | None] = ContextVar("store", default=None)
 
 
-def remember(folder: Path, same: str) -> None:
-    """Note that an entry is the one of its kind with this mark; "" is no mark."""
-    note = folder.parent / SAME / same
-    if same and not (note.is_file() and read_text(note, most=1000) == folder.name):
-        write_text(note, folder.name)
+@contextmanager
+def sharing(store: Path) -> Iterator[list[str]]:
+    """While the block runs, stages take over equal results of other entries of a store.
+
+    Yields:
+        A list, to which the names of these entries are added.
+    """
+    token = _store.set((store, found := list[str]()))
+    try:
+        yield found
+    finally:
+        _store.reset(token)
 
 
-def taken_over(folder: Path, same: str) -> str:
-    """Give an empty entry the files of another one with this mark; its stages then keep them.
+def remember(entry: Path, records: Iterable[str]) -> None:
+    """Note that an entry has the results of its stages, whose records are these."""
+    place = f"{entry.parent.name}/{entry.name}"
+    for record in records:
+        note = entry.parent.parent / SAME / read_json(entry / record, RECORD)["stage"]["key"]
+        if not (note.is_file() and read_text(note, most=1000) == place):
+            write_text(note, place)
+
+
+def taken_over(folder: Path, record: str, key: str) -> str:
+    """Give a folder without a result that of the same key in another entry.
 
     Returns:
-        The name of the other one; "" if there is none, or this entry is not empty.
+        The name of that entry; "" if there is none, or what it holds is not as it was written.
     """
-    note = folder.parent / SAME / same
-    if not same or not note.is_file() or any(path for path in folder.iterdir() if not path.name.startswith(".")):
+    shared = _store.get()
+    if shared is None or not (note := shared[0] / SAME / key).is_file():
         return ""
-    name = read_text(note, most=1000)
-    other = folder.parent / name
-    inside = re.fullmatch(r"[A-Za-z0-9._+-]+", name) and not name.startswith(".")
-    if not inside or not other.is_dir() or other == folder:
+    kind, _, name = read_text(note, most=1000).partition("/")
+    other = shared[0] / kind / name
+    if kind != folder.parent.name or "/" in name or name.startswith(".") or not other.is_dir() or name == folder.name:
         return ""
     try:
         with locked(other, make=False):
-            seal = read_seal(other)
-            if seal is None or damaged(other, seal):
+            stage = read_json(other / record, RECORD)["stage"]
+            if stage["key"] != key or not_as_written(other, stage["files"]):
                 return ""
-            # With what explains them: the hidden files that say with which code the stages worked.
-            explained = [name for name in map(made_name, seal.records) if (other / name).exists()]
-            for file in (*files_of(other, seal.records), *explained):
-                _give(other / file, folder / file)
-    except (BlockingIOError, ValueError):  # somebody is at work there; or its seal is damaged
+            for file in (*stage["files"], made_name(record)):  # the record, which says that all is there, goes last
+                if file != record and (other / file).exists():
+                    _give(other / file, folder / file)
+            _give(other / record, folder / record)
+    except (BlockingIOError, ValueError):  # somebody is at work there; or its record is damaged
         return ""
+    shared[1].append(name)
     return name
 
 

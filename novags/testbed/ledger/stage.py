@@ -36,6 +36,7 @@ from novags.testbed.ledger.contents import (
 from novags.testbed.ledger.difference import from_request, listed
 from novags.testbed.ledger.dry import NOT_DONE, Planned
 from novags.testbed.ledger.made import made_name, made_with, write_made
+from novags.testbed.ledger.same import taken_over
 from novags.testbed.ledger.source import hashed
 from novags.testbed.machine.memory import memory_shortage_said
 from novags.testbed.machine.provenance import PeakMemory, environment
@@ -98,7 +99,10 @@ def run_stage(
         known = dict(inputs() if opened is None else opened)
         asked = {"name": name, "code": code.key, "inputs": known, "config": jsonable(config)}
         asked["key"] = stage_key(asked)
-        made = read_json(folder / record_name, MADE) if (folder / record_name).exists() else {}
+        record = folder / record_name
+        if not stage.begun() and (other := taken_over(folder, record_name, asked["key"])):
+            console.note(f"{name}: taken from {other}, which is made from equal contents")
+        made = read_json(record, MADE) if record.exists() else {}
         current = made.get("stage", {}).get("key") == asked["key"]
         wrong = not_as_written(folder, made["stage"].get("files", {})) if current else []
         if current and not wrong:
@@ -237,6 +241,10 @@ class _Stage:
             if before is not None and hashed(before) != found[name]:
                 self._refuse(f"{path}, which it wrote, was")
         return found
+
+    def begun(self) -> bool:
+        """Whether anything of this stage is there."""
+        return any((self.folder / name).exists() for name in (UNFINISHED, self.record_name, *self.owns))
 
     @property
     def _unfinished(self) -> Path:

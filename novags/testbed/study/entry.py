@@ -8,8 +8,8 @@ from typing import Any
 
 from novags.testbed.console import Console
 from novags.testbed.ledger.code import code_of
-from novags.testbed.ledger.contents import digest, read_json
-from novags.testbed.ledger.same import remember, taken_over
+from novags.testbed.ledger.contents import read_json
+from novags.testbed.ledger.same import remember, sharing
 from novags.testbed.ledger.store import SEAL, Seal, clear, damaged, read_seal, write_seal
 from novags.testbed.stages.failing import failing_in
 from novags.testbed.study.engines.worker import MachineError
@@ -31,7 +31,6 @@ class Task:
     pixels: float = 0.0  # of all its views
     code: str = ""  # key of the code that is to make it
     roots: tuple[str, ...] = ()  # the modules that reach this code
-    own: str = ""  # key of its code and its configuration, without what it is made from
 
     def folder(self, store: Path) -> Path:
         """Where it is, or will be."""
@@ -89,23 +88,16 @@ def ensure(order: Order, steps: Steps, console: Console, depends: dict[str, Any]
         made = seal is None or seal.made_of != made_of
         if made:
             (order.folder / SEAL).unlink(missing_ok=True)
-            if equal := taken_over(order.folder, _same(order)):
-                console.note(f"{order.folder}: kept, made from equal contents as {equal}")
-            made = not equal
-            for name, step in steps.items():
-                with failing_in(name):
-                    step.do()
+            with sharing(order.folder.parent.parent) as taken:
+                for name, step in steps.items():
+                    with failing_in(name):
+                        step.do()
+            made = len(taken) < len(steps)
             records = [step.record for step in steps.values()]
             seal = write_seal(order.folder, order.task.key, made_of, _cost(order, steps), records)
-            remember(order.folder, _same(order))
+            remember(order.folder, records)
     assert seal is not None
     return {"content": seal.content, "cost": seal.cost, "made": made}
-
-
-def _same(order: Order) -> str:
-    """What entries have in common that are made by the same code from equal contents; "" if that is this one alone."""
-    task = order.task
-    return digest([task.kind, task.own, [order.made_of[key] for key in task.needs]]) if task.needs and task.own else ""
 
 
 def _believed(order: Order, steps: Steps, console: Console) -> Seal | None:

@@ -129,8 +129,8 @@ class Planner:
         if (command := preset.command(name)) is not None:
             return self._command(command, captured)
         config = preset.reconstruct(name)
-        recipe = {"name": name, "config": config.resolved(), "files": files_of(config)}
-        key = key_of("run", {**recipe, "capture": captured}, config.code)
+        recipe = {"name": name, "config": config.resolved(), "files": files_of(config), "capture": captured}
+        key = key_of("run", recipe, config.code)
         pixels = self.tasks[captured].pixels
         iterations = sum(v for k, v in flattened(config.config).items() if k.rpartition(".")[2] == "iterations")
         views = max(1, self._views(captured))
@@ -138,16 +138,15 @@ class Planner:
             kind="run", key=key, name=named(f"{name}-{self.tasks[captured].name.rpartition('-')[0]}", key),
             config=config, needs=(captured,), group=name,
             work=max(1, iterations) * (pixels / views + config.points), pixels=pixels,
-        ), recipe)  # fmt: skip
+        ))  # fmt: skip
 
     def _command(self, config: CommandConfig, captured: str) -> str:
         name, pixels = config.name, self.tasks[captured].pixels
-        recipe = {"name": name, "config": config.resolved()}
-        key = key_of("run", {**recipe, "capture": captured}, config.code)
+        key = key_of("run", {"name": name, "config": config.resolved(), "capture": captured}, config.code)
         return self._task(Task(
             kind="run", key=key, name=named(f"{name}-{self.tasks[captured].name.rpartition('-')[0]}", key),
             config=config, needs=(captured,), group=name, work=pixels, pixels=pixels,
-        ), recipe)  # fmt: skip
+        ))  # fmt: skip
 
     def _views(self, captured: str) -> int:
         return int(self.contents[captured])
@@ -171,7 +170,7 @@ class Planner:
         return self._task(Task(
             kind="capture", key=key, name=named("-".join(parts), key), config=config, source=source,
             needs=() if source is not None else (made_of,), group=config.sensor_name, work=pixels, pixels=pixels,
-        ), {"config": config.resolved(), **_layouts(config)})  # fmt: skip
+        ))  # fmt: skip
 
     def _imported(self, folder: Path, config: ImportConfig) -> str:
         """The key of a capture of photographs that are dark already; it holds all that it is made of."""
@@ -238,12 +237,10 @@ class Planner:
             self.keys[place] = key_of(kind, recipe, config.code)
         return self.keys[place]
 
-    def _task(self, task: Task, recipe: dict[str, Any] | None = None) -> str:
-        """Plan a task; `recipe`: what it depends on besides its code and what other tasks make."""
+    def _task(self, task: Task) -> str:
         if task.key not in self.tasks:
             code = task.config.code
-            own = key_of(task.kind, recipe, code) if recipe is not None else ""
-            self.tasks[task.key] = replace(task, code=code.key, roots=code.roots, own=own)
+            self.tasks[task.key] = replace(task, code=code.key, roots=code.roots)
         return task.key
 
 
