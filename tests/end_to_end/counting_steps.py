@@ -65,7 +65,7 @@ def write(order: Order, console: Console) -> None:
         return {"threads": os.environ.get("OMP_NUM_THREADS")}
 
     run_stage(
-        "write", order.folder, f"{task.kind}.json", code=Code({}, {}),
+        "write", order.folder, f"{task.kind}.json", code=Code({"key": task.code}, {}),
         inputs=lambda: {"source": contents.digest(source)}, config=task.config,
         owns=("large.txt", "content.txt"), prepare=lambda: None, work=work, console=console, overwrite=True,
     )  # fmt: skip

@@ -89,6 +89,7 @@ def test_a_constant_of_what_methods_share_makes_the_runs_of_all_that_use_it_agai
     splats = edit("novags/splats/training/updates/adam.py", "EPS = 1e-15", "EPS = 1e-14")
     assert splats >= of(*FITS)
     assert not {name for name in splats if name.startswith("scene")} | ({"capture", "score"} & splats)
+    assert edit("novags/splats/raster/raster_torch.py", "ALPHA_MAX = 0.999", "ALPHA_MAX = 0.998") == of(*FITS)
 
 
 def test_a_constant_of_a_score_makes_scores_again_and_no_fit(edit: Edit) -> None:
