@@ -8,6 +8,7 @@ from typing import Any
 
 import torch
 
+from novags.splats.files.tensors import check_lengths
 from sensor_model.files.door import admitted
 
 
@@ -65,6 +66,7 @@ def read_checkpoint(checkpoint: Path) -> Any:
             from safetensors.torch import load_file
 
             return load_file(admitted(checkpoint))
+        check_lengths(checkpoint)
         with torch.serialization.safe_globals([argparse.Namespace]):
             return torch.load(admitted(checkpoint), map_location="cpu", weights_only=True)
     except Exception as error:  # each format has errors of its own

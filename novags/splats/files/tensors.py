@@ -1,6 +1,7 @@
 """Tensors on disk: safetensors, never pickle."""
 
 import hashlib
+import zipfile
 from pathlib import Path
 
 from safetensors import SafetensorError
@@ -8,7 +9,7 @@ from safetensors.torch import load_file, save_file
 from torch import Tensor
 
 from sensor_model.files.atomic import atomic
-from sensor_model.files.door import admitted
+from sensor_model.files.door import admitted, opened
 from sensor_model.files.reading import brief
 
 
@@ -44,3 +45,24 @@ def read(path: Path) -> dict[str, Tensor]:
         return load_file(admitted(path))
     except Exception as error:  # safetensors raises its own class, which it does not promise to keep
         raise ValueError(f"{path} is damaged ({brief(error)}): delete it, the run then starts over") from error
+
+
+def check_lengths(path: Path) -> None:
+    """Refuse what `torch.save` wrote if a part of it announces more than the file holds.
+
+    Rationale: torch reserves what is announced before it looks, gigabytes for a file of a kilobyte.
+
+    Raises:
+        ValueError: If it does, or the table of its parts is damaged.
+    """
+    with opened(path) as file:
+        if not zipfile.is_zipfile(file):  # as torch wrote before 1.6
+            return
+        try:
+            parts = zipfile.ZipFile(file).infolist()
+        except (zipfile.BadZipFile, NotImplementedError) as error:
+            raise ValueError(f"{path}: the table of its parts is damaged ({error})") from error
+        size = file.seek(0, 2)
+    if wrong := [part for part in parts if part.file_size > size]:
+        raise ValueError(f"{path} has {size} bytes, and {brief(wrong[0].filename, 100)} in it announces "
+                         f"{wrong[0].file_size}: it is damaged")  # fmt: skip

@@ -12,6 +12,7 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from novags.methods.enhancers.files.keras_file import read_keras
+from novags.splats.files.tensors import check_lengths
 from sensor_model.files.door import admitted, read_bytes
 from sensor_model.files.reading import brief, reading
 
@@ -51,6 +52,7 @@ def _read(path: Path) -> dict[str, Tensor]:
         return load_file(admitted(path, most=LARGEST))
     if path.suffix in KERAS:
         return read_keras(read_bytes(path, most=LARGEST))
+    check_lengths(path)
     with torch.serialization.safe_globals([argparse.Namespace]):
         # From memory: of a file, a damaged length would be reserved before it is found to be too long.
         value: Any = torch.load(io.BytesIO(read_bytes(path, most=LARGEST)), map_location="cpu", weights_only=True)
