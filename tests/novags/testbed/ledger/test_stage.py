@@ -10,7 +10,7 @@ import torch
 from novags.testbed.console import Console
 from novags.testbed.ledger import stage as stages
 from novags.testbed.ledger.code import Code
-from novags.testbed.ledger.contents import UNFINISHED, checksum, read_json, write_json
+from novags.testbed.ledger.contents import UNFINISHED, checksum, read_json, refuse_damage, write_json
 from novags.testbed.ledger.stage import run_stage
 from sensor_model.files.atomic import appending, atomic, write_text
 
@@ -53,6 +53,19 @@ def test_a_finished_stage_is_not_run_again(tmp_path: Path) -> None:
     assert calls == ["called"]
     assert first == second
     assert first["answer"] == 42
+
+
+@pytest.mark.parametrize(
+    ("old", "new"), [('"a": 1', '"a": 2'), ('"in": "1"', '"in": "2"'), ('"answer": 42', '"answer": 43')]
+)
+def test_an_edited_record_is_refused(tmp_path: Path, old: str, new: str) -> None:
+    stage(tmp_path, writes(tmp_path, []), config={"a": 1})
+    path = tmp_path / "record.json"
+    refuse_damage(tmp_path, read_json(path), "make it again")
+    assert old in path.read_text()
+    path.write_text(path.read_text().replace(old, new))
+    with pytest.raises(ValueError, match=r"record(.json)? not as written .checksum.; put back what was there, or make"):
+        refuse_damage(tmp_path, read_json(path), "make it again")
 
 
 def remove(file: Path) -> None:
