@@ -60,7 +60,10 @@ def check_lengths(path: Path) -> None:
             return
         try:
             parts = zipfile.ZipFile(file).infolist()
-        except (zipfile.BadZipFile, NotImplementedError) as error:
+        except (
+            zipfile.BadZipFile,
+            NotImplementedError,
+        ) as error:  # the latter: not of torch's
             raise ValueError(f"{path}: the table of its parts is damaged ({error})") from error
         size = file.seek(0, 2)
     if wrong := [part for part in parts if part.file_size > size]:

@@ -225,7 +225,7 @@ class Capture:
     def _read(self, read: Callable[[Path], np.ndarray], kind: str, i: int, suffix: str) -> np.ndarray:
         """A file of view `i`, as large as its camera says."""
         path = self.path / kind / f"{self.names[i]}{suffix}"
-        refuse_damage(self.path, {"stage": self.record.stage}, REMEDIES[RECORD], [f"{kind}/{path.name}"])
+        refuse_damage(self.path, self.record.stage, REMEDIES[RECORD], [f"{kind}/{path.name}"])
         found, rig = read(path), self.cameras.rig
         if found.shape[:2] != (rig.height, rig.width):
             height, width = found.shape[:2]

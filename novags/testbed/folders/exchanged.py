@@ -24,7 +24,7 @@ def refuse_exchanged(folder: Path) -> None:
         for place in (folder, folder.parent):
             try:
                 record = read_json(place / name, WRITTEN)
-            except ValueError:
+            except ValueError:  # none there, or no record of ours; the reader of the folder refuses a damaged one
                 continue
             inside = [file for file in record["stage"].get("files", {}) if file.startswith(f"{folder.name}/")]
-            refuse_damage(place, record, remedy, None if place == folder else inside)
+            refuse_damage(place, record["stage"], remedy, None if place == folder else inside)

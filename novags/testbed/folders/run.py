@@ -174,7 +174,7 @@ class Run:
         if not (self.path / METRICS).exists():
             return None
         record = read_json(self.path / METRICS, shapes.METRICS)
-        refuse_damage(self.path, record, "score it again")
+        refuse_damage(self.path, record.get("stage", {}), "score it again")
         return dict(record["methods"]).get(self.name)
 
     def digest(self) -> str:

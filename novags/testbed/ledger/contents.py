@@ -130,19 +130,18 @@ def in_words(wrong: Sequence[str]) -> str:
     return f"{listed([brief(name, 100) for name in wrong])} not as written (checksum)"
 
 
-def refuse_damage(folder: Path, record: Mapping[str, Any], remedy: str, names: Sequence[str] | None = None) -> None:
+def refuse_damage(folder: Path, stage: Mapping[str, Any], remedy: str, names: Sequence[str] | None = None) -> None:
     """Refuse a finished result whose files are not as its stage wrote them: exchanged, edited or damaged ones.
 
     Args:
         folder: Of the stage.
-        record: What the stage wrote last; before there were checksums, it held none.
+        stage: The entry "stage" of its record; before there were checksums, it held none.
         remedy: What the user can do beside putting back what was there.
         names: The files that are to be looked at; None: all.
 
     Raises:
         ValueError: Naming them.
     """
-    stage = record.get("stage") or {}
     files: Mapping[str, str] = stage.get("files", {})
     if names is not None:
         files = {name: files[name] for name in names if name in files}

@@ -46,7 +46,7 @@ def planned(console: Console, name: str, files: Iterable[Path]) -> None:
     Args:
         console: Where it is said.
         name: What makes the files.
-        files: These; what is made with each measurement, say, is said by whoever counts them.
+        files: The files. Measurements, for example, are told by their own command, which counts them.
 
     Raises:
         Planned: In a dry run.

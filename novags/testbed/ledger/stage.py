@@ -138,7 +138,7 @@ def refuse_other(
         return
     found = from_request(stage, jsonable(config), inputs or {})
     if not found:
-        refuse_damage(folder, {"stage": stage}, "add --overwrite to make it again")
+        refuse_damage(folder, stage, "add --overwrite to make it again")
     if not found and inputs is not None and "code" not in stage:
         found.append(f"made by novags {stage.get('versions', {}).get('novags')}, which recorded no code")
     if found:

@@ -52,7 +52,7 @@ def measure(
         overwrite: Drop measurements of another size, machine or version of the software.
 
     Returns:
-        What is measured. In a dry run what is missing is said, knob by knob, and not measured.
+        What is measured. In a dry run the missing measurements are counted for each knob, and none is made.
 
     Raises:
         ValueError: If `repeats` is below 1, a knob is unknown, or the folder holds measurements of another size,

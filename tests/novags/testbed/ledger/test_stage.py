@@ -61,11 +61,11 @@ def test_a_finished_stage_is_not_run_again(tmp_path: Path) -> None:
 def test_an_edited_record_is_refused(tmp_path: Path, old: str, new: str) -> None:
     stage(tmp_path, writes(tmp_path, []), config={"a": 1})
     path = tmp_path / "record.json"
-    refuse_damage(tmp_path, read_json(path), "make it again")
+    refuse_damage(tmp_path, read_json(path)["stage"], "make it again")
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new))
     with pytest.raises(ValueError, match=r"record(.json)? not as written .checksum.; put back what was there, or make"):
-        refuse_damage(tmp_path, read_json(path), "make it again")
+        refuse_damage(tmp_path, read_json(path)["stage"], "make it again")
 
 
 def remove(file: Path) -> None:
