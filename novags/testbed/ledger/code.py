@@ -1,36 +1,24 @@
-"""The code of a result: every module that its stage and its rows reach, with the data files beside them.
+"""The code of a result: what its stage and its rows reach, with the data files beside it.
 
-What a module reaches is read from its source: what it imports, anywhere in it, and what it names as text,
-"package.module:NAME", as rows of tables do. The rows of a `Registry` are not followed: a result depends on the rows
-that it uses, not on all that could have been used.
+The unit is a definition at the top of a module: a function, a class, a constant (`reach.py` says how they are found).
+The rows of a `Registry` are not followed: a result depends on the rows that it uses, not on all that could have been.
 """
 
-import sys
-from collections.abc import Iterable
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
 
+from novags.testbed.ledger.reach import PACKAGES, Counted, is_outside, path_of, reached, source_of
 from novags.testbed.ledger.source import hashed, sources
 from sensor_model.files.python import ROOT
-
-PACKAGES = ("novags", "simscenes", "sensor_model")
-# What returns nothing that a result depends on: it tells, shows, waits, locks and compares.
-OUTSIDE = tuple(
-    f"novags.{name}"
-    for name in ("cli", "commands", "failure", "options", "process", "testing",
-                 *(f"testbed.{part}" for part in ("console", "csv_text", "flight", "help", "ledger", "machine",
-                                                  "report", "results", "time_left", "viewer")))
-)  # fmt: skip
-
 
 @dataclass(frozen=True)
 class Code:
     """What makes a result.
 
     Attributes:
-        files: Hash of the tokens (of data: of the content) of every file, by its path from the root.
+        files: Hash of what counts in every file (of data: of the content), by its path from the root.
         texts: Hash of the whole content of the same files.
         roots: The modules that reach them.
     """
@@ -60,26 +48,22 @@ def code_of(*roots: str | None) -> Code:
 
 @cache
 def _code_of(roots: frozenset[str]) -> Code:
-    files = {path for module in reached(roots) for path in _beside(_path(module))}
-    found = {_name(path): _hashes(path) for path in sorted(files)}
+    files, texts = dict[str, str](), dict[str, str]()
+    for module, counted in reached(roots).items():
+        path = path_of(module)
+        files[_name(path)], texts[_name(path)] = _tokens(module, counted), _content(path)
+        beside = {_name(other): _content(other) for other in _beside(path)}
+        files, texts = files | beside, texts | beside
     sources().remember()
-    tokens = {name: kept for name, (kept, _) in found.items()}
-    return Code(tokens, {name: whole for name, (_, whole) in found.items()}, tuple(sorted(roots)))
+    return Code(dict(sorted(files.items())), dict(sorted(texts.items())), tuple(sorted(roots)))
 
 
-def reached(roots: Iterable[str]) -> frozenset[str]:
-    """The modules of ours that these reach, themselves included.
-
-    Raises:
-        ValueError: If there is no such module.
-    """
-    found, waiting = set[str](), list(roots)
-    while waiting:
-        module = waiting.pop()
-        if module not in found and not _outside(module) and _known(module):
-            found.add(module)
-            waiting += _edges(module)
-    return frozenset(found)
+def _tokens(module: str, counted: Counted) -> str:
+    """Hash of what counts in a module."""
+    source = source_of(module)
+    definitions = [source.definitions[number].tokens for number in sorted(counted.definitions)]
+    imports = [f"{name} {':'.join(source.imports[name])}" for name in sorted(counted.imports)]
+    return hashed("\n".join([*definitions, *imports]).encode())
 
 
 def _name(path: Path) -> str:
@@ -91,7 +75,7 @@ def version() -> str:
     """Hash of all code that results depend on, as it is on this machine."""
     names = (".".join(path.relative_to(ROOT).with_suffix("").parts) for package in PACKAGES
              for path in Path(ROOT, package).rglob("*.py"))  # fmt: skip
-    return _code_of(frozenset(name.removesuffix(".__init__") for name in names if not _outside(name))).key
+    return _code_of(frozenset(name.removesuffix(".__init__") for name in names if not is_outside(name))).key
 
 
 def modules_of(config: Any) -> set[str]:
@@ -101,86 +85,15 @@ def modules_of(config: Any) -> set[str]:
     return {type(config).__module__}.union(*(modules_of(getattr(config, part.name)) for part in fields(config)))
 
 
-def _outside(module: str) -> bool:
-    return any(module == place or module.startswith(f"{place}.") for place in OUTSIDE)
-
-
-def _file(module: str) -> Path | None:
-    """The file of a module: of ours by its name, of another one by where it was loaded from; None if it has none."""
-    place = Path(ROOT, *module.split("."))
-    if module.partition(".")[0] in PACKAGES:
-        if found := next((path for path in (place.with_suffix(".py"), place / "__init__.py") if path.is_file()), None):
-            return found
-    loaded = getattr(sys.modules.get(module), "__file__", None)
-    return Path(loaded) if loaded and loaded.endswith(".py") and Path(loaded).is_file() else None
-
-
-def _known(module: str) -> bool:
-    """Whether it has a file. One that was loaded without (typed in, or made as the program ran) says nothing of itself.
-
-    Raises:
-        ValueError: If there is no such module.
-    """
-    if _file(module) is not None:
-        return True
-    if module.partition(".")[0] in PACKAGES and module not in sys.modules:
-        raise ValueError(f"{module} is no module of {', '.join(PACKAGES)}")
-    return False
-
-
-def _path(module: str) -> Path:
-    found = _file(module)
-    assert found is not None  # it is known
-    return found
-
-
 @cache
 def _beside(path: Path) -> tuple[Path, ...]:
-    """A file of code and the data in its folder."""
+    """The data in the folder of a file of code."""
     if not path.is_relative_to(ROOT):  # what lies beside a file of somebody else is not ours to judge
-        return (path,)
+        return ()
     others = (file for file in path.parent.iterdir() if file.suffix not in (".py", ".pyi") and file.is_file())
-    return (path, *(file for file in others if not file.name.startswith(".")))
+    return tuple(file for file in others if not file.name.startswith("."))
 
 
 @cache
-def _hashes(path: Path) -> tuple[str, str]:
-    """Of what counts in a file, and of all of it."""
-    content = path.read_bytes()
-    text = hashed(content)
-    return (sources().of(content).tokens if path.suffix == ".py" else text), text
-
-
-@cache
-def _edges(module: str) -> frozenset[str]:
-    """What a module imports or names, of ours."""
-    path = _path(module)
-    package = module if path.name == "__init__.py" else module.rpartition(".")[0]
-    source, found = sources().of(path.read_bytes()), set[str]()
-    ours = {*PACKAGES, module.partition(".")[0]}
-    for name, names in source.imports:
-        if (base := _absolute(name, package)).partition(".")[0] in ours:
-            found |= {_defining(base, each) for each in names} if names else {base}
-    found |= {text.partition(":")[0] for text in source.texts if text.partition(".")[0] in ours}
-    return frozenset(found - {module})
-
-
-def _absolute(name: str, package: str) -> str:
-    """The module that `from name import ...` means in a package."""
-    relative = name.lstrip(".")
-    if relative == name:
-        return name
-    above = package.split(".")[: len(package.split(".")) - (len(name) - len(relative)) + 1]
-    return ".".join([*above, relative]) if relative else ".".join(above)
-
-
-@cache
-def _defining(module: str, name: str) -> str:
-    """The module that is reached by `from module import name`."""
-    if _file(inner := f"{module}.{name}") is not None:
-        return inner
-    stub = Path(ROOT, *module.split("."), "__init__.pyi")  # of a package whose names are imported when they are used
-    if not stub.is_file():
-        return module
-    imports = sources().of(stub.read_bytes()).imports
-    return next((_absolute(base, module) for base, names in imports if name in names), module)
+def _content(path: Path) -> str:
+    return hashed(path.read_bytes())

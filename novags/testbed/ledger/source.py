@@ -1,7 +1,8 @@
-"""What one file of source says: its tokens, what it imports, and which objects it names as text.
+"""What one file of source says: its definitions, their tokens, and what each of them uses.
 
-Code is compared as tokens, without comments, docstrings, layout and the messages of errors, so that the hash is equal
-under every version of Python. The rows of a `Registry` are left out: they are what could be used, not what is.
+A definition is a statement at the top of a module. Code is compared as tokens, without comments, docstrings, layout and
+the messages of errors, so that the hash is equal under every version of Python. The rows of a `Registry` are left out:
+they are what could be used, not what is.
 """
 
 import ast
@@ -11,18 +12,44 @@ import json
 import tokenize
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import cache
 from pathlib import Path
+from typing import Any, TypeGuard
 
 from sensor_model.files.atomic import write_text
 from sensor_model.files.own import cache_folder, own_folder
-from sensor_model.files.records import read_record
+from sensor_model.files.records import check_shape, parse_json, read_record
 
 MOST = 4000  # sources that are remembered
-SHAPE = {"*": {"tokens": str, "imports": [list], "texts": [str]}}
+SHAPE = {"definitions": [{"names": [str], "runs": bool, "tokens": str, "uses": [str], "reaches": [[str]]}],
+         "imports": {"*": [str]}, "loads": [[str]]}  # fmt: skip
+# Decorators that wrap what they decorate and do nothing else. Any other may enter it in a table, as numba's
+# register_model does, so that it runs though nobody names it.
+WRAPPERS = frozenset({"cache", "contextmanager", "dataclass", "fast", "inline", "intrinsic", "jit", "kernel", "lru_cache",
+                      "no_grad", "partial", "remembered", "runtime_checkable"})  # fmt: skip
 _SKIPPED = (tokenize.COMMENT, tokenize.NL, tokenize.ENCODING, tokenize.ENDMARKER)
 _KINDS = {tokenize.INDENT: ">", tokenize.DEDENT: "<", tokenize.NEWLINE: ";"}
+
+
+@dataclass(frozen=True)
+class Definition:
+    """A statement at the top of a module.
+
+    Attributes:
+        names: What it binds.
+        runs: Whether it does more than to bind names, so that it counts wherever its module is imported.
+        tokens: Hash of the tokens that can change what it computes.
+        uses: Names of the module that it reads, "name", or "name.attribute" of what the module imports.
+        reaches: Module and name of what it imports itself, and of what it names as text, "module:NAME"; the module with
+            as many dots before it as are written, and "" as the name of a whole module.
+    """
+
+    names: tuple[str, ...]
+    runs: bool
+    tokens: str
+    uses: tuple[str, ...]
+    reaches: tuple[tuple[str, str], ...]
 
 
 @dataclass(frozen=True)
@@ -30,15 +57,14 @@ class Source:
     """What a file of source says.
 
     Attributes:
-        tokens: Hash of the tokens that can change what it computes.
-        imports: Modules whose names it imports, with as many dots before them as it writes, and these names; without
-            names for `import module`.
-        texts: Constants of the form "module:NAME".
+        definitions: In their order.
+        imports: Module and name of each name that is imported at the top; as in `Definition.reaches`.
+        loads: The same of all that these statements load; name "*" of all names of a module.
     """
 
-    tokens: str
-    imports: tuple[tuple[str, tuple[str, ...]], ...]
-    texts: tuple[str, ...]
+    definitions: tuple[Definition, ...]
+    imports: dict[str, tuple[str, str]]
+    loads: tuple[tuple[str, str], ...]
 
 
 def hashed(content: bytes) -> str:
@@ -54,13 +80,12 @@ class Sources:
 
     def __init__(self) -> None:
         self._known: dict[str, Source] = {}
+        self._texts: dict[str, str] = {}  # of the same and of more, each parsed when it is asked for
         self._new = False
         # What is remembered was found by this very code.
         self._name = f"{hashed(Path(__file__).read_bytes())}.json"
         with suppress(OSError, ValueError):
-            for key, found in read_record(own_folder(cache_folder("sources")) / self._name, SHAPE).items():
-                imports = tuple((module, tuple(names)) for module, names in found["imports"])
-                self._known[key] = Source(found["tokens"], imports, tuple(found["texts"]))
+            self._texts = read_record(own_folder(cache_folder("sources")) / self._name, {"*": str})
 
     def of(self, content: bytes) -> Source:
         """What a content says.
@@ -70,15 +95,25 @@ class Sources:
         """
         key = hashed(content)
         if key not in self._known:
-            self._known[key], self._new = read(content), True
+            self._known[key] = self._remembered(key) or self._read(key, content)
         return self._known[key]
+
+    def _read(self, key: str, content: bytes) -> Source:
+        found = read(content)
+        self._texts[key], self._new = json.dumps(asdict(found)), True
+        return found
+
+    def _remembered(self, key: str) -> Source | None:
+        with suppress(ValueError):
+            if (text := self._texts.get(key)) is not None:
+                return _source(parse_json(text, "a source that is remembered"))
+        return None
 
     def remember(self) -> None:
         """Keep what was read for the next process."""
         if self._new:
-            kept = dict(list(self._known.items())[-MOST:])
             with suppress(OSError):
-                text = json.dumps({key: asdict(source) for key, source in kept.items()})
+                text = json.dumps(dict(list(self._texts.items())[-MOST:]))
                 write_text(own_folder(cache_folder("sources")) / self._name, text)
             self._new = False
 
@@ -89,21 +124,104 @@ def sources() -> Sources:
     return Sources()
 
 
+def _source(found: Any) -> Source:
+    """A source as it was kept.
+
+    Raises:
+        ValueError: If it is not what was kept.
+    """
+    check_shape(found, SHAPE, "a source that is remembered", "remove it")
+
+    def pairs(values: Iterable[list[str]]) -> tuple[tuple[str, str], ...]:
+        return tuple((module, name) for module, name in values)
+
+    definitions = tuple(
+        Definition(tuple(one["names"]), one["runs"], one["tokens"], tuple(one["uses"]), pairs(one["reaches"]))
+        for one in found["definitions"]
+    )
+    return Source(definitions, dict(zip(found["imports"], pairs(found["imports"].values()), strict=True)),
+                  pairs(found["loads"]))  # fmt: skip
+
+
 def read(content: bytes) -> Source:
     """What a file of source says.
 
     Raises:
         SyntaxError: If it is no Python.
     """
-    imports, texts = list[tuple[str, tuple[str, ...]]](), set[str]()
-    for node in _run(ast.parse(content)):
-        if isinstance(node, ast.Import):
-            imports += [(alias.name, ()) for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            imports.append(("." * node.level + (node.module or ""), tuple(alias.name for alias in node.names)))
-        elif isinstance(node, ast.Constant) and isinstance(node.value, str) and _is_reference(node.value):
-            texts.add(node.value)
-    return Source(hashed(" ".join(significant(content)).encode()), tuple(imports), tuple(sorted(texts)))
+    lines = content.splitlines(keepends=True)
+    definitions, imports, loads = list[Definition](), dict[str, tuple[str, str]](), list[tuple[str, str]]()
+    for statement in ast.parse(content).body:
+        if isinstance(statement, ast.Import | ast.ImportFrom):
+            loads += _imported(statement)
+            imports |= _bound_by(statement)
+        elif not _says_nothing(statement):
+            definitions.append(_definition(statement, lines))
+    known = {*imports, *(name for one in definitions for name in one.names)}
+    kept = (replace(one, uses=tuple(use for use in one.uses if use.partition(".")[0] in known)) for one in definitions)
+    return Source(tuple(kept), imports, tuple(loads))
+
+
+def _definition(statement: ast.stmt, lines: list[bytes]) -> Definition:
+    names, runs = _bound(statement)
+    uses, reaches = set[str](), set[tuple[str, str]]()
+    for node in _run(statement):
+        if isinstance(node, ast.Name | ast.Attribute):
+            uses.add(ast.unparse(node))
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            reaches.update(_imported(node))
+        elif isinstance(node, ast.Constant):
+            module, _, name = node.value.partition(":")
+            reaches.add((module, name))
+    first = min(node.lineno for node in (statement, *getattr(statement, "decorator_list", ())))
+    tokens = hashed(" ".join(significant(b"".join(lines[first - 1 : statement.end_lineno]))).encode())
+    return Definition(tuple(sorted(names)), runs, tokens, tuple(sorted(uses)), tuple(sorted(reaches)))
+
+
+def _bound(statement: ast.stmt) -> tuple[set[str], bool]:
+    """The names that a statement binds, and whether it does more than that.
+
+    An assignment counts where its names are read, whatever it calls: importing our modules changes nothing but names
+    (`tests/novags/test_import.py`). One that changes a part of something, a loop, a call or a condition counts always.
+    """
+    # A function that assigns to a name of the module decides what others read there.
+    names = {name for node in ast.walk(statement) if isinstance(node, ast.Global) for name in node.names}
+    if isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+        return {*names, statement.name}, not all(_wraps(decorator) for decorator in statement.decorator_list)
+    stored = {node.id for node in ast.walk(statement) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
+    if isinstance(statement, ast.Assign | ast.AnnAssign):
+        targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
+        parts = [part for target in targets for part in getattr(target, "elts", [target])]
+        return names | stored, not all(isinstance(part, ast.Name) for part in parts)
+    imported = (_bound_by(node) for node in ast.walk(statement) if isinstance(node, ast.Import | ast.ImportFrom))
+    defined = {node.name for node in ast.walk(statement) if isinstance(node, ast.FunctionDef | ast.ClassDef)}
+    return names.union(stored, defined, *imported), True
+
+
+def _wraps(decorator: ast.expr) -> bool:
+    """Whether a decorator does no more than to wrap."""
+    name = decorator.func if isinstance(decorator, ast.Call) else decorator
+    return ast.unparse(name).rpartition(".")[2] in WRAPPERS
+
+
+def _imported(statement: ast.Import | ast.ImportFrom) -> list[tuple[str, str]]:
+    """Module and name of everything that an import loads."""
+    if isinstance(statement, ast.Import):
+        return [(alias.name, "") for alias in statement.names]
+    module = "." * statement.level + (statement.module or "")
+    return [(module, alias.name) for alias in statement.names]
+
+
+def _bound_by(statement: ast.Import | ast.ImportFrom) -> dict[str, tuple[str, str]]:
+    """What each name means that an import binds."""
+    found = {}
+    for alias, (module, name) in zip(statement.names, _imported(statement), strict=True):
+        if name or alias.asname:
+            found[alias.asname or name] = (module, name)
+        else:  # `import a.b` binds a
+            first = module.partition(".")[0]
+            found[first] = (first, "")
+    return found
 
 
 def _is_reference(text: str) -> bool:
@@ -112,25 +230,50 @@ def _is_reference(text: str) -> bool:
 
 
 def _run(node: ast.AST) -> Iterator[ast.AST]:
-    """Everything that runs: neither the rows of tables nor what only type checkers read."""
-    yield node
-    parts: Iterable[ast.AST] = ast.iter_child_nodes(node)
-    if _is_table(node):
-        return
-    if isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING":
-        parts = node.orelse
-    for part in parts:
-        yield from _run(part)
+    """What may reach something, of all that runs: imports, references as text, names with all their attributes."""
+    if isinstance(node, ast.Import | ast.ImportFrom):
+        yield node
+    elif isinstance(node, ast.Constant):
+        if isinstance(node.value, str) and _is_reference(node.value):
+            yield node
+    elif _is_table(node):
+        yield node.func
+    elif isinstance(node, ast.Name) or _is_dotted(node):
+        yield node
+    else:
+        parts = node.orelse if _is_for_checkers(node) else ast.iter_child_nodes(node)
+        for part in parts:
+            yield from _run(part)
 
 
-def _is_table(node: ast.AST) -> bool:
+def _is_dotted(node: ast.AST) -> bool:
+    """Whether it is a name with attributes, such as `a.b.c`."""
+    while isinstance(node, ast.Attribute):
+        node = node.value
+    return isinstance(node, ast.Name)
+
+
+def _says_nothing(node: ast.stmt) -> bool:
+    """Whether it is a docstring, or for type checkers alone."""
+    if isinstance(node, ast.Expr):
+        return isinstance(node.value, ast.Constant)
+    return _is_for_checkers(node) and not node.orelse
+
+
+def _is_for_checkers(node: ast.AST) -> TypeGuard[ast.If]:
+    """Whether its first branch is read by type checkers alone."""
+    return isinstance(node, ast.If) and isinstance(node.test, ast.Name) and node.test.id == "TYPE_CHECKING"
+
+
+def _is_table(node: ast.AST) -> TypeGuard[ast.Call]:
     return isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "Registry"
 
 
 def significant(content: bytes) -> Iterator[str]:
     """The tokens of a source that can change what it computes."""
+    tree = ast.parse(content) if b"Registry" in content else ast.Module([], [])
     tables = [((node.lineno, node.col_offset), (node.end_lineno, node.end_col_offset))
-              for node in ast.walk(ast.parse(content)) if isinstance(node, ast.Call) and _is_table(node)]  # fmt: skip
+              for node in ast.walk(tree) if _is_table(node)]  # fmt: skip
     lines = content.decode("utf-8-sig").splitlines(keepends=True)
     statement: list[tuple[int, str]] = []
     for kind, text, place in _tokens(content, lines):

@@ -13,7 +13,8 @@ import pytest
 
 from novags.cameras import parse_cameras
 from novags.methods import METHODS, chosen
-from novags.testbed.ledger.code import OUTSIDE, PACKAGES, code_of, modules_of, reached
+from novags.testbed.ledger.code import code_of, modules_of
+from novags.testbed.ledger.reach import OUTSIDE, PACKAGES, reached
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -150,7 +151,7 @@ def test_no_result_depends_on_the_row_of_another_method() -> None:
     for name, row in rows.items():
         config = METHODS[name].config()
         found = reached([f"{STAGE}reconstructing", str(row), *modules_of(config)])
-        assert found & {other for other in rows.values() if other != row} == set(), name
+        assert found.keys() & {other for other in rows.values() if other != row} == set(), name
 
 
 def test_stages_reach_nothing_that_shows_and_nothing_shown_is_missing_from_the_rule() -> None:

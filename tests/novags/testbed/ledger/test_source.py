@@ -42,7 +42,7 @@ def halved(value: int) -> float:
 )
 def test_texts_and_layout_do_not_count(before: bytes, after: bytes) -> None:
     assert before in SOURCE
-    assert read(SOURCE.replace(before, after)).tokens == read(SOURCE).tokens
+    assert read(SOURCE.replace(before, after)) == read(SOURCE)
 
 
 @pytest.mark.parametrize(
@@ -62,35 +62,63 @@ def test_texts_and_layout_do_not_count(before: bytes, after: bytes) -> None:
 )
 def test_what_can_change_a_value_counts(before: bytes, after: bytes) -> None:
     assert before in SOURCE
-    assert read(SOURCE.replace(before, after)).tokens != read(SOURCE).tokens
+    assert read(SOURCE.replace(before, after)) != read(SOURCE)
 
 
 def test_changes_inside_a_formatted_string_count() -> None:
-    assert (
-        len({read(b"x = f'%s'\n" % text).tokens for text in (b"a{b}", b"a{c}", b"a{b:.2f}", b"A{b}", b"a{b}'f'")}) == 5
-    )
+    texts = (b"a{b}", b"a{c}", b"a{b:.2f}", b"A{b}", b"a{b}'f'")
+    assert len({read(b"x = f'%s'\n" % text).definitions[0].tokens for text in texts}) == 5
 
 
 def test_rows_of_a_table_neither_count_nor_lead_anywhere_but_named_functions_do() -> None:
-    table = b"ROWS: dict = Registry({'a': 'pkg.a:ROW'})\nBEST = 'a'\n"
-    more = table.replace(b"}", b", 'b': 'pkg.b:ROW'}")
-    assert read(table).tokens == read(more).tokens != read(table.replace(b"BEST = 'a'", b"BEST = 'b'")).tokens
-    assert read(more).texts == ()
-    assert read(b"train = Later('pkg.a:train')\n").texts == ("pkg.a:train",)
+    table = b"from pkg import Registry\nROWS: dict = Registry({'a': 'pkg.a:ROW'})\nBEST = 'a'\n"
+    assert read(table) == read(table.replace(b"}", b", 'b': 'pkg.b:ROW'}"))
+    assert read(table) != read(table.replace(b"BEST = 'a'", b"BEST = 'b'"))
+    assert [(one.uses, one.reaches) for one in read(table).definitions] == [(("ROWS", "Registry"), ()), (("BEST",), ())]
+    assert read(b"train = Later('pkg.a:train')\n").definitions[0].reaches == (("pkg.a", "train"),)
 
 
 def test_imports_are_found_wherever_they_stand_but_for_type_checkers() -> None:
     source = read(
-        b"import pkg.one\nfrom .two import a, b\nif TYPE_CHECKING:\n    from pkg.three import c\n"
+        b"import pkg.one\nimport pkg.six as six\nfrom .two import a, b as c\nif TYPE_CHECKING:\n    from pkg.three import d\n"
         b"else:\n    import pkg.four\ndef f():\n    from .. import five\n"
     )
-    assert set(source.imports) == {(".two", ("a", "b")), ("..", ("five",)), ("pkg.four", ()), ("pkg.one", ())}
+    assert source.imports == {"pkg": ("pkg", ""), "six": ("pkg.six", ""), "a": (".two", "a"), "c": (".two", "b")}
+    assert source.loads == (("pkg.one", ""), ("pkg.six", ""), (".two", "a"), (".two", "b"))
+    condition, function = source.definitions
+    assert (condition.runs, condition.reaches) == (True, (("pkg.four", ""),))
+    assert (function.runs, function.reaches) == (False, (("..", "five"),))
+
+
+@pytest.mark.parametrize(
+    ("text", "names", "runs", "uses"),
+    [
+        ("def f(a=X):\n    b = np.sum(a)\n    return g(b)", ("f",), False, ("X", "g", "np.sum")),
+        ("@np.cache\nclass A(B):\n    x: C = X", ("A",), False, ("B", "C", "X", "np.cache")),
+        ("@X(Y)\nclass A: pass", ("A",), True, ("X", "Y")),
+        ("@np.cache\n@X.register\ndef f(): pass", ("f",), True, ("X.register", "np.cache")),
+        ("X = Y = g(Z)", ("X", "Y"), False, ("X", "Y", "Z", "g")),
+        ("A, *B = Z", ("A", "B"), True, ("A", "B", "Z")),
+        ("X[0] = Y", (), True, ("X", "Y")),
+        ("X.a.b = Y", (), True, ("X.a.b", "Y")),
+        ("X += Y", ("X",), True, ("X", "Y")),
+        ("for _i in Z:\n    A = g(_i)", ("A", "_i"), True, ("A", "Z", "_i", "g")),
+        ("g(X)", (), True, ("X", "g")),
+        ("if Z:\n    import X\n    def B(): pass", ("B", "X"), True, ("Z",)),
+        ("def f():\n    global X\n    X = Y", ("X", "f"), False, ("X", "Y")),
+        ("__name__ == '__main__'", (), True, ()),
+    ],
+)
+def test_a_statement_binds_names_and_may_do_more(text: str, names: tuple[str, ...], runs: bool, uses: tuple) -> None:
+    known = b"import numpy as np\nA = B = C = X = Y = Z = g = 0\n"
+    found = read(known + text.encode()).definitions[-1]
+    assert (found.names, found.runs, found.uses) == (names, runs, uses)
 
 
 def test_formatted_strings_are_one_token_however_python_takes_them_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     """Rationale: from Python 3.12 on they are several, and a store is shared by machines with different versions."""
     content = b'a = f\'{x}-{y:>{w}}\' + rf\'\\d\' f"""{z}\nb"""\n'
-    expected = read(content).tokens
+    expected = read(content).definitions[0].tokens
     real = tokenize.tokenize
     start, middle, end = 1001, 1002, 1003  # numbers that no kind of this version has
     for name, number in (("START", start), ("MIDDLE", middle), ("END", end)):
@@ -109,7 +137,7 @@ def test_formatted_strings_are_one_token_however_python_takes_them_apart(monkeyp
 
     if sys.version_info < (3, 12):  # there it is done by Python itself, and the hash above is the same
         monkeypatch.setattr(tokenize, "tokenize", apart)
-    assert read(content).tokens == expected == "ff3e8cb3a8dbabe86b72bafae3ac826d"
+    assert read(content).definitions[0].tokens == expected == "ff3e8cb3a8dbabe86b72bafae3ac826d"
 
 
 def test_a_source_that_was_read_is_remembered_and_read_again_after_a_change(

@@ -1,0 +1,221 @@
+"""What code reaches: every definition that may run when some modules are used.
+
+A function or a constant runs where code that runs names it, a method where code that runs names its class, and what
+stands at the top of a module where that module is imported. So what is reached is found from the sources alone: what a
+definition names, what the module imports under that name, and what is named as text, "package.module:NAME", as in
+tables. The rows of a `Registry` are not followed. An object that comes from elsewhere has a class that somebody names:
+`tests/end_to_end/ledger/test_what_runs.py` watches small stages and finds nothing that runs and is not reached.
+"""
+
+import sys
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+
+from novags.testbed.ledger.source import Source, sources
+from sensor_model.files.python import ROOT
+
+PACKAGES = ("novags", "simscenes", "sensor_model")
+# What returns nothing that a result depends on: it tells, shows, waits, locks and compares. And the presets of cameras:
+# a configuration holds every value of its camera.
+OUTSIDE = (
+    *(f"novags.{name}" for name in ("cli", "commands", "failure", "options", "process", "testing")),
+    *(f"novags.testbed.{name}" for name in ("console", "csv_text", "flight", "help", "ledger", "machine", "report",
+                                            "results", "time_left", "viewer")),
+    "sensor_model.presets",
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Counted:
+    """What counts in a module.
+
+    Attributes:
+        definitions: Their numbers.
+        imports: The names of those imports that are used.
+    """
+
+    definitions: set[int] = field(default_factory=set)
+    imports: set[str] = field(default_factory=set)
+
+
+def reached(roots: Iterable[str]) -> dict[str, Counted]:
+    """What counts of our modules where all of these are used; of what is only imported, nothing.
+
+    Raises:
+        ValueError: If there is no such module.
+    """
+    roots = [*roots]
+    walk = _Walk(frozenset((*PACKAGES, *(root.partition(".")[0] for root in roots))))
+    for root in roots:
+        walk.whole(root)
+    walk.finish()
+    return {module: counted for module, counted in walk.found.items() if counted.definitions or counted.imports}
+
+
+def is_outside(module: str) -> bool:
+    """Whether no result depends on a module."""
+    return any(module == place or module.startswith(f"{place}.") for place in OUTSIDE)
+
+
+def path_of(module: str) -> Path:
+    """The file of a module that is known to have one."""
+    found = _file(module)
+    assert found is not None
+    return found
+
+
+def source_of(module: str) -> Source:
+    """What the file of a module says."""
+    return sources().of(path_of(module).read_bytes())
+
+
+class _Walk:
+    """From definition to definition."""
+
+    def __init__(self, ours: frozenset[str]) -> None:
+        self.found: dict[str, Counted] = {}
+        self._ours = ours  # packages
+        self._definitions: list[tuple[str, int]] = []  # that are to be followed
+        self._imports: list[tuple[str, str]] = []
+
+    def finish(self) -> None:
+        """Follow what was found."""
+        while self._definitions or self._imports:
+            if self._imports:
+                base, name = self._imports.pop()
+                if name == "*":
+                    self.whole(base)
+                elif self._enters(base) and name and _file(f"{base}.{name}") is not None:
+                    self._enters(f"{base}.{name}")
+                continue
+            module, number = self._definitions.pop()
+            definition = _module(module).source.definitions[number]
+            for use in definition.uses:
+                self.name(module, *use.split("."))
+            for base, name in definition.reaches:
+                self.reference(_absolute(base, module), name)
+
+    def whole(self, module: str) -> None:
+        """Everything in a module."""
+        if self._enters(module):
+            source = _module(module).source
+            self._add(module, range(len(source.definitions)))
+            for name in source.imports:
+                self.name(module, name)
+
+    def reference(self, module: str, name: str, *attributes: str) -> None:
+        """What `from module import name` means, or "module:name", and attributes of that; name "": the module."""
+        if name in ("", "*"):
+            self.name(module, *attributes) if attributes else self.whole(module)
+        else:
+            self.name(module, name, *attributes)
+
+    def name(self, module: str, name: str, *attributes: str) -> None:
+        """What a name means in a module."""
+        if not self._enters(module):
+            return
+        known = _module(module)
+        self._add(module, known.bound.get(name, ()))
+        if name in known.source.imports:
+            base, inner = known.source.imports[name]
+            self.found[module].imports.add(name)
+            self.reference(_absolute(base, module), inner, *attributes)
+        elif name in known.lazy:
+            self.reference(*known.lazy[name], *attributes)
+        elif name not in known.bound:
+            # A module in a package, or something that is made as the program runs.
+            inner = f"{module}.{name}"
+            self.reference(inner, "", *attributes) if _file(inner) is not None else self.whole(module)
+
+    def _enters(self, module: str) -> bool:
+        """Whether a module is one of ours on which results depend; what importing it runs is found."""
+        if module in self.found:
+            return True
+        if module.partition(".")[0] not in self._ours or is_outside(module) or not _is_known(module):
+            return False
+        self.found[module] = Counted()
+        known = _module(module)
+        self._add(module, known.runs)
+        package = module.rpartition(".")[0]
+        self._imports += [*known.loads, *([(package, "")] if package else [])]
+        return True
+
+    def _add(self, module: str, numbers: Iterable[int]) -> None:
+        new = set(numbers) - self.found[module].definitions
+        self.found[module].definitions.update(new)
+        self._definitions += [(module, number) for number in new]
+
+
+@dataclass(frozen=True)
+class _Module:
+    """What the source of a module says, to look up.
+
+    Attributes:
+        source: All of it.
+        bound: The definitions of each name.
+        runs: Those that count wherever it is imported.
+        loads: Module and name of what importing it imports.
+        lazy: Module and name of what is imported when it is used, by its name here.
+    """
+
+    source: Source
+    bound: dict[str, list[int]]
+    runs: list[int]
+    loads: list[tuple[str, str]]
+    lazy: dict[str, tuple[str, str]]
+
+
+@cache
+def _module(module: str) -> _Module:
+    path, source, bound = path_of(module), source_of(module), dict[str, list[int]]()
+    for number, definition in enumerate(source.definitions):
+        for name in definition.names:
+            bound.setdefault(name, []).append(number)
+    runs = [number for number, definition in enumerate(source.definitions) if definition.runs]
+    stub = path.with_suffix(".pyi")
+    lazy = sources().of(stub.read_bytes()).imports if stub.is_file() else {}
+
+    def named(pair: tuple[str, str]) -> tuple[str, str]:
+        return _absolute(pair[0], module), pair[1]
+
+    loads = [named(pair) for pair in source.loads]
+    return _Module(source, bound, runs, loads, {name: named(pair) for name, pair in lazy.items()})
+
+
+def _file(module: str) -> Path | None:
+    """The file of a module: of ours by its name, of another one by where it was loaded from; None if it has none."""
+    if module.partition(".")[0] in PACKAGES and (found := _of_ours(module)):
+        return found
+    loaded = getattr(sys.modules.get(module), "__file__", None)
+    return Path(loaded) if loaded and loaded.endswith(".py") and Path(loaded).is_file() else None
+
+
+@cache
+def _of_ours(module: str) -> Path | None:
+    place = Path(ROOT, *module.split("."))
+    return next((path for path in (place.with_suffix(".py"), place / "__init__.py") if path.is_file()), None)
+
+
+def _is_known(module: str) -> bool:
+    """Whether it has a file. One that was loaded without (typed in, or made as the program ran) says nothing of itself.
+
+    Raises:
+        ValueError: If there is no such module.
+    """
+    if _file(module) is not None:
+        return True
+    if module.partition(".")[0] in PACKAGES and module not in sys.modules:
+        raise ValueError(f"{module} is no module of {', '.join(PACKAGES)}")
+    return False
+
+
+def _absolute(name: str, module: str) -> str:
+    """The module that `from name import ...` means in a module."""
+    relative = name.lstrip(".")
+    if relative == name:
+        return name
+    package = module if path_of(module).name == "__init__.py" else module.rpartition(".")[0]
+    above = package.split(".")[: len(package.split(".")) - (len(name) - len(relative)) + 1]
+    return ".".join([*above, relative]) if relative else ".".join(above)

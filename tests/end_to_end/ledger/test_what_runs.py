@@ -1,0 +1,132 @@
+"""What runs while a stage is at work is what its key counts: watched, function by function, on small stages."""
+
+import ast
+import sys
+import threading
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import CodeType, FrameType
+from typing import Any
+
+import pytest
+from numba.core.dispatcher import Dispatcher
+
+from novags.testbed.console import Console
+from novags.testbed.ledger import stage as stages
+from novags.testbed.ledger.reach import PACKAGES, is_outside, reached, source_of
+from novags.testbed.study.entry import Order
+from novags.testbed.study.grid import read_study
+from novags.testbed.study.plan import plan_of
+from novags.testbed.study.steps import make
+
+ROOT = Path(stages.__file__).resolve().parents[3]
+LEDGER = Path(stages.__file__).parent
+STUDY = """
+[grid]
+scene = ["cornell"]
+method = ["naive", "nova-fast", "denoise-gs", "nerf"]
+sensor = ["a7s2-iso6400"]
+
+[override]
+views = 9
+width = 24
+height = 24
+spp = 4
+points = 300
+iterations = 8
+denoiser_steps = 2
+device = "cpu"
+"""
+
+
+def module_of(path: Path) -> str:
+    """The name of a module of ours."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts).removesuffix(".__init__")
+
+
+def defined_in(code: CodeType) -> tuple[str, str] | None:
+    """The module and the top definition of a function; None of other people's, and of modules as they are imported."""
+    path = Path(code.co_filename)
+    if code.co_name == "<module>" or not path.is_relative_to(ROOT) or path.relative_to(ROOT).parts[0] not in PACKAGES:
+        return None
+    for statement in ast.parse(path.read_bytes()).body:
+        first = min(node.lineno for node in (statement, *getattr(statement, "decorator_list", ())))
+        if first <= code.co_firstlineno <= (statement.end_lineno or 0):
+            names = [node.id for node in ast.walk(statement) if isinstance(node, ast.Name)]  # of an assignment
+            return module_of(path), getattr(statement, "name", names[0] if names else "")
+    return None
+
+
+def kernels() -> dict[CodeType, int]:
+    """How often each function of ours was compiled or read as a kernel."""
+    values = [value for name, module in list(sys.modules.items()) if name.partition(".")[0] in PACKAGES
+              for value in vars(module).values()]  # fmt: skip
+    return {value.py_func.__code__: len(value.overloads) for value in values if isinstance(value, Dispatcher)}
+
+
+def of_the_ledger(frame: FrameType) -> bool:
+    """Whether the ledger itself, which counts as console and locks do, is at work: it writes its records."""
+    name, above = Path(frame.f_code.co_filename), frame.f_back
+    while above is not None and (name.is_relative_to(ROOT / "sensor_model" / "files") or name.name == "contextlib.py"):
+        name, above = Path(above.f_code.co_filename), above.f_back
+    return name.is_relative_to(LEDGER)
+
+
+@contextmanager
+def watched() -> Iterator[set[CodeType]]:
+    """Every function that is called, in all threads that start meanwhile too; kernels where they are first used."""
+    found, before = set[CodeType](), kernels()
+
+    def seen(frame: FrameType, event: str, argument: Any) -> None:
+        if event == "call" and frame.f_code not in found and not of_the_ledger(frame):
+            found.add(frame.f_code)
+
+    threading.setprofile(seen)
+    sys.setprofile(seen)
+    try:
+        yield found
+    finally:
+        sys.setprofile(None)
+        threading.setprofile(None)
+        found |= {code for code, count in kernels().items() if count > before.get(code, 0)}
+
+
+@pytest.fixture(scope="module")
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, ...], set[CodeType]]:
+    """What ran, by what the key of the stage counts from."""
+    folder, found = tmp_path_factory.mktemp("watched"), defaultdict[tuple[str, ...], set[CodeType]](set)
+    original = stages._Stage.make
+
+    def make_watched(self: Any, *how: Any) -> Any:
+        with watched() as called:
+            record = original(self, *how)
+        found[self.code.roots] |= called
+        return record
+
+    (folder / "study.toml").write_text(STUDY)
+    console, done = Console(quiet=True), dict[str, dict[str, Any]]()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(stages._Stage, "make", make_watched)
+        plan = plan_of(read_study(folder / "study.toml"), folder / "store", console)
+        (folder / "store").mkdir()
+        for key, task in plan.tasks.items():
+            source = plan.tasks[task.needs[0]].folder(folder / "store") if task.needs else task.source
+            made_of = {need: done[need]["content"] for need in task.needs}
+            done[key] = make(Order(task, task.folder(folder / "store"), source, made_of, 1), console)
+    return dict(found)
+
+
+def test_everything_that_runs_counts(runs: dict[tuple[str, ...], set[CodeType]]) -> None:
+    assert len(runs) == 2 + 4 + 1  # the set, the capture, each method, the scores of all
+    missed = set[str]()
+    for roots, called in runs.items():
+        counted = reached(roots)
+        ours = {found for code in called if (found := defined_in(code)) and not is_outside(found[0])}
+        missed |= {f"{roots[-1]} runs {module}:{name}" for module, name in ours
+                   if module not in counted or not any(name in source_of(module).definitions[number].names
+                                                       for number in counted[module].definitions)}  # fmt: skip
+        assert len(ours) > 50, roots
+    assert sorted(missed) == []
