@@ -13,6 +13,7 @@ from novags.testbed.ledger.reach import PACKAGES, Counted, is_outside, path_of, 
 from novags.testbed.ledger.source import hashed, sources
 from sensor_model.files.python import ROOT
 
+
 @dataclass(frozen=True)
 class Code:
     """What makes a result.

@@ -23,6 +23,7 @@ OUTSIDE = (
     *(f"novags.{name}" for name in ("cli", "commands", "failure", "options", "process", "testing")),
     *(f"novags.testbed.{name}" for name in ("console", "csv_text", "flight", "help", "ledger", "machine", "report",
                                             "results", "time_left", "viewer")),
+    "sensor_model.files.lock",
     "sensor_model.presets",
 )  # fmt: skip
 

@@ -26,8 +26,8 @@ SHAPE = {"definitions": [{"names": [str], "runs": bool, "tokens": str, "uses": [
          "imports": {"*": [str]}, "loads": [[str]]}  # fmt: skip
 # Decorators that wrap what they decorate and do nothing else. Any other may enter it in a table, as numba's
 # register_model does, so that it runs though nobody names it.
-WRAPPERS = frozenset({"cache", "contextmanager", "dataclass", "fast", "inline", "intrinsic", "jit", "kernel", "lru_cache",
-                      "no_grad", "partial", "remembered", "runtime_checkable"})  # fmt: skip
+WRAPPERS = frozenset({"cache", "contextmanager", "dataclass", "fast", "inline", "intrinsic", "jit", "kernel",
+                      "lru_cache", "no_grad", "partial", "remembered", "runtime_checkable"})  # fmt: skip
 _SKIPPED = (tokenize.COMMENT, tokenize.NL, tokenize.ENCODING, tokenize.ENDMARKER)
 _KINDS = {tokenize.INDENT: ">", tokenize.DEDENT: "<", tokenize.NEWLINE: ";"}
 
@@ -171,7 +171,7 @@ def _definition(statement: ast.stmt, lines: list[bytes]) -> Definition:
         elif isinstance(node, ast.Import | ast.ImportFrom):
             reaches.update(_imported(node))
         elif isinstance(node, ast.Constant):
-            module, _, name = node.value.partition(":")
+            module, _, name = str(node.value).partition(":")
             reaches.add((module, name))
     first = min(node.lineno for node in (statement, *getattr(statement, "decorator_list", ())))
     tokens = hashed(" ".join(significant(b"".join(lines[first - 1 : statement.end_lineno]))).encode())

@@ -22,7 +22,6 @@ from novags.testbed.study.plan import plan_of
 from novags.testbed.study.steps import make
 
 ROOT = Path(stages.__file__).resolve().parents[3]
-LEDGER = Path(stages.__file__).parent
 STUDY = """
 [grid]
 scene = ["cornell"]
@@ -68,11 +67,13 @@ def kernels() -> dict[CodeType, int]:
 
 
 def of_the_ledger(frame: FrameType) -> bool:
-    """Whether the ledger itself, which counts as console and locks do, is at work: it writes its records."""
-    name, above = Path(frame.f_code.co_filename), frame.f_back
-    while above is not None and (name.is_relative_to(ROOT / "sensor_model" / "files") or name.name == "contextlib.py"):
-        name, above = Path(above.f_code.co_filename), above.f_back
-    return name.is_relative_to(LEDGER)
+    """Whether the ledger itself or a lock, which count as little as the console, is at work on files."""
+    path, above = Path(frame.f_code.co_filename), frame.f_back
+    while above is not None and not (ours := path.is_relative_to(ROOT) and is_outside(module_of(path))):
+        if not (path.is_relative_to(ROOT / "sensor_model" / "files") or path.name == "contextlib.py"):
+            return False
+        path, above = Path(above.f_code.co_filename), above.f_back
+    return above is not None and ours
 
 
 @contextmanager

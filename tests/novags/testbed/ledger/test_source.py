@@ -80,8 +80,9 @@ def test_rows_of_a_table_neither_count_nor_lead_anywhere_but_named_functions_do(
 
 def test_imports_are_found_wherever_they_stand_but_for_type_checkers() -> None:
     source = read(
-        b"import pkg.one\nimport pkg.six as six\nfrom .two import a, b as c\nif TYPE_CHECKING:\n    from pkg.three import d\n"
-        b"else:\n    import pkg.four\ndef f():\n    from .. import five\n"
+        b"import pkg.one\nimport pkg.six as six\nfrom .two import a, b as c\n"
+        b"if TYPE_CHECKING:\n    from pkg.three import d\nelse:\n    import pkg.four\n"
+        b"def f():\n    from .. import five\n"
     )
     assert source.imports == {"pkg": ("pkg", ""), "six": ("pkg.six", ""), "a": (".two", "a"), "c": (".two", "b")}
     assert source.loads == (("pkg.one", ""), ("pkg.six", ""), (".two", "a"), (".two", "b"))
