@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from novags.testbed.folders.place import PLACE
 from sensor_model.files.records import Numbers
 
 MEASURED: Any = (float, str, None)  # "inf" and "nan" are text in JSON; null: not measured
@@ -12,7 +13,7 @@ HARDWARE = {"processor": str, "cores": int, "memory_bytes": int, "gpu": (str, No
 STAGE = {"key": str, "code?": str, "inputs": {"*": str}, "config": dict, "seconds": float, "peak_bytes": int,
          "files?": {"*": str}}  # fmt: skip
 CAPTURE = {
-    "set": {"path": str, "kind": str, "max_size": (int, None)}, "sensor_name": str, "sensor": dict,
+    "set": {"path": PLACE, "kind": str, "max_size": (int, None)}, "sensor_name": str, "sensor": dict,
     "exposure": {"time": float, "temperature?": (float, None), "origin": [int], "line_time?": float},
     "electrons": float, "signal_quantiles_e": {"0.01": float, "0.99": float}, "demosaic": str,
     "seed?": int, "noise_seed?": int, "mean_green_radiance?": float,
@@ -32,7 +33,7 @@ CAMERAS = {"source": str, "unregistered": [str], "registered_share": float, "mea
            "mean_centre_error": float, "depth_scale": float}  # fmt: skip
 VIEWER_CAMERAS = [{"img_name": str, "position": Numbers(3), "rotation": Numbers(3, 3)}]
 RUN = {
-    "name": str, "method": str, "title?": str, "capture": str, "space": str, "config": dict,
+    "name": str, "method": str, "title?": str, "capture": PLACE, "space": str, "config": dict,
     "enhancement": ({"enhancer": str, "pictures": str, "config": dict}, None), "cameras?": (CAMERAS, None),
     "seconds": {"*": float},
     "stage": {**STAGE, "inputs": {"capture": str, "set": str}, "versions": {"*": str}, "hardware": HARDWARE},

@@ -23,7 +23,7 @@ UNFINISHED = "unfinished.json"  # while a stage is under way: part of nothing
 # The way in which files are hashed here: another version of this file may do it in another one.
 HOW = hashlib.blake2b(Path(__file__).read_bytes(), digest_size=8).hexdigest()
 # Entries of a record that say what it cost, not what it is.
-VOLATILE = ("stage", "seconds", "predicted_seconds", "peak_bytes", "versions")
+VOLATILE = ("stage", "place", "seconds", "predicted_seconds", "peak_bytes", "versions")
 
 
 def jsonable(value: Any) -> Any:
@@ -177,12 +177,12 @@ def read_digest(path: Path) -> bytes:
 
 
 def record_digest(record: Mapping[str, Any]) -> bytes:
-    """The whole digest of the record of a stage: of what it says, not of what it cost."""
+    """The whole digest of the record of a stage: of what it says, not of what it cost, nor where its inputs lie."""
     return digest(_lasting(jsonable(record))).encode()
 
 
 def _lasting(value: Any) -> Any:
-    """The value without what it cost, at any depth."""
+    """The value without what it cost and where it was made from, at any depth."""
     if isinstance(value, dict):
         return {name: _lasting(part) for name, part in value.items() if name not in VOLATILE}
     return [_lasting(part) for part in value] if isinstance(value, list) else value

@@ -12,7 +12,7 @@ import numpy as np
 from novags.testbed.console import Console, Update
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders.capture import has_view, write_view
-from novags.testbed.folders.place import keep_place
+from novags.testbed.folders.place import keep_place, told
 from novags.testbed.folders.set import Source, open_source
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.stages.configs.capturing import CaptureConfig
@@ -20,7 +20,6 @@ from novags.testbed.stages.layouts import LAYOUTS, check_source_of, truth_of, wr
 from novags.testbed.stages.paths import keep_apart
 from sensor_model.capture import RawFrame, clean_response, expose
 from sensor_model.files.dng import SMALLEST
-from sensor_model.files.door import resolved
 from sensor_model.files.lock import locked
 from sensor_model.mosaicking import mosaic
 from sensor_model.params import Exposure, Sensor
@@ -165,7 +164,7 @@ def capture_views(
     )
     return {
         "set": {
-            "path": os.path.relpath(resolved(source.views.path), resolved(folder)),
+            "path": told(folder, source.views.path),
             "kind": source.views.kind,
             "max_size": config.max_size,
             "background": "white" if source.views.transparent else None,  # behind transparent pixels

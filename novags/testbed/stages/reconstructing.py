@@ -1,6 +1,5 @@
 """Reconstruct: a capture in, a run out. Reads the pictures, lets a method work on arrays, writes what it produced."""
 
-import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,7 +21,7 @@ from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.events import EventLog
 from novags.testbed.folders.imported import MISSING
-from novags.testbed.folders.place import keep_place
+from novags.testbed.folders.place import keep_place, told
 from novags.testbed.folders.run import CAMERAS, CHECKPOINTS, EVENTS
 from novags.testbed.folders.set import Source
 from novags.testbed.ledger.stage import run_stage
@@ -31,7 +30,6 @@ from novags.testbed.references import pictured
 from novags.testbed.stages.camera_source import Frame, cameras_of, true_cameras, viewer_cameras, views_of
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig, files_of
 from novags.testbed.stages.paths import keep_apart
-from sensor_model.files.door import resolved
 from sensor_model.files.lock import locked
 from simscenes.sets.pictures.exr import write_exr
 from simscenes.sets.pictures.png import write_png
@@ -212,7 +210,7 @@ def reconstruct_views(
         "method": variant.method,
         "title": variant.title or method.title,
         "variant": dict(variant.settings),
-        "capture": os.path.relpath(resolved(capture.path), resolved(folder)),
+        "capture": told(folder, capture.path),
         "space": result.space,
         "enhancement": result.enhancement,
         **({"found": result.found} if result.found else {}),

@@ -7,7 +7,7 @@ from typing import Any
 
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders import shapes
-from novags.testbed.folders.place import place_of
+from novags.testbed.folders.place import PLACE, place_of
 from novags.testbed.folders.run import Run, open_run
 from novags.testbed.ledger.contents import read_json
 from novags.testbed.report.rows import deviations
@@ -18,7 +18,7 @@ from novags.testbed.study.grid import spelled
 RECORD = "set.json"
 COST = {"seconds": float, "peak_bytes": int}
 SET: Any = {"stage?": {"name?": str, **COST}, "plan?": (shapes.PLAN, None)}
-CAPTURE: Any = {"stage": COST, "set?": ({"path": str}, None), "plan?": (shapes.PLAN, None),
+CAPTURE: Any = {"stage": COST, "set?": ({"path": PLACE}, None), "plan?": (shapes.PLAN, None),
                 "signal_quantiles_e?": {"*": shapes.MEASURED}, "sensor_name?": (str, None)}  # fmt: skip
 SHARES = {"0.01": "1 % get less", "0.25": "a quarter", "0.5": "half", "0.75": "three quarters", "0.99": "99 %"}
 PLANS = {"set": "Light transport", "capture": "Sensor"}
@@ -106,7 +106,7 @@ def read_records(folder: Path, rows: Sequence[Mapping[str, Any]]) -> Records:
             capture = place_of(path, run.record["capture"])
             if capture not in known:
                 known[capture] = read_json(capture / capture_folder.RECORD, CAPTURE)
-            made_of = place_of(capture, str((known[capture].get("set") or {}).get("path", ".")))
+            made_of = place_of(capture, (known[capture].get("set") or {}).get("path", "."))
             if made_of not in known:
                 known[made_of] = read_json(made_of / RECORD, SET) if (made_of / RECORD).is_file() else None
         except (ValueError, OSError):

@@ -50,3 +50,15 @@ def test_a_place_is_that_of_the_record_again_once_the_folder_is_back(tmp_path: P
     assert place_of(tmp_path / "out", "../set") == tmp_path / "set"
     keep_place(tmp_path / "out", "../set", tmp_path / "set")
     assert not (tmp_path / "out" / MOVED).exists()
+
+
+def test_where_inputs_lie_is_no_part_of_what_was_made_from_them(tmp_path: Path) -> None:
+    """Rationale: a set that was made again under another key, and came out equal, made all runs again."""
+    contents = []
+    preset = adapted(EXPERIMENTS["demo"], **TINY, methods=("naive",))
+    for name in ("a set", "another"):
+        folder = tmp_path / name
+        stages.render(folder / name, preset.render, QUIET)
+        stages.capture(folder / name, folder / "capture", preset.capture, QUIET)
+        contents.append(open_capture(folder / "capture").content)
+    assert contents[0] == contents[1]
