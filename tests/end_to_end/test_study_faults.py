@@ -15,7 +15,7 @@ import pytest
 
 from novags import cli
 from novags.testbed.ledger import code as codes
-from novags.testbed.ledger import stage
+from novags.testbed.ledger import reach, stage
 from novags.testbed.ledger import store as stores
 from novags.testbed.study import conduct
 from novags.testbed.study.engines import choice, processes
@@ -311,8 +311,8 @@ def test_two_versions_of_novags_share_a_store_and_no_entry_that_their_code_makes
 
     def another() -> None:
         workers_of_another()
-        codes.ROOT = str(tmp_path / "other")
-        for remembered in (codes._code_of, codes._beside, codes._hashes, codes._edges, codes._defining):
+        codes.ROOT = reach.ROOT = str(tmp_path / "other")
+        for remembered in (codes._code_of, codes._beside, codes._content, reach._module, reach._of_ours):
             remembered.cache_clear()
 
     assert run()[0] == 0
