@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from novags.testbed.folders import shapes
-from novags.testbed.folders.place import said
+from novags.testbed.folders.place import place_text
 from novags.testbed.ledger.contents import read_json
 from sensor_model.files.camera_file import sensor_from_dict
 from sensor_model.files.reading import reading
@@ -154,7 +154,7 @@ def read_capture_record(path: Path) -> CaptureRecord:
 def _simulated(found: dict[str, Any]) -> Simulated:
     made_of, seed = found["set"], found.get("seed", 0)
     return Simulated(
-        set_path=said(made_of["path"]), set_content=found["stage"]["inputs"]["set"], max_size=made_of["max_size"],
+        set_path=place_text(made_of["path"]), set_content=found["stage"]["inputs"]["set"], max_size=made_of["max_size"],
         background=made_of.get("background"), electrons=found["electrons"], mean_green=found.get("mean_green_radiance"),
         signal_quantiles_e=found["signal_quantiles_e"], jpeg_quality=found.get("jpeg_quality"), seed=seed,
         noise_seed=found.get("noise_seed", seed), plan=found["plan"],

@@ -1,7 +1,8 @@
 """Where the folder is that a capture or a run was made from, if that has been moved.
 
-The record says where it was, as {"place": "../set"}, which is no part of its content; earlier records say it as a text,
-which was. A hidden file beside it says where the folder was when the same result was last asked for.
+The record says where it was: {"place": "../set"}. The place does not belong to the content of the record. In records of
+0.1.0 the place is a plain text, and does. A hidden file beside the record says where the folder was when the same
+result was last asked for.
 """
 
 import os
@@ -12,17 +13,17 @@ from novags.testbed.ledger.contents import read_json, write_json
 from sensor_model.files.door import resolved
 
 MOVED = ".moved.json"  # digests leave hidden files out
-PLACE = ({"place": str}, str)  # the shape of what a record says
+PLACE = ({"place": str}, str)  # the shape of a place in a record
 Recorded = Mapping[str, str] | str
 
 
-def told(folder: Path, source: Path) -> dict[str, str]:
-    """What the record of `folder` says of the folder that it is made from."""
+def recorded_place(folder: Path, source: Path) -> dict[str, str]:
+    """What the record of `folder` says about `source`, the folder that it is made from."""
     return {"place": os.path.relpath(resolved(source), resolved(folder))}
 
 
-def said(recorded: Recorded) -> str:
-    """What a record says, in words."""
+def place_text(recorded: Recorded) -> str:
+    """The path in a record, relative to the folder of the record."""
     return recorded if isinstance(recorded, str) else recorded["place"]
 
 
@@ -40,12 +41,12 @@ def place_of(folder: Path, recorded: Recorded) -> Path:
         moved = resolved(folder / read_json(folder / MOVED, {"path": str})["path"])
         if moved.exists():
             return moved
-    return resolved(folder / said(recorded))
+    return resolved(folder / place_text(recorded))
 
 
 def keep_place(folder: Path, recorded: Recorded, found: Path) -> None:
     """Remember that `folder` was made from what is now at `found`, if its record says something else."""
-    if resolved(folder / said(recorded)) == resolved(found):
+    if resolved(folder / place_text(recorded)) == resolved(found):
         (folder / MOVED).unlink(missing_ok=True)
     else:
-        write_json(folder / MOVED, {"path": said(told(folder, found))})
+        write_json(folder / MOVED, {"path": recorded_place(folder, found)["place"]})

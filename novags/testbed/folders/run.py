@@ -25,7 +25,7 @@ from novags.testbed.folders import shapes
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.events import event_of
 from novags.testbed.folders.exchanged import refuse_exchanged
-from novags.testbed.folders.place import place_of, said
+from novags.testbed.folders.place import place_of, place_text
 from novags.testbed.folders.set import Source
 from novags.testbed.ledger.contents import folder_digest, read_json, refuse_damage
 from sensor_model.files.door import enter, read_text
@@ -158,8 +158,8 @@ class Run:
         path = place_of(self.path, self.record["capture"])
         if not path.is_dir():
             raise ValueError(
-                f"{self.path} was made from the capture {said(self.record['capture'])} (relative to it), which is not "
-                "there: put it back or reconstruct again"
+                f"{self.path} was made from the capture {place_text(self.record['capture'])} (relative to it), which "
+                "is not there: put it back or reconstruct again"
             )
         capture = open_capture(path)
         self._refuse_other("capture", capture.content, path)

@@ -33,8 +33,8 @@ class Counted:
     """What counts in a module.
 
     Attributes:
-        definitions: Their numbers.
-        imports: The names of those imports that are used.
+        definitions: Numbers of the definitions that count.
+        imports: Names of the imports that are used.
     """
 
     definitions: set[int] = field(default_factory=set)
@@ -42,7 +42,7 @@ class Counted:
 
 
 def reached(roots: Iterable[str]) -> dict[str, Counted]:
-    """What counts of our modules where all of these are used; of what is only imported, nothing.
+    """What counts in each of our modules if all of `roots` are used. A module that is imported alone counts nothing.
 
     Raises:
         ValueError: If there is no such module.
@@ -78,25 +78,30 @@ class _Walk:
     def __init__(self, ours: frozenset[str]) -> None:
         self.found: dict[str, Counted] = {}
         self._ours = ours  # packages
-        self._definitions: list[tuple[str, int]] = []  # that are to be followed
-        self._imports: list[tuple[str, str]] = []
+        self._waiting: list[tuple[str, int]] = []  # definitions to follow
+        self._loading: list[str] = []  # modules whose imports are to be followed
 
     def finish(self) -> None:
         """Follow what was found."""
-        while self._definitions or self._imports:
-            if self._imports:
-                base, name = self._imports.pop()
-                if name == "*":
-                    self.whole(base)
-                elif self._enters(base) and name and _file(f"{base}.{name}") is not None:
-                    self._enters(f"{base}.{name}")
+        while self._waiting or self._loading:
+            if self._loading:
+                self._load(self._loading.pop())
                 continue
-            module, number = self._definitions.pop()
+            module, number = self._waiting.pop()
             definition = _module(module).source.definitions[number]
             for use in definition.uses:
                 self.name(module, *use.split("."))
             for base, name in definition.reaches:
                 self.reference(_absolute(base, module), name)
+
+    def _load(self, module: str) -> None:
+        """What importing a module imports."""
+        self._enters(module.rpartition(".")[0])
+        for base, name in _module(module).loads:
+            if name == "*":
+                self.whole(base)
+            elif self._enters(base) and name and _file(f"{base}.{name}") is not None:
+                self._enters(f"{base}.{name}")
 
     def whole(self, module: str) -> None:
         """Everything in a module."""
@@ -108,10 +113,11 @@ class _Walk:
 
     def reference(self, module: str, name: str, *attributes: str) -> None:
         """What `from module import name` means, or "module:name", and attributes of that; name "": the module."""
-        if name in ("", "*"):
-            self.name(module, *attributes) if attributes else self.whole(module)
+        names = attributes if name in ("", "*") else (name, *attributes)
+        if names:
+            self.name(module, *names)
         else:
-            self.name(module, name, *attributes)
+            self.whole(module)
 
     def name(self, module: str, name: str, *attributes: str) -> None:
         """What a name means in a module."""
@@ -125,10 +131,10 @@ class _Walk:
             self.reference(_absolute(base, module), inner, *attributes)
         elif name in known.lazy:
             self.reference(*known.lazy[name], *attributes)
-        elif name not in known.bound:
-            # A module in a package, or something that is made as the program runs.
-            inner = f"{module}.{name}"
-            self.reference(inner, "", *attributes) if _file(inner) is not None else self.whole(module)
+        elif name not in known.bound and _file(f"{module}.{name}") is not None:
+            self.reference(f"{module}.{name}", "", *attributes)
+        elif name not in known.bound:  # it is made as the program runs
+            self.whole(module)
 
     def _enters(self, module: str) -> bool:
         """Whether a module is one of ours on which results depend; what importing it runs is found."""
@@ -137,16 +143,14 @@ class _Walk:
         if module.partition(".")[0] not in self._ours or is_outside(module) or not _is_known(module):
             return False
         self.found[module] = Counted()
-        known = _module(module)
-        self._add(module, known.runs)
-        package = module.rpartition(".")[0]
-        self._imports += [*known.loads, *([(package, "")] if package else [])]
+        self._loading.append(module)
+        self._add(module, _module(module).runs)
         return True
 
     def _add(self, module: str, numbers: Iterable[int]) -> None:
         new = set(numbers) - self.found[module].definitions
         self.found[module].definitions.update(new)
-        self._definitions += [(module, number) for number in new]
+        self._waiting += [(module, number) for number in new]
 
 
 @dataclass(frozen=True)
@@ -156,7 +160,7 @@ class _Module:
     Attributes:
         source: All of it.
         bound: The definitions of each name.
-        runs: Those that count wherever it is imported.
+        runs: Definitions that count wherever the module is imported.
         loads: Module and name of what importing it imports.
         lazy: Module and name of what is imported when it is used, by its name here.
     """
@@ -208,7 +212,7 @@ def _is_known(module: str) -> bool:
     if _file(module) is not None:
         return True
     if module.partition(".")[0] in PACKAGES and module not in sys.modules:
-        raise ValueError(f"{module} is no module of {', '.join(PACKAGES)}")
+        raise ValueError(f"there is no module {module} in {', '.join(PACKAGES)}")
     return False
 
 

@@ -40,7 +40,7 @@ class Definition:
         names: What it binds.
         runs: Whether it does more than to bind names, so that it counts wherever its module is imported.
         tokens: Hash of the tokens that can change what it computes.
-        uses: Names of the module that it reads, "name", or "name.attribute" of what the module imports.
+        uses: Names of the module that it reads, with their attributes: "name", "name.attribute".
         reaches: Module and name of what it imports itself, and of what it names as text, "module:NAME"; the module with
             as many dots before it as are written, and "" as the name of a whole module.
     """
@@ -120,7 +120,7 @@ class Sources:
 
 @cache
 def sources() -> Sources:
-    """Those of this process."""
+    """The sources of this process."""
     return Sources()
 
 
@@ -181,12 +181,12 @@ def _definition(statement: ast.stmt, lines: list[bytes]) -> Definition:
 def _bound(statement: ast.stmt) -> tuple[set[str], bool]:
     """The names that a statement binds, and whether it does more than that.
 
-    An assignment counts where its names are read, whatever it calls: importing our modules changes nothing but names
-    (`tests/novags/test_import.py`). One that changes a part of something, a loop, a call or a condition counts always.
+    An assignment to names counts where these names are read: by our convention, what it calls does nothing but return a
+    value. An assignment to a part of something, a loop, a call or a condition counts always.
     """
     # A function that assigns to a name of the module decides what others read there.
     names = {name for node in ast.walk(statement) if isinstance(node, ast.Global) for name in node.names}
-    if isinstance(statement, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
+    if isinstance(statement, ast.FunctionDef | ast.ClassDef):
         return {*names, statement.name}, not all(_wraps(decorator) for decorator in statement.decorator_list)
     stored = {node.id for node in ast.walk(statement) if isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store)}
     if isinstance(statement, ast.Assign | ast.AnnAssign):

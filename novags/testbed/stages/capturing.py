@@ -12,7 +12,7 @@ import numpy as np
 from novags.testbed.console import Console, Update
 from novags.testbed.folders import capture as capture_folder
 from novags.testbed.folders.capture import has_view, write_view
-from novags.testbed.folders.place import keep_place, told
+from novags.testbed.folders.place import keep_place, recorded_place
 from novags.testbed.folders.set import Source, open_source
 from novags.testbed.ledger.stage import run_stage
 from novags.testbed.stages.configs.capturing import CaptureConfig
@@ -164,7 +164,7 @@ def capture_views(
     )
     return {
         "set": {
-            "path": told(folder, source.views.path),
+            "path": recorded_place(folder, source.views.path),
             "kind": source.views.kind,
             "max_size": config.max_size,
             "background": "white" if source.views.transparent else None,  # behind transparent pixels

@@ -21,7 +21,7 @@ from novags.testbed.folders import run as run_folder
 from novags.testbed.folders.capture import Capture, open_capture
 from novags.testbed.folders.events import EventLog
 from novags.testbed.folders.imported import MISSING
-from novags.testbed.folders.place import keep_place, told
+from novags.testbed.folders.place import keep_place, recorded_place
 from novags.testbed.folders.run import CAMERAS, CHECKPOINTS, EVENTS
 from novags.testbed.folders.set import Source
 from novags.testbed.ledger.stage import run_stage
@@ -210,7 +210,7 @@ def reconstruct_views(
         "method": variant.method,
         "title": variant.title or method.title,
         "variant": dict(variant.settings),
-        "capture": told(folder, capture.path),
+        "capture": recorded_place(folder, capture.path),
         "space": result.space,
         "enhancement": result.enhancement,
         **({"found": result.found} if result.found else {}),

@@ -13,31 +13,17 @@ from typing import Any
 import pytest
 from numba.core.dispatcher import Dispatcher
 
+from novags.testbed import stages
 from novags.testbed.console import Console
-from novags.testbed.ledger import stage as stages
+from novags.testbed.ledger import stage
 from novags.testbed.ledger.reach import PACKAGES, is_outside, reached, source_of
-from novags.testbed.study.entry import Order
-from novags.testbed.study.grid import read_study
-from novags.testbed.study.plan import plan_of
-from novags.testbed.study.steps import make
+from novags.testbed.presets import EXPERIMENTS, adapted
 
-ROOT = Path(stages.__file__).resolve().parents[3]
-STUDY = """
-[grid]
-scene = ["cornell"]
-method = ["naive", "nova-fast", "denoise-gs", "nerf"]
-sensor = ["a7s2-iso6400"]
-
-[override]
-views = 9
-width = 24
-height = 24
-spp = 4
-points = 300
-iterations = 8
-denoiser_steps = 2
-device = "cpu"
-"""
+ROOT = Path(stage.__file__).resolve().parents[3]
+QUIET = Console(quiet=True)
+METHODS = ("naive", "nova-fast", "denoise-gs", "nerf")
+SMALL = {"scene": "cornell", "n_views": 9, "width": 24, "height": 24, "spp": 4, "points": 300, "iterations": 8,
+         "denoiser_steps": 2, "sensor": "a7s2-iso6400"}  # fmt: skip
 
 
 def module_of(path: Path) -> str:
@@ -67,7 +53,7 @@ def kernels() -> dict[CodeType, int]:
 
 
 def of_the_ledger(frame: FrameType) -> bool:
-    """Whether the ledger itself or a lock, which count as little as the console, is at work on files."""
+    """Whether a file is read or written for the ledger itself or for a lock, which no key counts."""
     path, above = Path(frame.f_code.co_filename), frame.f_back
     while above is not None and not (ours := path.is_relative_to(ROOT) and is_outside(module_of(path))):
         if not (path.is_relative_to(ROOT / "sensor_model" / "files") or path.name == "contextlib.py"):
@@ -99,7 +85,7 @@ def watched() -> Iterator[set[CodeType]]:
 def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, ...], set[CodeType]]:
     """What ran, by what the key of the stage counts from."""
     folder, found = tmp_path_factory.mktemp("watched"), defaultdict[tuple[str, ...], set[CodeType]](set)
-    original = stages._Stage.make
+    original = stage._Stage.make
 
     def make_watched(self: Any, *how: Any) -> Any:
         with watched() as called:
@@ -107,21 +93,19 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, ...], set[
         found[self.code.roots] |= called
         return record
 
-    (folder / "study.toml").write_text(STUDY)
-    console, done = Console(quiet=True), dict[str, dict[str, Any]]()
+    preset = adapted(EXPERIMENTS["demo"], **SMALL, methods=METHODS)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(stages._Stage, "make", make_watched)
-        plan = plan_of(read_study(folder / "study.toml"), folder / "store", console)
-        (folder / "store").mkdir()
-        for key, task in plan.tasks.items():
-            source = plan.tasks[task.needs[0]].folder(folder / "store") if task.needs else task.source
-            made_of = {need: done[need]["content"] for need in task.needs}
-            done[key] = make(Order(task, task.folder(folder / "store"), source, made_of, 1), console)
+        patch.setattr(stage._Stage, "make", make_watched)
+        stages.render(folder / "set", preset.render, QUIET)
+        stages.capture(folder / "set", folder / "capture", preset.capture, QUIET)
+        for name in METHODS:
+            stages.reconstruct(folder / "capture", folder / name, preset.reconstruct(name), QUIET)
+            stages.score(folder / name, QUIET)
     return dict(found)
 
 
 def test_everything_that_runs_counts(runs: dict[tuple[str, ...], set[CodeType]]) -> None:
-    assert len(runs) == 2 + 4 + 1  # the set, the capture, each method, the scores of all
+    assert len(runs) == 2 + len(METHODS) + 1  # the set, the capture, each method, the scores of all
     missed = set[str]()
     for roots, called in runs.items():
         counted = reached(roots)

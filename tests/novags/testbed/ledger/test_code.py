@@ -14,8 +14,13 @@ import pytest
 from novags.cameras import parse_cameras
 from novags.methods import METHODS, chosen
 from novags.testbed.ledger.code import code_of, modules_of
+from novags.testbed.ledger.contents import jsonable
 from novags.testbed.ledger.reach import OUTSIDE, PACKAGES, reached
+from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.importing import ImportConfig
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
+from sensor_model.presets import PRESETS
+from simscenes.scenes import SCENES
 
 ROOT = Path(__file__).resolve().parents[4]
 STAGE = "novags.testbed.stages."
@@ -107,6 +112,8 @@ def test_a_constant_of_a_scene_makes_that_scene_again(edit: Edit) -> None:
     [
         ("novags/testbed/report/charts.py", '"""', '"""It was: '),
         ("novags/testbed/console.py", "PLAIN_INTERVAL = 5.0", "PLAIN_INTERVAL = 6.0"),
+        ("sensor_model/files/lock.py", "COMMAND_LENGTH = 160", "COMMAND_LENGTH = 161"),
+        ("sensor_model/presets.py", "(0.55, 1.0, 0.65)", "(0.55, 1.0, 0.66)"),
         ("novags/commands/results.py", "import", "import"),
     ],
 )
@@ -116,6 +123,18 @@ def test_what_shows_and_tells_makes_nothing_again(edit: Edit, file: str, text: s
         line = next(line for line in content.splitlines() if text in line and content.count(line) == 1)
         text, other = line, line.replace(text, other, 1)
     assert edit(file, text, other) == set()
+
+
+def test_the_values_of_a_preset_count_as_configuration() -> None:
+    for config in (CaptureConfig(sensor="imx385-iso1600"), ImportConfig(sensor="imx385-iso1600")):
+        assert jsonable(config.resolved())["camera"] == jsonable(PRESETS["imx385-iso1600"])
+
+
+def test_a_function_that_a_result_does_not_reach_makes_nothing_again(edit: Edit) -> None:
+    """Rationale: captures write further layouts; runs read captures, in modules that name the same folder."""
+    made = edit("simscenes/sets/writers/export.py", "atol=1e-6", "atol=1e-5")
+    assert made == {"capture", *(f"scene {name}" for name in SCENES)}
+    assert edit("novags/splats/files/ply.py", "def read_ply(", "def read_ply(unused=0, *, ") == set()
 
 
 def test_a_new_row_of_a_table_makes_nothing_again(edit: Edit) -> None:
@@ -188,5 +207,5 @@ def test_no_module_of_ours_is_imported_by_a_computed_name() -> None:
 
 
 def test_a_module_that_does_not_exist_is_refused() -> None:
-    with pytest.raises(ValueError, match="no module of novags"):
+    with pytest.raises(ValueError, match="there is no module novags.methods.nothing"):
         code_of("novags.methods.nothing")
