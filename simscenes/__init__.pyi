@@ -18,8 +18,8 @@ from .sets.multiview import load_set as load_set
 from .sets.multiview import write_cameras as write_cameras
 from .sets.pictures.exr import read_exr as read_exr
 from .sets.pictures.exr import write_exr as write_exr
-from .sets.writers.export import EXPORTS as EXPORTS
 from .sets.writers.export import export_blender as export_blender
 from .sets.writers.export import export_llff as export_llff
+from .sets.writers.layouts import EXPORTS as EXPORTS
 from .transport import TransportPlan as TransportPlan
 from .transport import plan_transport as plan_transport

@@ -27,7 +27,7 @@ from simscenes.rigs import Rig
 from simscenes.sets.geometry.tracks import SparsePoints
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.writers.camera_files import write_cameras
-from simscenes.sets.writers.export import EXPORTS
+from simscenes.sets.writers.layouts import EXPORTS
 from simscenes.sets.writers.neighbours import DEPTHS, DepthLoss, write_depth
 
 SCRATCH = ".views"

@@ -35,7 +35,7 @@ from simscenes.rigs import Rig
 from simscenes.sets.multiview import MultiviewSet, load_set
 from simscenes.sets.names import numbered
 from simscenes.sets.writers.camera_files import write_json
-from simscenes.sets.writers.export import EXPORTS
+from simscenes.sets.writers.layouts import EXPORTS
 from simscenes.sets.writers.neighbours import DEPTHS
 from simscenes.transport.plan import APERTURE, MOTION, TransportPlan
 from simscenes.transport.planner import default_plan, plan_loaded

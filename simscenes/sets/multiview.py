@@ -6,6 +6,7 @@ Images are uint8 sRGB [h,w,3], radiance is float32 linear RGB [h,w,3]. No mitsub
 from __future__ import annotations
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from sensor_model.files.door import enter, resolved
 from sensor_model.files.records import Numbers, read_record
+from sensor_model.files.registry import Registry
 from sensor_model.isp import srgb_to_linear
 from simscenes.rigs import Rig
 from simscenes.sets.geometry.tracks import SparsePoints
@@ -22,8 +24,8 @@ from simscenes.sets.pictures.exr import read_exr
 from simscenes.sets.pictures.image_file import WITH_ALPHA, has_alpha, read_rgb
 from simscenes.sets.readers.bare import picture_files
 from simscenes.sets.readers.colmap import find_colmap, read_colmap, read_points
-from simscenes.sets.readers.llff import is_llff, read_llff
-from simscenes.sets.readers.nerf_synthetic import is_nerf_synthetic, read_nerf_synthetic
+from simscenes.sets.readers.llff import is_llff
+from simscenes.sets.readers.nerf_synthetic import is_nerf_synthetic
 from simscenes.sets.readers.photographs import DistortedPinhole, Photographs, read_transforms
 from simscenes.sets.readers.resized import picture_folder
 from simscenes.sets.writers.camera_files import is_test_view, write_cameras
@@ -34,6 +36,11 @@ Image = NDArray[np.uint8]
 Float32 = NDArray[np.float32]
 GEOMETRY = ("Z", "distance", *(f"{kind}.{axis}" for kind in ("N", "Ng") for axis in "XYZ"),
             *(f"albedo.{c}" for c in "RGB"), "id", "material")  # fmt: skip
+# Cameras that no set made here has.
+READERS: Registry[Callable[[Path], Photographs]] = Registry({
+    "NeRF-synthetic": "simscenes.sets.readers.nerf_synthetic:read_nerf_synthetic",
+    "LLFF": "simscenes.sets.readers.llff:read_llff",
+})  # fmt: skip
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -218,9 +225,9 @@ def _read(path: Path) -> Photographs:
     if model := find_colmap(path):
         return read_colmap(path, model)
     if is_nerf_synthetic(path):
-        return read_nerf_synthetic(path)
+        return READERS["NeRF-synthetic"](path)
     if is_llff(path):
-        return read_llff(path)
+        return READERS["LLFF"](path)
     raise ValueError(_no_set(path))
 
 

@@ -16,12 +16,17 @@ from novags.testbed.console import Console
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.folders.run import open_run
 from novags.testbed.folders.set import open_source
+from novags.testbed.ledger.code import code_of
+from novags.testbed.ledger.made import made_with
 from novags.testbed.metrics.images import image_scores
-from novags.testbed.presets import Preset, adapted
+from novags.testbed.presets import EXPERIMENTS, Preset, adapted
 from novags.testbed.references import enhanced_truth
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.importing import ImportConfig
+from novags.testbed.study.entry import Order
+from novags.testbed.study.plan import Planner
+from novags.testbed.study.steps import make
 from sensor_model import srgb_to_linear
 from simscenes import orbit_rig
 from simscenes.sets.pictures.png import write_png
@@ -140,6 +145,33 @@ def test_a_method_that_needs_what_is_missing_says_so_in_one_line_and_others_go_o
     with pytest.raises(ValueError, match="16bit needs the 16-bit linear pictures, and this capture has none: use 8bit"):
         reconstructed(tmp_path / "cap", tmp_path / "16", sixteen, quiet)
     assert reconstructed(tmp_path / "cap", tmp_path / "naive", tiny, quiet)["methods"]["naive"]["mean"]["lit"]
+
+
+def test_a_plan_counts_the_code_that_the_stages_count(line: Path, quiet: Console, tmp_path: Path) -> None:
+    """Rationale: photographs take more code to read than a render; who plans cannot open what is not made yet."""
+    planner = Planner(tmp_path, quiet)
+    small = adapted(EXPERIMENTS["demo"], points=60, iterations=4, methods=("naive",))
+    places = {
+        "rendered": adapted(small, n_views=9, width=24, height=24, spp=4),
+        "posed": adapted(small, scene=str(line / "lit")),
+        "dark": adapted(small, dark=line / "dark"),
+    }
+    chains = {
+        name: [planner.tasks[key] for key in _chain(planner, planner.run(place))] for name, place in places.items()
+    }
+    assert [task.kind for task in chains["rendered"]] == ["set", "capture", "run"]
+    contents = dict[str, str]()
+    for chain in chains.values():
+        for before, task in zip([None, *chain], chain, strict=False):
+            folder, source = task.folder(tmp_path), before.folder(tmp_path) if before else task.source
+            contents[task.key] = make(Order(task, folder, source, contents, 1), quiet)["content"]
+            assert made_with(folder, f"{task.kind}.json").files == code_of(*task.roots).files
+    files = {name: set(code_of(*chain[-1].roots).files) for name, chain in chains.items()}
+    assert files["posed"] == files["dark"] > files["rendered"]
+
+
+def _chain(planner: Planner, key: str) -> list[str]:
+    return [*(above for need in planner.tasks[key].needs for above in _chain(planner, need)), key]
 
 
 def test_photographs_darkened_by_a_few_lines_of_noise_are_imported_by_the_command(

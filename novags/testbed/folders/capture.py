@@ -22,7 +22,7 @@ from torch import Tensor
 from novags.methods.inputs import LacksInput, Pictures
 from novags.methods.memo import Memo
 from novags.methods.noise import Noise, camera_noise
-from novags.methods.noise_estimate import PIXELS, SMALLEST, noise_from
+from novags.methods.noise_estimate import PIXELS, SMALLEST
 from novags.methods.problem import RawPictures, encode
 from novags.testbed.console import Console
 from novags.testbed.folders.capture_record import CaptureRecord, Imported, read_capture_record
@@ -30,7 +30,7 @@ from novags.testbed.folders.exchanged import REMEDIES, refuse_exchanged
 from novags.testbed.folders.imported import MISSING, read_clean
 from novags.testbed.folders.place import place_of
 from novags.testbed.folders.raw_files import read_digital_numbers
-from novags.testbed.folders.set import Source, open_source
+from novags.testbed.folders.set import PHOTOGRAPHS, Source, open_source
 from novags.testbed.ledger.contents import folder_digest, refuse_damage
 from sensor_model.files.dng import write_dng
 from sensor_model.files.door import enter, resolved
@@ -298,7 +298,9 @@ class Capture:
             cfa, black, white = self.levels
             raw = RawPictures(dn=stack(self.raw), cfa=cfa, black=black, white=white)
         linear16 = stack(self.linear16) if self.holds("images16") else None
-        return noise_from(stack(self.srgb8), linear16, raw, mixed="a colour matrix" in self.channels_share)
+        mixed = "a colour matrix" in self.channels_share
+        found: Noise | None = PHOTOGRAPHS["noise"](stack(self.srgb8), linear16, raw, mixed=mixed)
+        return found
 
     def source(self, console: Console) -> Source:
         """The set this capture was made from; of imported photographs what they themselves and their lit twins tell.

@@ -3,25 +3,26 @@
 Radiance is float32 linear RGB [h,w,3]; lit images are float32 sRGB-encoded [h,w,3], 0..1.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from novags.numbers import SSIM_WINDOW
 from novags.testbed.console import Console, warnings_as_notes
 from novags.testbed.folders.exchanged import refuse_exchanged
-from novags.testbed.folders.linear_photographs import load_linear_set
 from novags.testbed.ledger.contents import folder_digest
 from sensor_model.files.door import enter
 from sensor_model.files.records import Reads, read_once
+from sensor_model.files.registry import Registry
 from sensor_model.isp import linear_to_srgb
 from simscenes.rigs import Rig
 from simscenes.sets.geometry.plausible import with_tested_tracks
 from simscenes.sets.geometry.tracks import SparsePoints
-from simscenes.sets.multiview import MultiviewSet, load_set
+from simscenes.sets.multiview import READERS, MultiviewSet, is_rendered, load_set
 from simscenes.sets.pictures.image_file import WITH_ALPHA, has_alpha
 from simscenes.sets.readers.llff import POSES
 from simscenes.sets.readers.nerf_synthetic import PARTS
@@ -33,6 +34,21 @@ READ_FROM = ("set.json", "capture.json", "transforms.json", *PARTS, POSES, "nb-i
 
 EXPOSURES = 1e30  # more would make NaN of a black pixel in float32
 NOISE = 0.01  # of a photograph's bright light: values further below 0 are not noise
+
+# What photographs need and no rendered set, beside `READERS`.
+PHOTOGRAPHS: Registry[Callable[..., Any]] = Registry({
+    "linear files": "novags.testbed.folders.linear_photographs:load_linear_set",
+    "noise": "novags.methods.noise_estimate:noise_from",
+})  # fmt: skip
+
+
+def for_photographs() -> tuple[str, ...]:
+    """The modules that photographs need and no rendered set.
+
+    What is made from photographs depends on them; whoever corrects them keeps all results of rendered sets.
+    """
+    tables: tuple[Registry[Any], ...] = (PHOTOGRAPHS, READERS)
+    return tuple(module for table in tables for name in table if (module := table.module_of(name)))
 
 
 @dataclass(frozen=True)
@@ -55,6 +71,11 @@ class Source:
     def scaled(self) -> bool:
         """Whether images differ in size from the set's own."""
         return (self.rig.width, self.rig.height) != (self.views.rig.width, self.views.rig.height)
+
+    @property
+    def modules(self) -> tuple[str, ...]:
+        """What is made from it depends on these modules beside those that every set needs."""
+        return for_photographs() if self.views.kind == "photographs" else ()
 
     @property
     def filters(self) -> np.ndarray | None:
@@ -188,7 +209,8 @@ def open_source(path: Path, console: Console, max_size: int | None = None) -> So
     reads: Reads = {}
     with warnings_as_notes(console), read_once(reads):
         refuse_exchanged(path)
-        views = load_linear_set(path) or load_set(path)
+        linear = None if is_rendered(path) and (path / "set.json").is_file() else PHOTOGRAPHS["linear files"](path)
+        views = linear or load_set(path)
     return replace(source_of(views, console, max_size), reads=reads)
 
 

@@ -4,6 +4,7 @@ The unit is a definition at the top of a module: a function, a class, a constant
 The rows of a `Registry` are not followed: a result depends on the rows that it uses, not on all that could have been.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache
 from pathlib import Path
@@ -32,6 +33,10 @@ class Code:
     def key(self) -> str:
         """Hash of all files."""
         return hashed("\n".join(f"{name} {found}" for name, found in sorted(self.files.items())).encode())
+
+    def along_with(self, modules: Iterable[str]) -> "Code":
+        """This code, and what these modules reach."""
+        return code_of(*self.roots, *modules)
 
 
 def code_of(*roots: str | None) -> Code:

@@ -78,7 +78,7 @@ def capture(
             "capture",
             out,
             capture_folder.RECORD,
-            code=config.code,
+            code=config.code.along_with(source.modules),
             opened={"set": source.content},
             inputs=lambda: {"set": source.digest()},
             config=config.resolved(),

@@ -12,7 +12,7 @@ from simscenes.rigs import Rig
 from simscenes.sets.geometry.depth_range import Depths
 from simscenes.sets.multiview import MultiviewSet, load_set
 from simscenes.sets.writers.camera_files import CAMERA_FILES
-from simscenes.sets.writers.export import EXPORTS
+from simscenes.sets.writers.layouts import EXPORTS
 from simscenes.sets.writers.neighbours import DEPTHS
 
 if TYPE_CHECKING:

@@ -74,17 +74,17 @@ def _score(run_path: Path, console: Console) -> dict[str, Any]:
         return {"methods": {run.name: method}, "recovered": {}, "unavailable": unavailable}
 
     return run_stage(
-        "score", run_path, METRICS, code=code_of_scores(run), inputs=inputs,
+        "score", run_path, METRICS, code=code_of_scores(run, lit), inputs=inputs,
         opened={"run": run.digest(), "capture": captured.content, "set": lit.content},
         config={"lpips": missing is None}, owns=(METRICS,),
         prepare=lambda: None, work=work, console=console, overwrite=True,  # scores describe what is there now
     )  # fmt: skip
 
 
-def code_of_scores(run: Run) -> Code:
-    """What scores a run: the stage, and the enhancement that its references go through."""
+def code_of_scores(run: Run, lit: Source) -> Code:
+    """What scores a run: the stage, the enhancement that its references go through, and what reads its set."""
     enhancer = None if run.enhancement is None else ENHANCERS.module_of(run.enhancement["enhancer"])
-    return code_of(__name__, enhancer)
+    return code_of(__name__, enhancer, *lit.modules)
 
 
 def score_test_views(

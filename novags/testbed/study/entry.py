@@ -29,6 +29,7 @@ class Task:
     group: str = ""  # what its cost is compared with: the scene, the camera, the method
     work: float = 0.0  # what its cost grows with, in `costs.UNITS`
     pixels: float = 0.0  # of all its views
+    modules: tuple[str, ...] = ()  # `Source.modules` of the set that is photographed
     code: str = ""  # key of the code that is to make it
     roots: tuple[str, ...] = ()  # the modules that reach this code
 

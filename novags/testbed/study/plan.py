@@ -11,7 +11,7 @@ from novags.cameras import check_cameras
 from novags.cameras.sources.known import KnownConfig
 from novags.settings import flattened
 from novags.testbed.console import Console
-from novags.testbed.folders.set import open_source
+from novags.testbed.folders.set import for_photographs, open_source
 from novags.testbed.ledger.contents import digest, folder_digest
 from novags.testbed.ledger.store import key_of, named
 from novags.testbed.machine.devices import chosen_device
@@ -128,15 +128,16 @@ class Planner:
         (name,) = preset.methods
         if (command := preset.command(name)) is not None:
             return self._command(command, captured)
+        modules = self.tasks[captured].modules
         config = preset.reconstruct(name)
         recipe = {"name": name, "config": config.resolved(), "files": files_of(config), "capture": captured}
-        key = key_of("run", recipe, config.code)
+        key = key_of("run", recipe, config.code.along_with(modules))
         pixels = self.tasks[captured].pixels
         iterations = sum(v for k, v in flattened(config.config).items() if k.rpartition(".")[2] == "iterations")
         views = max(1, self._views(captured))
         return self._task(Task(
             kind="run", key=key, name=named(f"{name}-{self.tasks[captured].name.rpartition('-')[0]}", key),
-            config=config, needs=(captured,), group=name,
+            config=config, needs=(captured,), group=name, modules=modules,
             work=max(1, iterations) * (pixels / views + config.points), pixels=pixels,
         ))  # fmt: skip
 
@@ -159,17 +160,19 @@ class Planner:
         if preset.folder is None:
             made_of, source = self._posed(preset.photos) if preset.photos else self._set(preset.render), None
             pixels, views = self.tasks[made_of].pixels, self.contents[made_of]
+            modules = self.tasks[made_of].modules
             name, content = self.tasks[made_of].name.rpartition("-")[0], {"set": made_of}
         else:
             source = resolved(preset.folder)
-            content, views, pixels = self._folder(source, config.max_size)
+            content, views, pixels, modules = self._folder(source, config.max_size)
             name = source.name
-        key = self._key("capture", config, content)
+        key = self._key("capture", config, content, modules)
         self.contents[key] = views
         parts = [name, config.sensor_name, f"{config.electrons:g}e", f"s{config.seed}"]
         return self._task(Task(
             kind="capture", key=key, name=named("-".join(parts), key), config=config, source=source,
-            needs=() if source is not None else (made_of,), group=config.sensor_name, work=pixels, pixels=pixels,
+            needs=() if source is not None else (made_of,), group=config.sensor_name, modules=modules, work=pixels,
+            pixels=pixels,
         ))  # fmt: skip
 
     def _imported(self, folder: Path, config: ImportConfig) -> str:
@@ -188,11 +191,11 @@ class Planner:
         self.contents[key] = views
         return self._task(Task(
             kind="capture", key=key, name=named(name, key), config=config, source=folder, group="import",
-            work=pixels, pixels=pixels,
+            modules=for_photographs(), work=pixels, pixels=pixels,
         ))  # fmt: skip
 
-    def _folder(self, path: Path, max_size: int | None) -> tuple[dict[str, Any], int, float]:
-        """What identifies a set that is there, its number of views and of pixels.
+    def _folder(self, path: Path, max_size: int | None) -> tuple[dict[str, Any], int, float, tuple[str, ...]]:
+        """What identifies a set that is there, its number of views and of pixels, and `Source.modules`.
 
         Captures refer to it by its place, so that it is part of what they are made from.
         """
@@ -200,9 +203,10 @@ class Planner:
             source = open_source(path, self.console, max_size)
             content = {"content": source.digest(), "place": os.path.relpath(path, resolved(self.store))}
             views = len(source.views)
-            self.contents[path, max_size] = (content, views, float(views * source.rig.width * source.rig.height))
-        content, views, pixels = self.contents[path, max_size]
-        return content, views, pixels
+            pixels = float(views * source.rig.width * source.rig.height)
+            self.contents[path, max_size] = (content, views, pixels, source.modules)
+        content, views, pixels, modules = self.contents[path, max_size]
+        return content, views, pixels, modules
 
     def _set(self, config: RenderConfig) -> str:
         scene = (config.scene, config.allow_outside, config.parameters)  # which may name files
@@ -227,19 +231,22 @@ class Planner:
         self.contents[key] = count
         pixels = float(count * (config.max_size or 4000) ** 2)
         return self._task(Task(
-            kind="set", key=key, name=named(config.name, key), config=config, group="poses", work=pixels, pixels=pixels,
+            kind="set", key=key, name=named(config.name, key), config=config, group="poses",
+            modules=for_photographs(), work=pixels, pixels=pixels,
         ))  # fmt: skip
 
-    def _key(self, kind: str, config: RenderConfig | CaptureConfig, made_of: dict[str, Any]) -> str:
+    def _key(
+        self, kind: str, config: RenderConfig | CaptureConfig, made_of: dict[str, Any], modules: tuple[str, ...] = ()
+    ) -> str:
         place = (kind, repr((config, made_of)))
         if place not in self.keys:
             recipe = {"config": config.resolved(), **_layouts(config), **made_of}
-            self.keys[place] = key_of(kind, recipe, config.code)
+            self.keys[place] = key_of(kind, recipe, config.code.along_with(modules))
         return self.keys[place]
 
     def _task(self, task: Task) -> str:
         if task.key not in self.tasks:
-            code = task.config.code
+            code = task.config.code.along_with(task.modules)
             self.tasks[task.key] = replace(task, code=code.key, roots=code.roots)
         return task.key
 

@@ -8,6 +8,7 @@ from novags.testbed import stages
 from novags.testbed.console import Console
 from novags.testbed.folders import capture as captures
 from novags.testbed.folders import run as runs
+from novags.testbed.folders.set import for_photographs
 from novags.testbed.foreign.command import run_command
 from novags.testbed.ledger.code import code_of
 from novags.testbed.metrics.perceptual import PerceptualDistance
@@ -69,7 +70,10 @@ def depends(task: Task) -> dict[str, Any]:
     """What the content depends on besides its key: where a score changes, only the scores are made again."""
     if task.kind != "run":
         return {}
-    return {"lpips": PerceptualDistance.missing() is None, "scores": code_of("novags.testbed.stages.scoring").key}
+    return {
+        "lpips": PerceptualDistance.missing() is None,
+        "scores": code_of("novags.testbed.stages.scoring", *for_photographs()).key,
+    }
 
 
 def limit_threads(count: int) -> None:

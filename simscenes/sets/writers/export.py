@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import shutil
 import warnings
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +18,7 @@ from simscenes.sets.multiview import MultiviewSet
 from simscenes.sets.names import file_of
 from simscenes.sets.pictures.png import write_png
 from simscenes.sets.writers.camera_files import nerfbaselines_info, write_cameras, write_json
+from simscenes.sets.writers.layouts import Layout
 
 NERFBASELINES = "nerfbaselines.datasets.blender:load_blender_dataset"  # it has no short name there
 CENTRED = 0.01  # px that a principal point may be off without a word
@@ -161,22 +160,5 @@ def _write_image(views: MultiviewSet, i: int, folder: Path) -> None:
         write_png(target, views.image(i))
 
 
-@dataclass(frozen=True)
-class Layout:
-    """A further layout of a set or a capture.
-
-    Attributes:
-        write: (views, folder, *, truth=None) -> the folder.
-        check: Raises ValueError for cameras that it cannot hold; before anything takes time.
-        needs_depth: It states near and far of every view.
-    """
-
-    write: Callable[..., Path]
-    check: Callable[[Rig], None]
-    needs_depth: bool = False
-
-
-EXPORTS = {
-    "blender": Layout(export_blender, check_blender),
-    "llff": Layout(export_llff, check_llff, needs_depth=True),
-}
+BLENDER = Layout(export_blender, check_blender)
+LLFF = Layout(export_llff, check_llff, needs_depth=True)

@@ -1,11 +1,13 @@
 """What runs while a stage is at work is what its key counts: watched, function by function, on small stages."""
 
 import ast
+import shutil
 import sys
 import threading
 from collections import defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any
@@ -18,6 +20,8 @@ from novags.testbed.console import Console
 from novags.testbed.ledger import stage
 from novags.testbed.ledger.reach import PACKAGES, is_outside, reached, source_of
 from novags.testbed.presets import EXPERIMENTS, adapted
+from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.importing import ImportConfig
 
 ROOT = Path(stage.__file__).resolve().parents[3]
 QUIET = Console(quiet=True)
@@ -96,16 +100,24 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[tuple[str, ...], set[
     preset = adapted(EXPERIMENTS["demo"], **SMALL, methods=METHODS)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(stage._Stage, "make", make_watched)
-        stages.render(folder / "set", preset.render, QUIET)
+        stages.render(folder / "set", replace(preset.render, export=("llff",)), QUIET)
         stages.capture(folder / "set", folder / "capture", preset.capture, QUIET)
         for name in METHODS:
             stages.reconstruct(folder / "capture", folder / name, preset.reconstruct(name), QUIET)
             stages.score(folder / name, QUIET)
+        # The same pictures as photographs: of a foreign layout, and dark ones of an unknown camera.
+        stages.capture(folder / "set" / "llff", folder / "foreign", CaptureConfig(), QUIET)
+        shutil.copytree(folder / "foreign" / "images", folder / "dark" / "images")
+        shutil.copy(folder / "foreign" / "transforms.json", folder / "dark")
+        stages.import_photographs(folder / "dark", folder / "imported", ImportConfig(), QUIET)
+        for capture in ("foreign", "imported"):
+            stages.reconstruct(folder / capture, folder / f"of {capture}", preset.reconstruct("naive"), QUIET)
+            stages.score(folder / f"of {capture}", QUIET)
     return dict(found)
 
 
 def test_everything_that_runs_counts(runs: dict[tuple[str, ...], set[CodeType]]) -> None:
-    assert len(runs) == 2 + len(METHODS) + 1  # the set, the capture, each method, the scores of all
+    assert len(runs) == 2 + len(METHODS) + 1 + 4  # the set, the capture, each method, the scores; of photographs 4 more
     missed = set[str]()
     for roots, called in runs.items():
         counted = reached(roots)

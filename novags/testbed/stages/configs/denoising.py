@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 from novags.methods.denoised.config import DenoiseConfig
 from novags.settings import check_seed
+from novags.testbed.folders.set import for_photographs
 from novags.testbed.ledger.code import Code, code_of, modules_of
 
 
@@ -21,4 +22,4 @@ class DenoisePicturesConfig:
     @property
     def code(self) -> Code:
         """What denoises them."""
-        return code_of("novags.testbed.stages.denoising", *modules_of(self.denoise))
+        return code_of("novags.testbed.stages.denoising", *modules_of(self.denoise), *for_photographs())

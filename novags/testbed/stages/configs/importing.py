@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from novags.numbers import SIDE, check_range
+from novags.testbed.folders.set import for_photographs
 from novags.testbed.importing.published.datasets import DATASETS
 from novags.testbed.importing.split import Split
 from novags.testbed.importing.stored import Codes16, Curve
@@ -52,7 +53,7 @@ class ImportConfig:
     @property
     def code(self) -> Code:
         """What imports them."""
-        return code_of("novags.testbed.stages.importing")
+        return code_of("novags.testbed.stages.importing", *for_photographs())
 
     @property
     def codes(self) -> Codes16:

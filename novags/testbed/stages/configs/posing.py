@@ -9,6 +9,7 @@ import numpy as np
 from novags.cameras.settings import FEATURES
 from novags.numbers import SIDE, check_range
 from novags.settings import check_seed
+from novags.testbed.folders.set import for_photographs
 from novags.testbed.folders.video import is_video
 from novags.testbed.ledger.code import Code, code_of
 from sensor_model.files.door import resolved
@@ -55,7 +56,7 @@ class PosesConfig:
     @property
     def code(self) -> Code:
         """What finds them."""
-        return code_of("novags.testbed.stages.posing")
+        return code_of("novags.testbed.stages.posing", *for_photographs())
 
     @property
     def frames_a_second(self) -> float:

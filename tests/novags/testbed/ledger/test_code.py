@@ -28,8 +28,10 @@ STAGE = "novags.testbed.stages."
 KEYS = """
 import json, sys
 from novags.methods import METHODS, VARIANTS, chosen
+from novags.testbed.folders.set import for_photographs
 from novags.testbed.ledger.code import code_of
 from novags.testbed.stages.configs.capturing import CaptureConfig
+from novags.testbed.stages.configs.importing import ImportConfig
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
 from novags.testbed.stages.configs.rendering import RenderConfig
 from simscenes.scenes import SCENES
@@ -37,6 +39,9 @@ from simscenes.scenes import SCENES
 keys = {f"scene {name}": RenderConfig(scene=name).code.key for name in SCENES}
 keys |= {name: ReconstructConfig(variant=chosen(name)).code.key for name in (*METHODS, *VARIANTS)}
 keys |= {"capture": CaptureConfig().code.key, "score": code_of("novags.testbed.stages.scoring").key}
+keys["capture with layouts"] = CaptureConfig(export=("llff",)).code.key
+keys["import"] = ImportConfig().code.key
+keys["capture of photographs"] = CaptureConfig().code.along_with(for_photographs()).key
 assert not {"torch", "numba", "mitsuba", "pycolmap"} & sys.modules.keys()
 print(json.dumps(keys))
 """
@@ -131,10 +136,27 @@ def test_the_values_of_a_preset_count_as_configuration() -> None:
 
 
 def test_a_function_that_a_result_does_not_reach_makes_nothing_again(edit: Edit) -> None:
-    """Rationale: captures write further layouts; runs read captures, in modules that name the same folder."""
-    made = edit("simscenes/sets/writers/export.py", "atol=1e-6", "atol=1e-5")
-    assert made == {"capture", *(f"scene {name}" for name in SCENES)}
     assert edit("novags/splats/files/ply.py", "def read_ply(", "def read_ply(unused=0, *, ") == set()
+
+
+def test_a_further_layout_counts_where_it_is_written(edit: Edit) -> None:
+    assert edit("simscenes/sets/writers/export.py", "CENTRED = 0.01", "CENTRED = 0.02") == {"capture with layouts"}
+
+
+@pytest.mark.parametrize(
+    ("file", "text", "other"),
+    [
+        ("simscenes/sets/readers/llff.py", "SHOWN = 3", "SHOWN = 4"),
+        ("novags/testbed/folders/linear_photographs.py", "WHITE_QUANTILE = 0.99", "WHITE_QUANTILE = 0.98"),
+        ("novags/methods/noise_estimate.py", "BINS = 16", "BINS = 17"),
+    ],
+)
+def test_what_photographs_alone_need_keeps_the_results_of_rendered_sets(
+    edit: Edit, file: str, text: str, other: str
+) -> None:
+    made = edit(file, text, other)
+    assert made >= {"import", "capture of photographs"}
+    assert not made & {"capture", "naive", "score", *(f"scene {name}" for name in SCENES)}
 
 
 def test_a_new_row_of_a_table_makes_nothing_again(edit: Edit) -> None:
