@@ -2,10 +2,11 @@
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from novags.commands.shared import announce, cameras_of, command_line, say, variants_of, writing
-from novags.options import Define, Device, PresetName, Repeated
+from novags.commands.study import check_numbers, engine_of
+from novags.options import CLUSTER, Cluster, Define, Device, PresetName, Repeated
 
 if TYPE_CHECKING:
     from novags.testbed.presets import Preset
@@ -38,6 +39,9 @@ def run(
     denoiser_steps: int | None = None,
     seed: int | None = None,
     device: Device = "auto",
+    engine: Literal["local", "ray"] = "local",
+    workers: int | None = None,
+    cluster: Cluster = CLUSTER,
     overwrite: bool = False,
     wait: bool = False,
     dry_run: bool = False,
@@ -81,14 +85,24 @@ def run(
         denoiser_steps: Of the denoiser before the fit starts.
         seed: Of noise and training.
         device: Where training runs; auto takes a GPU if there is one that can be used.
+        engine: Where the work is done: on this machine, or on a Ray cluster (docs/clusters.md).
+        workers: Methods at a time, each in a process of its own, among which all cores are divided; if not given, one
+            after another with all cores.
+        cluster: Of --engine ray.
         overwrite: Replace finished results of another request in the same folder.
         wait: If another process is writing there, wait until it is done instead of refusing.
         dry_run: Only say which stages would be done, or done again and why. Nothing is written. With a budget whose
             settings are not chosen yet: what would be tried, and what would be chosen from.
     """
-    from novags.testbed import experiment
     from novags.testbed.presets import EXPERIMENTS, adapted
+    from novags.testbed.report.page import write_report
+    from novags.testbed.study import place
 
+    check_numbers(workers, cluster)
+    side_by_side = engine == "ray" or workers is not None or cluster != CLUSTER
+    if budget is not None and side_by_side:
+        raise ValueError("a budget predicts what one method after another takes: leave out --budget, or --workers and "
+                         "--engine")  # fmt: skip
     chosen = adapted(
         EXPERIMENTS[preset], scene=scene, photos=photos, fps=fps, level=level, sensor=sensor, electrons=electrons,
         methods=_compared(methods, variant), n_views=views,
@@ -102,12 +116,14 @@ def run(
         if curves is not None:
             raise ValueError(f"--curves {curves} belong to a budget: add --budget, or leave them out")
         folder = whole if out is None else out
+        where = engine_of(engine, len(chosen.methods), workers, cluster, None) if side_by_side else None
         with writing(folder, wait, dry_run=dry_run) as console:
             if dry_run:
-                experiment.said(chosen, folder, console, overwrite=overwrite)
+                place.said(chosen, folder, console, overwrite=overwrite)
                 return
-            report_path = experiment.run(chosen, folder, console, command=command_line(folder), overwrite=overwrite)
-        announce(report_path)
+            page = place.run(chosen, folder, console, report=write_report, engine=where,
+                             command=command_line(folder), overwrite=overwrite)  # fmt: skip
+        announce(page)
         return
     decided = {
         "iterations": iterations, "points": points, "denoiser_steps": denoiser_steps, "spp": spp,
@@ -130,6 +146,7 @@ def _within(
     """Run an experiment in a given time; `whole`: where the same one without a budget lies, if it was run."""
     from novags.testbed.budget import conduct
     from novags.testbed.budget.duration import seconds_of
+    from novags.testbed.report.page import write_report
 
     request = conduct.Request(preset, seconds_of(budget), given, curves)
     folder = whole.with_name(f"{whole.name}-{request.budget:g}s") if out is None else out
@@ -137,10 +154,11 @@ def _within(
         if dry_run:
             conduct.tell(request, folder, console, overwrite=overwrite)
             return
-        report_path = conduct.run(request, folder, console, command=command_line(folder), overwrite=overwrite)
+        page = conduct.run(request, folder, console, report=write_report, command=command_line(folder),
+                           overwrite=overwrite)  # fmt: skip
     for line in conduct.result(request, folder, whole):
         say(line)
-    announce(report_path)
+    announce(page)
 
 
 def _default_name(preset: str, source: str | None, level: str | None, electrons: float | None) -> str:

@@ -49,9 +49,9 @@ def score(
         raise ValueError(f"--out {out} belongs to --renders: scores of runs go into their folders")
     if reference is not None:
         raise ValueError(f"--reference {reference} belongs to --renders: runs are scored against all that there are")
-    from novags.testbed.experiment import score_all
     from novags.testbed.folders.experiment import experiments_in
     from novags.testbed.results.comparison import groups_of
+    from novags.testbed.study.place import score_all
 
     for folder in [part for given in runs for part in experiments_in(given)]:
         with writing(folder, wait, make=False, dry_run=dry_run) as console:

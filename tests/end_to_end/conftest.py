@@ -5,8 +5,9 @@ from pathlib import Path
 import pytest
 
 from novags.testbed.console import Console
-from novags.testbed.experiment import run
 from novags.testbed.presets import EXPERIMENTS, Preset, adapted
+from novags.testbed.report.page import write_report
+from novags.testbed.study.place import run
 
 
 @pytest.fixture(scope="session")
@@ -34,5 +35,5 @@ def quiet() -> Console:
 def experiment(tmp_path_factory: pytest.TempPathFactory, tiny: Preset, quiet: Console) -> Path:
     """A finished experiment; tests must not change it."""
     folder = tmp_path_factory.mktemp("experiment with spaces")
-    run(tiny, folder, quiet, command="novags run")
+    run(tiny, folder, quiet, report=write_report, command="novags run")
     return folder

@@ -12,8 +12,9 @@ import pytest
 from novags import cli
 from novags.splats import NotFinite
 from novags.testbed.console import Console
-from novags.testbed.experiment import run
 from novags.testbed.presets import Preset
+from novags.testbed.report.page import write_report
+from novags.testbed.study.place import run
 
 FITTING = importlib.import_module("novags.splats.training.fit")  # the package's `fit` is the function
 
@@ -60,11 +61,11 @@ def test_an_experiment_keeps_what_is_finished(
         shutil.copytree(experiment / part, tmp_path / part)
     before = times(tmp_path)
     with pytest.raises(NotFinite, match="at iteration 10, view"):
-        run(tiny, tmp_path, quiet)
+        run(tiny, tmp_path, quiet, report=write_report)
     now = times(tmp_path)
     assert {name: now.get(name) for name in before} == before
     planted()
-    run(tiny, tmp_path, quiet)
+    run(tiny, tmp_path, quiet, report=write_report)
     now = times(tmp_path)
     assert {name: now.get(name) for name in before if "metrics" not in name} == {
         name: time for name, time in before.items() if "metrics" not in name

@@ -14,12 +14,12 @@ import pytest
 from novags.splats import read_ply
 from novags.testbed import stages
 from novags.testbed.console import Console, Update
-from novags.testbed.experiment import run, score_all
 from novags.testbed.folders.capture import open_capture
 from novags.testbed.ledger.contents import read_json
 from novags.testbed.presets import Preset, adapted
 from novags.testbed.report.page import write_report
 from novags.testbed.stages.configs.reconstructing import ReconstructConfig
+from novags.testbed.study.place import run, score_all
 from novags.testing import DarkCapture, assert_noise, assert_scores
 from simscenes import load_set, read_exr
 
@@ -159,9 +159,9 @@ def test_records_say_what_was_done_with_what(experiment: Path, tiny: Preset) -> 
 
 def test_a_second_run_does_nothing_but_the_report(experiment: Path, tiny: Preset, quiet: Console) -> None:
     before = modified(experiment)
-    run(tiny, experiment, quiet, command="novags run")
+    run(tiny, experiment, quiet, report=write_report, command="novags run")
     changed = {name for name, when in modified(experiment).items() if before.get(name) != when}
-    assert changed == {"experiment.json", "metrics.json", "report.html"}
+    assert changed == {"experiment.json", "metrics.json", "report.html", "results.csv", "results.json"}
 
 
 def test_pictures_too_small_for_raw_files_are_refused_before_the_capture(
@@ -169,7 +169,7 @@ def test_pictures_too_small_for_raw_files_are_refused_before_the_capture(
 ) -> None:
     small = adapted(tiny, scene=str(experiment / "set"), max_size=21)
     with pytest.raises(ValueError, match=r"images of 21 x .* LibRaw refuses: it takes 22 px .*take larger images"):
-        run(small, tmp_path / "out", quiet)
+        run(small, tmp_path / "out", quiet, report=write_report)
     assert not (tmp_path / "out" / "capture").exists()
 
 
@@ -187,7 +187,7 @@ def test_another_request_on_the_same_folder_is_refused_before_any_work(
         (replace(tiny, methods=("naive-l1", *tiny.methods), points=400), "nova-fast holds .*points was 300, is 400"),
     ):
         with pytest.raises(ValueError, match=said):
-            run(other, experiment, quiet)
+            run(other, experiment, quiet, report=write_report)
     assert modified(experiment) == before
 
 
@@ -197,7 +197,7 @@ def test_a_changed_light_captures_again_but_does_not_render_again(
     folder = copy(experiment, tmp_path, "set", "capture")
     before = modified(folder)
     brighter = replace(tiny, capture=replace(tiny.capture, electrons=80.0), methods=("naive",))
-    run(brighter, folder, quiet, overwrite=True)
+    run(brighter, folder, quiet, report=write_report, overwrite=True)
     after = modified(folder)
     assert all(after[name] == when for name, when in before.items() if name.startswith("set/"))
     assert all(after[name] != when for name, when in before.items() if name.startswith("capture/images/"))
@@ -238,12 +238,12 @@ def test_an_interrupted_second_configuration_leaves_no_report_that_mixes_both(
     shutil.copytree(experiment, folder)
     other = replace(tiny, settings={**tiny.settings, "fit.iterations": 20})
     with pytest.raises(KeyboardInterrupt):
-        run(other, folder, Interrupting("reconstruct naive", 10), overwrite=True)
+        run(other, folder, Interrupting("reconstruct naive", 10), report=write_report, overwrite=True)
     assert not {"experiment.json", "metrics.json", "report.html"} & {path.name for path in folder.iterdir()}
     for use in (score_all, write_report):
         with pytest.raises(ValueError, match=r"neither a run .* run the same command again"):
             use(folder, quiet)
-    run(other, folder, quiet, overwrite=True)
+    run(other, folder, quiet, report=write_report, overwrite=True)
     assert (folder / "report.html").exists()
 
 

@@ -33,10 +33,10 @@ def test_help_loads_no_heavy_library() -> None:
 
 def test_variants_and_cameras_reach_the_experiment(call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     from novags.cameras.sources.known import KnownConfig
-    from novags.testbed import experiment
+    from novags.testbed.study import place
 
     seen = []
-    monkeypatch.setattr(experiment, "run", lambda preset, *_, **__: seen.append(preset) or tmp_path)
+    monkeypatch.setattr(place, "run", lambda preset, *_, **__: seen.append(preset) or tmp_path)
     words = ["--variant", "a=nova-fast:sh_weight=0.5", "--variant", "b=a:consistency=none", "--iterations", "7"]
     words += ["--cameras", "known:rotation_deg=2", "--refine-cameras", "--device", "cpu", "--out", str(tmp_path)]
     assert call("run", *words) == 0
@@ -53,10 +53,10 @@ def test_a_variant_that_is_spelled_out_is_compared_beside_the_methods_that_are_n
     call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """As `novags help variants` has it; a file may hold more variants than one wants."""
-    from novags.testbed import experiment
+    from novags.testbed.study import place
 
     seen = []
-    monkeypatch.setattr(experiment, "run", lambda preset, *_, **__: seen.append(preset.methods) or tmp_path)
+    monkeypatch.setattr(place, "run", lambda preset, *_, **__: seen.append(preset.methods) or tmp_path)
     (tmp_path / "more.toml").write_text('[variant.x]\nmethod = "naive"\n[variant.y]\nmethod = "naive"\n')
     words = ["run", "--methods", "naive", "x", "--variant", "l1=naive:fit.dssim_weight=0", "--out", str(tmp_path)]
     assert call(*words, "--variant", str(tmp_path / "more.toml")) == 0
@@ -373,10 +373,10 @@ def test_folders_that_differ_after_a_dot_have_experiments_of_their_own(
     call: Call, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     """Rationale: garden.v1 and garden.v2 both went to out/demo-garden, where the second was refused."""
-    from novags.testbed import experiment
+    from novags.testbed.study import place
 
     seen = []
-    monkeypatch.setattr(experiment, "run", lambda preset, out, *_, **__: seen.append(out.name) or out / "report.html")
+    monkeypatch.setattr(place, "run", lambda preset, out, *_, **__: seen.append(out.name) or out / "report.html")
     monkeypatch.chdir(tmp_path)
     for name in ("garden.v1", "garden.v2"):
         (tmp_path / name).mkdir()

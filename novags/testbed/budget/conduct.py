@@ -1,14 +1,13 @@
 """Run an experiment in a given time: try it on a small scale, choose settings, say so, run, and say what came of it."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
 from novags.cameras.sources.known import KnownConfig
-from novags.testbed import experiment
 from novags.testbed.budget import said
 from novags.testbed.budget.choice import Choice, Option, choice_of, choose, fastest
 from novags.testbed.budget.known import Known, known
@@ -19,6 +18,7 @@ from novags.testbed.folders.experiment import EXPERIMENT
 from novags.testbed.ledger.contents import digest, jsonable, read_json, write_json
 from novags.testbed.ledger.dry import NOT_DONE, dry_run, planned
 from novags.testbed.presets import Preset
+from novags.testbed.study import place as experiment
 from sensor_model.files.lock import locked
 from sensor_model.files.reading import brief
 
@@ -80,13 +80,17 @@ class Plan:
     spent: float
 
 
-def run(request: Request, out: Path, console: Console, *, command: str | None = None, overwrite: bool = False) -> Path:
+def run(
+    request: Request, out: Path, console: Console, *, report: Callable[[Path, Console], Path] | None = None,
+    command: str | None = None, overwrite: bool = False,
+) -> Path:  # fmt: skip
     """Run the experiment within its budget; returns the path of the report.
 
     Args:
         request: What is asked for.
         out: The experiment folder; `budget.json` in it has what was chosen, predicted and taken.
         console: Where progress goes.
+        report: Writes a report on the folder.
         command: The command line, for the record.
         overwrite: Replace finished results of another request.
 
@@ -102,10 +106,10 @@ def run(request: Request, out: Path, console: Console, *, command: str | None = 
             if state is None:
                 state = _begin(request, out, console, start, overwrite)
             preset = turned(request.preset, state["shares"])
-            report = experiment.run(preset, out, console, command=command, overwrite=overwrite)
+            page = experiment.run(preset, out, console, report=report, command=command, overwrite=overwrite)
         if "seconds" not in state:
             _write(out, {**state, "seconds": time.perf_counter() - start})
-    return report
+    return page
 
 
 def _earlier(request: Request, out: Path, console: Console, overwrite: bool) -> State | None:

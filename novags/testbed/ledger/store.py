@@ -11,6 +11,7 @@ time may share a store: locks on the folders protect it.
 
 import re
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -65,6 +66,9 @@ def write_seal(folder: Path, key: str, made_of: dict[str, Any], cost: dict[str, 
     size = sum((folder / name).stat().st_size for name in files)
     found = {name: _whole(folder / name) for name in records}
     seal = Seal(key, digest(files), made_of, {**cost, "bytes": size}, found)
+    with suppress(ValueError):  # a damaged one is written again
+        if read_seal(folder) == seal:
+            return seal
     write_json(folder / SEAL, asdict(seal))
     return seal
 

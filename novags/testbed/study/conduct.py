@@ -56,7 +56,8 @@ def conduct(
     predicted = Costs.of(costs(store), engine.threads)
     watch = _Watch(plan, table, predicted, engine.places, StudyProgress(console, len(plan.runs)), known=sealed)
     watch.failures = {} if retry_failed else read_failures(out, set(plan.tasks) - watch.known)
-    write_json(out / FAILURES, watch.failures)
+    if watch.failures or (out / FAILURES).exists():
+        write_json(out / FAILURES, watch.failures)
     longest = longest_after(plan, watch.seconds_left())
     failed = {key: Outcome("failed", f["reason"], f["stage"]) for key, f in watch.failures.items()}
     try:
@@ -133,7 +134,9 @@ class _Watch:
         task = self.plan.tasks[key]
         self.failures[key] = {"reason": reason, "stage": stage, "log": log_of(task)}
         write_json(self.table.out / FAILURES, self.failures)
-        self.note(f"failed: {stage or 'start'} of {task.name}: {reason} (log: {log_of(task)}); the rest goes on")
+        self.note(
+            f"failed: {stage or 'start'} of {task.place or task.name}: {reason} (log: {log_of(task)}); the rest goes on"
+        )
 
     def note(self, text: str) -> None:
         self.shown.note(text)
@@ -141,7 +144,7 @@ class _Watch:
     def tick(self) -> None:
         done = list(self.states.values())
         failed = sum(state.name != "done" for state in done)
-        names = {key: self.plan.tasks[key].name.rpartition("-")[0] for key in self.under_way}
+        names = {key: self.plan.tasks[key].title for key in self.under_way}
         under_way = {key: (names[key], at) for key, (_, at) in self.under_way.items()}
         start = time.monotonic()
         if start >= self._left[1]:

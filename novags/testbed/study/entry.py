@@ -1,7 +1,12 @@
-"""One entry of the store: kept if it is as it was sealed, else made by its stages, which resume what is unfinished."""
+"""One entry of the store: kept if it is as it was sealed, else made by its stages, which resume what is unfinished.
+
+In a folder with plain names (`Task.place`) nothing tells one request from another but what lies there: its stages look
+themselves, and say what they keep, what they make again and why.
+"""
 
 import os
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,10 +37,19 @@ class Task:
     modules: tuple[str, ...] = ()  # `Source.modules` of the set that is photographed
     code: str = ""  # key of the code that is to make it
     roots: tuple[str, ...] = ()  # the modules that reach this code
+    place: str = ""  # its folder, where names are plain; "": the store names it
+    overwrite: bool = True  # whether finished results of another request are replaced; an entry of the store has one
+    for_runs: bool = False  # whether methods read the capture: they need raw files that LibRaw reads
+    stale: tuple[str, ...] = ()  # files beside its folder that describe it, removed when it is made again
+
+    @property
+    def title(self) -> str:
+        """What people call it."""
+        return self.place or self.name.rpartition("-")[0]
 
     def folder(self, store: Path) -> Path:
         """Where it is, or will be."""
-        return store / self.kind / self.name
+        return store / (self.place or f"{self.kind}/{self.name}")
 
 
 @dataclass(frozen=True)
@@ -85,18 +99,21 @@ def ensure(order: Order, steps: Steps, console: Console, depends: dict[str, Any]
         )
     made_of = {**order.made_of, **(depends or {})}
     with locked(order.folder):
-        seal = _believed(order, steps, console)
+        plain = bool(order.task.place)
+        seal = None if plain else _believed(order, steps, console)
         made = seal is None or seal.made_of != made_of
         if made:
-            (order.folder / SEAL).unlink(missing_ok=True)
-            with sharing(order.folder.parent.parent) as taken:
+            if not plain:
+                (order.folder / SEAL).unlink(missing_ok=True)
+            with nullcontext(list[str]()) if plain else sharing(order.folder.parent.parent) as taken:
                 for name, step in steps.items():
                     with failing_in(name):
                         step.do()
             made = len(taken) < len(steps)
             records = [step.record for step in steps.values()]
             seal = write_seal(order.folder, order.task.key, made_of, _cost(order, steps), records)
-            remember(order.folder, records)
+            if not plain:
+                remember(order.folder, records)
     assert seal is not None
     return {"content": seal.content, "cost": seal.cost, "made": made}
 

@@ -124,7 +124,7 @@ class Planner:
 
     def run(self, preset: Preset) -> str:
         """The key of a run, which is planned with all that it needs."""
-        captured = self.capture(preset)
+        captured = self.capture(preset, for_runs=True)
         (name,) = preset.methods
         if (command := preset.command(name)) is not None:
             return self._command(command, captured)
@@ -152,7 +152,7 @@ class Planner:
     def _views(self, captured: str) -> int:
         return int(self.contents[captured])
 
-    def capture(self, preset: Preset) -> str:
+    def capture(self, preset: Preset, *, for_runs: bool = False) -> str:
         """The key of a capture, which is planned with the set that it photographs."""
         if preset.dark is not None:
             return self._imported(preset.dark, preset.imported)
@@ -172,7 +172,7 @@ class Planner:
         return self._task(Task(
             kind="capture", key=key, name=named("-".join(parts), key), config=config, source=source,
             needs=() if source is not None else (made_of,), group=config.sensor_name, modules=modules, work=pixels,
-            pixels=pixels,
+            pixels=pixels, for_runs=for_runs,
         ))  # fmt: skip
 
     def _imported(self, folder: Path, config: ImportConfig) -> str:

@@ -1,6 +1,7 @@
 """The stages that make each kind of entry of a store: where a study calls the test bed."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -35,23 +36,23 @@ def steps(task: Task, folder: Path, source: Path | None, console: Console) -> St
         source: The set that a capture photographs, or the capture of a run.
         console: Where progress goes.
     """
-    config, again = task.config, True  # an entry is its task's alone: what does not fit any more is replaced
+    config, again, stale = task.config, task.overwrite, [folder.parent / name for name in task.stale]
     if task.kind == "set":
         name = "poses" if isinstance(config, PosesConfig) else "render"
-        return {name: Step(lambda: make_set(folder, config, console, overwrite=again), SET)}
+        return {name: Step(lambda: make_set(folder, config, console, stale=stale, overwrite=again), SET)}
     assert source is not None
     if isinstance(config, ImportConfig):
         imported = lambda: stages.import_photographs(source, folder, config, console, overwrite=again)  # noqa: E731
         return {"import": Step(imported, captures.RECORD)}
     if task.kind == "capture":
-        return {
-            "capture": Step(lambda: stages.capture(source, folder, config, console, overwrite=again), captures.RECORD)
-        }
+        capture = partial(stages.capture, source, folder, config, console, stale=stale, overwrite=again,
+                          for_runs=task.for_runs)  # fmt: skip
+        return {"capture": Step(capture, captures.RECORD)}
     score = Step(lambda: stages.score(folder, console), runs.METRICS, repeatable=True)
     if isinstance(config, CommandConfig):
         run = Step(lambda: run_command(source, folder, config, console, overwrite=again), runs.RECORD)
         return {"command": run, "score": score}
-    run = Step(lambda: stages.reconstruct(source, folder, config, console, overwrite=again), runs.RECORD)
+    run = Step(partial(stages.reconstruct, source, folder, config, console, stale=stale, overwrite=again), runs.RECORD)
     return {"reconstruct": run, "score": score}
 
 

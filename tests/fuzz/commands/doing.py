@@ -135,9 +135,6 @@ def load() -> None:
     import cv2
     import torch
 
-    import novags.testbed.experiment
-    import novags.testbed.report.page
-    import novags.testbed.study.conduct  # noqa: F401
     import novags.testbed.viewer.server as server
 
     torch.set_num_threads(1)

@@ -87,9 +87,6 @@ def _nothing(*_: Any, **__: Any) -> Any:
 def _imports() -> None:
     import torch
 
-    import novags.testbed.experiment
-    import novags.testbed.report.page  # noqa: F401
-
     torch.set_num_threads(1)
 
 
@@ -97,12 +94,12 @@ def _imports() -> None:
 def _leave_out_the_work() -> None:
     """In the child, since other readers need the stages."""
     import novags.testbed.calibration_frames as frames
-    import novags.testbed.experiment as experiment
     import novags.testbed.folders.experiment as folders
     import novags.testbed.forecast as forecast
     import novags.testbed.machine.doctor as doctor
     import novags.testbed.report.page as page
     import novags.testbed.results.comparison as comparison
+    import novags.testbed.study.place as experiment
     from novags.commands import shared
     from novags.testbed import stability, stages
 

@@ -18,9 +18,10 @@ from novags.methods.variant import Method, parse_variant
 from novags.splats import Views
 from novags.testbed import stages
 from novags.testbed.console import Console
-from novags.testbed.experiment import run
 from novags.testbed.ledger.contents import read_json
 from novags.testbed.presets import EXPERIMENTS, adapted
+from novags.testbed.report.page import write_report
+from novags.testbed.study.place import run
 from sensor_model.files.registry import Later
 from simscenes import read_exr
 
@@ -110,7 +111,7 @@ def test_a_method_without_gaussians_goes_through_the_whole_experiment(
     """Rationale: only `Scene` and `Reconstruction` may be assumed; a field on a grid, or a mesh, is as good."""
     monkeypatch.setitem(METHODS, "constant", replace(DUMMY, config=lambda: ConstantConfig(space=space)))
     preset = adapted(EXPERIMENTS["demo"], **TINY, methods=("constant", "naive", "oracle"))
-    page = run(preset, tmp_path, QUIET).read_text(encoding="utf-8")
+    page = run(preset, tmp_path, QUIET, report=write_report).read_text(encoding="utf-8")
     record, metrics = read_json(tmp_path / "constant" / "run.json"), read_json(tmp_path / "metrics.json")
     assert (record["colors"], record["space"]) == (1, space)
     assert "gaussians" not in record

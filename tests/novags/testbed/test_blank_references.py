@@ -7,13 +7,14 @@ import pytest
 
 from novags import cli
 from novags.testbed.console import Console
-from novags.testbed.experiment import run
 from novags.testbed.ledger.contents import read_json
 from novags.testbed.metrics.images import aligned_psnr, image_scores, psnr, ssim
 from novags.testbed.metrics.linear import is_black
 from novags.testbed.metrics.tone import CONTRAST, affine_aligned, tone_aligned, with_contrast
 from novags.testbed.presets import EXPERIMENTS, adapted
+from novags.testbed.report.page import write_report
 from novags.testbed.stages.scoring import recovered_fractions
+from novags.testbed.study.place import run
 
 ALIGNED = ("aligned_psnr", "tone_aligned_psnr", "aligned_ssim", "tone_aligned_ssim")
 
@@ -72,7 +73,7 @@ def darkness(tmp_path_factory: pytest.TempPathFactory) -> Path:
         electrons=1e-6, methods=("naive",),
     )  # fmt: skip
     folder = tmp_path_factory.mktemp("darkness")
-    run(preset, folder, Console(quiet=True))
+    run(preset, folder, Console(quiet=True), report=write_report)
     return folder
 
 

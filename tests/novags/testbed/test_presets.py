@@ -18,11 +18,11 @@ from novags.methods.variant import parse_variant
 from novags.settings import flattened
 from novags.splats import FitConfig
 from novags.testbed.console import Console, losses_text
-from novags.testbed.experiment import run
 from novags.testbed.machine import provenance
 from novags.testbed.presets import EXPERIMENTS, Preset, adapted
 from novags.testbed.stages.configs.capturing import CaptureConfig
 from novags.testbed.stages.configs.rendering import RenderConfig
+from novags.testbed.study.place import run
 
 
 def config(preset: Preset, name: str) -> Any:

@@ -183,7 +183,7 @@ class Nodes:
 
 def log_of(task: Task) -> str:
     """The log of a task, relative to the study."""
-    return f"logs/{task.kind}-{task.name}.log"
+    return f"logs/{task.place or f'{task.kind}-{task.name}'}.log"
 
 
 def _mark(store: Path) -> tuple[str, str]:

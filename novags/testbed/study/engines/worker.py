@@ -144,7 +144,7 @@ def _outcome(place: str, request: Mapping[str, Any], connection: Connection) -> 
         raise
     except BaseException as error:  # panics of libraries written in Rust are not Exceptions
         traceback.print_exc()
-        return _failure(error, getattr(error, "stage", ""))
+        return failure(error, getattr(error, "stage", ""))
 
 
 def function_at(place: str) -> Callable[[Any, Console], Any]:
@@ -153,7 +153,8 @@ def function_at(place: str) -> Callable[[Any, Console], Any]:
     return function
 
 
-def _failure(error: BaseException, stage: str) -> Outcome:
+def failure(error: BaseException, stage: str) -> Outcome:
+    """How a task ended that raised this."""
     if isinstance(error, MachineError) or (isinstance(error, OSError) and _is_of_machine(error)):
         return Outcome("machine", brief(error), stage)
     said = brief(error) or "no message"

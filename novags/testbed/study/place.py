@@ -1,0 +1,194 @@
+"""A study of one place: a set, a capture of it, its reconstructions by every method, and scores, in one folder.
+
+set/ (unless one is given)   capture/   a folder for each method or variant
+results.csv   results.json   one row a run, as of every study; failures.json and logs/ where there are any
+experiment.json   metrics.json   report.html   what describes all runs together
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from novags.testbed import stages
+from novags.testbed.console import Console
+from novags.testbed.folders import capture as captures
+from novags.testbed.folders import shapes
+from novags.testbed.folders.experiment import EXPERIMENT, REPORT, REPORT_FILES, find_runs
+from novags.testbed.folders.place import place_of
+from novags.testbed.folders.run import METRICS, RECORD
+from novags.testbed.ledger.contents import UNFINISHED, read_json, write_json
+from novags.testbed.ledger.dry import NOT_DONE, dry_run, planned
+from novags.testbed.ledger.stage import refuse_other
+from novags.testbed.presets import Preset
+from novags.testbed.stages.scoring import merge
+from novags.testbed.study.conduct import FAILURES, conduct
+from novags.testbed.study.engines.choice import Engine
+from novags.testbed.study.engines.here import Here
+from novags.testbed.study.entry import Task
+from novags.testbed.study.grid import Cell, Study
+from novags.testbed.study.plan import Plan, Planner, check
+from novags.testbed.study.results import CSV, JSON
+from novags.testbed.study.steps import steps
+from sensor_model.files.door import resolved
+from sensor_model.files.lock import dry, locked
+
+DESCRIBED = (EXPERIMENT, METRICS, REPORT, REPORT_FILES)  # files that describe all runs in the folder
+TAKEN = ("set", "capture", *DESCRIBED, CSV, JSON, FAILURES, "logs", UNFINISHED)  # what lies beside the runs
+
+
+def run(
+    preset: Preset, out: Path, console: Console, *, report: Callable[[Path, Console], Path] | None = None,
+    engine: Engine | None = None, command: str | None = None, overwrite: bool = False,
+) -> Path:  # fmt: skip
+    """Run what is still missing of the experiment in `out`; returns the path of the report, or `out` without one.
+
+    Args:
+        preset: What to do.
+        out: The folder.
+        console: Where progress goes.
+        report: Writes a report on the folder.
+        engine: Where the work is done; None: in this process.
+        command: The command line, for the record.
+        overwrite: Replace finished results of another request.
+
+    Raises:
+        ValueError: If an input is wrong, or `out` holds other things or, unless `overwrite`, finished results of
+            another request; that is said before any work. Or if a run fails: the others are done, and reported, first.
+        BlockingIOError: If another process is writing to `out`.
+    """
+    refuse_impossible(preset)
+    with locked(out):
+        plan = _planned(preset, out, console, overwrite)
+        here = Here(console)
+        shows = Console(quiet=True) if engine is None else console
+        rows = conduct(plan, out, out, shows, engine or here, retry_failed=True)
+        page = out
+        if done := [row["method"] for row in rows if row["state"] == "done"]:
+            write_json(out / EXPERIMENT, {"command": command, "methods": done, "preset": asdict(preset)})
+            _write_metrics(out, {name: read_json(out / name / METRICS, shapes.METRICS) for name in done})
+            page = page if report is None else report(out, console)
+        if reasons := dict.fromkeys(str(row["reason"]) for row in rows if row["state"] != "done"):
+            raise here.errors[0] if len(here.errors) == 1 else ValueError("; ".join(reasons))
+        return page
+
+
+def photograph(preset: Preset, out: Path, console: Console, *, overwrite: bool = False) -> Path:
+    """The first half of `run`: make the set, if none is given, and take the pictures; returns the capture's folder."""
+    with locked(out):
+        for task in _planned(preset, out, console, overwrite).tasks.values():
+            if task.kind != "run":
+                for step in steps(task, task.folder(out), _source(task, out), console).values():
+                    step.do()
+        return out / "capture"
+
+
+def refuse_impossible(preset: Preset) -> None:
+    """Raise ValueError for an experiment that cannot be done, wherever it is to lie."""
+    preset.refuse_lacking()
+    if taken := [name for name in preset.methods if name in TAKEN]:
+        raise ValueError(f"a variant must not be called {taken[0]}: the folder of an experiment holds something else "
+                         "of that name")  # fmt: skip
+
+
+def _planned(preset: Preset, out: Path, console: Console, overwrite: bool) -> Plan:
+    """Every task, each in a folder with a plain name.
+
+    Raises:
+        ValueError: If a request would replace finished results in `out`, unless `overwrite`; or as `plan.check`.
+    """
+    cells = tuple(Cell({"method": name}, replace(preset, methods=(name,))) for name in preset.methods)
+    if not overwrite:
+        _refuse_other(preset, out)
+    check(cells[0].preset, console)
+    planner = Planner(out, console)
+    runs = tuple((cell, planner.run(cell.preset)) for cell in cells)
+    tasks = {key: replace(task, place=task.group if task.kind == "run" else task.kind, overwrite=overwrite,
+                          stale=DESCRIBED) for key, task in planner.tasks.items()}  # fmt: skip
+    return Plan(Study(out, {"method": preset.methods}, cells, 0, {}), tasks, runs)
+
+
+def _source(task: Task, out: Path) -> Path | None:
+    """What a task reads: it is made from one thing at most, and plain names say which."""
+    return out / ("capture" if task.kind == "run" else "set") if task.needs else task.source
+
+
+def _refuse_other(preset: Preset, out: Path) -> None:
+    """Refuse a request that would replace finished results in `out`, before any work."""
+    if preset.folder is None:
+        refuse_other(out / "set", "set.json", (preset.photos or preset.render).resolved())
+    refuse_other(out / "capture", captures.RECORD, preset.capture.resolved())
+    if preset.folder is None:
+        _refuse_set_elsewhere(out)
+    for name in preset.methods:
+        refuse_other(out / name, RECORD, preset.reconstruct(name).resolved())
+    if (out / EXPERIMENT).exists():
+        before = read_json(out / EXPERIMENT, shapes.EXPERIMENT)["methods"]
+        if lost := [name for name in before if name not in preset.methods]:
+            raise ValueError(
+                f"{out} holds a finished comparison with {', '.join(lost)}, which this request leaves out: name them "
+                "too (--methods), choose another --out, or add --overwrite"
+            )
+
+
+def _refuse_set_elsewhere(out: Path) -> None:
+    """Refuse to render for a finished capture of a set that lies elsewhere: it would be refused after the render."""
+    record = out / "capture" / captures.RECORD
+    if not record.exists():
+        return
+    made_of = place_of(out / "capture", read_json(record, shapes.CAPTURE)["set"]["path"])
+    if made_of != resolved(out / "set"):
+        raise ValueError(f"{out / 'capture'} is a finished capture of the set {made_of}, which this request does not "
+                         "name: name it (--scene), choose another --out, or add --overwrite")  # fmt: skip
+
+
+def said(preset: Preset, out: Path, console: Console, *, overwrite: bool = False) -> None:
+    """Say what `run` would do, and write nothing: which stages it would make, or make again and why.
+
+    Raises:
+        ValueError: As `run`.
+    """
+    refuse_impossible(preset)
+    plan, made = _planned(preset, out, console, overwrite), dict[str, bool]()
+    for key, task in plan.tasks.items():
+        folder, waits = task.folder(out), f"the {plan.tasks[task.needs[0]].place}" if task.needs else ""
+        again = any(made[need] for need in task.needs)
+        for number, (name, step) in enumerate(steps(task, folder, _source(task, out), console).items()):
+            if again:  # an input that is made counts by its key: whether it comes out equal is seen then
+                but = f", unless {waits} comes out as before" if (folder / step.record).exists() else ""
+                console.note(f"{f'{name} ' * bool(number)}{task.place}: to be made{but} {NOT_DONE}")
+                continue
+            with dry_run() as kept:
+                step.do()
+            again, waits = kept == [False], task.place
+        made[key] = again
+    with dry_run():
+        planned(console, "run", [out / name for name in (EXPERIMENT, METRICS, REPORT)])
+
+
+def score_all(folder: Path, console: Console) -> dict[str, Any]:
+    """Score a run, or every run of an experiment; returns the mean scores by name.
+
+    Args:
+        folder: Of the run or the experiment.
+        console: Where progress goes.
+
+    Raises:
+        ValueError: If `folder` is neither, or what its runs refer to is gone.
+        BlockingIOError: If another process is writing there.
+    """
+    with locked(folder, make=False):
+        metrics = dict[str, Any]()
+        for name, one in find_runs(folder).items():
+            with dry_run(dry.get()):  # in a dry run each says what it would do
+                metrics[name] = stages.score(one.path, console)
+        if not (folder / RECORD).exists():
+            planned(console, "score", [folder / METRICS])
+            _write_metrics(folder, metrics)
+    return {name: one["methods"][name]["mean"] for name, one in metrics.items()}
+
+
+def _write_metrics(folder: Path, metrics: Mapping[str, Any]) -> None:
+    """The scores of all runs of an experiment, in one file."""
+    methods = {name: one.method for name, one in find_runs(folder).items()}
+    write_json(folder / METRICS, merge(dict(metrics), methods))

@@ -1,0 +1,103 @@
+"""Claims about a study of one place: what is refused before any work, what a failure costs, and who may do the work."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NoReturn
+
+import numpy as np
+import pytest
+
+from novags.methods import METHODS
+from novags.methods.inputs import LacksInput
+from novags.methods.variant import Variant
+from novags.testbed import stages
+from novags.testbed.console import Console
+from novags.testbed.ledger.contents import read_json
+from novags.testbed.presets import EXPERIMENTS, adapted
+from novags.testbed.report.page import write_report
+from novags.testbed.study import place, steps
+from novags.testbed.study.engines.choice import OneMachine
+from simscenes import orbit_rig
+from simscenes.sets.multiview import write_cameras
+from simscenes.sets.pictures.png import write_png
+
+QUIET = Console(quiet=True)
+
+
+@pytest.mark.parametrize("name", ["set", "capture", "report.html"])
+def test_a_variant_is_not_called_as_something_else_in_the_folder_of_an_experiment(tmp_path: Path, name: str) -> None:
+    """Rationale: after the render and the capture its run was refused, or written into the set."""
+    preset = replace(EXPERIMENTS["demo"], methods=(name,), variants=(Variant(name=name, method="naive"),))
+    with pytest.raises(ValueError, match=f"a variant must not be called {name}"):
+        place.run(preset, tmp_path / "out", QUIET)
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_name_that_no_folder_can_have_is_refused_at_once() -> None:
+    """Rationale: the file system refused it after the render and the capture."""
+    Variant(name="a" * 100, method="naive")
+    with pytest.raises(ValueError, match=r"must be letters.*, at most 100, .* got 'aaa"):
+        Variant(name="a" * 300, method="naive")
+
+
+def test_a_capture_of_a_given_set_is_refused_before_another_set_is_rendered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rationale: who left out --scene SET waited for a render, and was refused after it."""
+    views, rng = tmp_path / "views", np.random.default_rng(0)
+    names = [f"{i:04d}" for i in range(3)]
+    write_cameras(views, names, orbit_rig(3, 24, 24, 50.0, radius=3.0))
+    for name in names:
+        write_png(views / "images" / f"{name}.png", rng.integers(20, 250, (24, 24, 3)).astype(np.uint8))
+    preset = EXPERIMENTS["demo"]
+    stages.capture(views, tmp_path / "out" / "capture", preset.capture, QUIET, for_runs=True)
+    monkeypatch.setattr(steps, "make_set", lambda *_, **__: pytest.fail("rendered"))
+    with pytest.raises(ValueError, match=r"is a finished capture of the set .*views, which this request does not name"):
+        place.run(preset, tmp_path / "out", QUIET)
+
+
+TINY = {"scene": "cornell", "n_views": 9, "width": 24, "height": 24, "spp": 4, "points": 60, "iterations": 6}
+
+
+def files(folder: Path, *suffixes: str) -> dict[str, bytes]:
+    """Content of the files of these kinds."""
+    found = sorted(path for path in folder.rglob("*") if path.suffix in suffixes and path.name != "report.html")
+    return {str(path.relative_to(folder)): path.read_bytes() for path in found}
+
+
+def test_processes_side_by_side_make_the_files_that_one_makes(tmp_path: Path) -> None:
+    preset = adapted(EXPERIMENTS["demo"], **TINY, methods=("oracle", "naive"))
+    place.run(preset, tmp_path / "one", QUIET)
+    place.run(preset, tmp_path / "two", QUIET, engine=OneMachine.shared(2, 2))
+    made = files(tmp_path / "one", ".png", ".exr", ".ply", ".dng")
+    assert len(made) > 50
+    assert made == files(tmp_path / "two", ".png", ".exr", ".ply", ".dng")
+    tables = [read_json(tmp_path / name / "results.json")["rows"] for name in ("one", "two")]
+    scores = [
+        [{k: v for k, v in row.items() if k.startswith(("lit.", "enhanced."))} for row in rows] for rows in tables
+    ]
+    assert scores[0] == scores[1]
+    assert [row["method"] for row in tables[1]] == ["oracle", "naive"]
+
+
+def test_a_method_that_fails_costs_no_other_and_is_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuses(*_: Any, **__: Any) -> NoReturn:
+        raise LacksInput("nothing to learn from")
+
+    with monkeypatch.context() as patch:
+        patch.setitem(METHODS, "broken", replace(METHODS["naive"], train=refuses))
+        preset = adapted(EXPERIMENTS["demo"], **TINY, methods=("broken", "naive"))
+        with pytest.raises(LacksInput, match="nothing to learn from"):
+            place.run(preset, tmp_path, QUIET, report=write_report)
+    rows = read_json(tmp_path / "results.json")["rows"]
+    assert [(row["state"], row["reason"], row["stage"]) for row in rows] == [
+        ("failed", "nothing to learn from", "reconstruct"), ("done", None, None)
+    ]  # fmt: skip
+    assert "Rendered by naive" in (tmp_path / "report.html").read_text()
+    done = files(tmp_path / "naive", ".json")
+    with monkeypatch.context() as patch:
+        patch.setitem(METHODS, "broken", METHODS["naive"])
+        place.run(preset, tmp_path, QUIET, report=write_report)
+    assert [row["state"] for row in read_json(tmp_path / "results.json")["rows"]] == ["done", "done"]
+    assert files(tmp_path / "naive", ".json") == done
+    assert read_json(tmp_path / "experiment.json")["methods"] == ["broken", "naive"]
