@@ -135,6 +135,9 @@ def load() -> None:
     import cv2
     import torch
 
+    import novags.testbed.report.page
+    import novags.testbed.study.conduct
+    import novags.testbed.study.place  # noqa: F401
     import novags.testbed.viewer.server as server
 
     torch.set_num_threads(1)
