@@ -87,6 +87,9 @@ def _nothing(*_: Any, **__: Any) -> Any:
 def _imports() -> None:
     import torch
 
+    import novags.testbed.report.page
+    import novags.testbed.study.place  # noqa: F401
+
     torch.set_num_threads(1)
 
 
