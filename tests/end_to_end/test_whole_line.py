@@ -1,11 +1,15 @@
 """The whole line at a tiny size: what the folders hold, what is not done twice, what an interruption costs."""
 
 import json
+import os
 import re
 import shutil
+import subprocess
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from html import unescape
 from pathlib import Path
 
 import numpy as np
@@ -155,6 +159,33 @@ def test_records_say_what_was_done_with_what(experiment: Path, tiny: Preset) -> 
         assert stage["inputs"]
         assert {"versions", "hardware", "config"} <= stage.keys()
     assert read_json(experiment / "nova-fast" / "run.json")["config"]["fit"]["iterations"] == 30
+
+
+def test_the_commands_that_the_report_gives_make_equal_files(experiment: Path, tmp_path: Path) -> None:
+    """Each as a user copies it from the page, run where the page lies."""
+    folder = copy(experiment, tmp_path, "set", "capture", "nova-fast", "naive", "oracle")
+    shutil.copy(experiment / "report.html", folder)
+    found = re.findall(r'data-command="([^"]+)"', (folder / "report.html").read_text("utf-8"))
+    commands = {unescape(text) for text in found}
+    assert len(commands) == 3
+    for command in commands:
+        done = subprocess.run(["sh", "-c", command], cwd=folder, env=_with_ours(), capture_output=True, text=True)
+        assert done.returncode == 0, done.stderr
+    for name in ("nova-fast", "naive", "oracle"):
+        made, before = pictures(folder / f"{name}-again"), pictures(folder / name)
+        assert len(made) > 20
+        assert made == before
+
+
+def pictures(folder: Path) -> dict[str, bytes]:
+    """Everything that a run holds but its records, which tell times."""
+    found = (path for path in folder.rglob("*") if path.suffix in (".png", ".exr", ".ply"))
+    return {str(path.relative_to(folder)): path.read_bytes() for path in found}
+
+
+def _with_ours() -> dict[str, str]:
+    """An environment in which `novags` is the one that is tested."""
+    return {**os.environ, "PATH": f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"}
 
 
 def test_a_second_run_does_nothing_but_the_report(experiment: Path, tiny: Preset, quiet: Console) -> None:
