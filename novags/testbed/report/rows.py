@@ -6,9 +6,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from novags.methods import METHODS
-from novags.methods.variant import sees_statistics
-from novags.settings import flattened
+from novags.methods import METHODS, chosen, with_variants
+from novags.methods.variant import STATISTICS, Variant, dotted, sees_statistics
+from novags.settings import changed, flattened, has_setting
 from novags.testbed.folders.run import Run
 from novags.testbed.ledger.contents import jsonable
 from novags.testbed.ledger.difference import flat
@@ -66,6 +66,41 @@ def rows_of(runs: Mapping[str, Run]) -> dict[str, Row]:
             enhancement=enhancement_of(run),
         )  # fmt: skip
     return rows
+
+
+def looks_of(names: Iterable[str], study: Mapping[str, Any]) -> dict[str, Row]:
+    """The rows of a study's methods, by name, in their order; also of those without a run.
+
+    Args:
+        names: Of methods, variants and programs.
+        study: The content of the study file: the tables of its own variants and programs, and what it sets for all.
+    """
+    programs = study.get("method", {})
+    variants = with_variants(
+        Variant(name=name, method=str(table["method"]),
+                settings={key: value for key, value in dotted(table).items() if key != "method"})
+        for name, table in study.get("variant", {}).items()
+    )  # fmt: skip
+    shared, found, used = dotted(study.get("override", {})), dict[str, Row](), list[str]()
+    for name in names:
+        variant = None if name in programs else chosen(name, variants)
+        method = None if variant is None else METHODS[variant.method]
+        used.append(distinct(OTHER if method is None else method.color, used))
+        found[name] = Row(
+            name=name, key=f"m{len(found)}", method=name if variant is None else variant.method,
+            title="" if method is None else method.title, family="" if method is None else method.family,
+            color=used[-1], bound=None, competes=variant is None or not _sees_truth(variant, shared), enhancement="",
+        )  # fmt: skip
+    return found
+
+
+def _sees_truth(variant: Variant, shared: Mapping[str, Any]) -> bool:
+    """Whether a variant, under what the study sets for all, sees any truth."""
+    method = METHODS[variant.method]
+    told = {key: value for key, value in {**shared, **variant.settings}.items() if key == STATISTICS}
+    config = method.config()
+    own = changed(config, told) if has_setting(config, STATISTICS) else config
+    return method.sees_clean or method.sees_surface or sees_statistics(own)
 
 
 def main_row(rows: Iterable[Row]) -> str:

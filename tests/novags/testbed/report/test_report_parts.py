@@ -23,13 +23,13 @@ from novags.testbed import stages  # noqa: E402
 from novags.testbed.console import Console  # noqa: E402
 from novags.testbed.exposures import exposures_of  # noqa: E402
 from novags.testbed.folders.capture import Capture, open_capture  # noqa: E402
-from novags.testbed.report.facts import geometry_table, noise_table  # noqa: E402
+from novags.testbed.report.blocks.signal import _chart, by_filter, histogram  # noqa: E402
 from novags.testbed.report.look.album import Album, files_of  # noqa: E402
 from novags.testbed.report.look.maps import colour_map, normal_map, normals_of_depth  # noqa: E402
 from novags.testbed.report.look.probe import probe_of  # noqa: E402
 from novags.testbed.report.page import write_report  # noqa: E402
-from novags.testbed.report.signal_chart import _chart, by_filter, signal  # noqa: E402
 from novags.testbed.report.tables import per_view, ranks, score_table  # noqa: E402
+from novags.testbed.report.verdict import geometry_table, noise_table  # noqa: E402
 from novags.testbed.stages.configs.capturing import CaptureConfig  # noqa: E402
 from sensor_model import srgb_to_linear  # noqa: E402
 from simscenes.sets.pictures.exr import read_exr  # noqa: E402
@@ -334,7 +334,7 @@ def test_signals_beyond_half_precision_keep_their_scale(captures: dict[str, Capt
 def test_the_histogram_counts_the_electrons_of_each_filter(captures: dict[str, Capture], name: str) -> None:
     capture = captures[name]
     assert capture.sensor is not None
-    found = signal(capture, [0, 2])
+    found = histogram(capture, [0, 2])
     assert found is not None
     green = []
     for view in ("0000", "0002"):

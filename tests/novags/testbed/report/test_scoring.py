@@ -12,10 +12,11 @@ import pytest
 
 from novags.methods.problem import encode
 from novags.testbed.exposures import Exposures
+from novags.testbed.report.blocks.training import fits, smoothed
 from novags.testbed.report.charts import line_chart, linear_ticks, log_ticks
-from novags.testbed.report.facts import duration, fits, join, number, signed, size, smoothed
 from novags.testbed.report.look.maps import ERROR_CEILING, depth_map, error_map
 from novags.testbed.report.tables import score_table
+from novags.testbed.report.words import duration, join, number, signed, size
 from novags.testbed.stages import scoring
 from novags.testbed.stages.scoring import merge, recovered_fractions
 

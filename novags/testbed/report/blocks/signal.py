@@ -1,20 +1,43 @@
-"""How much light the pixels of a capture got: a histogram in electrons, or in codes where electrons are not known."""
+"""How much light the pixels got: a histogram in electrons, or in codes where they are not known; shares of many."""
 
 from collections.abc import Sequence
 from html import escape
+from typing import Any
 
 import numpy as np
 
 from novags.testbed.folders.capture import Capture
 from novags.testbed.report.charts import plot_data
+from novags.testbed.report.grid import by_place
+from novags.testbed.report.material import Material
+from novags.testbed.report.parts import Page, Table, TableRow, heads, num
 
 WIDTH, HEIGHT = 640, 240
 LEFT, RIGHT, TOP, BOTTOM = 96, 16, 14, 46  # room for the larger letters that telephones get
 CLASSES = {"red": "red", "green": "green", "blue": "blue"}
 BINS = 60
+SHARES = {"0.01": "1 % get less", "0.25": "a quarter", "0.5": "half", "0.75": "three quarters", "0.99": "99 %"}
 
 
-def signal(capture: Capture, indices: Sequence[int]) -> dict[str, str] | None:
+def signal(material: Material, page: Page) -> dict[str, Any] | None:
+    """The histogram of one place, a row for each of many."""
+    if (place := material.one) is not None:
+        found = histogram(place.capture, place.views)
+        return found and {**found, "table": None}
+    rows, columns = list[TableRow](), "Where | Camera"
+    for members in by_place(material.lines).values():
+        here = [each.captured for line in members for each in material.of(line)]
+        if here and (electrons := here[0].get("signal_quantiles_e")):
+            known = [key for key in SHARES if key in electrons]
+            columns = " | ".join(["Where | Camera", *(f"#{SHARES[key]} [e⁻]" for key in known)])
+            cells = [members[0].where, here[0].get("sensor_name") or "", *(num(electrons[key]) for key in known)]
+            rows.append(TableRow(cells))
+    text = "How many electrons a pixel collects on average: the share in the heading gets less."
+    table = Table("signal", "Signal of every combination", heads(columns), rows, "short")
+    return {"text": text, "table": table} if rows else None
+
+
+def histogram(capture: Capture, indices: Sequence[int]) -> dict[str, str] | None:
     """The histogram of these views with a sentence on it; None where there is nothing to draw."""
     if capture.imported or capture.sensor is None:
         codes = np.concatenate([255 * capture.srgb8(i).reshape(-1, 3) for i in indices])

@@ -4,11 +4,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from novags.testbed.report.facts import join
 from novags.testbed.report.tables import measured, ranks, spread_of
+from novags.testbed.report.words import join
+from novags.testbed.study.grid import spelled
 from novags.testbed.study.light import METHOD, SEED
 
 Row = Mapping[str, Any]
+CAPTURE = "capture"  # the axis of runs that no study made
 # column of the study's table, heading, unit, whether more is better, digits
 COLUMNS = (
     ("enhanced.aligned_psnr", "PSNR aligned, noise-free", "dB", True, 2),
@@ -19,6 +21,8 @@ COLUMNS = (
     ("lit.flip", "FLIP, lit", "", False, 3),
     ("linear.linear_psnr", "PSNR linear", "dB", True, 2),
     ("enhanced.flip", "FLIP, noise-free", "", False, 3),
+    ("over.enhanced", "Over the floor", "dB", True, 2),
+    ("over.lit", "Over the floor, lit", "dB", True, 2),
     ("recovered", "Recovered", "", True, 2),
     ("recovered_lit", "Recovered, lit", "", True, 2),
     ("geometry.abs_rel", "Depth error", "", False, 3),
@@ -27,8 +31,9 @@ COLUMNS = (
     ("peak_bytes", "Peak memory", "MB", False, 0),
 )
 MAIN = ("enhanced.aligned_psnr", "lit.tone_aligned_psnr")  # of which one decides
-SILENT = ("recovered", "recovered_lit", "seconds.reconstruct", "peak_bytes")  # those order as MAIN does; costs
-OWN = ("enhanced.flip", "enhanced.aligned_psnr", "recovered")  # compare with a method's own reference
+# Those order as MAIN does; costs.
+SILENT = ("over.enhanced", "over.lit", "recovered", "recovered_lit", "seconds.reconstruct", "peak_bytes")
+OWN = ("enhanced.flip", "enhanced.aligned_psnr", "over.enhanced", "recovered")  # compare with a method's own reference
 LINEAR = "linear"  # begins the columns that methods have which end in linear light; of photographs they hold no value
 HELPED = ("lit.psnr", "lit.ssim", "lit.lpips", "lit.flip")  # by the truth, which decides their exposure
 SCALES = {"peak_bytes": 1e-6}
@@ -55,6 +60,11 @@ class Line:
     spread: dict[str, tuple[float, float | None]] = field(default_factory=dict)
     places: dict[str, int] = field(default_factory=dict)
     alike: bool = True
+
+    @property
+    def where(self) -> str:
+        """What a page calls its place."""
+        return str(self.place[CAPTURE]) if [*self.place] == [CAPTURE] else spelled(self.place) or "all runs"
 
     @property
     def in_linear_light(self) -> bool:
